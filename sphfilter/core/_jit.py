@@ -1,0 +1,28 @@
+"""The one compiler decorator of the package, and the type of a model's compiled functions.
+
+No blanket ``fastmath``: it lets the compiler assume that NaN and infinity never occur, so that
+``isfinite`` lies, and it makes sums depend on how a loop was vectorised. Rows are summed in list
+order instead, and results are the same bits whatever the number of threads.
+"""
+
+from numba import njit, types
+
+__all__ = ["BATCH", "BATCH_FUNCTION", "jit", "parallel_jit"]
+
+#: Signature of every compiled model function: ``fill(x, t, p, out)`` writes one row of ``out`` (N, k)
+#: for each row of ``x`` (N, n) at time ``t`` with parameters ``p``.
+BATCH = types.void(types.float64[:, ::1], types.float64, types.float64[::1], types.float64[:, ::1])
+
+#: A first-class function of that signature. Loops compiled for it accept every model without being
+#: compiled again; a jitted function passed as a dispatcher would specialise the whole loop per model.
+BATCH_FUNCTION = types.FunctionType(BATCH)
+
+
+def jit(function):
+    """Compile lazily, in nopython mode, cached on disk; division by zero gives inf, as in numpy."""
+    return njit(function, cache=True, error_model="numpy")
+
+
+def parallel_jit(function):
+    """As `jit`, with ``prange`` loops spread over threads. Each iteration must write only its own row."""
+    return njit(function, cache=True, error_model="numpy", parallel=True, nogil=True)
