@@ -1,0 +1,238 @@
+"""From a user's function to compiled batch functions: rows of states in, rows of values out.
+
+Every function made here has the signature `BATCH`, so that the loops of the package, compiled once for
+that signature, accept every model.
+"""
+
+import dis
+import functools
+import inspect
+import warnings
+
+import numpy as np
+from numba import njit, objmode
+from numba.core import types
+from numba.core.errors import NumbaError
+
+from .core._jit import BATCH
+from .errors import ModelError
+
+__all__ = ["accepts", "batch", "compile_rows", "compile_source", "probe", "probe_states", "reads_argument"]
+
+#: Vectorised numpy callables by number: compiled code can hold a number, not a Python object.
+_BLACK_BOXES = []
+
+
+def batch(function):
+    """Compile one batch function of the package's own, without a disk cache (closures differ per model)."""
+    return njit(BATCH, error_model="numpy")(function)
+
+
+def accepts(function, name, allowed=(1, 2, 3)):
+    """Return how many positional arguments to pass: 1 for f(x), 2 for f(x, t), 3 for f(x, t, p)."""
+    if not callable(function):
+        raise ModelError(f"{name} must be a function of (x, t) or (x, t, p), got {function!r}.")
+    try:
+        parameters = inspect.signature(_python(function)).parameters.values()
+    except (TypeError, ValueError):
+        return 2
+    if any(p.kind is p.VAR_POSITIONAL for p in parameters):
+        return max(allowed)
+    positional = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    needed = sum(p.default is p.empty for p in positional)
+    fitting = [a for a in allowed if needed <= a <= len(positional)]
+    if not fitting:
+        forms = ", ".join(("(x)", "(x, t)", "(x, t, p)")[a - 1] for a in allowed)
+        raise ModelError(f"{name} takes {len(positional)} arguments; write it as a function of {forms}.")
+    return max(fitting)
+
+
+def reads_argument(function, index):
+    """Tell whether a function may depend on its positional argument `index`.
+
+    The bytecode is searched for the argument's name: False is a proof, True may only mean "unknown".
+    """
+    code = getattr(_python(function), "__code__", None)
+    if code is None:
+        return True
+    if index >= code.co_argcount:
+        return bool(code.co_flags & inspect.CO_VARARGS)
+    name = code.co_varnames[index]
+    values = (instruction.argval for instruction in dis.get_instructions(code))
+    return any(name == v or (isinstance(v, tuple) and name in v) for v in values)
+
+
+def probe_states(dim, rows=3):
+    """Return fixed, unremarkable states at which a function is tried once, shape (rows, dim)."""
+    return np.random.default_rng(20220).uniform(0.1, 0.9, (rows, dim))
+
+
+def compile_rows(function, shape, name, dim, p, vectorized=False):
+    """Compile a user's function into a batch function.
+
+    Parameters
+    ----------
+    function : callable
+        f(x), f(x, t) or f(x, t, p) of one state x (dim,) that returns numbers in nested tuples of `shape`;
+        with `vectorized`, of states X (N, dim), returning an array (N, *shape).
+    shape : tuple of int
+        () one number, (k,) a tuple of numbers, (k, m) a tuple of k tuples of m numbers.
+    name : str
+        What the function is, for messages.
+    dim : int or None
+        Length of the state; None when not known yet (nothing is tried then).
+    p : ndarray, shape (K,)
+        Parameter values; the function sees these K only.
+
+    Returns
+    -------
+    dispatcher
+        Of signature `BATCH`; out has one column per number, row-major.
+
+    Raises
+    ------
+    ModelError
+        Wrong arguments, wrong number of values, an index beyond the state, or numba cannot compile it.
+    """
+    n_args = accepts(function, name)
+    if dim is not None:
+        probe(function, shape, name, dim, p, vectorized)
+    if vectorized:
+        return _compile_vectorized(function, n_args, shape, name, p.size)
+    core, returned = _compile_one(function, n_args, name)
+    _check_shape(returned, shape, name)
+    scalar = not isinstance(returned, types.BaseTuple | types.Array)
+    arguments = ", ".join(("x[i]", "t", f"p[:{p.size}]")[:n_args])
+    lines = [f"r = f({arguments})"]
+    for column, index in enumerate(np.ndindex(*shape)):
+        lines.append(f"out[i, {column}] = r" + ("" if scalar else "".join(f"[{j}]" for j in index)))
+    return compile_source([], lines, f=core)
+
+
+def compile_source(before, per_row, **names):
+    """Compile a batch function from lines of source written by this package (never a user's text)."""
+    body = ["def fill(x, t, p, out):", *(f"    {line}" for line in before), "    for i in range(x.shape[0]):"]
+    body += [f"        {line}" for line in per_row]
+    namespace = dict(names)
+    exec("\n".join(body), namespace)
+    return batch(namespace["fill"])
+
+
+def _python(function):
+    return getattr(function, "py_func", function)
+
+
+def _compile_one(function, n_args, name):
+    """Return the compiled function of one state and the numba type it returns."""
+    signature = (types.float64[::1], types.float64, types.float64[::1])[:n_args]
+    core = function if hasattr(function, "py_func") else njit(function, error_model="numpy")
+    try:
+        core.compile(signature)
+        return core, core.overloads[signature].signature.return_type
+    except (NumbaError, NotImplementedError, TypeError, AttributeError, AssertionError) as error:
+        # numba's own text runs over pages; its first line that says something names the culprit
+        lines = [line.strip() for line in str(error).splitlines()]
+        told = [line for line in lines if len(line) > 20 and not line.startswith("Failed in nopython")]
+        reason = told[0] if told else repr(error)
+        raise ModelError(
+            f"{name} could not be compiled by numba ({reason[:200]}). Use plain arithmetic and math "
+            "functions of one state, or pass a numpy function of many states (rows) with vectorized=True."
+        ) from error
+
+
+def _check_shape(returned, shape, name):
+    """Compare a numba return type with the shape that is needed."""
+    if isinstance(returned, types.BaseTuple):
+        got = (len(returned),)
+        if len(shape) == 2:
+            rows = {len(row) if isinstance(row, types.BaseTuple) else 1 for row in returned}
+            nested = all(isinstance(row, types.BaseTuple) for row in returned)
+            got = (len(returned), *rows) if nested else got
+        flat = [v for row in returned for v in (row if isinstance(row, types.BaseTuple) else [row])]
+        if got == shape and all(isinstance(v, types.Number | types.Boolean) for v in flat):
+            return
+        raise ModelError(_arity(name, got, shape) if got != shape else f"{name} must return plain numbers.")
+    if isinstance(returned, types.Array) and returned.ndim == len(shape):
+        return
+    if isinstance(returned, types.Number | types.Boolean):
+        if np.prod(shape, dtype=int) == 1:
+            return
+        raise ModelError(_arity(name, (1,), shape))
+    raise ModelError(f"{name} returns {returned}; it must return {_wanted(shape)}.")
+
+
+def _wanted(shape):
+    if len(shape) == 2:
+        return f"a tuple of {shape[0]} tuples of {shape[1]} numbers"
+    return f"a tuple of {shape[0]} numbers" if shape else "one number"
+
+
+def _arity(name, got, shape):
+    values = " × ".join(map(str, got))
+    needed = " × ".join(map(str, shape or (1,)))
+    return f"{name} returns {values} value(s), but {needed} are needed: return {_wanted(shape)}."
+
+
+def probe(function, shape, name, dim, p, vectorized=False):
+    """Try a function once, uncompiled, for what compiled code would not notice: sizes and indices.
+
+    Raises
+    ------
+    ModelError
+        It reads beyond the state or the parameters, or returns the wrong number of values.
+    """
+    states = probe_states(dim)
+    arguments = (states if vectorized else states[0], 0.0, p)[: accepts(function, name)]
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            values = _python(function)(*arguments)
+    except IndexError as error:
+        raise ModelError(
+            f"{name} reads beyond the state (dim={dim}) or the parameters ({p.size} given): {error}. "
+            "Check dim, parameters and the indices of x and p."
+        ) from error
+    except Exception:
+        # a function may be undefined at the probe; what it is for the compiler is checked elsewhere
+        return
+    if vectorized:
+        _rows_of(values, len(states), shape, name)
+    elif isinstance(values, np.ndarray) and values.shape != shape:
+        raise ModelError(_arity(name, values.shape, shape))
+
+
+def _rows_of(values, n_rows, shape, name):
+    """Return what a vectorised function gave as an array (n_rows, k)."""
+    values = np.asarray(values, dtype=float)
+    k = int(np.prod(shape, dtype=int))
+    if values.shape not in ((n_rows, *shape), (n_rows, k)):
+        given = " × ".join(map(str, values.shape))
+        needed = " × ".join(map(str, (n_rows, *shape)))
+        raise ModelError(f"{name} returned an array {given} for {n_rows} states, but {needed} is needed.")
+    return values.reshape(n_rows, k)
+
+
+def _compile_vectorized(function, n_args, shape, name, k):
+    """Wrap a numpy function of many states; compiled loops reach it through the interpreter."""
+    index = len(_BLACK_BOXES)
+
+    def call(x, t, p, out):
+        out[:] = _rows_of(function(*(x, t, p[:k])[:n_args]), len(x), shape, name)
+
+    _BLACK_BOXES.append(call)
+
+    def fill(x, t, p, out):
+        with objmode():
+            _call_black_box(index, x, t, p, out)
+
+    return batch(fill)
+
+
+def _call_black_box(index, x, t, p, out):
+    _BLACK_BOXES[index](x, t, p, out)
+
+
+@functools.cache
+def shared(function):
+    """Compile a batch function that all models share, cached on disk."""
+    return njit(BATCH, cache=True, error_model="numpy")(function)

@@ -1,0 +1,202 @@
+"""Batch functions that follow from others: D from g, the Stratonovich term, derivatives by differences.
+
+Indices of the papers: f drift (n,), g noise (n, m), Q (m, m), D = g Q gᵀ / 2 (n, n). Rows are states;
+matrices are stored row-major in the columns.
+"""
+
+import numpy as np
+from numba import njit
+
+from ._compile import batch
+
+__all__ = [
+    "constant_diffusion", "constant_noise", "diffusion_from_noise", "jacobian_from", "linear_divergence",
+    "linear_drift", "linear_jacobian", "noise_from_diffusion", "row_divergence_from", "stratonovich_drift",
+    "symmetric_root", "trace_from", "zeros",
+]  # fmt: skip
+
+#: Relative step of central differences: balances rounding (eps/h) against truncation (h²).
+_STEP = np.finfo(float).eps ** (1 / 3)
+
+
+def symmetric_root(D):
+    """Return g, shape (n, n), with g gᵀ = 2 D: the symmetric root, smooth in D where D is definite."""
+    w, V = np.linalg.eigh(D)
+    return (V * np.sqrt(2.0 * np.maximum(w, 0.0))) @ V.T
+
+
+# --- constants, read from the tail of p: [parameters, g (n m), D (n n)] ---
+
+
+def constant_noise(x, t, p, out):
+    """Fill g, constant."""
+    n, k = x.shape[1], out.shape[1]
+    g = p[p.size - n * n - k : p.size - n * n]
+    for i in range(x.shape[0]):
+        out[i, :] = g
+
+
+def constant_diffusion(x, t, p, out):
+    """Fill D, constant."""
+    D = p[p.size - out.shape[1] :]
+    for i in range(x.shape[0]):
+        out[i, :] = D
+
+
+def zeros(x, t, p, out):
+    """Fill zeros: ∇·D where D does not depend on x."""
+    out[:] = 0.0
+
+
+# --- linear drift A x + b, read from the head of p: [A (n n), b (n)] ---
+
+
+def linear_drift(x, t, p, out):
+    """Fill A x + b."""
+    n = x.shape[1]
+    for i in range(x.shape[0]):
+        for a in range(n):
+            s = p[n * n + a]
+            for j in range(n):
+                s += p[a * n + j] * x[i, j]
+            out[i, a] = s
+
+
+def linear_jacobian(x, t, p, out):
+    """Fill A."""
+    for i in range(x.shape[0]):
+        out[i, :] = p[: out.shape[1]]
+
+
+def linear_divergence(x, t, p, out):
+    """Fill the trace of A."""
+    n = x.shape[1]
+    s = 0.0
+    for j in range(n):
+        s += p[j * n + j]
+    out[:] = s
+
+
+# --- derived from other batch functions ---
+
+
+def diffusion_from_noise(g, Q):
+    """Return the batch function of D = g Q gᵀ / 2 (002 (5) with the erratum)."""
+    m = len(Q)
+
+    def fill(x, t, p, out):
+        n = x.shape[1]
+        G = np.empty((x.shape[0], n * m))
+        g(x, t, p, G)
+        for i in range(x.shape[0]):
+            for a in range(n):
+                for b in range(n):
+                    s = 0.0
+                    for k in range(m):
+                        for r in range(m):
+                            s += G[i, a * m + k] * Q[k, r] * G[i, b * m + r]
+                    out[i, a * n + b] = 0.5 * s
+
+    return batch(fill)
+
+
+def noise_from_diffusion(D):
+    """Return the batch function of the symmetric g with g gᵀ = 2 D."""
+    root = njit(symmetric_root)
+
+    def fill(x, t, p, out):
+        n = x.shape[1]
+        D(x, t, p, out)
+        for i in range(x.shape[0]):
+            if np.isfinite(out[i]).all():
+                out[i] = root(out[i].copy().reshape((n, n))).ravel()
+            else:
+                out[i] = np.nan
+
+    return batch(fill)
+
+
+@njit(error_model="numpy")
+def _difference(f, x, t, p, j, step, out):
+    """Fill ∂f/∂x_j by central differences, all rows at once; out (N, k)."""
+    moved, below = x.copy(), np.empty_like(out)
+    for i in range(x.shape[0]):
+        moved[i, j] = x[i, j] - step * max(1.0, abs(x[i, j]))
+    f(moved, t, p, below)
+    for i in range(x.shape[0]):
+        moved[i, j] = x[i, j] + step * max(1.0, abs(x[i, j]))
+    f(moved, t, p, out)
+    for i in range(x.shape[0]):
+        h = 2.0 * step * max(1.0, abs(x[i, j]))
+        for k in range(out.shape[1]):
+            out[i, k] = (out[i, k] - below[i, k]) / h
+
+
+def stratonovich_drift(f, g, Q):
+    """Return the Itô drift f_i + ½ Σ_jkl g_jk Q_kl ∂_j g_il of a Stratonovich equation (002 (4), erratum)."""
+    m, step = len(Q), _STEP
+
+    def fill(x, t, p, out):
+        n = x.shape[1]
+        f(x, t, p, out)
+        G = np.empty((x.shape[0], n * m))
+        dG = np.empty((x.shape[0], n * m))
+        g(x, t, p, G)
+        for j in range(n):
+            _difference(g, x, t, p, j, step, dG)
+            for i in range(x.shape[0]):
+                for k in range(m):
+                    for r in range(m):
+                        c = 0.5 * G[i, j * m + k] * Q[k, r]
+                        for a in range(n):
+                            out[i, a] += c * dG[i, a * m + r]
+
+    return batch(fill)
+
+
+def jacobian_from(f, k):
+    """Return the batch function of ∂_j f_a, shape (k, n) per row, by central differences."""
+    step = _STEP
+
+    def fill(x, t, p, out):
+        n = x.shape[1]
+        df = np.empty((x.shape[0], k))
+        for j in range(n):
+            _difference(f, x, t, p, j, step, df)
+            for i in range(x.shape[0]):
+                for a in range(k):
+                    out[i, a * n + j] = df[i, a]
+
+    return batch(fill)
+
+
+def row_divergence_from(D):
+    """Return the batch function of (∇·D)_a = Σ_j ∂_j D_aj by central differences."""
+    step = _STEP
+
+    def fill(x, t, p, out):
+        n = x.shape[1]
+        out[:] = 0.0
+        dD = np.empty((x.shape[0], n * n))
+        for j in range(n):
+            _difference(D, x, t, p, j, step, dD)
+            for i in range(x.shape[0]):
+                for a in range(n):
+                    out[i, a] += dD[i, a * n + j]
+
+    return batch(fill)
+
+
+def trace_from(J):
+    """Return the batch function of the trace of a Jacobian."""
+
+    def fill(x, t, p, out):
+        n = x.shape[1]
+        full = np.empty((x.shape[0], n * n))
+        J(x, t, p, full)
+        for i in range(x.shape[0]):
+            out[i, 0] = 0.0
+            for j in range(n):
+                out[i, 0] += full[i, j * n + j]
+
+    return batch(fill)

@@ -1,0 +1,91 @@
+"""The noise of a model from its arguments: g and Q, or D itself; a matrix or a function."""
+
+import numpy as np
+
+from . import _derived as derived
+from . import validate
+from ._compile import accepts, compile_rows, probe_states, reads_argument, shared
+from .errors import ModelError
+
+__all__ = ["noise_parts", "reads_time", "structure"]
+
+
+def reads_time(function, name):
+    """Tell whether a model function may depend on time; False is a proof."""
+    return accepts(function, name) > 1 and reads_argument(function, 1)
+
+
+def noise_parts(noise, spectral_density, diffusion, n, p, vectorized):
+    """Return makers of g, D and ∇·D, then Q, the constants that end p, and the flags of the noise."""
+    if diffusion is not None:
+        if noise is not None or spectral_density is not None:
+            raise ModelError("Give either noise= with spectral_density=, or diffusion=, not both.")
+        if callable(diffusion):
+            return _diffusion_function(diffusion, n, p, vectorized)
+        noise = _constant_root(validate.covariance("diffusion", diffusion, n, definite=False))
+    if callable(noise):
+        return _noise_function(noise, spectral_density, n, p, vectorized)
+    if noise is None and spectral_density is not None:
+        raise ModelError("spectral_density= is given without noise=; give noise= of shape (n, m) too.")
+    g = np.zeros((n, 1)) if noise is None else validate.array("noise", noise, (n, None))
+    m = g.shape[1]
+    Q = np.eye(m) if spectral_density is None else _spectral_density(spectral_density, m)
+    makers = {
+        "noise": lambda fs: shared(derived.constant_noise),
+        "diffusion": lambda fs: shared(derived.constant_diffusion),
+        "diffusion_divergence": lambda fs: shared(derived.zeros),
+    }
+    tail = np.concatenate([g.ravel(), (0.5 * g @ Q @ g.T).ravel()])
+    return makers, Q, tail, structure(False, False)
+
+
+def _noise_function(noise, spectral_density, n, p, vectorized):
+    if spectral_density is None:
+        raise ModelError("noise= is a function: give spectral_density= of shape (m, m) too, it tells m.")
+    Q = _spectral_density(spectral_density, None)
+    g = compile_rows(noise, (n, len(Q)), "noise", n, p, vectorized)
+    makers = {"noise": lambda fs: g, "diffusion": lambda fs: derived.diffusion_from_noise(g, Q)}
+    return _with_divergence(makers, noise, "noise", Q)
+
+
+def _diffusion_function(diffusion, n, p, vectorized):
+    D = compile_rows(diffusion, (n, n), "diffusion", n, p, vectorized)
+    out = np.empty((3, n * n))
+    D(probe_states(n), 0.0, p, out)
+    for matrix in out.reshape(-1, n, n):
+        if np.isfinite(matrix).all():
+            validate.covariance("diffusion", matrix, n, definite=False)
+    makers = {"noise": lambda fs: derived.noise_from_diffusion(D), "diffusion": lambda fs: D}
+    return _with_divergence(makers, diffusion, "diffusion", np.eye(n))
+
+
+def _with_divergence(makers, function, name, Q):
+    depends = reads_argument(function, 0)
+    if depends:
+        makers["diffusion_divergence"] = lambda fs: derived.row_divergence_from(fs["diffusion"])
+    else:
+        makers["diffusion_divergence"] = lambda fs: shared(derived.zeros)
+    return makers, Q, np.empty(0), structure(depends, reads_time(function, name))
+
+
+def structure(state_dependent, time_dependent):
+    """Return the structure flags that the noise alone decides."""
+    return {
+        "state_dependent_noise": state_dependent,
+        "constant_diffusion": not (state_dependent or time_dependent),
+        "autonomous": not time_dependent,
+        "linear": False,
+    }
+
+
+def _spectral_density(value, m):
+    return validate.covariance("spectral_density", value, m, definite=False)
+
+
+def _constant_root(D):
+    """Return g with g gᵀ = 2 D and as many columns as D has rank; rows of D that are zero stay exactly so."""
+    w, V = np.linalg.eigh(D)
+    keep = w > 1e-14 * max(w.max(), 0.0)
+    g = V[:, keep] * np.sqrt(2.0 * w[keep]) if keep.any() else np.zeros((len(D), 1))
+    g[~D.any(axis=1)] = 0.0
+    return g

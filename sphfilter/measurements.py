@@ -1,0 +1,219 @@
+"""Measurement models: what a sensor reads in a state, and how likely a reading is."""
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from . import validate
+from ._compile import compile_rows, probe
+from .errors import ModelError
+
+__all__ = ["GaussianMeasurement", "LikelihoodMeasurement"]
+
+_NO_PARAMETERS = np.empty(0)
+
+
+class GaussianMeasurement:
+    """z = h(x, t) + v with v ~ N(0, R) (002 (2)).
+
+    Parameters
+    ----------
+    h : array_like (k, n) or callable
+        Matrix H, or h(x) or h(x, t) of one state returning a tuple of k numbers; with `vectorized`, of
+        X (N, n) returning (N, k).
+    noise_cov : array_like, shape (k, k)
+        R, the covariance of one reading, positive definite, in squared units of z.
+    angles : sequence of int
+        Components of z that are angles in radians: their differences are wrapped to (−π, π]. The density then
+        counts the nearest turn only, which is exact as long as the standard deviation is well below π.
+    vectorized : bool
+        `h` takes all states at once and is not compiled.
+
+    Attributes
+    ----------
+    dim_z : int
+        k.
+    noise_cov : ndarray, shape (k, k)
+    H : ndarray, shape (k, n), or None
+        None when h is a function.
+    angles : tuple of int
+    directly_observed : tuple of (ndarray of int (k,), ndarray (k,)), or None
+        State indices and scales when each row of H has one non-zero entry, in distinct columns, and R is
+        diagonal; else None.
+
+    Raises
+    ------
+    ModelError
+        Shapes that do not fit, R not positive definite, or an `h` that cannot be compiled.
+    """
+
+    def __init__(self, h, noise_cov, angles=(), vectorized=False):
+        self.noise_cov = validate.covariance("noise_cov", noise_cov)
+        self.noise_cov.setflags(write=False)
+        self.dim_z = len(self.noise_cov)
+        self.angles = tuple(sorted({validate.count("angles", a, least=0) for a in angles}))
+        if self.angles and self.angles[-1] >= self.dim_z:
+            raise ModelError(f"angles names component {self.angles[-1]}, but z has {self.dim_z} (from 0).")
+        self._recipe = (h, noise_cov, tuple(angles), vectorized)
+        self._factors, self._tried = {}, set()
+        self.H = self._fill = None
+        if callable(h):
+            self._fill = compile_rows(h, (self.dim_z,), "h", None, _NO_PARAMETERS, vectorized)
+        else:
+            self.H = validate.array("h", h, (self.dim_z, None))
+            self.H.setflags(write=False)
+        self.directly_observed = self._direct()
+
+    def __reduce__(self):
+        return GaussianMeasurement, self._recipe
+
+    def predict(self, X, t=0.0):
+        """Return the noise-free reading in each state X (N, n), shape (N, k)."""
+        X = np.array(X, dtype=float, order="C", ndmin=2)
+        n = X.shape[1]
+        if self.H is not None:
+            if n != self.H.shape[1]:
+                raise ModelError(f"The measurement is of {self.H.shape[1]} states, but the states have {n}.")
+            return X @ self.H.T
+        if n not in self._tried:
+            h, _, _, vectorized = self._recipe
+            probe(h, (self.dim_z,), "h", n, _NO_PARAMETERS, vectorized)
+            self._tried.add(n)
+        out = np.empty((len(X), self.dim_z))
+        self._fill(X, float(t), _NO_PARAMETERS, out)
+        return out
+
+    def residual(self, z, zhat):
+        """Return z − zhat (..., k), angles wrapped to (−π, π]."""
+        r = np.asarray(z, dtype=float) - np.asarray(zhat, dtype=float)
+        for a in self.angles:
+            r[..., a] -= 2 * np.pi * np.ceil((r[..., a] - np.pi) / (2 * np.pi))
+        return r
+
+    def jacobian(self, x, t=0.0):
+        """Return ∂h/∂x at one state x (n,), shape (k, n): H, or central differences."""
+        if self.H is not None:
+            return self.H.copy()
+        x = np.asarray(x, dtype=float)
+        steps = np.diag(np.finfo(float).eps ** (1 / 3) * np.maximum(1.0, np.abs(x)))
+        above, below = x + steps, x - steps
+        rise = self.residual(self.predict(above, t), self.predict(below, t))
+        return (rise / np.diag(above - below)[:, None]).T
+
+    def observed(self, z):
+        """Return which components of z were measured, bool (k,): NaN (or None for all) means missing.
+
+        Raises
+        ------
+        ModelError
+            z of the wrong length, or infinite.
+        """
+        return np.isfinite(_reading(z, self.dim_z))
+
+    def log_likelihood(self, z, X, t=0.0):
+        """Return log p(z | x) for each state X (N, n), shape (N,), with its normalising constant.
+
+        Missing components are left out, with their rows and columns of R; all missing gives zeros.
+        """
+        z = _reading(z, self.dim_z)
+        seen = np.isfinite(z)
+        if not seen.any():
+            return np.zeros(len(X))
+        L, constant = self._factor(seen)
+        r = self.residual(z, self.predict(X, t))[:, seen]
+        # a state where h is undefined gives NaN here, for the caller to judge
+        y = solve_triangular(L, r.T, lower=True, check_finite=False)
+        return constant - 0.5 * np.einsum("ki,ki->i", y, y)
+
+    def sample(self, x, t=0.0, rng=None):
+        """Draw readings of one state (n,) → (k,), or of many (N, n) → (N, k); angles in (−π, π]."""
+        zhat = self.predict(x, t)
+        noise = validate.generator(rng).standard_normal(zhat.shape) @ np.linalg.cholesky(self.noise_cov).T
+        z = self.residual(zhat + noise, 0.0)
+        return z[0] if np.ndim(x) == 1 else z
+
+    def _factor(self, seen):
+        """Return the Cholesky factor of the observed block of R and log of the normalising constant."""
+        key = seen.tobytes()
+        if key not in self._factors:
+            L = np.linalg.cholesky(self.noise_cov[np.ix_(seen, seen)])
+            constant = -np.log(np.diag(L)).sum() - 0.5 * len(L) * np.log(2 * np.pi)
+            self._factors[key] = L, constant
+        return self._factors[key]
+
+    def _direct(self):
+        if self.H is None or self.angles or not np.all((self.H != 0).sum(axis=1) == 1):
+            return None
+        columns = np.argmax(self.H != 0, axis=1)
+        diagonal = np.count_nonzero(self.noise_cov - np.diag(np.diag(self.noise_cov))) == 0
+        if len(set(columns)) < self.dim_z or not diagonal:
+            return None
+        return columns, self.H[np.arange(self.dim_z), columns]
+
+
+class LikelihoodMeasurement:
+    """Any sensor whose likelihood can be computed.
+
+    Parameters
+    ----------
+    loglik : callable
+        loglik(z, X, t) → (N,): log p(z | x) of every state X (N, n); −inf where z is impossible. It should
+        contain its normalising constant, or the evidence lacks it.
+    dim_z : int, optional
+        Length of z; not checked when None.
+    sample : callable, optional
+        sample(X, t, rng) → (N, k), for simulation.
+    """
+
+    H = None
+    directly_observed = None
+    noise_cov = None
+
+    def __init__(self, loglik, dim_z=None, sample=None):
+        if not callable(loglik):
+            raise ModelError(f"loglik must be a function (z, X, t) -> (N,), got {loglik!r}.")
+        self.dim_z = None if dim_z is None else validate.count("dim_z", dim_z)
+        self._loglik, self._sample = loglik, sample
+
+    def observed(self, z):
+        """Return which components of z were measured, bool (k,); all False for None."""
+        return np.isfinite(_reading(z, self.dim_z))
+
+    def log_likelihood(self, z, X, t=0.0):
+        """Return log p(z | x) for each state X (N, n), shape (N,); zeros when all of z is missing."""
+        X = np.asarray(X, dtype=float)
+        z = _reading(z, self.dim_z)
+        if not np.isfinite(z).any():
+            return np.zeros(len(X))
+        value = np.array(self._loglik(z, X, t), dtype=float)
+        if value.shape != (len(X),):
+            raise ModelError(f"loglik returned shape {value.shape}, but ({len(X)},) is needed: one per state.")
+        wrong = np.flatnonzero(np.isnan(value) | (value == np.inf))
+        if wrong.size:
+            raise ModelError(
+                f"loglik returned {value[wrong[0]]} at state {X[wrong[0]]}; "
+                "it must be finite, or -inf where z is impossible."
+            )
+        return value
+
+    def sample(self, x, t=0.0, rng=None):
+        """Draw readings of one state (n,) → (k,), or of many (N, n) → (N, k)."""
+        if self._sample is None:
+            raise ModelError("This LikelihoodMeasurement cannot be simulated; give it sample=f(X, t, rng).")
+        X = np.array(x, dtype=float, ndmin=2)
+        z = np.array(self._sample(X, t, validate.generator(rng)), dtype=float).reshape(len(X), -1)
+        return z[0] if np.ndim(x) == 1 else z
+
+
+def _reading(z, k):
+    """Return z as an array (k,), NaN where missing."""
+    if z is None:
+        return np.full(k or 1, np.nan)
+    try:
+        z = np.array(z, dtype=float, ndmin=1)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
+    if z.ndim != 1 or (k is not None and len(z) != k):
+        raise ModelError(f"The measurement has shape {z.shape}, but the sensor gives ({k or 'k'},).")
+    if np.isinf(z).any():
+        raise ModelError(f"The measurement {z} is infinite; use NaN for a missing component.")
+    return z

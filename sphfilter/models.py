@@ -1,0 +1,334 @@
+"""Stochastic differential equations: drift, noise, and what is known about their structure.
+
+dX = f(X, t) dt + g(X, t) dW with E[dW dWᵀ] = Q dt, hence D = g Q gᵀ / 2 (002 (1)–(5) with the errata).
+"""
+
+import copy
+from types import MappingProxyType
+
+import numpy as np
+from scipy.linalg import expm
+
+from . import _derived as derived
+from . import validate
+from ._compile import compile_rows, shared
+from ._noise import noise_parts, reads_time
+from .errors import ModelError, nearest
+
+__all__ = ["SDE", "LinearSDE"]
+
+
+class SDE:
+    """A stochastic differential equation, compiled once; parameters are data.
+
+    Parameters
+    ----------
+    drift : callable
+        f(x, t), f(x) or f(x, t, p) of one state x (n,), returning a tuple of n numbers; p holds the
+        parameter values in the order of `parameters` (``p[0]``, ``p[1]``, ...). With `vectorized`, of
+        X (N, n) → (N, n).
+    dim : int
+        n, the length of the state.
+    noise : array_like (n, m) or callable, optional
+        g, or g(x, t) returning n tuples of m numbers ((N, n, m) with `vectorized`). Without `noise` and
+        `diffusion` the equation is deterministic.
+    spectral_density : array_like (m, m), optional
+        Q, in units of the noise squared per second, positive semidefinite. Identity if `noise` is a matrix
+        and nothing is given; needed when `noise` is a function.
+    diffusion : array_like (n, n) or callable, optional
+        D itself, instead of `noise` and `spectral_density`; then g is a root of 2 D and Q the identity.
+    parameters : mapping of str to float, optional
+    divergence : callable, optional
+        ∇·f of the Itô drift, one number per state; else central differences of the drift are used.
+    vectorized : bool
+        The callables take all states at once, as numpy functions, and are not compiled.
+    interpretation : {"ito", "stratonovich"}
+
+    Attributes
+    ----------
+    dim, n_noise : int
+        n and m.
+    states : tuple of str
+    parameters : mapping of str to float, read-only
+    p : ndarray
+        What the compiled functions take as p: the parameter values, then constants of the model.
+    spectral_density : ndarray, shape (m, m)
+    drift_batch, noise_batch, diffusion_batch, diffusion_divergence_batch, jacobian_batch, divergence_batch
+        Compiled functions ``fill(x, t, p, out)`` with out of n, n·m, n·n, n, n·n and 1 columns. The drift is
+        that of Itô, the Stratonovich term included.
+    constant_diffusion : bool
+        D depends on neither state nor time.
+    state_dependent_noise : bool
+        g depends on the state. For a callable, False only when its bytecode never reads the state.
+    autonomous : bool
+        Neither drift nor noise depends on time. For a callable, True only when it never reads t.
+    linear : bool
+        The drift is affine in the state with constant coefficients, and the noise constant (provably).
+    diffusion_rows : ndarray of bool, shape (n,)
+        Rows of D that may differ from zero; exact when D is constant.
+
+    Raises
+    ------
+    ModelError
+        Wrong arity, shapes, NaN, Q not positive semidefinite, or a callable numba cannot compile.
+    """
+
+    def __init__(self, drift, dim, noise=None, spectral_density=None, *, diffusion=None, parameters=None,
+                 divergence=None, vectorized=False, interpretation="ito"):  # fmt: skip
+        recipe = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
+        n = validate.count("dim", dim)
+        validate.choice("interpretation", interpretation, ("ito", "stratonovich"))
+        values = _parameters(parameters)
+        p = np.array(list(values.values()))
+        makers, Q, tail, flags = noise_parts(noise, spectral_density, diffusion, n, p, vectorized)
+        f = compile_rows(drift, (n,), "drift", n, p, vectorized)
+        makers["drift"] = lambda fs: f
+        if interpretation == "stratonovich" and flags["state_dependent_noise"]:
+            if diffusion is not None:
+                raise ModelError("A Stratonovich equation needs noise= instead of diffusion=.")
+            makers["drift"] = lambda fs: derived.stratonovich_drift(f, fs["noise"], Q)
+        if divergence is not None:
+            given = compile_rows(divergence, (), "divergence", n, p, vectorized)
+            makers["divergence"] = lambda fs: given
+        flags["autonomous"] = flags["autonomous"] and not reads_time(drift, "drift")
+        self._assemble((SDE, recipe), [f"x{i}" for i in range(n)], values, Q, makers, tail, flags)
+
+    @classmethod
+    def from_expressions(cls, states, drift, noise=None, spectral_density=None, parameters=None,
+                         interpretation="ito", diffusion=None):  # fmt: skip
+        """Build a model from text; derivatives are symbolic.
+
+        Parameters
+        ----------
+        states : sequence of str
+            Names of the n states.
+        drift : sequence of str, length n
+        noise : nested sequence of str or float, shape (n, m), optional
+        spectral_density : array_like (m, m), optional
+            Identity if not given.
+        parameters : mapping of str to float, optional
+        interpretation : {"ito", "stratonovich"}
+        diffusion : nested sequence of str or float, shape (n, n), optional
+            D itself instead of noise.
+
+        Raises
+        ------
+        ExpressionError
+            Unknown name or forbidden syntax.
+        ModelError
+            Wrong lengths, or Q not positive semidefinite.
+
+        Notes
+        -----
+        Allowed: states, t, parameters, numbers, pi, ``+ - * / **``, sin cos tan asin acos atan atan2 sinh
+        cosh tanh exp log sqrt abs sign min max, and where(condition, a, b) with comparisons, ``and``, ``or``.
+        """
+        from .expressions import symbolic_model  # imports sympy, which takes a second
+
+        recipe = {k: v for k, v in locals().items() if k not in ("cls", "symbolic_model")}
+        validate.choice("interpretation", interpretation, ("ito", "stratonovich"))
+        values = _parameters(parameters)
+        makers, Q, flags = symbolic_model(states, drift, noise, diffusion, spectral_density, tuple(values),
+                                          interpretation)  # fmt: skip
+        self = cls.__new__(cls)
+        self._assemble((SDE.from_expressions, recipe), states, values, Q, makers, np.empty(0), flags)
+        return self
+
+    def _assemble(self, recipe, states, values, Q, makers, tail, flags):
+        """Set every attribute; the derived functions are compiled when first used."""
+        self._recipe, self._tail, self._flags = recipe, tail, flags
+        self.states, self.dim, self.n_noise = tuple(states), len(states), len(Q)
+        self.spectral_density = Q
+        Q.setflags(write=False)
+        self._functions = _Functions(makers, self.dim)
+        for name in ("constant_diffusion", "state_dependent_noise", "autonomous", "linear"):
+            setattr(self, name, bool(flags[name]))
+        self._set_parameters(values)
+
+    def _set_parameters(self, values):
+        self.parameters = MappingProxyType(values)
+        # writable for numba's sake: a read-only array has another type there
+        self.p = np.concatenate([np.array(list(values.values())), self._tail])
+        rows = np.array(self._flags.get("diffusion_rows", np.ones(self.dim, dtype=bool)))
+        if self.constant_diffusion:
+            rows = np.any(self.diffusion(np.zeros((1, self.dim)), 0.0)[0] != 0.0, axis=1)
+        rows.setflags(write=False)
+        self.diffusion_rows = rows
+
+    def with_parameters(self, **changes):
+        """Return the model with other parameter values; nothing is compiled again.
+
+        Raises
+        ------
+        ModelError
+            Unknown name, or a value that is not one finite number.
+        """
+        for name in changes:
+            if name not in self.parameters:
+                known = ", ".join(self.parameters) or "none"
+                raise ModelError(
+                    f"The model has no parameter {name!r}{nearest(name, self.parameters)}; it has: {known}."
+                )
+        new = copy.copy(self)
+        new._set_parameters(_parameters({**self.parameters, **changes}))
+        return new
+
+    def __reduce__(self):
+        constructor, arguments = self._recipe
+        if "parameters" in arguments:
+            arguments = {**arguments, "parameters": dict(self.parameters)}
+        return _rebuild, (constructor, arguments)
+
+    def __repr__(self):
+        return f"{type(self).__name__}(states={self.states}, n_noise={self.n_noise})"
+
+    # --- compiled functions ---
+
+    drift_batch = property(lambda self: self._functions["drift"], doc="Itô drift f, (N, n).")
+    noise_batch = property(lambda self: self._functions["noise"], doc="g, row-major, (N, n m).")
+    diffusion_batch = property(lambda self: self._functions["diffusion"], doc="D, row-major, (N, n n).")
+    diffusion_divergence_batch = property(
+        lambda self: self._functions["diffusion_divergence"], doc="∇·D, (N, n); zeros for uniform D."
+    )
+    jacobian_batch = property(lambda self: self._functions["jacobian"], doc="∂f_a/∂x_j, row-major, (N, n n).")
+    divergence_batch = property(lambda self: self._functions["divergence"], doc="∇·f, (N, 1).")
+
+    # --- evaluation from Python ---
+
+    def _evaluate(self, fill, X, t, *shape):
+        X = np.array(X, dtype=float, order="C", ndmin=2)
+        if X.ndim != 2 or X.shape[1] != self.dim:
+            raise ModelError(f"States have shape {np.shape(X)}, but the model needs (N, {self.dim}).")
+        out = np.empty((len(X), int(np.prod(shape))))
+        fill(X, float(t), self.p, out)
+        return out.reshape(len(X), *shape)
+
+    def drift(self, X, t):
+        """Return the Itô drift at X (N, n), shape (N, n)."""
+        return self._evaluate(self.drift_batch, X, t, self.dim)
+
+    def noise(self, X, t):
+        """Return g at X (N, n), shape (N, n, m)."""
+        return self._evaluate(self.noise_batch, X, t, self.dim, self.n_noise)
+
+    def diffusion(self, X, t):
+        """Return D = g Q gᵀ / 2 at X (N, n), shape (N, n, n)."""
+        return self._evaluate(self.diffusion_batch, X, t, self.dim, self.dim)
+
+    def diffusion_divergence(self, X, t):
+        """Return Σ_j ∂_j D_ij at X (N, n), shape (N, n)."""
+        return self._evaluate(self.diffusion_divergence_batch, X, t, self.dim)
+
+    def jacobian(self, x, t):
+        """Return ∂f_i/∂x_j of the drift at one state x (n,), shape (n, n)."""
+        return self._evaluate(self.jacobian_batch, x, t, self.dim, self.dim)[0]
+
+    def divergence(self, X, t):
+        """Return ∇·f of the drift at X (N, n), shape (N,)."""
+        return self._evaluate(self.divergence_batch, X, t)
+
+    def to_linear(self):
+        """Return the equal `LinearSDE` of a model whose `linear` is True.
+
+        Raises
+        ------
+        ModelError
+            The model is not known to be linear.
+        """
+        if not self.linear:
+            raise ModelError(f"{self!r} is not known to be linear; write it as LinearSDE(A=..., b=...).")
+        origin = np.zeros((1, self.dim))
+        A, b, g = self.jacobian(origin[0], 0.0), self.drift(origin, 0.0)[0], self.noise(origin, 0.0)[0]
+        return LinearSDE(A=A, b=b, noise=g, spectral_density=self.spectral_density)
+
+
+class LinearSDE(SDE):
+    """dX = (A X + b) dt + g dW with constant A, b and g.
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    b : array_like, shape (n,), optional
+    noise : array_like, shape (n, m), optional
+    spectral_density : array_like, shape (m, m), optional
+        Identity if not given.
+    """
+
+    def __init__(self, A, b=None, noise=None, spectral_density=None):
+        recipe = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
+        A = validate.square("A", A)
+        n = len(A)
+        b = np.zeros(n) if b is None else validate.array("b", b, (n,))
+        if callable(noise):
+            raise ModelError("The noise of a LinearSDE is a constant matrix; use SDE for a function.")
+        makers, Q, tail, flags = noise_parts(noise, spectral_density, None, n, np.empty(0), False)
+        makers["drift"] = lambda fs: shared(derived.linear_drift)
+        makers["jacobian"] = lambda fs: shared(derived.linear_jacobian)
+        makers["divergence"] = lambda fs: shared(derived.linear_divergence)
+        flags["linear"] = True
+        tail = np.concatenate([A.ravel(), b, tail])
+        self.A, self.b = A, b
+        self._assemble((LinearSDE, recipe), [f"x{i}" for i in range(n)], {}, Q, makers, tail, flags)
+
+    def to_linear(self):
+        """Return the model itself."""
+        return self
+
+    def discretize(self, dt):
+        """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly.
+
+        Van Loan's block exponential over a part of dt short enough for its growing block, then doubling.
+
+        Parameters
+        ----------
+        dt : float
+            Seconds, >= 0.
+
+        Returns
+        -------
+        Phi : ndarray, shape (n, n)
+        offset : ndarray, shape (n,)
+        Qd : ndarray, shape (n, n)
+        """
+        dt = validate.real("dt", dt)
+        if dt < 0:
+            raise ModelError(f"dt must not be negative, got {dt!r}.")
+        n = self.dim
+        doublings = max(0, int(np.ceil(np.log2(max(np.linalg.norm(self.A, 1) * dt, 1.0)))))
+        h = dt / 2**doublings
+        g = self.noise(np.zeros((1, n)), 0.0)[0]
+        loan = np.block([[-self.A, g @ self.spectral_density @ g.T], [np.zeros((n, n)), self.A.T]])
+        E = expm(loan * h)
+        affine = expm(np.block([[self.A, self.b[:, None]], [np.zeros((1, n + 1))]]) * h)
+        Phi, offset = affine[:n, :n], affine[:n, n]
+        Qd = E[n:, n:].T @ E[:n, n:]
+        for _ in range(doublings):
+            offset = Phi @ offset + offset
+            Qd = Phi @ Qd @ Phi.T + Qd
+            Phi = Phi @ Phi
+        return Phi, offset, 0.5 * (Qd + Qd.T)
+
+
+class _Functions:
+    """Compiled functions by name, made when first asked for and shared by all parameter values."""
+
+    def __init__(self, makers, n):
+        self._made = {}
+        self._makers = {
+            "jacobian": lambda fs: derived.jacobian_from(fs["drift"], n),
+            "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
+            **makers,
+        }
+
+    def __getitem__(self, name):
+        if name not in self._made:
+            self._made[name] = self._makers[name](self)
+        return self._made[name]
+
+
+def _rebuild(constructor, arguments):
+    return constructor(**arguments)
+
+
+def _parameters(parameters):
+    return {str(k): validate.real(f"parameter {k}", v) for k, v in dict(parameters or {}).items()}

@@ -1,0 +1,143 @@
+"""One validator per kind of argument; each sentence says what was given, what is allowed, what to do."""
+
+import numbers
+
+import numpy as np
+
+from .errors import ModelError, nearest
+
+__all__ = ["array", "choice", "count", "covariance", "generator", "positive", "real", "square",
+           "state_rows", "times"]  # fmt: skip
+
+
+def array(name, value, shape):
+    """Return `value` as a new C-contiguous float64 array of `shape`, all finite.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like
+    shape : tuple of int or None
+        Required shape; None leaves an axis free.
+
+    Raises
+    ------
+    ModelError
+        Not numeric, wrong shape, NaN or infinite.
+    """
+    try:
+        a = np.array(value, dtype=float, order="C")
+    except (TypeError, ValueError) as error:
+        raise ModelError(
+            f"{name} must be numbers in an array of shape {_text(shape)}, got {_short(value)}."
+        ) from error
+    if a.ndim != len(shape) or any(s is not None and s != g for s, g in zip(shape, a.shape, strict=True)):
+        raise ModelError(f"{name} has shape {a.shape}, but shape {_text(shape)} is needed; reshape it.")
+    if not np.isfinite(a).all():
+        raise ModelError(f"{name} contains NaN or infinity ({_short(value)}); every entry must be finite.")
+    return a
+
+
+def covariance(name, value, dim=None, definite=True):
+    """Return a symmetric positive (semi)definite matrix, shape (dim, dim); a number stands for 1 × 1.
+
+    Raises
+    ------
+    ModelError
+        Not square, wrong size, not symmetric, or an eigenvalue that is negative (zero, if `definite`).
+    """
+    a = square(name, value, dim)
+    scale = np.abs(a).max(initial=0.0)
+    if np.abs(a - a.T).max(initial=0.0) > 1e-10 * scale:
+        raise ModelError(f"{name} is not symmetric: {_short(value)}. A covariance equals its transpose.")
+    a = 0.5 * (a + a.T)
+    # a matrix is judged in the units of its own diagonal: metres and radians may share it
+    d = np.sqrt(np.abs(np.diag(a)))
+    d[d == 0] = 1.0
+    least = np.linalg.eigvalsh(a / np.outer(d, d)).min(initial=np.inf)
+    if least < (1e-14 if definite else -1e-12):
+        kind = "definite" if definite else "semidefinite"
+        raise ModelError(
+            f"{name} is not positive {kind}: its smallest eigenvalue, scaled to a unit diagonal, "
+            f"is {least:.3g}. Check signs and cross terms."
+        )
+    return a
+
+
+def square(name, value, dim=None):
+    """Return a finite square matrix, shape (dim, dim); a number stands for 1 × 1."""
+    a = array(name, [[value]] if isinstance(value, numbers.Real) else value, (None, None))
+    if a.shape[0] != a.shape[1] or len(a) == 0 or (dim is not None and len(a) != dim):
+        size = "square" if dim is None else f"of shape ({dim}, {dim})"
+        raise ModelError(f"{name} has shape {a.shape}, but it must be {size}.")
+    return a
+
+
+def positive(name, value):
+    """Return a finite float > 0."""
+    value = real(name, value)
+    if value <= 0:
+        raise ModelError(f"{name} must be greater than zero, got {value!r}.")
+    return value
+
+
+def real(name, value):
+    """Return a finite float."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not np.isfinite(value):
+        raise ModelError(f"{name} must be one finite number, got {_short(value)}.")
+    return float(value)
+
+
+def count(name, value, least=1):
+    """Return an int that is at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+        raise ModelError(f"{name} must be a whole number of at least {least}, got {_short(value)}.")
+    return int(value)
+
+
+def choice(name, value, allowed):
+    """Return `value` if it is one of the allowed words."""
+    if value not in allowed:
+        words = ", ".join(repr(a) for a in allowed)
+        raise ModelError(f"{name} must be one of {words}, got {value!r}{nearest(value, allowed)}.")
+    return value
+
+
+def times(name, value):
+    """Return a non-empty, finite, non-decreasing array of times, shape (T,)."""
+    t = array(name, value, (None,))
+    if t.size == 0:
+        raise ModelError(f"{name} is empty; give at least one time.")
+    back = np.flatnonzero(np.diff(t) < 0)
+    if back.size:
+        i = int(back[0])
+        raise ModelError(f"{name} run backwards from {t[i]:g} to {t[i + 1]:g} at index {i + 1}; sort them.")
+    return t
+
+
+def state_rows(name, value, dim):
+    """Return states as a finite array, shape (N, dim); a single state (dim,) becomes one row."""
+    if np.ndim(value) == 1:
+        return array(name, value, (dim,))[None, :]
+    return array(name, value, (None, dim))
+
+
+def generator(rng):
+    """Return a numpy Generator for a Generator, a seed, or None (fresh entropy)."""
+    try:
+        return np.random.default_rng(rng)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"rng must be a numpy Generator or a seed (int >= 0), got {_short(rng)}.") from error
+
+
+def _text(shape):
+    inside = ", ".join("any" if s is None else str(s) for s in shape)
+    return f"({inside},)" if len(shape) == 1 else f"({inside})"
+
+
+def _short(value):
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:77] + "..."
