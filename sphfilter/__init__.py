@@ -1,5 +1,46 @@
 """Bayes filters that carry the probability density itself, solved with smoothed particle hydrodynamics."""
 
 from ._version import __version__
+from .config import AcceptanceTest, FilterConfig, PaperScheme, SolverConfig
+from .density import ParticleDensity
+from .errors import ConfigError, ExpressionError, ModelError, PropagationError, SphfilterError
+from .filter import SPHFilter
+from .info import PredictInfo, ResampleInfo, UpdateInfo
+from .initial import Gaussian, Uniform, initialize
+from .measurements import GaussianMeasurement, LikelihoodMeasurement
+from .models import SDE, LinearSDE
+from .predict import Trajectory, predict, propagate
+from .resample import resample
+from .results import FilterResult
+from .update import update
 
-__all__ = ["__version__"]
+__all__ = [
+    "SDE",
+    "AcceptanceTest",
+    "ConfigError",
+    "ExpressionError",
+    "FilterConfig",
+    "FilterResult",
+    "Gaussian",
+    "GaussianMeasurement",
+    "LikelihoodMeasurement",
+    "LinearSDE",
+    "ModelError",
+    "PaperScheme",
+    "ParticleDensity",
+    "PredictInfo",
+    "PropagationError",
+    "ResampleInfo",
+    "SPHFilter",
+    "SolverConfig",
+    "SphfilterError",
+    "Trajectory",
+    "Uniform",
+    "UpdateInfo",
+    "__version__",
+    "initialize",
+    "predict",
+    "propagate",
+    "resample",
+    "update",
+]

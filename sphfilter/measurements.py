@@ -186,7 +186,7 @@ class LikelihoodMeasurement:
             return np.zeros(len(X))
         value = np.array(self._loglik(z, X, t), dtype=float)
         if value.shape != (len(X),):
-            raise ModelError(f"loglik returned shape {value.shape}, but ({len(X)},) is needed: one per state.")
+            raise ModelError(f"loglik returned shape {value.shape}; ({len(X)},) is needed, one per state.")
         wrong = np.flatnonzero(np.isnan(value) | (value == np.inf))
         if wrong.size:
             raise ModelError(

@@ -123,7 +123,7 @@ class SDE:
         Allowed: states, t, parameters, numbers, pi, ``+ - * / **``, sin cos tan asin acos atan atan2 sinh
         cosh tanh exp log sqrt abs sign min max, and where(condition, a, b) with comparisons, ``and``, ``or``.
         """
-        from .expressions import symbolic_model  # imports sympy, which takes a second
+        from ._symbolic import symbolic_model  # imports sympy, which takes a second
 
         recipe = {k: v for k, v in locals().items() if k not in ("cls", "symbolic_model")}
         validate.choice("interpretation", interpretation, ("ito", "stratonovich"))
@@ -144,6 +144,7 @@ class SDE:
         for name in ("constant_diffusion", "state_dependent_noise", "autonomous", "linear"):
             setattr(self, name, bool(flags[name]))
         self._set_parameters(values)
+        self._functions["drift"]  # what is wrong with a drift should show now, not in a first step
 
     def _set_parameters(self, values):
         self.parameters = MappingProxyType(values)

@@ -5,9 +5,10 @@ No blanket ``fastmath``: it lets the compiler assume that NaN and infinity never
 order instead, and results are the same bits whatever the number of threads.
 """
 
-from numba import njit, types
+from numba import njit, typeof, types
+from numba.core.dispatcher import Dispatcher
 
-__all__ = ["BATCH", "BATCH_FUNCTION", "jit", "parallel_jit"]
+__all__ = ["BATCH", "BATCH_FUNCTION", "call", "jit", "parallel_jit"]
 
 #: Signature of every compiled model function: ``fill(x, t, p, out)`` writes one row of ``out`` (N, k)
 #: for each row of ``x`` (N, n) at time ``t`` with parameters ``p``.
@@ -26,3 +27,14 @@ def jit(function):
 def parallel_jit(function):
     """As `jit`, with ``prange`` loops spread over threads. Each iteration must write only its own row."""
     return njit(function, cache=True, error_model="numpy", parallel=True, nogil=True)
+
+
+def call(dispatcher, *args):
+    """Call a `jit` function, with every jitted function among `args` passed as a `BATCH_FUNCTION`."""
+    signature = tuple(BATCH_FUNCTION if isinstance(a, Dispatcher) else typeof(a) for a in args)
+    if signature not in dispatcher.overloads:
+        dispatcher.disable_compile(False)
+        dispatcher.compile(signature)
+        # Without this the next call would specialise for the dispatcher's own type instead of converting.
+        dispatcher.disable_compile(True)
+    return dispatcher(*args)

@@ -1,0 +1,144 @@
+"""From the texts of a model to its batch functions and structure flags, with symbolic derivatives."""
+
+import numpy as np
+import sympy as sp
+
+from . import _derived as derived
+from . import validate
+from ._compile import compile_source, shared
+from ._symbols import source
+from .errors import ExpressionError, ModelError
+from .expressions import Names, parse
+
+__all__ = ["symbolic_model"]
+
+#: Derivatives of a short text can be long; beyond this many operations compiling would take minutes.
+MAX_OPERATIONS = 20_000
+
+
+def symbolic_model(states, drift, noise, diffusion, spectral_density, parameters, interpretation):
+    """Return (makers, Q, flags) of a model in text; arguments as in `SDE.from_expressions`."""
+    if isinstance(states, str) or isinstance(drift, str):
+        raise ModelError('states and drift are lists of text, one per state, for instance states=["x", "v"].')
+    names, n = Names(states, parameters), len(states)
+    if n == 0 or len(drift) != n:
+        raise ModelError(f"drift has {len(drift)} expressions, but there are {n} states; give one for each.")
+    f = sp.Matrix([parse(text, names, f"drift[{i}]") for i, text in enumerate(drift)])
+    g, D, Q = _noise(noise, diffusion, spectral_density, names, n)
+    if interpretation == "stratonovich":
+        f = f + _stratonovich_term(f, g, D, Q, names)
+    J = f.jacobian(names.x)
+    entries = {
+        "drift": f,
+        "jacobian": J,
+        "divergence": sp.Matrix([J.trace()]),
+        "diffusion": D,
+        "diffusion_divergence": sp.Matrix([sum(row[j].diff(names.x[j]) for j in range(n)) for row in D.tolist()]),
+    }
+    if g is not None:
+        entries["noise"] = g
+    makers = {name: _maker(name, matrix, names) for name, matrix in entries.items()}
+    if g is None:
+        makers["noise"] = lambda fs: derived.noise_from_diffusion(fs["diffusion"])
+    if all(v.is_zero for v in entries["diffusion_divergence"]):
+        makers["diffusion_divergence"] = lambda fs: shared(derived.zeros)
+    return makers, Q, _flags(f, J, D if g is None else g, D, names)
+
+
+def _noise(noise, diffusion, spectral_density, names, n):
+    """Return g (None when D is given), D and Q."""
+    if diffusion is not None:
+        if noise is not None or spectral_density is not None:
+            raise ModelError("Give either noise= with spectral_density=, or diffusion=, not both.")
+        D = _matrix(diffusion, names, "diffusion", n)
+        if D.shape != (n, n) or any(sp.expand(v) != 0 for v in D - D.T):
+            raise ModelError(f"diffusion must be a symmetric {n} × {n} matrix of expressions.")
+        if all(v.is_number for v in D):
+            validate.covariance("diffusion", np.array(D.tolist(), dtype=float), n, definite=False)
+        return None, D, np.eye(n)
+    if noise is None and spectral_density is not None:
+        raise ModelError("spectral_density= is given without noise=; give noise= of shape (n, m) too.")
+    g = sp.zeros(n, 1) if noise is None else _matrix(noise, names, "noise", n)
+    m = g.shape[1]
+    Q = np.eye(m)
+    if spectral_density is not None:
+        Q = validate.covariance("spectral_density", spectral_density, m, definite=False)
+    q = sp.Matrix(m, m, [parse(v, names) for v in Q.ravel().tolist()])
+    return g, g * q * g.T * sp.Rational(1, 2), Q
+
+
+def _matrix(rows, names, what, n):
+    """Return a nested sequence of texts or numbers as a sympy matrix of n rows."""
+    rows = rows.tolist() if isinstance(rows, np.ndarray) else rows
+    nested = isinstance(rows, list | tuple) and all(isinstance(r, list | tuple) for r in rows)
+    if not nested or len(rows) != n or len({len(r) for r in rows}) != 1 or not rows[0]:
+        raise ModelError(f'{what} must be {n} rows of equal length, for instance [["0"], ["1"]]; got {rows!r}.')
+    flat = [parse(v, names, f"{what}[{i}][{j}]") for i, row in enumerate(rows) for j, v in enumerate(row)]
+    return sp.Matrix(n, len(rows[0]), flat)
+
+
+def _stratonovich_term(f, g, D, Q, names):
+    """Return ½ Σ_jkl g_jk Q_kl ∂_j g_il (002 (4), erratum)."""
+    n, m = len(f), len(Q)
+    if g is None:
+        if D.free_symbols & set(names.x):
+            raise ModelError("A Stratonovich equation needs noise= instead of diffusion=.")
+        return sp.zeros(n, 1)
+    q = sp.Matrix(m, m, [parse(v, names) for v in Q.ravel().tolist()])
+    gq = g * q * sp.Rational(1, 2)
+    return sp.Matrix(
+        [
+            sum(gq[j, r] * g[i, r].diff(names.x[j]) for j in range(n) for r in range(m))
+            for i in range(n)
+        ]
+    )  # fmt: skip
+
+
+def _flags(f, J, g, D, names):
+    x, t = set(names.x), names.t
+    noise_symbols = g.free_symbols
+    constant = not (D.free_symbols & (x | {t}))
+    return {
+        "state_dependent_noise": bool(noise_symbols & x),
+        "constant_diffusion": constant,
+        "autonomous": t not in f.free_symbols | noise_symbols,
+        "linear": not (noise_symbols & (x | {t})) and _is_affine(f, J, names),
+        "diffusion_rows": [any(not v.is_zero for v in D.row(i)) for i in range(len(f))],
+    }
+
+
+def _is_affine(f, J, names):
+    """Tell whether f = A x + b is proven, with A and b free of state and time."""
+    varying = {*names.x, names.t}
+    A = J.applyfunc(sp.expand)
+    if A.free_symbols & varying:
+        return False
+    rest = (f - A * sp.Matrix(names.x)).applyfunc(sp.expand)
+    return not (rest.free_symbols & varying)
+
+
+def _maker(name, matrix, names):
+    """Return the maker of one batch function: its code is printed and compiled when first asked for."""
+
+    def make(functions):
+        entries = [sp.powsimp(v) if _has_symbolic_power(v) else v for v in matrix]
+        common, reduced = sp.cse(entries, symbols=sp.numbered_symbols("c_"))
+        size = sum(int(sp.count_ops(v)) for _, v in common) + sum(int(sp.count_ops(v)) for v in reduced)
+        if size > MAX_OPERATIONS:
+            raise ExpressionError(
+                f"The {name} has {size} operations; beyond {MAX_OPERATIONS}, write the model as a function."
+            )
+        lines = [f"{s} = x[i, {j}]" for j, s in enumerate(names.x)]
+        try:
+            lines += [f"{s} = {source(v)}" for s, v in common]
+            lines += [f"out[i, {k}] = {source(v)}" for k, v in enumerate(reduced)]
+        except ValueError as error:
+            raise ExpressionError(f"The {name} cannot be worked out: {error}.") from error
+        return compile_source([f"{s} = p[{j}]" for j, s in enumerate(names.p)], lines, np=np)
+
+    return make
+
+
+def _has_symbolic_power(v):
+    """Tell whether a tree has x**a with a symbol a, whose derivative a x**a / x is 0/0 at zero."""
+    return any(not power.exp.is_number for power in v.atoms(sp.Pow))

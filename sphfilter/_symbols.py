@@ -1,0 +1,168 @@
+"""The symbolic functions that expressions use, with derivatives that stay finite and real.
+
+Sympy's own Abs, sign, Max, Min and Piecewise are not used: for unknown signs they bring in complex parts and
+delta functions, and they try to simplify, which can take forever.
+"""
+
+import functools
+import math
+
+import sympy as sp
+
+__all__ = ["FUNCTIONS", "And", "Ge", "Gt", "Not", "Or", "Where", "source"]
+
+
+class _Function(sp.Function):
+    # never folded by sympy: constants are folded before a tree is built
+    is_number = False
+
+
+class _Flat(_Function):
+    """A function with zero derivative wherever it has one."""
+
+    def _eval_derivative(self, s):
+        return sp.S.Zero
+
+
+class Gt(_Flat):
+    """a > b."""
+
+
+class Ge(_Flat):
+    """a >= b."""
+
+
+class And(_Flat):
+    """All conditions."""
+
+
+class Or(_Flat):
+    """Any condition."""
+
+
+class Not(_Flat):
+    """The opposite condition."""
+
+
+class Sign(_Flat):
+    """−1, 0 or 1."""
+
+
+class Abs(_Function):
+    """|a|."""
+
+    def _eval_derivative(self, s):
+        return Sign(self.args[0]) * self.args[0].diff(s)
+
+
+class Atan2(_Function):
+    """Angle of the point (b, a)."""
+
+    def _eval_derivative(self, s):
+        a, b = self.args
+        return (b * a.diff(s) - a * b.diff(s)) / (a**2 + b**2)
+
+
+class Where(_Function):
+    """where(condition, a, b)."""
+
+    def _eval_derivative(self, s):
+        condition, a, b = self.args
+        return _select(condition, a.diff(s), b.diff(s))
+
+
+class Max(_Function):
+    """The larger of two."""
+
+    def _eval_derivative(self, s):
+        a, b = self.args
+        return _select(Ge(a, b), a.diff(s), b.diff(s))
+
+
+class Min(_Function):
+    """The smaller of two."""
+
+    def _eval_derivative(self, s):
+        a, b = self.args
+        return _select(Ge(b, a), a.diff(s), b.diff(s))
+
+
+def _select(condition, a, b):
+    return a if a == b else Where(condition, a, b)
+
+
+def _fold(function):
+    return lambda first, *others: functools.reduce(function, others, first)
+
+
+#: name: (symbolic form, numerical form, number of arguments or None for any)
+FUNCTIONS = {
+    "sin": (sp.sin, math.sin, 1),
+    "cos": (sp.cos, math.cos, 1),
+    "tan": (sp.tan, math.tan, 1),
+    "asin": (sp.asin, math.asin, 1),
+    "acos": (sp.acos, math.acos, 1),
+    "atan": (sp.atan, math.atan, 1),
+    "atan2": (Atan2, math.atan2, 2),
+    "sinh": (sp.sinh, math.sinh, 1),
+    "cosh": (sp.cosh, math.cosh, 1),
+    "tanh": (sp.tanh, math.tanh, 1),
+    "exp": (sp.exp, math.exp, 1),
+    "log": (sp.log, math.log, 1),
+    "sqrt": (sp.sqrt, math.sqrt, 1),
+    "abs": (Abs, abs, 1),
+    "sign": (Sign, lambda a: float(a > 0) - float(a < 0), 1),
+    "min": (_fold(Min), min, None),
+    "max": (_fold(Max), max, None),
+}
+
+_CALLS = {
+    sp.sin: "sin", sp.cos: "cos", sp.tan: "tan", sp.asin: "arcsin", sp.acos: "arccos", sp.atan: "arctan",
+    Atan2: "arctan2", sp.sinh: "sinh", sp.cosh: "cosh", sp.tanh: "tanh", sp.exp: "exp", sp.log: "log",
+    Abs: "abs", Sign: "sign", Max: "maximum", Min: "minimum",
+}  # fmt: skip
+
+
+def source(e):
+    """Return Python source of a symbolic tree; functions are those of numpy, named ``np``.
+
+    Raises
+    ------
+    ValueError
+        A node without a real finite value, such as 1/(x - x).
+    """
+    if e.is_Symbol:
+        return e.name
+    if e.is_number:
+        value = complex(e)
+        if value.imag != 0 or not math.isfinite(value.real):
+            raise ValueError(f"{e} is not a finite real number")
+        return f"({value.real!r})"
+    a = [source(v) for v in e.args] if not e.is_Pow else []
+    if e.is_Add:
+        return "(" + " + ".join(a) + ")"
+    if e.is_Mul:
+        return "(" + " * ".join(a) + ")"
+    if e.is_Pow:
+        return _power(e)
+    if e.func in _CALLS:
+        return f"np.{_CALLS[e.func]}({', '.join(a)})"
+    if isinstance(e, Where):
+        return f"({a[1]} if {a[0]} else {a[2]})"
+    if isinstance(e, Gt | Ge):
+        return f"({a[0]} {'>' if isinstance(e, Gt) else '>='} {a[1]})"
+    if isinstance(e, And | Or):
+        return "(" + (" and " if isinstance(e, And) else " or ").join(a) + ")"
+    if isinstance(e, Not):
+        return f"(not {a[0]})"
+    raise ValueError(f"{e.func.__name__} has no numerical form")
+
+
+def _power(e):
+    base, k = source(e.base), e.exp
+    if k.is_Integer:
+        # small whole powers become products; a negative one divides
+        return f"({base} ** {int(k)})" if k > 0 else f"(1.0 / {base} ** {-int(k)})"
+    if k == sp.Rational(1, 2):
+        return f"np.sqrt({base})"
+    return f"({base} ** {source(k)})"

@@ -1,0 +1,53 @@
+"""The measurement acceptance test of 002 6.3: does the posterior lie where the prior has particles?"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .core.kernels import RADIUS
+
+__all__ = ["Verdict", "test_measurement"]
+
+
+class Verdict(NamedTuple):
+    accepted: bool
+    reason: str
+
+
+def test_measurement(density, z, variance, states, settings):
+    """Compare the expected posterior along each measured state with the prior's domain (002 (60)-(62)).
+
+    Parameters
+    ----------
+    density : ParticleDensity
+        The prior.
+    z, variance : ndarray, shape (k,)
+        Measured values of the states and their noise variances.
+    states : ndarray of int, shape (k,)
+    settings : AcceptanceTest
+
+    Returns
+    -------
+    Verdict
+    """
+    mean, prior_variance = density.mean()[states], np.diag(density.cov())[states]
+    total = prior_variance + variance
+    mu = (z * prior_variance + mean * variance) / total  # (60)
+    half = settings.z_pi * np.sqrt(prior_variance * variance / total)
+    low, high = density.x[:, states].min(axis=0), density.x[:, states].max(axis=0)
+    overhang = RADIUS[density.kernel_code[0]] * density.h.mean()
+    above, below = mu + half - high, low - (mu - half)
+    beyond = np.where(mu >= mean, above, below)
+    for d in np.flatnonzero(beyond > overhang):  # (61)
+        return Verdict(False, _sentence(states[d], mu[d], half[d], low[d], high[d], "outside the particles"))
+    edge = np.maximum(above, 0.0) + np.maximum(below, 0.0)
+    for d in np.flatnonzero(edge > settings.f_edge * 2.0 * half):  # (62)
+        return Verdict(False, _sentence(states[d], mu[d], half[d], low[d], high[d], "on the edge kernels"))
+    return Verdict(True, "")
+
+
+def _sentence(state, mu, half, low, high, where):
+    return (
+        f"the posterior expected for state {state}, {mu:.4g} ± {half:.3g}, lies too far {where}, "
+        f"which span {low:.4g} to {high:.4g}"
+    )

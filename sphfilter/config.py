@@ -1,0 +1,210 @@
+"""Settings as frozen, keyword-only dataclasses that check themselves, and can be read from TOML.
+
+Pydantic does the checking; its report is turned into one sentence a user can act on, which names the
+nearest valid key where a key is unknown.
+"""
+
+import tomllib
+from dataclasses import asdict, fields, is_dataclass, replace
+from typing import Annotated, Literal, get_args, get_origin
+
+import tomli_w
+from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic.dataclasses import dataclass as checked_dataclass
+
+from .errors import ConfigError, nearest
+
+__all__ = ["AcceptanceTest", "FilterConfig", "PaperScheme", "SolverConfig", "settings"]
+
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+
+#: M_B for n = 2, 3, 4 (002 section 4.5). For n = 1 two layers of a lattice; n = 5, 6 continue the growth.
+BUFFER_NEIGHBORS = {1: 4, 2: 8, 3: 30, 4: 54, 5: 80, 6: 110}
+
+
+def settings(cls):
+    """Make `cls` a frozen, keyword-only dataclass whose errors are a `ConfigError` in one sentence."""
+    strict = ConfigDict(extra="forbid", allow_inf_nan=False, strict=False)
+    checked = checked_dataclass(frozen=True, kw_only=True, config=strict)(cls)
+    plain_init = checked.__init__
+
+    def __init__(self, **values):
+        try:
+            plain_init(self, **values)
+        except ValidationError as problem:
+            raise ConfigError(_sentence(checked, problem)) from None
+
+    __init__.__wrapped__ = plain_init
+    checked.__init__ = __init__
+    return checked
+
+
+def _sentence(cls, problem):
+    return "; ".join(_explain(cls, error) for error in problem.errors())
+
+
+def _explain(cls, error):
+    path = [str(part) for part in error["loc"]]
+    where = f"{cls.__name__}.{'.'.join(path)}" if path else cls.__name__
+    if error["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        allowed = [f.name for f in fields(_settings_at(cls, path[:-1]))]
+        return f"unknown key {where}{nearest(path[-1], allowed)}; valid keys are {', '.join(allowed)}"
+    if error["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
+        return f"{where} is missing"
+    if error["type"] == "value_error":
+        return f"{where}: {error['ctx']['error']}"
+    return f"{where} = {error.get('input')!r} is not valid: {error['msg'][0].lower()}{error['msg'][1:]}"
+
+
+def _settings_at(cls, path):
+    """Follow the keys of an error down to the settings class they belong to."""
+    for part in path:
+        found = {f.name: f.type for f in fields(cls)}.get(part)
+        candidates = [found, *get_args(found)] if get_origin(found) else [found]
+        cls = next((c for c in candidates if is_dataclass(c)), cls)
+    return cls
+
+
+@settings
+class PaperScheme:
+    """The scheme of 002, with its errata mended and every knob exposed.
+
+    Attributes
+    ----------
+    kernel : str
+        Lucy for the scenes of 002 Tables 6 and 8, Gaussian for Table 10.
+    represented_mass : float
+        P_T: probability inside the core ellipsoid (39) at the start, and of the core when re-gridding.
+    domain_mass : float
+        P~_T: probability kept, core and boundary, when a re-gridding discards its lightest nodes (6.1).
+    buffer_ratio : float
+        k_R of (42): layers of buffer particles around the core, in support radii.
+    support_range, support_steps
+        Values of the support Lambda = K h / dx swept for the best initial h (002 4.6.1).
+    anisotropy : float
+        A_max: largest ratio between the lattice spacings of two axes; 1 is 002's own.
+    masses : str
+        "riemann" (density times cell volume) or "collocation" (002 4.6.2: solved for, if non-negative).
+    smoothing : str
+        Smoothing length: "proportional" (002 (14), lagged a step), "fixed_point", "newton" or "fixed".
+    integrator, cfl, c_cfl, dt_max
+        Time stepping: (17)-(18); "relative" compares with the nearest neighbour's velocity (000) and wants
+        `dt_max` seconds, since it guards against collisions and does not control the error.
+    c_diffusion : float
+        Explicit limit dt <= c_diffusion c_K h^2 / tr D (stability needs about 2.7); not in 002, seldom active.
+    search, bypass, c_nns, bypass_max, buffer_neighbors
+        Neighbour search, and its bypass (43)-(47); `buffer_neighbors` is M_B (by dimension if None), and
+        half of it forces a search.
+    max_steps : int
+        Steps of one prediction after which it is given up with an error.
+    read_out : str
+        What mean and covariance are computed from: "points" or the "mixture" of kernels.
+    """
+
+    kernel: Literal["gaussian", "lucy", "cubic", "wendland_c2", "wendland_c4"] = "lucy"
+    represented_mass: Annotated[float, Field(gt=0.5, lt=1)] = 0.995
+    domain_mass: Annotated[float, Field(gt=0.5, lt=1)] = 0.9995
+    buffer_ratio: Annotated[float, Field(ge=0)] = 1.5
+    support_range: tuple[Positive, Positive] = (2.2, 3.0)
+    support_steps: Count = 9
+    anisotropy: Annotated[float, Field(ge=1)] = 1.0
+    masses: Literal["riemann", "collocation"] = "riemann"
+    smoothing: Literal["fixed", "proportional", "fixed_point", "newton"] = "proportional"
+    smoothing_tolerance: Positive = 1e-3
+    integrator: Literal["euler", "midpoint", "rk4"] = "euler"
+    cfl: Literal["absolute", "relative"] = "absolute"
+    c_cfl: Positive = 0.2
+    dt_max: Positive | None = None
+    c_diffusion: Positive = 1.0
+    search: Literal["auto", "brute", "cells", "tree"] = "auto"
+    bypass: bool = True
+    c_nns: Positive = 1.0
+    bypass_max: Count = 15
+    buffer_neighbors: Count | None = None
+    max_steps: Count = 200_000
+    read_out: Literal["points", "mixture"] = "points"
+
+    name = "paper"
+
+    @model_validator(mode="after")
+    def _consistent(self):
+        if self.support_range[0] > self.support_range[1]:
+            raise ValueError("support_range must rise, e.g. [2.2, 3.0]")
+        if self.cfl == "relative" and self.dt_max is None:
+            raise ValueError('cfl = "relative" guards against collisions only: give dt_max as well')
+        return self
+
+
+@settings
+class AcceptanceTest:
+    """Measurement acceptance of 002 6.3; `enabled = False` accepts every measurement.
+
+    Attributes
+    ----------
+    z_pi : float
+        Standard deviations of the expected posterior that must lie inside the prior's domain (61).
+    f_edge : float
+        Largest part of the expected posterior that may lie in the kernels' overhang (62).
+    on_reject : str
+        "keep" the prior's particles, or "resample" them.
+    """
+
+    enabled: bool = True
+    z_pi: Positive = 2.576
+    f_edge: Annotated[float, Field(ge=0, lt=1)] = 1 / 3
+    on_reject: Literal["keep", "resample"] = "keep"
+
+
+class _Settings:
+    """Reading, writing and changing settings."""
+
+    @classmethod
+    def from_toml(cls, text):
+        """Read settings from TOML text; raise `ConfigError` for text that is not TOML or not valid."""
+        try:
+            return cls(**tomllib.loads(text))
+        except tomllib.TOMLDecodeError as problem:
+            raise ConfigError(f"not valid TOML: {problem}") from None
+
+    def to_toml(self):
+        """Return all settings as TOML text; keys that are None are left out."""
+        return tomli_w.dumps(_without_none(asdict(self)))
+
+    @classmethod
+    def paper(cls, **changes):
+        """Return the scheme of 002 with its published values; `changes` go to the part that has the key.
+
+        Examples
+        --------
+        >>> FilterConfig.paper(kernel="gaussian", z_pi=3.0).scheme.kernel
+        'gaussian'
+        """
+        settings = cls(scheme=PaperScheme())
+        parts = {f.name: getattr(settings, f.name) for f in fields(cls)}
+        owner = {f.name: part for part, value in parts.items() for f in fields(value)}
+        for key, value in changes.items():
+            if key not in owner:
+                known = ", ".join(owner)
+                raise ConfigError(f"unknown key {key!r}{nearest(key, owner)}; valid keys are {known}")
+            parts[owner[key]] = replace(parts[owner[key]], **{key: value})
+        return cls(**parts)
+
+
+def _without_none(tree):
+    return {k: _without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
+
+
+@settings
+class SolverConfig(_Settings):
+    """Settings of the transient solver: the scheme that carries the density."""
+
+    scheme: PaperScheme = Field(default_factory=PaperScheme)
+
+
+@settings
+class FilterConfig(_Settings):
+    """Settings of the filter: the scheme, and the acceptance test of a measurement."""
+
+    scheme: PaperScheme = Field(default_factory=PaperScheme)
+    acceptance: AcceptanceTest = Field(default_factory=AcceptanceTest)

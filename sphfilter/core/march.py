@@ -1,0 +1,260 @@
+"""The explicit time loop of the paper's scheme (002 sections 2.2 and 4.3): particles move with v = f + u.
+
+One loop is compiled for all models; it runs from t to t1 without returning to Python. Per step: smoothing
+lengths, neighbour lists (found anew or bypassed), density and velocity, step size, move.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ._jit import jit
+from .kernels import RADIUS
+from .neighbors import build_index, neighbor_lists
+from .smoothing import update_smoothing
+from .summation import density_and_gradient, density_and_gradient_parallel
+
+__all__ = [
+    "COUNTERS",
+    "INTEGRATORS",
+    "STATUS",
+    "Cloud",
+    "Coefficients",
+    "Options",
+    "march",
+]
+
+INTEGRATORS = ("euler", "midpoint", "rk4")
+EULER, MIDPOINT, RK4 = range(3)
+STATUS = ("ok", "not finite", "too many steps", "stalled")
+OK, NOT_FINITE, TOO_MANY_STEPS, STALLED = range(4)
+#: What the loop counts; the last is the particle a failure was seen at.
+COUNTERS = ("steps", "evaluations", "searches", "bypassed", "smoothing_failed", "culprit")
+STEPS, EVALUATIONS, SEARCHES, BYPASSED, SMOOTHING_FAILED, CULPRIT = range(6)
+_EPS = 1e-300
+
+
+class Cloud(NamedTuple):
+    """The particles; every array is updated in place. `h0`, `rho0` are those at the start of the march."""
+
+    x: np.ndarray  # (N, n)
+    m: np.ndarray  # (N,)
+    h: np.ndarray
+    h0: np.ndarray
+    rho0: np.ndarray
+    rho: np.ndarray
+
+
+class Coefficients(NamedTuple):
+    """Diffusion D = g Q g^T / 2 as far as it is constant, and what has to be asked of the model."""
+
+    p: np.ndarray  # parameters of the model
+    D: np.ndarray  # (n, n), used where time_dependent and state_dependent are false
+    rows: np.ndarray  # numbers of the rows of D that are not zero
+    time_dependent: bool
+    state_dependent: bool
+
+
+class Options(NamedTuple):
+    """Numbers of the scheme; names and values of `PaperScheme`, codes instead of words."""
+
+    kernel: int
+    normalisation: float
+    kernel_variance: float
+    smoothing: int
+    smoothing_tolerance: float
+    integrator: int
+    relative_cfl: bool
+    c_cfl: float
+    dt_max: float
+    c_diffusion: float
+    search: int
+    bypass: bool
+    c_nns: float
+    k_bypass_max: int
+    buffer: int
+    buffer_min: int
+    parallel: bool
+    max_steps: int
+
+
+class Work(NamedTuple):
+    grad: np.ndarray
+    v: np.ndarray
+    D: np.ndarray
+    divergence: np.ndarray
+
+
+@jit
+def velocity(drift, diffusion, divergence, coefficients, t, x, rho, work, v):
+    """v = f - div D - D grad(rho)/rho: 002 (7) with the factor 1/2 that its D2 terms lack."""
+    n = x.shape[1]
+    D = work.D
+    drift(x, t, coefficients.p, v)
+    varies = coefficients.time_dependent or coefficients.state_dependent
+    if varies:
+        diffusion(x, t, coefficients.p, D)
+    if coefficients.state_dependent:
+        divergence(x, t, coefficients.p, work.divergence)
+    for i in range(x.shape[0]):
+        k = i if varies else 0
+        for c in coefficients.rows:
+            u = 0.0
+            for d in range(n):
+                u += D[k, c * n + d] * work.grad[i, d]
+            v[i, c] -= u / rho[i]
+            if coefficients.state_dependent:
+                v[i, c] -= work.divergence[i, c]
+
+
+@jit
+def evaluate(model, coefficients, t, x, cloud, lists, r, work, options, v):
+    """Density, gradient and velocity of the particles at positions x and time t."""
+    drift, diffusion, divergence = model
+    kernel = (options.kernel, options.normalisation)
+    if options.parallel:
+        density_and_gradient_parallel(x, cloud.m, cloud.h, lists, kernel, cloud.rho, work.grad, r)
+    else:
+        density_and_gradient(x, cloud.m, cloud.h, lists, kernel, cloud.rho, work.grad, r)
+    velocity(drift, diffusion, divergence, coefficients, t, x, cloud.rho, work, v)
+
+
+@jit
+def stable_step(cloud, lists, r, work, coefficients, options):
+    """Step size of 002 (18), absolute or relative to the nearest neighbour, within the diffusion limit.
+
+    Returns (dt, particle): dt is NaN where the velocity of that particle is not finite. The diffusion
+    limit is that of an explicit step on kernels of variance c_K h^2 (numerics measured 2.7 for Euler).
+    """
+    start, neighbors = lists
+    N, n = cloud.x.shape
+    varies = coefficients.time_dependent or coefficients.state_dependent
+    dt = options.dt_max
+    for i in range(N):
+        nearest, at = np.inf, -1
+        for s in range(start[i], start[i + 1]):
+            if r[s] < nearest:
+                nearest, at = r[s], neighbors[s]
+        speed2, spread = 0.0, 0.0
+        for d in range(n):
+            other = work.v[at, d] if options.relative_cfl and at >= 0 else 0.0
+            speed2 += (work.v[i, d] - other) ** 2
+            spread += work.D[i if varies else 0, d * n + d]
+        if not math.isfinite(speed2):
+            return np.nan, i
+        if nearest < np.inf:
+            dt = min(dt, options.c_cfl * nearest / max(math.sqrt(speed2), _EPS))
+        dt = min(dt, options.c_diffusion * options.kernel_variance * cloud.h[i] ** 2 / max(spread, _EPS))
+    return dt, 0
+
+
+@jit
+def bypass_time(cloud, h_rate, lists, r, work, options):
+    """t_NNS of 002 (43) and the smallest number of buffer neighbours.
+
+    Corrected: the support is K h, so that its rate is K dh/dt, and the distance to cover is that from the
+    support to the farthest particle in the list (all unseen ones were farther), not the width of the buffer.
+    """
+    start, neighbors = lists
+    N, n = cloud.x.shape
+    K = RADIUS[options.kernel]
+    t_nns, fewest = np.inf, N
+    for i in range(N):
+        support, farthest, fastest2, buffer = K * cloud.h[i], 0.0, 0.0, 0
+        for s in range(start[i], start[i + 1]):
+            if r[s] > support:
+                buffer += 1
+                farthest = max(farthest, r[s])
+                speed2 = 0.0
+                for d in range(n):
+                    speed2 += (work.v[i, d] - work.v[neighbors[s], d]) ** 2
+                fastest2 = max(fastest2, speed2)
+        if start[i + 1] - start[i] < N - 1:
+            fewest = min(fewest, buffer)
+            rate = math.sqrt(fastest2) + K * h_rate[i]
+            t_nns = min(t_nns, options.c_nns * (farthest - support) / max(rate, _EPS))
+    return t_nns, fewest
+
+
+@jit
+def move(model, coefficients, t, dt, cloud, lists, r, work, options):
+    """One Euler, midpoint or RK4 step; `work.v` holds the velocity at (t, x). Returns evaluations made.
+
+    Smoothing lengths stay as they are within a step. 001 (29) prints the midpoint rule as "leapfrog".
+    """
+    x, v = cloud.x, work.v
+    if options.integrator == EULER:
+        x += dt * v
+        return 0
+    x0, k = x.copy(), np.empty_like(x)
+    x[:] = x0 + 0.5 * dt * v
+    evaluate(model, coefficients, t + 0.5 * dt, x, cloud, lists, r, work, options, k)
+    if options.integrator == MIDPOINT:
+        x[:] = x0 + dt * k
+        return 1
+    total = v + 2.0 * k
+    x[:] = x0 + 0.5 * dt * k
+    evaluate(model, coefficients, t + 0.5 * dt, x, cloud, lists, r, work, options, k)
+    total += 2.0 * k
+    x[:] = x0 + dt * k
+    evaluate(model, coefficients, t + dt, x, cloud, lists, r, work, options, k)
+    x[:] = x0 + dt / 6.0 * (total + k)
+    return 3
+
+
+@jit
+def march(drift, diffusion, divergence, coefficients, cloud, options, times, counters):
+    """Carry the cloud from times[0] to times[1]; times[0] and the counters are kept up to date.
+
+    Returns a code of `STATUS`. On failure the cloud is as far as it came, and counters[CULPRIT] the particle.
+    """
+    N, n = cloud.x.shape
+    model, kernel = (drift, diffusion, divergence), (options.kernel, options.normalisation)
+    varies = coefficients.time_dependent or coefficients.state_dependent
+    work = Work(np.empty((N, n)), np.empty((N, n)), np.empty((N if varies else 1, n * n)), np.empty((N, n)))
+    if not varies:
+        work.D[0] = coefficients.D.ravel()
+    K = RADIUS[options.kernel]
+    reach, h_old = 1.3 * K * cloud.h, cloud.h.copy()
+    lists, r = (np.zeros(N + 1, np.int64), np.empty(0, np.int32)), np.empty(0)
+    must_search, elapsed, k_bypass, t_ref, dt = True, 0.0, 0, np.inf, 1.0
+    span, first = times[1] - times[0], counters[STEPS]
+    while times[0] < times[1]:
+        if counters[STEPS] > first:
+            h_old[:] = cloud.h
+            counters[SMOOTHING_FAILED] += update_smoothing(
+                options.smoothing, options.smoothing_tolerance, cloud, reach, lists, kernel, work.grad, r
+            )
+        searched = must_search or np.any(K * cloud.h > reach)
+        if searched:
+            index = build_index(cloud.x, 1.3 * K * np.median(cloud.h), options.search)
+            reach[:] = np.maximum(K * cloud.h, 0.95 * reach)
+            lists = neighbor_lists(cloud.x, K * cloud.h, reach, options.buffer, index)
+            r = np.empty(lists[1].size)
+            elapsed, k_bypass = 0.0, 0
+        k_bypass += not searched
+        counters[SEARCHES if searched else BYPASSED] += 1
+        evaluate(model, coefficients, times[0], cloud.x, cloud, lists, r, work, options, work.v)
+        counters[EVALUATIONS] += 1
+        if counters[STEPS] == first:
+            cloud.rho0[:] = cloud.rho
+        h_rate = (cloud.h - h_old) / dt
+        dt, counters[CULPRIT] = stable_step(cloud, lists, r, work, coefficients, options)
+        if not math.isfinite(dt):
+            return NOT_FINITE
+        if dt < 1e-9 * span:
+            return STALLED
+        dt = min(dt, times[1] - times[0])
+        if options.bypass:
+            t_nns, fewest = bypass_time(cloud, h_rate, lists, r, work, options)
+            t_ref = t_nns if searched else t_ref
+            must_search = elapsed + dt >= min(t_ref, t_nns)
+            must_search |= fewest <= options.buffer_min or k_bypass >= options.k_bypass_max
+        counters[EVALUATIONS] += move(model, coefficients, times[0], dt, cloud, lists, r, work, options)
+        counters[STEPS] += 1
+        elapsed += dt
+        times[0] = times[1] if times[1] - times[0] <= dt else times[0] + dt
+        if counters[STEPS] - first >= options.max_steps and times[0] < times[1]:
+            return TOO_MANY_STEPS
+    return OK

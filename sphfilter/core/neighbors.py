@@ -1,0 +1,277 @@
+"""Neighbour lists: cell list, k-d tree or brute force, closed under symmetry.
+
+A pair (i, j) interacts when r < K max(h_i, h_j): the averaged kernel of 002 (15) needs the particles that
+see i as well as those that i sees (002 keeps only the k nearest of i, and misses some). Lists also hold
+`buffer` further particles each, so that they stay valid for several steps (002 section 4.3).
+
+Rows are sorted by particle number: sums, and so results, are the same bits whatever the search.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ._jit import jit
+
+__all__ = ["METHODS", "Index", "build_index", "choose_method", "count_within", "neighbor_lists"]
+
+METHODS = ("brute", "cells", "tree")
+BRUTE, CELLS, TREE = range(3)
+_LEAF = 16  # particles in a leaf of the k-d tree
+_CELL_AXES = 4  # beyond four axes cells hold less than one particle each
+
+
+class Index(NamedTuple):
+    """A search structure; the arrays that a method does not need are empty.
+
+    `order` lists particles cell by cell (`start` bounds the cells) or leaf by leaf; `low`, `high` are the
+    corner of the cell grid and the cell sizes in row 0, or the bounding boxes of the tree's nodes.
+    """
+
+    method: int
+    order: np.ndarray
+    start: np.ndarray
+    dims: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def choose_method(n_particles, dim):
+    """Return the code of the fastest search, by the number of particles and the dimension (measured)."""
+    smallest = {1: 200, 2: 200, 3: 500, 4: 2000}
+    if dim <= _CELL_AXES:
+        return CELLS if n_particles > smallest[dim] else BRUTE
+    return TREE if n_particles > 10_000 else BRUTE
+
+
+@jit
+def build_index(x, size, method):
+    """Build the search structure of `method` over x (N, n); `size` is the cell width."""
+    if method == CELLS:
+        return _build_cells(x, size)
+    if method == TREE:
+        return _build_tree(x)
+    none_i, none_x = np.empty(0, np.int64), np.empty((0, 0))
+    return Index(BRUTE, none_i, none_i, none_i, none_x, none_x)
+
+
+@jit
+def _build_cells(x, size):
+    """Counting sort of the particles on at most four axes; no more than about two cells a particle."""
+    N, n = x.shape
+    k = min(n, _CELL_AXES)
+    low, high = np.empty((1, k)), np.empty((1, k))
+    dims = np.empty(k, np.int64)
+    for d in range(k):
+        low[0, d] = x[:, d].min()
+        span = x[:, d].max() - low[0, d]
+        dims[d] = int(min(max(span / size, 1.0), (2.0 * N) ** (1.0 / k) + 1.0))
+        high[0, d] = max(span / dims[d], 1e-300)
+    cell = np.empty(N, np.int64)
+    start = np.zeros(np.prod(dims) + 1, np.int64)
+    for i in range(N):
+        c = 0
+        for d in range(k):
+            c = c * dims[d] + min(int((x[i, d] - low[0, d]) / high[0, d]), dims[d] - 1)
+        cell[i] = c
+        start[c + 1] += 1
+    start = np.cumsum(start)
+    order, fill = np.empty(N, np.int64), start.copy()
+    for i in range(N):
+        order[fill[cell[i]]] = i
+        fill[cell[i]] += 1
+    return Index(CELLS, order, start, dims, low, high)
+
+
+@jit
+def _build_tree(x):
+    """Balanced k-d tree: nodes are numbered as in a heap, each halves its particles on its widest axis."""
+    N, n = x.shape
+    n_nodes = 1
+    while N / n_nodes > _LEAF:
+        n_nodes *= 2
+    n_nodes = 2 * n_nodes - 1
+    order, start = np.arange(N), np.zeros(2 * n_nodes, np.int64)
+    low, high = np.empty((n_nodes, n)), np.empty((n_nodes, n))
+    start[1] = N
+    for node in range(n_nodes):
+        a, b = start[2 * node], start[2 * node + 1]
+        widest = 0
+        for d in range(n):
+            low[node, d], high[node, d] = np.inf, -np.inf
+            for s in range(a, b):
+                low[node, d] = min(low[node, d], x[order[s], d])
+                high[node, d] = max(high[node, d], x[order[s], d])
+            if high[node, d] - low[node, d] > high[node, widest] - low[node, widest]:
+                widest = d
+        if 2 * node + 2 < n_nodes:
+            order[a:b] = order[a:b][np.argsort(x[order[a:b], widest])]
+            middle = (a + b) // 2
+            start[4 * node + 2], start[4 * node + 3] = a, middle
+            start[4 * node + 4], start[4 * node + 5] = middle, b
+    return Index(TREE, order, start, np.empty(0, np.int64), low, high)
+
+
+@jit
+def _distance2(x, i, y, k):
+    r2 = 0.0
+    for d in range(x.shape[1]):
+        r2 += (x[i, d] - y[k, d]) ** 2
+    return r2
+
+
+@jit
+def _offer(x, j, y, k, R2, found, n_found):
+    """Append particle j to `found` if it lies within the radius of point k."""
+    if _distance2(x, j, y, k) <= R2:
+        found[n_found] = j
+        n_found += 1
+    return n_found
+
+
+@jit
+def _query_cells(index, x, y, k, R, found):
+    axes = index.dims.size
+    first, last, at = np.empty(axes, np.int64), np.empty(axes, np.int64), np.empty(axes, np.int64)
+    for d in range(axes):
+        u = (y[k, d] - index.low[0, d]) / index.high[0, d]
+        w = R / index.high[0, d]
+        first[d] = int(min(max(u - w, 0.0), index.dims[d] - 1.0))
+        last[d] = int(min(max(u + w, 0.0), index.dims[d] - 1.0))
+        at[d] = first[d]
+    n_found = 0
+    while True:
+        c = 0
+        for d in range(axes):
+            c = c * index.dims[d] + at[d]
+        for s in range(index.start[c], index.start[c + 1]):
+            n_found = _offer(x, index.order[s], y, k, R * R, found, n_found)
+        d = axes - 1
+        while d >= 0 and at[d] == last[d]:
+            at[d] = first[d]
+            d -= 1
+        if d < 0:
+            return n_found
+        at[d] += 1
+
+
+@jit
+def _query_tree(index, x, y, k, R, found):
+    n_nodes, n = index.low.shape
+    stack = np.empty(64, np.int64)
+    stack[0], depth, n_found = 0, 1, 0
+    while depth > 0:
+        depth -= 1
+        node = stack[depth]
+        gap2 = 0.0
+        for d in range(n):
+            gap2 += max(index.low[node, d] - y[k, d], 0.0, y[k, d] - index.high[node, d]) ** 2
+        if gap2 > R * R:
+            continue
+        if 2 * node + 2 < n_nodes:
+            stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
+            depth += 2
+        else:
+            for s in range(index.start[2 * node], index.start[2 * node + 1]):
+                n_found = _offer(x, index.order[s], y, k, R * R, found, n_found)
+    return n_found
+
+
+@jit
+def query(index, x, y, k, R, found):
+    """Write the particles of x within R of the point y[k] to `found` (N,); return how many."""
+    if index.method == CELLS:
+        return _query_cells(index, x, y, k, R, found)
+    if index.method == TREE:
+        return _query_tree(index, x, y, k, R, found)
+    n_found = 0
+    for j in range(x.shape[0]):
+        n_found = _offer(x, j, y, k, R * R, found, n_found)
+    return n_found
+
+
+@jit
+def count_within(x, support, index):
+    """How many other particles lie within support[i] of particle i."""
+    N = x.shape[0]
+    found, count = np.empty(N, np.int64), np.empty(N, np.int64)
+    for i in range(N):
+        count[i] = query(index, x, x, i, support[i], found) - 1
+    return count
+
+
+@jit
+def _reach(x, i, support, reach, buffer, index, found):
+    """Radius in which at least `buffer` particles lie beyond the support of i, starting from `reach`."""
+    N = x.shape[0]
+    while True:
+        n_found = query(index, x, x, i, reach, found)
+        inside = 0
+        for s in range(n_found):
+            if _distance2(x, i, x, found[s]) <= support * support:
+                inside += 1
+        if n_found - inside >= buffer or n_found == N:
+            return reach, n_found
+        reach *= 1.2
+
+
+@jit
+def neighbor_lists(x, support, reach, buffer, index):
+    """Symmetric neighbour lists with at least `buffer` particles beyond each support.
+
+    Parameters
+    ----------
+    x : ndarray, shape (N, n)
+    support : ndarray, shape (N,)
+        K h of each particle.
+    reach : ndarray, shape (N,)
+        Radius to search first; grown in place where the buffer is not met.
+    buffer : int
+    index : Index
+
+    Returns
+    -------
+    start : ndarray, shape (N + 1,)
+    neighbors : ndarray
+        Row i is ``neighbors[start[i]:start[i+1]]``, sorted, without i itself.
+    """
+    N = x.shape[0]
+    found = np.empty(N, np.int64)
+    pairs, n_pairs = np.empty(32 * N, np.int32), 0
+    start = np.zeros(N + 1, np.int64)
+    for i in range(N):
+        reach[i], n_found = _reach(x, i, support[i], max(reach[i], support[i]), buffer, index, found)
+        while n_pairs + n_found > pairs.size:
+            pairs = np.concatenate((pairs, np.empty(pairs.size, np.int32)))
+        for s in range(n_found):
+            if found[s] != i:
+                pairs[n_pairs] = found[s]
+                n_pairs += 1
+        start[i + 1] = n_pairs
+    return _close(x, reach, start, pairs)
+
+
+@jit
+def _close(x, reach, start, pairs):
+    """Add i to the list of j wherever j lies in the reach of i but not i in that of j, and sort rows."""
+    N = x.shape[0]
+    size = np.zeros(N + 1, np.int64)
+    for i in range(N):
+        size[i + 1] += start[i + 1] - start[i]
+        for s in range(start[i], start[i + 1]):
+            if _distance2(x, i, x, pairs[s]) > reach[pairs[s]] ** 2:
+                size[pairs[s] + 1] += 1
+    bounds = np.cumsum(size)
+    # The relation is symmetric now, so handing i to its partners in the order of i leaves sorted rows.
+    fill, rows = bounds[:-1].copy(), np.empty(bounds[-1], np.int32)
+    for i in range(N):
+        for s in range(start[i], start[i + 1]):
+            j = pairs[s]
+            rows[fill[j]] = i
+            fill[j] += 1
+            if _distance2(x, i, x, j) > reach[j] ** 2:
+                rows[fill[i]] = j
+                fill[i] += 1
+    for i in range(N):
+        rows[bounds[i] : bounds[i + 1]].sort()
+    return bounds, rows

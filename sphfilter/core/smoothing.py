@@ -1,0 +1,90 @@
+"""Smoothing lengths that follow the density: proportional update, fixed point, or Newton.
+
+All three keep rho_i h_i^n at its initial value (002 (14), 000 (110)); they differ in the density they use.
+"""
+
+import math
+
+import numpy as np
+
+from ._jit import jit
+from .kernels import RADIUS
+from .summation import density_and_gradient, own_density
+
+__all__ = ["SMOOTHING", "update_smoothing"]
+
+SMOOTHING = ("fixed", "proportional", "fixed_point", "newton")
+FIXED, PROPORTIONAL, FIXED_POINT, NEWTON = range(4)
+_SWEEPS = 30
+
+
+@jit
+def proportional(rho, rho0, h0, n, h):
+    """h_i = h0_i (rho0_i / rho_i)^(1/n) (002 (14)); return the largest relative change."""
+    change = 0.0
+    for i in range(h.size):
+        new = h0[i] * (rho0[i] / rho[i]) ** (1.0 / n)
+        change = max(change, abs(new - h[i]) / h[i])
+        h[i] = new
+    return change
+
+
+@jit
+def newton(i, m, h_i, target, lists, r, kernel, n, limit):
+    """Root of rho_i(h) h^n = target (000 (114), with the kernels of i's own h), or -1.
+
+    The left side grows with h, so that a bracket always holds the root; h may not pass `limit`, beyond
+    which the neighbour lists are blind. No root exists where the particle's own kernel fills the sum.
+    """
+    low, high = 0.0, limit
+    rho, _ = own_density(i, m, limit, lists, r, kernel, n)
+    if rho * limit**n < target:
+        return -1.0
+    for _ in range(_SWEEPS):
+        rho, slope_h = own_density(i, m, h_i, lists, r, kernel, n)
+        excess = rho * h_i**n - target
+        if excess > 0.0:
+            high = h_i
+        else:
+            low = h_i
+        gradient = slope_h * h_i**n + n * rho * h_i ** (n - 1)
+        new = h_i - excess / gradient if gradient > 0.0 else 0.5 * (low + high)
+        if not low < new < high:
+            new = 0.5 * (low + high)
+        if abs(new - h_i) <= 1e-6 * h_i:
+            return new
+        h_i = new
+    return -1.0 if low == 0.0 else h_i
+
+
+@jit
+def update_smoothing(mode, tolerance, cloud, reach, lists, kernel, grad, r):
+    """Bring h to the present positions; return how many particles kept their old h for want of a root.
+
+    `cloud.rho` holds the density of the last evaluation, which the lagged proportional update uses.
+    """
+    if mode == FIXED:
+        return 0
+    n = cloud.x.shape[1]
+    failed = 0
+    if mode == PROPORTIONAL:
+        proportional(cloud.rho, cloud.rho0, cloud.h0, n, cloud.h)
+    else:
+        density_and_gradient(cloud.x, cloud.m, cloud.h, lists, kernel, cloud.rho, grad, r)
+    if mode == FIXED_POINT:
+        for _ in range(_SWEEPS):
+            old = cloud.h.copy()
+            if proportional(cloud.rho, cloud.rho0, cloud.h0, n, cloud.h) < tolerance:
+                break
+            # The plain iteration oscillates where few neighbours carry the sum: go to the geometric mean.
+            cloud.h[:] = np.minimum(np.sqrt(old * cloud.h), reach / RADIUS[kernel[0]])
+            density_and_gradient(cloud.x, cloud.m, cloud.h, lists, kernel, cloud.rho, grad, r)
+    if mode == NEWTON:
+        for i in range(cloud.h.size):
+            target, limit = cloud.rho0[i] * cloud.h0[i] ** n, reach[i] / RADIUS[kernel[0]]
+            root = newton(i, cloud.m, min(cloud.h[i], limit), target, lists, r, kernel, n, limit)
+            if root > 0.0:
+                cloud.h[i] = root
+            else:
+                failed += 1
+    return failed

@@ -1,0 +1,130 @@
+"""Kernel sums: density and its gradient at the particles, and density at arbitrary points.
+
+At the particles the pair-averaged kernel is used (002 (15)), at arbitrary points each particle's own
+smoothing length (002 (16): it conserves mass). Every sum is a gather, so that row i is written by one
+thread alone and in list order.
+"""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from ._jit import jit, parallel_jit
+from .kernels import RADIUS, shape, slope
+from .neighbors import query
+
+__all__ = ["density_and_gradient", "density_and_gradient_parallel", "deposit", "own_density", "sample_density"]
+
+
+def _density_and_gradient(x, m, h, lists, kernel, rho, grad, r):
+    """Summation density 002 (19) and gradient (20) with the averaged kernel (15).
+
+    Parameters
+    ----------
+    x : ndarray, shape (N, n)
+    m, h : ndarray, shape (N,)
+    lists : (start, neighbors)
+    kernel : (kind, C_n)
+    rho : ndarray, shape (N,), written
+    grad : ndarray, shape (N, n), written
+    r : ndarray, one distance for each entry of the neighbour lists, written
+    """
+    start, neighbors = lists
+    kind, C = kernel
+    N, n = x.shape
+    K = RADIUS[kind]
+    inv = 1.0 / h
+    a = 0.5 * C * inv**n
+    for i in prange(N):
+        total = 2.0 * m[i] * a[i] * shape(kind, 0.0)
+        for d in range(n):
+            grad[i, d] = 0.0
+        for s in range(start[i], start[i + 1]):
+            j = neighbors[s]
+            r2 = 0.0
+            for d in range(n):
+                r2 += (x[i, d] - x[j, d]) ** 2
+            r_ij = math.sqrt(r2)
+            r[s] = r_ij
+            if r_ij < K * max(h[i], h[j]):
+                q_i, q_j = r_ij * inv[i], r_ij * inv[j]
+                total += m[j] * (a[i] * shape(kind, q_i) + a[j] * shape(kind, q_j))
+                pull = a[i] * inv[i] ** 2 * slope(kind, q_i) + a[j] * inv[j] ** 2 * slope(kind, q_j)
+                pull *= m[j]
+                for d in range(n):
+                    grad[i, d] += pull * (x[i, d] - x[j, d])
+        rho[i] = total
+
+
+density_and_gradient = jit(_density_and_gradient)
+density_and_gradient_parallel = parallel_jit(_density_and_gradient)
+
+
+@jit
+def own_density(i, m, h_i, lists, r, kernel, n):
+    """Density at particle i with the kernels of its own h, and its derivative in h (000 (117), corrected)."""
+    start, neighbors = lists
+    kind, C = kernel
+    a = C / h_i**n
+    rho, slope_h = m[i] * a * shape(kind, 0.0), -n / h_i * m[i] * a * shape(kind, 0.0)
+    for s in range(start[i], start[i + 1]):
+        q = r[s] / h_i
+        if q < RADIUS[kind]:
+            W = a * shape(kind, q)
+            rho += m[neighbors[s]] * W
+            slope_h -= m[neighbors[s]] * (n * W + a * q * q * slope(kind, q)) / h_i
+    return rho, slope_h
+
+
+@parallel_jit
+def sample_density(y, x, m, h, index, kernel, out):
+    """Density at the points y (M, n), each particle with its own h (002 (16)): it conserves mass."""
+    kind, C = kernel
+    n = x.shape[1]
+    reach = RADIUS[kind] * h.max()
+    for k in prange(y.shape[0]):
+        found = np.empty(x.shape[0], np.int64)
+        total = 0.0
+        for s in range(query(index, x, y, k, reach, found)):
+            j = found[s]
+            r2 = 0.0
+            for d in range(n):
+                r2 += (y[k, d] - x[j, d]) ** 2
+            total += m[j] * C / h[j] ** n * shape(kind, math.sqrt(r2) / h[j])
+        out[k] = total
+
+
+@jit
+def deposit(origin, spacing, dims, x, m, h, kernel, out):
+    """Density 002 (16) at every node of a lattice; no search, each particle visits the nodes it reaches.
+
+    `out` is flat, the last axis runs fastest; `origin` (n,) is node zero, `spacing` (n,), `dims` (n,).
+    """
+    kind, C = kernel
+    N, n = x.shape
+    first, last, at = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    out[:] = 0.0
+    for j in range(N):
+        reach = RADIUS[kind] * h[j]
+        empty = False
+        for d in range(n):
+            u = (x[j, d] - origin[d]) / spacing[d]
+            first[d] = int(max(math.ceil(u - reach / spacing[d]), 0.0))
+            last[d] = int(min(math.floor(u + reach / spacing[d]), dims[d] - 1.0))
+            at[d] = first[d]
+            empty = empty or first[d] > last[d]
+        weight = m[j] * C / h[j] ** n
+        while not empty:
+            node, r2 = 0, 0.0
+            for d in range(n):
+                node = node * dims[d] + at[d]
+                r2 += (origin[d] + at[d] * spacing[d] - x[j, d]) ** 2
+            out[node] += weight * shape(kind, math.sqrt(r2) / h[j])
+            d = n - 1
+            while d >= 0 and at[d] == last[d]:
+                at[d] = first[d]
+                d -= 1
+            empty = d < 0
+            if d >= 0:
+                at[d] += 1

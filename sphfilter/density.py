@@ -1,0 +1,212 @@
+"""The probability density a filter carries: particles with mass and smoothing length, and what to ask it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import optimize, special
+from scipy.stats import qmc
+
+from .core import kernels
+from .core.neighbors import build_index, choose_method
+from .core.summation import sample_density
+from .errors import ModelError
+from .validate import array, choice, generator, state_rows
+
+__all__ = ["ParticleDensity"]
+
+READ_OUTS = ("points", "mixture")
+_SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ParticleDensity:
+    """A probability density on SPH particles: p(x) = sum_j m_j W(x - x_j, h_j) (002 (16)).
+
+    Attributes
+    ----------
+    x : ndarray, shape (N, n)
+        Particle positions, in the units of the state.
+    mass : ndarray, shape (N,)
+        Probability masses; their sum is one.
+    h : ndarray, shape (N,)
+        Smoothing lengths, in the units of the state.
+    t : float
+        Time, seconds.
+    kernel : str
+        Name of the SPH kernel.
+    read_out : str
+        What mean, covariance and the like are computed from unless ``kind=`` says otherwise: "points"
+        (sums over particles) or "mixture" (integrals of p; its covariance is larger by the kernel's own).
+    represented_mass : float
+        Probability of the region the particles cover, where the density was cut; one if unknown.
+    log_density : ndarray, shape (N,), or None
+        Log-density carried along the particles' paths, for schemes that have it.
+
+    Arrays are read-only.
+    """
+
+    x: np.ndarray
+    mass: np.ndarray
+    h: np.ndarray
+    t: float = 0.0
+    kernel: str = "gaussian"
+    read_out: str = "points"
+    represented_mass: float = 1.0
+    log_density: np.ndarray | None = None
+    _index: list = field(default_factory=list, repr=False)
+
+    def __post_init__(self):
+        x = array("x", self.x, (None, None))
+        own = {"x": x}
+        for name in ("mass", "h", "log_density"):
+            if getattr(self, name) is not None:
+                own[name] = array(name, getattr(self, name), (len(x),))
+        if len(x) == 0 or own["mass"].min() < 0 or own["h"].min() <= 0 or own["mass"].sum() <= 0:
+            raise ModelError("a density needs particles, masses >= 0 that are not all zero, and h > 0")
+        own["mass"] /= own["mass"].sum()
+        choice("kernel", self.kernel, kernels.KINDS)
+        choice("read_out", self.read_out, READ_OUTS)
+        for name, value in own.items():
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+
+    @property
+    def dim(self):
+        """Number of states n."""
+        return self.x.shape[1]
+
+    @property
+    def n_particles(self):
+        """Number of particles N."""
+        return len(self.x)
+
+    @property
+    def kernel_code(self):
+        """The kernel as compiled functions take it: its code and its constant C_n."""
+        code = kernels.KINDS.index(self.kernel)
+        return code, kernels.normalisation(code, self.dim)
+
+    @property
+    def kernel_variance(self):
+        """c_K: the variance of one kernel is c_K h² along each axis."""
+        return kernels.kernel_variance(self.kernel_code[0], self.dim)
+
+    def pdf(self, X):
+        """Density at the states X (M, n) or (n,); an array (M,), per unit volume of the state space."""
+        Y = state_rows("X", X, self.dim)
+        if not self._index:  # built once, at the first question
+            width = kernels.RADIUS[self.kernel_code[0]] * np.median(self.h)
+            self._index.append(build_index(self.x, width, choose_method(self.n_particles, self.dim)))
+        out = np.empty(len(Y))
+        sample_density(Y, self.x, self.mass, self.h, self._index[0], self.kernel_code, out)
+        return out
+
+    def logpdf(self, X):
+        """Logarithm of `pdf`; minus infinity outside the kernels' supports."""
+        with np.errstate(divide="ignore"):
+            return np.log(self.pdf(X))
+
+    def mean(self):
+        """Mean, shape (n,); points and mixture agree, kernels being symmetric."""
+        return self.mass @ self.x
+
+    def cov(self, kind=None):
+        """Covariance, shape (n, n)."""
+        d = self.x - self.mean()
+        points = (d * self.mass[:, None]).T @ d
+        if self._kind(kind) == "points":
+            return points
+        return points + self.kernel_variance * (self.mass @ self.h**2) * np.eye(self.dim)
+
+    def moment(self, powers, central=False, kind=None):
+        """Expectation of prod_d x_d^powers[d], about the mean if `central`.
+
+        Parameters
+        ----------
+        powers : sequence of int, length n
+        central : bool
+        kind : str, optional
+            "points" or "mixture" (kernels integrated over a fixed set of points each).
+        """
+        powers = np.asarray(powers)
+        if powers.shape != (self.dim,) or np.any(powers < 0) or np.any(powers != np.floor(powers)):
+            raise ModelError(f"powers must be {self.dim} whole numbers >= 0, one a state, got {powers!r}")
+        centre = self.mean() if central else np.zeros(self.dim)
+        return self._expect(lambda X: np.prod((X - centre) ** powers, axis=1), kind)
+
+    def probability(self, region, kind="mixture"):
+        """Probability of a region given as a function of states X (M, n) that returns booleans (M,).
+
+        Examples
+        --------
+        >>> density.probability(lambda X: X[:, 0] > 3.0)    # doctest: +SKIP
+        """
+        return self._expect(lambda X: np.asarray(region(X), dtype=float), kind)
+
+    def marginal(self, axes):
+        """Density of the states in `axes` alone.
+
+        A kernel's marginal is given the same kernel with its variance (exact for the Gaussian up to its cut).
+        """
+        axes = list(axes)
+        if not axes or len(set(axes)) < len(axes) or not set(axes) <= set(range(self.dim)):
+            raise ModelError(f"axes must be different numbers from 0 to {self.dim - 1}, got {axes}")
+        code = self.kernel_code[0]
+        ratio = self.kernel_variance / kernels.kernel_variance(code, len(axes))
+        return ParticleDensity(
+            x=self.x[:, axes],
+            mass=self.mass,
+            h=self.h * np.sqrt(ratio),
+            t=self.t,
+            kernel=self.kernel,
+            read_out=self.read_out,
+            represented_mass=self.represented_mass,
+        )
+
+    def sample(self, size, rng=None):
+        """Draw states, shape (size, n), from the mixture; `rng` is a numpy Generator or a seed."""
+        rng = generator(rng)
+        chosen = rng.choice(self.n_particles, size=size, p=self.mass)
+        offsets = self._kernel_points(rng.random((size, self.dim + 1)))
+        return self.x[chosen] + self.h[chosen, None] * offsets
+
+    def mode(self):
+        """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
+        best = self.x[np.argmax(self.pdf(self.x))]
+        scale = 0.5 * np.median(self.h)
+        simplex = np.vstack([best, best + scale * np.eye(self.dim)])
+        found = optimize.minimize(
+            lambda y: -self.pdf(y)[0], best, method="Nelder-Mead", options={"initial_simplex": simplex}
+        )
+        return found.x
+
+    def hpd_level(self, probability):
+        """Density level whose super-level set, the highest-density region, holds `probability`."""
+        if not 0 < probability < 1:
+            raise ModelError(f"probability must lie between 0 and 1, got {probability!r}")
+        p = self.pdf(self.x)
+        order = np.argsort(-p)
+        return float(np.interp(probability, np.cumsum(self.mass[order]), p[order]))
+
+    def _kind(self, kind):
+        return self.read_out if kind is None else choice("kind", kind, READ_OUTS)
+
+    def _expect(self, function, kind):
+        """Expectation of function(X) -> (M,)."""
+        if self._kind(kind) == "points":
+            return float(self.mass @ function(self.x))
+        uniform = qmc.Sobol(self.dim + 1, scramble=False).random(_SUBPOINTS)
+        offsets = self._kernel_points(np.clip(uniform, 0.5 / _SUBPOINTS, 1 - 0.5 / _SUBPOINTS))
+        values = function((self.x[:, None] + self.h[:, None, None] * offsets).reshape(-1, self.dim))
+        return float(self.mass @ values.reshape(self.n_particles, -1).mean(axis=1))
+
+    def _kernel_points(self, uniform):
+        """Map uniform numbers (k, n + 1) to points (k, n) distributed as the kernel with h = 1."""
+        direction = special.ndtri(np.clip(uniform[:, :-1], 1e-15, 1 - 1e-15))
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        code = self.kernel_code[0]
+        q = np.linspace(0.0, kernels.RADIUS[code], 512)
+        radial = q ** (self.dim - 1) * np.array([kernels.shape(code, qk) for qk in q])
+        cdf = np.concatenate([[0.0], np.cumsum(0.5 * (radial[1:] + radial[:-1]))])
+        radius = np.interp(uniform[:, -1], cdf / cdf[-1], q)
+        return radius[:, None] * direction / np.maximum(length, 1e-300)

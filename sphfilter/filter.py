@@ -1,0 +1,151 @@
+"""`SPHFilter`: predict and update with state, in the shape filterpy users know."""
+
+import numpy as np
+
+from .config import FilterConfig
+from .density import ParticleDensity
+from .errors import ModelError
+from .initial import Gaussian, initialize
+from .predict import predict
+from .results import run_filter
+from .update import update
+from .validate import array, count, covariance, positive, real
+
+__all__ = ["SPHFilter"]
+
+
+class SPHFilter:
+    """A Bayes filter that carries the probability density on SPH particles (002).
+
+    Parameters
+    ----------
+    model : SDE
+    measurement : GaussianMeasurement or LikelihoodMeasurement
+        The sensor `update` uses unless another is given.
+    x0 : array_like, shape (n,)
+        Initial mean.
+    P0 : array_like, shape (n, n)
+        Initial covariance, positive definite.
+    t0 : float
+        Time of the initial density, seconds.
+    n_particles : int
+        Upper bound of the number of particles at every re-gridding.
+    config : FilterConfig, optional
+    density : ParticleDensity, optional
+        Initial density instead of x0, P0 and t0.
+    dt : float, optional
+        Makes ``predict()`` advance by dt seconds when called without argument, as in filterpy.
+
+    Attributes
+    ----------
+    x, P : ndarray, shape (n,) and (n, n)
+        Mean and covariance now; `x_prior`, `P_prior` before and `x_post`, `P_post` after the last update.
+    t : float
+    density : ParticleDensity
+    z, y, S : ndarray or None
+        Last measurement, its innovation and innovation covariance.
+    log_likelihood : float
+        Log-evidence of the last measurement, given all before; zero where none came.
+    log_evidence : float
+        Sum of the above.
+
+    Notes
+    -----
+    A predict or update that raises leaves the filter as it was. The filter draws no random numbers: the
+    same input gives the same bits.
+    """
+
+    def __init__(
+        self,
+        model,
+        measurement,
+        x0=None,
+        P0=None,
+        *,
+        t0=0.0,
+        n_particles=200,
+        config=None,
+        density=None,
+        dt=None,
+    ):
+        self.model, self.measurement = model, measurement
+        self.n_particles = count("n_particles", n_particles)
+        self.config = config or FilterConfig()
+        self.dt = None if dt is None else positive("dt", dt)
+        self._density = self._start(x0, P0, t0, density)
+        self._moments()
+        self.x_prior, self.P_prior = self.x_post, self.P_post = self._x, self._P
+        self.z = self.y = self.S = None
+        self.log_likelihood = self.log_evidence = 0.0
+
+    def _start(self, x0, P0, t0, density):
+        if density is not None:
+            if x0 is not None or P0 is not None:
+                raise ModelError("give either x0 and P0, or density=, not both")
+            if not isinstance(density, ParticleDensity) or density.dim != self.model.dim:
+                raise ModelError(f"density must be a ParticleDensity of {self.model.dim} states")
+            return density
+        if x0 is None or P0 is None:
+            raise ModelError("the filter needs x0 and P0, or density=")
+        x0 = array("x0", x0, (self.model.dim,))
+        P0 = covariance("P0", P0, dim=self.model.dim)
+        return initialize(Gaussian(x0, P0), self.n_particles, self.config, t=real("t0", t0))
+
+    def _moments(self):
+        self._x, self._P = self._density.mean(), self._density.cov()
+
+    density = property(lambda self: self._density, doc="The density now.")
+    t = property(lambda self: self._density.t, doc="Time of the density, seconds.")
+
+    @property
+    def x(self):
+        """Mean, shape (n,)."""
+        return self._x
+
+    @x.setter
+    def x(self, value):
+        raise ModelError(
+            "the mean of a density filter cannot be overwritten (IMM mixing does that); "
+            "make a new SPHFilter with x0 and P0"
+        )
+
+    @property
+    def P(self):
+        """Covariance, shape (n, n)."""
+        return self._P
+
+    @P.setter
+    def P(self, value):
+        raise ModelError(
+            "the covariance of a density filter cannot be overwritten (IMM mixing does that); "
+            "make a new SPHFilter with x0 and P0"
+        )
+
+    def predict(self, dt=None, *, t=None):
+        """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo."""
+        if dt is None and t is None:
+            if self.dt is None:
+                raise ModelError("predict needs dt or t=, or a filter made with dt=")
+            dt = self.dt
+        self._density, info = predict(self._density, self.model, dt, self.config, t=t)
+        self._moments()
+        self.x_prior, self.P_prior = self._x, self._P
+        return info
+
+    def update(self, z, measurement=None):
+        """Use a measurement; None or NaN is a missing one. `measurement` is another sensor. Returns UpdateInfo."""
+        measurement = measurement or self.measurement
+        density, info = update(self._density, measurement, z, self.config, n_particles=self.n_particles)
+        self.x_prior, self.P_prior = self._x, self._P
+        self._density = density
+        self._moments()
+        self.x_post, self.P_post = self._x, self._P
+        self.z = None if z is None else np.atleast_1d(np.array(z, dtype=float))
+        self.y, self.S = info.innovation, info.innovation_cov
+        self.log_likelihood = info.log_evidence
+        self.log_evidence += info.log_evidence
+        return info
+
+    def run(self, times, measurements):
+        """Predict to each time and update with its measurement; returns a `FilterResult`."""
+        return run_filter(self, times, measurements)

@@ -1,0 +1,83 @@
+"""What a prediction, an update or a re-gridding did, as values."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+__all__ = ["PredictInfo", "ResampleInfo", "UpdateInfo"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictInfo:
+    """One prediction.
+
+    Attributes
+    ----------
+    n_steps, n_evaluations : int
+        Time steps, and evaluations of density and velocity at all particles.
+    n_searches, n_bypassed : int
+        Evaluations with neighbour lists found anew, and steps that did without.
+    n_regrids : int
+        Times the particles were put on a new lattice inside the interval because steps had become too small.
+    n_smoothing_failed : int
+        Particle-steps whose smoothing-length equation had no root (the old length was kept).
+    skipped : tuple of str
+        Work the scene made unnecessary.
+    scheme, status : str
+    """
+
+    n_steps: int = 0
+    n_evaluations: int = 0
+    n_searches: int = 0
+    n_bypassed: int = 0
+    n_regrids: int = 0
+    n_smoothing_failed: int = 0
+    skipped: tuple = ()
+    scheme: str = "paper"
+    status: str = "ok"
+
+    @property
+    def bypass_ratio(self):
+        """Bypassed steps per search (002 section 4.3)."""
+        return self.n_bypassed / max(self.n_searches, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResampleInfo:
+    """One re-gridding (002 4.7): lattice, tried candidates, and how well the chosen one fits."""
+
+    n_particles: int
+    lattice_dims: tuple
+    spacing: tuple
+    n_candidates: int
+    fitness: float
+    volume_fraction: float
+    log_evidence: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpdateInfo:
+    """One measurement update.
+
+    Attributes
+    ----------
+    accepted : bool
+        False where the acceptance test refused the measurement: the density is still the prior.
+    log_evidence : float
+        Log of the integral of prior times likelihood, also for a refused measurement; zero if none came.
+    innovation, innovation_cov : ndarray or None
+        z minus its prediction, shape (k,), and the covariance of the prediction plus R, for the observed
+        components of a Gaussian measurement.
+    reason : str
+        Why it was refused, or why the acceptance test was not made; empty if there is nothing to say.
+    n_particles : int
+    resample : ResampleInfo or None
+    """
+
+    accepted: bool
+    log_evidence: float
+    innovation: np.ndarray | None = None
+    innovation_cov: np.ndarray | None = None
+    reason: str = ""
+    n_particles: int = 0
+    resample: ResampleInfo | None = field(default=None, repr=False)

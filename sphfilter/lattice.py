@@ -1,0 +1,242 @@
+"""Regular lattices of particles: where they lie, how far their kernels reach, what mass they carry."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, sparse, stats
+
+from .core.kernels import KINDS, RADIUS, normalisation, shape
+from .core.neighbors import build_index, choose_method, neighbor_lists
+from .core.summation import deposit
+from .density import ParticleDensity
+from .errors import ModelError
+
+__all__ = [
+    "GaussianPlacement",
+    "Lattice",
+    "SupportFit",
+    "collocation_masses",
+    "fit_support",
+    "heaviest",
+    "particles_on",
+    "place_gaussian",
+]
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Nodes origin + k * spacing, k = 0 .. dims - 1 along each axis; the last axis runs fastest."""
+
+    origin: np.ndarray
+    spacing: np.ndarray
+    dims: np.ndarray
+
+    @classmethod
+    def spanning(cls, low, high, dims):
+        """Lattice with nodes at both ends of [low, high] (002 (49) prints N = span/d: it is span/d + 1)."""
+        dims = np.maximum(np.asarray(dims, dtype=int), 2)
+        return cls(np.asarray(low, dtype=float), (high - low) / (dims - 1), dims)
+
+    @property
+    def nodes(self):
+        """All nodes, shape (M, n)."""
+        indices = np.indices(self.dims).reshape(len(self.dims), -1).T
+        return self.origin + indices * self.spacing
+
+    @property
+    def cell_volume(self):
+        return float(np.prod(self.spacing))
+
+    def half_shifted(self):
+        """The interstitial lattice: half a cell off along every axis, inscribed (002 4.6.1)."""
+        return Lattice(self.origin + 0.5 * self.spacing, self.spacing, self.dims - 1)
+
+    def density_of(self, x, mass, h, kernel):
+        """Mixture density of particles at every node, shape (M,)."""
+        out = np.empty(int(np.prod(self.dims)))
+        deposit(self.origin, self.spacing, self.dims, x, mass, h, kernel, out)
+        return out
+
+
+@dataclass(frozen=True)
+class GaussianPlacement:
+    """Trimmed lattice for a Gaussian: 002 (39)-(42).
+
+    Attributes
+    ----------
+    lattice : Lattice
+    kept : ndarray of bool
+        Nodes of the lattice that carry a particle: core and buffer.
+    core : ndarray of bool
+        Nodes inside the core ellipsoid.
+    buffer_layers : int
+        N_B of (42).
+    """
+
+    lattice: Lattice
+    kept: np.ndarray
+    core: np.ndarray
+    buffer_layers: int
+
+
+def place_gaussian(mean, cov, n_particles, scheme):
+    """Finest lattice whose ellipsoid (39), grown by N_B buffer layers (42), holds at most n_particles nodes.
+
+    The spacing is the same along every axis, or wider along longer axes up to `scheme.anisotropy`. The
+    ellipsoid's semi-axes grow by the width of the layers: for equal variances this is (42).
+
+    Raises
+    ------
+    ModelError
+        `n_particles` is too small for a lattice of this dimension.
+    """
+    n = len(mean)
+    z_core = math.sqrt(stats.chi2.ppf(scheme.represented_mass, n))
+    layers = round(float(np.mean(scheme.support_range)) * scheme.buffer_ratio)
+    widths = np.sqrt(np.diag(cov))
+    aspect = np.minimum(widths / widths.min(), scheme.anisotropy)
+    variances, vectors = np.linalg.eigh(cov)
+    axes = (z_core * np.sqrt(variances), vectors)
+    guess = _spacing_for(n_particles, axes[0], layers, aspect)
+    best = None
+    if guess is not None:
+        # The count of nodes falls with the spacing only on the whole: try from fine to coarse, both parities.
+        spacings = guess * np.geomspace(0.9, 1.5, 60)
+        tried = (_trimmed(mean, axes, layers, dx * aspect, shift) for dx in spacings for shift in (0.0, 0.5))
+        best = next((place for place in tried if place.kept.sum() <= n_particles), None)
+    if best is None or best.core.sum() < 2**n:
+        raise ModelError(
+            f"n_particles = {n_particles} is too small for {n} states with {layers} buffer layers: fewer than "
+            f"{2**n} core nodes would be left; use more particles or a smaller buffer_ratio"
+        )
+    return best
+
+
+def _spacing_for(n_particles, radii, layers, aspect):
+    """Spacing at which the grown ellipsoid's volume is n_particles cells, or None if the buffer is more."""
+    n = len(radii)
+    ball = math.pi ** (n / 2) / math.gamma(n / 2 + 1)
+    stretch = float(np.prod(aspect)) ** (1.0 / n)
+
+    def surplus(log_dx):
+        dx = stretch * math.exp(log_dx)
+        return math.log(ball) + np.log(radii / dx + layers).sum() - math.log(n_particles)
+
+    low, high = math.log(radii.max()) - 20.0, math.log(radii.max()) + 5.0
+    if surplus(high) > 0.0:
+        return None
+    return math.exp(optimize.brentq(surplus, low, high))
+
+
+def _trimmed(mean, axes, layers, spacing, shift):
+    radii, vectors = axes
+    n = len(mean)
+    grown = radii + layers * float(np.prod(spacing)) ** (1.0 / n)
+    extent = np.sqrt((vectors**2) @ grown**2)
+    half = np.maximum(np.floor(extent / spacing - shift), 0).astype(int)
+    lattice = Lattice(mean - (half + shift) * spacing, spacing, 2 * half + (2 if shift else 1))
+    along = (lattice.nodes - mean) @ vectors
+    kept = ((along / grown) ** 2).sum(axis=1) < 1.0
+    core = ((along / radii) ** 2).sum(axis=1) < 1.0
+    return GaussianPlacement(lattice, kept, core & kept, layers)
+
+
+@dataclass(frozen=True)
+class SupportFit:
+    """Sweep of the support Lambda = K h / dx (002 4.6.1): errors on particle and interstitial nodes."""
+
+    h: float
+    support: np.ndarray  # swept values
+    error_particles: np.ndarray  # eps_RMS (002 (32)) on interior particle nodes
+    error_interstitial: np.ndarray  # and on interior interstitial nodes
+    error: np.ndarray  # both together
+
+
+def fit_support(lattice, mass, target, target_between, interior, interior_between, scheme):
+    """Choose the one initial h whose mixture density is nearest to the target (002 4.6.1).
+
+    Parameters
+    ----------
+    lattice : Lattice
+    mass : ndarray, shape (M,)
+        Mass on every node, zero where no particle is.
+    target, target_between : ndarray
+        Density wanted on the nodes and on the half-shifted nodes.
+    interior, interior_between : ndarray of bool
+        Nodes that count.
+    scheme : PaperScheme
+    """
+    kind = KINDS.index(scheme.kernel)
+    kernel = (kind, normalisation(kind, len(lattice.dims)))
+    dx = lattice.cell_volume ** (1.0 / len(lattice.dims))
+    x, m = lattice.nodes[mass > 0], mass[mass > 0]
+    between = lattice.half_shifted()
+    supports = np.linspace(*scheme.support_range, scheme.support_steps)
+    squares = np.empty((2, len(supports)))
+    for k, support in enumerate(supports):
+        h = np.full(len(x), support * dx / RADIUS[kind])
+        off = lattice.density_of(x, m, h, kernel) - target
+        off_between = between.density_of(x, m, h, kernel) - target_between
+        squares[:, k] = (off[interior] ** 2).sum(), (off_between[interior_between] ** 2).sum()
+    counts = np.array([max(interior.sum(), 1), max(interior_between.sum(), 1)])
+    both = np.sqrt(squares.sum(axis=0) / counts.sum())
+    best = supports[np.argmin(both)]
+    return SupportFit(best * dx / RADIUS[kind], supports, *np.sqrt(squares / counts[:, None]), both)
+
+
+def particles_on(lattice, values, between, core, scheme, t, represented_mass):
+    """Make particles of density values on a lattice: masses, and the initial h that fits them best.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    values : ndarray, shape (M,)
+        Density at the nodes; zero where no particle is to be.
+    between : ndarray
+        Density at the nodes of ``lattice.half_shifted()``.
+    core : ndarray of bool, shape (M,)
+        Nodes whose fit counts; interstitial nodes count from the lowest density of the core up.
+    scheme : PaperScheme
+    t : float
+    represented_mass : float
+    """
+    kept = values > 0
+    mass = values * lattice.cell_volume
+    interior_between = between >= values[core & kept].min(initial=np.inf)
+    fit = fit_support(lattice, mass, values, between, core & kept, interior_between, scheme)
+    x, mass = lattice.nodes[kept], mass[kept]
+    if scheme.masses == "collocation":
+        solved = collocation_masses(x, fit.h, values[kept], scheme.kernel)
+        mass = mass if solved is None else solved
+    return ParticleDensity(
+        x=x,
+        mass=mass,
+        h=np.full(len(x), fit.h),
+        t=t,
+        kernel=scheme.kernel,
+        read_out=scheme.read_out,
+        represented_mass=represented_mass,
+    )
+
+
+def heaviest(values, share):
+    """Mark the largest of `values` that together make up `share` of their sum; equals stay together."""
+    falling = np.sort(values)[::-1]
+    reached = np.cumsum(falling)
+    level = falling[min(np.searchsorted(reached, share * reached[-1]), len(values) - 1)]
+    return (values >= level * (1.0 - 1e-12)) & (values > 0)
+
+
+def collocation_masses(x, h, target, kernel_name):
+    """Masses whose mixture takes the target values at the particles (002 (48)), or None if one is negative."""
+    kind, n = KINDS.index(kernel_name), x.shape[1]
+    support = np.full(len(x), RADIUS[kind] * h)
+    index = build_index(x, support[0], choose_method(len(x), n))
+    start, neighbors = neighbor_lists(x, support, support.copy(), 0, index)
+    rows = np.repeat(np.arange(len(x)), np.diff(start))
+    r = np.linalg.norm(x[rows] - x[neighbors], axis=1)
+    weights = np.array([shape(kind, q) for q in np.append(r / h, 0.0)]) * normalisation(kind, n) / h**n
+    matrix = sparse.csc_array((weights[:-1], (rows, neighbors)), shape=(len(x), len(x)))
+    mass = sparse.linalg.spsolve(matrix + weights[-1] * sparse.eye_array(len(x), format="csc"), target)
+    return mass if np.all(np.isfinite(mass)) and mass.min() >= 0.0 else None

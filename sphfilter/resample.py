@@ -1,0 +1,204 @@
+"""Re-gridding: a density, or its product with a likelihood, on a new regular lattice (002 4.7 and 6.1)."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from .config import SolverConfig
+from .core.kernels import RADIUS
+from .errors import PropagationError
+from .info import ResampleInfo
+from .lattice import Lattice, heaviest, particles_on
+from .validate import count
+
+__all__ = ["log_integral", "regrid", "resample"]
+
+_LEAST_NODES = 4  # along any axis of a candidate lattice
+_ZOOMS = 8
+
+
+class _Field(NamedTuple):
+    """prior(x) * weight(x) on a lattice, with the largest log-weight taken out."""
+
+    lattice: Lattice
+    values: np.ndarray
+    log_scale: float
+
+
+class _Candidate(NamedTuple):
+    field: _Field
+    kept: np.ndarray
+    core: np.ndarray
+    fitness: float
+
+
+def resample(density, n_particles=None, config=None):
+    """Put a density on a new lattice without a measurement (002 4.7).
+
+    Parameters
+    ----------
+    density : ParticleDensity
+    n_particles : int, optional
+        Upper bound of the number of particles; as many as now if not given.
+    config : SolverConfig or FilterConfig, optional
+
+    Returns
+    -------
+    ParticleDensity, ResampleInfo
+    """
+    scheme = (config or SolverConfig()).scheme
+    n_particles = density.n_particles if n_particles is None else count("n_particles", n_particles)
+    return regrid(density, n_particles, scheme)
+
+
+def regrid(density, n_particles, scheme, log_weight=None):
+    """Put density times exp(log_weight(X)) on a new lattice and normalise it.
+
+    Raises
+    ------
+    PropagationError
+        The product is zero wherever the density has particles.
+    """
+    log_weight = log_weight or (lambda X: np.zeros(len(X)))
+    raw = _weighted_masses(density, log_weight)
+    low, high, volume_fraction = _domain(density, raw, log_weight, n_particles, scheme)
+    candidates = _candidates(density, raw, log_weight, (low, high), volume_fraction, n_particles, scheme)
+    best = min(candidates, key=lambda c: c.fitness)
+    lattice, values, log_scale = best.field
+    total = values.sum() * lattice.cell_volume
+    density_values = _rescale_boundary(values / total, best.kept, best.core, lattice.cell_volume)
+    between = _field(density, lattice.half_shifted(), log_weight, log_scale).values / total
+    represented = float(values[best.kept].sum() / values.sum())
+    new = particles_on(lattice, density_values, between, best.core, scheme, density.t, represented)
+    info = ResampleInfo(
+        n_particles=new.n_particles,
+        lattice_dims=tuple(int(d) for d in lattice.dims),
+        spacing=tuple(float(s) for s in lattice.spacing),
+        n_candidates=len(candidates),
+        fitness=float(best.fitness),
+        volume_fraction=float(volume_fraction),
+        log_evidence=float(np.log(total) + log_scale),
+    )
+    return new, info
+
+
+def log_integral(density, log_weight, n_nodes):
+    """Log of the integral of density times exp(log_weight), on one lattice over all particles and supports."""
+    reach = RADIUS[density.kernel_code[0]] * density.h.max()
+    low, high = density.x.min(axis=0) - reach, density.x.max(axis=0) + reach
+    dims = _dims(high - low, n_nodes, 1.0, 1.0)
+    lattice = Lattice.spanning(low, high, dims)
+    values = lattice.density_of(density.x, density.mass, density.h, density.kernel_code)
+    with np.errstate(divide="ignore"):
+        return float(logsumexp(np.log(values) + log_weight(lattice.nodes)) + np.log(lattice.cell_volume))
+
+
+def _weighted_masses(density, log_weight):
+    """First estimate of the posterior masses, 002 (57) as it must read: m_i l_i / sum_j m_j l_j."""
+    log_w = log_weight(density.x)
+    raw = density.mass * np.exp(log_w - log_w.max())
+    return raw / raw.sum()
+
+
+def _field(density, lattice, log_weight, log_scale=None):
+    """Interpolated density (16) times the weight on a lattice (002 (58)-(59))."""
+    values = lattice.density_of(density.x, density.mass, density.h, density.kernel_code)
+    log_w = log_weight(lattice.nodes)
+    if log_scale is None:
+        log_scale = log_w[values > 0].max(initial=-np.inf)
+        if not np.isfinite(log_scale):
+            raise PropagationError(
+                "prior times likelihood is zero wherever the prior has particles: the measurement lies outside "
+                "them; use more particles, a larger represented_mass, or check the measurement"
+            )
+    return _Field(lattice, values * np.exp(np.minimum(log_w - log_scale, 700.0)), float(log_scale))
+
+
+def _dims(span, n_nodes, volume_fraction, anisotropy):
+    """Nodes per axis for spacings that differ at most by `anisotropy` (002 (50)-(56))."""
+    aspect = span / span.min()
+    nodes_aspect = aspect / np.minimum(aspect, anisotropy)
+    fewest = (n_nodes / (volume_fraction * np.prod(nodes_aspect))) ** (1.0 / len(span))
+    return np.maximum(np.round(nodes_aspect * fewest).astype(int), _LEAST_NODES)
+
+
+def _domain(density, raw, log_weight, n_particles, scheme):
+    """Extents of the new lattice from the particles that hold the mass, and the part of it they fill.
+
+    Where the weight is so narrow that a test grid over the surviving particles hardly meets it, the extents
+    close in on the nodes that do, and the test is made again.
+    """
+    kept = density.x[heaviest(raw, scheme.domain_mass)]
+    support = RADIUS[density.kernel_code[0]] * density.h.mean()
+    low, high = kept.min(axis=0), kept.max(axis=0)
+    widen = np.maximum(0.5 * (support - (high - low)), 0.0)  # a single row of particles still has width
+    low, high = low - widen, high + widen
+    for _ in range(_ZOOMS):
+        lattice = Lattice.spanning(low, high, _dims(high - low, n_particles, 1.0, scheme.anisotropy))
+        filled = heaviest(_field(density, lattice, log_weight).values, scheme.domain_mass)
+        if filled.mean() > 0.1:
+            break
+        nodes = lattice.nodes[filled]
+        low = np.maximum(low, nodes.min(axis=0) - lattice.spacing)
+        high = np.minimum(high, nodes.max(axis=0) + lattice.spacing)
+    return low, high, filled.mean()
+
+
+def _candidates(density, raw, log_weight, extents, volume_fraction, n_particles, scheme):
+    """The central discretisation and its neighbours, one node more or less along each axis (002 4.7.3)."""
+    low, high = extents
+    n = density.dim
+    cov = _covariance(density.x, raw)
+    core_ratio = _core_ratio(density.mass, scheme)
+    dims = _dims(high - low, n_particles, volume_fraction, scheme.anisotropy)
+    steps = [np.zeros(n, int), *np.eye(n, dtype=int), *-np.eye(n, dtype=int)]
+    while True:
+        tried = [
+            _candidate(density, log_weight, Lattice.spanning(low, high, dims + step), cov, core_ratio, scheme)
+            for step in steps
+            if np.all(dims + step >= _LEAST_NODES)
+        ]
+        viable = [c for c in tried if c.kept.sum() <= n_particles]
+        if viable:
+            return viable
+        if np.all(dims <= _LEAST_NODES):
+            raise PropagationError(
+                f"n_particles = {n_particles} is too small for {n} states: even {_LEAST_NODES} nodes an axis "
+                f"are more; use more particles"
+            )
+        dims = np.maximum(dims - 1, _LEAST_NODES)
+
+
+def _candidate(density, log_weight, lattice, cov, core_ratio, scheme):
+    """A candidate's fitness: error of its raw covariance times error of its core-to-domain ratio."""
+    field = _field(density, lattice, log_weight)
+    kept = heaviest(field.values, scheme.domain_mass)
+    core = heaviest(field.values, scheme.represented_mass)
+    mass = field.values[kept] / field.values[kept].sum()
+    off = _covariance(lattice.nodes[kept], mass) - cov
+    cov_error = np.sqrt(np.mean(off**2)) / np.trace(cov) if np.trace(cov) > 0 else 0.0
+    ratio_error = abs(core.sum() / kept.sum() - core_ratio)
+    return _Candidate(field, kept, core & kept, cov_error * ratio_error)
+
+
+def _core_ratio(mass, scheme):
+    """Particles that hold P_T over particles that hold the whole simulated mass."""
+    return heaviest(mass, scheme.represented_mass).sum() / heaviest(mass, scheme.domain_mass).sum()
+
+
+def _covariance(x, mass):
+    d = x - mass @ x
+    return (d * mass[:, None]).T @ d
+
+
+def _rescale_boundary(values, kept, core, cell_volume):
+    """Scale the boundary particles so that the trimmed density has mass one again (002 4.7.3)."""
+    boundary = kept & ~core
+    values = values * kept
+    in_core, at_boundary = values[core].sum() * cell_volume, values[boundary].sum() * cell_volume
+    if 0.0 < at_boundary and in_core < 1.0:
+        values[boundary] *= (1.0 - in_core) / at_boundary
+    else:
+        values /= in_core + at_boundary
+    return values

@@ -1,0 +1,104 @@
+"""The measurement update: prior times likelihood, on a new lattice, with its evidence."""
+
+import numpy as np
+
+from .acceptance import test_measurement
+from .config import FilterConfig
+from .errors import ModelError
+from .info import UpdateInfo
+from .resample import log_integral, regrid
+from .validate import count
+
+__all__ = ["update"]
+
+_EVIDENCE_NODES = 4  # nodes of the evidence integral per particle of a refused update
+
+
+def update(density, measurement, z, config=None, *, n_particles=None):
+    """Multiply a density by the likelihood of z and put it on a new lattice (002 6.1-6.3).
+
+    Parameters
+    ----------
+    density : ParticleDensity
+        The prior at the time of the measurement.
+    measurement : GaussianMeasurement or LikelihoodMeasurement
+    z : array_like, shape (k,), or None
+        NaN components are missing; None or all NaN leaves the density as it is.
+    config : FilterConfig, optional
+    n_particles : int, optional
+        Upper bound of the number of particles afterwards; as many as now if not given.
+
+    Returns
+    -------
+    ParticleDensity, UpdateInfo
+
+    Raises
+    ------
+    ModelError
+        z of the wrong length, or a likelihood that is NaN.
+    PropagationError
+        The likelihood is zero wherever the prior has particles.
+    """
+    config = config or FilterConfig()
+    n_particles = density.n_particles if n_particles is None else count("n_particles", n_particles)
+    seen = measurement.observed(z)
+    if not seen.any():
+        info = UpdateInfo(
+            accepted=True, log_evidence=0.0, reason="no measurement came", n_particles=density.n_particles
+        )
+        return density, info
+
+    def log_weight(X):
+        values = measurement.log_likelihood(z, X, density.t)
+        if np.isnan(values).any():
+            where = X[np.isnan(values)][0]
+            raise ModelError(f"the likelihood of z = {z} is NaN at the state {where}; check the sensor function")
+        return values
+
+    innovation, spread = _innovation(density, measurement, z, seen)
+    accepted, reason = _verdict(density, measurement, z, seen, config.acceptance)
+    if accepted:
+        new, resampled = regrid(density, n_particles, config.scheme, log_weight)
+        log_evidence = resampled.log_evidence
+    else:
+        new, resampled = density, None
+        log_evidence = log_integral(density, log_weight, _EVIDENCE_NODES * density.n_particles)
+        if config.acceptance.on_reject == "resample":
+            new, resampled = regrid(density, n_particles, config.scheme)
+    info = UpdateInfo(
+        accepted=accepted,
+        log_evidence=log_evidence,
+        innovation=innovation,
+        innovation_cov=spread,
+        reason=reason,
+        n_particles=new.n_particles,
+        resample=resampled,
+    )
+    return new, info
+
+
+def _verdict(density, measurement, z, seen, settings):
+    """(accepted, reason); the test of 002 is defined for directly observed states only."""
+    if not settings.enabled:
+        return True, "acceptance test off"
+    direct = measurement.directly_observed
+    if direct is None:
+        return True, "acceptance test skipped: the sensor does not observe states directly"
+    states, scales = (part[seen] for part in direct)
+    values = np.atleast_1d(np.asarray(z, dtype=float))[seen] / scales
+    variance = np.diag(measurement.noise_cov)[seen] / scales**2
+    return test_measurement(density, values, variance, states, settings)
+
+
+def _innovation(density, measurement, z, seen):
+    """z minus its predicted mean, and the predicted covariance plus R; None for a general likelihood."""
+    if measurement.noise_cov is None:
+        return None, None
+    readings = measurement.predict(density.x, density.t)
+    reference = measurement.predict(density.mean(), density.t)[0]
+    around = measurement.residual(readings, reference)  # angles are averaged around the mean state's reading
+    mean = density.mass @ around
+    d = (around - mean)[:, seen]
+    spread = (d * density.mass[:, None]).T @ d + measurement.noise_cov[np.ix_(seen, seen)]
+    z = np.atleast_1d(np.asarray(z, dtype=float))
+    return measurement.residual(z, reference + mean)[seen], spread
