@@ -1,0 +1,154 @@
+"""Bookkeeping shared by the reference filters: times, priors and posteriors, evidence, missing measurements.
+
+A reference filter is three pure functions of a belief (whatever it carries of the density); this class is
+the stateful, filterpy-shaped shell around them. A step that raises leaves the filter as it was.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from sphfilter import validate
+from sphfilter.errors import ModelError, PropagationError
+from sphfilter.results import run_filter
+
+__all__ = ["PredictInfo", "ReferenceFilter", "UpdateInfo", "gaussian_start"]
+
+
+@dataclass(frozen=True)
+class PredictInfo:
+    """Time reached and number of steps that a prediction took."""
+
+    t: float
+    n_steps: int
+
+
+@dataclass(frozen=True)
+class UpdateInfo:
+    """What an update found; innovation and its covariance only where the filter forms them."""
+
+    accepted: bool
+    log_evidence: float
+    innovation: np.ndarray | None = None
+    innovation_cov: np.ndarray | None = None
+    reason: str = ""
+
+
+class ReferenceFilter(ABC):
+    """Base of the reference filters.
+
+    Attributes
+    ----------
+    x, P : ndarray, shapes (n,), (n, n)
+        Mean and covariance now.
+    x_prior, P_prior, x_post, P_post : ndarray
+        The same after the last prediction and after the last update.
+    t : float
+        Time now, seconds.
+    log_likelihood, log_evidence : float
+        Log-density of the last measurement given the earlier ones (zero if it was missing); their sum.
+    """
+
+    def __init__(self, belief, measurement=None, t0=0.0, dt=None):
+        self.measurement = measurement
+        self.dt = dt
+        self.t = float(t0)
+        self.log_likelihood = 0.0
+        self.log_evidence = 0.0
+        self._belief = belief
+        self.x, self.P = self._moments(belief)
+        self.x_prior, self.P_prior = self.x_post, self.P_post = self.x, self.P
+
+    @abstractmethod
+    def _predicted(self, belief, t0, t1):
+        """Return the belief at t1 > t0 and the number of steps taken."""
+
+    @abstractmethod
+    def _updated(self, belief, z, measurement):
+        """Return the belief after `z` and the keyword arguments of its `UpdateInfo` (log_evidence, ...)."""
+
+    @abstractmethod
+    def _moments(self, belief):
+        """Return mean (n,) and covariance (n, n)."""
+
+    def predict(self, dt=None, *, t=None):
+        """Carry the density forward by `dt` seconds, or to the absolute time `t`.
+
+        Returns
+        -------
+        PredictInfo
+
+        Raises
+        ------
+        ModelError
+            Neither or both of `dt` and `t` given (and no `dt` at construction), or a time gone by.
+        PropagationError
+            The density cannot be carried so far; the filter is as it was before.
+        """
+        t1 = self._end_of_step(dt, t)
+        belief, n_steps = self._predicted(self._belief, self.t, t1) if t1 > self.t else (self._belief, 0)
+        x, P = self._finite_moments(belief, f"prediction from t = {self.t:g} to {t1:g}")
+        self._belief, self.t, self.x, self.P = belief, t1, x, P
+        self.x_prior, self.P_prior = x, P
+        return PredictInfo(t1, n_steps)
+
+    def update(self, z, measurement=None):
+        """Condition the density on `z`, shape (k,); None or NaN components are missing.
+
+        Parameters
+        ----------
+        z : array_like, float or None
+        measurement : optional
+            Another sensor than the filter's own, for this update only.
+
+        Returns
+        -------
+        UpdateInfo
+        """
+        measurement = self.measurement if measurement is None else measurement
+        if measurement is None:
+            raise ModelError("update needs a measurement model: give one here or at construction")
+        if np.any(measurement.observed(z)):
+            z = np.atleast_1d(np.asarray(z, dtype=float))
+            belief, facts = self._updated(self._belief, z, measurement)
+            info = UpdateInfo(accepted=True, **facts)
+        else:
+            belief, info = self._belief, UpdateInfo(accepted=True, log_evidence=0.0, reason="missing")
+        x, P = self._finite_moments(belief, f"update at t = {self.t:g} with z = {z}")
+        if not np.isfinite(info.log_evidence):
+            raise PropagationError(
+                f"update at t = {self.t:g}: the measurement {z} has no density under the prediction "
+                f"(log-evidence {info.log_evidence}); check its unit and the measurement noise"
+            )
+        self._belief, self.x, self.P, self.x_post, self.P_post = belief, x, P, x, P
+        self.log_likelihood = info.log_evidence
+        self.log_evidence += info.log_evidence
+        return info
+
+    def run(self, times, measurements):
+        """Predict to each time and update; see `sphfilter.results.run_filter`."""
+        return run_filter(self, times, measurements)
+
+    def _end_of_step(self, dt, t):
+        if dt is not None and t is not None:
+            raise ModelError("predict takes either dt or t, not both")
+        if t is None:
+            dt = self.dt if dt is None else dt
+            if dt is None:
+                raise ModelError("predict needs dt or t (or dt at construction)")
+            t = self.t + dt
+        if not np.isfinite(t) or t < self.t:
+            raise ModelError(f"cannot predict from t = {self.t:g} to {t:g}: times must not decrease")
+        return float(t)
+
+    def _finite_moments(self, belief, what):
+        x, P = self._moments(belief)
+        if not (np.all(np.isfinite(x)) and np.all(np.isfinite(P))):
+            raise PropagationError(f"{what}: mean or covariance is not finite (x = {x}); the filter diverged")
+        return x, P
+
+
+def gaussian_start(x0, P0, dim):
+    """Check and copy the start N(x0, P0), shapes (dim,), (dim, dim)."""
+    return validate.array("x0", x0, (dim,)), validate.covariance("P0", P0, dim)

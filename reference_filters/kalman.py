@@ -1,0 +1,177 @@
+"""Kalman, extended and unscented Kalman filters on filterpy, in continuous time.
+
+filterpy does the updates, on a scratch object that is given mean, covariance and sensor each time: its
+`update(None)` keeps the likelihood of the measurement before, a NaN in `z` poisons its state for good, and
+its sigma points are stale at a second update without a prediction. Priors, posteriors, evidence and missing
+measurements are the business of `ReferenceFilter`.
+"""
+
+from functools import partial
+
+import numpy as np
+from filterpy import kalman as fp
+from scipy.linalg import cho_factor, cho_solve
+
+from sphfilter.errors import ModelError, PropagationError
+
+from ._base import ReferenceFilter, gaussian_start
+from ._moment_ode import LINEARISED, SIGMA_POINTS, propagate_moments
+
+__all__ = ["ExtendedKalmanFilter", "KalmanFilter", "UnscentedKalmanFilter"]
+
+
+class _GaussianFilter(ReferenceFilter):
+    """A filter whose belief is a mean and a covariance."""
+
+    def __init__(self, model, measurement, x0, P0, t0=0.0, dt=None):
+        self.model = model
+        super().__init__(gaussian_start(x0, P0, model.dim), measurement, t0, dt)
+
+    def _moments(self, belief):
+        return belief
+
+    def _updated(self, belief, z, measurement):
+        if measurement.noise_cov is None:
+            raise ModelError(
+                f"{type(self).__name__} needs a GaussianMeasurement, not {type(measurement).__name__}; "
+                "the particle and grid filters take any likelihood"
+            )
+        seen = np.flatnonzero(measurement.observed(z))
+        R = measurement.noise_cov[np.ix_(seen, seen)]
+        try:
+            x, P, y, S = self._condition(*belief, z, measurement, seen, R)
+            log_evidence = _log_normal(y, S)
+        except np.linalg.LinAlgError as error:
+            raise PropagationError(
+                f"update at t = {self.t:g}: a covariance is not positive definite ({error}); "
+                f"P = {belief[1].tolist()}"
+            ) from error
+        facts = {"log_evidence": log_evidence, "innovation": y, "innovation_cov": S}
+        return (x, 0.5 * (P + P.T)), facts
+
+
+class KalmanFilter(_GaussianFilter):
+    """Exact filter of a linear model with linear Gaussian sensors.
+
+    Parameters
+    ----------
+    model : LinearSDE, or an SDE whose `linear` is True
+    measurement : GaussianMeasurement with a matrix, or None if every update brings its own
+    x0, P0 : array_like, shapes (n,), (n, n)
+    t0 : float
+        Start, seconds.
+    dt : float, optional
+        Interval of `predict()` without arguments.
+    """
+
+    def __init__(self, model, measurement, x0, P0, t0=0.0, dt=None):
+        if not model.linear:
+            raise ModelError(f"KalmanFilter needs a linear model, not {model!r}; take ExtendedKalmanFilter")
+        super().__init__(model.to_linear(), measurement, x0, P0, t0, dt)
+        self._engine = fp.KalmanFilter(dim_x=model.dim, dim_z=1)
+        self._transitions = {}
+
+    def _predicted(self, belief, t0, t1):
+        dt = t1 - t0
+        if dt not in self._transitions:
+            self._transitions[dt] = self.model.discretize(dt)
+        Phi, offset, Qd = self._transitions[dt]
+        return fp.predict(*belief, F=Phi, Q=Qd, u=offset), 1
+
+    def _condition(self, x, P, z, measurement, seen, R):
+        if measurement.H is None:
+            raise ModelError("KalmanFilter needs a measurement given as a matrix; take ExtendedKalmanFilter")
+        engine = self._engine
+        engine.x, engine.P = x, P
+        engine.update(z[seen], R=R, H=measurement.H[seen])
+        return engine.x, engine.P, engine.y, engine.S
+
+
+class ExtendedKalmanFilter(_GaussianFilter):
+    """Moments of the model linearised about the mean, integrated in continuous time.
+
+    dm/dt = f(m), dP/dt = J P + P Jᵀ + 2 D(m) by an adaptive fifth-order scheme; noise that depends on the
+    state enters at the mean. The update is filterpy's (Joseph form).
+
+    Parameters
+    ----------
+    model : SDE
+    measurement, x0, P0, t0, dt
+        As `KalmanFilter`; any GaussianMeasurement.
+    rtol : float
+        Error allowed per integration step, in standard deviations.
+    """
+
+    def __init__(self, model, measurement, x0, P0, t0=0.0, dt=None, rtol=1e-6):
+        super().__init__(model, measurement, x0, P0, t0, dt)
+        self.rtol = rtol
+        self._engine = fp.ExtendedKalmanFilter(dim_x=model.dim, dim_z=1)
+
+    def _predicted(self, belief, t0, t1):
+        m, P, n_steps = propagate_moments(self.model, LINEARISED, *belief, t0, t1, rtol=self.rtol)
+        return (m, P), n_steps
+
+    def _condition(self, x, P, z, measurement, seen, R):
+        engine = self._engine
+        engine.x, engine.P = x, P
+        engine.update(
+            z,
+            HJacobian=lambda x: measurement.jacobian(x, self.t)[seen],
+            Hx=lambda x: measurement.predict(x[None], self.t)[0],
+            R=R,
+            residual=lambda z, zhat: measurement.residual(z, zhat)[seen],
+        )
+        return engine.x, engine.P, engine.y, engine.S
+
+
+class UnscentedKalmanFilter(_GaussianFilter):
+    """Moments averaged over sigma points, integrated in continuous time (Särkkä 2007).
+
+    Parameters
+    ----------
+    model, measurement, x0, P0, t0, dt, rtol
+        As `ExtendedKalmanFilter`. Noise that depends on the state is averaged over the sigma points.
+    kappa : float, optional
+        Spread of Julier's sigma points, n + kappa > 0. Default max(3 - n, 0): the Gaussian kurtosis where
+        that needs no negative weight.
+    """
+
+    def __init__(self, model, measurement, x0, P0, t0=0.0, dt=None, kappa=None, rtol=1e-6):
+        super().__init__(model, measurement, x0, P0, t0, dt)
+        self.rtol = rtol
+        self.kappa = float(max(3 - model.dim, 0) if kappa is None else kappa)
+        if not self.kappa > -model.dim:
+            raise ModelError(f"kappa must be above -n = {-model.dim}; got {kappa}")
+        points = fp.JulierSigmaPoints(model.dim, kappa=self.kappa)
+        self._engine = fp.UnscentedKalmanFilter(model.dim, 1, dt=0.0, hx=None, fx=None, points=points)
+
+    def _predicted(self, belief, t0, t1):
+        m, P, n_steps = propagate_moments(
+            self.model, SIGMA_POINTS, *belief, t0, t1, kappa=self.kappa, rtol=self.rtol
+        )
+        return (m, P), n_steps
+
+    def _condition(self, x, P, z, measurement, seen, R):
+        engine = self._engine
+        engine.x, engine.P = x, P
+        engine.sigmas_f = engine.points_fn.sigma_points(x, P)
+        residual = partial(_partial_residual, measurement, seen)
+        engine.residual_z = residual
+        # The mean relative to the central point is right for angles too.
+        engine.z_mean = lambda Z, W: Z[0] + W @ np.array([residual(z, Z[0]) for z in Z])
+        engine.update(z[seen], R=R, hx=lambda s: measurement.predict(s[None], self.t)[0, seen])
+        return engine.x, engine.P, engine.y, engine.S
+
+
+def _partial_residual(measurement, seen, z, zhat):
+    """Residual of the components `seen`: angles are counted in the full vector."""
+    full = np.zeros((2, measurement.dim_z))
+    full[0, seen], full[1, seen] = z, zhat
+    return measurement.residual(full[0], full[1])[seen]
+
+
+def _log_normal(y, S):
+    """Log-density of N(0, S) at y. (filterpy's accepts a singular S and is slower than the update.)"""
+    factor = cho_factor(S, lower=True)
+    log_det = 2 * np.sum(np.log(np.diag(factor[0])))
+    return float(-0.5 * (y @ cho_solve(factor, y) + log_det + y.size * np.log(2 * np.pi)))
