@@ -33,7 +33,9 @@ def symbolic_model(states, drift, noise, diffusion, spectral_density, parameters
         "jacobian": J,
         "divergence": sp.Matrix([J.trace()]),
         "diffusion": D,
-        "diffusion_divergence": sp.Matrix([sum(row[j].diff(names.x[j]) for j in range(n)) for row in D.tolist()]),
+        "diffusion_divergence": sp.Matrix(
+            [sum(v.diff(x) for v, x in zip(row, names.x, strict=True)) for row in D.tolist()]
+        ),
     }
     if g is not None:
         entries["noise"] = g
@@ -72,7 +74,7 @@ def _matrix(rows, names, what, n):
     rows = rows.tolist() if isinstance(rows, np.ndarray) else rows
     nested = isinstance(rows, list | tuple) and all(isinstance(r, list | tuple) for r in rows)
     if not nested or len(rows) != n or len({len(r) for r in rows}) != 1 or not rows[0]:
-        raise ModelError(f'{what} must be {n} rows of equal length, for instance [["0"], ["1"]]; got {rows!r}.')
+        raise ModelError(f'{what} must be {n} equally long rows, such as [["0"], ["1"]]; got {rows!r}.')
     flat = [parse(v, names, f"{what}[{i}][{j}]") for i, row in enumerate(rows) for j, v in enumerate(row)]
     return sp.Matrix(n, len(rows[0]), flat)
 
