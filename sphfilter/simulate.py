@@ -1,0 +1,176 @@
+"""Simulated truths and measurements, with an error in distribution far below that of any filter."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from . import validate
+from .core.sde_steps import normals_per_step, steps
+from .errors import ModelError, PropagationError
+
+__all__ = ["advance", "simulate"]
+
+#: dt times the fastest rate of the model; the scheme for additive noise has the higher order.
+_COURANT_ADDITIVE, _COURANT_GENERAL = 0.05, 0.01
+#: Steps taken before the rate is looked at again, states it is looked at, and normals drawn at a time.
+_STEPS_PER_LOOK, _LOOKED_AT, _NORMALS_AT_ONCE = 16, 64, 1_000_000
+_MAX_STEPS = 10_000_000
+
+
+def simulate(model, measurement, x0, times, rng=None, n_paths=None, max_step=None):
+    """Draw paths of a model and readings of them.
+
+    Linear models are drawn from their exact transition density. Others are stepped (`advance`).
+
+    Parameters
+    ----------
+    model : SDE
+    measurement : GaussianMeasurement, LikelihoodMeasurement with a sampler, or None
+    x0 : array_like, shape (n,) or (R, n)
+        State at ``times[0]``, of one path or of R.
+    times : array_like, shape (T,)
+        Non-decreasing, seconds.
+    rng : numpy Generator or seed, optional
+    n_paths : int, optional
+        R, to start R paths from one x0 (n,).
+    max_step : float, optional
+        Upper bound of the step, seconds; chosen from the model when None.
+
+    Returns
+    -------
+    truth : ndarray, shape (T, n) or (R, T, n)
+    z : ndarray, shape (T, k) or (R, T, k); None without a measurement
+
+    Raises
+    ------
+    ModelError
+        Wrong shapes, or times that run backwards.
+    PropagationError
+        A path left the range of finite numbers.
+    """
+    rng, times = validate.generator(rng), validate.times("times", times)
+    single = np.ndim(x0) == 1 and n_paths is None
+    x = validate.state_rows("x0", x0, model.dim)
+    if n_paths is not None:
+        if len(x) != 1:
+            raise ModelError(f"x0 has {len(x)} rows; with n_paths= give one state of shape ({model.dim},).")
+        x = np.repeat(x, validate.count("n_paths", n_paths), axis=0)
+    truth = np.empty((len(times), *x.shape))
+    truth[0] = x
+    for i, (before, t) in enumerate(pairwise(times), start=1):
+        x = advance(model, x, before, t, rng, max_step) if t > before else x
+        truth[i] = x
+    z = None
+    if measurement is not None:
+        z = np.stack([measurement.sample(x, t, rng) for x, t in zip(truth, times, strict=True)], axis=1)
+    truth = truth.transpose(1, 0, 2).copy()
+    return (truth[0], None if z is None else z[0]) if single else (truth, z)
+
+
+def advance(model, x, t0, t1, rng, max_step=None):
+    """Return the states x (N, n) of time t0 moved to t1, each with noise of its own, shape (N, n).
+
+    A linear model takes one exact step. Otherwise the step is `max_step` or less, in equal parts; without it,
+    0.05 (additive noise) or 0.01 (any other) of the model's fastest time scale, which is looked at every 16
+    steps: norm of the drift's Jacobian, at the states and where the noise may carry them meanwhile, squared
+    norm of the noise's derivative, and the rate of change with time.
+
+    Raises
+    ------
+    PropagationError
+        A state that is not finite, or more than ten million steps.
+    """
+    x = np.array(x, dtype=float, order="C", ndmin=2)
+    if model.linear:
+        Phi, offset, Qd = model.to_linear().discretize(t1 - t0)
+        w, V = np.linalg.eigh(Qd)
+        root = V * np.sqrt(np.maximum(w, 0.0))
+        return x @ Phi.T + offset + rng.standard_normal(x.shape) @ root.T
+    L = _root(model.spectral_density)
+    t, taken = float(t0), 0
+    while t < t1:
+        end, n_steps = (t1, _parts(t1 - t, max_step)) if max_step else _next_block(model, x, t, t1)
+        taken += n_steps
+        if taken > _MAX_STEPS:
+            raise PropagationError(
+                f"The model needs over {_MAX_STEPS} steps between t={t0:g} and t={t1:g}: it is too stiff "
+                "or is blowing up. Check its units and parameters, or give max_step=."
+            )
+        _take(model, x, t, (end - t) / n_steps, n_steps, L, rng)
+        _check_finite(x, t, end)
+        t = end
+    return x
+
+
+def _take(model, x, t, dt, n_steps, L, rng):
+    """Take equal steps, drawing the normals in parts."""
+    additive = not model.state_dependent_noise
+    n_normals = normals_per_step(len(L), additive)
+    at_once = max(1, _NORMALS_AT_ONCE // (len(x) * n_normals))
+    loop = steps(additive)
+    for first in range(0, n_steps, at_once):
+        normals = rng.standard_normal((min(at_once, n_steps - first), len(x), n_normals))
+        loop(x, t + first * dt, dt, model.drift_batch, model.noise_batch, model.p, L, normals)
+
+
+def _next_block(model, x, t, t1):
+    """Return the end of the next block of steps and how many steps it takes."""
+    courant = _COURANT_GENERAL if model.state_dependent_noise else _COURANT_ADDITIVE
+    rates = _rates(model, x, t)
+    stiffest = x[np.argsort(rates)[-_LOOKED_AT:]]
+    rate = max(rates.max(), _rate_of_time(model, stiffest, t, t1))
+    length = min(t1 - t, _STEPS_PER_LOOK * courant / rate) if rate > 0 else t1 - t
+    spread = np.sqrt(2.0 * length * np.abs(np.diagonal(model.diffusion(stiffest, t), axis1=1, axis2=2)))
+    moved = [stiffest + sign * spread * axis for axis in np.eye(model.dim) for sign in (-1.0, 1.0)]
+    moved = np.concatenate(moved)
+    rate = max(rate, _rates(model, moved[np.isfinite(moved).all(axis=1)], t).max(initial=0.0))
+    return (t1 if length >= t1 - t else t + length), _parts(length, courant / rate if rate > 0 else length)
+
+
+def _rates(model, X, t):
+    """Return the rate 1/s of each state: ‖∂f/∂x‖, and ‖∂σ/∂x‖² where the noise depends on the state."""
+    if not len(X):
+        return np.zeros(0)
+    J = np.empty((len(X), model.dim**2))
+    model.jacobian_batch(np.ascontiguousarray(X), t, model.p, J)
+    rates = np.linalg.norm(J, axis=1)
+    if model.state_dependent_noise:
+        L = _root(model.spectral_density)
+        h = 1e-5 * np.maximum(1.0, np.abs(X))
+        for j, axis in enumerate(np.eye(model.dim)):
+            rise = model.noise(X + h * axis, t) - model.noise(X - h * axis, t)
+            slope = (rise / (2.0 * h[:, j, None, None])) @ L
+            rates += np.square(slope).sum(axis=(1, 2))
+    return np.nan_to_num(rates, nan=0.0, posinf=0.0)
+
+
+def _rate_of_time(model, X, t, t1):
+    """Return how fast drift and noise change with time, 1/s, relative to their size on (t, t1)."""
+    if model.autonomous:
+        return 0.0
+    at = np.linspace(t, t1, 65)
+    rate = 0.0
+    for function in (model.drift, model.noise):
+        values = np.array([function(X, s).ravel() for s in at])
+        change, size = np.abs(np.diff(values, axis=0)).sum(axis=0).max(), np.abs(values).max()
+        rate = max(rate, change / (size * (t1 - t)) if size > 0 else 0.0)
+    return np.nan_to_num(rate)
+
+
+def _parts(length, longest):
+    return max(1, int(np.ceil(length / longest * (1.0 - 1e-12))))
+
+
+def _root(Q):
+    """Return L with L Lᵀ = Q, for semidefinite Q too."""
+    w, V = np.linalg.eigh(Q)
+    return np.ascontiguousarray(V * np.sqrt(np.maximum(w, 0.0)))
+
+
+def _check_finite(x, before, t):
+    lost = np.flatnonzero(~np.isfinite(x).all(axis=1))
+    if lost.size:
+        raise PropagationError(
+            f"The model blew up between t={before:g} and t={t:g}: state {lost[0]} is {x[lost[0]]}. Check the "
+            "drift and its parameters for growth without bound, or give a smaller max_step=."
+        )
