@@ -1,0 +1,130 @@
+"""Particle filter against the Kalman filter and the laws of resampling."""
+
+import numpy as np
+import pytest
+
+from reference_filters.kalman import KalmanFilter
+from reference_filters.particle import ParticleFilter, systematic_indices
+from sphfilter.errors import ModelError, PropagationError
+from sphfilter.measurements import GaussianMeasurement, LikelihoodMeasurement
+from sphfilter.models import SDE, LinearSDE
+
+OSCILLATOR = LinearSDE(A=[[0.0, 1.0], [-1.0, -0.2]], noise=[[0.0], [1.0]], spectral_density=[[0.8]])
+POSITION = GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.4]])
+X0, P0 = np.array([1.0, -0.5]), np.array([[0.5, 0.1], [0.1, 0.7]])
+TIMES, READINGS = [0.0, 0.8, 0.8, 2.0, 3.0], [[1.5], [0.4], [0.7], None, [-1.9]]
+MODES = ["always", "ess"]
+
+
+def _filter(mode="always", n=1000, rng=1, measurement=POSITION, **options):
+    return ParticleFilter(OSCILLATOR, measurement, X0, P0, n_particles=n, rng=rng, resampling=mode, **options)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_many_particles_give_the_kalman_answer(mode):
+    n = 40_000
+    exact = KalmanFilter(OSCILLATOR, POSITION, X0, P0)
+    result, truth = _filter(mode, n).run(TIMES, READINGS), exact.run(TIMES, READINGS)
+    to_white = np.linalg.inv(np.linalg.cholesky(truth.P))
+    # five standard errors of a mean, of a log-weight average, of a covariance, for an effective n / 4
+    noise = 5 / np.sqrt(n / 4)
+    assert np.abs(np.einsum("tij,tj->ti", to_white, result.x - truth.x)).max() < noise
+    assert np.abs(to_white @ (result.P - truth.P) @ np.swapaxes(to_white, 1, 2)).max() < 2 * noise
+    np.testing.assert_allclose(result.log_evidence, truth.log_evidence, atol=2 * noise)
+    assert result.log_evidence[3] == 0.0
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_evidence_is_unbiased(mode):
+    """E[Ẑ] = Z for any number of particles (Del Moral 2004): wrong bookkeeping of the weights shows here."""
+    exact = KalmanFilter(OSCILLATOR, POSITION, X0, P0)
+    exact.run(TIMES, READINGS)
+    rng = np.random.default_rng(3)
+    ratios = []
+    for _ in range(300):
+        filt = _filter(mode, 30, rng)
+        filt.run(TIMES, READINGS)
+        ratios.append(np.exp(filt.log_evidence - exact.log_evidence))
+    error = np.std(ratios) / np.sqrt(len(ratios))
+    assert error < 0.05
+    assert abs(np.mean(ratios) - 1.0) < 4 * error
+
+
+def test_an_outlier_does_not_underflow():
+    filt = _filter()
+    info = filt.update([400.0])
+    assert np.isfinite(info.log_evidence)
+    assert info.log_evidence < -1e5
+    assert filt.weights.sum() == pytest.approx(1.0)
+    assert np.isfinite(filt.x).all()
+
+
+def test_an_impossible_measurement_is_refused_and_changes_nothing():
+    positive = LikelihoodMeasurement(lambda z, X, t: np.where(X[:, 0] > z[0], 0.0, -np.inf), dim_z=1)
+    filt = _filter(measurement=positive)
+    x = filt.x.copy()
+    filt.update([0.0])
+    assert (filt.particles[filt.weights > 0, 0] > 0).all()
+    assert filt.log_evidence == pytest.approx(np.log(0.92), abs=0.05)
+    x, evidence = filt.x.copy(), filt.log_evidence
+    with pytest.raises(PropagationError, match="no density"):
+        filt.update([1e6])
+    np.testing.assert_array_equal(filt.x, x)
+    assert filt.log_evidence == evidence
+
+
+def test_ess_resamples_only_when_weights_have_degenerated():
+    filt = _filter("ess", 2000)
+    filt.update([1.0], measurement=GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[50.0]]))
+    assert filt.effective_size > 1000
+    filt.predict(0.1)
+    assert np.ptp(filt.weights) > 0
+    filt.update([2.5], measurement=GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.01]]))
+    assert filt.effective_size < 1000
+    filt.predict(0.1)
+    assert np.ptp(filt.weights) == 0
+
+
+def test_systematic_resampling_copies_each_particle_its_share():
+    rng = np.random.default_rng(5)
+    weights = rng.exponential(size=500) ** 3
+    weights[[0, 7, 499]] = 0.0
+    weights /= weights.sum()
+    draws = np.array([np.bincount(systematic_indices(weights, rng), minlength=500) for _ in range(2000)])
+    assert (draws >= np.floor(500 * weights - 1e-9)).all()
+    assert (draws <= np.ceil(500 * weights + 1e-9)).all()
+    share = 500 * weights - np.floor(500 * weights)
+    error = np.sqrt(share * (1 - share) / 2000)
+    assert (np.abs(draws.mean(axis=0) - 500 * weights) <= 5 * error + 1e-9).all()
+
+
+def test_systematic_resampling_survives_rounding_and_leaves_numpys_generator_alone():
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    weights = np.full(1000, (1 - 1e-9) / 1000)
+    weights[-3:] = 0.0
+    for seed in range(200):
+        index = systematic_indices(weights, np.random.default_rng(seed))
+        assert index.min() >= 0
+        assert index.max() < 997
+    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+def test_the_seed_decides_everything():
+    runs = [_filter(rng=seed).run(TIMES, READINGS) for seed in (4, 4, 5)]
+    np.testing.assert_array_equal(runs[0].x, runs[1].x)
+    assert not np.array_equal(runs[0].x, runs[2].x)
+
+
+def test_a_blow_up_leaves_the_filter_as_it_was():
+    runaway = SDE(lambda x, t: (x[0] ** 3,), 1, noise=[[1.0]], spectral_density=[[0.1]])
+    filt = ParticleFilter(runaway, None, [2.0], [[0.1]], n_particles=50, rng=0)
+    particles = filt.particles.copy()
+    with pytest.raises(PropagationError, match="blew up"):
+        filt.predict(3.0)
+    assert filt.t == 0.0
+    np.testing.assert_array_equal(filt.particles, particles)
+
+
+def test_unknown_resampling_is_named():
+    with pytest.raises(ModelError, match="did you mean 'always'"):
+        _filter("alway")
