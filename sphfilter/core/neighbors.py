@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._jit import jit
+from ._jit import inlined, jit
 
-__all__ = ["METHODS", "Index", "build_index", "choose_method", "count_within", "neighbor_lists"]
+__all__ = ["METHODS", "Index", "build_index", "choose_method", "distance2", "neighbor_lists", "query"]
 
 METHODS = ("brute", "cells", "tree")
 BRUTE, CELLS, TREE = range(3)
@@ -37,11 +37,13 @@ class Index(NamedTuple):
 
 
 def choose_method(n_particles, dim):
-    """Return the code of the fastest search, by the number of particles and the dimension (measured)."""
-    smallest = {1: 200, 2: 200, 3: 500, 4: 2000}
-    if dim <= _CELL_AXES:
-        return CELLS if n_particles > smallest[dim] else BRUTE
-    return TREE if n_particles > 10_000 else BRUTE
+    """Return the code of the fastest search for so many particles in so many dimensions (measured).
+
+    Cells win in one dimension and on large clouds in two; the tree wins elsewhere from about 50 particles.
+    """
+    if n_particles < 50:
+        return BRUTE
+    return CELLS if dim == 1 or (dim == 2 and n_particles > 500) else TREE
 
 
 @jit
@@ -112,25 +114,31 @@ def _build_tree(x):
     return Index(TREE, order, start, np.empty(0, np.int64), low, high)
 
 
-@jit
-def _distance2(x, i, y, k):
+@inlined
+def distance2(x, i, y, k):
+    """Squared distance of x[i] and y[k]; written out for two dimensions, where a loop costs twice as much."""
+    if x.shape[1] == 2:
+        a, b = x[i, 0] - y[k, 0], x[i, 1] - y[k, 1]
+        return a * a + b * b
     r2 = 0.0
     for d in range(x.shape[1]):
-        r2 += (x[i, d] - y[k, d]) ** 2
+        a = x[i, d] - y[k, d]
+        r2 += a * a
     return r2
 
 
-@jit
-def _offer(x, j, y, k, R2, found, n_found):
-    """Append particle j to `found` if it lies within the radius of point k."""
-    if _distance2(x, j, y, k) <= R2:
-        found[n_found] = j
+@inlined
+def _offer(x, j, y, k, R2, found, r2, n_found):
+    """Append particle j and its squared distance if it lies within the radius of point k."""
+    gap2 = distance2(x, j, y, k)
+    if gap2 <= R2:
+        found[n_found], r2[n_found] = j, gap2
         n_found += 1
     return n_found
 
 
 @jit
-def _query_cells(index, x, y, k, R, found):
+def _query_cells(index, x, y, k, R, found, r2):
     axes = index.dims.size
     first, last, at = np.empty(axes, np.int64), np.empty(axes, np.int64), np.empty(axes, np.int64)
     for d in range(axes):
@@ -145,7 +153,7 @@ def _query_cells(index, x, y, k, R, found):
         for d in range(axes):
             c = c * index.dims[d] + at[d]
         for s in range(index.start[c], index.start[c + 1]):
-            n_found = _offer(x, index.order[s], y, k, R * R, found, n_found)
+            n_found = _offer(x, index.order[s], y, k, R * R, found, r2, n_found)
         d = axes - 1
         while d >= 0 and at[d] == last[d]:
             at[d] = first[d]
@@ -156,7 +164,7 @@ def _query_cells(index, x, y, k, R, found):
 
 
 @jit
-def _query_tree(index, x, y, k, R, found):
+def _query_tree(index, x, y, k, R, found, r2):
     n_nodes, n = index.low.shape
     stack = np.empty(64, np.int64)
     stack[0], depth, n_found = 0, 1, 0
@@ -173,44 +181,32 @@ def _query_tree(index, x, y, k, R, found):
             depth += 2
         else:
             for s in range(index.start[2 * node], index.start[2 * node + 1]):
-                n_found = _offer(x, index.order[s], y, k, R * R, found, n_found)
+                n_found = _offer(x, index.order[s], y, k, R * R, found, r2, n_found)
     return n_found
 
 
 @jit
-def query(index, x, y, k, R, found):
-    """Write the particles of x within R of the point y[k] to `found` (N,); return how many."""
+def query(index, x, y, k, R, found, r2):
+    """Write particles of x within R of the point y[k], and squared distances, to `found`, `r2` (N,); how many."""
     if index.method == CELLS:
-        return _query_cells(index, x, y, k, R, found)
+        return _query_cells(index, x, y, k, R, found, r2)
     if index.method == TREE:
-        return _query_tree(index, x, y, k, R, found)
+        return _query_tree(index, x, y, k, R, found, r2)
     n_found = 0
     for j in range(x.shape[0]):
-        n_found = _offer(x, j, y, k, R * R, found, n_found)
+        n_found = _offer(x, j, y, k, R * R, found, r2, n_found)
     return n_found
 
 
 @jit
-def count_within(x, support, index):
-    """How many other particles lie within support[i] of particle i."""
-    N = x.shape[0]
-    found, count = np.empty(N, np.int64), np.empty(N, np.int64)
-    for i in range(N):
-        count[i] = query(index, x, x, i, support[i], found) - 1
-    return count
-
-
-@jit
-def _reach(x, i, support, reach, buffer, index, found):
+def _reach(x, i, support, reach, buffer, index, found, r2):
     """Radius in which at least `buffer` particles lie beyond the support of i, starting from `reach`."""
-    N = x.shape[0]
     while True:
-        n_found = query(index, x, x, i, reach, found)
+        n_found = query(index, x, x, i, reach, found, r2)
         inside = 0
         for s in range(n_found):
-            if _distance2(x, i, x, found[s]) <= support * support:
-                inside += 1
-        if n_found - inside >= buffer or n_found == N:
+            inside += r2[s] <= support * support
+        if n_found - inside >= buffer or n_found == x.shape[0]:
             return reach, n_found
         reach *= 1.2
 
@@ -236,42 +232,52 @@ def neighbor_lists(x, support, reach, buffer, index):
         Row i is ``neighbors[start[i]:start[i+1]]``, sorted, without i itself.
     """
     N = x.shape[0]
-    found = np.empty(N, np.int64)
-    pairs, n_pairs = np.empty(32 * N, np.int32), 0
+    found, r2 = np.empty(N, np.int64), np.empty(N)
+    pairs, gaps2, n_pairs = np.empty(32 * N, np.int32), np.empty(32 * N), 0
     start = np.zeros(N + 1, np.int64)
     for i in range(N):
-        reach[i], n_found = _reach(x, i, support[i], max(reach[i], support[i]), buffer, index, found)
+        reach[i], n_found = _reach(x, i, support[i], max(reach[i], support[i]), buffer, index, found, r2)
         while n_pairs + n_found > pairs.size:
-            pairs = np.concatenate((pairs, np.empty(pairs.size, np.int32)))
+            pairs, gaps2 = np.concatenate((pairs, pairs)), np.concatenate((gaps2, gaps2))
         for s in range(n_found):
             if found[s] != i:
-                pairs[n_pairs] = found[s]
+                pairs[n_pairs], gaps2[n_pairs] = found[s], r2[s]
                 n_pairs += 1
         start[i + 1] = n_pairs
-    return _close(x, reach, start, pairs)
+    return _close(reach, start, pairs, gaps2)
 
 
 @jit
-def _close(x, reach, start, pairs):
+def _close(reach, start, pairs, gaps2):
     """Add i to the list of j wherever j lies in the reach of i but not i in that of j, and sort rows."""
-    N = x.shape[0]
+    N = reach.size
     size = np.zeros(N + 1, np.int64)
     for i in range(N):
         size[i + 1] += start[i + 1] - start[i]
         for s in range(start[i], start[i + 1]):
-            if _distance2(x, i, x, pairs[s]) > reach[pairs[s]] ** 2:
+            if gaps2[s] > reach[pairs[s]] ** 2:
                 size[pairs[s] + 1] += 1
     bounds = np.cumsum(size)
-    # The relation is symmetric now, so handing i to its partners in the order of i leaves sorted rows.
     fill, rows = bounds[:-1].copy(), np.empty(bounds[-1], np.int32)
     for i in range(N):
         for s in range(start[i], start[i + 1]):
             j = pairs[s]
             rows[fill[j]] = i
             fill[j] += 1
-            if _distance2(x, i, x, j) > reach[j] ** 2:
+            if gaps2[s] > reach[j] ** 2:
                 rows[fill[i]] = j
                 fill[i] += 1
     for i in range(N):
-        rows[bounds[i] : bounds[i + 1]].sort()
+        _insertion_sort(rows, bounds[i], bounds[i + 1])
     return bounds, rows
+
+
+@jit
+def _insertion_sort(a, low, high):
+    """Sort a[low:high]; rows are filled almost in order, which this sort rewards."""
+    for s in range(low + 1, high):
+        value, k = a[s], s
+        while k > low and a[k - 1] > value:
+            a[k] = a[k - 1]
+            k -= 1
+        a[k] = value

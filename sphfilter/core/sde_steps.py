@@ -57,6 +57,14 @@ def _add(G, w, scale, out):
 
 
 @jit
+def _move(x, h, k, out):
+    """Fill x + h k."""
+    for i in range(x.shape[0]):
+        for a in range(x.shape[1]):
+            out[i, a] = x[i, a] + h * k[i, a]
+
+
+@jit
 def _root_noise(noise, y, t, p, L, raw, out):
     """Fill σ = g L at every row; out (N, n m)."""
     m = L.shape[0]
@@ -112,16 +120,19 @@ def shifted_path_steps(x, t0, dt, drift, noise, p, L, normals):
         _add(G0, start, 1.0, x)
         drift(x, t, p, k1)
         _add(G0, slope, 1.0, k1)
-        y[:] = x + 0.5 * dt * k1
+        _move(x, 0.5 * dt, k1, y)
         drift(y, t + 0.5 * dt, p, k2)
         _add(G1, slope, 1.0, k2)
-        y[:] = x + 0.5 * dt * k2
+        _move(x, 0.5 * dt, k2, y)
         drift(y, t + 0.5 * dt, p, k3)
         _add(G1, slope, 1.0, k3)
-        y[:] = x + dt * k3
+        _move(x, dt, k3, y)
         drift(y, t + dt, p, k4)
         _add(G2, slope, 1.0, k4)
-        x += dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        _move(x, dt / 6.0, k1, x)
+        _move(x, dt / 3.0, k2, x)
+        _move(x, dt / 3.0, k3, x)
+        _move(x, dt / 6.0, k4, x)
         _add(G2, end, 1.0, x)
 
 
@@ -146,7 +157,7 @@ def platen_steps(x, t0, dt, drift, noise, p, L, normals):
                 y[i, a] = x[i, a] + a0[i, a] * dt + w
                 new[i, a] = x[i, a] + 0.5 * dt * a0[i, a] + 0.5 * w
         drift(y, t + dt, p, a1)
-        new += 0.5 * dt * a1
+        _move(new, 0.5 * dt, a1, new)
         for j in range(m):
             for sign in (-1.0, 1.0):
                 for i in range(N):

@@ -84,14 +84,11 @@ def sample_density(y, x, m, h, index, kernel, out):
     n = x.shape[1]
     reach = RADIUS[kind] * h.max()
     for k in prange(y.shape[0]):
-        found = np.empty(x.shape[0], np.int64)
+        found, r2 = np.empty(x.shape[0], np.int64), np.empty(x.shape[0])
         total = 0.0
-        for s in range(query(index, x, y, k, reach, found)):
+        for s in range(query(index, x, y, k, reach, found, r2)):
             j = found[s]
-            r2 = 0.0
-            for d in range(n):
-                r2 += (y[k, d] - x[j, d]) ** 2
-            total += m[j] * C / h[j] ** n * shape(kind, math.sqrt(r2) / h[j])
+            total += m[j] * C / h[j] ** n * shape(kind, math.sqrt(r2[s]) / h[j])
         out[k] = total
 
 
