@@ -3,7 +3,6 @@
 dX = f(X, t) dt + g(X, t) dW with E[dW dWᵀ] = Q dt, hence D = g Q gᵀ / 2 (002 (1)–(5) with the errata).
 """
 
-import copy
 from types import MappingProxyType
 
 import numpy as np
@@ -170,7 +169,8 @@ class SDE:
                 raise ModelError(
                     f"The model has no parameter {name!r}{nearest(name, self.parameters)}; it has: {known}."
                 )
-        new = copy.copy(self)
+        new = object.__new__(type(self))
+        new.__dict__.update(self.__dict__)
         new._set_parameters(_parameters({**self.parameters, **changes}))
         return new
 

@@ -49,6 +49,7 @@ def simulate(model, measurement, x0, times, rng=None, n_paths=None, max_step=Non
         A path left the range of finite numbers.
     """
     rng, times = validate.generator(rng), validate.times("times", times)
+    max_step = None if max_step is None else validate.positive("max_step", max_step)
     single = np.ndim(x0) == 1 and n_paths is None
     x = validate.state_rows("x0", x0, model.dim)
     if n_paths is not None:
