@@ -1,0 +1,253 @@
+"""Monte-Carlo campaigns: many simulated runs of a scenario, every filter on the same measurements.
+
+The numbers depend on the seed alone. Run r has a seed of its own, from which the truth's is spawned and each
+filter's is derived by the filter's name: more runs, other filters, another number of workers or an
+interruption change nothing in the runs and filters that stay.
+"""
+
+import hashlib
+import numbers
+from copy import deepcopy
+from dataclasses import dataclass, fields
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from . import campaign_store as store
+from . import validate
+from .errors import ModelError
+from .results import FilterResult
+
+__all__ = ["CampaignResult", "Case", "Failure", "run_campaign"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One simulated run, as a scenario draws it.
+
+    Attributes
+    ----------
+    times : ndarray, shape (T,)
+        Measurement times, seconds.
+    truth : ndarray, shape (T, n)
+    z : ndarray, shape (T, k)
+        Measurements; NaN where none came.
+    x0, P0 : ndarray, shapes (n,), (n, n)
+        Start of the filters.
+    t0 : float
+        Time of the start, seconds.
+    """
+
+    times: np.ndarray
+    truth: np.ndarray
+    z: np.ndarray
+    x0: np.ndarray
+    P0: np.ndarray
+    t0: float = 0.0
+
+    def __post_init__(self):
+        n = np.shape(self.x0)[0]
+        if not len(self.times) == len(self.truth) == len(self.z):
+            raise ModelError(
+                f"a case needs as many truths and measurements as times; got {len(self.times)} times, "
+                f"{len(self.truth)} truths and {len(self.z)} measurements"
+            )
+        if np.shape(self.truth)[1:] != (n,) or np.shape(self.P0) != (n, n):
+            raise ModelError(
+                f"a case with x0 of length {n} needs truth (T, {n}) and P0 ({n}, {n}); "
+                f"got {np.shape(self.truth)} and {np.shape(self.P0)}"
+            )
+
+
+class Failure(NamedTuple):
+    """A filter that raised in a run."""
+
+    run: int
+    filter: str
+    message: str
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """What all filters made of all runs.
+
+    Attributes
+    ----------
+    scenario : str
+    seed : int
+    times : ndarray, shape (T,)
+    truth : ndarray, shape (R, T, n)
+    z : ndarray, shape (R, T, k)
+    x0, P0 : ndarray, shapes (R, n), (R, n, n)
+    t0 : float
+    results : dict of str to FilterResult
+        Its ``t`` is (T,), its other arrays have the runs as first axis: (R, T, ...). A run in which the
+        filter failed is NaN (and not accepted).
+    run_time : dict of str to ndarray, shape (R,)
+        Wall-clock seconds spent in the filter's ``run``; NaN where it failed.
+    failures : list of Failure
+    """
+
+    scenario: str
+    seed: int
+    times: np.ndarray
+    truth: np.ndarray
+    z: np.ndarray
+    x0: np.ndarray
+    P0: np.ndarray
+    t0: float
+    results: dict
+    run_time: dict
+    failures: list
+
+    def save(self, path):
+        """Write everything to one ``.npz`` file."""
+        store.save_result(self, path)
+
+    @classmethod
+    def load(cls, path):
+        """Read what `save` wrote."""
+        values = store.load_result(path)
+        values["results"] = {name: FilterResult(**r) for name, r in values["results"].items()}
+        values["failures"] = [Failure(*f) for f in values["failures"]]
+        return cls(**values)
+
+
+def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progress=None):
+    """Run every filter on `n_runs` cases of a scenario.
+
+    Parameters
+    ----------
+    scenario : object with ``name`` and ``draw(rng) -> Case``
+        The times of its cases are always the same.
+    filters : mapping of str to callable
+        ``factory(case, rng)`` returns a filter with ``run(times, z) -> FilterResult``. Whatever it raises is
+        recorded, and the campaign goes on.
+    n_runs : int
+    seed : int
+    n_jobs : int or None
+        Worker processes of joblib; scenario and factories must be picklable if more than one. None takes
+        the surrounding ``joblib.parallel_config``, with which other backends (dask) come in.
+    folder : path, optional
+        Each finished run is written there at once. Called again with the same folder, finished runs are read
+        instead of redone, also if `n_runs` has changed.
+    progress : callable, optional
+        Called with (runs done, runs in all), first with the number found in `folder`.
+
+    Returns
+    -------
+    CampaignResult
+
+    Raises
+    ------
+    ModelError
+        Nothing to run, or cases that differ in shape or times.
+    ConfigError
+        The folder holds another campaign: other scenario, seed, filters or versions.
+    """
+    n_runs, filters = validate.count("n_runs", n_runs), dict(filters)
+    if not filters:
+        raise ModelError("run_campaign needs at least one filter, as a mapping of name to factory")
+    if not isinstance(seed, numbers.Integral) or seed < 0:
+        raise ModelError(f"seed must be an integer of zero or more, got {seed!r}")
+    seeds = np.random.SeedSequence(int(seed)).spawn(n_runs)
+    records = {}
+    if folder is not None:
+        folder = Path(folder)
+        first = store.case_digest(_draw(scenario, seeds[0]))
+        store.claim(folder, store.manifest(scenario, filters, int(seed), first))
+        records = {r: store.read_run(path) for r, path in store.finished(folder, n_runs).items()}
+    todo = [(r, scenario, filters, seeds[r], folder) for r in range(n_runs) if r not in records]
+    for done, (r, record) in enumerate(_in_parallel(_run, todo, n_jobs, progress, n_runs), len(records) + 1):
+        records[r] = record
+        if progress is not None:
+            progress(done, n_runs)
+    return _gather(scenario.name, int(seed), [records[r] for r in range(n_runs)], list(filters))
+
+
+def _in_parallel(task, todo, n_jobs, progress, n_runs):
+    """Yield the results of `task` over the rows of `todo` as they come."""
+    from joblib import Parallel, delayed  # on use: import time
+
+    if progress is not None:
+        progress(n_runs - len(todo), n_runs)
+    workers = Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
+    yield from workers(delayed(task)(*row) for row in todo)
+
+
+def _draw(scenario, seed):
+    truth_seed = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, 0))
+    return scenario.draw(np.random.default_rng(truth_seed))
+
+
+def _filter_rng(seed, name):
+    """Return the generator of one filter in one run: by its name, so that no other filter matters to it."""
+    words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype="<u4")
+    key = (*seed.spawn_key, *map(int, words))
+    return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
+
+
+def _run(r, scenario, filters, seed, folder):
+    """Draw run r, put all filters through it, and write the record if there is a folder."""
+    case = _draw(scenario, seed)
+    outcomes = {name: _outcome(make, case, _filter_rng(seed, name)) for name, make in filters.items()}
+    record = {
+        "case": {f.name: np.asarray(getattr(case, f.name), dtype=float) for f in fields(case)},
+        "results": {name: arrays for name, (arrays, _, _) in outcomes.items()},
+        "run_time": {name: seconds for name, (_, seconds, _) in outcomes.items()},
+        "failures": [(r, name, message) for name, (_, _, message) in outcomes.items() if message],
+    }
+    if folder is not None:
+        store.write_run(folder, r, record)
+    return r, record
+
+
+def _outcome(make, case, rng):
+    """Return the arrays of a filter's run, its seconds, and what it raised (empty if nothing)."""
+    blank = _blank(case)
+    case = deepcopy(case)  # what one filter does to its case must not reach the next
+    try:
+        filt = make(case, rng)
+        start = perf_counter()
+        result = filt.run(case.times, case.z)
+        seconds = perf_counter() - start
+        arrays = {name: np.asarray(getattr(result, name)) for name in blank}
+        wrong = [name for name in blank if arrays[name].shape != blank[name].shape]
+        if wrong:
+            shapes = f"{arrays[wrong[0]].shape}, not {blank[wrong[0]].shape}"
+            raise ModelError(f"the filter's result has {wrong[0]} of shape {shapes}")
+    except Exception as error:  # a filter under test may raise anything, and that is a finding
+        return blank, np.nan, f"{type(error).__name__}: {error}"
+    return arrays, seconds, ""
+
+
+def _blank(case):
+    T, n = np.shape(case.truth)
+    shapes = {"x_prior": (T, n), "P_prior": (T, n, n), "x": (T, n), "P": (T, n, n), "log_evidence": (T,)}
+    return {name: np.full(shape, np.nan) for name, shape in shapes.items()} | {"accepted": np.zeros(T, bool)}
+
+
+def _gather(scenario, seed, records, names):
+    """Stack the records of all runs."""
+    first = records[0]["case"]
+    for r, record in enumerate(records):
+        for key in ("times", "t0"):
+            if not np.array_equal(record["case"][key], first[key]):
+                raise ModelError(f"the cases of scenario {scenario!r} differ in {key} (runs 0 and {r})")
+
+    histories = _stacked([{k: v for k, v in record.items() if k != "failures"} for record in records])
+    cases = {key: histories["case"][key] for key in ("truth", "z", "x0", "P0")}
+    results = {name: FilterResult(t=first["times"], **histories["results"][name]) for name in names}
+    run_time = {name: histories["run_time"][name] for name in names}
+    failures = [Failure(*failure) for record in records for failure in record["failures"]]
+    return CampaignResult(scenario=scenario, seed=seed, times=first["times"], t0=float(first["t0"]), **cases,
+                          results=results, run_time=run_time, failures=failures)  # fmt: skip
+
+
+def _stacked(trees):
+    """Stack the arrays of equal trees of dictionaries."""
+    if isinstance(trees[0], dict):
+        return {key: _stacked([tree[key] for tree in trees]) for key in trees[0]}
+    return np.stack(trees)

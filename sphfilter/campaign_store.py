@@ -1,0 +1,150 @@
+"""Campaigns on disk: a manifest, one file a finished run, and the whole result in one file.
+
+A file appears under its name only when it is complete, so an interruption leaves finished runs and nothing
+half-written.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import re
+from dataclasses import fields, is_dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from ._version import __version__
+from .errors import ConfigError
+
+__all__ = ["case_digest", "claim", "finished", "load_result", "manifest", "read_run", "save_result",
+           "write_run"]  # fmt: skip
+
+_MANIFEST = "manifest.json"
+
+
+def manifest(scenario, filters, seed, first_case):
+    """Describe a campaign, so that its runs are never mixed with those of another.
+
+    A scenario and a factory are known by their text (``repr``, addresses in memory left out); a factory that
+    is a plain function by its name only. `first_case` is the digest of run 0, which tells scenarios apart
+    whose text does not.
+    """
+    return {
+        "seed": seed,
+        "scenario": {"name": scenario.name, "text": _text(scenario)},
+        "filters": {name: _text(make) for name, make in filters.items()},
+        "versions": {"sphfilter": __version__, "python": platform.python_version()}
+        | {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")},
+        "digest of run 0": first_case,
+    }
+
+
+def _text(thing):
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", repr(thing))
+
+
+def case_digest(case):
+    """Return a digest of all numbers of a case."""
+    digest = hashlib.sha256()
+    for field in fields(case):
+        digest.update(np.ascontiguousarray(getattr(case, field.name), dtype=float).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def claim(folder, wanted):
+    """Write the manifest into a new folder, or make sure that the one that is there is the same."""
+    path = Path(folder) / _MANIFEST
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _replace(path, lambda part: part.write_text(json.dumps(wanted, indent=1)))
+        return
+    found = json.loads(path.read_text())
+    other = [key for key in wanted if found.get(key) != wanted[key]]
+    if other:
+        key = other[0]
+        raise ConfigError(
+            f"{folder} holds another campaign: its {key} is {_short(found.get(key), wanted[key])}, now it is "
+            f"{_short(wanted[key], found.get(key))}. Give another folder, or delete this one."
+        )
+
+
+def _short(value, other):
+    """Return what differs between two manifest entries, in a few words."""
+    if isinstance(value, dict) and isinstance(other, dict):
+        value = {k: v for k, v in value.items() if other.get(k) != v} or sorted(value)
+    text = str(value)
+    return text if len(text) <= 200 else text[:197] + "..."
+
+
+def _path(folder, r):
+    return Path(folder) / f"run_{r:05d}.npz"
+
+
+def finished(folder, n_runs):
+    """Return the files of the runs below `n_runs` that are done, by run."""
+    return {r: _path(folder, r) for r in range(n_runs) if _path(folder, r).exists()}
+
+
+def write_run(folder, r, record):
+    """Write one run: nested dictionaries of arrays, and its failures."""
+    _save(_path(folder, r), record, plain=("failures",))
+
+
+def read_run(path):
+    """Read what `write_run` wrote."""
+    return _load(path)
+
+
+def save_result(result, path):
+    """Write a CampaignResult to one ``.npz`` file."""
+    _save(Path(path), _tree(result), plain=("scenario", "seed", "t0", "failures"))
+
+
+def load_result(path):
+    """Return the fields that `save_result` wrote; filter results and failures as dictionaries and lists."""
+    return _load(path)
+
+
+def _tree(value):
+    if is_dataclass(value):
+        return {f.name: _tree(getattr(value, f.name)) for f in fields(value)}
+    return {k: _tree(v) for k, v in value.items()} if isinstance(value, dict) else value
+
+
+def _save(path, values, plain):
+    """Write nested dictionaries of arrays; their shape and the `plain` values go in as JSON text."""
+    arrays = []
+
+    def number(node):
+        if isinstance(node, dict):
+            return {key: number(child) for key, child in node.items()}
+        arrays.append(np.asarray(node))
+        return len(arrays) - 1
+
+    tree = number({key: value for key, value in values.items() if key not in plain})
+    index = json.dumps({"tree": tree, "plain": {key: values[key] for key in plain}})
+
+    def write(part):
+        with open(part, "wb") as file:
+            np.savez_compressed(file, index=index, **{f"a{i}": a for i, a in enumerate(arrays)})
+
+    _replace(path, write)
+
+
+def _load(path):
+    with np.load(path) as data:
+        index = json.loads(str(data["index"]))
+
+        def value(node):
+            return {k: value(v) for k, v in node.items()} if isinstance(node, dict) else data[f"a{node}"]
+
+        return value(index["tree"]) | index["plain"]
+
+
+def _replace(path, write):
+    """Let `write` fill a file beside `path`, then put it in place in one move."""
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    write(part)
+    os.replace(part, path)
