@@ -1,0 +1,149 @@
+"""The filters an experiment can run, by name, as factories for `run_campaign`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import sphfilter as sf
+from reference_filters.closed_forms import BenesFilter
+from reference_filters.grid import GridFilter
+from reference_filters.grid_density import GridDensity, fitted_box
+from reference_filters.kalman import ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
+from reference_filters.particle import ParticleFilter
+from sphfilter.errors import ConfigError, nearest
+
+from .scenario import Scenario
+
+__all__ = ["FILTERS", "Factory", "factories"]
+
+
+@dataclass(frozen=True)
+class Factory:
+    """Make one filter of a scenario for a case; picklable, and its text says all its settings."""
+
+    name: str
+    scenario: Scenario
+    settings: object = None
+
+    def __call__(self, case, rng):
+        """Return the filter at the start of `case`."""
+        build = _BUILDERS[self.name]
+        return build(self.scenario, self.settings, case, rng)
+
+
+def _kalman(scenario, settings, case, rng):
+    return KalmanFilter(scenario.model, scenario.measurement, case.x0, case.P0, case.t0)
+
+
+def _extended(scenario, settings, case, rng):
+    return ExtendedKalmanFilter(
+        scenario.model, scenario.measurement, case.x0, case.P0, case.t0, rtol=settings.rtol
+    )
+
+
+def _unscented(scenario, settings, case, rng):
+    return UnscentedKalmanFilter(
+        scenario.model, scenario.measurement, case.x0, case.P0, case.t0, rtol=settings.rtol
+    )
+
+
+def _particle(scenario, settings, case, rng):
+    return ParticleFilter(
+        scenario.model,
+        scenario.measurement,
+        case.x0,
+        case.P0,
+        case.t0,
+        n_particles=settings.n_particles,
+        rng=rng,
+        resampling=settings.resampling,
+        step=settings.step,
+    )
+
+
+def _sph(scenario, settings, case, rng):
+    shape = {"n_particles": settings.n_particles, "config": settings.config}
+    if scenario.settings.start.kind != "benes":
+        return sf.SPHFilter(scenario.model, scenario.measurement, case.x0, case.P0, t0=case.t0, **shape)
+    exact = _benes(scenario, None, case, rng)
+    reach = 6 * np.sqrt(exact.P[0, 0])
+    box = [[exact.x[0] - reach, exact.x[0] + reach]]
+    density = sf.initialize(lambda X: exact.pdf(X[:, 0]), box=box, t=case.t0, **shape)
+    return sf.SPHFilter(scenario.model, scenario.measurement, density=density, **shape)
+
+
+def _grid(scenario, settings, case, rng):
+    shape = {"size": settings.size, "tol": settings.tol}
+    if scenario.settings.start.kind != "benes":
+        return GridFilter(scenario.model, scenario.measurement, case.x0, case.P0, case.t0, **shape)
+    exact = _benes(scenario, None, case, rng)
+    box = fitted_box(exact.x[None], np.ones(1), exact.P, settings.size)
+    density = GridDensity.sampled(lambda X: exact.pdf(X[:, 0]), box)
+    return GridFilter(scenario.model, scenario.measurement, t0=case.t0, density=density, **shape)
+
+
+def _benes(scenario, settings, case, rng):
+    start = scenario.settings.start
+    if start.kind != "benes":
+        raise ConfigError('the Beneš filter needs a scenario with start.kind = "benes"')
+    return BenesFilter(scenario.measurement, start.mean[0], start.cov[0][0], case.t0)
+
+
+#: What the names stand for.
+FILTERS = {
+    "kf": "Kalman filter (exact for linear models)",
+    "ekf": "extended Kalman filter",
+    "ukf": "unscented Kalman filter",
+    "pf": "bootstrap particle filter",
+    "sph": "SPH filter: carries the density itself",
+    "grid": "density on a grid (1 or 2 states), the referee",
+    "benes": "closed form of the Beneš problem",
+}
+_BUILDERS = {
+    "kf": _kalman,
+    "ekf": _extended,
+    "ukf": _unscented,
+    "pf": _particle,
+    "sph": _sph,
+    "grid": _grid,
+    "benes": _benes,
+}
+
+
+def factories(names, scenario):
+    """Return a factory for each name, in that order; the scenario's own choice for None.
+
+    Parameters
+    ----------
+    names : sequence of str, or None
+    scenario : Scenario
+
+    Returns
+    -------
+    dict of str to Factory
+
+    Raises
+    ------
+    ConfigError
+        Unknown name, or a filter that does not fit the scenario.
+    """
+    settings = scenario.settings.filters
+    made = {}
+    for name in settings.default if names is None else names:
+        if name not in FILTERS:
+            raise ConfigError(f"no filter {name!r}{nearest(name, FILTERS)}; there are {', '.join(FILTERS)}")
+        _check_fit(name, scenario)
+        made[name] = Factory(name, scenario, getattr(settings, name, None))
+    if not made:
+        raise ConfigError(f"no filter is asked for; there are {', '.join(FILTERS)}")
+    return made
+
+
+def _check_fit(name, scenario):
+    model, start = scenario.model, scenario.settings.start
+    if name == "kf" and not model.linear:
+        raise ConfigError(f"kf needs a linear model, {scenario.name} is not: take ekf or ukf")
+    if name == "grid" and (model.dim > 2 or model.state_dependent_noise):
+        raise ConfigError(f"grid takes 1 or 2 states with additive noise, not {scenario.name}: take pf")
+    if name == "benes" and start.kind != "benes":
+        raise ConfigError(f"benes is the closed form of one problem, not of {scenario.name}")

@@ -1,0 +1,152 @@
+"""Scenarios: read from TOML, changed key by key, and drawn from as simulated runs."""
+
+import json
+import tomllib
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+
+import sphfilter as sf
+from sphfilter.campaign import Case
+from sphfilter.errors import ConfigError, ModelError, nearest
+
+from . import start
+from .settings import ScenarioSettings
+
+__all__ = ["Scenario", "load_scenario", "parse_change", "read_settings", "scenario_names"]
+
+_FOLDER = Path(__file__).parent / "scenarios"
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A model, a sensor, measurement times and a start: what a campaign draws its runs from.
+
+    Only the settings travel to worker processes; each compiles the model once.
+
+    Attributes
+    ----------
+    name : str
+    settings : ScenarioSettings
+    """
+
+    name: str
+    settings: ScenarioSettings
+
+    @property
+    def model(self):
+        """The `SDE`."""
+        return _model(json.dumps(asdict(self.settings.model), sort_keys=True))
+
+    @property
+    def measurement(self):
+        """The `GaussianMeasurement`."""
+        sensor = self.settings.sensor
+        return sf.GaussianMeasurement(h=sensor.h, noise_cov=sensor.noise_cov)
+
+    @property
+    def labels(self):
+        """Names of the states for people, length n."""
+        return self.settings.model.labels or self.settings.model.states
+
+    @property
+    def units(self):
+        """Units of the states, length n; empty where a state is a plain number."""
+        return self.settings.model.units or ("",) * len(self.settings.model.states)
+
+    def draw(self, rng):
+        """Simulate one run, as a `Case`."""
+        begin, times = self.settings.start, self.settings.times
+        draw = {"gaussian": start.gaussian, "benes": start.benes, "tpd": start.two_point}[begin.kind]
+        epochs = times.grid()
+        truth, z, x0, P0 = draw(self.model, self.measurement, begin, times.start, epochs, rng)
+        return Case(times=epochs, truth=truth, z=z, x0=x0, P0=P0, t0=times.start)
+
+
+@cache
+def _model(text):
+    values = json.loads(text)
+    return sf.SDE.from_expressions(**{k: v for k, v in values.items() if k not in ("labels", "units")})
+
+
+def scenario_names():
+    """Names of the scenarios that come with the project."""
+    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
+
+
+def read_settings(name, changes=None):
+    """Read the settings of a scenario without building its model.
+
+    Parameters
+    ----------
+    name : str
+        A name of `scenario_names`, or the path of a TOML file.
+    changes : mapping of str to value, optional
+        Values to replace, by dotted key: ``{"times.interval": 3.0}``. Keys of the SPH filter's
+        configuration may be given short: ``{"scheme.kernel": "gaussian"}``.
+
+    Raises
+    ------
+    ConfigError
+        Unknown scenario or key (the nearest valid one is named), or a value that is not valid.
+    """
+    path = Path(name) if str(name).endswith(".toml") else _FOLDER / f"{name}.toml"
+    if not path.is_file():
+        known = scenario_names()
+        raise ConfigError(f"no scenario {name!r}{nearest(name, known)}; there are {', '.join(known)}")
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise ConfigError(f"{path} is not valid TOML: {problem}") from None
+    for key, value in (changes or {}).items():
+        _change(tree, key, value)
+    return ScenarioSettings(**tree)
+
+
+def load_scenario(name, **changes):
+    """Read a scenario and build its model and sensor; see `read_settings` for name and changes.
+
+    Returns
+    -------
+    Scenario
+
+    Raises
+    ------
+    ConfigError, ExpressionError, ModelError
+    """
+    scenario = Scenario(Path(name).stem, read_settings(name, changes))
+    n, h, begin = scenario.model.dim, scenario.measurement.H, scenario.settings.start
+    if h.shape[1] != n or len(begin.mean) != n:
+        raise ModelError(
+            f"the model has {n} states, but sensor.h {h.shape[1]} columns and start.mean {len(begin.mean)} values"
+        )
+    sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
+    return scenario
+
+
+def parse_change(text):
+    """Split "key=value", the value in TOML's syntax or a bare word.
+
+    Returns
+    -------
+    key, value
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise ConfigError(f"a change is given as key=value, not {text!r}; for instance scheme.kernel=gaussian")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value.strip()
+
+
+def _change(tree, key, value):
+    """Set a dotted key; the settings check it later."""
+    parts = key.split(".")
+    if parts[0] in ("scheme", "acceptance"):
+        parts = ["filters", "sph", "config", *parts]
+    for i, part in enumerate(parts[:-1]):
+        tree = tree.setdefault(part, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"cannot set {key}: {'.'.join(parts[: i + 1])} is a value, not a table")
+    tree[parts[-1]] = value

@@ -1,0 +1,197 @@
+"""What a scenario file may say: frozen settings that check themselves; a scenario is data, never code."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from sphfilter.config import FilterConfig, settings
+
+__all__ = ["Filters", "ModelText", "Published", "Runs", "ScenarioSettings", "Sensor", "Start", "Times"]
+
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+Row = tuple[float, ...]
+Matrix = tuple[Row, ...]
+
+
+@settings
+class ModelText:
+    """The stochastic differential equation, as text (see `SDE.from_expressions`).
+
+    Attributes
+    ----------
+    states : tuple of str
+        Names used in the expressions; `labels` and `units` are for tables and axes.
+    drift : tuple of str, length n
+    noise : nested tuple of str or float, shape (n, m)
+    spectral_density : nested tuple, shape (m, m)
+        Q, dW covariance Q dt: D = g Q gᵀ / 2.
+    parameters : dict of str to float
+    """
+
+    states: tuple[str, ...]
+    labels: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    drift: tuple[str, ...]
+    noise: tuple[tuple[float | str, ...], ...]
+    spectral_density: Matrix
+    parameters: dict[str, float] = Field(default_factory=dict)
+    interpretation: Literal["ito", "stratonovich"] = "ito"
+
+    @model_validator(mode="after")
+    def _one_name_a_state(self):
+        for key in ("labels", "units"):
+            if getattr(self, key) and len(getattr(self, key)) != len(self.states):
+                raise ValueError(f"{key} must name each of the {len(self.states)} states")
+        return self
+
+
+@settings
+class Sensor:
+    """z = H x + v with v ~ N(0, R): H is `h`, shape (k, n); R is `noise_cov`, shape (k, k)."""
+
+    h: Matrix
+    noise_cov: Matrix
+
+
+@settings
+class Times:
+    """Measurement times: start + interval, start + 2 interval, ... up to end, seconds."""
+
+    start: float = 0.0
+    interval: Positive
+    end: float
+
+    @model_validator(mode="after")
+    def _one_measurement(self):
+        if self.end < self.start + self.interval:
+            raise ValueError(f"end = {self.end:g} leaves no measurement after start + interval")
+        return self
+
+    def grid(self):
+        """Measurement times, shape (T,)."""
+        n = int(np.floor((self.end - self.start) / self.interval * (1 + 1e-12)))
+        return self.start + self.interval * np.arange(1, n + 1)
+
+
+@settings
+class Start:
+    """How a run starts, at time `Times.start`.
+
+    Attributes
+    ----------
+    kind : str
+        "gaussian": the truth is drawn from N(mean, cov), which the filters are given. "tpd": two-point
+        differencing of two measurements (002 6.6); N(mean, cov) is where the truth was `burn_in` seconds
+        earlier. "benes": the density cosh(x) N(x; mean, cov) up to a factor, which `BenesFilter` carries.
+    mean, cov : tuple, shapes (n,), (n, n)
+    burn_in : float
+        Seconds the truth runs before the start, to be near its stationary law.
+    interval : float
+        T0, seconds between the two measurements of "tpd".
+    pairs : tuple of (int, int)
+        For each component of z the states (position, velocity) that "tpd" starts from it.
+    """
+
+    kind: Literal["gaussian", "tpd", "benes"]
+    mean: Row
+    cov: Matrix
+    burn_in: Annotated[float, Field(ge=0)] = 0.0
+    interval: Positive = 0.5
+    pairs: tuple[tuple[int, int], ...] = ()
+
+    @model_validator(mode="after")
+    def _fits_its_kind(self):
+        if self.kind == "tpd" and not (self.pairs and self.burn_in >= self.interval):
+            raise ValueError('kind = "tpd" needs pairs, and a burn_in of at least the interval')
+        if self.kind != "tpd" and (self.pairs or self.burn_in):
+            raise ValueError(f'pairs and burn_in belong to kind = "tpd", not to {self.kind!r}')
+        return self
+
+
+@settings
+class MomentFilter:
+    """EKF or UKF: error allowed per integration step of the moments, in standard deviations."""
+
+    rtol: Positive = 1e-6
+
+
+@settings
+class Particle:
+    """Bootstrap particle filter; `step` is its longest time step in seconds."""
+
+    n_particles: Count = 1000
+    resampling: Literal["always", "ess"] = "ess"
+    step: Positive = 0.1
+
+
+@settings
+class Sph:
+    """`SPHFilter`: upper bound of the number of particles, and its configuration."""
+
+    n_particles: Count = 200
+    config: FilterConfig = Field(default_factory=FilterConfig.paper)
+
+
+@settings
+class Grid:
+    """Split-step grid filter: nodes an axis, and L1 error allowed per step."""
+
+    size: Count = 128
+    tol: Positive = 1e-3
+
+
+@settings
+class Filters:
+    """Which filters run if none are asked for, and the settings of those that have any."""
+
+    default: tuple[str, ...] = ("ekf", "ukf", "pf", "sph")
+    ekf: MomentFilter = Field(default_factory=MomentFilter)
+    ukf: MomentFilter = Field(default_factory=MomentFilter)
+    pf: Particle = Field(default_factory=Particle)
+    sph: Sph = Field(default_factory=Sph)
+    grid: Grid = Field(default_factory=Grid)
+
+
+@settings
+class Runs:
+    """Number of runs if none is asked for, number of the publication, and seed."""
+
+    default: Count = 5
+    published: Count | None = None
+    seed: Annotated[int, Field(ge=0)] = 1
+
+
+@settings
+class Published:
+    """Figures of one filter in the publication, per state where they are rows; run time in seconds."""
+
+    max_peak: Row
+    avg_peak: Row
+    rms: Row
+    run_time: float
+
+
+@settings
+class ScenarioSettings:
+    """One scenario file.
+
+    Attributes
+    ----------
+    description, source : str
+        One line for `list`; where the scenario or its figures come from.
+    exact : str or None
+        Name of the filter that is exact here, and the reference of the others.
+    """
+
+    description: str
+    source: str = ""
+    exact: str | None = None
+    model: ModelText
+    sensor: Sensor
+    times: Times
+    start: Start
+    runs: Runs = Field(default_factory=Runs)
+    filters: Filters = Field(default_factory=Filters)
+    published: dict[str, Published] = Field(default_factory=dict)
