@@ -20,7 +20,7 @@ from . import validate
 from .errors import ModelError
 from .results import FilterResult
 
-__all__ = ["CampaignResult", "Case", "Failure", "run_campaign"]
+__all__ = ["CampaignResult", "Case", "Failure", "draw_case", "run_campaign"]
 
 
 @dataclass(frozen=True)
@@ -175,6 +175,11 @@ def _in_parallel(task, todo, n_jobs, progress, n_runs):
         progress(n_runs - len(todo), n_runs)
     workers = Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
     yield from workers(delayed(task)(*row) for row in todo)
+
+
+def draw_case(scenario, seed, run):
+    """Draw one run of the campaign with this seed again, counted from zero."""
+    return _draw(scenario, np.random.SeedSequence(int(seed)).spawn(run + 1)[run])
 
 
 def _draw(scenario, seed):
