@@ -64,18 +64,25 @@ def claim(folder, wanted):
     other = [key for key in wanted if found.get(key) != wanted[key]]
     if other:
         key = other[0]
+        was, now = _difference(*(_leaves(side.get(key)) for side in (found, wanted)))
         raise ConfigError(
-            f"{folder} holds another campaign: its {key} is {_short(found.get(key), wanted[key])}, now it is "
-            f"{_short(wanted[key], found.get(key))}. Give another folder, or delete this one."
+            f"{folder} holds another campaign: its {key} is {was}, now it is {now}. "
+            "Give another folder, or delete this one."
         )
 
 
-def _short(value, other):
-    """Return what differs between two manifest entries, in a few words."""
-    if isinstance(value, dict) and isinstance(other, dict):
-        value = {k: v for k, v in value.items() if other.get(k) != v} or sorted(value)
-    text = str(value)
-    return text if len(text) <= 200 else text[:197] + "..."
+def _leaves(value):
+    return ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else str(value)
+
+
+def _difference(*texts, width=80):
+    """Return two texts, cut to the neighbourhood of their first difference."""
+    first = next((i for i, pair in enumerate(zip(*texts, strict=False)) if len(set(pair)) > 1), 0)
+    start = max(0, first - width // 2)
+    return [
+        ("..." if start else "") + text[start : start + width] + ("..." if len(text) > start + width else "")
+        for text in texts
+    ]
 
 
 def _path(folder, r):

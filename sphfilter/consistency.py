@@ -195,8 +195,8 @@ def diverged(nees_values, dim, window=5, level=0.9999):
     The criterion: the NEES averaged over `window` successive updates (over all, if there are fewer) exceeds
     the `level` point of χ²_{window·n}/window. The level is nominal, since errors of successive updates are
     correlated: of exact Kalman filters with 40 updates of two states, 0.3 % count as diverged by chance when
-    errors are independent and 5 % when each update removes about half of the variance. Compare with a filter
-    known to be consistent.
+    errors are independent, and 5 % when successive errors correlate by 0.4. Compare with a filter known to be
+    consistent.
 
     Parameters
     ----------
