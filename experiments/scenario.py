@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 import sphfilter as sf
 from sphfilter.campaign import Case
 from sphfilter.errors import ConfigError, ModelError, nearest
@@ -16,6 +18,8 @@ from .settings import ScenarioSettings
 __all__ = ["Scenario", "load_scenario", "parse_change", "read_settings", "scenario_names"]
 
 _FOLDER = Path(__file__).parent / "scenarios"
+#: Times in an interval between measurements at which the truth is drawn.
+_PARTS = 20
 
 
 @dataclass(frozen=True)
@@ -28,10 +32,13 @@ class Scenario:
     ----------
     name : str
     settings : ScenarioSettings
+    between : bool
+        Cases hold times between the measurements too, without measurement: the same runs, for pictures.
     """
 
     name: str
     settings: ScenarioSettings
+    between: bool = False
 
     @property
     def model(self):
@@ -56,11 +63,18 @@ class Scenario:
 
     def draw(self, rng):
         """Simulate one run, as a `Case`."""
-        begin, times = self.settings.start, self.settings.times
+        begin, t0, interval = self.settings.start, self.settings.times.start, self.settings.times.interval
         draw = {"gaussian": start.gaussian, "benes": start.benes, "tpd": start.two_point}[begin.kind]
-        epochs = times.grid()
-        truth, z, x0, P0 = draw(self.model, self.measurement, begin, times.start, epochs, rng)
-        return Case(times=epochs, truth=truth, z=z, x0=x0, P0=P0, t0=times.start)
+        n = len(self.settings.times.grid())
+        times = t0 + interval * np.arange(1, n * _PARTS + 1) / _PARTS
+        truth, z, x0, P0 = draw(self.model, self.measurement, begin, t0, times, rng)
+        at_measurement = slice(_PARTS - 1, None, _PARTS)
+        if not self.between:
+            times, truth, z = self.settings.times.grid(), truth[at_measurement], z[at_measurement]
+        else:
+            measured, z = z[at_measurement], np.full_like(z, np.nan)
+            z[at_measurement] = measured
+        return Case(times=times, truth=truth, z=z, x0=x0, P0=P0, t0=t0)
 
 
 @cache
@@ -118,7 +132,8 @@ def load_scenario(name, **changes):
     n, h, begin = scenario.model.dim, scenario.measurement.H, scenario.settings.start
     if h.shape[1] != n or len(begin.mean) != n:
         raise ModelError(
-            f"the model has {n} states, but sensor.h {h.shape[1]} columns and start.mean {len(begin.mean)} values"
+            f"the model has {n} states, but sensor.h has {h.shape[1]} columns "
+            f"and start.mean {len(begin.mean)} values"
         )
     sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
     return scenario
@@ -133,7 +148,7 @@ def parse_change(text):
     """
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
-        raise ConfigError(f"a change is given as key=value, not {text!r}; for instance scheme.kernel=gaussian")
+        raise ConfigError(f"a change is key=value, not {text!r}; for instance scheme.kernel=gaussian")
     try:
         return key.strip(), tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:

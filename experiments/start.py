@@ -5,7 +5,6 @@ from functools import cache
 import numpy as np
 from scipy.stats import chi2
 
-import sphfilter as sf
 from reference_filters.closed_forms import BenesFilter
 from sphfilter.errors import ConfigError
 from sphfilter.simulate import simulate
@@ -52,15 +51,15 @@ def two_point(model, measurement, start, t0, times, rng):
         error = truth[2] - x0
         if error @ np.linalg.solve(P0, error) <= chi2.ppf(_ACCEPTED, model.dim):
             return truth[3:], z[3:], x0, P0
-    raise ConfigError(f"no start in {_MAX_REDRAWS} was consistent: is start.interval too long for this model?")
+    raise ConfigError(f"no start in {_MAX_REDRAWS} was consistent; is start.interval too long?")
 
 
 def two_point_estimate(model, measurement, start, z_before, z_now):
     """Mean and covariance of (position, velocity) pairs from two measurements `start.interval` apart.
 
-    x̂ = z₀, v̂ = (z₀ − z₋₁)/T₀; P = [[R, R/T₀], [R/T₀, 2R/T₀² + Q T₀/3 + (a T₀/2)²]]. The last two terms are not
-    in the textbook: v̂ is the mean velocity of the interval and lags by the noise and by half an interval of
-    the model's acceleration, whose root mean square is a.
+    x̂ = z₀, v̂ = (z₀ − z₋₁)/T₀; P = [[R, R/T₀], [R/T₀, 2R/T₀² + Q T₀/3 + (a T₀/2)²]]. The last two terms
+    are not in the textbook: v̂ is the mean velocity of the interval and lags by the noise and by half an
+    interval of the model's acceleration, whose root mean square is a.
 
     Returns
     -------
@@ -92,11 +91,11 @@ def acceleration_rms(model, start):
     return np.sqrt(np.mean(model.drift(truth[:, -1], start.burn_in) ** 2, axis=0))
 
 
-def _check_pairs(measurement: sf.GaussianMeasurement, start):
+def _check_pairs(measurement, start):
     observed = measurement.directly_observed
     positions = [position for position, _ in start.pairs]
     if observed is None or list(observed[0]) != positions or np.any(observed[1] != 1.0):
         raise ConfigError(
-            f"two-point differencing needs a sensor that reads the positions {positions} of start.pairs, one a "
-            f"component and unscaled, with uncorrelated noise; h is {measurement.H.tolist()}"
+            f"two-point differencing needs a sensor that reads the positions {positions} of start.pairs, "
+            f"one a component and unscaled, with uncorrelated noise; h is {measurement.H.tolist()}"
         )

@@ -1,0 +1,24 @@
+"""`python -m experiments list`: the scenarios, one line each."""
+
+from rich.console import Console
+from rich.table import Table
+
+from .scenario import read_settings, scenario_names
+
+__all__ = ["add_arguments", "main"]
+
+
+def add_arguments(parser):
+    """Add no options."""
+
+
+def main(args):
+    """Print name and description of every scenario."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column()
+    for name in scenario_names():
+        table.add_row(name, read_settings(name).description)
+    console = Console(highlight=False)
+    console.print(table)
+    console.print("\nRun one with: python -m experiments run NAME", style="dim")

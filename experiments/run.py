@@ -1,0 +1,172 @@
+"""`python -m experiments run NAME`: simulate a scenario, run filters on it, tell and draw what came out."""
+
+import json
+import platform
+import shutil
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from sphfilter import __version__
+from sphfilter.campaign import run_campaign
+from sphfilter.report import report
+
+from . import plots
+from .comparison import distances, reference_name
+from .filters import FILTERS, factories
+from .scenario import load_scenario, parse_change
+from .tables import distance_table, result_table, sentences
+
+__all__ = ["Interrupted", "add_arguments", "main"]
+
+
+class Interrupted(KeyboardInterrupt):
+    """The user stopped a campaign; the message says how to go on."""
+
+
+def add_arguments(parser):
+    """Add the options of `run`."""
+    parser.add_argument("scenario", help="a name from `list`, or the path of a scenario's TOML file")
+    parser.add_argument("--filters", help=f"comma-separated, of {', '.join(FILTERS)}")
+    parser.add_argument("--runs", type=int, help="number of simulated runs")
+    parser.add_argument("--seed", type=int, help="seed of everything random")
+    parser.add_argument("--out", type=Path, help="folder for results (default: results/NAME)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--n-particles", type=int, help="particles of the SPH filter, at most")
+    parser.add_argument(
+        "--set",
+        dest="changes",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a key of the scenario, e.g. times.interval=3, or of the SPH filter, e.g. "
+        "scheme.kernel=gaussian; may be repeated",
+    )
+
+
+def main(args):
+    """Run the command; prints to standard output."""
+    console = Console(highlight=False)
+    console = console if console.is_terminal else Console(highlight=False, width=132)
+    changes = dict(parse_change(text) for text in args.changes)
+    if args.n_particles is not None:
+        changes["filters.sph.n_particles"] = args.n_particles
+    scenario = load_scenario(args.scenario, **changes)
+    names = None if args.filters is None else [name.strip() for name in args.filters.split(",")]
+    filters = factories(names, scenario)
+    n_runs = scenario.settings.runs.default if args.runs is None else args.runs
+    seed = scenario.settings.runs.seed if args.seed is None else args.seed
+    out = args.out or Path("results") / scenario.name
+
+    console.print(f"[bold]{scenario.name}[/]: {scenario.settings.description}")
+    console.print(f"{scenario.settings.source}\n", style="dim")
+    _warm_up(console, scenario, filters)
+    campaign = _campaign(console, scenario, filters, n_runs, seed, args.jobs, out)
+    numbers = report(campaign)
+    reference = reference_name(scenario, filters)
+    distance = distances(campaign.results, reference) if reference else {}
+    _tell(console, scenario, campaign, numbers, distance, reference)
+    _write(out, scenario, campaign, numbers, distance)
+    drawn = plots.draw(out, scenario, filters, campaign)
+    console.print(f"Numbers are in {out}/campaign.npz and run.json, the scenario as run in scenario.toml.")
+    console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
+
+
+def _warm_up(console, scenario, filters):
+    """Let every filter take two epochs, so that compiling neither surprises nor counts as run time."""
+    case = scenario.draw(np.random.default_rng(0))
+    with _status(console) as say:
+        for name, make in filters.items():
+            say(f"preparing {name.upper()} (compiles once, for half a minute; later starts take a second)")
+            try:
+                make(case, np.random.default_rng(0)).run(case.times[:2], case.z[:2])
+            except Exception as problem:  # the campaign records it, run by run
+                say(f"{name.upper()}: {problem}")
+
+
+@contextmanager
+def _status(console):
+    if not console.is_terminal:
+        yield lambda text: console.print(text, style="dim")
+        return
+    with console.status("") as status:
+        yield status.update
+
+
+def _campaign(console, scenario, filters, n_runs, seed, n_jobs, out):
+    """Run the campaign with a progress bar. Finished runs wait in a folder until all are done."""
+    folder = out / "unfinished"
+    if any(folder.glob("run_*.npz")):
+        console.print(f"going on from the runs that an interrupted command left in {folder}")
+    columns = TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=n_runs)
+
+        def progress(done, total):
+            bar.update(task, completed=done)
+            if not console.is_terminal:
+                console.print(f"run {done} of {total} done", style="dim")
+
+        try:
+            campaign = run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, progress)
+        except KeyboardInterrupt:
+            done = len(list(folder.glob("run_*.npz")))
+            raise Interrupted(
+                f"Stopped; {done} of {n_runs} runs are kept in {folder}. The same command goes on from there."
+            ) from None
+    shutil.rmtree(folder)
+    return campaign
+
+
+def _tell(console, scenario, campaign, numbers, distance, reference):
+    console.print(result_table(numbers, scenario))
+    if distance:
+        console.print(distance_table(distance, reference))
+    for sentence in sentences(numbers, scenario):
+        console.print(f"• {sentence}")
+    for run, name, message in campaign.failures:
+        console.print(f"run {run}, {name.upper()}: {message}", style="red")
+    console.print()
+
+
+def _write(out, scenario, campaign, numbers, distance):
+    """Write numbers, settings and versions."""
+    out.mkdir(parents=True, exist_ok=True)
+    campaign.save(out / "campaign.npz")
+    runs = replace(scenario.settings.runs, default=numbers.n_runs, seed=campaign.seed)
+    filters = replace(scenario.settings.filters, default=tuple(campaign.results))
+    settings = replace(scenario.settings, runs=runs, filters=filters)
+    text = tomli_w.dumps(_without_none(asdict(settings)))
+    (out / "scenario.toml").write_text(text, encoding="utf-8")
+    record = {
+        "scenario": scenario.name,
+        "seed": campaign.seed,
+        "n_runs": numbers.n_runs,
+        "filters": list(campaign.results),
+        "versions": {"sphfilter": __version__, "python": platform.python_version()}
+        | {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")},
+        "report": numbers.as_dict(),
+        "distance": {name: asdict(d) for name, d in distance.items()},
+        "failures": [failure._asdict() for failure in campaign.failures],
+        "settings": asdict(settings),
+    }
+    text = json.dumps(_without_nan(record), indent=1, allow_nan=False)
+    (out / "run.json").write_text(text, encoding="utf-8")
+
+
+def _without_none(tree):
+    return {k: _without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
+
+
+def _without_nan(tree):
+    if isinstance(tree, dict):
+        return {k: _without_nan(v) for k, v in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [_without_nan(v) for v in tree]
+    return None if isinstance(tree, float) and not np.isfinite(tree) else tree

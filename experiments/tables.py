@@ -1,0 +1,150 @@
+"""The table of a campaign beside the published figures, and what it means in sentences."""
+
+import numpy as np
+from rich import box
+from rich.table import Table
+
+from .filters import FILTERS
+
+__all__ = ["distance_table", "result_table", "sentences"]
+
+#: Rows of 002 Tables 7, 9 and 11: heading, field of the report, field of the publication.
+_PER_STATE = (
+    ("Max peak error", "max_peak_error", "max_peak"),
+    ("Avg peak error", "mean_peak_error", "avg_peak"),
+    ("RMS error", "rms_error", "rms"),
+    ("  ± sampling error", "rms_error_std", None),
+)
+
+
+def result_table(report, scenario):
+    """Rows of 002 Tables 7, 9, 11 for every filter, with the published figure beside, as a rich table.
+
+    Parameters
+    ----------
+    report : sphfilter.report.Report
+    scenario : Scenario
+    """
+    published = scenario.settings.published
+    table = Table(box=box.SIMPLE, pad_edge=False, title=f"{scenario.name}: {report.n_runs} runs")
+    table.add_column("")
+    for name in report.filters:
+        table.add_column(name.upper(), justify="right", style="bold")
+        if name in published:
+            table.add_column("(paper)", justify="right", style="dim")
+
+    def add(label, cell, paper=lambda figures: ""):
+        cells = []
+        for name, f in report.filters.items():
+            cells.append(cell(f))
+            if name in published:
+                cells.append(paper(published[name]))
+        table.add_row(label, *cells)
+
+    for d, (state, unit) in enumerate(zip(scenario.labels, scenario.units, strict=True)):
+        for heading, field, printed in _PER_STATE:
+            label = (
+                heading if heading.startswith(" ") else f"{heading}, {state}" + (f" ({unit})" if unit else "")
+            )
+            add(
+                label,
+                lambda f, field=field, d=d: _number(getattr(f, field)[d]),
+                lambda figures, printed=printed, d=d: (
+                    _number(getattr(figures, printed)[d]) if printed else ""
+                ),
+            )
+        table.add_section()
+    add("Run time (s)", lambda f: _number(f.run_time), lambda figures: _number(figures.run_time))
+    add(f"NEES, average ({report.dim} is right)", lambda f: _number(f.nees))
+    add("NEES in its 95 % interval", lambda f: _percent(f.nees_inside))
+    add("Measurements rejected", lambda f: str(f.n_rejected))
+    add("Runs diverged", lambda f: str(f.n_diverged))
+    add("Runs failed", lambda f: str(f.n_failed))
+    add("Log-evidence of a run", lambda f: _number(f.log_evidence))
+    return table
+
+
+def distance_table(distances, reference):
+    """Distance of each filter from the reference, as a rich table."""
+    title = f"Distance from the {FILTERS[reference]}, root mean square"
+    table = Table(box=box.SIMPLE, pad_edge=False, title=title)
+    table.add_column("")
+    for name in distances:
+        table.add_column(name.upper(), justify="right", style="bold")
+    rows = (
+        ("Mean (exact standard deviations)", "mean"),
+        ("Covariance (relative)", "cov"),
+        ("Log-evidence of a measurement (nat)", "evidence"),
+    )
+    for label, field in rows:
+        table.add_row(label, *(f"{getattr(d, field):.2g}" for d in distances.values()))
+    return table
+
+
+def sentences(report, scenario):
+    """What the table means, as a list of sentences."""
+    said = [
+        f"Errors are those of the estimate right after each of the {report.n_epochs} measurements of a run. "
+        "A filter is consistent if its errors are as large as its covariance says: "
+        f"its NEES is then {report.dim} on average, and its average over the runs lies in the 95 % interval at "
+        "95 % of the measurements."
+    ]
+    said += [s for name, f in report.filters.items() if (s := _verdict(name, f, report))]
+    said += _against_particles(report, scenario)
+    published = scenario.settings.runs.published
+    if scenario.settings.published and published and report.n_runs < published:
+        said.append(
+            f"The paper's figures are from {published} runs with truths of its own; {report.n_runs} runs agree "
+            f"with them to within the sampling error at best. For as many runs add --runs {published}."
+        )
+    return said
+
+
+def _verdict(name, f, report):
+    """What is wrong with a filter, or an empty string."""
+    who = name.upper()
+    if f.n_failed:
+        return f"{who} failed in {f.n_failed} of {f.n_runs} runs: see the messages below."
+    if f.n_diverged:
+        return (
+            f"{who} lost the truth in {f.n_diverged} of {f.n_runs} runs (the NEES averaged over five "
+            "measurements passed its 99.99 % point): it believes in an estimate that is wrong."
+        )
+    if f.n_rejected:
+        share = f.n_rejected / (f.n_runs * report.n_epochs)
+        return (
+            f"{who} rejected {f.n_rejected} measurements ({share:.1%}): too far out for its particles, by its "
+            "own acceptance test. A larger scheme.domain_mass or represented_mass makes that rarer."
+        )
+    return ""
+
+
+def _against_particles(report, scenario):
+    """Compare the SPH filter with the particle filter, and its speed with the published one."""
+    said = []
+    sph, pf = report.filters.get("sph"), report.filters.get("pf")
+    if sph and pf and np.all(np.isfinite([*sph.rms_error, *pf.rms_error])):
+        ratio = (sph.rms_error / pf.rms_error - 1) * 100
+        listed = ", ".join(f"{r:+.1f} % ({s})" for r, s in zip(ratio, scenario.labels, strict=True))
+        n = scenario.settings.filters
+        said.append(
+            f"RMS error of SPH with at most {n.sph.n_particles} particles against PF with {n.pf.n_particles}: "
+            f"{listed}."
+        )
+    published = scenario.settings.published.get("sph")
+    if sph and published and np.isfinite(sph.run_time):
+        said.append(
+            f"SPH took {sph.run_time:.2g} s a run, {published.run_time / sph.run_time:.0f} times less than the "
+            "paper's on its machine."
+        )
+    return said
+
+
+def _number(value):
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:.3f}" if 0.01 <= abs(value) < 100 else f"{value:.4g}"
+
+
+def _percent(value):
+    return f"{value:.0%}" if np.isfinite(value) else "–"
