@@ -5,34 +5,15 @@ the stateful, filterpy-shaped shell around them. A step that raises leaves the f
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 
 from sphfilter import validate
 from sphfilter.errors import ModelError, PropagationError
+from sphfilter.info import PredictInfo, UpdateInfo
 from sphfilter.results import run_filter
 
-__all__ = ["PredictInfo", "ReferenceFilter", "UpdateInfo", "gaussian_start"]
-
-
-@dataclass(frozen=True)
-class PredictInfo:
-    """Time reached and number of steps that a prediction took."""
-
-    t: float
-    n_steps: int
-
-
-@dataclass(frozen=True)
-class UpdateInfo:
-    """What an update found; innovation and its covariance only where the filter forms them."""
-
-    accepted: bool
-    log_evidence: float
-    innovation: np.ndarray | None = None
-    innovation_cov: np.ndarray | None = None
-    reason: str = ""
+__all__ = ["ReferenceFilter", "gaussian_start"]
 
 
 class ReferenceFilter(ABC):
@@ -88,10 +69,10 @@ class ReferenceFilter(ABC):
         """
         t1 = self._end_of_step(dt, t)
         belief, n_steps = self._predicted(self._belief, self.t, t1) if t1 > self.t else (self._belief, 0)
-        x, P = self._finite_moments(belief, f"prediction from t = {self.t:g} to {t1:g}")
+        x, P = self._finite_moments(belief, "prediction", t1)
         self._belief, self.t, self.x, self.P = belief, t1, x, P
         self.x_prior, self.P_prior = x, P
-        return PredictInfo(t1, n_steps)
+        return PredictInfo(n_steps=n_steps, scheme=type(self).__name__)
 
     def update(self, z, measurement=None):
         """Condition the density on `z`, shape (k,); None or NaN components are missing.
@@ -115,7 +96,7 @@ class ReferenceFilter(ABC):
             info = UpdateInfo(accepted=True, **facts)
         else:
             belief, info = self._belief, UpdateInfo(accepted=True, log_evidence=0.0, reason="missing")
-        x, P = self._finite_moments(belief, f"update at t = {self.t:g} with z = {z}")
+        x, P = self._finite_moments(belief, "update", self.t)
         if not np.isfinite(info.log_evidence):
             raise PropagationError(
                 f"update at t = {self.t:g}: the measurement {z} has no density under the prediction "
@@ -142,10 +123,12 @@ class ReferenceFilter(ABC):
             raise ModelError(f"cannot predict from t = {self.t:g} to {t:g}: times must not decrease")
         return float(t)
 
-    def _finite_moments(self, belief, what):
+    def _finite_moments(self, belief, step, t):
         x, P = self._moments(belief)
         if not (np.all(np.isfinite(x)) and np.all(np.isfinite(P))):
-            raise PropagationError(f"{what}: mean or covariance is not finite (x = {x}); the filter diverged")
+            raise PropagationError(
+                f"the filter diverged in its {step} to t = {t:g}: mean or covariance is not finite (x = {x})"
+            )
         return x, P
 
 

@@ -1,6 +1,7 @@
 """A density on a regular grid whose box may lie askew: moments, blurring, interpolation, support."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import fft
@@ -55,7 +56,11 @@ class Box:
         return abs(np.linalg.det(self.axes)) * (2.0 / self.size) ** self.dim
 
     def nodes(self):
-        """States at the nodes, shape (size**n, n), the last axis fastest."""
+        """States at the nodes, shape (size**n, n), the last axis fastest; not to be written to."""
+        return self._nodes
+
+    @cached_property
+    def _nodes(self):
         y = -1.0 + 2.0 / self.size * np.arange(self.size)
         mesh = np.stack(np.meshgrid(*self.dim * [y], indexing="ij"), axis=-1)
         return self.centre + mesh.reshape(-1, self.dim) @ self.axes.T
