@@ -8,7 +8,7 @@ order instead, and results are the same bits whatever the number of threads.
 from numba import njit, typeof, types
 from numba.core.dispatcher import Dispatcher
 
-__all__ = ["BATCH", "BATCH_FUNCTION", "call", "inlined", "jit", "parallel_jit"]
+__all__ = ["BATCH", "BATCH_FUNCTION", "call", "jit", "parallel_jit"]
 
 #: Signature of every compiled model function: ``fill(x, t, p, out)`` writes one row of ``out`` (N, k)
 #: for each row of ``x`` (N, n) at time ``t`` with parameters ``p``.
@@ -38,8 +38,3 @@ def call(dispatcher, *args):
         # Without this the next call would specialise for the dispatcher's own type instead of converting.
         dispatcher.disable_compile(True)
     return dispatcher(*args)
-
-
-def inlined(function):
-    """As `jit`, for a few lines in the innermost loop: pasted into the caller, as LLVM does not always do."""
-    return njit(function, error_model="numpy", inline="always")

@@ -6,6 +6,7 @@ at K = 3, integrates to one; 002 (27) leaves the constant of the uncut Gaussian 
 """
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -69,11 +70,13 @@ def _radial_moment(kind, power):
     return total
 
 
+@cache
 def normalisation(kind, n):
     """C_n of 000 (86)-(89): with it W integrates to one in n dimensions."""
     return float(math.gamma(n / 2) / (2.0 * math.pi ** (n / 2) * _radial_moment(kind, n - 1)))
 
 
+@cache
 def kernel_variance(kind, n):
     """c_K: the variance of the kernel along each axis is c_K h^2."""
     return float(_radial_moment(kind, n + 1) / (n * _radial_moment(kind, n - 1)))
