@@ -12,9 +12,6 @@ from ._base import ReferenceFilter, gaussian_start
 
 __all__ = ["ParticleFilter", "systematic_indices"]
 
-#: Particles carried together over an interval, so that their arrays stay in the fast cache.
-_BLOCK = 2048
-
 
 class ParticleFilter(ReferenceFilter):
     """Sequential importance resampling.
@@ -77,8 +74,7 @@ class ParticleFilter(ReferenceFilter):
 
     def _predicted(self, belief, t0, t1):
         X, log_w = self._resampled(*belief)
-        for block in (slice(i, i + _BLOCK) for i in range(0, len(X), _BLOCK)):
-            X[block] = advance(self.model, X[block], t0, t1, self._rng, self.step)
+        X = advance(self.model, X, t0, t1, self._rng, self.step)
         return (X, log_w), int(np.ceil((t1 - t0) / self.step * (1 - 1e-12)))
 
     def _updated(self, belief, z, measurement):
@@ -93,7 +89,7 @@ class ParticleFilter(ReferenceFilter):
         w = np.exp(log_w)
         enough = self.resampling == "ess" and np.sum(w**2) * len(w) <= 2.0
         if enough or np.ptp(log_w) == 0.0:
-            return X.copy(), log_w
+            return X, log_w
         return X[systematic_indices(w, self._rng)], np.full(len(w), -np.log(len(w)))
 
 
