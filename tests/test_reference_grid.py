@@ -109,11 +109,12 @@ def test_time_dependent_coefficients():
     assert grid.P[0, 0] == pytest.approx(var, rel=1e-5)
 
 
-def test_a_needle_of_a_likelihood_is_resolved():
+@pytest.mark.parametrize("size", [32, 64])
+def test_a_needle_of_a_likelihood_is_resolved(size):
     """A sensor a thousand times finer than the node spacing."""
     needle = GaussianMeasurement(h=[[1.0, 0.3]], noise_cov=[[1e-8]])
     exact = KalmanFilter(OSCILLATOR, needle, X0, P0)
-    grid = GridFilter(OSCILLATOR, needle, X0, P0, size=64)
+    grid = GridFilter(OSCILLATOR, needle, X0, P0, size=size)
     exact.update([1.6])
     grid.update([1.6])
     assert grid.log_likelihood == pytest.approx(exact.log_likelihood, abs=1e-5)
@@ -184,6 +185,26 @@ def test_too_coarse_a_grid_says_so_and_leaves_the_filter_as_it_was():
         grid.predict(8.0)
     assert grid.t == 0.0
     np.testing.assert_allclose(grid.x, [1.0, 1.0], atol=1e-9)
+
+
+def test_branches_too_fine_for_the_grid_are_refused():
+    """Two needles far apart: no one box of nodes resolves them, and no answer is better than a wrong one."""
+    sensor = LikelihoodMeasurement(lambda z, X, t: -0.5 * (z[0] - X[:, 0] ** 2) ** 2 / 1e-6, dim_z=1)
+    grid = GridFilter(SDE(lambda x, t: (-x[0],), 1, noise=[[1.0]]), sensor, [0.2], [[1.0]], size=64)
+    with pytest.raises(PropagationError, match="raise size"):
+        grid.update([2.0])
+    np.testing.assert_allclose(grid.x, [0.2], atol=1e-9)
+
+
+def test_a_coarse_grid_still_filters():
+    """32 nodes an axis and long steps: the cheap end of the scale, against the fine one."""
+    model, sensor, interval, _ = VAN_DER_POL
+    times, readings = interval * np.arange(1, 4), [[1.5], [-1.0], [0.3]]
+    coarse, fine = (
+        GridFilter(model, sensor, [1.0, 1.0], np.diag([0.3, 1.5]), size=m, tol=tol).run(times, readings)
+        for m, tol in ((32, 1e-2), (64, 1e-3))
+    )
+    assert max(_errors(coarse, fine)) < 2e-2
 
 
 def test_models_out_of_reach_are_refused():
