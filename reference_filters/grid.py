@@ -150,17 +150,21 @@ class GridFilter(ReferenceFilter):
             log_likelihood = measurement.log_likelihood(z, box.nodes(), self.t).reshape(box.shape)
             top = np.max(log_likelihood)
             if not np.isfinite(top):
-                break
+                return belief, {"log_evidence": -np.inf}
             power = _resolved_power(prior.values, log_likelihood - top)
             posterior = GridDensity(box, prior.values * np.exp(power * (log_likelihood - top)))
             if not posterior.mass > 0.0:
-                break
+                return belief, {"log_evidence": -np.inf}
             fitted = self._box_of(posterior)
-            if self._fixed_box is not None or (power == 1.0 and fitted.cell > 0.7 * box.cell):
+            if power == 1.0 and (self._fixed_box is not None or fitted.cell > 0.7 * box.cell):
                 log_evidence = top + np.log(posterior.mass / belief.mass)
                 return posterior.normalised(), {"log_evidence": float(log_evidence)}
+            if self._fixed_box is not None:
+                break
             prior = belief.on(fitted)
-        return belief, {"log_evidence": -np.inf}
+        raise PropagationError(
+            f"the posterior at t = {self.t:g} s is finer than {self.size} nodes an axis resolve; raise size"
+        )
 
     def _box_of(self, p):
         if self._fixed_box is not None:
@@ -174,11 +178,12 @@ def _resolved_power(prior, log_likelihood):
 
     A product on a handful of nodes says nothing of the box that it needs: a needle is approached by steps.
     """
-    enough = 10.0**prior.ndim
+    enough = 3.0**prior.ndim  # a Gaussian on three nodes an axis is summed to 1e-6
 
     def n_nodes(power):
         w = np.maximum(prior, 0.0) * np.exp(power * log_likelihood)
-        return w.sum() ** 2 / np.sum(w * w)
+        top = w.max()
+        return w.sum() ** 2 / np.sum(w * w) if top > 1e-150 else 0.0
 
     if n_nodes(1.0) >= enough:
         return 1.0
