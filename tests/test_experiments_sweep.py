@@ -119,6 +119,7 @@ def test_unknown_names_are_refused(tmp_path):
 
 def test_the_command(tmp_path, capsys):
     words = ["linear_underdamped", "--interval", "1,2", "--q", "1", "--filters", "kf,ekf", "--runs", "2"]
+    words += ["--set", "times.end=4"]
     sweep.main(arguments(*words, "--out", str(tmp_path)))
     said = capsys.readouterr().out
     assert "0 of 2" in said and "The EKF keeps track" in said
@@ -127,7 +128,7 @@ def test_the_command(tmp_path, capsys):
     times = {path: path.stat().st_mtime_ns for path in tmp_path.glob("runs/*/run_*.npz")}
     assert len(times) == 4
     # again, with one interval more: what is done is read, and says the same
-    words[2] = "1,2,3"
+    words[2] = "1,2,4"
     sweep.main(arguments(*words, "--out", str(tmp_path)))
     assert (
         times.items() <= {path: path.stat().st_mtime_ns for path in tmp_path.glob("runs/*/run_*.npz")}.items()
