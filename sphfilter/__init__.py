@@ -12,6 +12,7 @@ from .models import SDE, LinearSDE
 from .predict import Trajectory, predict, propagate
 from .resample import resample
 from .results import FilterResult
+from .simulate import simulate
 from .update import update
 
 __all__ = [
@@ -42,5 +43,6 @@ __all__ = [
     "predict",
     "propagate",
     "resample",
+    "simulate",
     "update",
 ]

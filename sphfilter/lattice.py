@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize, sparse, stats
@@ -70,21 +71,21 @@ class GaussianPlacement:
         Nodes of the lattice that carry a particle: core and buffer.
     core : ndarray of bool
         Nodes inside the core ellipsoid.
-    buffer_layers : int
-        N_B of (42).
     """
 
     lattice: Lattice
     kept: np.ndarray
     core: np.ndarray
-    buffer_layers: int
 
 
 def place_gaussian(mean, cov, n_particles, scheme):
     """Finest lattice whose ellipsoid (39), grown by N_B buffer layers (42), holds at most n_particles nodes.
 
     The spacing is the same along every axis, or wider along longer axes up to `scheme.anisotropy`. The
-    ellipsoid's semi-axes grow by the width of the layers: for equal variances this is (42).
+    ellipsoid's semi-axes grow by the width of the layers: for equal variances this is (42). They grow by one
+    standard deviation at most: every lattice published in 002 stays within that, but on a few hundred
+    particles (42) would reach out to seven, where densities differ so much from node to node that smoothing
+    lengths collapse within a step.
 
     Raises
     ------
@@ -97,13 +98,13 @@ def place_gaussian(mean, cov, n_particles, scheme):
     widths = np.sqrt(np.diag(cov))
     aspect = np.minimum(widths / widths.min(), scheme.anisotropy)
     variances, vectors = np.linalg.eigh(cov)
-    axes = (z_core * np.sqrt(variances), vectors)
-    guess = _spacing_for(n_particles, axes[0], layers, aspect)
+    ellipsoid = _Ellipsoid(z_core, np.sqrt(variances), vectors, layers)
+    guess = _spacing_for(n_particles, ellipsoid, aspect)
     best = None
     if guess is not None:
         # The count of nodes falls with the spacing only on the whole: try from fine to coarse, both parities.
         spacings = guess * np.geomspace(0.9, 1.5, 60)
-        tried = (_trimmed(mean, axes, layers, dx * aspect, shift) for dx in spacings for shift in (0.0, 0.5))
+        tried = (_trimmed(mean, ellipsoid, dx * aspect, shift) for dx in spacings for shift in (0.0, 0.5))
         best = next((place for place in tried if place.kept.sum() <= n_particles), None)
     if best is None or best.core.sum() < 2**n:
         raise ModelError(
@@ -113,33 +114,44 @@ def place_gaussian(mean, cov, n_particles, scheme):
     return best
 
 
-def _spacing_for(n_particles, radii, layers, aspect):
-    """Spacing at which the grown ellipsoid's volume is n_particles cells, or None if the buffer is more."""
-    n = len(radii)
+class _Ellipsoid(NamedTuple):
+    z_core: float
+    deviations: np.ndarray
+    vectors: np.ndarray
+    layers: int
+
+    def radii(self, dx):
+        """Semi-axes of the core, and of core and buffer for a spacing dx."""
+        core = self.z_core * self.deviations
+        return core, core + np.minimum(self.layers * dx, self.deviations)
+
+
+def _spacing_for(n_particles, ellipsoid, aspect):
+    """Spacing at which the grown ellipsoid's volume is n_particles cells, or None if there is none."""
+    n = len(ellipsoid.deviations)
     ball = math.pi ** (n / 2) / math.gamma(n / 2 + 1)
     stretch = float(np.prod(aspect)) ** (1.0 / n)
 
     def surplus(log_dx):
         dx = stretch * math.exp(log_dx)
-        return math.log(ball) + np.log(radii / dx + layers).sum() - math.log(n_particles)
+        return math.log(ball) + np.log(ellipsoid.radii(dx)[1] / dx).sum() - math.log(n_particles)
 
-    low, high = math.log(radii.max()) - 20.0, math.log(radii.max()) + 5.0
+    low, high = (math.log(ellipsoid.deviations.max()) + off for off in (-20.0, 5.0))
     if surplus(high) > 0.0:
         return None
     return math.exp(optimize.brentq(surplus, low, high))
 
 
-def _trimmed(mean, axes, layers, spacing, shift):
-    radii, vectors = axes
-    n = len(mean)
-    grown = radii + layers * float(np.prod(spacing)) ** (1.0 / n)
+def _trimmed(mean, ellipsoid, spacing, shift):
+    vectors, n = ellipsoid.vectors, len(mean)
+    radii, grown = ellipsoid.radii(float(np.prod(spacing)) ** (1.0 / n))
     extent = np.sqrt((vectors**2) @ grown**2)
     half = np.maximum(np.floor(extent / spacing - shift), 0).astype(int)
     lattice = Lattice(mean - (half + shift) * spacing, spacing, 2 * half + (2 if shift else 1))
     along = (lattice.nodes - mean) @ vectors
     kept = ((along / grown) ** 2).sum(axis=1) < 1.0
     core = ((along / radii) ** 2).sum(axis=1) < 1.0
-    return GaussianPlacement(lattice, kept, core & kept, layers)
+    return GaussianPlacement(lattice, kept, core & kept)
 
 
 @dataclass(frozen=True)
