@@ -1,14 +1,14 @@
-"""The commands: ``python -m experiments list`` and ``python -m experiments run NAME``."""
+"""The command line: ``python -m experiments list``, ``run NAME``, ``sweep NAME``."""
 
 import argparse
 import sys
 
 from sphfilter.errors import SphfilterError
 
-from . import listing, run
+from . import listing, run, sweep
 
 #: Modules with a one-line docstring, ``add_arguments(parser)`` and ``main(args)``.
-COMMANDS = {"list": listing, "run": run}
+COMMANDS = {"list": listing, "run": run, "sweep": sweep}
 
 
 def parser():

@@ -25,8 +25,8 @@ COLOURS = {
     "benes": "#000000",
 }
 _DPI = 130
-#: Most a band may widen an axis, in spans of the truth: a filter that lost the truth runs out of the frame.
-_WIDEN = 0.6
+#: Room around the truth, in its spans. All filters share it; one that lost the truth leaves the frame.
+_ROOM = 0.4
 
 
 def draw(out, scenario, filters, campaign):
@@ -51,27 +51,25 @@ def _save(figure, path):
 
 
 def example_runs(campaign):
-    """Choose the runs to draw, by kind.
+    """Choose the runs to draw, by what became of the EKF (002 Figs 25, 26).
 
-    "typical" is the run of median NEES of the EKF (of the first filter, if there is no EKF) among those in
-    which no filter lost the truth; "diverged" the one where a filter lost it worst, if there is any.
+    "consistent" is the run of median NEES among those in which it kept the truth, "diverged" the one in which
+    it lost it worst, if there is any. Without an EKF the filter of the largest NEES takes its place.
 
     Returns
     -------
     dict of str to int
     """
-    dim = campaign.truth.shape[-1]
-    nees = {name: consistency.nees(campaign.truth, r.x, r.P) for name, r in campaign.results.items()}
-    worst = np.max([np.nan_to_num(v).mean(axis=1) for v in nees.values()], axis=0)
-    lost = np.any([consistency.diverged(v, dim) for v in nees.values()], axis=0)
-    score = np.nan_to_num(nees.get("ekf", next(iter(nees.values())))).mean(axis=1)
-    chosen = {}
-    if not lost.all():
-        sound = np.flatnonzero(~lost)
-        chosen["typical"] = int(sound[np.argsort(score[sound])[len(sound) // 2]])
-    if lost.any():
-        chosen["diverged"] = int(np.argmax(np.where(lost, worst, -1.0)))
-    return chosen
+    nees = {
+        name: np.nan_to_num(consistency.nees(campaign.truth, r.x, r.P))
+        for name, r in campaign.results.items()
+    }
+    judged = nees.get("ekf", max(nees.values(), key=np.mean))
+    lost = consistency.diverged(judged, campaign.truth.shape[-1])
+    order = np.argsort(judged.mean(axis=1))
+    kept, lost = order[~lost[order]], order[lost[order]]
+    chosen = {"consistent": int(kept[len(kept) // 2])} if len(kept) else {}
+    return chosen | ({"diverged": int(lost[-1])} if len(lost) else {})
 
 
 def history_figure(scenario, filters, seed, run):
@@ -81,9 +79,10 @@ def history_figure(scenario, filters, seed, run):
     """
     case = draw_case(replace(scenario, between=True), seed, run)
     n = case.truth.shape[1]
-    size = (max(4.2 * n, 7.0), 1.9 * len(filters) + 1.4)
+    n_measured = np.isfinite(case.z).any(axis=1).sum()
+    size = (max(n * np.clip(0.18 * n_measured, 4.2, 7.5), 7.0), 1.9 * len(filters) + 1.4)
     figure, axes = plt.subplots(
-        len(filters), n, figsize=size, sharex=True, squeeze=False, layout="constrained"
+        len(filters), n, figsize=size, sharex=True, sharey="col", squeeze=False, layout="constrained"
     )
     reads = scenario.measurement.directly_observed
     for row, (name, make) in zip(axes, filters.items(), strict=True):
@@ -104,7 +103,7 @@ def history_figure(scenario, filters, seed, run):
     for ax, label, unit in zip(axes[0], scenario.labels, scenario.units, strict=True):
         ax.set_title(_quantity(label, unit), fontsize=10)
     figure.suptitle(f"{scenario.name}, run {run}: truth and estimate", fontsize=11)
-    _legend(figure, axes)
+    _legend(figure, axes[0, 0], neutral=("estimate", "estimate ± 2σ"))
     return figure
 
 
@@ -125,17 +124,15 @@ def _band(ax, result, d, colour):
 
 
 def _frame(ax, truth):
-    """Limits around truth and band, but no wider than a lost filter's band would ask for."""
     low, high = truth.min(), truth.max()
-    room = _WIDEN * (high - low)
-    now = ax.get_ylim()
-    ax.set_ylim(max(now[0], low - room), min(now[1], high + room))
+    room = _ROOM * (high - low)
+    ax.set_ylim(low - room, high + room)
     ax.margins(x=0.01)
     ax.grid(alpha=0.25, lw=0.5)
 
 
 def consistency_figure(scenario, campaign):
-    """Run-averaged NEES and NMEE with their 95 % intervals, and RMS errors, over time (002 Figs 24, 28, 29)."""
+    """Run-averaged NEES and NMEE with 95 % intervals, and RMS errors, over time (002 Figs 24, 28, 29)."""
     n = campaign.truth.shape[-1]
     figure, axes = plt.subplots(
         3, n, figsize=(max(4.4 * n, 7.0), 8.2), sharex=True, squeeze=False, layout="constrained"
@@ -154,10 +151,10 @@ def consistency_figure(scenario, campaign):
             axes[1, d].plot(campaign.times, nmee[:, d], **style)
             axes[2, d].plot(campaign.times, rms[:, d], **style)
     interval = {"color": "0.5", "alpha": 0.18, "lw": 0, "label": "95 % interval"}
+    top.axhline(n, color="0.5", lw=0.8, ls="--", label="expected")
     top.axhspan(*consistency.nees_bounds(n, n_runs), **interval)
     top.set_yscale("log")
     top.set_ylabel("NEES")
-    top.tick_params(labelbottom=False)
     top.sharex(axes[2, 0])
     for d, (label, unit) in enumerate(zip(scenario.labels, scenario.units, strict=True)):
         axes[1, d].axhspan(*consistency.nmee_bounds(n_runs), **interval)
@@ -170,7 +167,7 @@ def consistency_figure(scenario, campaign):
         ax.grid(alpha=0.25, lw=0.5)
         ax.margins(x=0.01)
     figure.suptitle(f"{scenario.name}: averages over {n_runs} runs", fontsize=11)
-    _legend(figure, np.array([[top]]))
+    _legend(figure, top)
     return figure
 
 
@@ -182,9 +179,12 @@ def _quantity(label, unit):
     return f"{label} ({unit})" if unit else label
 
 
-def _legend(figure, axes):
-    """One legend under all panels."""
-    entries = dict(zip(*reversed(axes[0, 0].get_legend_handles_labels()), strict=True))
-    figure.legend(
-        entries.values(), entries.keys(), loc="outside lower center", ncols=len(entries), frameon=False
-    )
+def _legend(figure, ax, neutral=()):
+    """One legend under all panels; the `neutral` entries are grey, where their colour differs by panel."""
+    handles, labels = ax.get_legend_handles_labels()
+    columns = min(len(labels), int(figure.get_figwidth() / 1.5))
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    for handle, label in zip(legend.legend_handles, labels, strict=True):
+        if label in neutral:
+            handle.set_color("0.55")
+            handle.set_alpha(0.4 if "σ" in label else 1.0)

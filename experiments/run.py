@@ -1,5 +1,6 @@
 """`python -m experiments run NAME`: simulate a scenario, run filters on it, tell and draw what came out."""
 
+import argparse
 import json
 import platform
 import shutil
@@ -34,10 +35,10 @@ def add_arguments(parser):
     """Add the options of `run`."""
     parser.add_argument("scenario", help="a name from `list`, or the path of a scenario's TOML file")
     parser.add_argument("--filters", help=f"comma-separated, of {', '.join(FILTERS)}")
-    parser.add_argument("--runs", type=int, help="number of simulated runs")
+    parser.add_argument("--runs", type=_count, help="number of simulated runs")
     parser.add_argument("--seed", type=int, help="seed of everything random")
     parser.add_argument("--out", type=Path, help="folder for results (default: results/NAME)")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--jobs", type=_count, default=1, help="processes")
     parser.add_argument("--n-particles", type=int, help="particles of the SPH filter, at most")
     parser.add_argument(
         "--set",
@@ -48,6 +49,12 @@ def add_arguments(parser):
         help="change a key of the scenario, e.g. times.interval=3, or of the SPH filter, e.g. "
         "scheme.kernel=gaussian; may be repeated",
     )
+
+
+def _count(text):
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"a whole number of at least 1 is needed, not {text!r}")
+    return int(text)
 
 
 def main(args):
@@ -79,13 +86,13 @@ def main(args):
 
 
 def _warm_up(console, scenario, filters):
-    """Let every filter take two epochs, so that compiling neither surprises nor counts as run time."""
+    """Let every filter take one measurement, so that compiling neither surprises nor counts as run time."""
     case = scenario.draw(np.random.default_rng(0))
     with _status(console) as say:
         for name, make in filters.items():
             say(f"preparing {name.upper()} (compiles once, for half a minute; later starts take a second)")
             try:
-                make(case, np.random.default_rng(0)).run(case.times[:2], case.z[:2])
+                make(case, np.random.default_rng(0)).run(case.times[:1], case.z[:1])
             except Exception as problem:  # the campaign records it, run by run
                 say(f"{name.upper()}: {problem}")
 

@@ -171,6 +171,7 @@ class Published:
     avg_peak: Row
     rms: Row
     run_time: float
+    n_diverged: int | None = None
 
 
 @settings
