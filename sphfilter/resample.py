@@ -14,8 +14,12 @@ from .validate import count
 
 __all__ = ["log_integral", "regrid", "resample"]
 
-_LEAST_NODES = 4  # along any axis of a candidate lattice
-_ZOOMS = 8
+_ZOOMS = 12
+_ZOOM_ENDS = 0.8  # part of its extent that the posterior fills along every axis when zooming in has ended
+_NO_OVERLAP = (
+    "prior times likelihood is zero wherever the prior has particles: the measurement lies outside them; use "
+    "more particles, a larger represented_mass and domain_mass, or check the measurement"
+)
 
 
 class _Field(NamedTuple):
@@ -87,7 +91,7 @@ def log_integral(density, log_weight, n_nodes):
     """Log of the integral of density times exp(log_weight), on one lattice over all particles and supports."""
     reach = RADIUS[density.kernel_code[0]] * density.h.max()
     low, high = density.x.min(axis=0) - reach, density.x.max(axis=0) + reach
-    dims = _dims(high - low, n_nodes, 1.0, 1.0)
+    dims = _dims(high - low, n_nodes, 1.0, 1.0, least=8)
     lattice = Lattice.spanning(low, high, dims)
     values = lattice.density_of(density.x, density.mass, density.h, density.kernel_code)
     with np.errstate(divide="ignore"):
@@ -97,6 +101,8 @@ def log_integral(density, log_weight, n_nodes):
 def _weighted_masses(density, log_weight):
     """First estimate of the posterior masses, 002 (57) as it must read: m_i l_i / sum_j m_j l_j."""
     log_w = log_weight(density.x)
+    if log_w.max() == -np.inf:
+        raise PropagationError(_NO_OVERLAP)
     raw = density.mass * np.exp(log_w - log_w.max())
     return raw / raw.sum()
 
@@ -108,40 +114,51 @@ def _field(density, lattice, log_weight, log_scale=None):
     if log_scale is None:
         log_scale = log_w[values > 0].max(initial=-np.inf)
         if not np.isfinite(log_scale):
-            raise PropagationError(
-                "prior times likelihood is zero wherever the prior has particles: the measurement lies outside "
-                "them; use more particles, a larger represented_mass, or check the measurement"
-            )
+            raise PropagationError(_NO_OVERLAP)
     return _Field(lattice, values * np.exp(np.minimum(log_w - log_scale, 700.0)), float(log_scale))
 
 
-def _dims(span, n_nodes, volume_fraction, anisotropy):
+def _least_nodes(n_particles, n):
+    """Fewest nodes along an axis: six resolve a Gaussian to rounding, fewer where particles are few."""
+    return int(np.clip(0.6 * n_particles ** (1.0 / n), 3, 6))
+
+
+def _dims(span, n_nodes, volume_fraction, anisotropy, least=2):
     """Nodes per axis for spacings that differ at most by `anisotropy` (002 (50)-(56))."""
     aspect = span / span.min()
     nodes_aspect = aspect / np.minimum(aspect, anisotropy)
     fewest = (n_nodes / (volume_fraction * np.prod(nodes_aspect))) ** (1.0 / len(span))
-    return np.maximum(np.round(nodes_aspect * fewest).astype(int), _LEAST_NODES)
+    dims = np.maximum(np.round(nodes_aspect * fewest), least)
+    # An axis held at the least number of nodes leaves fewer to the others than the formula gave them.
+    free = dims > least
+    surplus = np.prod(dims) * volume_fraction / n_nodes
+    if surplus > 1.5 and free.any():
+        dims[free] = np.maximum(np.round(dims[free] / surplus ** (1.0 / free.sum())), least)
+    return dims.astype(int)
 
 
 def _domain(density, raw, log_weight, n_particles, scheme):
-    """Extents of the new lattice from the particles that hold the mass, and the part of it they fill.
+    """Extents of the new lattice, and the part of it that the posterior fills (002 (53)-(55)).
 
-    Where the weight is so narrow that a test grid over the surviving particles hardly meets it, the extents
-    close in on the nodes that do, and the test is made again.
+    They begin with the particles that hold the mass, as in 002, and close in on the test-grid nodes that do
+    where the weight is narrower than the particles' spacing.
     """
+    least = _least_nodes(n_particles, density.dim)
     kept = density.x[heaviest(raw, scheme.domain_mass)]
     support = RADIUS[density.kernel_code[0]] * density.h.mean()
     low, high = kept.min(axis=0), kept.max(axis=0)
     widen = np.maximum(0.5 * (support - (high - low)), 0.0)  # a single row of particles still has width
     low, high = low - widen, high + widen
     for _ in range(_ZOOMS):
-        lattice = Lattice.spanning(low, high, _dims(high - low, n_particles, 1.0, scheme.anisotropy))
+        dims = _dims(high - low, n_particles, 1.0, scheme.anisotropy, least)
+        lattice = Lattice.spanning(low, high, dims)
         filled = heaviest(_field(density, lattice, log_weight).values, scheme.domain_mass)
-        if filled.mean() > 0.1:
-            break
         nodes = lattice.nodes[filled]
-        low = np.maximum(low, nodes.min(axis=0) - lattice.spacing)
-        high = np.minimum(high, nodes.max(axis=0) + lattice.spacing)
+        inner_low = np.maximum(low, nodes.min(axis=0) - lattice.spacing)
+        inner_high = np.minimum(high, nodes.max(axis=0) + lattice.spacing)
+        if np.all(inner_high - inner_low > _ZOOM_ENDS * (high - low)):
+            break
+        low, high = inner_low, inner_high
     return low, high, filled.mean()
 
 
@@ -151,23 +168,24 @@ def _candidates(density, raw, log_weight, extents, volume_fraction, n_particles,
     n = density.dim
     cov = _covariance(density.x, raw)
     core_ratio = _core_ratio(density.mass, scheme)
-    dims = _dims(high - low, n_particles, volume_fraction, scheme.anisotropy)
+    least = _least_nodes(n_particles, n)
+    dims = _dims(high - low, n_particles, volume_fraction, scheme.anisotropy, least)
     steps = [np.zeros(n, int), *np.eye(n, dtype=int), *-np.eye(n, dtype=int)]
     while True:
         tried = [
             _candidate(density, log_weight, Lattice.spanning(low, high, dims + step), cov, core_ratio, scheme)
             for step in steps
-            if np.all(dims + step >= _LEAST_NODES)
+            if np.all(dims + step >= least)
         ]
-        viable = [c for c in tried if c.kept.sum() <= n_particles]
+        viable = [c for c in tried if c.kept.sum() <= n_particles and _spans(c)]
         if viable:
             return viable
-        if np.all(dims <= _LEAST_NODES):
+        if np.all(dims <= least):
             raise PropagationError(
-                f"n_particles = {n_particles} is too small for {n} states: even {_LEAST_NODES} nodes an axis "
-                f"are more; use more particles"
+                f"n_particles = {n_particles} is too small for {n} states: no lattice of so few nodes has three of "
+                f"them in the posterior along every axis; use more particles"
             )
-        dims = np.maximum(dims - 1, _LEAST_NODES)
+        dims = np.maximum(dims - 1, least)
 
 
 def _candidate(density, log_weight, lattice, cov, core_ratio, scheme):
@@ -180,6 +198,13 @@ def _candidate(density, log_weight, lattice, cov, core_ratio, scheme):
     cov_error = np.sqrt(np.mean(off**2)) / np.trace(cov) if np.trace(cov) > 0 else 0.0
     ratio_error = abs(core.sum() / kept.sum() - core_ratio)
     return _Candidate(field, kept, core & kept, cov_error * ratio_error)
+
+
+def _spans(candidate):
+    """Do the kept nodes stand at three places at least along every axis?"""
+    axes = range(len(candidate.field.lattice.dims))
+    kept = candidate.kept.reshape(candidate.field.lattice.dims)
+    return all(kept.any(axis=tuple(a for a in axes if a != axis)).sum() >= 3 for axis in axes)
 
 
 def _core_ratio(mass, scheme):

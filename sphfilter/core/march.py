@@ -124,13 +124,13 @@ def evaluate(model, coefficients, t, x, cloud, lists, r, work, options, v):
 def stable_step(cloud, lists, r, work, coefficients, options):
     """Step size of 002 (18), absolute or relative to the nearest neighbour, within the diffusion limit.
 
-    Returns (dt, particle): dt is NaN where the velocity of that particle is not finite. The diffusion
-    limit is that of an explicit step on kernels of variance c_K h^2 (numerics measured 2.7 for Euler).
+    Returns (dt, the particle that limits it); dt is NaN where a velocity is not finite. The diffusion limit
+    is that of an explicit step on kernels of variance c_K h^2 (unstable from about 2.7 c_K h^2 / D on).
     """
     start, neighbors = lists
     N, n = cloud.x.shape
     varies = coefficients.time_dependent or coefficients.state_dependent
-    dt = options.dt_max
+    dt, culprit = options.dt_max, 0
     for i in range(N):
         nearest, at = np.inf, -1
         for s in range(start[i], start[i + 1]):
@@ -143,10 +143,12 @@ def stable_step(cloud, lists, r, work, coefficients, options):
             spread += work.D[i if varies else 0, d * n + d]
         if not math.isfinite(speed2):
             return np.nan, i
+        limit = options.c_diffusion * options.kernel_variance * cloud.h[i] ** 2 / max(spread, _EPS)
         if nearest < np.inf:
-            dt = min(dt, options.c_cfl * nearest / max(math.sqrt(speed2), _EPS))
-        dt = min(dt, options.c_diffusion * options.kernel_variance * cloud.h[i] ** 2 / max(spread, _EPS))
-    return dt, 0
+            limit = min(limit, options.c_cfl * nearest / max(math.sqrt(speed2), _EPS))
+        if limit < dt:
+            dt, culprit = limit, i
+    return dt, culprit
 
 
 @jit

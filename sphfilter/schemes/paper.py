@@ -20,6 +20,7 @@ __all__ = ["propagate"]
 #: count never changes a bit of the result.
 PARALLEL_FROM = 2000
 _MOST_REGRIDS = 20
+_RUN_AWAY = 1e3  # extents of the cloud
 
 
 def propagate(density, model, t1, scheme):
@@ -40,7 +41,7 @@ def propagate(density, model, t1, scheme):
     start, counters, n_regrids = density.t, np.zeros(len(core.COUNTERS), np.int64), 0
     while density.t < t1:
         density, status, culprit = _march(density, model, t1, scheme, counters)
-        if status == "not finite":
+        if status == "not finite" or (status == "stalled" and _runs_away(model, density, culprit, t1)):
             raise PropagationError(_blow_up(model, culprit, density.t, start, t1))
         if status != "ok":
             n_regrids += 1
@@ -82,6 +83,12 @@ def _march(density, model, t1, scheme, counters):
     if status == "not finite":
         return replace(density, t=times[0]), status, culprit
     return replace(density, x=cloud.x, h=cloud.h, t=times[0], _index=[]), status, culprit
+
+
+def _runs_away(model, density, state, t1):
+    """Would the drift at a state carry it out of all proportion to the cloud in the time that is left?"""
+    extent = np.ptp(density.x, axis=0).max()
+    return np.linalg.norm(model.drift(state, density.t)) * (t1 - density.t) > _RUN_AWAY * extent
 
 
 def _coefficients(model):
@@ -142,7 +149,7 @@ def _blow_up(model, state, t, start, t1):
     values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(model.states, state, strict=True))
     return (
         f"the model blew up at t = {t:.6g} (prediction from {start:g} to {t1:g}), at the particle {values}: its "
-        f"velocity is not finite there. Check the drift for that state, predict over a shorter interval, or use "
+        f"velocity grows without bound there. Check the drift for that state, predict over a shorter interval, or use "
         f"a smaller represented_mass so that particles stay out of the far tail"
     )
 
