@@ -106,10 +106,11 @@ def place_gaussian(mean, cov, n_particles, scheme):
         spacings = guess * np.geomspace(0.9, 1.5, 60)
         tried = (_trimmed(mean, ellipsoid, dx * aspect, shift) for dx in spacings for shift in (0.0, 0.5))
         best = next((place for place in tried if place.kept.sum() <= n_particles), None)
-    if best is None or best.core.sum() < 2**n:
+    if best is None or best.kept.sum() < 3**n or best.core.sum() < 2**n:
         raise ModelError(
-            f"n_particles = {n_particles} is too small for {n} states with {layers} buffer layers: fewer than "
-            f"{2**n} core nodes would be left; use more particles or a smaller buffer_ratio"
+            f"n_particles = {n_particles} is too small for {n} states: the lattice needs {3**n} nodes at least, "
+            f"{2**n} of them within the core; use more particles or a smaller buffer_ratio (now "
+            f"{scheme.buffer_ratio:g})"
         )
     return best
 

@@ -218,7 +218,7 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, times, cou
     if not varies:
         work.D[0] = coefficients.D.ravel()
     K = RADIUS[options.kernel]
-    reach, h_old = 1.3 * K * cloud.h, cloud.h.copy()
+    support, reach, h_old = K * cloud.h, 1.3 * K * cloud.h, cloud.h.copy()
     lists, r = (np.zeros(N + 1, np.int64), np.empty(0, np.int32)), np.empty(0)
     must_search, elapsed, k_bypass, t_ref, dt = True, 0.0, 0, np.inf, 1.0
     span, first = times[1] - times[0], counters[STEPS]
@@ -231,8 +231,10 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, times, cou
         searched = must_search or np.any(K * cloud.h > reach)
         if searched:
             index = build_index(cloud.x, 1.3 * K * np.median(cloud.h), options.search)
-            reach[:] = np.maximum(K * cloud.h, 0.95 * reach)
-            lists = neighbor_lists(cloud.x, K * cloud.h, reach, options.buffer, index)
+            # Start from the reach that sufficed last time, relative to the support; let it shrink slowly.
+            reach *= 0.99 * K * cloud.h / support
+            support[:] = K * cloud.h
+            lists = neighbor_lists(cloud.x, support, reach, options.buffer, index)
             r = np.empty(lists[1].size)
             elapsed, k_bypass = 0.0, 0
         k_bypass += not searched

@@ -1,0 +1,232 @@
+"""`SPHFilter` against the exact Kalman filter and Beneš' closed form, and its contract."""
+
+import pickle
+
+import numpy as np
+import pytest
+from filterpy.common import Saver
+
+import sphfilter as sf
+from reference_filters.closed_forms import BenesFilter
+from reference_filters.kalman import KalmanFilter
+
+OSCILLATOR = sf.LinearSDE(A=[[0.0, 1.0], [-1.0, -0.1]], noise=[[0.0], [1.0]], spectral_density=[[0.4]])
+POSITION = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])
+X0, P0 = np.array([1.0, 0.0]), np.array([[0.5, 0.1], [0.1, 0.5]])
+TIMES = np.arange(1.0, 9.0)
+
+
+def data(model=OSCILLATOR, measurement=POSITION, x0=X0, times=TIMES, seed=1):
+    _, z = sf.simulate(model, measurement, x0, np.concatenate([[0.0], times]), rng=seed)
+    return z[1:]
+
+
+def sph(n_particles=400, **changes):
+    changes = {"kernel": "gaussian", **changes}
+    return sf.SPHFilter(OSCILLATOR, POSITION, X0, P0, n_particles=n_particles, config=sf.FilterConfig.paper(**changes))
+
+
+def off(result, exact):
+    """Rms over the run of the mean error in posterior deviations, and of the relative covariance error."""
+    whiten = np.linalg.inv(np.linalg.cholesky(exact.P))
+    mean = np.einsum("tij,tj->ti", whiten, result.x - exact.x)
+    cov = np.einsum("tij,tjk,tlk->til", whiten, result.P - exact.P, whiten)
+    return np.sqrt(np.mean((mean**2).sum(axis=1))), np.sqrt(np.mean((cov**2).sum(axis=(1, 2)) / 2))
+
+
+def test_linear_run_against_kalman():
+    z = data()
+    exact = KalmanFilter(OSCILLATOR, POSITION, X0, P0).run(TIMES, z)
+    result = sph(1200).run(TIMES, z)
+    mean_error, cov_error = off(result, exact)
+    assert mean_error < 0.05
+    assert cov_error < 0.1
+    assert result.log_evidence.sum() == pytest.approx(exact.log_evidence.sum(), abs=0.15)
+    assert result.accepted.all()
+
+
+def test_error_against_kalman_falls_with_the_number_of_particles():
+    z = data()
+    exact = KalmanFilter(OSCILLATOR, POSITION, X0, P0).run(TIMES, z)
+    counts = [150, 600, 2400]
+    settings = {"support_range": (3.2, 3.2), "integrator": "midpoint"}
+    found = np.array([off(sph(N, **settings).run(TIMES, z), exact) for N in counts])
+    orders = -2.0 * np.polyfit(np.log(counts), np.log(found), 1)[0]  # dx ~ N^(-1/2)
+    assert np.all(orders > 1.0)
+    assert np.all(found[-1] < 0.3 * found[0])
+
+
+def test_benes_filter():
+    """dx = tanh(x) dt + dW: the exact posterior is a sum of two Gaussians."""
+    model = sf.SDE.from_expressions(["x"], ["tanh(x)"], [["1"]], [[1.0]])
+    sensor = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[1.0]])
+    exact = BenesFilter(sensor, 0.3, 0.5)
+    flt = sf.SPHFilter(
+        model, sensor, density=sf.initialize(lambda X: exact.pdf(X[:, 0]), 200, box=[[-5, 6]]), n_particles=200, config=sf.FilterConfig.paper()
+    )
+    y = np.linspace(-12, 12, 2001)[:, None]
+    for t, z in [(1.0, 0.5), (2.0, -0.4), (3.0, 0.1)]:
+        for f in (exact, flt):
+            f.predict(t=t)
+            f.update([z])
+        assert flt.x == pytest.approx(exact.x, abs=0.03)
+        assert flt.P == pytest.approx(exact.P, rel=0.05)
+        difference = flt.density.pdf(y) - exact.pdf(y[:, 0])
+        assert np.linalg.norm(difference) < 0.05 * np.linalg.norm(exact.pdf(y[:, 0]))
+    assert flt.log_evidence == pytest.approx(exact.log_evidence, abs=0.03)
+
+
+def test_same_input_same_bits():
+    z = data()
+    first, second = sph(200).run(TIMES, z), sph(200).run(TIMES, z)
+    for name in ("x", "P", "log_evidence"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+def test_attributes_follow_predict_and_update():
+    flt = sph(200)
+    assert flt.x == pytest.approx(X0)
+    prior_info = flt.predict(0.5)
+    assert prior_info.scheme == "paper"
+    assert (flt.t, flt.density.t) == (0.5, 0.5)
+    x_prior, P_prior = flt.x.copy(), flt.P.copy()
+    info = flt.update([0.7])
+    np.testing.assert_array_equal(flt.x_prior, x_prior)
+    np.testing.assert_array_equal(flt.P_prior, P_prior)
+    np.testing.assert_array_equal(flt.x_post, flt.x)
+    assert not np.array_equal(flt.x_prior, flt.x)
+    assert flt.log_likelihood == info.log_evidence == flt.log_evidence
+    assert flt.y == pytest.approx([0.7 - x_prior[0]], abs=1e-9)
+    flt.predict(t=1.0)
+    second = flt.update([0.5])
+    assert flt.log_evidence == pytest.approx(info.log_evidence + second.log_evidence)
+
+
+def test_missing_and_irregular_measurements():
+    times = np.array([0.0, 0.3, 0.3, 1.7, 2.0])
+    z = [[1.0], None, [0.8], [np.nan], [0.1]]
+    exact = KalmanFilter(OSCILLATOR, POSITION, X0, P0).run(times, z)
+    result = sph(800).run(times, z)
+    np.testing.assert_array_equal(result.t, times)
+    np.testing.assert_array_equal(result.log_evidence[[1, 3]], 0.0)
+    np.testing.assert_array_equal(result.x[1], result.x_prior[1])
+    mean_error, cov_error = off(result, exact)
+    assert mean_error < 0.05
+    assert cov_error < 0.15
+
+
+def test_several_sensors():
+    velocity = sf.GaussianMeasurement(h=[[0.0, 2.0]], noise_cov=[[0.3]])
+    flt, exact = sph(800), KalmanFilter(OSCILLATOR, POSITION, X0, P0)
+    for f in (flt, exact):
+        f.predict(0.7)
+        f.update([0.9])
+        f.update([-1.0], measurement=velocity)
+    assert flt.x == pytest.approx(exact.x, abs=0.02)
+    assert flt.P == pytest.approx(exact.P, abs=0.03)
+
+
+def test_predict_without_argument_uses_dt():
+    flt = sf.SPHFilter(OSCILLATOR, POSITION, X0, P0, n_particles=100, dt=0.25)
+    flt.predict()
+    assert flt.t == 0.25
+
+
+def state_of(flt):
+    return flt.t, flt.x.tobytes(), flt.P.tobytes(), flt.density, flt.log_evidence, flt.log_likelihood, flt.z
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        lambda f: f.predict(-1.0),
+        lambda f: f.predict(np.nan),
+        lambda f: f.update([1.0, 2.0]),
+        lambda f: f.update([0.0], measurement=sf.LikelihoodMeasurement(lambda z, X, t: np.full(len(X), -np.inf))),
+    ],
+)
+def test_failed_step_leaves_the_filter_as_it_was(step):
+    flt = sph(150)
+    flt.predict(0.2)
+    flt.update([0.9])
+    before = state_of(flt)
+    with pytest.raises(sf.SphfilterError):
+        step(flt)
+    assert state_of(flt) == before
+
+
+def test_failed_predict_of_a_model_that_blows_up():
+    model = sf.SDE(drift=lambda x, t: (x[0] ** 3,), dim=1, noise=[[1.0]], spectral_density=[[0.1]])
+    flt = sf.SPHFilter(model, sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[1.0]]), [1.0], [[0.1]], n_particles=50)
+    before = state_of(flt)
+    with pytest.raises(sf.PropagationError, match="blew up"):
+        flt.predict(10.0)
+    assert state_of(flt) == before
+
+
+def test_mean_cannot_be_overwritten():
+    flt = sph(150)
+    with pytest.raises(sf.ModelError, match="IMM"):
+        flt.x = X0
+    with pytest.raises(sf.ModelError, match="IMM"):
+        flt.P = P0
+
+
+def test_filterpy_saver():
+    flt = sph(150)
+    saver = Saver(flt)
+    for z in ([0.5], [0.3]):
+        flt.predict(0.2)
+        flt.update(z)
+        saver.save()
+    saver.to_array()
+    assert saver.x.shape == (2, 2)
+    assert saver.log_likelihood.shape == (2,)
+
+
+def test_result_goes_round_a_file(tmp_path):
+    result = sph(150).run(TIMES[:2], data()[:2])
+    result.save(tmp_path / "run.npz")
+    back = sf.FilterResult.load(tmp_path / "run.npz")
+    np.testing.assert_array_equal(back.P, result.P)
+
+
+def test_filter_pickles():
+    flt = sph(150)
+    flt.predict(0.2)
+    again = pickle.loads(pickle.dumps(flt))
+    np.testing.assert_array_equal(again.density.x, flt.density.x)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"x0": [0.0]}, r"x0 has shape \(1,\)"),
+        ({"x0": [0.0, np.nan]}, "x0 contains NaN"),
+        ({"P0": np.ones((2, 3))}, "P0"),
+        ({"P0": [[1.0, 2.0], [2.0, 1.0]]}, "P0 is not positive definite"),
+        ({"P0": np.zeros((2, 2))}, "P0 is not positive definite"),
+        ({"P0": None}, "needs x0 and P0"),
+        ({"n_particles": 0}, "n_particles"),
+        ({"n_particles": 6}, "n_particles = 6 is too small for 2 states"),
+        ({"dt": -1.0}, "dt must be greater than zero"),
+        ({"density": 3}, "not both"),
+    ],
+)
+def test_bad_arguments(arguments, message):
+    with pytest.raises(sf.ModelError, match=message):
+        sf.SPHFilter(OSCILLATOR, POSITION, **{"x0": X0, "P0": P0, **arguments})
+
+
+@pytest.mark.parametrize(
+    ("times", "z", "message"),
+    [
+        ([1.0, 0.5], [[0.0], [0.0]], "not decreasing"),
+        ([-1.0], [[0.0]], "before the filter's own time"),
+        ([1.0], [[0.0], [0.0]], "as many measurements as times"),
+        ([np.nan], [[0.0]], "finite"),
+    ],
+)
+def test_bad_runs(times, z, message):
+    with pytest.raises(sf.ModelError, match=message):
+        sph(150).run(times, z)
