@@ -1,6 +1,7 @@
 """`python -m experiments run NAME`: simulate a scenario, run filters on it, tell and draw what came out."""
 
 import argparse
+import hashlib
 import json
 import platform
 import shutil
@@ -107,8 +108,9 @@ def _status(console):
 
 
 def _campaign(console, scenario, filters, n_runs, seed, n_jobs, out):
-    """Run the campaign with a progress bar. Finished runs wait in a folder until all are done."""
-    folder = out / "unfinished"
+    """Run the campaign with a progress bar. Finished runs wait in a folder of its own until all are done."""
+    which = hashlib.sha256(f"{scenario} {filters} {seed}".encode()).hexdigest()[:8]
+    folder = out / f"unfinished-{which}"
     if any(folder.glob("run_*.npz")):
         console.print(f"going on from the runs that an interrupted command left in {folder}")
     columns = TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
