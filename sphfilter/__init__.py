@@ -1,6 +1,8 @@
 """Bayes filters that carry the probability density itself, solved with smoothed particle hydrodynamics."""
 
+from . import consistency
 from ._version import __version__
+from .campaign import CampaignResult, Case, run_campaign
 from .config import AcceptanceTest, FilterConfig, PaperScheme, SolverConfig
 from .density import ParticleDensity
 from .errors import ConfigError, ExpressionError, ModelError, PropagationError, SphfilterError
@@ -10,6 +12,7 @@ from .initial import Gaussian, Uniform, initialize
 from .measurements import GaussianMeasurement, LikelihoodMeasurement
 from .models import SDE, LinearSDE
 from .predict import Trajectory, predict, propagate
+from .report import Report, report
 from .resample import resample
 from .results import FilterResult
 from .simulate import simulate
@@ -18,6 +21,8 @@ from .update import update
 __all__ = [
     "SDE",
     "AcceptanceTest",
+    "CampaignResult",
+    "Case",
     "ConfigError",
     "ExpressionError",
     "FilterConfig",
@@ -31,6 +36,7 @@ __all__ = [
     "ParticleDensity",
     "PredictInfo",
     "PropagationError",
+    "Report",
     "ResampleInfo",
     "SPHFilter",
     "SolverConfig",
@@ -39,10 +45,13 @@ __all__ = [
     "Uniform",
     "UpdateInfo",
     "__version__",
+    "consistency",
     "initialize",
     "predict",
     "propagate",
+    "report",
     "resample",
+    "run_campaign",
     "simulate",
     "update",
 ]

@@ -92,7 +92,7 @@ class PaperScheme:
         Time stepping: (17)-(18); "relative" compares with the nearest neighbour's velocity (000) and wants
         `dt_max` seconds, since it guards against collisions and does not control the error.
     c_diffusion : float
-        Explicit limit dt <= c_diffusion c_K h^2 / tr D (stability needs about 2.7); not in 002, seldom active.
+        Explicit limit dt <= c_diffusion c_K h^2 / tr D (unstable from about 2.7 on); not in 002.
     search, bypass, c_nns, bypass_max, buffer_neighbors
         Neighbour search, and its bypass (43)-(47); `buffer_neighbors` is M_B (by dimension if None), and
         half of it forces a search.

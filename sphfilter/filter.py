@@ -133,7 +133,7 @@ class SPHFilter:
         return info
 
     def update(self, z, measurement=None):
-        """Use a measurement; None or NaN is a missing one. `measurement` is another sensor. Returns UpdateInfo."""
+        """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo."""
         measurement = measurement or self.measurement
         density, info = update(self._density, measurement, z, self.config, n_particles=self.n_particles)
         self.x_prior, self.P_prior = self._x, self._P

@@ -6,7 +6,6 @@ import numpy as np
 from scipy import stats
 
 from .config import SolverConfig
-from .density import ParticleDensity
 from .errors import ModelError
 from .lattice import Lattice, heaviest, particles_on, place_gaussian
 from .validate import array, count, covariance
@@ -42,7 +41,7 @@ class Uniform:
 
     def pdf(self, X):
         """Density at the states X (M, n)."""
-        inside = np.all((X >= self.box[:, 0]) & (X <= self.box[:, 1]), axis=1)
+        inside = np.all((self.box[:, 0] <= X) & (self.box[:, 1] >= X), axis=1)
         return inside / np.prod(self.box[:, 1] - self.box[:, 0])
 
 

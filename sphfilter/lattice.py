@@ -108,7 +108,7 @@ def place_gaussian(mean, cov, n_particles, scheme):
         best = next((place for place in tried if place.kept.sum() <= n_particles), None)
     if best is None or best.kept.sum() < 3**n or best.core.sum() < 2**n:
         raise ModelError(
-            f"n_particles = {n_particles} is too small for {n} states: the lattice needs {3**n} nodes at least, "
+            f"n_particles = {n_particles} is too small for {n} states: the lattice needs {3**n} nodes or more, "
             f"{2**n} of them within the core; use more particles or a smaller buffer_ratio (now "
             f"{scheme.buffer_ratio:g})"
         )
@@ -242,7 +242,7 @@ def heaviest(values, share):
 
 
 def collocation_masses(x, h, target, kernel_name):
-    """Masses whose mixture takes the target values at the particles (002 (48)), or None if one is negative."""
+    """Masses whose mixture takes the target values at the particles (002 (48)); None if any is negative."""
     kind, n = KINDS.index(kernel_name), x.shape[1]
     support = np.full(len(x), RADIUS[kind] * h)
     index = build_index(x, support[0], choose_method(len(x), n))

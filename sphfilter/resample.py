@@ -88,7 +88,7 @@ def regrid(density, n_particles, scheme, log_weight=None):
 
 
 def log_integral(density, log_weight, n_nodes):
-    """Log of the integral of density times exp(log_weight), on one lattice over all particles and supports."""
+    """Log of the integral of density times exp(log_weight), on a lattice over all particles and supports."""
     reach = RADIUS[density.kernel_code[0]] * density.h.max()
     low, high = density.x.min(axis=0) - reach, density.x.max(axis=0) + reach
     dims = _dims(high - low, n_nodes, 1.0, 1.0, least=8)
@@ -182,8 +182,8 @@ def _candidates(density, raw, log_weight, extents, volume_fraction, n_particles,
             return viable
         if np.all(dims <= least):
             raise PropagationError(
-                f"n_particles = {n_particles} is too small for {n} states: no lattice of so few nodes has three of "
-                f"them in the posterior along every axis; use more particles"
+                f"n_particles = {n_particles} is too small for {n} states: no lattice of so few has three nodes "
+                f"in the posterior along every axis; use more particles"
             )
         dims = np.maximum(dims - 1, least)
 
@@ -222,7 +222,7 @@ def _rescale_boundary(values, kept, core, cell_volume):
     boundary = kept & ~core
     values = values * kept
     in_core, at_boundary = values[core].sum() * cell_volume, values[boundary].sum() * cell_volume
-    if 0.0 < at_boundary and in_core < 1.0:
+    if at_boundary > 0.0 and in_core < 1.0:
         values[boundary] *= (1.0 - in_core) / at_boundary
     else:
         values /= in_core + at_boundary

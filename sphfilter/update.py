@@ -52,7 +52,9 @@ def update(density, measurement, z, config=None, *, n_particles=None):
         values = measurement.log_likelihood(z, X, density.t)
         if np.isnan(values).any():
             where = X[np.isnan(values)][0]
-            raise ModelError(f"the likelihood of z = {z} is NaN at the state {where}; check the sensor function")
+            raise ModelError(
+                f"the likelihood of z = {z} is NaN at the state {where}; check the sensor function"
+            )
         return values
 
     innovation, spread = _innovation(density, measurement, z, seen)

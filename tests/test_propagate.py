@@ -1,4 +1,4 @@
-"""The transient solver against closed forms: moments, factor 1/2, convergence orders, invariances, failures."""
+"""The transient solver against closed forms: moments, convergence orders, invariances, failures."""
 
 from dataclasses import replace
 
@@ -121,7 +121,9 @@ def test_thread_count_changes_no_bit(n_particles):
 def test_particle_order_does_not_matter():
     density = sf.initialize(START, 200, sf.SolverConfig.paper())
     order = np.random.default_rng(0).permutation(density.n_particles)
-    shuffled = sf.ParticleDensity(x=density.x[order], mass=density.mass[order], h=density.h[order], kernel="lucy")
+    shuffled = sf.ParticleDensity(
+        x=density.x[order], mass=density.mass[order], h=density.h[order], kernel="lucy"
+    )
     ends = [sf.predict(d, OSCILLATOR, 0.5, sf.SolverConfig.paper())[0] for d in (density, shuffled)]
     assert ends[1].x == pytest.approx(ends[0].x[order], abs=1e-7)
 
@@ -139,7 +141,9 @@ def test_multiplicative_noise_against_the_lognormal():
     """dX = s X dW in Ito's sense: X is lognormal with constant mean, its variance grows as exp(s² t) - 1."""
     s, t, sd = 0.3, 0.5, 0.05
     model = sf.SDE.from_expressions(["x"], ["0"], [["s*x"]], [[1.0]], parameters={"s": s})
-    density = solve(400, t, model=model, start=sf.Gaussian([1.0], [[sd**2]]), integrator="midpoint").densities[0]
+    density = solve(
+        400, t, model=model, start=sf.Gaussian([1.0], [[sd**2]]), integrator="midpoint"
+    ).densities[0]
     second = (1 + sd**2) * np.exp(s**2 * t)
     assert density.mean()[0] == pytest.approx(1.0, abs=2e-3)
     assert density.cov()[0, 0] == pytest.approx(second - 1.0, rel=0.02)
@@ -149,25 +153,31 @@ def test_stratonovich_drift_is_added():
     """In Stratonovich's sense the same equation has mean exp(s² t / 2)."""
     s, t = 0.3, 0.5
     model = sf.SDE.from_expressions(["x"], ["0"], [["s*x"]], [[1.0]], {"s": s}, interpretation="stratonovich")
-    density = solve(400, t, model=model, start=sf.Gaussian([1.0], [[0.0025]]), integrator="midpoint").densities[0]
+    density = solve(
+        400, t, model=model, start=sf.Gaussian([1.0], [[0.0025]]), integrator="midpoint"
+    ).densities[0]
     assert density.mean()[0] == pytest.approx(np.exp(s**2 * t / 2), abs=2e-3)
 
 
 def test_time_dependent_noise():
     model = sf.SDE.from_expressions(["x"], ["0"], [["sqrt(1 + t)"]], [[1.0]])
-    density = solve(300, 1.0, model=model, start=sf.Gaussian([0.0], [[1.0]]), integrator="midpoint").densities[0]
+    density = solve(
+        300, 1.0, model=model, start=sf.Gaussian([0.0], [[1.0]]), integrator="midpoint"
+    ).densities[0]
     assert density.cov()[0, 0] == pytest.approx(1.0 + 1.5, rel=0.02)
 
 
 def test_duffing_stays_a_density():
     """A strongly folding case: everything finite, mass one, and moments near those of simulated paths."""
-    model = sf.SDE.from_expressions(
-        ["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[0.8]]
-    )
+    model = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[0.8]])
     start = sf.Gaussian([0.0, 10.0], np.eye(2) / 4)
     density = solve(800, 1.5, model=model, start=start).densities[0]
     paths, _ = sf.simulate(
-        model, None, np.random.default_rng(1).multivariate_normal(start.mean, start.cov, 20_000), [0.0, 1.5], rng=2
+        model,
+        None,
+        np.random.default_rng(1).multivariate_normal(start.mean, start.cov, 20_000),
+        [0.0, 1.5],
+        rng=2,
     )
     sample = paths[:, -1]
     standard_error = sample.std(axis=0) / np.sqrt(len(sample))

@@ -35,7 +35,7 @@ def test_update_is_that_of_kalman():
 
 
 def test_error_of_the_update_falls_with_the_number_of_particles():
-    mean, cov, evidence, *_ = kalman(0.2)
+    _, cov, evidence, *_ = kalman(0.2)
     off = []
     for N in (200, 800, 3200):
         density, info = sf.update(prior(N), SENSOR, [0.2], n_particles=N)
@@ -117,7 +117,9 @@ def test_f_edge_bounds_the_part_on_edge_kernels():
     z_values = PRIOR.mean[0] + np.linspace(3.0, 6.0, 41)
 
     def accepted(**changes):
-        return sum(sf.update(density, sharp, [z], sf.FilterConfig.paper(**changes))[1].accepted for z in z_values)
+        return sum(
+            sf.update(density, sharp, [z], sf.FilterConfig.paper(**changes))[1].accepted for z in z_values
+        )
 
     strict, published, loose = accepted(f_edge=0.0), accepted(), accepted(f_edge=0.99)
     assert strict < published < loose

@@ -187,7 +187,7 @@ def _query_tree(index, x, y, k, R, found, r2):
 
 @jit
 def query(index, x, y, k, R, found, r2):
-    """Write particles of x within R of the point y[k], and squared distances, to `found`, `r2` (N,); how many."""
+    """Write the particles of x within R of y[k], and squared distances, to `found`, `r2` (N,); how many."""
     if index.method == CELLS:
         return _query_cells(index, x, y, k, R, found, r2)
     if index.method == TREE:

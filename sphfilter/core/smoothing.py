@@ -3,7 +3,6 @@
 All three keep rho_i h_i^n at its initial value (002 (14), 000 (110)); they differ in the density they use.
 """
 
-import math
 
 import numpy as np
 

@@ -14,7 +14,13 @@ from ._jit import jit, parallel_jit
 from .kernels import RADIUS, shape, slope
 from .neighbors import query
 
-__all__ = ["density_and_gradient", "density_and_gradient_parallel", "deposit", "own_density", "sample_density"]
+__all__ = [
+    "density_and_gradient",
+    "density_and_gradient_parallel",
+    "deposit",
+    "own_density",
+    "sample_density",
+]
 
 
 def _density_and_gradient(x, m, h, lists, kernel, rho, grad, r):

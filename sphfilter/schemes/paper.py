@@ -1,4 +1,4 @@
-"""The scheme of 002: explicit steps of SPH particles, with the lattice, masses and re-gridding of the paper."""
+"""The scheme of 002: explicit steps of SPH particles, on the paper's lattice, masses and re-gridding."""
 
 import math
 from dataclasses import replace
@@ -72,7 +72,9 @@ def _march(density, model, t1, scheme, counters):
     times = np.array([density.t, t1])
     functions = (model.drift_batch, model.diffusion_batch, model.diffusion_divergence_batch)
     try:
-        code = call(core.march, *functions, _coefficients(model), cloud, _options(scheme, density), times, counters)
+        code = call(
+            core.march, *functions, _coefficients(model), cloud, _options(scheme, density), times, counters
+        )
     except (ArithmeticError, ValueError) as problem:
         raise PropagationError(
             f"the model failed between t = {density.t:g} and {t1:g} near {density.mean()}: {problem}"
@@ -148,8 +150,8 @@ def _skipped(model, bypassed):
 def _blow_up(model, state, t, start, t1):
     values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(model.states, state, strict=True))
     return (
-        f"the model blew up at t = {t:.6g} (prediction from {start:g} to {t1:g}), at the particle {values}: its "
-        f"velocity grows without bound there. Check the drift for that state, predict over a shorter interval, or use "
+        f"the model blew up at t = {t:.6g} (prediction from {start:g} to {t1:g}), at the particle {values}: "
+        f"its velocity grows without bound. Check the drift there, predict over a shorter interval, or use "
         f"a smaller represented_mass so that particles stay out of the far tail"
     )
 
