@@ -182,7 +182,7 @@ def _candidates(density, raw, log_weight, extents, volume_fraction, n_particles,
             return viable
         if np.all(dims <= least):
             raise PropagationError(
-                f"n_particles = {n_particles} is too small for {n} states: no lattice of so few has three nodes "
+                f"n_particles = {n_particles} is too small for {n} states: no such lattice has three nodes "
                 f"in the posterior along every axis; use more particles"
             )
         dims = np.maximum(dims - 1, least)

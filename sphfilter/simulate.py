@@ -1,5 +1,6 @@
 """Simulated truths and measurements, with an error in distribution far below that of any filter."""
 
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -84,9 +85,7 @@ def advance(model, x, t0, t1, rng, max_step=None):
     """
     x = np.array(x, dtype=float, order="C", ndmin=2)
     if model.linear:
-        Phi, offset, Qd = model.to_linear().discretize(t1 - t0)
-        w, V = np.linalg.eigh(Qd)
-        root = V * np.sqrt(np.maximum(w, 0.0))
+        Phi, offset, root = _transition(model, t1 - t0)
         return x @ Phi.T + offset + rng.standard_normal(x.shape) @ root.T
     L = _root(model.spectral_density)
     t, taken = float(t0), 0
@@ -102,6 +101,13 @@ def advance(model, x, t0, t1, rng, max_step=None):
         _check_finite(x, t, end)
         t = end
     return x
+
+
+@lru_cache(maxsize=256)
+def _transition(model, dt):
+    """Return the exact transition of a linear model and a root of its covariance; models never change."""
+    Phi, offset, Qd = model.to_linear().discretize(dt)
+    return Phi, offset, _root(Qd)
 
 
 def _take(model, x, t, dt, n_steps, L, rng):

@@ -56,7 +56,9 @@ def test_probability_and_marginal(density):
 def test_mode_and_hpd_level(density):
     assert density.mode() == pytest.approx(MEAN, abs=0.1)
     peak = 1 / (2 * np.pi * np.sqrt(np.linalg.det(COV)))
-    assert density.hpd_level(0.5) == pytest.approx(0.5 * peak, rel=0.03)  # chi-square of two: exp(-r²/2) = 1 - P
+    assert density.hpd_level(0.5) == pytest.approx(
+        0.5 * peak, rel=0.03
+    )  # chi-square of two: exp(-r²/2) = 1 - P
 
 
 def test_samples_follow_the_mixture(density):

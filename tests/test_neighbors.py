@@ -74,7 +74,9 @@ def test_buffer_holds_enough_particles_beyond_every_support():
 
 def test_buffer_larger_than_the_cloud_lists_everyone():
     x = cloud(10, 2)
-    start, _ = neighbors.neighbor_lists(x, np.full(10, 0.1), np.full(10, 0.1), 50, neighbors.build_index(x, 1.0, 0))
+    start, _ = neighbors.neighbor_lists(
+        x, np.full(10, 0.1), np.full(10, 0.1), 50, neighbors.build_index(x, 1.0, 0)
+    )
     assert np.all(np.diff(start) == 9)
 
 
@@ -86,5 +88,8 @@ def test_coincident_particles(method):
 
 
 def test_method_follows_number_and_dimension():
-    names = [neighbors.METHODS[neighbors.choose_method(N, n)] for N, n in [(100, 2), (5000, 1), (5000, 2), (5000, 4)]]
+    names = [
+        neighbors.METHODS[neighbors.choose_method(N, n)]
+        for N, n in [(100, 2), (5000, 1), (5000, 2), (5000, 4)]
+    ]
     assert names == ["brute", "cells", "cells", "tree"]
