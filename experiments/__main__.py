@@ -1,14 +1,16 @@
-"""The command line: ``python -m experiments list``, ``run NAME``, ``sweep NAME``."""
+"""The command line: ``python -m experiments list``, ``run NAME``, ``sweep NAME``, ``filter``."""
 
 import argparse
 import sys
 
 from sphfilter.errors import SphfilterError
 
-from . import listing, run, sweep
+from . import filter_csv, listing, run, sunspots, sweep
 
 #: Modules with a one-line docstring, ``add_arguments(parser)`` and ``main(args)``.
-COMMANDS = {"list": listing, "run": run, "sweep": sweep}
+COMMANDS = {"list": listing, "run": run, "sweep": sweep, "filter": filter_csv}
+#: Names that `run` takes and that are no scenarios: measured data, with options of their own.
+MEASURED = {"sunspots": sunspots}
 
 
 def parser():
@@ -23,9 +25,21 @@ def parser():
     return top
 
 
+def _measured_parser(name):
+    """The command line of `run` with a name of `MEASURED`."""
+    module = MEASURED[name]
+    description = module.__doc__.partition("`: ")[2].splitlines()[0]
+    made = argparse.ArgumentParser(prog=f"python -m experiments run {name}", description=description)
+    module.add_arguments(made)
+    made.set_defaults(main=module.main)
+    return made
+
+
 def main(argv=None):
     """Run a command and return its exit code: 0, 1 after an error, 130 after an interruption."""
-    args = parser().parse_args(argv)
+    argv = sys.argv[1:] if argv is None else list(argv)
+    measured = argv[:1] == ["run"] and len(argv) > 1 and argv[1] in MEASURED
+    args = _measured_parser(argv[1]).parse_args(argv[2:]) if measured else parser().parse_args(argv)
     try:
         args.main(args)
     except SphfilterError as problem:

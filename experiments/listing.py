@@ -3,6 +3,7 @@
 from rich.console import Console
 from rich.table import Table
 
+from . import sunspots
 from .scenario import read_settings, scenario_names
 
 __all__ = ["add_arguments", "main"]
@@ -19,6 +20,7 @@ def main(args):
     table.add_column()
     for name in scenario_names():
         table.add_row(name, read_settings(name).description)
+    table.add_row("sunspots", sunspots.SUMMARY)
     console = Console(highlight=False)
     console.print(table)
     console.print("\nRun one with: python -m experiments run NAME", style="dim")

@@ -108,7 +108,7 @@ def place_gaussian(mean, cov, n_particles, scheme):
         best = next((place for place in tried if place.kept.sum() <= n_particles), None)
     if best is None or best.kept.sum() < 3**n or best.core.sum() < 2**n:
         raise ModelError(
-            f"n_particles = {n_particles} is too small for {n} states: it needs {3**n} lattice nodes or more, "
+            f"n_particles = {n_particles} is too small for {n} states: needed are {3**n} nodes or more, "
             f"{2**n} of them within the core; use more particles or a smaller buffer_ratio (now "
             f"{scheme.buffer_ratio:g})"
         )
