@@ -126,7 +126,7 @@ def _verdict(name, f, report, exact):
     if f.n_rejected:
         share = f.n_rejected / (f.n_runs * report.n_epochs)
         return (
-            f"{who} rejected {f.n_rejected} measurements ({share:.1%}): too far out for its particles, by "
+            f"{who} rejected {f.n_rejected} of the measurements ({share:.1%}): too far out for its particles, by "
             "its own acceptance test. A larger scheme.domain_mass or represented_mass makes that rarer."
         )
     return ""
@@ -146,9 +146,9 @@ def _against_particles(report, scenario):
         )
     published = scenario.settings.published.get("sph")
     if sph and published and np.isfinite(sph.run_time):
-        times = published.run_time / sph.run_time
         said.append(
-            f"SPH took {sph.run_time:.2g} s a run, {times:.0f} times less than the paper's on its machine."
+            f"SPH took {sph.run_time:.3g} s a run, the paper's {published.run_time:.3g} s on its machine: "
+            f"a ratio of {published.run_time / sph.run_time:.2g}."
         )
     return said
 

@@ -100,9 +100,9 @@ def test_sentences_say_what_went_wrong():
     said = " ".join(sentences(numbers, scenario))
     assert "EKF lost the truth in 1 of 4 runs" in said
     assert "UKF failed in 4 of 4 runs" in said
-    assert "SPH rejected 60 measurements (100.0%)" in said
+    assert "SPH rejected 60 of the measurements (100.0%)" in said
     assert "+10.0 % (position), +10.0 % (velocity)" in said
-    assert "SPH took 0.5 s a run, 27 times less" in said
+    assert "the paper's 13.3 s on its machine: a ratio of 27" in said
     assert "PF lost" not in said
 
 
