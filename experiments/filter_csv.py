@@ -1,0 +1,127 @@
+"""`python -m experiments filter`: run filters on measurements of one's own, from a CSV file.
+
+The model, the sensor and the start come from a TOML file (see `model_file.ModelFile`).
+"""
+
+import csv
+import time
+from pathlib import Path
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from sphfilter.campaign import Case
+from sphfilter.errors import SphfilterError
+
+from .csv_data import read_measurements
+from .filter_plots import draw
+from .filters import FILTERS, factories
+from .model_file import load_model
+
+__all__ = ["add_arguments", "case_of", "main", "write_result"]
+
+
+def add_arguments(parser):
+    """Add the options of `filter`."""
+    parser.add_argument("--model", type=Path, required=True, help="TOML file with model, sensor and start")
+    parser.add_argument("--data", type=Path, required=True, help="CSV file: a time and measurements a line")
+    parser.add_argument("--filters", help=f"comma-separated, of {', '.join(FILTERS)}")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the particle filter")
+    parser.add_argument("--out", type=Path, help="folder for results (default: results/NAME of the data)")
+
+
+def main(args):
+    """Run the command; prints to standard output."""
+    console = Console(highlight=False)
+    console = console if console.is_terminal else Console(highlight=False, width=132)
+    scenario = load_model(args.model)
+    columns = scenario.settings.data
+    data = read_measurements(args.data, scenario.measurement.dim_z, columns.time, columns.columns)
+    names = None if args.filters is None else [name.strip() for name in args.filters.split(",")]
+    filters = factories(names, scenario)
+    out = args.out or Path("results") / args.data.stem
+
+    n_missing = int(np.isnan(data.z).sum())
+    missing = f", {n_missing} values missing" if n_missing else ""
+    console.print(f"[bold]{scenario.name}[/]: {len(data.times)} lines of {args.data}{missing}\n")
+    results, seconds, problems = _run(filters, case_of(scenario, data), args.seed)
+    for name, problem in problems.items():
+        console.print(f"{name.upper()} stopped: {problem}", style="red")
+    if not results:
+        raise SphfilterError("no filter came to the end of the data")
+    _tell(console, results, seconds)
+    out.mkdir(parents=True, exist_ok=True)
+    for name, result in results.items():
+        write_result(out / f"{name}.csv", result, scenario.settings.model.states, data.time_name)
+    draw(out / "estimates.png", scenario, data, results)
+    listed = ", ".join(f"{name}.csv" for name in results)
+    console.print(f"Estimates are in {out}: {listed}; the picture is {out / 'estimates.png'}.")
+
+
+def case_of(scenario, data):
+    """Measurements and start as a `Case` whose truth nobody knows."""
+    start = scenario.settings.start
+    return Case(
+        times=data.times,
+        truth=np.full((len(data.times), scenario.model.dim), np.nan),
+        z=data.z,
+        x0=np.array(start.mean),
+        P0=np.array(start.cov),
+        t0=float(data.times[0] if start.time is None else start.time),
+    )
+
+
+def _run(filters, case, seed):
+    """Results, run times in seconds and what went wrong, each by filter."""
+    results, seconds, problems = {}, {}, {}
+    for name, make in filters.items():
+        begin = time.perf_counter()
+        try:
+            results[name] = make(case, np.random.default_rng(seed)).run(case.times, case.z)
+        except SphfilterError as problem:
+            problems[name] = str(problem)
+        seconds[name] = time.perf_counter() - begin
+    return results, seconds, problems
+
+
+def _tell(console, results, seconds):
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    for heading in ("filter", "log-evidence (nat)", "lines rejected", "run time (s)"):
+        table.add_column(heading, justify="left" if heading == "filter" else "right")
+    for name, result in results.items():
+        rejected = int(np.sum(~result.accepted))
+        table.add_row(name.upper(), f"{result.log_evidence.sum():.2f}", str(rejected), f"{seconds[name]:.2f}")
+    console.print(table)
+    console.print(
+        "• The log-evidence is the log-density that a filter gave to all measurements before it saw them. "
+        "Compare models by it (one filter, the same data): the larger explains the data better, and a "
+        "difference of 3 is odds of 20 to 1. Between filters of one model it tells whose forecasts were "
+        "better."
+    )
+    console.print("• The run time includes compiling at a filter's first use.")
+
+
+def write_result(path, result, states, time_name="t"):
+    """Write a line for every time: mean and standard deviation of each state after the update, evidence.
+
+    Parameters
+    ----------
+    path : Path
+    result : FilterResult
+    states : sequence of str, length n
+    time_name : str
+        Heading of the first column.
+    """
+    std = np.sqrt(np.diagonal(result.P, axis1=1, axis2=2))
+    heading = [time_name]
+    for name in states:
+        heading += [name, f"{name}_std"]
+    pairs = np.stack([result.x, std], axis=2).reshape(len(result.t), -1)
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*heading, "log_evidence", "accepted"])
+        for i, t in enumerate(result.t):
+            numbers = [float(v) for v in (t, *pairs[i], result.log_evidence[i])]
+            writer.writerow([*numbers, int(result.accepted[i])])

@@ -1,0 +1,99 @@
+"""Pictures of filters on measured data: estimates over time, and bands of forecasts."""
+
+import matplotlib
+
+matplotlib.use("Agg")  # files only: no window system is asked for
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from .forecast import LEVELS
+from .plots import COLOURS
+
+__all__ = ["draw", "draw_forecasts"]
+
+_DPI = 130
+
+
+def draw(path, scenario, data, results):
+    """Draw a row for each filter and a column for each state: mean, ±2σ, and what the sensor read of it.
+
+    Parameters
+    ----------
+    path : Path
+    scenario : Scenario
+    data : Measurements
+    results : dict of str to FilterResult
+    """
+    n = scenario.model.dim
+    size = (max(4.8 * n, 7.0), 1.9 * len(results) + 1.2)
+    figure, axes = plt.subplots(
+        len(results), n, figsize=size, sharex=True, sharey="col", squeeze=False, layout="constrained"
+    )
+    reads = scenario.measurement.directly_observed
+    for row, (name, result) in zip(axes, results.items(), strict=True):
+        for d, ax in enumerate(row):
+            std = np.sqrt(result.P[:, d, d])
+            low, high = result.x[:, d] - 2 * std, result.x[:, d] + 2 * std
+            ax.fill_between(result.t, low, high, color=COLOURS[name], alpha=0.22, lw=0)
+            ax.plot(result.t, result.x[:, d], color=COLOURS[name], lw=1.2)
+            if reads is not None and d in reads[0]:
+                j = list(reads[0]).index(d)
+                ax.plot(data.times, data.z[:, j] / reads[1][j], ".", ms=3.5, color="0.15", mec="none")
+            _plain(ax)
+        row[0].set_title(name.upper(), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
+    for ax, label, unit in zip(axes[0], scenario.labels, scenario.units, strict=True):
+        ax.set_title(f"{label} ({unit})" if unit else label, fontsize=10)
+    for ax in axes[-1]:
+        ax.set_xlabel(data.time_name)
+    title = f"{scenario.name}: estimate after each line ± 2σ (band), measurements (dots)"
+    figure.suptitle(title, fontsize=11)
+    _save(figure, path)
+
+
+def draw_forecasts(path, scores):
+    """Draw a row for each filter, a column for each horizon: median and central intervals, and what came.
+
+    Parameters
+    ----------
+    path : Path
+    scores : dict of str to (dict of int to Score)
+    """
+    horizons = list(next(iter(scores.values())))
+    shape = (len(scores), len(horizons))
+    size = (6.2 * shape[1], 1.9 * shape[0] + 1.2)
+    figure, axes = plt.subplots(
+        *shape, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained"
+    )
+    for row, (name, of) in zip(axes, scores.items(), strict=True):
+        for ax, h in zip(row, horizons, strict=True):
+            score = of[h]
+            for k in (1, 0):  # the wide one below
+                low, high = score.intervals[:, k].T
+                ax.fill_between(score.year, low, high, color=COLOURS[name], alpha=(0.35, 0.2)[k], lw=0)
+            ax.plot(score.year, score.median, color=COLOURS[name], lw=1.3)
+            ax.plot(score.year, score.observed, "o", ms=3.0, mfc="w", mec="k", mew=0.8)
+            inside = ", ".join(f"{c:.0%}" for c in score.coverage[:2])
+            ax.set_title(f"inside: {inside}", loc="right", fontsize=9)
+            _plain(ax)
+        row[0].set_title(name.upper(), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
+        row[0].set_ylabel("sunspot number")
+    top = max(np.max(of[h].observed) for of in scores.values() for h in horizons)
+    axes[0, 0].set_ylim(0, 1.5 * top)
+    for ax, h in zip(axes[0], horizons, strict=True):
+        ax.set_title(f"{h} year{'s' if h > 1 else ''} ahead", fontsize=11)
+    for ax in axes[-1]:
+        ax.set_xlabel("year")
+    levels = " and ".join(f"{level:.0%}" for level in LEVELS[:2])
+    figure.suptitle(f"Forecasts: median and central {levels} intervals; circles: what came", fontsize=11)
+    _save(figure, path)
+
+
+def _plain(ax):
+    ax.margins(x=0.01)
+    ax.grid(alpha=0.25, lw=0.5)
+
+
+def _save(figure, path):
+    figure.savefig(path, dpi=_DPI)
+    plt.close(figure)

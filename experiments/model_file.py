@@ -1,0 +1,84 @@
+"""A model with a sensor and a start, read from TOML: what filters need for measurements from outside."""
+
+import tomllib
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+import sphfilter as sf
+from sphfilter.config import settings
+from sphfilter.errors import ConfigError, ModelError
+
+from .scenario import Scenario
+from .settings import Filters, ModelText, Sensor
+
+__all__ = ["Belief", "Columns", "ModelFile", "load_model"]
+
+
+@settings
+class Belief:
+    """What is believed before the first measurement: N(mean, cov) at `time`.
+
+    Attributes
+    ----------
+    mean : tuple, length n
+    cov : nested tuple, shape (n, n)
+    time : float or None
+        The time of the first measurement if None.
+    """
+
+    kind: Literal["gaussian"] = "gaussian"
+    mean: tuple[float, ...]
+    cov: tuple[tuple[float, ...], ...]
+    time: float | None = None
+
+
+@settings
+class Columns:
+    """Names of columns: the time (the first if None) and the measurements (all others if empty)."""
+
+    time: str | None = None
+    columns: tuple[str, ...] = ()
+
+
+@settings
+class ModelFile:
+    """The file. Model, sensor and filters are those of a scenario; times and measurements come from data."""
+
+    description: str = ""
+    model: ModelText
+    sensor: Sensor
+    start: Belief
+    data: Columns = Field(default_factory=Columns)
+    filters: Filters = Field(default_factory=Filters)
+
+
+def load_model(path):
+    """Read a model file and check that its parts fit each other.
+
+    Returns
+    -------
+    Scenario
+        With `ModelFile` settings: nothing can be drawn from it, but filters can be made for it.
+
+    Raises
+    ------
+    ConfigError, ExpressionError, ModelError
+    """
+    path = Path(path)
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise ConfigError(f"cannot read {path}: {problem.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise ConfigError(f"{path} is not valid TOML: {problem}") from None
+    scenario = Scenario(path.stem, ModelFile(**tree))
+    n, width, start = scenario.model.dim, scenario.measurement.H.shape[1], scenario.settings.start
+    if width != n or len(start.mean) != n:
+        raise ModelError(
+            f"the model has {n} states, but sensor.h has {width} columns "
+            f"and start.mean {len(start.mean)} values"
+        )
+    sf.Gaussian(start.mean, start.cov)  # checks the covariance
+    return scenario

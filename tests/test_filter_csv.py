@@ -1,0 +1,179 @@
+"""`python -m experiments filter`: data files, model files, and the command against a textbook recursion."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from experiments.__main__ import main
+from experiments.csv_data import read_measurements
+from experiments.model_file import load_model
+from sphfilter.errors import ConfigError, ModelError, SphfilterError
+
+A, Q, R, M0, P0 = 0.4, 0.5, 0.3, 1.0, 2.0
+MODEL = f"""
+[model]
+states = ["x"]
+labels = ["level"]
+units = ["m"]
+drift = ["-a*x"]
+noise = [["1"]]
+spectral_density = [[{Q}]]
+parameters = {{ a = {A} }}
+
+[sensor]
+h = [[1.0]]
+noise_cov = [[{R}]]
+
+[start]
+mean = [{M0}]
+cov = [[{P0}]]
+"""
+TIMES = [0.0, 0.5, 0.5, 1.7, 3.0, 3.4]
+READINGS = [1.2, 0.7, 1.1, None, -0.4, 0.1]
+
+
+@pytest.fixture
+def model(tmp_path):
+    path = tmp_path / "level.toml"
+    path.write_text(MODEL, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def data(tmp_path):
+    path = tmp_path / "tank.csv"
+    lines = [f"{t},{'' if z is None else z}" for t, z in zip(TIMES, READINGS, strict=True)]
+    path.write_text("\n".join(["hour,level", *lines, ""]), encoding="utf-8")
+    return path
+
+
+def textbook(t0=0.0):
+    """Mean, standard deviation and log-evidence of the Ornstein-Uhlenbeck process by the scalar recursion."""
+    m, P, t, rows = M0, P0, t0, []
+    for t1, z in zip(TIMES, READINGS, strict=True):
+        decay = np.exp(-A * (t1 - t))
+        m, P, t = decay * m, decay**2 * P + Q / (2 * A) * (1 - decay**2), t1
+        evidence = 0.0
+        if z is not None:
+            S = P + R
+            evidence = -0.5 * ((z - m) ** 2 / S + np.log(2 * np.pi * S))
+            m, P = m + P / S * (z - m), P - P**2 / S
+        rows.append((t1, m, np.sqrt(P), evidence))
+    return np.array(rows)
+
+
+def numbers(path):
+    with open(path, newline="", encoding="utf-8") as file:
+        heading, *rows = csv.reader(file)
+    return heading, np.array(rows, dtype=float)
+
+
+class TestCommand:
+    def test_writes_the_exact_estimates(self, model, data, tmp_path, capsys):
+        out = tmp_path / "out"
+        assert main(["filter", "--model", str(model), "--data", str(data), "--filters", "kf,ekf",
+                     "--out", str(out)]) == 0  # fmt: skip
+        exact = textbook()
+        for name in ("kf", "ekf"):
+            heading, rows = numbers(out / f"{name}.csv")
+            assert heading == ["hour", "x", "x_std", "log_evidence", "accepted"]
+            np.testing.assert_allclose(rows[:, :4], exact, rtol=1e-5, atol=1e-6)
+        said = capsys.readouterr().out
+        assert f"{exact[:, 3].sum():.2f}" in said and "1 values missing" in said
+        assert (out / "estimates.png").stat().st_size > 10_000
+
+    def test_density_filters_agree(self, model, data, tmp_path):
+        out = tmp_path / "out"
+        words = ["filter", "--model", str(model), "--data", str(data), "--filters", "sph,grid,pf"]
+        assert main([*words, "--out", str(out)]) == 0
+        exact = textbook()
+        for name, allowed in (("sph", 0.02), ("grid", 1e-3), ("pf", 0.2)):
+            _, rows = numbers(out / f"{name}.csv")
+            assert np.max(np.abs(rows[:, 1:3] - exact[:, 1:3]) / exact[:, 2:3]) < allowed, name
+
+    def test_start_before_the_first_measurement(self, model, data, tmp_path):
+        model.write_text(MODEL + "time = -2.0\n", encoding="utf-8")
+        words = ["filter", "--model", str(model), "--data", str(data), "--filters", "kf"]
+        assert main([*words, "--out", str(tmp_path)]) == 0
+        _, rows = numbers(tmp_path / "kf.csv")
+        np.testing.assert_allclose(rows[:, :4], textbook(t0=-2.0), rtol=1e-9)
+
+    def test_all_filters_stop(self, model, data, tmp_path, capsys):
+        data.write_text("hour,level\n0,1\n1,1e200\n", encoding="utf-8")
+        words = ["filter", "--model", str(model), "--data", str(data), "--filters", "pf"]
+        with np.errstate(over="ignore"):
+            assert main([*words, "--out", str(tmp_path)]) == 1
+        said = capsys.readouterr()
+        assert "PF stopped" in said.out and "no filter came to the end" in said.err
+
+    def test_unknown_filter(self, model, data, tmp_path, capsys):
+        words = ["filter", "--model", str(model), "--data", str(data), "--out", str(tmp_path)]
+        assert main([*words, "--filters", "spf"]) == 1
+        assert "no filter 'spf'" in capsys.readouterr().err
+
+
+class TestData:
+    def test_columns_by_name_and_by_order(self, tmp_path):
+        path = tmp_path / "d.csv"
+        path.write_text("\ufeffa, t ,b\n1,10, \n\n3,20,4\n", encoding="utf-8")
+        named = read_measurements(path, 2, time="t", columns=("b", "a"))
+        np.testing.assert_array_equal(named.times, [10, 20])
+        np.testing.assert_array_equal(named.z, [[np.nan, 1], [4, 3]])
+        assert read_measurements(path, 2).names == ("t", "b")
+
+    @pytest.mark.parametrize(
+        ("text", "settings", "sentence"),
+        [
+            ("t,depth\n0,1\n", {"columns": ("dept",)}, "no column 'dept' (did you mean 'depth'?)"),
+            ("time,z\n0,1\n", {"time": "tme"}, "no column 'tme' (did you mean 'time'?)"),
+            ("t,z\n0,1\n1,wet\n", {}, "line 3, column 'z': 'wet' is not a number"),
+            ("t,z\n0,1\n\n1,inf\n", {}, "line 4, column 'z': an infinite value"),
+            ("t,z\n0,1\n2,1\n1,1\n", {}, "line 4: time 1 is before 2"),
+            ("t,z\n0,1\n,1\n", {}, "line 3: there is no time in column 't'"),
+            ("t,z\n0,1\n1\n", {}, "line 3: 1 cells under 2 column names"),
+            ("t,a,b\n0,1,2\n", {}, "the sensor gives 1 values, but"),
+            ("t,z,z\n0,1,2\n", {}, "names a column twice"),
+            ("t,z\n", {}, "needs a line of column names and a line of numbers"),
+            ("", {}, "needs a line of column names and a line of numbers"),
+        ],
+    )
+    def test_bad_file(self, tmp_path, text, settings, sentence):
+        path = tmp_path / "d.csv"
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ConfigError) as problem:
+            read_measurements(path, 1, **settings)
+        assert sentence in str(problem.value) and str(path) in str(problem.value)
+
+    def test_no_file_and_no_text(self, tmp_path):
+        with pytest.raises(ConfigError, match=r"cannot read .*No such file"):
+            read_measurements(tmp_path / "none.csv", 1)
+        (tmp_path / "d.csv").write_bytes(b"t,z\n\xff\xfe,1\n")
+        with pytest.raises(ConfigError, match="not a CSV file in UTF-8"):
+            read_measurements(tmp_path / "d.csv", 1)
+
+
+class TestModelFile:
+    @pytest.mark.parametrize(
+        ("old", "new", "sentence"),
+        [
+            ("[sensor]", "[sensr]", "unknown key ModelFile.sensr (did you mean 'sensor'?)"),
+            ("mean = [1.0]", "", "ModelFile.start.mean is missing"),
+            ("mean = [1.0]", "mean = [1.0, 0.0]", "the model has 1 states, but sensor.h has 1 columns and"),
+            ("cov = [[2.0]]", "cov = [[-2.0]]", "positive definite"),
+            ("-a*x", "-a*y", "y"),
+            ("[start]", "[start", "is not valid TOML"),
+        ],
+    )
+    def test_bad_file(self, model, old, new, sentence):
+        model.write_text(MODEL.replace(old, new), encoding="utf-8")
+        with pytest.raises(SphfilterError) as problem:
+            load_model(model)
+        assert sentence in str(problem.value)
+
+    def test_errors_have_their_class(self, model, tmp_path):
+        with pytest.raises(ConfigError, match="cannot read"):
+            load_model(tmp_path / "none.toml")
+        model.write_text(MODEL.replace("h = [[1.0]]", "h = [[1.0, 0.0]]"), encoding="utf-8")
+        with pytest.raises(ModelError, match="2 columns"):
+            load_model(model)
