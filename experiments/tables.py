@@ -126,8 +126,8 @@ def _verdict(name, f, report, exact):
     if f.n_rejected:
         share = f.n_rejected / (f.n_runs * report.n_epochs)
         return (
-            f"{who} rejected {f.n_rejected} of the measurements ({share:.1%}): too far out for its particles, "
-            "by its own acceptance test. A larger scheme.domain_mass or represented_mass makes that rarer."
+            f"{who} rejected {f.n_rejected} of the measurements ({share:.1%}): too far out for its "
+            "particles, by its own acceptance test. A larger domain_mass or represented_mass makes it rarer."
         )
     return ""
 
