@@ -5,6 +5,8 @@ No blanket ``fastmath``: it lets the compiler assume that NaN and infinity never
 order instead, and results are the same bits whatever the number of threads.
 """
 
+from types import FunctionType
+
 from numba import njit, typeof, types
 from numba.core.dispatcher import Dispatcher
 
@@ -25,8 +27,14 @@ def jit(function):
 
 
 def parallel_jit(function):
-    """As `jit`, with ``prange`` loops spread over threads. Each iteration must write only its own row."""
-    return njit(function, cache=True, error_model="numpy", parallel=True, nogil=True)
+    """As `jit`, with ``prange`` loops spread over threads. Each iteration must write only its own row.
+
+    The function is copied under another name: numba's cache knows functions by name and line, and would hand
+    the serial code of a function that is compiled both ways to both.
+    """
+    copy = FunctionType(function.__code__, function.__globals__, function.__name__ + "_parallel")
+    copy.__qualname__, copy.__doc__ = copy.__name__, function.__doc__
+    return njit(copy, cache=True, error_model="numpy", parallel=True, nogil=True)
 
 
 def call(dispatcher, *args):

@@ -152,7 +152,7 @@ def stable_step(cloud, lists, r, work, coefficients, options):
 
 
 @jit
-def bypass_time(cloud, h_rate, lists, r, work, options):
+def bypass_time(cloud, h_old, dt_old, lists, r, work, options):
     """t_NNS of 002 (43) and the smallest number of buffer neighbours.
 
     Corrected: the support is K h, so that its rate is K dh/dt, and the distance to cover is that from the
@@ -174,9 +174,17 @@ def bypass_time(cloud, h_rate, lists, r, work, options):
                 fastest2 = max(fastest2, speed2)
         if start[i + 1] - start[i] < N - 1:
             fewest = min(fewest, buffer)
-            rate = math.sqrt(fastest2) + K * h_rate[i]
+            rate = math.sqrt(fastest2) + K * (cloud.h[i] - h_old[i]) / dt_old
             t_nns = min(t_nns, options.c_nns * (farthest - support) / max(rate, _EPS))
     return t_nns, fewest
+
+
+@jit
+def _displace(x, x0, dt, v):
+    """x = x0 + dt v, written out: numba compiles an array expression ten times as long."""
+    for i in range(x.shape[0]):
+        for d in range(x.shape[1]):
+            x[i, d] = x0[i, d] + dt * v[i, d]
 
 
 @jit
@@ -187,22 +195,42 @@ def move(model, coefficients, t, dt, cloud, lists, r, work, options):
     """
     x, v = cloud.x, work.v
     if options.integrator == EULER:
-        x += dt * v
+        _displace(x, x, dt, v)
         return 0
     x0, k = x.copy(), np.empty_like(x)
-    x[:] = x0 + 0.5 * dt * v
-    evaluate(model, coefficients, t + 0.5 * dt, x, cloud, lists, r, work, options, k)
+    n_stages = 1 if options.integrator == MIDPOINT else 3
+    total = v.copy()
+    for stage in range(n_stages):
+        ahead = dt if stage == 2 else 0.5 * dt
+        _displace(x, x0, ahead, v if stage == 0 else k)
+        evaluate(model, coefficients, t + ahead, x, cloud, lists, r, work, options, k)
+        _displace(total, total, 1.0 if stage == 2 else 2.0, k)
     if options.integrator == MIDPOINT:
-        x[:] = x0 + dt * k
-        return 1
-    total = v + 2.0 * k
-    x[:] = x0 + 0.5 * dt * k
-    evaluate(model, coefficients, t + 0.5 * dt, x, cloud, lists, r, work, options, k)
-    total += 2.0 * k
-    x[:] = x0 + dt * k
-    evaluate(model, coefficients, t + dt, x, cloud, lists, r, work, options, k)
-    x[:] = x0 + dt / 6.0 * (total + k)
-    return 3
+        _displace(x, x0, dt, k)
+    else:
+        _displace(x, x0, dt / 6.0, total)
+    return n_stages
+
+
+@jit
+def _search(cloud, support, reach, options):
+    """New neighbour lists; `reach` starts from what sufficed last time, relative to the support."""
+    K, total, N = RADIUS[options.kernel], 0.0, cloud.h.size
+    for i in range(N):
+        reach[i] *= 0.99 * K * cloud.h[i] / support[i]
+        support[i] = K * cloud.h[i]
+        total += support[i]
+    index = build_index(cloud.x, 1.3 * total / N, options.search)
+    return neighbor_lists(cloud.x, support, reach, options.buffer, index)
+
+
+@jit
+def _outgrown(cloud, reach, K):
+    """Has a support grown past the radius its list was made for?"""
+    for i in range(reach.size):
+        if K * cloud.h[i] > reach[i]:
+            return True
+    return False
 
 
 @jit
@@ -228,13 +256,9 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, times, cou
             counters[SMOOTHING_FAILED] += update_smoothing(
                 options.smoothing, options.smoothing_tolerance, cloud, reach, lists, kernel, work.grad, r
             )
-        searched = must_search or np.any(K * cloud.h > reach)
+        searched = must_search or _outgrown(cloud, reach, K)
         if searched:
-            index = build_index(cloud.x, 1.3 * K * np.median(cloud.h), options.search)
-            # Start from the reach that sufficed last time, relative to the support; let it shrink slowly.
-            reach *= 0.99 * K * cloud.h / support
-            support[:] = K * cloud.h
-            lists = neighbor_lists(cloud.x, support, reach, options.buffer, index)
+            lists = _search(cloud, support, reach, options)
             r = np.empty(lists[1].size)
             elapsed, k_bypass = 0.0, 0
         k_bypass += not searched
@@ -243,7 +267,7 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, times, cou
         counters[EVALUATIONS] += 1
         if counters[STEPS] == first:
             cloud.rho0[:] = cloud.rho
-        h_rate = (cloud.h - h_old) / dt
+        dt_old = dt
         dt, counters[CULPRIT] = stable_step(cloud, lists, r, work, coefficients, options)
         if not math.isfinite(dt):
             return NOT_FINITE
@@ -251,7 +275,7 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, times, cou
             return STALLED
         dt = min(dt, times[1] - times[0])
         if options.bypass:
-            t_nns, fewest = bypass_time(cloud, h_rate, lists, r, work, options)
+            t_nns, fewest = bypass_time(cloud, h_old, dt_old, lists, r, work, options)
             t_ref = t_nns if searched else t_ref
             must_search = elapsed + dt >= min(t_ref, t_nns)
             must_search |= fewest <= options.buffer_min or k_bypass >= options.k_bypass_max

@@ -64,25 +64,53 @@ def _build_cells(x, size):
     k = min(n, _CELL_AXES)
     low, high = np.empty((1, k)), np.empty((1, k))
     dims = np.empty(k, np.int64)
+    n_cells = 1
     for d in range(k):
-        low[0, d] = x[:, d].min()
-        span = x[:, d].max() - low[0, d]
+        low[0, d], top = x[0, d], x[0, d]
+        for i in range(N):
+            low[0, d], top = min(low[0, d], x[i, d]), max(top, x[i, d])
+        span = top - low[0, d]
         dims[d] = int(min(max(span / size, 1.0), (2.0 * N) ** (1.0 / k) + 1.0))
         high[0, d] = max(span / dims[d], 1e-300)
+        n_cells *= dims[d]
     cell = np.empty(N, np.int64)
-    start = np.zeros(np.prod(dims) + 1, np.int64)
+    start = np.zeros(n_cells + 1, np.int64)
     for i in range(N):
         c = 0
         for d in range(k):
             c = c * dims[d] + min(int((x[i, d] - low[0, d]) / high[0, d]), dims[d] - 1)
         cell[i] = c
         start[c + 1] += 1
-    start = np.cumsum(start)
+    for c in range(n_cells):
+        start[c + 1] += start[c]
     order, fill = np.empty(N, np.int64), start.copy()
     for i in range(N):
         order[fill[cell[i]]] = i
         fill[cell[i]] += 1
     return Index(CELLS, order, start, dims, low, high)
+
+
+@jit
+def _halve(order, x, axis, a, b, middle):
+    """Reorder order[a:b] so that nothing before `middle` lies beyond anything after it (quickselect)."""
+    last = b - 1
+    while a < last:
+        pivot = x[order[(a + last) // 2], axis]
+        i, j = a, last
+        while i <= j:
+            while x[order[i], axis] < pivot:
+                i += 1
+            while x[order[j], axis] > pivot:
+                j -= 1
+            if i <= j:
+                order[i], order[j] = order[j], order[i]
+                i, j = i + 1, j - 1
+        if middle <= j:
+            last = j
+        elif middle >= i:
+            a = i
+        else:
+            return
 
 
 @jit
@@ -107,8 +135,8 @@ def _build_tree(x):
             if high[node, d] - low[node, d] > high[node, widest] - low[node, widest]:
                 widest = d
         if 2 * node + 2 < n_nodes:
-            order[a:b] = order[a:b][np.argsort(x[order[a:b], widest])]
             middle = (a + b) // 2
+            _halve(order, x, widest, a, b, middle)
             start[4 * node + 2], start[4 * node + 3] = a, middle
             start[4 * node + 4], start[4 * node + 5] = middle, b
     return Index(TREE, order, start, np.empty(0, np.int64), low, high)
@@ -234,8 +262,10 @@ def neighbor_lists(x, support, reach, buffer, index):
     start = np.zeros(N + 1, np.int64)
     for i in range(N):
         reach[i], n_found = _reach(x, i, support[i], max(reach[i], support[i]), buffer, index, found, r2)
-        while n_pairs + n_found > pairs.size:
-            pairs, gaps2 = np.concatenate((pairs, pairs)), np.concatenate((gaps2, gaps2))
+        if n_pairs + n_found > pairs.size:
+            more, more2 = np.empty(2 * pairs.size + N, np.int32), np.empty(2 * pairs.size + N)
+            more[:n_pairs], more2[:n_pairs] = pairs[:n_pairs], gaps2[:n_pairs]
+            pairs, gaps2 = more, more2
         for s in range(n_found):
             if found[s] != i:
                 pairs[n_pairs], gaps2[n_pairs] = found[s], r2[s]
@@ -254,7 +284,9 @@ def _close(reach, start, pairs, gaps2):
         for s in range(start[i], start[i + 1]):
             if gaps2[s] > reach[pairs[s]] ** 2:
                 size[pairs[s] + 1] += 1
-    bounds = np.cumsum(size)
+    bounds = size
+    for i in range(N):
+        bounds[i + 1] += bounds[i]
     fill, rows = bounds[:-1].copy(), np.empty(bounds[-1], np.int32)
     for i in range(N):
         for s in range(start[i], start[i + 1]):

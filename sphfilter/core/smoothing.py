@@ -76,7 +76,8 @@ def update_smoothing(mode, tolerance, cloud, reach, lists, kernel, grad, r):
             if proportional(cloud.rho, cloud.rho0, cloud.h0, n, cloud.h) < tolerance:
                 break
             # The plain iteration oscillates where few neighbours carry the sum: go to the geometric mean.
-            cloud.h[:] = np.minimum(np.sqrt(old * cloud.h), reach / RADIUS[kernel[0]])
+            for i in range(old.size):
+                cloud.h[i] = min(math.sqrt(old[i] * cloud.h[i]), reach[i] / RADIUS[kernel[0]])
             density_and_gradient(cloud.x, cloud.m, cloud.h, lists, kernel, cloud.rho, grad, r)
     if mode == NEWTON:
         for i in range(cloud.h.size):
