@@ -227,7 +227,7 @@ def _search(cloud, support, reach, options):
 @jit
 def _outgrown(cloud, reach, K):
     """Has a support grown past the radius its list was made for?"""
-    for i in range(reach.size):
+    for i in range(reach.size):  # noqa: SIM110 - numba compiles no generator
         if K * cloud.h[i] > reach[i]:
             return True
     return False

@@ -3,8 +3,7 @@
 All three keep rho_i h_i^n at its initial value (002 (14), 000 (110)); they differ in the density they use.
 """
 
-
-import numpy as np
+import math
 
 from ._jit import jit
 from .kernels import RADIUS
