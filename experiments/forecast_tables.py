@@ -63,7 +63,10 @@ def sentences(scores, history, first):
         ]
         parts.append(f"HISTORY {_difference(history[h], scores[reference][h])}")
         ahead = f"{h} year{'s' if h > 1 else ''} ahead"
-        said.append(f"Log score minus that of {reference.upper()}, {ahead}: {', '.join(parts)}.")
+        said.append(
+            f"Log score minus that of {reference.upper()}, {ahead} (± a standard error, years taken as "
+            f"independent): {', '.join(parts)}."
+        )
     return said
 
 
