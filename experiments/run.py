@@ -17,9 +17,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sphfilter import __version__
 from sphfilter.campaign import run_campaign
+from sphfilter.errors import SphfilterError
 from sphfilter.report import report
 
-from . import plots
+from . import pictures, plots
 from .comparison import distances, reference_name
 from .filters import FILTERS, factories
 from .scenario import load_scenario, parse_change
@@ -41,6 +42,12 @@ def add_arguments(parser):
     parser.add_argument("--out", type=Path, help="folder for results (default: results/NAME)")
     parser.add_argument("--jobs", type=_count, default=1, help="processes")
     parser.add_argument("--n-particles", type=int, help="particles of the SPH filter, at most")
+    parser.add_argument(
+        "--pictures",
+        metavar="NAMES",
+        help="comma-separated pictures of the paper to draw besides the histories, or none "
+        "(default: all the scenario has, if sph runs)",
+    )
     parser.add_argument(
         "--set",
         dest="changes",
@@ -70,6 +77,7 @@ def main(args):
     filters = factories(names, scenario)
     n_runs = scenario.settings.runs.default if args.runs is None else args.runs
     seed = scenario.settings.runs.seed if args.seed is None else args.seed
+    wanted = pictures.chosen(scenario, args.pictures if "sph" in filters else args.pictures or "none")
     out = args.out or Path("results") / scenario.name
 
     console.print(f"[bold]{scenario.name}[/]: {scenario.settings.description}")
@@ -83,7 +91,20 @@ def main(args):
     _write(out, scenario, campaign, numbers, distance)
     drawn = plots.draw(out, scenario, filters, campaign)
     console.print(f"Numbers are in {out}/campaign.npz and run.json, the scenario as run in scenario.toml.")
+    for name in wanted:
+        drawn += _picture(console, name, scenario, out, seed, n_runs)
     console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
+
+
+def _picture(console, name, scenario, out, seed, n_runs):
+    """Draw a picture of the paper; one that cannot be drawn costs none of the results."""
+    with _status(console) as say:
+        say(f"drawing {name} (up to half a minute; the numbers are safe)")
+        try:
+            return pictures.draw(name, scenario, out, seed, n_runs, lambda text: console.print(f"• {text}"))
+        except SphfilterError as problem:
+            console.print(f"picture {name}: {problem}", style="red")
+            return []
 
 
 def _warm_up(console, scenario, filters):

@@ -19,7 +19,8 @@ def _run(*arguments):
 @pytest.fixture(scope="module")
 def duffing(tmp_path_factory):
     out = tmp_path_factory.mktemp("duffing")
-    assert _run("run", "duffing", "--filters", "ekf,pf,sph", *_TINY, "--out", str(out)) == 0
+    arguments = ["--filters", "ekf,pf,sph", "--pictures", "none", "--out", str(out)]
+    assert _run("run", "duffing", *_TINY, *arguments) == 0
     return out
 
 

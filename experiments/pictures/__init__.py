@@ -12,7 +12,7 @@ from .accuracy import initial_accuracy, support_sweep
 from .densities import transient_densities
 from .rejections import rejected_measurements
 
-__all__ = ["PICTURES", "draw", "names"]
+__all__ = ["PICTURES", "chosen", "draw", "names"]
 
 #: Pictures of a scenario, by name.
 PICTURES = {
@@ -25,6 +25,32 @@ PICTURES = {
 def names(scenario):
     """Names of the pictures that a scenario has, a tuple; empty for scenarios that are not of 002."""
     return tuple(PICTURES.get(scenario.name, ()))
+
+
+def chosen(scenario, text):
+    """Names in a comma-separated text, checked; all of the scenario for None, none for "none".
+
+    Raises
+    ------
+    ConfigError
+        The scenario has no such picture.
+    """
+    known = names(scenario)
+    if text is None or text.strip() == "none":
+        return known if text is None else ()
+    wanted = tuple(name.strip() for name in text.split(","))
+    for name in wanted:
+        _check(scenario, name)
+    return wanted
+
+
+def _check(scenario, name):
+    known = names(scenario)
+    if name not in known:
+        listed = ", ".join(known) or "none"
+        raise ConfigError(
+            f"{scenario.name} has no picture {name!r}{nearest(name, known)}; its pictures: {listed}"
+        )
 
 
 def draw(name, scenario, folder, seed, n_runs=None, say=print):
@@ -52,12 +78,7 @@ def draw(name, scenario, folder, seed, n_runs=None, say=print):
     ConfigError
         The scenario has no such picture.
     """
-    known = names(scenario)
-    if name not in known:
-        listed = ", ".join(known) or "none"
-        raise ConfigError(
-            f"{scenario.name} has no picture {name!r}{nearest(name, known)}; its pictures: {listed}"
-        )
+    _check(scenario, name)
     picture = PICTURES[scenario.name][name](scenario, seed, n_runs or scenario.settings.runs.default)
     for sentence in picture.sentences:
         say(sentence)

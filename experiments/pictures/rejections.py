@@ -29,7 +29,7 @@ class Coverage(NamedTuple):
         return float(np.sqrt(stats.chi2.ppf(self.represented_mass, dim)))
 
 
-_NARROW, _WIDE = Coverage(0.99, 0.995), Coverage(0.999, 0.99999)
+_NARROW, _WIDE = Coverage(0.99, 0.995), Coverage(0.999, 0.9999)
 
 
 def rejected_measurements(scenario, seed, n_runs):
