@@ -5,6 +5,8 @@ No blanket ``fastmath``: it lets the compiler assume that NaN and infinity never
 order instead, and results are the same bits whatever the number of threads.
 """
 
+from hashlib import sha256
+from pathlib import Path
 from types import FunctionType
 
 from numba import njit, typeof, types
@@ -21,9 +23,28 @@ BATCH = types.void(types.float64[:, ::1], types.float64, types.float64[::1], typ
 BATCH_FUNCTION = types.FunctionType(BATCH)
 
 
+def _fingerprint():
+    """Short hash of the sources of the core."""
+    sources = (path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
+    return sha256(b"".join(sources)).hexdigest()[:10]
+
+
+_SOURCES = _fingerprint()
+
+
+def _named_for_the_cache(function):
+    """Make the sources part of the name under which a compiled function is cached.
+
+    Numba notices when the file of a function changes, not when a file it calls into does: after an update
+    of the package it would run old code, and crash where the layout of the arguments has changed.
+    """
+    function.__qualname__ += f"_{_SOURCES}"
+    return function
+
+
 def jit(function):
     """Compile lazily, in nopython mode, cached on disk; division by zero gives inf, as in numpy."""
-    return njit(function, cache=True, error_model="numpy")
+    return njit(_named_for_the_cache(function), cache=True, error_model="numpy")
 
 
 def parallel_jit(function):
@@ -33,8 +54,8 @@ def parallel_jit(function):
     the serial code of a function that is compiled both ways to both.
     """
     copy = FunctionType(function.__code__, function.__globals__, function.__name__ + "_parallel")
-    copy.__qualname__, copy.__doc__ = copy.__name__, function.__doc__
-    return njit(copy, cache=True, error_model="numpy", parallel=True, nogil=True)
+    copy.__doc__ = function.__doc__
+    return njit(_named_for_the_cache(copy), cache=True, error_model="numpy", parallel=True, nogil=True)
 
 
 def call(dispatcher, *args):
