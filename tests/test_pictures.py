@@ -95,7 +95,8 @@ def test_rates_count_refused_measurements(short_duffing, monkeypatch):
 
     monkeypatch.setattr(rejections, "_factory", factory)
     coverages = [rejections._NARROW, rejections.Coverage(0.995, 0.9995), rejections._WIDE]
-    rates, refused = rejections.rejection_rates(short_duffing, coverages, 1, 3)
+    results, refused, rates = rejections.rejection_rates(short_duffing, coverages, 1, 3)
+    assert list(results) == coverages
     assert list(rates.values()) == [(3, 6), (0, 6), (0, 0)]  # a filter that failed refused nothing
     assert refused[rejections._NARROW].tolist() == [[True, False]] * 3
 

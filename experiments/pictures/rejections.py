@@ -37,7 +37,7 @@ def rejected_measurements(scenario, seed, n_runs):
     scheme = scenario.settings.filters.sph.config.scheme
     own = Coverage(scheme.represented_mass, scheme.domain_mass)
     coverages = sorted({_NARROW, own, _WIDE})
-    rates, refused = rejection_rates(scenario, coverages, seed, n_runs)
+    results, refused, rates = rejection_rates(scenario, coverages, seed, n_runs)
     shown = own if refused[own].any() else _NARROW
     run = int(np.argmax(refused[shown].sum(axis=1)))
     case = draw_case(replace(scenario, between=True), seed, run)
@@ -47,8 +47,11 @@ def rejected_measurements(scenario, seed, n_runs):
         width_ratios=[2.4, 1],
         layout="constrained",
     )
-    _history(axes["before"], scenario, case, shown)
-    _history(axes["after"], scenario, case, _WIDE)
+    for key, coverage in (("before", shown), ("after", _WIDE)):
+        _history(axes[key], scenario, case, results[coverage], run)
+        n = int(refused[coverage][run].sum())
+        title = f"{_describe(coverage, scenario.model.dim)}: {n} refused"
+        frame(axes[key], title, "time (s)", quantity(scenario, _observed(scenario)[0]))
     axes["before"].sharex(axes["after"])
     axes["before"].sharey(axes["after"])
     axes["before"].set_xlabel("")
@@ -73,18 +76,20 @@ def rejection_rates(scenario, coverages, seed, n_runs):
 
     Returns
     -------
-    rates : dict of Coverage to Rate
+    results : dict of Coverage to FilterResult, runs first
     refused : dict of Coverage to ndarray of bool, shape (n_runs, T)
         False where a run failed.
+    rates : dict of Coverage to Rate
     """
     filters = {str(c): _factory(scenario, c) for c in coverages}
-    results = run_campaign(scenario, filters, n_runs, seed).results
+    campaign = run_campaign(scenario, filters, n_runs, seed)
+    results = {c: campaign.results[str(c)] for c in coverages}
     rates, refused = {}, {}
-    for c in coverages:
-        done = np.isfinite(results[str(c)].x).all(axis=(1, 2))
-        refused[c] = ~results[str(c)].accepted & done[:, None]
+    for c, result in results.items():
+        done = np.isfinite(result.x).all(axis=(1, 2))
+        refused[c] = ~result.accepted & done[:, None]
         rates[c] = Rate(int(refused[c].sum()), int(done.sum()) * refused[c].shape[1])
-    return rates, refused
+    return results, refused, rates
 
 
 def _factory(scenario, coverage):
@@ -93,22 +98,30 @@ def _factory(scenario, coverage):
     return Factory("sph", scenario, replace(sph, config=replace(sph.config, scheme=scheme)))
 
 
-def _history(ax, scenario, case, coverage):
-    """Truth, estimate with ±2σ, and measurements of the first observed state; crosses mark refused ones."""
+def _observed(scenario):
+    """The first observed state, and what the sensor multiplies it by."""
     states, scales = scenario.measurement.directly_observed
-    d, z = states[0], case.z[:, 0] / scales[0]
-    result = _factory(scenario, coverage)(case, None).run(case.times, case.z)
-    m, s = result.x[:, d], np.sqrt(result.P[:, d, d])
+    return int(states[0]), scales[0]
+
+
+def _history(ax, scenario, case, result, run):
+    """Truth, measurements, and the estimate before and after each; crosses mark refused measurements.
+
+    The estimates are those of the campaign: predicting in shorter pieces, to draw lines in between, may turn
+    the verdict on a measurement at the edge.
+    """
+    d, scale = _observed(scenario)
+    t, accepted = result.t, result.accepted[run]
+    z = case.z[np.isfinite(case.z[:, 0]), 0] / scale
     ax.plot(case.times, case.truth[:, d], color="0.25", lw=1.0, label="truth")
-    ax.fill_between(case.times, m - 2 * s, m + 2 * s, color=ACCENT["sph"], alpha=0.22, lw=0, label="SPH ± 2σ")
-    ax.plot(case.times, m, color=ACCENT["sph"], lw=1.4, label="SPH")
-    taken = result.accepted & np.isfinite(z)
-    ax.plot(case.times[taken], z[taken], "o", ms=3.6, mfc="w", mec="k", mew=0.9, label="measurement")
-    ax.plot(case.times[~result.accepted], z[~result.accepted], "X", ms=10, color=ACCENT["other"], mec="w",
-            label="refused", zorder=5)  # fmt: skip
-    n = int((~result.accepted).sum())
-    title = f"{_describe(coverage, scenario.model.dim)}: {n} refused"
-    frame(ax, title, "time (s)", quantity(scenario, d))
+    for x, P, width, alpha, label in (
+        (result.x_prior, result.P_prior, 8.0, 0.25, "SPH before the update, ± 2σ"),
+        (result.x, result.P, 3.5, 0.9, "SPH after, ± 2σ"),
+    ):
+        ax.errorbar(t, x[run, :, d], 2 * np.sqrt(P[run, :, d, d]), ls="", elinewidth=width, alpha=alpha,
+                    color=ACCENT["sph"], label=label)  # fmt: skip
+    ax.plot(t[accepted], z[accepted], "o", ms=4.5, mfc="w", mec="k", mew=0.9, label="measurement", zorder=4)
+    ax.plot(t[~accepted], z[~accepted], "X", ms=10, color=ACCENT["other"], mec="w", label="refused", zorder=5)
     ax.margins(x=0.01)
 
 
