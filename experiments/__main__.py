@@ -1,14 +1,14 @@
-"""The command line: ``python -m experiments list``, ``run NAME``, ``sweep NAME``, ``filter``."""
+"""The command line: ``python -m experiments list``, ``run``, ``sweep``, ``converge``, ``filter``."""
 
 import argparse
 import sys
 
 from sphfilter.errors import SphfilterError
 
-from . import filter_csv, listing, run, sunspots, sweep
+from . import converge, filter_csv, listing, run, sunspots, sweep
 
 #: Modules with a one-line docstring, ``add_arguments(parser)`` and ``main(args)``.
-COMMANDS = {"list": listing, "run": run, "sweep": sweep, "filter": filter_csv}
+COMMANDS = {"list": listing, "run": run, "sweep": sweep, "converge": converge, "filter": filter_csv}
 #: Names that `run` takes and that are no scenarios: measured data, with options of their own.
 MEASURED = {"sunspots": sunspots}
 

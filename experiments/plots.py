@@ -12,7 +12,7 @@ import numpy as np
 from sphfilter import consistency
 from sphfilter.campaign import draw_case
 
-__all__ = ["COLOURS", "consistency_figure", "draw", "example_runs", "history_figure"]
+__all__ = ["COLOURS", "consistency_figure", "draw", "draw_convergence", "example_runs", "history_figure"]
 
 #: One colour a filter in every picture (Okabe & Ito: distinct for the colour-blind too).
 COLOURS = {
@@ -43,6 +43,36 @@ def draw(out, scenario, filters, campaign):
     drawn.append(out / "consistency.png")
     _save(consistency_figure(scenario, campaign), drawn[-1])
     return drawn
+
+
+def draw_convergence(out, rows, slopes):
+    """Draw errors against the number of particles, both logarithmic; returns the path of the picture.
+
+    Parameters
+    ----------
+    out : Path
+    rows : list of (int, Distance, ...)
+    slopes : dict of str to float
+        Order of each error in the particle spacing.
+    """
+    labels = {
+        "mean": "mean (posterior std)",
+        "cov": "covariance (relative)",
+        "evidence": "log-evidence of a measurement (nat)",
+    }
+    figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    for (measure, label), mark in zip(labels.items(), "os^", strict=True):
+        errors = [getattr(distance, measure) for _, distance, *_ in rows]
+        label = f"{label}, order {slopes[measure]:.1f}"
+        ax.loglog([count for count, *_ in rows], errors, f"{mark}-", label=label)
+    ax.set(xlabel="particles at most", ylabel="rms error against the exact filter")
+    ax.set_xticks([count for count, *_ in rows], [str(count) for count, *_ in rows], minor=False)
+    ax.minorticks_off()
+    ax.grid(alpha=0.3)
+    ax.legend(frameon=False)
+    path = out / "convergence.png"
+    _save(figure, path)
+    return path
 
 
 def _save(figure, path):

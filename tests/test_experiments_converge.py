@@ -1,0 +1,42 @@
+"""The command that shows the order of convergence against an exact filter."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from experiments.__main__ import main
+from experiments.comparison import Distance
+from experiments.converge import orders
+
+
+def test_orders_are_slopes_in_the_spacing():
+    rows = [(N, Distance(mean=N**-1.0, cov=N**-0.5, evidence=3.0), 0.1, 0) for N in (100, 200, 400)]
+    found = orders(rows, dim=2)
+    assert [found[m] for m in ("mean", "cov", "evidence")] == pytest.approx([2.0, 1.0, 0.0], abs=1e-9)
+
+
+def test_command_writes_table_and_picture(tmp_path, capsys):
+    arguments = ["linear_underdamped", "--counts", "100,200", "--runs", "1", "--set", "times.end=2"]
+    assert main(["converge", *arguments, "--out", str(tmp_path)]) == 0
+    assert "order in dx" in capsys.readouterr().out
+    with open(tmp_path / "convergence.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["particles"] for row in rows] == ["100", "200"]
+    assert all(0 < float(row["cov"]) < 1 and np.isfinite(float(row["evidence"])) for row in rows)
+    assert (tmp_path / "convergence.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["duffing"], "no exact filter"),
+        (["--counts", "100"], "two different counts"),
+        (["--counts", "a,b"], "takes numbers"),
+        (["--counts", "2,4"], "too small"),
+        (["linear_underdumped"], "linear_underdamped"),
+    ],
+)
+def test_errors_are_sentences(arguments, message, tmp_path, capsys):
+    assert main(["converge", *arguments, "--runs", "1", "--out", str(tmp_path)]) == 1
+    assert message in capsys.readouterr().err
