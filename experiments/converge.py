@@ -74,7 +74,7 @@ def convergence(name, counts, n_runs, seed, **changes):
 
 
 def orders(rows, dim):
-    """Order of each error in the particle spacing, dx ~ N^(-1/n): slope of a straight line through all rows."""
+    """Order of each error in the particle spacing, dx ~ N^(-1/n): slope of a line through all rows."""
     counts = np.array([count for count, *_ in rows], dtype=float)
     errors = {measure: [getattr(distance, measure) for _, distance, *_ in rows] for measure in MEASURES}
     return {m: float(-dim * np.polyfit(np.log(counts), np.log(e), 1)[0]) for m, e in errors.items()}

@@ -14,7 +14,14 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from .errors import ConfigError, nearest
 
-__all__ = ["AcceptanceTest", "FilterConfig", "PaperScheme", "SolverConfig", "settings"]
+__all__ = [
+    "AcceptanceTest",
+    "FilterConfig",
+    "PaperScheme",
+    "SolverConfig",
+    "checked_filter_config",
+    "settings",
+]
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
@@ -90,14 +97,15 @@ class PaperScheme:
         Smoothing length: "proportional" (002 (14), lagged a step), "fixed_point", "newton" or "fixed".
     integrator, cfl, c_cfl, dt_max
         Time stepping: (17)-(18); "relative" compares with the nearest neighbour's velocity (000) and wants
-        `dt_max` seconds, since it guards against collisions and does not control the error.
+        `dt_max` seconds, since it guards against collisions and does not control the error. Where drift or
+        noise depend on time a step is at most a hundredth of the prediction; give `dt_max` if they vary faster.
     c_diffusion : float
         Explicit limit dt <= c_diffusion c_K h^2 / tr D (unstable from about 2.7 on); not in 002.
     search, bypass, c_nns, bypass_max, buffer_neighbors
         Neighbour search, and its bypass (43)-(47); `buffer_neighbors` is M_B (by dimension if None), and
         half of it forces a search.
     max_steps : int
-        Steps of one prediction after which it is given up with an error.
+        Steps of one prediction, re-griddings included, after which it is given up with an error.
     read_out : str
         What mean and covariance are computed from: "points" or the "mixture" of kernels.
     """
@@ -208,3 +216,12 @@ class FilterConfig(_Settings):
 
     scheme: PaperScheme = Field(default_factory=PaperScheme)
     acceptance: AcceptanceTest = Field(default_factory=AcceptanceTest)
+
+
+def checked_filter_config(config):
+    """Return `config`, the default for None; anything but a `FilterConfig` is a `ConfigError`."""
+    if config is None:
+        return FilterConfig()
+    if not isinstance(config, FilterConfig):
+        raise ConfigError(f"config must be a FilterConfig such as FilterConfig.paper(), not {config!r:.80}")
+    return config

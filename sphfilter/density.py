@@ -1,6 +1,6 @@
 """The probability density a filter carries: particles with mass and smoothing length, and what to ask it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from scipy import optimize, special
@@ -8,13 +8,14 @@ from scipy.stats import qmc
 
 from .core import kernels
 from .core.neighbors import build_index, choose_method
-from .core.summation import sample_density
+from .core.summation import sample_density, sample_density_parallel
 from .errors import ModelError
 from .validate import array, choice, generator, state_rows
 
 __all__ = ["ParticleDensity"]
 
 READ_OUTS = ("points", "mixture")
+_PARALLEL_FROM = 10_000_000  # distances of points and particles, about a second's work of one thread
 _SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
 
 
@@ -41,8 +42,12 @@ class ParticleDensity:
         Probability of the region the particles cover, where the density was cut; one if unknown.
     log_density : ndarray, shape (N,), or None
         Log-density carried along the particles' paths, for schemes that have it.
+    invariant : ndarray, shape (N,), or None
+        rho h^n on the last lattice, which smoothing lengths keep (002 (14)); None on a fresh lattice.
+    capacity : int or None
+        Bound of the number of particles at the next re-gridding, unless another is given.
 
-    Arrays are read-only.
+    Arrays are read-only; particles without mass are left out.
     """
 
     x: np.ndarray
@@ -53,12 +58,14 @@ class ParticleDensity:
     read_out: str = "points"
     represented_mass: float = 1.0
     log_density: np.ndarray | None = None
-    _index: list = field(default_factory=list, repr=False)
+    invariant: np.ndarray | None = None
+    capacity: int | None = None
+    _index: list = field(init=False, repr=False, default_factory=list)
 
     def __post_init__(self):
         x = array("x", self.x, (None, None))
         own = {"x": x}
-        for name in ("mass", "h", "log_density"):
+        for name in ("mass", "h", "log_density", "invariant"):
             if getattr(self, name) is not None:
                 own[name] = array(name, getattr(self, name), (len(x),))
         if len(x) == 0 or own["mass"].min() < 0 or own["h"].min() <= 0 or own["mass"].sum() <= 0:
@@ -66,9 +73,15 @@ class ParticleDensity:
         own["mass"] /= own["mass"].sum()
         choice("kernel", self.kernel, kernels.KINDS)
         choice("read_out", self.read_out, READ_OUTS)
+        heavy = own["mass"] > 0
         for name, value in own.items():
+            value = value if heavy.all() else value[heavy]
             value.flags.writeable = False
             object.__setattr__(self, name, value)
+
+    def __reduce__(self):
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
+        return _rebuild, (values,)  # through the constructor: copies are read-only too
 
     @property
     def dim(self):
@@ -98,7 +111,9 @@ class ParticleDensity:
             width = kernels.RADIUS[self.kernel_code[0]] * np.median(self.h)
             self._index.append(build_index(self.x, width, choose_method(self.n_particles, self.dim)))
         out = np.empty(len(Y))
-        sample_density(Y, self.x, self.mass, self.h, self._index[0], self.kernel_code, out)
+        # Threads only for long sums: a process that has used them cannot be forked.
+        sums = sample_density_parallel if len(Y) * self.n_particles > _PARALLEL_FROM else sample_density
+        sums(Y, self.x, self.mass, self.h, self._index[0], self.kernel_code, out)
         return out
 
     def logpdf(self, X):
@@ -210,3 +225,7 @@ class ParticleDensity:
         cdf = np.concatenate([[0.0], np.cumsum(0.5 * (radial[1:] + radial[:-1]))])
         radius = np.interp(uniform[:, -1], cdf / cdf[-1], q)
         return radius[:, None] * direction / np.maximum(length, 1e-300)
+
+
+def _rebuild(values):
+    return ParticleDensity(**values)

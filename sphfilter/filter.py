@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .config import FilterConfig
+from .config import checked_filter_config
 from .density import ParticleDensity
 from .errors import ModelError
 from .initial import Gaussian, initialize
@@ -70,7 +70,7 @@ class SPHFilter:
     ):
         self.model, self.measurement = model, measurement
         self.n_particles = count("n_particles", n_particles)
-        self.config = config or FilterConfig()
+        self.config = checked_filter_config(config)
         self.dt = None if dt is None else positive("dt", dt)
         self._density = self._start(x0, P0, t0, density)
         self._moments()
@@ -93,6 +93,7 @@ class SPHFilter:
 
     def _moments(self):
         self._x, self._P = self._density.mean(), self._density.cov()
+        self._x.flags.writeable = self._P.flags.writeable = False  # else flt.x += d would half succeed
 
     density = property(lambda self: self._density, doc="The density now.")
     t = property(lambda self: self._density.t, doc="Time of the density, seconds.")
@@ -127,7 +128,9 @@ class SPHFilter:
             if self.dt is None:
                 raise ModelError("predict needs dt or t=, or a filter made with dt=")
             dt = self.dt
-        self._density, info = predict(self._density, self.model, dt, self.config, t=t)
+        self._density, info = predict(
+            self._density, self.model, dt, self.config, t=t, n_particles=self.n_particles
+        )
         self._moments()
         self.x_prior, self.P_prior = self._x, self._P
         return info

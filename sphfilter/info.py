@@ -14,7 +14,7 @@ class PredictInfo:
     Attributes
     ----------
     n_steps, n_evaluations : int
-        Time steps, and evaluations of density and velocity at all particles.
+        Time steps, and evaluations of the velocity at all particles.
     n_searches, n_bypassed : int
         Evaluations with neighbour lists found anew, and steps that did without.
     n_regrids : int
@@ -64,13 +64,17 @@ class UpdateInfo:
     accepted : bool
         False where the acceptance test refused the measurement: the density is still the prior.
     log_evidence : float
-        Log of the integral of prior times likelihood, also for a refused measurement; zero if none came.
+        Log of the integral of prior times likelihood; zero if no measurement came. For a refused one, which
+        lies where the prior has no particles, that of the Gaussian with the prior's mean and covariance.
     innovation, innovation_cov : ndarray or None
         z minus its prediction, shape (k,), and the covariance of the prediction plus R, for the observed
         components of a Gaussian measurement.
     reason : str
         Why it was refused, or why the acceptance test was not made; empty if there is nothing to say.
     n_particles : int
+    kernel_ratio : float
+        Variance of the kernels over the smallest variance of the posterior along any direction. Above about
+        one the kernels are wider than the posterior somewhere: more particles, or states of like scale.
     resample : ResampleInfo or None
     """
 
@@ -80,4 +84,5 @@ class UpdateInfo:
     innovation_cov: np.ndarray | None = None
     reason: str = ""
     n_particles: int = 0
+    kernel_ratio: float = 0.0
     resample: ResampleInfo | None = field(default=None, repr=False)

@@ -86,11 +86,10 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0):
 def _from_gaussian(gaussian, n_particles, scheme, t):
     place = place_gaussian(gaussian.mean, gaussian.cov, n_particles, scheme)
     lattice = place.lattice
-    off = lattice.nodes[place.kept] - gaussian.mean
-    cut = (off @ np.linalg.inv(gaussian.cov) * off).sum(axis=1).max()
     values, between = gaussian.pdf(lattice.nodes) * place.kept, gaussian.pdf(lattice.half_shifted().nodes)
-    represented = float(stats.chi2.cdf(cut, len(gaussian.mean)))
-    return particles_on(lattice, values, between, place.core, scheme, t, represented)
+    represented = min(float(values.sum() * lattice.cell_volume), 1.0)
+    about = {"t": t, "represented_mass": represented, "capacity": n_particles}
+    return particles_on(lattice, values, between, place.core, scheme, about)
 
 
 def _from_pdf(pdf, box, n_particles, scheme, t):
@@ -110,5 +109,6 @@ def _from_pdf(pdf, box, n_particles, scheme, t):
             scale = values.sum() * lattice.cell_volume
             between = np.asarray(pdf(lattice.half_shifted().nodes), dtype=float) / scale
             represented = float(values[kept].sum() / values.sum())
-            return particles_on(lattice, values * kept / scale, between, kept, scheme, t, represented)
+            about = {"t": t, "represented_mass": represented, "capacity": n_particles}
+            return particles_on(lattice, values * kept / scale, between, kept, scheme, about)
     raise ModelError(f"n_particles = {n_particles} is too small for {len(span)} states; use more")

@@ -24,6 +24,8 @@ __all__ = [
     "place_gaussian",
 ]
 
+_MOST_NODES = 2e6  # of one lattice
+
 
 @dataclass(frozen=True)
 class Lattice:
@@ -107,6 +109,12 @@ def place_gaussian(mean, cov, n_particles, scheme):
         tried = (_trimmed(mean, ellipsoid, dx * aspect, shift) for dx in spacings for shift in (0.0, 0.5))
         best = next((place for place in tried if place.kept.sum() <= n_particles), None)
     if best is None or best.kept.sum() < 3**n or best.core.sum() < 2**n:
+        if widths.max() > 10.0 * widths.min():
+            raise ModelError(
+                f"the standard deviations of the states, {widths.min():.3g} to {widths.max():.3g}, are too "
+                f"far apart for equal spacings: rescale the states, or raise anisotropy "
+                f"(now {scheme.anisotropy:g})"
+            )
         raise ModelError(
             f"n_particles = {n_particles} is too small for {n} states: needed are {3**n} nodes or more, "
             f"{2**n} of them within the core; use more particles or a smaller buffer_ratio (now "
@@ -147,7 +155,13 @@ def _trimmed(mean, ellipsoid, spacing, shift):
     vectors, n = ellipsoid.vectors, len(mean)
     radii, grown = ellipsoid.radii(float(np.prod(spacing)) ** (1.0 / n))
     extent = np.sqrt((vectors**2) @ grown**2)
-    half = np.maximum(np.floor(extent / spacing - shift), 0).astype(int)
+    half = np.maximum(np.floor(extent / spacing - shift), 0)
+    if np.prod(2.0 * half + 1.0) > _MOST_NODES:
+        raise ModelError(
+            "the initial covariance is so narrow in a direction oblique to the axes that a lattice would "
+            "need millions of nodes: rotate or rescale the states, or widen the covariance there"
+        )
+    half = half.astype(int)
     lattice = Lattice(mean - (half + shift) * spacing, spacing, 2 * half + (2 if shift else 1))
     along = (lattice.nodes - mean) @ vectors
     kept = ((along / grown) ** 2).sum(axis=1) < 1.0
@@ -198,7 +212,7 @@ def fit_support(lattice, mass, target, target_between, interior, interior_betwee
     return SupportFit(best * dx / RADIUS[kind], supports, *np.sqrt(squares / counts[:, None]), both)
 
 
-def particles_on(lattice, values, between, core, scheme, t, represented_mass):
+def particles_on(lattice, values, between, core, scheme, density):
     """Make particles of density values on a lattice: masses, and the initial h that fits them best.
 
     Parameters
@@ -211,8 +225,8 @@ def particles_on(lattice, values, between, core, scheme, t, represented_mass):
     core : ndarray of bool, shape (M,)
         Nodes whose fit counts; interstitial nodes count from the lowest density of the core up.
     scheme : PaperScheme
-    t : float
-    represented_mass : float
+    density : dict
+        The other attributes of the density: t, represented_mass, capacity.
     """
     kept = values > 0
     mass = values * lattice.cell_volume
@@ -226,10 +240,9 @@ def particles_on(lattice, values, between, core, scheme, t, represented_mass):
         x=x,
         mass=mass,
         h=np.full(len(x), fit.h),
-        t=t,
         kernel=scheme.kernel,
         read_out=scheme.read_out,
-        represented_mass=represented_mass,
+        **density,
     )
 
 

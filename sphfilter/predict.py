@@ -7,13 +7,14 @@ import numpy as np
 from .config import SolverConfig
 from .errors import ModelError
 from .info import PredictInfo
+from .resample import bound
 from .schemes import paper
 from .validate import real
 
 __all__ = ["Trajectory", "predict", "propagate"]
 
 
-def predict(density, model, dt=None, config=None, *, t=None):
+def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
     """Carry a density over dt seconds, or to time t.
 
     Parameters
@@ -25,6 +26,8 @@ def predict(density, model, dt=None, config=None, *, t=None):
     config : SolverConfig or FilterConfig, optional
     t : float, optional
         Absolute time to predict to, seconds, instead of dt.
+    n_particles : int, optional
+        Upper bound of the number of particles, should re-gridding be needed; the density's own if not given.
 
     Returns
     -------
@@ -47,7 +50,7 @@ def predict(density, model, dt=None, config=None, *, t=None):
     scheme = (config or SolverConfig()).scheme
     if target == density.t:
         return density, PredictInfo(scheme=scheme.name, skipped=("everything: the interval is empty",))
-    return paper.propagate(density, model, target, scheme)
+    return paper.propagate(density, model, target, scheme, bound(density, n_particles))
 
 
 @dataclass(frozen=True)

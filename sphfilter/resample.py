@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from .config import SolverConfig
 from .core.kernels import RADIUS
@@ -12,8 +11,9 @@ from .info import ResampleInfo
 from .lattice import Lattice, heaviest, particles_on
 from .validate import count
 
-__all__ = ["log_integral", "regrid", "resample"]
+__all__ = ["bound", "regrid", "resample"]
 
+_MOST_NODES = 2e6  # of one lattice; a posterior thinner than that across the axes is resolved less
 _ZOOMS = 12
 _ZOOM_ENDS = 0.8  # part of its extent that the posterior fills along every axis when zooming in has ended
 _NO_OVERLAP = (
@@ -40,11 +40,14 @@ class _Candidate(NamedTuple):
 def resample(density, n_particles=None, config=None):
     """Put a density on a new lattice without a measurement (002 4.7).
 
+    Each time widens the density by the variance c_K h^2 of the kernels it is read through: resample to mend
+    a disordered cloud, not as a habit (002 5.3).
+
     Parameters
     ----------
     density : ParticleDensity
     n_particles : int, optional
-        Upper bound of the number of particles; as many as now if not given.
+        Upper bound of the number of particles; that of the density if not given.
     config : SolverConfig or FilterConfig, optional
 
     Returns
@@ -52,8 +55,14 @@ def resample(density, n_particles=None, config=None):
     ParticleDensity, ResampleInfo
     """
     scheme = (config or SolverConfig()).scheme
-    n_particles = density.n_particles if n_particles is None else count("n_particles", n_particles)
-    return regrid(density, n_particles, scheme)
+    return regrid(density, bound(density, n_particles), scheme)
+
+
+def bound(density, n_particles=None):
+    """Upper bound of the number of particles at the next re-gridding: as given, else the density's own."""
+    if n_particles is not None:
+        return count("n_particles", n_particles)
+    return density.capacity or density.n_particles
 
 
 def regrid(density, n_particles, scheme, log_weight=None):
@@ -64,6 +73,7 @@ def regrid(density, n_particles, scheme, log_weight=None):
     PropagationError
         The product is zero wherever the density has particles.
     """
+    measured = log_weight is not None
     log_weight = log_weight or (lambda X: np.zeros(len(X)))
     raw = _weighted_masses(density, log_weight)
     low, high, volume_fraction = _domain(density, raw, log_weight, n_particles, scheme)
@@ -74,7 +84,9 @@ def regrid(density, n_particles, scheme, log_weight=None):
     density_values = _rescale_boundary(values / total, best.kept, best.core, lattice.cell_volume)
     between = _field(density, lattice.half_shifted(), log_weight, log_scale).values / total
     represented = float(values[best.kept].sum() / values.sum())
-    new = particles_on(lattice, density_values, between, best.core, scheme, density.t, represented)
+    represented *= 1.0 if measured else density.represented_mass
+    about = {"t": density.t, "represented_mass": represented, "capacity": n_particles}
+    new = particles_on(lattice, density_values, between, best.core, scheme, about)
     info = ResampleInfo(
         n_particles=new.n_particles,
         lattice_dims=tuple(int(d) for d in lattice.dims),
@@ -85,17 +97,6 @@ def regrid(density, n_particles, scheme, log_weight=None):
         log_evidence=float(np.log(total) + log_scale),
     )
     return new, info
-
-
-def log_integral(density, log_weight, n_nodes):
-    """Log of the integral of density times exp(log_weight), on a lattice over all particles and supports."""
-    reach = RADIUS[density.kernel_code[0]] * density.h.max()
-    low, high = density.x.min(axis=0) - reach, density.x.max(axis=0) + reach
-    dims = _dims(high - low, n_nodes, 1.0, 1.0, least=8)
-    lattice = Lattice.spanning(low, high, dims)
-    values = lattice.density_of(density.x, density.mass, density.h, density.kernel_code)
-    with np.errstate(divide="ignore"):
-        return float(logsumexp(np.log(values) + log_weight(lattice.nodes)) + np.log(lattice.cell_volume))
 
 
 def _weighted_masses(density, log_weight):
@@ -125,6 +126,7 @@ def _least_nodes(n_particles, n):
 
 def _dims(span, n_nodes, volume_fraction, anisotropy, least=2):
     """Nodes per axis for spacings that differ at most by `anisotropy` (002 (50)-(56))."""
+    volume_fraction = max(volume_fraction, n_nodes / _MOST_NODES)
     aspect = span / span.min()
     nodes_aspect = aspect / np.minimum(aspect, anisotropy)
     fewest = (n_nodes / (volume_fraction * np.prod(nodes_aspect))) ** (1.0 / len(span))

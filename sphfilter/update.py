@@ -1,17 +1,15 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
 import numpy as np
+from scipy.stats import multivariate_normal
 
 from .acceptance import test_measurement
-from .config import FilterConfig
+from .config import checked_filter_config
 from .errors import ModelError
 from .info import UpdateInfo
-from .resample import log_integral, regrid
-from .validate import count
+from .resample import bound, regrid
 
 __all__ = ["update"]
-
-_EVIDENCE_NODES = 4  # nodes of the evidence integral per particle of a refused update
 
 
 def update(density, measurement, z, config=None, *, n_particles=None):
@@ -26,7 +24,7 @@ def update(density, measurement, z, config=None, *, n_particles=None):
         NaN components are missing; None or all NaN leaves the density as it is.
     config : FilterConfig, optional
     n_particles : int, optional
-        Upper bound of the number of particles afterwards; as many as now if not given.
+        Upper bound of the number of particles afterwards; that of the density if not given.
 
     Returns
     -------
@@ -39,8 +37,8 @@ def update(density, measurement, z, config=None, *, n_particles=None):
     PropagationError
         The likelihood is zero wherever the prior has particles.
     """
-    config = config or FilterConfig()
-    n_particles = density.n_particles if n_particles is None else count("n_particles", n_particles)
+    config = checked_filter_config(config)
+    n_particles = bound(density, n_particles)
     seen = measurement.observed(z)
     if not seen.any():
         info = UpdateInfo(
@@ -64,7 +62,8 @@ def update(density, measurement, z, config=None, *, n_particles=None):
         log_evidence = resampled.log_evidence
     else:
         new, resampled = density, None
-        log_evidence = log_integral(density, log_weight, _EVIDENCE_NODES * density.n_particles)
+        # Where the particles end the sum over them knows nothing: the Gaussian of the same moments does.
+        log_evidence = float(multivariate_normal.logpdf(innovation, cov=spread))
         if config.acceptance.on_reject == "resample":
             new, resampled = regrid(density, n_particles, config.scheme)
     info = UpdateInfo(
@@ -74,9 +73,16 @@ def update(density, measurement, z, config=None, *, n_particles=None):
         innovation_cov=spread,
         reason=reason,
         n_particles=new.n_particles,
+        kernel_ratio=_kernel_ratio(new),
         resample=resampled,
     )
     return new, info
+
+
+def _kernel_ratio(density):
+    """Variance of the kernels over the smallest variance of the density along any direction."""
+    smallest = max(np.linalg.eigvalsh(density.cov())[0], 1e-300)
+    return float(density.kernel_variance * (density.mass @ density.h**2) / smallest)
 
 
 def _verdict(density, measurement, z, seen, settings):

@@ -1,5 +1,9 @@
 """`ParticleDensity`: every question it answers, against closed forms of a Gaussian cloud."""
 
+import copy
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import integrate, stats
@@ -94,6 +98,22 @@ def test_bad_densities(change, message):
     good = {"x": np.zeros((3, 1)), "mass": np.ones(3), "h": np.ones(3)}
     with pytest.raises(sf.ModelError, match=message):
         sf.ParticleDensity(**{**good, **change})
+
+
+def test_changed_copies_answer_for_themselves(density):
+    density.pdf(MEAN)
+    moved = replace(density, x=density.x + 10.0)
+    assert moved.pdf(MEAN + 10.0) == pytest.approx(density.pdf(MEAN))
+    again = pickle.loads(pickle.dumps(density))
+    assert not again.x.flags.writeable
+    assert again.pdf(MEAN) == pytest.approx(density.pdf(MEAN), rel=1e-12)
+    assert not copy.deepcopy(density).mass.flags.writeable
+
+
+def test_particles_without_mass_are_left_out():
+    p = sf.ParticleDensity(x=[[0.0], [9.0], [1.0]], mass=[1.0, 0.0, 1.0], h=[1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(p.x, [[0.0], [1.0]])
+    np.testing.assert_array_equal(p.h, [1.0, 3.0])
 
 
 def test_bad_questions(density):

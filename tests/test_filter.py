@@ -182,6 +182,22 @@ def test_mean_cannot_be_overwritten():
         flt.P = P0
 
 
+def test_mean_cannot_be_changed_in_place():
+    flt = sph(150)
+    before = flt.x.copy()
+    with pytest.raises(ValueError, match="read-only"):
+        flt.x += 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        flt.P[0, 0] = 9.0
+    np.testing.assert_array_equal(flt.x, before)
+
+
+@pytest.mark.parametrize("config", [sf.SolverConfig(), "paper", {}])
+def test_config_of_another_kind(config):
+    with pytest.raises(sf.ConfigError, match="must be a FilterConfig"):
+        sf.SPHFilter(OSCILLATOR, POSITION, X0, P0, config=config)
+
+
 def test_filterpy_saver():
     flt = sph(150)
     saver = Saver(flt)

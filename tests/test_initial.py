@@ -107,10 +107,16 @@ def test_uniform_and_callable():
     assert density.pdf([0.0, 0.0])[0] < 0.05 * density.pdf([2.0, 0.0])[0]
 
 
+def oblique(gap):
+    return np.array([[1.0, 1.0 - gap], [1.0 - gap, 1.0]])
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
         (lambda: sf.initialize(sf.Gaussian(np.zeros(4), np.eye(4)), 10), "too small for 4 states"),
+        (lambda: sf.initialize(sf.Gaussian([0, 0], np.diag([1e6, 1e-6])), 200), "rescale the states"),
+        (lambda: sf.initialize(sf.Gaussian([0, 0], oblique(1e-10)), 200), "rotate or rescale"),
         (lambda: sf.initialize(lambda X: np.ones(len(X)), 100), "box"),
         (lambda: sf.initialize(lambda X: np.ones(3), 100, box=[[0, 1]]), "one finite density"),
         (lambda: sf.initialize(lambda X: np.zeros(len(X)), 100, box=[[0, 1]]), "zero everywhere"),

@@ -167,6 +167,68 @@ def test_time_dependent_noise():
     assert density.cov()[0, 0] == pytest.approx(1.0 + 1.5, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("drift", "noise", "mean", "var"),
+    [
+        ("t", "0", 51.0, 1.0),
+        ("sin(5*t)**2", "0", 6.0 - np.sin(100.0) / 20, 1.0),
+        ("0", "where(t > 5, 2, 0)", 1.0, 21.0),
+    ],
+)
+def test_steps_do_not_stride_over_a_change_in_time(drift, noise, mean, var):
+    """At t = 0 nothing moves in these models: a step chosen by that alone would take the whole interval."""
+    model = sf.SDE.from_expressions(["x"], [drift], [[noise]], [[1.0]])
+    start = sf.Gaussian([1.0], [[1.0]])
+    density = solve(100, 10.0, model=model, start=start, integrator="midpoint").densities[0]
+    assert density.mean()[0] == pytest.approx(mean, abs=0.15)
+    assert density.cov()[0, 0] == pytest.approx(var, rel=0.08)
+
+
+@pytest.mark.parametrize("smoothing", ["proportional", "newton", "fixed_point"])
+def test_result_does_not_depend_on_how_the_interval_is_cut(smoothing):
+    config = sf.SolverConfig.paper(kernel="gaussian", smoothing=smoothing)
+    start = sf.initialize(START, 200, config)
+    once = sf.propagate(start, OSCILLATOR, [2.0], config).densities[-1]
+    often = sf.propagate(start, OSCILLATOR, np.linspace(0.02, 2.0, 100), config).densities[-1]
+    assert often.cov() == pytest.approx(once.cov(), rel=0.02)
+    assert often.h == pytest.approx(once.h, rel=0.05)
+
+
+@pytest.mark.parametrize("smoothing", ["newton", "fixed_point"])
+def test_iterated_smoothing_lengths_grow_without_bypass_too(smoothing):
+    model = sf.LinearSDE(A=[[0.0]], noise=[[1.0]], spectral_density=[[1.0]])
+    start = sf.Gaussian([0.0], [[0.3]])
+    settings = {"model": model, "start": start, "smoothing": smoothing}
+    plain, bypassed = (solve(100, 1.0, bypass=bypass, **settings) for bypass in (False, True))
+    assert plain.infos[0].n_smoothing_failed == 0
+    assert plain.densities[0].cov() == pytest.approx(bypassed.densities[0].cov(), rel=1e-3)
+
+
+def test_long_predictions_pause_without_a_trace():
+    """The loop comes up for air every 2000 steps; the result is that of one go to the steps' own accuracy."""
+    trajectory = solve(60, 2.0, integrator="rk4", c_cfl=0.004)
+    assert trajectory.infos[0].n_steps > 4000
+    usual = solve(60, 2.0, integrator="rk4", c_cfl=0.2)
+    assert trajectory.densities[0].cov() == pytest.approx(usual.densities[0].cov(), rel=0.01)
+
+
+def test_undefined_drift_is_named_as_such():
+    model = sf.SDE.from_expressions(["x"], ["sqrt(0.5 - t)"], [["1"]], [[0.1]])
+    with pytest.raises(sf.PropagationError, match="NaN or infinite"):
+        solve(50, 1.0, model=model, start=sf.Gaussian([1.0], [[0.1]]))
+
+
+def test_any_error_of_a_black_box_says_when_and_where():
+    def drift(X, t):
+        if t > 0.2:
+            raise KeyError("table ends here")
+        return -X
+
+    model = sf.SDE(drift=drift, dim=1, noise=[[1.0]], vectorized=True)
+    with pytest.raises(sf.PropagationError, match=r"between t = .*near .*table ends here"):
+        solve(50, 1.0, model=model, start=sf.Gaussian([1.0], [[0.1]]))
+
+
 def test_duffing_stays_a_density():
     """A strongly folding case: everything finite, mass one, and moments near those of simulated paths."""
     model = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[0.8]])

@@ -92,6 +92,32 @@ def test_outlier_is_rejected_and_the_prior_kept():
     assert "state 0" in info.reason
     assert density is before
     assert info.log_evidence < -50
+    assert info.n_particles == before.n_particles
+
+
+def test_refused_measurement_keeps_a_fair_evidence():
+    """Refusing must not decide a comparison of models: the evidence is that of a Gaussian prior."""
+    _, info = sf.update(prior(500), SENSOR, [PRIOR.mean[0] + 5.0])
+    exact = kalman(PRIOR.mean[0] + 5.0)[2]
+    assert not info.accepted
+    assert info.log_evidence == pytest.approx(exact, rel=0.05)
+
+
+def test_particles_do_not_dwindle():
+    """The bound is that of the density, not the number it happens to have."""
+    density = prior(300)
+    for _ in range(12):
+        density, _ = sf.resample(density)
+    assert density.n_particles > 240
+    assert density.capacity == 300
+
+
+def test_kernels_wider_than_the_posterior_are_told():
+    fine = sf.update(prior(1500), SENSOR, [0.5])[1]
+    sharp = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[1e-6]])
+    coarse = sf.update(prior(1500), sharp, [0.5])[1]
+    assert fine.kernel_ratio < 0.3
+    assert coarse.kernel_ratio > 1.0
 
 
 def test_rejected_measurement_may_resample():

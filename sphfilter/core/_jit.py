@@ -7,6 +7,7 @@ order instead, and results are the same bits whatever the number of threads.
 
 from hashlib import sha256
 from pathlib import Path
+from threading import Lock
 from types import FunctionType
 
 from numba import njit, typeof, types
@@ -30,6 +31,7 @@ def _fingerprint():
 
 
 _SOURCES = _fingerprint()
+_COMPILING = Lock()
 
 
 def _named_for_the_cache(function):
@@ -62,8 +64,9 @@ def call(dispatcher, *args):
     """Call a `jit` function, with every jitted function among `args` passed as a `BATCH_FUNCTION`."""
     signature = tuple(BATCH_FUNCTION if isinstance(a, Dispatcher) else typeof(a) for a in args)
     if signature not in dispatcher.overloads:
-        dispatcher.disable_compile(False)
-        dispatcher.compile(signature)
-        # Without this the next call would specialise for the dispatcher's own type instead of converting.
-        dispatcher.disable_compile(True)
+        with _COMPILING:
+            dispatcher.disable_compile(False)
+            dispatcher.compile(signature)
+            # Without this the next call would specialise for the dispatcher's own type, not convert it.
+            dispatcher.disable_compile(True)
     return dispatcher(*args)

@@ -27,8 +27,8 @@ __all__ = [
 
 INTEGRATORS = ("euler", "midpoint", "rk4")
 EULER, MIDPOINT, RK4 = range(3)
-STATUS = ("ok", "not finite", "too many steps", "stalled")
-OK, NOT_FINITE, TOO_MANY_STEPS, STALLED = range(4)
+STATUS = ("ok", "not finite", "paused", "stalled")
+OK, NOT_FINITE, PAUSED, STALLED = range(4)
 #: What the loop counts; the last is the particle a failure was seen at.
 COUNTERS = ("steps", "evaluations", "searches", "bypassed", "smoothing_failed", "culprit")
 STEPS, EVALUATIONS, SEARCHES, BYPASSED, SMOOTHING_FAILED, CULPRIT = range(6)
@@ -36,13 +36,12 @@ _EPS = 1e-300
 
 
 class Cloud(NamedTuple):
-    """The particles; every array is updated in place. `h0`, `rho0` are those at the start of the march."""
+    """The particles, updated in place. `invariant` is rho h^n on the last lattice, zero if not known."""
 
     x: np.ndarray  # (N, n)
     m: np.ndarray  # (N,)
     h: np.ndarray
-    h0: np.ndarray
-    rho0: np.ndarray
+    invariant: np.ndarray
     rho: np.ndarray
 
 
@@ -75,8 +74,9 @@ class Options(NamedTuple):
     k_bypass_max: int
     buffer: int
     buffer_min: int
+    looks_ahead: bool
     parallel: bool
-    max_steps: int
+    pause_after: int
 
 
 class Work(NamedTuple):
@@ -130,7 +130,7 @@ def stable_step(cloud, lists, r, work, coefficients, options):
     start, neighbors = lists
     N, n = cloud.x.shape
     varies = coefficients.time_dependent or coefficients.state_dependent
-    dt, culprit = options.dt_max, 0
+    dt, culprit = np.inf, 0
     for i in range(N):
         nearest, at = np.inf, -1
         for s in range(start[i], start[i + 1]):
@@ -146,17 +146,20 @@ def stable_step(cloud, lists, r, work, coefficients, options):
         limit = options.c_diffusion * options.kernel_variance * cloud.h[i] ** 2 / max(spread, _EPS)
         if nearest < np.inf:
             limit = min(limit, options.c_cfl * nearest / max(math.sqrt(speed2), _EPS))
+        if math.isnan(limit):
+            return np.nan, i
         if limit < dt:
             dt, culprit = limit, i
     return dt, culprit
 
 
 @jit
-def bypass_time(cloud, h_old, dt_old, lists, r, work, options):
+def bypass_time(cloud, h_old, dt_old, reach, lists, r, work, options):
     """t_NNS of 002 (43) and the smallest number of buffer neighbours.
 
     Corrected: the support is K h, so that its rate is K dh/dt, and the distance to cover is that from the
-    support to the farthest particle in the list (all unseen ones were farther), not the width of the buffer.
+    support to the farthest particle listed within the reach of i (unseen ones were farther when the list was
+    made), not the width of the buffer.
     """
     start, neighbors = lists
     N, n = cloud.x.shape
@@ -175,7 +178,7 @@ def bypass_time(cloud, h_old, dt_old, lists, r, work, options):
         if start[i + 1] - start[i] < N - 1:
             fewest = min(fewest, buffer)
             rate = math.sqrt(fastest2) + K * (cloud.h[i] - h_old[i]) / dt_old
-            t_nns = min(t_nns, options.c_nns * (farthest - support) / max(rate, _EPS))
+            t_nns = min(t_nns, options.c_nns * (min(farthest, reach[i]) - support) / max(rate, _EPS))
     return t_nns, fewest
 
 
@@ -214,10 +217,14 @@ def move(model, coefficients, t, dt, cloud, lists, r, work, options):
 
 @jit
 def _search(cloud, support, reach, options):
-    """New neighbour lists; `reach` starts from what sufficed last time, relative to the support."""
+    """New neighbour lists; `reach` starts from what sufficed last time, relative to the support.
+
+    Iterated smoothing lengths and the stages of a step look a little beyond the support as it is now.
+    """
     K, total, N = RADIUS[options.kernel], 0.0, cloud.h.size
+    least = 1.2 if options.looks_ahead else 1.0
     for i in range(N):
-        reach[i] *= 0.99 * K * cloud.h[i] / support[i]
+        reach[i] = K * cloud.h[i] * max(0.99 * reach[i] / support[i], least)
         support[i] = K * cloud.h[i]
         total += support[i]
     index = build_index(cloud.x, 1.3 * total / N, options.search)
@@ -237,7 +244,8 @@ def _outgrown(cloud, reach, K):
 def march(drift, diffusion, divergence, coefficients, cloud, options, times, counters):
     """Carry the cloud from times[0] to times[1]; times[0] and the counters are kept up to date.
 
-    Returns a code of `STATUS`. On failure the cloud is as far as it came, and counters[CULPRIT] the particle.
+    Returns a code of `STATUS`. "paused" asks to be called again: between calls Python can be interrupted. On
+    failure the cloud is as far as it came, and counters[CULPRIT] the particle.
     """
     N, n = cloud.x.shape
     model, kernel = (drift, diffusion, divergence), (options.kernel, options.normalisation)
@@ -250,8 +258,14 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, times, cou
     lists, r = (np.zeros(N + 1, np.int64), np.empty(0, np.int32)), np.empty(0)
     must_search, elapsed, k_bypass, t_ref, dt = True, 0.0, 0, np.inf, 1.0
     span, first = times[1] - times[0], counters[STEPS]
+    known = cloud.invariant[0] > 0.0
+    if known:  # h follows from the density here and now, however an interval is cut into calls
+        lists, must_search = _search(cloud, support, reach, options), False
+        r = np.empty(lists[1].size)
+        density_and_gradient(cloud.x, cloud.m, cloud.h, lists, kernel, cloud.rho, work.grad, r)
+        counters[SEARCHES] += 1
     while times[0] < times[1]:
-        if counters[STEPS] > first:
+        if known:
             h_old[:] = cloud.h
             counters[SMOOTHING_FAILED] += update_smoothing(
                 options.smoothing, options.smoothing_tolerance, cloud, reach, lists, kernel, work.grad, r
@@ -265,17 +279,19 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, times, cou
         counters[SEARCHES if searched else BYPASSED] += 1
         evaluate(model, coefficients, times[0], cloud.x, cloud, lists, r, work, options, work.v)
         counters[EVALUATIONS] += 1
-        if counters[STEPS] == first:
-            cloud.rho0[:] = cloud.rho
+        if not known:
+            for i in range(N):
+                cloud.invariant[i] = cloud.rho[i] * cloud.h[i] ** n
+            known = True
         dt_old = dt
         dt, counters[CULPRIT] = stable_step(cloud, lists, r, work, coefficients, options)
         if not math.isfinite(dt):
             return NOT_FINITE
         if dt < 1e-9 * span:
             return STALLED
-        dt = min(dt, times[1] - times[0])
+        dt = min(dt, options.dt_max, times[1] - times[0])
         if options.bypass:
-            t_nns, fewest = bypass_time(cloud, h_old, dt_old, lists, r, work, options)
+            t_nns, fewest = bypass_time(cloud, h_old, dt_old, reach, lists, r, work, options)
             t_ref = t_nns if searched else t_ref
             must_search = elapsed + dt >= min(t_ref, t_nns)
             must_search |= fewest <= options.buffer_min or k_bypass >= options.k_bypass_max
@@ -283,6 +299,6 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, times, cou
         counters[STEPS] += 1
         elapsed += dt
         times[0] = times[1] if times[1] - times[0] <= dt else times[0] + dt
-        if counters[STEPS] - first >= options.max_steps and times[0] < times[1]:
-            return TOO_MANY_STEPS
+        if counters[STEPS] - first >= options.pause_after and times[0] < times[1]:
+            return PAUSED
     return OK

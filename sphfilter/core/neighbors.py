@@ -231,7 +231,7 @@ def _reach(x, i, support, reach, buffer, index, found, r2):
         inside = 0
         for s in range(n_found):
             inside += r2[s] <= support * support
-        if n_found - inside >= buffer or n_found == x.shape[0]:
+        if n_found - inside >= buffer or n_found == x.shape[0] or not reach < np.inf:
             return reach, n_found
         reach *= 1.2
 

@@ -1,6 +1,7 @@
 """Smoothing lengths that follow the density: proportional update, fixed point, or Newton.
 
-All three keep rho_i h_i^n at its initial value (002 (14), 000 (110)); they differ in the density they use.
+All three keep rho_i h_i^n at its value on the last lattice, the `invariant` (002 (14), 000 (110)); they
+differ in the density they use.
 """
 
 import math
@@ -17,11 +18,11 @@ _SWEEPS = 30
 
 
 @jit
-def proportional(rho, rho0, h0, n, h):
-    """h_i = h0_i (rho0_i / rho_i)^(1/n) (002 (14)); return the largest relative change."""
+def proportional(rho, invariant, n, h):
+    """h_i = (rho0_i h0_i^n / rho_i)^(1/n) (002 (14)); return the largest relative change."""
     change = 0.0
     for i in range(h.size):
-        new = h0[i] * (rho0[i] / rho[i]) ** (1.0 / n)
+        new = (invariant[i] / rho[i]) ** (1.0 / n)
         change = max(change, abs(new - h[i]) / h[i])
         h[i] = new
     return change
@@ -66,13 +67,13 @@ def update_smoothing(mode, tolerance, cloud, reach, lists, kernel, grad, r):
     n = cloud.x.shape[1]
     failed = 0
     if mode == PROPORTIONAL:
-        proportional(cloud.rho, cloud.rho0, cloud.h0, n, cloud.h)
+        proportional(cloud.rho, cloud.invariant, n, cloud.h)
     else:
         density_and_gradient(cloud.x, cloud.m, cloud.h, lists, kernel, cloud.rho, grad, r)
     if mode == FIXED_POINT:
         for _ in range(_SWEEPS):
             old = cloud.h.copy()
-            if proportional(cloud.rho, cloud.rho0, cloud.h0, n, cloud.h) < tolerance:
+            if proportional(cloud.rho, cloud.invariant, n, cloud.h) < tolerance:
                 break
             # The plain iteration oscillates where few neighbours carry the sum: go to the geometric mean.
             for i in range(old.size):
@@ -80,8 +81,9 @@ def update_smoothing(mode, tolerance, cloud, reach, lists, kernel, grad, r):
             density_and_gradient(cloud.x, cloud.m, cloud.h, lists, kernel, cloud.rho, grad, r)
     if mode == NEWTON:
         for i in range(cloud.h.size):
-            target, limit = cloud.rho0[i] * cloud.h0[i] ** n, reach[i] / RADIUS[kernel[0]]
-            root = newton(i, cloud.m, min(cloud.h[i], limit), target, lists, r, kernel, n, limit)
+            limit = reach[i] / RADIUS[kernel[0]]
+            start = min(cloud.h[i], limit)
+            root = newton(i, cloud.m, start, cloud.invariant[i], lists, r, kernel, n, limit)
             if root > 0.0:
                 cloud.h[i] = root
             else:

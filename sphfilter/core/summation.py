@@ -20,6 +20,7 @@ __all__ = [
     "deposit",
     "own_density",
     "sample_density",
+    "sample_density_parallel",
 ]
 
 
@@ -83,8 +84,7 @@ def own_density(i, m, h_i, lists, r, kernel, n):
     return rho, slope_h
 
 
-@parallel_jit
-def sample_density(y, x, m, h, index, kernel, out):
+def _sample_density(y, x, m, h, index, kernel, out):
     """Density at the points y (M, n), each particle with its own h (002 (16)): it conserves mass."""
     kind, C = kernel
     n = x.shape[1]
@@ -96,6 +96,10 @@ def sample_density(y, x, m, h, index, kernel, out):
             j = found[s]
             total += m[j] * C / h[j] ** n * shape(kind, math.sqrt(r2[s]) / h[j])
         out[k] = total
+
+
+sample_density = jit(_sample_density)
+sample_density_parallel = parallel_jit(_sample_density)
 
 
 @jit

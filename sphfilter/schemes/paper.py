@@ -20,14 +20,16 @@ __all__ = ["propagate"]
 #: count never changes a bit of the result.
 PARALLEL_FROM = 2000
 _MOST_REGRIDS = 20
+_PAUSE_AFTER = 2000  # steps between two chances to be interrupted
+_TIME_SLICES = 100  # steps at least over an interval, where drift or noise change with time
 _RUN_AWAY = 1e3  # extents of the cloud
 
 
-def propagate(density, model, t1, scheme):
+def propagate(density, model, t1, scheme, n_particles):
     """Carry a density to time t1 with v = f - div D - D grad p / p.
 
-    Steps that have become too small or too many mean that particles have run together (002 section 5.1): they
-    are put on a new lattice, the paper's own remedy, and the march goes on.
+    Steps that have become too small mean that particles have run together (002 section 5.1): they are put on
+    a new lattice of at most `n_particles`, the paper's own remedy, and the march goes on.
 
     Returns
     -------
@@ -39,15 +41,20 @@ def propagate(density, model, t1, scheme):
         The state or its velocity is no longer finite, or re-gridding did not help; says when and where.
     """
     start, counters, n_regrids = density.t, np.zeros(len(core.COUNTERS), np.int64), 0
+    # A step is chosen by what it sees at its start: it must not stride over a change in time.
+    dt_max = math.inf if model.autonomous else (t1 - start) / _TIME_SLICES
     while density.t < t1:
-        density, status, culprit = _march(density, model, t1, scheme, counters)
+        density, status, culprit = _march(density, model, t1, scheme, counters, dt_max)
         if status == "not finite" or (status == "stalled" and _runs_away(model, density, culprit, t1)):
             raise PropagationError(_blow_up(model, culprit, density.t, start, t1))
-        if status != "ok":
+        if status == "paused" and counters[core.STEPS] >= scheme.max_steps:
+            raise PropagationError(_given_up("too many steps", density.t, start, t1, scheme))
+        if status == "stalled":
             n_regrids += 1
             if n_regrids > _MOST_REGRIDS:
-                raise PropagationError(_given_up(status, density.t, start, t1, scheme))
-            density, _ = regrid(density, density.n_particles, scheme)
+                reason = f"steps fell to zero even after {_MOST_REGRIDS} re-griddings"
+                raise PropagationError(_given_up(reason, density.t, start, t1, scheme))
+            density, _ = regrid(density, n_particles, scheme)
     steps, evaluations, searches, bypassed, failed, _ = (int(c) for c in counters)
     info = PredictInfo(
         n_steps=steps,
@@ -62,29 +69,30 @@ def propagate(density, model, t1, scheme):
     return density, info
 
 
-def _march(density, model, t1, scheme, counters):
+def _march(density, model, t1, scheme, counters, dt_max):
     """One call of the compiled loop; returns the density as far as it came."""
-    cloud = core.Cloud(
-        *(a.copy() for a in (density.x, density.mass, density.h)),
-        *(np.empty(density.n_particles) for _ in range(3)),
-    )
-    cloud.h0[:] = density.h
+    invariant = np.zeros(density.n_particles) if density.invariant is None else density.invariant
+    arrays = (density.x, density.mass, density.h, invariant, np.empty(density.n_particles))
+    cloud = core.Cloud(*(a.copy() for a in arrays))
+    options = _options(scheme, density, dt_max, scheme.max_steps - int(counters[core.STEPS]))
     times = np.array([density.t, t1])
     functions = (model.drift_batch, model.diffusion_batch, model.diffusion_divergence_batch)
     try:
         code = call(
-            core.march, *functions, _coefficients(model), cloud, _options(scheme, density), times, counters
+            core.march, *functions, _coefficients(model), cloud, options, times, counters
         )
-    except (ArithmeticError, ValueError) as problem:
+    except Exception as problem:  # a black-box drift may raise anything
         raise PropagationError(
             f"the model failed between t = {density.t:g} and {t1:g} near {density.mean()}: {problem}"
         ) from problem
     status, culprit = core.STATUS[code], cloud.x[counters[-1]]
-    if status == "ok" and not (np.isfinite(cloud.x).all() and np.isfinite(cloud.h).all()):
-        status, culprit = "not finite", cloud.x[~np.isfinite(cloud.x).all(axis=1)][0]
+    finite = np.isfinite(cloud.x).all(axis=1) & np.isfinite(cloud.h)
+    if not finite.all():
+        status, culprit = "not finite", cloud.x[~finite][0]
     if status == "not finite":
         return replace(density, t=times[0]), status, culprit
-    return replace(density, x=cloud.x, h=cloud.h, t=times[0], _index=[]), status, culprit
+    moved = replace(density, x=cloud.x, h=cloud.h, t=times[0], invariant=cloud.invariant)
+    return moved, status, culprit
 
 
 def _runs_away(model, density, state, t1):
@@ -105,7 +113,7 @@ def _coefficients(model):
     )
 
 
-def _options(scheme, density):
+def _options(scheme, density, dt_max, steps_left):
     kind, constant = density.kernel_code
     n, N = density.dim, density.n_particles
     buffer = scheme.buffer_neighbors or BUFFER_NEIGHBORS.get(n, 110)
@@ -120,7 +128,7 @@ def _options(scheme, density):
         integrator=core.INTEGRATORS.index(scheme.integrator),
         relative_cfl=scheme.cfl == "relative",
         c_cfl=scheme.c_cfl,
-        dt_max=math.inf if scheme.dt_max is None else scheme.dt_max,
+        dt_max=dt_max if scheme.dt_max is None else min(dt_max, scheme.dt_max),
         c_diffusion=scheme.c_diffusion,
         search=search,
         bypass=scheme.bypass,
@@ -128,8 +136,9 @@ def _options(scheme, density):
         k_bypass_max=scheme.bypass_max,
         buffer=buffer,
         buffer_min=buffer // 2,
+        looks_ahead=scheme.smoothing in ("fixed_point", "newton") or scheme.integrator != "euler",
         parallel=N >= PARALLEL_FROM,
-        max_steps=scheme.max_steps,
+        pause_after=max(min(_PAUSE_AFTER, steps_left), 1),
     )
 
 
@@ -148,17 +157,18 @@ def _skipped(model, bypassed):
 
 
 def _blow_up(model, state, t, start, t1):
+    velocity = model.drift(state, t)
+    what = "grows without bound" if np.isfinite(velocity).all() else "is NaN or infinite"
     values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(model.states, state, strict=True))
     return (
         f"the model blew up at t = {t:.6g} (prediction from {start:g} to {t1:g}), at the particle {values}: "
-        f"its velocity grows without bound. Check the drift there, predict over a shorter interval, or use "
+        f"its velocity {what}. Check the drift there, predict over a shorter interval, or use "
         f"a smaller represented_mass so that particles stay out of the far tail"
     )
 
 
 def _given_up(status, t, start, t1, scheme):
     return (
-        f"prediction from {start:g} to {t1:g} stopped at t = {t:.6g}: {status} even after {_MOST_REGRIDS} "
-        f"re-griddings. Use fewer particles, a larger c_cfl (now {scheme.c_cfl:g}) or max_steps (now "
-        f"{scheme.max_steps}), or a shorter interval"
+        f"prediction from {start:g} to {t1:g} stopped at t = {t:.6g}: {status}. Use fewer particles, a "
+        f"larger c_cfl (now {scheme.c_cfl:g}) or max_steps (now {scheme.max_steps}), or a shorter interval"
     )
