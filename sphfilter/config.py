@@ -98,7 +98,7 @@ class PaperScheme:
     integrator, cfl, c_cfl, dt_max
         Time stepping: (17)-(18); "relative" compares with the nearest neighbour's velocity (000) and wants
         `dt_max` seconds, since it guards against collisions and does not control the error. Where drift or
-        noise depend on time a step is at most a hundredth of the prediction; give `dt_max` if they vary faster.
+        noise depend on time a step is a hundredth of the prediction at most; give `dt_max` if that is coarse.
     c_diffusion : float
         Explicit limit dt <= c_diffusion c_K h^2 / tr D (unstable from about 2.7 on); not in 002.
     search, bypass, c_nns, bypass_max, buffer_neighbors
