@@ -14,7 +14,7 @@ from sphfilter.errors import ConfigError
 from . import plots
 from .comparison import distances
 from .filters import factories
-from .scenario import load_scenario, parse_change
+from .scenario import add_change_option, load_scenario, parse_change
 
 __all__ = ["add_arguments", "convergence", "main", "orders"]
 
@@ -30,14 +30,7 @@ def add_arguments(parser):
     parser.add_argument("--runs", type=int, default=3, help="simulated runs for each count")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random")
     parser.add_argument("--out", type=Path, help="folder for table and picture (default: results/NAME)")
-    parser.add_argument(
-        "--set",
-        dest="changes",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="as for `run`, e.g. scheme.kernel=gaussian; may be repeated",
-    )
+    add_change_option(parser)
 
 
 def convergence(name, counts, n_runs, seed, **changes):

@@ -23,7 +23,7 @@ from sphfilter.report import report
 from . import pictures, plots
 from .comparison import distances, reference_name
 from .filters import FILTERS, factories
-from .scenario import load_scenario, parse_change
+from .scenario import add_change_option, load_scenario, parse_change
 from .tables import distance_table, result_table, sentences
 
 __all__ = ["Interrupted", "add_arguments", "main"]
@@ -48,15 +48,7 @@ def add_arguments(parser):
         help="comma-separated pictures of the paper to draw besides the histories, or none "
         "(default: all the scenario has, if sph runs)",
     )
-    parser.add_argument(
-        "--set",
-        dest="changes",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change a key of the scenario, e.g. times.interval=3, or of the SPH filter, e.g. "
-        "scheme.kernel=gaussian; may be repeated",
-    )
+    add_change_option(parser)
 
 
 def _count(text):

@@ -15,7 +15,14 @@ from sphfilter.errors import ConfigError, ModelError, nearest
 from . import start
 from .settings import ScenarioSettings
 
-__all__ = ["Scenario", "load_scenario", "parse_change", "read_settings", "scenario_names"]
+__all__ = [
+    "Scenario",
+    "add_change_option",
+    "load_scenario",
+    "parse_change",
+    "read_settings",
+    "scenario_names",
+]
 
 _FOLDER = Path(__file__).parent / "scenarios"
 #: Times in an interval between measurements at which the truth is drawn.
@@ -137,6 +144,19 @@ def load_scenario(name, **changes):
         )
     sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
     return scenario
+
+
+def add_change_option(parser):
+    """Add the option --set, whose values `parse_change` reads, to a command."""
+    parser.add_argument(
+        "--set",
+        dest="changes",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a key of the scenario, e.g. times.interval=3, or of the SPH filter, e.g. "
+        "scheme.kernel=gaussian; may be repeated",
+    )
 
 
 def parse_change(text):
