@@ -5,10 +5,13 @@ import sys
 
 from sphfilter.errors import SphfilterError
 
-from . import converge, filter_csv, listing, run, sunspots, sweep
+from . import converge, listing, run
+from .own_data import command as own_data
+from .sunspots import command as sunspots
+from .sweep import command as sweep
 
 #: Modules with a one-line docstring, ``add_arguments(parser)`` and ``main(args)``.
-COMMANDS = {"list": listing, "run": run, "sweep": sweep, "converge": converge, "filter": filter_csv}
+COMMANDS = {"list": listing, "run": run, "sweep": sweep, "converge": converge, "filter": own_data}
 #: Names that `run` takes and that are no scenarios: measured data, with options of their own.
 MEASURED = {"sunspots": sunspots}
 

@@ -3,8 +3,8 @@
 from rich.console import Console
 from rich.table import Table
 
-from . import sunspots
 from .scenario import read_settings, scenario_names
+from .sunspots import command as sunspots
 
 __all__ = ["add_arguments", "main"]
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import sweep, sweep_plots, sweep_tables
 from experiments.scenario import load_scenario, read_settings
+from experiments.sweep import command as sweep
+from experiments.sweep import plots, tables
 from sphfilter.errors import ConfigError
 from sphfilter.report import FilterReport, Report
 
@@ -37,7 +38,7 @@ def rows(with_pf=True):
         if with_pf:
             filters["pf"] = filter_report([0.2, 0.5])
         numbers = Report(scenario="s", dim=2, n_runs=10, n_epochs=5, filters=filters)
-        made += sweep_tables.rows_of(sweep.Cell(interval, 0.5, 1.0), numbers)
+        made += tables.rows_of(sweep.Cell(interval, 0.5, 1.0), numbers)
     return made
 
 
@@ -67,26 +68,26 @@ def test_rows():
 
 
 def test_sentences_name_the_places_and_what_the_others_do_there():
-    said = sweep_tables.sentences(rows())
+    said = tables.sentences(rows())
     assert "99.99 % point" in said[0]
     assert (
         said[2] == "The EKF loses 10% of the runs or more at 1 of 2 combinations: 2 s, Q × 0.5, R × 1 (40%)."
     )
     assert said[3] == "There the SPH loses 10%, and the EKF's RMS error is 4.0 times its own."
     assert said[4] == "There the PF loses 0%, and the EKF's RMS error is 4.0 times its own."
-    assert sweep_tables.sentences(rows(with_pf=False))[3] == "There the SPH loses 10%."
-    assert "keeps track" in sweep_tables.sentences(rows()[:3])[-1]
+    assert tables.sentences(rows(with_pf=False))[3] == "There the SPH loses 10%."
+    assert "keeps track" in tables.sentences(rows()[:3])[-1]
 
 
 def test_files_say_the_same_as_the_rows(tmp_path):
-    sweep_tables.write(tmp_path, rows(), "scene")
+    tables.write(tmp_path, rows(), "scene")
     with open(tmp_path / "sweep.csv", encoding="utf-8") as file:
         back = list(csv.DictReader(file))
     assert [float(row["rms_ratio"]) for row in back] == [row["rms_ratio"] for row in rows()]
     lines = (tmp_path / "sweep.md").read_text().splitlines()
     assert lines[5] == "| 2 | 0.5 | 1 | 4 of 10 | 4.00 | 1 of 10 | 1.00 | 0 of 10 | 1.00 |"
     assert len({line.count("|") for line in lines[2:6]}) == 1
-    sweep_tables.write(tmp_path, rows(with_pf=False), "scene")
+    tables.write(tmp_path, rows(with_pf=False), "scene")
     assert "| 2 | 0.5 | 1 | 4 of 10 | 1 of 10 |" in (tmp_path / "sweep.md").read_text()
 
 
@@ -94,7 +95,7 @@ def test_pictures(tmp_path):
     three_axes = [row | {"q": q, "r": r} for row in rows() for q in (0.5, 1.0) for r in (1.0, 4.0)]
     lost_everywhere = [row | {"rms_ratio": np.nan} if row["filter"] == "ekf" else row for row in rows()]
     for case in (rows(), three_axes, lost_everywhere):
-        drawn = sweep_plots.draw(tmp_path, case, "scene")
+        drawn = plots.draw(tmp_path, case, "scene")
         assert all(path.stat().st_size > 5000 for path in drawn)
         assert [path.name for path in drawn] == ["lost.png", "rms_ratio.png"][
             : 1 if case is lost_everywhere else 2

@@ -9,10 +9,10 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from experiments.__main__ import main
-from experiments.csv_data import Measurements, read_measurements
-from experiments.forecast import FoldedMixture, Score, fold, learn, score_forecasts, score_history
-from experiments.model_file import load_model
-from experiments.sunspots import _DATA, FIRST, fit, roots, training_evidence
+from experiments.own_data.csv_data import Measurements, read_measurements
+from experiments.own_data.model_file import load_model
+from experiments.sunspots.command import _DATA, FIRST, fit, roots, training_evidence
+from experiments.sunspots.forecast import FoldedMixture, Score, fold, learn, score_forecasts, score_history
 from reference_filters.grid import GridFilter
 from reference_filters.kalman import ExtendedKalmanFilter, KalmanFilter
 from reference_filters.particle import ParticleFilter
@@ -273,7 +273,7 @@ class TestCommand:
 
     def test_fit_writes_a_model_that_can_be_read(self, tmp_path, capsys, monkeypatch):
         found = {"w": 0.3, "mu": 0.7, "b": 4.8, "g": 1.6}, 0.8, -1.0
-        monkeypatch.setattr("experiments.sunspots.fit", lambda *args, **options: found)
+        monkeypatch.setattr("experiments.sunspots.command.fit", lambda *args, **options: found)
         assert main(["run", "sunspots", "--fit", "--filters", "ekf", "--out", str(tmp_path)]) == 0
         again = load_model(tmp_path / "sunspots.toml")
         assert again.model.parameters["mu"] == 0.7 and again.measurement.noise_cov[0, 0] == 0.8

@@ -18,20 +18,20 @@ import tomli_w
 from rich.console import Console
 from scipy.optimize import minimize
 
+from experiments.filters import FILTERS, factories
+from experiments.own_data.command import case_of
+from experiments.own_data.csv_data import Measurements, read_measurements
+from experiments.own_data.model_file import load_model
+from experiments.own_data.plots import draw_forecasts
 from reference_filters.grid import GridFilter
 from sphfilter.errors import ConfigError, SphfilterError
 
-from .csv_data import Measurements, read_measurements
-from .filter_csv import case_of
-from .filter_plots import draw_forecasts
-from .filters import FILTERS, factories
 from .forecast import fold, score_forecasts, score_history
-from .forecast_tables import score_table, sentences, write_scores
-from .model_file import load_model
+from .tables import score_table, sentences, write_scores
 
 __all__ = ["add_arguments", "fit", "main", "roots", "training_evidence"]
 
-_DATA = Path(__file__).parent / "data"
+_DATA = Path(__file__).parents[1] / "data"
 #: One line for `list`.
 SUMMARY = "Measured data: the sunspot number as an oscillator whose sign is not seen, forecast 1 and 5 years"
 #: Years ahead, and the first year that is forecast; the model is fitted to the years before.

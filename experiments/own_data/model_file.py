@@ -7,11 +7,10 @@ from typing import Literal
 from pydantic import Field
 
 import sphfilter as sf
+from experiments.scenario import Scenario
+from experiments.settings import Filters, ModelText, Sensor
 from sphfilter.config import settings
 from sphfilter.errors import ConfigError, ModelError
-
-from .scenario import Scenario
-from .settings import Filters, ModelText, Sensor
 
 __all__ = ["Belief", "Columns", "ModelFile", "load_model"]
 

@@ -7,8 +7,8 @@ matplotlib.use("Agg")  # files only: no window system is asked for
 import matplotlib.pyplot as plt
 import numpy as np
 
-from .forecast import LEVELS
-from .plots import COLOURS
+from experiments.plots import COLOURS
+from experiments.sunspots.forecast import LEVELS
 
 __all__ = ["draw", "draw_forecasts"]
 

@@ -17,7 +17,7 @@ def draw(out, rows, name):
     out : Path
         Folder, which exists.
     rows : list of dict
-        As `sweep_tables.rows_of` makes them.
+        As `tables.rows_of` makes them.
     name : str
         Scenario, for the titles.
 

@@ -12,13 +12,13 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from experiments.filters import FILTERS, factories
 from sphfilter.campaign import Case
 from sphfilter.errors import SphfilterError
 
 from .csv_data import read_measurements
-from .filter_plots import draw
-from .filters import FILTERS, factories
 from .model_file import load_model
+from .plots import draw
 
 __all__ = ["add_arguments", "case_of", "main", "write_result"]
 

@@ -13,13 +13,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from experiments.filters import FILTERS, factories
+from experiments.run import Interrupted
+from experiments.scenario import load_scenario, parse_change, read_settings
 from sphfilter.campaign import run_campaign
 from sphfilter.report import report
 
-from . import sweep_plots, sweep_tables
-from .filters import FILTERS, factories
-from .run import Interrupted
-from .scenario import load_scenario, parse_change, read_settings
+from . import plots, tables
 
 __all__ = ["Cell", "add_arguments", "main"]
 
@@ -101,11 +101,11 @@ def main(args):
     effort = f"{len(cells)} combinations, {n_runs} runs each; the filters compile at first use"
     console.print(f"{effort}\n", style="dim")
     rows = _sweep(console, work, n_runs, seed, args.jobs, out)
-    console.print(sweep_tables.table(rows, name))
-    for sentence in sweep_tables.sentences(rows):
+    console.print(tables.table(rows, name))
+    for sentence in tables.sentences(rows):
         console.print(f"• {sentence}")
-    sweep_tables.write(out, rows, name)
-    drawn = sweep_plots.draw(out, rows, name)
+    tables.write(out, rows, name)
+    drawn = plots.draw(out, rows, name)
     console.print(f"\nNumbers are in {out}/sweep.csv and sweep.md. Pictures: {', '.join(map(str, drawn))}")
 
 
@@ -127,7 +127,7 @@ def _sweep(console, work, n_runs, seed, n_jobs, out):
                 raise Interrupted(
                     f"Stopped; finished runs are kept in {out}/runs. The same command goes on from there."
                 ) from None
-            rows += sweep_tables.rows_of(cell, report(campaign))
+            rows += tables.rows_of(cell, report(campaign))
             if not console.is_terminal:
                 console.print(f"{cell.name}: {i + 1} of {len(work)} combinations done", style="dim")
     return rows

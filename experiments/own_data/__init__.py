@@ -1,0 +1,1 @@
+"""The command `filter`: measurements and a model of one's own, from files."""

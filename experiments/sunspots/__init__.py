@@ -1,0 +1,1 @@
+"""`run sunspots`: forecasts of measured data, and their scores."""

@@ -1,0 +1,1 @@
+"""The command `sweep`: campaigns over a range of intervals and noises."""
