@@ -67,7 +67,7 @@ def draw_convergence(out, rows, slopes):
         ax.loglog([count for count, *_ in rows], errors, f"{mark}-", label=label)
     ax.set(xlabel="particles at most", ylabel="rms error against the exact filter")
     ax.set_xticks([count for count, *_ in rows], [str(count) for count, *_ in rows], minor=False)
-    ax.minorticks_off()
+    ax.xaxis.minorticks_off()
     ax.grid(alpha=0.3)
     ax.legend(frameon=False)
     path = out / "convergence.png"
