@@ -127,7 +127,8 @@ def _verdict(name, f, report, exact):
         share = f.n_rejected / (f.n_runs * report.n_epochs)
         return (
             f"{who} rejected {f.n_rejected} of the measurements ({share:.1%}): too far out for its "
-            "particles, by its own acceptance test. A larger domain_mass or represented_mass makes it rarer."
+            "particles, by its own acceptance test. A larger acceptance.f_edge or domain_mass makes it "
+            "rarer."
         )
     return ""
 

@@ -134,15 +134,17 @@ def test_core_radius():
 
 
 def test_coverage_reaches_the_filter(short_duffing):
-    scheme = rejections._factory(short_duffing, rejections._WIDE).settings.config.scheme
-    assert (scheme.represented_mass, scheme.domain_mass) == rejections._WIDE
+    coverage = rejections.Coverage(0.99, 0.998, 0.5)
+    config = rejections._factory(short_duffing, coverage).settings.config
+    found = (config.scheme.represented_mass, config.scheme.domain_mass, config.acceptance.f_edge)
+    assert found == coverage
 
 
 def test_rejection_figure(short_duffing, tmp_path):
     said = []
     (path,) = pictures.draw("rejections", short_duffing, tmp_path, 1, 1, said.append)
     assert path.stat().st_size > 20_000
-    assert said[0].count(" of 2 with Z_T") == 3
+    assert said[0].count(" of 2 with Z_T") == 4
 
 
 def test_names_of_pictures():
