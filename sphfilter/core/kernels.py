@@ -31,9 +31,7 @@ def shape(kind, q):
         if q < 1.0:
             return 1.0 - 1.5 * q * q + 0.75 * q * q * q
         return 0.25 * (2.0 - q) ** 3 if q < 2.0 else 0.0
-    if q >= 1.0:
-        return 0.0
-    s = 1.0 - q
+    s = max(1.0 - q, 0.0)  # not a branch: which pairs lie within the support is hard to predict
     if kind == LUCY:
         return (1.0 + 3.0 * q) * s * s * s
     if kind == WENDLAND_C2:
@@ -50,9 +48,7 @@ def slope(kind, q):
         if q < 1.0:
             return -3.0 + 2.25 * q
         return -0.75 * (2.0 - q) ** 2 / q if q < 2.0 else 0.0
-    if q >= 1.0:
-        return 0.0
-    s = 1.0 - q
+    s = max(1.0 - q, 0.0)
     if kind == LUCY:
         return -12.0 * s * s
     if kind == WENDLAND_C2:

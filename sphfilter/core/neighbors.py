@@ -54,7 +54,7 @@ def build_index(x, size, method):
     if method == TREE:
         return _build_tree(x)
     none, nowhere = np.empty(0, np.int64), np.empty((0, 0))
-    return Index(BRUTE, np.arange(x.shape[0]), none, none, nowhere, nowhere)
+    return Index(BRUTE, none, none, none, nowhere, nowhere)
 
 
 @jit
@@ -214,13 +214,35 @@ def _query_tree(index, x, y, k, R, found, r2):
 
 
 @jit
+def _query_all(x, y, k, R, found, r2):
+    """Brute force in two passes: all distances, which vectorises, then the hits moved to the front."""
+    N, n = x.shape
+    if n == 2:
+        y0, y1 = y[k, 0], y[k, 1]
+        for j in range(N):
+            r2[j] = (y0 - x[j, 0]) ** 2 + (y1 - x[j, 1]) ** 2
+    else:
+        for j in range(N):
+            gap2 = 0.0
+            for d in range(n):
+                gap2 += (y[k, d] - x[j, d]) ** 2
+            r2[j] = gap2
+    n_found = 0
+    for j in range(N):
+        gap2 = r2[j]
+        found[n_found], r2[n_found] = j, gap2
+        n_found += gap2 <= R * R
+    return n_found
+
+
+@jit
 def query(index, x, y, k, R, found, r2):
     """Write the particles of x within R of y[k], and squared distances, to `found`, `r2` (N,); how many."""
     if index.method == CELLS:
         return _query_cells(index, x, y, k, R, found, r2)
     if index.method == TREE:
         return _query_tree(index, x, y, k, R, found, r2)
-    return _gather(x, index.order, 0, x.shape[0], y, k, R * R, found, r2, 0)
+    return _query_all(x, y, k, R, found, r2)
 
 
 @jit
