@@ -4,8 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .core.kernels import RADIUS
-
 __all__ = ["Verdict", "test_measurement"]
 
 
@@ -35,7 +33,7 @@ def test_measurement(density, z, variance, states, settings):
     mu = (z * prior_variance + mean * variance) / total  # (60)
     half = settings.z_pi * np.sqrt(prior_variance * variance / total)
     low, high = density.x[:, states].min(axis=0), density.x[:, states].max(axis=0)
-    overhang = RADIUS[density.kernel_code[0]] * density.h.mean()
+    overhang = density.mean_support
     above, below = mu + half - high, low - (mu - half)
     beyond = np.where(mu >= mean, above, below)
     for d in np.flatnonzero(beyond > overhang):  # (61)

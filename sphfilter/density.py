@@ -104,6 +104,11 @@ class ParticleDensity:
         """c_K: the variance of one kernel is c_K h² along each axis."""
         return kernels.kernel_variance(self.kernel_code[0], self.dim)
 
+    @property
+    def mean_support(self):
+        """K h averaged over the particles: how far a kernel reaches, in the units of the state."""
+        return float(kernels.RADIUS[self.kernel_code[0]] * self.h.mean())
+
     def pdf(self, X):
         """Density at the states X (M, n) or (n,); an array (M,), per unit volume of the state space."""
         Y = state_rows("X", X, self.dim)

@@ -13,6 +13,11 @@ from .validate import array, count, covariance, positive, real
 
 __all__ = ["SPHFilter"]
 
+_FIXED = (
+    "the {} of a density filter cannot be overwritten (IMM mixing does that); "
+    "make a new SPHFilter with x0 and P0"
+)
+
 
 class SPHFilter:
     """A Bayes filter that carries the probability density on SPH particles (002).
@@ -105,10 +110,7 @@ class SPHFilter:
 
     @x.setter
     def x(self, value):
-        raise ModelError(
-            "the mean of a density filter cannot be overwritten (IMM mixing does that); "
-            "make a new SPHFilter with x0 and P0"
-        )
+        raise ModelError(_FIXED.format("mean"))
 
     @property
     def P(self):
@@ -117,10 +119,7 @@ class SPHFilter:
 
     @P.setter
     def P(self, value):
-        raise ModelError(
-            "the covariance of a density filter cannot be overwritten (IMM mixing does that); "
-            "make a new SPHFilter with x0 and P0"
-        )
+        raise ModelError(_FIXED.format("covariance"))
 
     def predict(self, dt=None, *, t=None):
         """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo."""

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from .config import SolverConfig
-from .core.kernels import RADIUS
 from .errors import PropagationError
 from .info import ResampleInfo
 from .lattice import Lattice, heaviest, particles_on
@@ -147,7 +146,7 @@ def _domain(density, raw, log_weight, n_particles, scheme):
     """
     least = _least_nodes(n_particles, density.dim)
     kept = density.x[heaviest(raw, scheme.domain_mass)]
-    support = RADIUS[density.kernel_code[0]] * density.h.mean()
+    support = density.mean_support
     low, high = kept.min(axis=0), kept.max(axis=0)
     widen = np.maximum(0.5 * (support - (high - low)), 0.0)  # a single row of particles still has width
     low, high = low - widen, high + widen

@@ -1,1 +1,1 @@
-"""One file per scheme; a scheme is four functions: place, rhs, read_out, health."""
+"""One file per scheme: how a density is carried through the Fokker-Planck-Kolmogorov equation."""

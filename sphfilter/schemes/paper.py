@@ -78,9 +78,7 @@ def _march(density, model, t1, scheme, counters, dt_max):
     times = np.array([density.t, t1])
     functions = (model.drift_batch, model.diffusion_batch, model.diffusion_divergence_batch)
     try:
-        code = call(
-            core.march, *functions, _coefficients(model), cloud, options, times, counters
-        )
+        code = call(core.march, *functions, _coefficients(model), cloud, options, times, counters)
     except Exception as problem:  # a black-box drift may raise anything
         raise PropagationError(
             f"the model failed between t = {density.t:g} and {t1:g} near {density.mean()}: {problem}"
