@@ -55,8 +55,7 @@ class Scenario:
     @property
     def measurement(self):
         """The `GaussianMeasurement`."""
-        sensor = self.settings.sensor
-        return sf.GaussianMeasurement(h=sensor.h, noise_cov=sensor.noise_cov)
+        return _measurement(self.settings.model.states, self.settings.sensor)
 
     @property
     def labels(self):
@@ -88,6 +87,13 @@ class Scenario:
 def _model(text):
     values = json.loads(text)
     return sf.SDE.from_expressions(**{k: v for k, v in values.items() if k not in ("labels", "units")})
+
+
+@cache
+def _measurement(states, sensor):
+    if sensor.is_text:
+        return sf.GaussianMeasurement.from_expressions(states, sensor.h, sensor.noise_cov, sensor.angles)
+    return sf.GaussianMeasurement(h=sensor.h, noise_cov=sensor.noise_cov, angles=sensor.angles)
 
 
 def scenario_names():
@@ -136,11 +142,11 @@ def load_scenario(name, **changes):
     ConfigError, ExpressionError, ModelError
     """
     scenario = Scenario(Path(name).stem, read_settings(name, changes))
-    n, h, begin = scenario.model.dim, scenario.measurement.H, scenario.settings.start
-    if h.shape[1] != n or len(begin.mean) != n:
+    n, H, begin = scenario.model.dim, scenario.measurement.H, scenario.settings.start
+    if (H is not None and H.shape[1] != n) or len(begin.mean) != n:
+        columns = "expressions" if H is None else f"{H.shape[1]} columns"
         raise ModelError(
-            f"the model has {n} states, but sensor.h has {h.shape[1]} columns "
-            f"and start.mean {len(begin.mean)} values"
+            f"the model has {n} states, but sensor.h has {columns} and start.mean {len(begin.mean)} values"
         )
     sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
     return scenario

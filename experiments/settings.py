@@ -49,10 +49,32 @@ class ModelText:
 
 @settings
 class Sensor:
-    """z = H x + v with v ~ N(0, R): H is `h`, shape (k, n); R is `noise_cov`, shape (k, k)."""
+    """z = h(x) + v with v ~ N(0, R).
 
-    h: Matrix
+    Attributes
+    ----------
+    h : nested tuple of float, shape (k, n), or tuple of str, length k
+        A matrix H, or expressions of the states and t.
+    noise_cov : nested tuple, shape (k, k)
+        R.
+    angles : tuple of int
+        Components of z that are angles in radians (expressions only).
+    """
+
+    h: Matrix | tuple[str, ...]
     noise_cov: Matrix
+    angles: tuple[Annotated[int, Field(ge=0)], ...] = ()
+
+    @property
+    def is_text(self):
+        """Whether `h` is given as expressions."""
+        return isinstance(self.h[0], str)
+
+    @model_validator(mode="after")
+    def _one_reading(self):
+        if not self.h:
+            raise ValueError("h needs at least one row or expression")
+        return self
 
 
 @settings

@@ -94,8 +94,9 @@ def acceleration_rms(model, start):
 def _check_pairs(measurement, start):
     observed = measurement.directly_observed
     positions = [position for position, _ in start.pairs]
+    h = "a function" if measurement.H is None else measurement.H.tolist()
     if observed is None or list(observed[0]) != positions or np.any(observed[1] != 1.0):
         raise ConfigError(
             f"two-point differencing needs a sensor that reads the positions {positions} of start.pairs, "
-            f"one a component and unscaled, with uncorrelated noise; h is {measurement.H.tolist()}"
+            f"one a component and unscaled, with uncorrelated noise; h is {h}"
         )

@@ -10,7 +10,7 @@ from ._symbols import source
 from .errors import ExpressionError, ModelError
 from .expressions import Names, parse
 
-__all__ = ["symbolic_model"]
+__all__ = ["symbolic_model", "symbolic_rows"]
 
 #: Derivatives of a short text can be long; beyond this many operations compiling would take minutes.
 MAX_OPERATIONS = 20_000
@@ -45,6 +45,22 @@ def symbolic_model(states, drift, noise, diffusion, spectral_density, parameters
     if all(v.is_zero for v in entries["diffusion_divergence"]):
         makers["diffusion_divergence"] = lambda fs: shared(derived.zeros)
     return makers, Q, _flags(f, J, D if g is None else g, D, names)
+
+
+def symbolic_rows(states, texts, name):
+    """Return the batch function of k expressions of the states and t: rows of states in, k columns out.
+
+    Parameters
+    ----------
+    states, texts : sequence of str
+    name : str
+        What the expressions are, for messages.
+    """
+    if isinstance(states, str) or isinstance(texts, str):
+        raise ModelError(f'states and {name} are lists of text, for instance {name}=["x**2"].')
+    names = Names(states)
+    rows = sp.Matrix([parse(text, names, f"{name}[{i}]") for i, text in enumerate(texts)])
+    return _maker(name, rows, names)(None)
 
 
 def _noise(noise, diffusion, spectral_density, names, n):

@@ -63,6 +63,26 @@ class GaussianMeasurement:
             self.H.setflags(write=False)
         self.directly_observed = self._direct()
 
+    @classmethod
+    def from_expressions(cls, states, h, noise_cov, angles=()):
+        """Build a sensor from text, as `SDE.from_expressions` builds a model.
+
+        Parameters
+        ----------
+        states : sequence of str
+            Names of the n states.
+        h : sequence of str, length k
+            Readings as expressions of the states and t.
+        noise_cov, angles
+            As for the constructor.
+
+        Raises
+        ------
+        ExpressionError
+            Unknown name or forbidden syntax.
+        """
+        return cls(_Expressions(states, h), noise_cov, angles, vectorized=True)
+
     def __reduce__(self):
         return GaussianMeasurement, self._recipe
 
@@ -150,6 +170,28 @@ class GaussianMeasurement:
         if len(set(columns)) < self.dim_z or not diagonal:
             return None
         return columns, self.H[np.arange(self.dim_z), columns]
+
+
+class _Expressions:
+    """h(X, t) of a sensor given as text; copies are made from the text."""
+
+    def __init__(self, states, texts):
+        from ._symbolic import symbolic_rows  # imports sympy, which takes a second
+
+        self._text = tuple(states), tuple(texts)
+        self._fill = symbolic_rows(states, texts, "h")
+
+    def __reduce__(self):
+        return _Expressions, self._text
+
+    def __call__(self, X, t):
+        """Return the readings (N, k) in the states X (N, n)."""
+        states, texts = self._text
+        if X.shape[1] != len(states):
+            raise ModelError(f"The measurement is of {len(states)} states, but the states have {X.shape[1]}.")
+        out = np.empty((len(X), len(texts)))
+        self._fill(X, t, _NO_PARAMETERS, out)
+        return out
 
 
 class LikelihoodMeasurement:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from sphfilter.errors import ModelError
+from sphfilter.errors import ExpressionError, ModelError
 from sphfilter.measurements import GaussianMeasurement, LikelihoodMeasurement
 
 X = np.random.default_rng(3).normal(size=(5, 3))
@@ -141,3 +141,33 @@ def test_pickling():
         copy = pickle.loads(pickle.dumps(sensor))
         z = np.ones(sensor.dim_z)
         np.testing.assert_array_equal(copy.log_likelihood(z, X), sensor.log_likelihood(z, X))
+
+
+def test_a_sensor_in_text_reads_what_the_formula_says():
+    text = GaussianMeasurement.from_expressions(
+        ["x", "y"], ["atan2(y, x)", "t + sqrt(x**2 + y**2)"], [[0.1, 0.0], [0.0, 0.2]], angles=[0]
+    )
+    X = np.random.default_rng(0).normal(size=(5, 2))
+    expected = np.column_stack([np.arctan2(X[:, 1], X[:, 0]), 2.0 + np.hypot(*X.T)])
+    for sensor in (text, pickle.loads(pickle.dumps(text))):
+        np.testing.assert_allclose(sensor.predict(X, 2.0), expected, atol=1e-14)
+        assert sensor.angles == (0,)
+        assert sensor.H is None
+
+
+@pytest.mark.parametrize(
+    ("states", "h", "error", "said"),
+    [
+        (["x", "y"], ["xx"], ExpressionError, "did you mean 'x'"),
+        (["x", "y"], "x", ModelError, "lists of text"),
+    ],
+)
+def test_a_wrong_text_of_a_sensor_is_refused(states, h, error, said):
+    with pytest.raises(error, match=said):
+        GaussianMeasurement.from_expressions(states, h, [[1.0]])
+
+
+def test_a_sensor_in_text_knows_its_number_of_states():
+    sensor = GaussianMeasurement.from_expressions(["x"], ["x**2"], [[1.0]])
+    with pytest.raises(ModelError, match="1 states, but the states have 2"):
+        sensor.predict(np.ones((3, 2)))

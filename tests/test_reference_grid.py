@@ -214,3 +214,11 @@ def test_models_out_of_reach_are_refused():
     state_noise = SDE(lambda x, t: (-x[0],), 1, noise=lambda x, t: ((x[0],),), spectral_density=[[1.0]])
     with pytest.raises(ModelError, match="does not depend on the state"):
         GridFilter(state_noise, None, [0.0], [[1.0]])
+
+
+def test_a_first_step_that_would_lose_the_density_is_cut():
+    """Tried whole, the first interval carries every node out of the box; the volume of states is kept here."""
+    model = SDE(lambda x, t: (1.0 - np.exp(x[1]), np.exp(x[0]) - 1.0), 2, np.eye(2), 0.05 * np.eye(2))
+    grid = GridFilter(model, None, [0.5, 0.0], 0.1 * np.eye(2), size=48)
+    assert grid.predict(2.0).n_steps > 1
+    np.testing.assert_allclose(grid.density.mass, 1.0)
