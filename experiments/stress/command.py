@@ -1,0 +1,153 @@
+"""`python -m experiments stress`: hard cells, each judged ok, refused with a sentence, or wrong.
+
+Walks a grid of small filtering problems that are made hard in one respect each, with the default and the
+published SPH scheme and the particle filter, and compares every answer with a reference.
+"""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from experiments.run import Interrupted
+from sphfilter.errors import ConfigError, nearest
+
+from . import plots, tables
+from .grid import cells, chosen
+from .pool import Lost, run_tasks
+from .references import Reference, reference
+from .runs import METHODS, Outcome, run
+from .store import load, path_of, save, sources
+
+__all__ = ["add_arguments", "main"]
+
+#: Seconds a reference may take.
+_REFERENCE_LIMIT = 300.0
+
+
+def add_arguments(parser):
+    """Add the options of `stress`."""
+    parser.add_argument("--quick", action="store_true", help="a reduced grid, that the tests walk too")
+    only = "cells to run: a family, or FAMILY/SYSTEM/LEVEL with * and ?; may be repeated"
+    parser.add_argument("--only", action="append", default=[], metavar="CELL", help=only)
+    names = f"comma-separated, of {', '.join(METHODS)} (default: all)"
+    parser.add_argument("--methods", default=",".join(METHODS), help=names)
+    parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
+    parser.add_argument("--limit", type=_seconds, default=60.0, help="seconds a run may take (default: 60)")
+    parser.add_argument("--out", type=Path, default=Path("results/stress"), help="folder for results")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--list", action="store_true", help="print the names of the cells and stop")
+
+
+def _seconds(text):
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"a number of seconds above zero is needed, not {text!r}")
+    return value
+
+
+def main(args):
+    """Run the command; prints to standard output."""
+    console = Console(highlight=False)
+    console = console if console.is_terminal else Console(highlight=False, width=132)
+    grid = chosen(args.only, args.quick)
+    if args.list:
+        for cell in grid:
+            console.print(cell.name, soft_wrap=True)
+        return
+    methods = [name.strip() for name in args.methods.split(",")]
+    for name in methods:
+        if name not in METHODS:
+            raise ConfigError(f"no method {name!r}{nearest(name, METHODS)}; there are {', '.join(METHODS)}")
+    console.print(f"{len(grid)} cells, {len(methods)} methods, at most {args.limit:g} s each", style="dim")
+    _walk(console, grid, methods, args)
+    rows = _rows(grid, methods, args)
+    tables.write(args.out, rows, args.seed)
+    console.print(tables.table(rows))
+    for sentence in tables.sentences(rows):
+        console.print(f"• {sentence}")
+    for row in rows:
+        if row["verdict"] == "wrong" and row["method"] == "default":
+            console.print(f"wrong: default, {row['cell']}: {row['sentence']}", style="red", soft_wrap=True)
+    drawn = plots.draw(args.out / "stress.png", rows)
+    console.print(f"\nEvery run is in {args.out}/stress.csv, the rest in stress.md. Picture: {drawn}")
+
+
+def _walk(console, grid, methods, args):
+    """Run what is not yet on disk."""
+    tasks = [
+        (cell.name, method, args.seed, str(args.out))
+        for cell in grid
+        for method in ("reference", *methods)
+        if _stored(cell, method, args) is None
+    ]
+    by_name = {cell.name: cell for cell in grid}
+    columns = (
+        TextColumn("runs"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        shown, count = bar.add_task("", total=len(tasks)), 0
+
+        def done(task, result):
+            nonlocal count
+            count += 1
+            name, method = task[:2]
+            if isinstance(result, Lost):
+                _save_lost(by_name[name], method, args, result)
+            bar.update(shown, advance=1, description=f"{name} {method}")
+            if not console.is_terminal and count % 50 == 0:
+                console.print(f"{count} of {len(tasks)} runs done", style="dim")
+
+        limit = partial(_limit, args.limit)
+        try:
+            run_tasks(_task, tasks, args.jobs, limit, done)
+        except KeyboardInterrupt:
+            kept = f"finished runs are kept in {args.out}. The same command goes on from there."
+            raise Interrupted(f"Stopped; {kept}") from None
+
+
+def _limit(seconds, task):
+    """References take what they need; long runs of ten thousand updates are allowed five times the usual."""
+    return (
+        _REFERENCE_LIMIT if task[1] == "reference" else seconds * (5.0 if task[0].endswith("/10000") else 1.0)
+    )
+
+
+def _task(task):
+    """Make one result and store it (in a process of its own)."""
+    name, method, seed, out = task
+    cell = next(cell for cell in cells() if cell.name == name)
+    problem = cell.problem(seed)
+    result = reference(problem, seed) if method == "reference" else run(problem, method, seed)
+    save(path_of(out, cell, seed, method), result, sources(method))
+
+
+def _save_lost(cell, method, args, lost):
+    if method == "reference":
+        result = Reference(why=lost.sentence)
+    else:
+        result = Outcome("timeout" if lost.timeout else "crashed", lost.sentence)
+    save(path_of(args.out, cell, args.seed, method), result, sources(method))
+
+
+def _stored(cell, method, args):
+    kind = Reference if method == "reference" else Outcome
+    return load(path_of(args.out, cell, args.seed, method), kind, sources(method))
+
+
+def _rows(grid, methods, args):
+    """Judge what is on disk."""
+    return [
+        tables.row_of(cell, method, _stored(cell, method, args), _stored(cell, "reference", args), args.seed)
+        for cell in grid
+        for method in methods
+    ]

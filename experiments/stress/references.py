@@ -1,0 +1,119 @@
+"""The reference of a cell: exact where a closed form exists, else the grid, else many particles."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from reference_filters.grid import grid_convergence
+from reference_filters.kalman import KalmanFilter
+from reference_filters.particle import ParticleFilter
+from sphfilter.errors import SphfilterError
+
+from .judge import distance, trusted
+
+__all__ = ["Reference", "reference"]
+
+#: Particles of the last resort, in each of two independent runs.
+_N_PARTICLES = 400_000
+#: The grid cuts densities at 1e-11 of their maximum, 7.1 standard deviations of a Gaussian: a posterior must
+#: lie well inside the prior to be right. Particles must be this many in effect.
+_GRID_REACH, _EFFECTIVE = 5.0, 3000.0
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Posterior moments to compare with.
+
+    Attributes
+    ----------
+    name : str
+        What it is; empty where there is none, and `why` says why.
+    x, P, log_evidence : ndarray, shapes (T, n), (T, n, n), (T,)
+    mean_error, cov_error : float
+        Its own error, rms, in standard deviations.
+    truth : ndarray, shape (T, n), or None
+    """
+
+    name: str = ""
+    x: np.ndarray | None = None
+    P: np.ndarray | None = None
+    log_evidence: np.ndarray | None = None
+    mean_error: float = 0.0
+    cov_error: float = 0.0
+    why: str = ""
+    truth: np.ndarray | None = None
+
+
+def reference(problem, seed):
+    """Return the best reference of a problem, the first below whose own error is small enough.
+
+    A closed form or the Kalman filter; the grid with its error from half the resolution (1 or 2 states,
+    noise that does not depend on the state); two runs of 400,000 particles with their spread.
+    """
+    reasons = []
+    for make in (_exact, _grid, _particles):
+        try:
+            found = make(problem, seed)
+        # the referees are not on trial: whatever stops one, there is none
+        except Exception as problem_found:
+            reasons.append(f"{make.__name__.strip('_')}: {problem_found}")
+            continue
+        if found is None:
+            continue
+        if trusted(found):
+            return replace(found, truth=problem.truth)
+        reasons.append(f"{found.name}: own error {found.mean_error:.2g}, {found.cov_error:.2g}")
+    return Reference(why="; ".join(reasons), truth=problem.truth)
+
+
+def _exact(problem, seed):
+    if problem.exact is not None:
+        return Reference(problem.exact_name, *problem.exact(problem))
+    if not (problem.model.linear and problem.measurement.H is not None):
+        return None
+    start = (problem.x0, problem.P0, problem.t0)
+    r = KalmanFilter(problem.model, problem.measurement, *start).run(problem.times, problem.z)
+    return Reference("Kalman filter", r.x, r.P, r.log_evidence)
+
+
+def _grid(problem, seed):
+    if problem.model.dim > 2 or problem.model.state_dependent_noise:
+        return None
+    start = (problem.x0, problem.P0, problem.t0)
+    with np.errstate(all="ignore"):
+        c = grid_convergence(problem.model, problem.measurement, start, problem.times, problem.z)
+    r = c.result
+    if distance(r.x, r.P, r.x_prior, r.P_prior)[0].max() > _GRID_REACH:
+        raise SphfilterError("a posterior lies in the tail of its prior, which the grid cuts")
+    errors = np.sqrt(np.mean(c.mean_change**2)), np.sqrt(np.mean(c.cov_change**2))
+    return Reference("grid", r.x, r.P, r.log_evidence, *map(float, errors))
+
+
+def _particles(problem, seed):
+    """Two runs, the second with half the step: their mean, and half their distance as its error."""
+    runs = []
+    for i in (1, 2):
+        f = ParticleFilter(
+            problem.model, problem.measurement, problem.x0, problem.P0, problem.t0,
+            n_particles=_N_PARTICLES, rng=np.random.default_rng([seed, i]), resampling="ess",
+            step=problem.step / i,
+        )  # fmt: skip
+        runs.append(_watched(f, problem))
+    (x1, P1, e1), (x2, P2, e2) = runs
+    x, P = 0.5 * (x1 + x2), 0.5 * (P1 + P2)
+    mean, cov = distance(x1, P1, x, P)
+    errors = np.sqrt(np.mean(mean**2)), np.sqrt(np.mean(cov**2))
+    return Reference(f"{_N_PARTICLES:,} particles, twice", x, P, 0.5 * (e1 + e2), *map(float, errors))
+
+
+def _watched(f, problem):
+    """Run a particle filter as long as enough particles count."""
+    rows = []
+    for t, z in zip(problem.times, problem.z, strict=True):
+        if t > f.t:
+            f.predict(t=t)
+        f.update(z)
+        if f.effective_size < _EFFECTIVE:
+            raise SphfilterError(f"only {f.effective_size:.0f} particles count at t = {t:g}")
+        rows.append((f.x.copy(), f.P.copy(), f.log_likelihood))
+    return [np.array(column) for column in zip(*rows, strict=True)]
