@@ -16,8 +16,8 @@ def row_of(cell, method, outcome, reference, seed):
     """Return the flat row of one run."""
     v = judge(outcome, reference)
     return {
-        "family": cell.family, "system": cell.system, "level": cell.level, "unit": cell.unit, "method": method,
-        "verdict": v.verdict, "sentence": " ".join(v.sentence.split()),
+        "family": cell.family, "system": cell.system, "level": cell.level, "unit": cell.unit,
+        "method": method, "verdict": v.verdict, "sentence": " ".join(v.sentence.split()),
         "mean_error": v.mean, "cov_error": v.cov, "worst_mean_error": v.worst, "evidence_error": v.evidence,
         "reference": reference.name or "none", "reference_mean_error": reference.mean_error,
         "reference_cov_error": reference.cov_error, "updates": len(outcome.x), "seconds": outcome.seconds,
