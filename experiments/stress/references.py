@@ -1,5 +1,8 @@
 """The reference of a cell: exact where a closed form exists, else the grid, else many particles."""
 
+import signal
+import threading
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +21,8 @@ _N_PARTICLES = 400_000
 #: The grid cuts densities at 1e-11 of their maximum, 7.1 standard deviations of a Gaussian: a posterior must
 #: lie well inside the prior to be right. Particles must be this many in effect.
 _GRID_REACH, _EFFECTIVE = 5.0, 3000.0
+#: Seconds after which the grid leaves the cell to the particles: stiff drifts can take it hours.
+_GRID_SECONDS = 40.0
 
 
 @dataclass(frozen=True)
@@ -80,13 +85,32 @@ def _grid(problem, seed):
     if problem.model.dim > 2 or problem.model.state_dependent_noise:
         return None
     start = (problem.x0, problem.P0, problem.t0)
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), _at_most(_GRID_SECONDS):
         c = grid_convergence(problem.model, problem.measurement, start, problem.times, problem.z)
     r = c.result
     if distance(r.x, r.P, r.x_prior, r.P_prior)[0].max() > _GRID_REACH:
         raise SphfilterError("a posterior lies in the tail of its prior, which the grid cuts")
     errors = np.sqrt(np.mean(c.mean_change**2)), np.sqrt(np.mean(c.cov_change**2))
     return Reference("grid", r.x, r.P, r.log_evidence, *map(float, errors))
+
+
+@contextmanager
+def _at_most(seconds):
+    """Stop Python code after a while, where the system and the thread allow it."""
+    if not hasattr(signal, "SIGALRM") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number, frame):
+        raise SphfilterError(f"stopped after {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def _particles(problem, seed):
