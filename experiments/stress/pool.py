@@ -6,6 +6,7 @@ kill one worker.
 
 import multiprocessing as mp
 import os
+import signal
 import time
 from contextlib import contextmanager
 from multiprocessing.connection import wait
@@ -126,11 +127,12 @@ class _Worker:
 
 
 def _serve(connection, function):
-    """Work off what comes, in the process."""
+    """Work off what comes, in the process; an interruption is the parent's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     connection.send("ready")
     while True:
         try:
             task = connection.recv()
-        except (EOFError, KeyboardInterrupt):
+        except EOFError:
             return
         connection.send(function(task))
