@@ -1,0 +1,221 @@
+"""Polynomial correction of the diffusion velocity that makes the moment equations hold on the particles.
+
+The exact u = -div D - D grad p / p satisfies E[q . u] = E[D : grad q] for every smooth vector field q
+(integrate -q_c d_d(D_cd p) by parts). Kernel sums satisfy it up to their own error only. To each row of u a
+polynomial of the whitened state is added that makes it hold for all polynomials q of the same degree, as
+sums over particles: degree one makes the equations of mean and covariance exact.
+
+The correction keeps to the range of a constant D by itself: D grad phi and u both lie in it.
+"""
+
+import math
+
+import numpy as np
+
+from ._jit import jit
+
+__all__ = ["correct", "exponents", "moment_defect"]
+
+#: Radius, in standard deviations, beyond which polynomials of degree two and more stay what they are there.
+CLIP = 5.0
+_RIDGE = 1e-10
+_LEAST_PIVOT = 1e-8
+_ROOT = np.sqrt(np.arange(8.0))
+
+
+def exponents(dim, degree):
+    """Exponents (q, dim) of the monomials of total degree 0 .. degree, lower degrees first."""
+    rows = np.indices((degree + 1,) * dim).reshape(dim, -1).T
+    rows = rows[rows.sum(axis=1) <= degree]
+    return np.ascontiguousarray(rows[np.lexsort((*rows.T, rows.sum(axis=1)))])
+
+
+@jit
+def _tables(z, i, scale, h):
+    """Normalised Hermite polynomials h[d, k] = He_k / sqrt(k!) of the coordinates scale z_i."""
+    for d in range(z.shape[1]):
+        a = scale * z[i, d]
+        h[d, 0], h[d, 1] = 1.0, a
+        for k in range(1, h.shape[1] - 1):
+            h[d, k + 1] = (a * h[d, k] - _ROOT[k] * h[d, k - 1]) / _ROOT[k + 1]
+
+
+@jit
+def basis(z, i, powers, h, phi, dphi):
+    """Hermite products phi (q,) at z_i and their gradients dphi (q, n) in z.
+
+    Beyond the radius `CLIP` products of degree two and more take their values on that sphere; a sphere,
+    unlike a box, looks the same from all whitened coordinates.
+    """
+    q, n = powers.shape
+    r2 = 0.0
+    for d in range(n):
+        r2 += z[i, d] * z[i, d]
+    scale = min(1.0, CLIP / math.sqrt(max(r2, 1e-300)))
+    _tables(z, i, scale, h)
+    for k in range(q):
+        product = 1.0
+        for d in range(n):
+            product *= h[d, powers[k, d]]
+        phi[k] = product
+        for d in range(n):
+            e = powers[k, d]
+            slope = _ROOT[e]
+            if e > 0:
+                slope *= h[d, e - 1]
+                for c in range(n):
+                    if c != d:
+                        slope *= h[c, powers[k, c]]
+            dphi[k, d] = slope
+    if scale < 1.0:
+        _project(z, i, r2, scale, powers, phi, dphi)
+
+
+@jit
+def _project(z, i, r2, scale, powers, phi, dphi):
+    """Chain rule of the clipping; functions of degree one are not clipped."""
+    q, n = powers.shape
+    for k in range(1, q):
+        if k <= n:
+            phi[k] /= scale
+            continue
+        radial = 0.0
+        for d in range(n):
+            radial += dphi[k, d] * z[i, d]
+        for d in range(n):
+            dphi[k, d] = scale * (dphi[k, d] - radial * z[i, d] / r2)
+
+
+@jit
+def _assemble(z, m, inverse, D, rows, powers, u, phi, A, b):
+    """Normal matrix A_kl = sum m phi_k phi_l and right-hand sides b_cl = sum m (D grad phi_l - phi_l u)_c."""
+    N, n = z.shape
+    q = powers.shape[0]
+    h, dphi, T = np.empty((n, 8)), np.empty((q, n)), np.empty((rows.size, n))
+    b[:] = 0.0
+    for i in range(N):
+        if i < D.shape[0]:  # one D for all particles, or one for each; T = D L^-T takes gradients in z
+            for c in range(rows.size):
+                for e in range(n):
+                    T[c, e] = 0.0
+                    for d in range(n):
+                        T[c, e] += D[i, rows[c] * n + d] * inverse[e, d]
+        basis(z, i, powers, h, phi[i], dphi)
+        for c in range(rows.size):
+            for k in range(q):
+                pull = -phi[i, k] * u[i, rows[c]]
+                for e in range(n):
+                    pull += T[c, e] * dphi[k, e]
+                b[c, k] += m[i] * pull
+    _normal_matrix(m, phi, A)
+
+
+@jit
+def _normal_matrix(m, phi, A):
+    """A_kl = sum m phi_k phi_l, lower half; four particles at a time spare three in four stores."""
+    N, q = phi.shape
+    A[:] = 0.0
+    last = N - N % 4
+    for i in range(0, last, 4):
+        for k in range(q):
+            w0, w1 = m[i] * phi[i, k], m[i + 1] * phi[i + 1, k]
+            w2, w3 = m[i + 2] * phi[i + 2, k], m[i + 3] * phi[i + 3, k]
+            for j in range(k + 1):
+                A[k, j] += (w0 * phi[i, j] + w1 * phi[i + 1, j]) + (w2 * phi[i + 2, j] + w3 * phi[i + 3, j])
+    for i in range(last, N):
+        for k in range(q):
+            for j in range(k + 1):
+                A[k, j] += m[i] * phi[i, k] * phi[i, j]
+
+
+@jit
+def _factor(A, powers):
+    """Cholesky factor of A + ridge in its lower half; returns how many leading functions it holds for.
+
+    Functions are ordered by degree: where a pivot says that the particles cannot tell a function from
+    those before it, all functions of its degree are left out, and the factor of the rest stays valid.
+    """
+    q = A.shape[0]
+    trace = 0.0
+    for k in range(q):
+        trace += A[k, k]
+    for k in range(q):
+        diagonal = A[k, k]
+        A[k, k] += _RIDGE * trace / q
+        for j in range(k + 1):
+            s = A[k, j]
+            for c in range(j):
+                s -= A[k, c] * A[j, c]
+            if j < k:
+                A[k, j] = s / A[j, j]
+            elif s > _LEAST_PIVOT * diagonal:
+                A[k, k] = math.sqrt(s)
+            else:
+                degree = powers[k].sum()
+                while k > 0 and powers[k - 1].sum() == degree:
+                    k -= 1
+                return k
+    return q
+
+
+@jit
+def _solve(A, q, b):
+    """Solve L L' a = b in place for the leading q unknowns."""
+    for k in range(q):
+        s = b[k]
+        for j in range(k):
+            s -= A[k, j] * b[j]
+        b[k] = s / A[k, k]
+    for k in range(q - 1, -1, -1):
+        s = b[k]
+        for j in range(k + 1, q):
+            s -= A[j, k] * b[j]
+        b[k] = s / A[k, k]
+
+
+@jit
+def correct(z, m, inverse, D, rows, powers, u, phi):
+    """Add to the rows of u the polynomials that make the moment equations hold.
+
+    Parameters
+    ----------
+    z : ndarray, shape (N, n)
+        Whitened positions z = L^-1 (x - mean).
+    m : ndarray, shape (N,)
+    inverse : ndarray, shape (n, n)
+        L^-1.
+    D : ndarray, shape (1, n n) or (N, n n)
+        Diffusion matrix, row-major, in the units of x.
+    rows : ndarray of int
+        Rows of D that are not zero.
+    powers : ndarray, shape (q, n)
+        Exponents of the polynomials.
+    u : ndarray, shape (N, n), changed
+        -div D - D grad p / p in the units of x.
+    phi : ndarray, shape (N, q), workspace
+
+    Returns
+    -------
+    int
+        Number of functions used, at most q.
+    """
+    q = powers.shape[0]
+    A, b = np.empty((q, q)), np.empty((rows.size, q))
+    _assemble(z, m, inverse, D, rows, powers, u, phi, A, b)
+    used = _factor(A, powers)
+    for c in range(rows.size):
+        _solve(A, used, b[c])
+        for i in range(z.shape[0]):
+            for k in range(used):
+                u[i, rows[c]] += b[c, k] * phi[i, k]
+    return used
+
+
+@jit
+def moment_defect(z, m, inverse, D, rows, powers, u, phi):
+    """Largest defect |sum m (phi u - D grad phi)|, relative to the largest |sum m D grad phi|; for health."""
+    q = powers.shape[0]
+    A, b, b0 = np.empty((q, q)), np.empty((rows.size, q)), np.empty((rows.size, q))
+    _assemble(z, m, inverse, D, rows, powers, u, phi, A, b)
+    _assemble(z, m, inverse, D, rows, powers, np.zeros_like(u), phi, A, b0)
+    return np.abs(b).max() / max(np.abs(b0).max(), 1e-300)

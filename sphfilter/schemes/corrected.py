@@ -1,0 +1,152 @@
+"""Moment-corrected SPH in whitened coordinates: the robust scheme, for any dimension."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..core import corrected_march as core
+from ..core._jit import call
+from ..core.kernels import KINDS, RADIUS, kernel_variance, normalisation
+from ..core.moment_correction import exponents
+from ..core.neighbors import choose_method
+from ..errors import PropagationError
+from ..info import PredictInfo
+from .paper import _blow_up, _coefficients, _skipped
+
+__all__ = ["propagate"]
+
+_PAUSE_AFTER = 200  # steps between two chances to be interrupted
+_TIME_SLICES = 32  # steps at least over an interval, where drift or noise change with time
+_PARTICLES_A_FUNCTION = 10
+_TOLERANCE = 1e-6  # of the smoothing lengths that the log-density is computed from
+
+
+def propagate(density, model, t1, scheme, n_particles=None):
+    """Carry a density to time t1 with v = f + u, u corrected so that the moment equations hold.
+
+    The density comes back with its log-density at the particles, L = L0 - log(V / V0) with V the volume of
+    a particle, (h/eta)^n. Mass over volume involves no kernel that smooths the density: nothing has to be
+    de-convolved, and what the rim of the cloud does to V cancels in the ratio.
+
+    Parameters
+    ----------
+    density : ParticleDensity
+        Particles of any masses, regular in the coordinates that whiten them. L0 is its `log_density`, mass
+        over volume where it has none.
+    model : SDE
+    t1 : float
+        Seconds.
+    scheme : CorrectedScheme
+    n_particles : int, optional
+        Not used: particles are not put on a new lattice.
+
+    Returns
+    -------
+    ParticleDensity, PredictInfo
+
+    Raises
+    ------
+    PropagationError
+        The state or its velocity is no longer finite, the steps fell to zero, or the particles span no
+        volume; says when and where.
+    """
+    options = _options(density, model, t1, scheme)
+    powers = exponents(density.dim, _degree(density, scheme))[: None if scheme.degree else 0]
+    cloud = core.Cloud(density.x.copy(), density.mass.copy(), density.h.copy())
+    before = _log_volumes(cloud, options, density.t)
+    counters = _march(cloud, model, options, powers, scheme, (density.t, t1))
+    after = _log_volumes(cloud, options, t1)
+    known = np.log(cloud.m) - before if density.log_density is None else density.log_density
+    moved = replace(
+        density,
+        x=cloud.x,
+        h=cloud.h,
+        t=float(t1),
+        kernel=scheme.kernel,
+        read_out="points",
+        invariant=None,
+        log_density=known + before - after,
+    )
+    return moved, _info(model, scheme, counters, len(powers))
+
+
+def _march(cloud, model, options, powers, scheme, interval):
+    """Run the compiled loop to the end; returns its counters."""
+    counters = np.zeros(len(core.COUNTERS), np.int64)
+    times = np.array([*interval, 0.0])
+    functions = (model.drift_batch, model.diffusion_batch, model.diffusion_divergence_batch)
+    coefficients, status = _coefficients(model), "paused"
+    while status == "paused":
+        if counters[0] >= scheme.max_steps:
+            raise PropagationError(
+                f"prediction from {interval[0]:g} to {interval[1]:g} stopped at t = {times[0]:.6g}: too "
+                f"many steps. Use fewer particles, a larger max_steps (now {scheme.max_steps}), or a shorter "
+                f"interval"
+            )
+        try:
+            code = call(core.march, *functions, coefficients, cloud, options, powers, times, counters)
+        except Exception as problem:  # a black-box drift may raise anything
+            raise PropagationError(
+                f"the model failed between t = {times[0]:g} and {interval[1]:g} near "
+                f"{cloud.m @ cloud.x}: {problem}"
+            ) from problem
+        status = core.STATUS[code]
+    if status == "flat":
+        raise PropagationError(_flat(times[0]))
+    if status != "ok":
+        ahead = min(times[0] + 1e-6 * (interval[1] - interval[0]), interval[1])  # what the steps ran into
+        raise PropagationError(_blow_up(model, cloud.x[counters[-1]], ahead, *interval))
+    return counters
+
+
+def _log_volumes(cloud, options, t):
+    """Logarithm of the volume of each particle, after its smoothing length has been solved for."""
+    if not core.settle(cloud, options, _TOLERANCE):
+        raise PropagationError(_flat(t))
+    return cloud.x.shape[1] * np.log(cloud.h / options.eta)
+
+
+def _flat(t):
+    return (
+        f"at t = {t:.6g} the particles' covariance is singular to rounding: some combination of the states "
+        f"has no spread left. Widen the initial covariance there, or add noise to that state"
+    )
+
+
+def _degree(density, scheme):
+    """Largest degree up to the scheme's with particles enough for its functions; one at least."""
+    n, most = density.dim, density.n_particles / _PARTICLES_A_FUNCTION
+    return max((p for p in range(1, scheme.degree + 1) if math.comb(n + p, p) <= most), default=1)
+
+
+def _options(density, model, t1, scheme):
+    kind, n = KINDS.index(scheme.kernel), density.dim
+    return core.Options(
+        kernel=kind,
+        normalisation=normalisation(kind, n),
+        eta=scheme.support / RADIUS[kind],
+        variance=kernel_variance(kind, n),
+        tol=scheme.tol,
+        dt_max=math.inf if model.autonomous else (t1 - density.t) / _TIME_SLICES,
+        search=choose_method(density.n_particles, n),
+        pause_after=_PAUSE_AFTER,
+    )
+
+
+def _info(model, scheme, counters, n_functions):
+    steps, rejected, evaluations, searches, used, _ = (int(c) for c in counters)
+    status = "ok"
+    if 0 < used < n_functions:
+        status = f"ok; the particles told {used} of {n_functions} polynomials apart"
+    if rejected:
+        status += f"; {rejected} steps repeated"
+    return PredictInfo(
+        n_steps=steps,
+        n_evaluations=evaluations,
+        n_searches=searches,
+        n_bypassed=max(evaluations - searches, 0),
+        skipped=_skipped(model, max(evaluations - searches, 0)),
+        scheme=scheme.name,
+        status=status,
+    )
