@@ -1,4 +1,4 @@
-"""The command line: ``python -m experiments list``, ``run``, ``sweep``, ``converge``, ``filter``."""
+"""The command line: ``python -m experiments list``, ``run``, ``sweep``, ``benchmark`` and the others."""
 
 import argparse
 import sys
@@ -6,12 +6,22 @@ import sys
 from sphfilter.errors import SphfilterError
 
 from . import converge, listing, run
+from .benchmark import command as benchmark
 from .own_data import command as own_data
+from .stress import command as stress
 from .sunspots import command as sunspots
 from .sweep import command as sweep
 
 #: Modules with a one-line docstring, ``add_arguments(parser)`` and ``main(args)``.
-COMMANDS = {"list": listing, "run": run, "sweep": sweep, "converge": converge, "filter": own_data}
+COMMANDS = {
+    "list": listing,
+    "run": run,
+    "sweep": sweep,
+    "converge": converge,
+    "filter": own_data,
+    "benchmark": benchmark,
+    "stress": stress,
+}
 #: Names that `run` takes and that are no scenarios: measured data, with options of their own.
 MEASURED = {"sunspots": sunspots}
 

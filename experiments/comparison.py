@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Distance", "distances", "reference_name"]
+__all__ = ["Distance", "distance", "distances", "reference_name"]
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,11 @@ def distances(results, reference):
     -------
     dict of str to Distance
     """
-    return {name: _distance(r, results[reference]) for name, r in results.items() if name != reference}
+    return {name: distance(r, results[reference]) for name, r in results.items() if name != reference}
 
 
-def _distance(result, reference):
+def distance(result, reference):
+    """Distance of one filter's results from another's, runs first; NaN where no run has both."""
     done = np.isfinite(result.x).all(axis=(1, 2)) & np.isfinite(reference.x).all(axis=(1, 2))
     if not done.any():
         return Distance(np.nan, np.nan, np.nan)

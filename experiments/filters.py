@@ -58,6 +58,8 @@ def _particle(scenario, settings, case, rng):
         rng=rng,
         resampling=settings.resampling,
         step=settings.step,
+        order=settings.order,
+        n_threads=settings.n_threads,
     )
 
 

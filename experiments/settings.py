@@ -141,11 +141,13 @@ class MomentFilter:
 
 @settings
 class Particle:
-    """Bootstrap particle filter; `step` is its longest time step in seconds."""
+    """Bootstrap particle filter; `step` is its longest time step in seconds, None for its own choice."""
 
     n_particles: Count = 1000
     resampling: Literal["always", "ess"] = "ess"
-    step: Positive = 0.1
+    step: Positive | None = 0.1
+    order: Literal[2, 4] = 4
+    n_threads: Count = 1
 
 
 @settings

@@ -1,0 +1,195 @@
+"""`python -m experiments benchmark [NAME ...]`: all filters on the same measurements, run time against error.
+
+Every competitor is compared with a converged reference whose own error is bounded and printed.
+"""
+
+import argparse
+import json
+import os
+import platform
+from contextlib import nullcontext
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import numba
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from experiments.run import Interrupted
+from experiments.scenario import add_change_option, load_scenario, parse_change
+from sphfilter import __version__
+from sphfilter.campaign import draw_case
+
+from . import expensive, plots, tables
+from .campaign import Plan, run_scenario
+from .methods import FAMILIES, default_families, methods
+from .reference import Effort
+from .store import code_digest
+
+__all__ = ["SCENARIOS", "add_arguments", "main"]
+
+#: Those of the publication and the closed forms, then harder ones, then those never used in development.
+SCENARIOS = (
+    "van_der_pol", "duffing", "cart", "linear_underdamped", "benes",
+    "van_der_pol_sharp", "duffing_square", "lorenz",
+    "pendulum", "bearing", "predator_prey", "vehicle",
+)  # fmt: skip
+#: A name that is no scenario: what the rows of another one mean where the drift is expensive.
+_EXPENSIVE = "expensive"
+_QUICK = Effort(error=1e-2, first=0, last=1, n_paths=20_000, n_runs=4)
+_FULL = Effort(error=2e-5, first=2, last=5, n_paths=1_000_000, n_runs=20)
+
+
+def add_arguments(parser):
+    """Add the options of `benchmark`."""
+    names = f"names from `list` or paths of TOML files, or {_EXPENSIVE} (default: all of them)"
+    parser.add_argument("scenarios", nargs="*", metavar="NAME", help=names)
+    families = f"comma-separated, of {', '.join(FAMILIES)}, sph:SCHEME (default: all that fit)"
+    parser.add_argument("--filters", help=families)
+    counts = "particles of the SPH and particle filters, comma-separated, instead of the usual ones"
+    parser.add_argument("--counts", type=_counts, metavar="N,N", help=counts)
+    parser.add_argument("--runs", type=_positive_int, help="simulated runs (default 5)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
+    limit = "seconds a run may take; larger sizes are left out (default 10)"
+    parser.add_argument("--limit", type=float, help=limit)
+    parser.add_argument("--out", type=Path, default=Path("results/benchmark"), help="folder for results")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="two runs, coarse references: does it work?")
+    size.add_argument("--full", action="store_true", help="larger sizes and finer references: takes hours")
+    add_change_option(parser)
+
+
+def _positive_int(text):
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"a whole number of at least 1 is needed, not {text!r}")
+    return int(text)
+
+
+def _counts(text):
+    return tuple(sorted({_positive_int(part.strip()) for part in text.split(",")}))
+
+
+def main(args):
+    """Run the command; prints to standard output."""
+    console = Console(highlight=False)
+    console = console if console.is_terminal else Console(highlight=False, width=140)
+    changes = dict(parse_change(text) for text in args.changes)
+    names = args.scenarios or [*SCENARIOS, _EXPENSIVE]
+    scenarios = {name: load_scenario(name, **changes) for name in names if name != _EXPENSIVE}
+    if _EXPENSIVE in names:
+        scenarios.setdefault(expensive.BASE, load_scenario(expensive.BASE, **changes))
+    work = [(scenario, _competitors(scenario, args)) for scenario in scenarios.values()]
+    plan, machine, outcomes = _plan(args), {"start": _machine()}, []
+    for scenario, competitors in work:
+        outcomes.append(_measured(console, scenario, competitors, plan))
+        _tell(console, outcomes[-1])
+        # after every scenario, so that an interruption leaves whole files
+        drawn = _write(args, plan, outcomes, machine | {"end": _machine()}, work)
+    if _EXPENSIVE in names:
+        base, competitors = next(pair for pair in work if pair[0].name == expensive.BASE)
+        drawn.append(_expensive(console, base, competitors, outcomes, plan))
+    console.print(f"Numbers are in {args.out}/benchmark.csv and .md, all settings in benchmark.json.")
+    console.print(f"Pictures: {', '.join(map(str, drawn))}")
+
+
+def _plan(args):
+    effort = _QUICK if args.quick else _FULL if args.full else Effort()
+    runs = args.runs or (2 if args.quick else 5)
+    limit = args.limit or (120.0 if args.full else 10.0)
+    return Plan(folder=args.out, n_runs=runs, seed=args.seed, limit=limit, effort=effort)
+
+
+def _competitors(scenario, args):
+    """Those asked for that fit the scenario; two threads only where numba has them."""
+    families = default_families(scenario)
+    if args.filters:
+        asked = [name.strip() for name in args.filters.split(",")]
+        exact = set(families) | {name for name in asked if name.startswith("sph:")}
+        families = [name for name in asked if name in exact or name not in FAMILIES]
+    made = methods(families, scenario, args.counts, args.full)
+    return [m for m in made if m.threads <= numba.config.NUMBA_NUM_THREADS]
+
+
+def _measured(console, scenario, competitors, plan):
+    """Run one scenario with a progress bar."""
+    console.print(f"[bold]{scenario.name}[/]: {scenario.settings.description}")
+    columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}")
+    total = plan.n_runs * (len(competitors) + 1)
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=total)
+
+        def say(text, advance):
+            bar.update(task, description=text, advance=advance)
+
+        try:
+            return run_scenario(scenario, competitors, plan, say)
+        except KeyboardInterrupt:
+            raise Interrupted(
+                f"Stopped; what was measured is kept in {plan.folder}. The same command goes on from there."
+            ) from None
+
+
+def _tell(console, outcome):
+    console.print(tables.table(outcome))
+    for sentence in tables.sentences(outcome):
+        console.print(f"• {sentence}")
+    console.print()
+
+
+def _expensive(console, scenario, competitors, outcomes, plan):
+    """Tell and draw who wins where the drift is expensive."""
+    lines = next(o.lines for o in outcomes if o.scenario == scenario.name)
+    with console.status("real runs with an expensive drift") if console.is_terminal else nullcontext():
+        checked = expensive.checks(
+            scenario, draw_case(scenario, plan.seed, 0), competitors, lines, plan.limit
+        )
+    title = f"{scenario.name} with an expensive drift: the fastest to reach an error of the mean"
+    console.print(expensive.table(lines, title))
+    if checked:
+        ratio = [c.measured / c.predicted for c in checked]
+        console.print(
+            f"• {len(checked)} real runs took {min(ratio):.2f} to {max(ratio):.2f} times (median "
+            f"{sorted(ratio)[len(ratio) // 2]:.2f}) what run time and counted evaluations predict."
+        )
+    expensive.write(plan.folder, lines, checked)
+    return plots.draw_expensive(plan.folder, lines, checked, scenario.name)
+
+
+def _write(args, plan, outcomes, machine, work):
+    """Write numbers, settings and pictures; returns the pictures."""
+    plan.folder.mkdir(parents=True, exist_ok=True)
+    tables.write_csv(plan.folder / "benchmark.csv", outcomes)
+    title = f"Filters side by side: {plan.n_runs} runs, seed {plan.seed}"
+    (plan.folder / "benchmark.md").write_text(tables.markdown(outcomes, title), encoding="utf-8")
+    record = {
+        "arguments": {key: str(value) for key, value in vars(args).items() if key != "main"},
+        "plan": {key: str(value) for key, value in asdict(plan).items()},
+        "code": code_digest(),
+        "versions": {"sphfilter": __version__, "python": platform.python_version()}
+        | {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")},
+        "machine": machine,
+        "scenarios": {scenario.name: repr(scenario.settings) for scenario, _ in work},
+        "competitors": {s.name: {m.key: repr(m.factory.settings) for m in made} for s, made in work},
+    }
+    (plan.folder / "benchmark.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+    return plots.draw(plan.folder, outcomes)
+
+
+def _machine():
+    """Processor and load: run times are of this machine, at this time."""
+    try:
+        with open("/proc/cpuinfo") as file:
+            model = next(
+                (line.partition(":")[2].strip() for line in file if line.startswith("model name")), ""
+            )
+    except OSError:
+        model = platform.processor()
+    return {
+        "processor": model,
+        "cores": os.cpu_count(),
+        "threads": numba.config.NUMBA_NUM_THREADS,
+        "load": os.getloadavg(),
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+    }

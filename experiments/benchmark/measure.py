@@ -1,0 +1,107 @@
+"""One competitor on one case: its run time, its errors, and what its steps reported."""
+
+from collections import Counter
+from dataclasses import asdict
+from time import perf_counter, process_time
+
+import numba
+import numpy as np
+
+from .densities import hellinger
+from .errors import errors, root_mean_square, truth_errors
+from .watch import TooSlow, Watched, resident, watch_peak
+
+__all__ = ["measure", "warm_up"]
+
+#: Timed runs of a case: as many as fit into so many seconds, within bounds.
+_REPEATS, _SECONDS = 5, 1.0
+
+
+def measure(method, case, reference, seed, limit):
+    """Run a competitor and return a row of plain numbers and texts.
+
+    Parameters
+    ----------
+    method : Method
+    case : Case
+    reference : Reference
+    seed : sequence of int
+        Of what the filter draws.
+    limit : float
+        Seconds after which a run is given up.
+
+    Returns
+    -------
+    dict
+        With the key "failure" alone if the filter raised something.
+    """
+    try:
+        return _measured(method, case, reference, seed, limit)
+    except Exception as problem:  # a filter under test may raise anything, and that is a finding
+        kind = "" if isinstance(problem, TooSlow) else f"{type(problem).__name__}: "
+        return {"failure": f"{kind}{problem}"}
+
+
+def _measured(method, case, reference, seed, limit):
+    numba.set_num_threads(method.threads)
+    known = watch_peak()
+    before = resident()
+    watched, result, wall, cpu = _timed(method, case, reference, seed, limit)
+    memory = resident(peak=True) - before if known else np.nan
+    seconds, cpu_seconds = [wall], [cpu]
+    while len(seconds) < _REPEATS and sum(seconds) < _SECONDS:
+        *_, wall, cpu = _timed(method, case, reference, seed, limit)
+        seconds.append(wall)
+        cpu_seconds.append(cpu)
+    return {
+        "seconds": seconds,
+        "cpu_seconds": cpu_seconds,
+        "memory": memory,
+        **_numbers(result, reference, case),
+        **_reports(watched, method),
+        "hellinger": root_mean_square(
+            [hellinger(watched.densities[i], p) for i, p in reference.densities.items()]
+        ),
+    }
+
+
+def _timed(method, case, reference, seed, limit):
+    """Make the filter and run it; returns also the seconds of both, by the wall and by the processors."""
+    wall, cpu = perf_counter(), process_time()
+    filt = method.factory(case, np.random.default_rng(seed))
+    watched = Watched(filt, reference.densities, limit)
+    result = watched.run(case.times, case.z)
+    return watched, result, perf_counter() - wall, process_time() - cpu
+
+
+def _numbers(result, reference, case):
+    if not (np.all(np.isfinite(result.x)) and np.all(np.isfinite(result.P))):
+        raise FloatingPointError("mean or covariance is not finite")
+    rmse, nees = truth_errors(result, case.truth)
+    return {**asdict(errors(result, reference.result)), "rmse": rmse.tolist(), "nees": nees}
+
+
+def _reports(watched, method):
+    schemes = Counter(info.scheme for info in watched.predictions)
+    return {
+        "n_used": max((u.n_particles for u in watched.updates), default=0) or method.size,
+        "evaluations": sum(p.n_evaluations for p in watched.predictions),
+        "steps": sum(p.n_steps for p in watched.predictions),
+        "schemes": dict(schemes),
+        "troubles": [p.status for p in watched.predictions if p.status != "ok"],
+        "predictions": len(watched.predictions),
+        "refused": sum(not u.accepted for u in watched.updates),
+    }
+
+
+def warm_up(method, case):
+    """Take two measurements, so that what is compiled at first use does not count as run time.
+
+    What goes wrong here will go wrong again where it is recorded.
+    """
+    try:
+        numba.set_num_threads(method.threads)
+        Watched(method.factory(case, np.random.default_rng(0)), limit=20.0).run(case.times[:2], case.z[:2])
+    except Exception:
+        return False
+    return True

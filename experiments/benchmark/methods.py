@@ -1,0 +1,149 @@
+"""The competitors: families of filters, and the sizes at which each is run."""
+
+from dataclasses import dataclass
+
+from experiments.filters import Factory
+from experiments.settings import Grid, MomentFilter, Particle, Sph
+from sphfilter.config import FilterConfig
+from sphfilter.errors import ConfigError, nearest
+
+__all__ = ["FAMILIES", "Method", "default_families", "label", "methods", "short"]
+
+#: What the names stand for, short and in words. Any scheme of the SPH filter can be forced with sph:SCHEME.
+FAMILIES = {
+    "sph": ("SPH", "SPH filter, default"),
+    "paper": ("SPH, paper", "SPH filter, scheme of the paper"),
+    "ekf": ("EKF", "extended Kalman filter"),
+    "ukf": ("UKF", "unscented Kalman filter"),
+    "kf": ("KF", "Kalman filter (linear models)"),
+    "pf": ("PF, order 2", "particle filter, weak order 2"),
+    "pf4": ("PF, order 4", "particle filter, weak order 4"),
+    "grid": ("Grid, boxed", "grid filter in a box it is told"),
+    "benes": ("Beneš", "closed form of the Beneš problem"),
+}
+#: Particles by number of states (three stands for all above two), quick or not.
+_SPH = {1: (25, 50, 100, 200), 2: (100, 200, 400, 800, 1600), 3: (200, 500, 1000, 2000, 4000)}
+_PAPER = {1: (50, 200), 2: (200, 800), 3: (1000,)}
+_PF, _PF4 = (200, 1000, 10_000, 100_000), (1000, 10_000, 100_000)
+_GRID = (32, 48, 64, 96)
+#: Particles from which a second thread is tried.
+_TWO_THREADS_FROM = 100_000
+
+
+@dataclass(frozen=True)
+class Method:
+    """One competitor at one size.
+
+    Attributes
+    ----------
+    family : str
+        A name of `FAMILIES`, or "sph:SCHEME".
+    size : int
+        Particles at most, or nodes an axis; zero for filters that have none.
+    threads : int
+    factory : Factory
+    """
+
+    family: str
+    size: int
+    threads: int
+    factory: Factory
+
+    @property
+    def key(self):
+        """Name of its rows on disk."""
+        return "-".join([self.family.replace(":", "."), *([str(self.size)] if self.size else []),
+                         *([f"{self.threads}threads"] if self.threads > 1 else [])])  # fmt: skip
+
+    @property
+    def series(self):
+        """Family, and threads where there are two: what a curve joins."""
+        return self.family if self.threads == 1 else f"{self.family}, {self.threads} threads"
+
+
+def label(series):
+    """A series in words."""
+    family, _, threads = series.partition(", ")
+    scheme = family.partition(":")[2]
+    words = f"SPH filter, {scheme.replace('_', ' ')}" if scheme else FAMILIES[family][1]
+    return words + (f", {threads}" if threads else "")
+
+
+def short(family):
+    """A family in a word or two."""
+    scheme = family.partition(":")[2]
+    return f"SPH, {scheme.replace('_', ' ')}" if scheme else FAMILIES[family][0]
+
+
+def default_families(scenario):
+    """Families that fit a scenario."""
+    n, exact = scenario.model.dim, scenario.settings.exact
+    fitting = ["sph", "paper", "ekf", "ukf", "pf", "pf4"]
+    if n <= 2 and not scenario.model.state_dependent_noise:
+        fitting.append("grid")
+    return fitting + [exact] * (exact in FAMILIES)
+
+
+def methods(families, scenario, counts=None, full=False):
+    """All competitors of some families on a scenario, smallest first within a family.
+
+    Parameters
+    ----------
+    families : sequence of str
+    scenario : Scenario
+    counts : sequence of int, optional
+        Particles of the SPH and particle filters, instead of the usual ones.
+    full : bool
+        The expensive sizes too.
+
+    Returns
+    -------
+    list of Method
+
+    Raises
+    ------
+    ConfigError
+        Unknown family or scheme, or one that does not fit the scenario.
+    """
+    return [m for family in families for m in _family(family, scenario, counts, full)]
+
+
+def _family(family, scenario, counts, full):
+    scheme = family.removeprefix("sph:") if family.startswith("sph:") else None
+    if scheme is None and family not in FAMILIES:
+        known = [*FAMILIES, "sph:SCHEME"]
+        raise ConfigError(f"no competitor {family!r}{nearest(family, known)}; there are {', '.join(known)}")
+    n = min(scenario.model.dim, 3)
+    if scheme is not None or family in ("sph", "paper"):
+        config = _config(family, scheme, n)
+        sizes = counts or (_PAPER[n] + (5204,) * (full and n == 3) if family == "paper" else _SPH[n])
+        return [
+            _method(family, "sph", scenario, Sph(n_particles=size, config=config), size) for size in sizes
+        ]
+    if family in ("pf", "pf4"):
+        return _particle(family, scenario, counts or (_PF4 if family == "pf4" else _PF) + (10**6,) * full)
+    if family == "grid":
+        return [_method("grid", "grid", scenario, Grid(size=size), size) for size in _GRID]
+    return [_method(family, family, scenario, MomentFilter() if family in ("ekf", "ukf") else None, 0)]
+
+
+def _config(family, scheme, n):
+    """Configuration of an SPH filter; the kernels of the paper are those of 002 Tables 6, 8 and 10."""
+    if family == "paper":
+        return FilterConfig.paper(kernel="lucy" if n <= 2 else "gaussian")
+    return FilterConfig() if scheme is None else FilterConfig(scheme=scheme)
+
+
+def _particle(family, scenario, sizes):
+    made = []
+    for size in sizes:
+        for threads in (1, 2) if size >= _TWO_THREADS_FROM else (1,):
+            settings = Particle(
+                n_particles=size, order=4 if family == "pf4" else 2, n_threads=threads, step=None
+            )
+            made.append(_method(family, "pf", scenario, settings, size, threads))
+    return made
+
+
+def _method(family, name, scenario, settings, size, threads=1):
+    return Method(family, size, threads, Factory(name, scenario, settings))

@@ -1,0 +1,211 @@
+"""Pictures of a benchmark: run time against error, one panel a scenario."""
+
+import matplotlib
+
+matplotlib.use("Agg")  # files only: no window system is asked for
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
+
+from experiments.plots import COLOURS
+
+from .expensive import COSTS, fastest
+from .methods import label
+from .summary import MEASURES, particle_law
+
+__all__ = ["draw", "draw_expensive", "expensive_figure", "frontier_figure", "style"]
+
+_DPI = 130
+#: Smaller errors are drawn here: the exact filters have some.
+_FLOOR = 1e-5
+_EXPENSIVE_LEVELS = (0.1, 0.03, 0.01)
+#: Colour, marker and width of a series; the SPH filter stands out.
+_STYLES = {
+    "sph": (COLOURS["sph"], "o", 2.4),
+    "paper": ("#7BC8AE", "s", 1.4),
+    "ekf": (COLOURS["ekf"], "D", 0.0),
+    "ukf": (COLOURS["ukf"], "D", 0.0),
+    "kf": ("0.25", "*", 0.0),
+    "pf": ("#8DB9DC", "^", 1.3),
+    "pf4": (COLOURS["pf"], "v", 1.3),
+    "grid": ("#E69F00", "P", 1.3),
+}
+_OTHER_SCHEMES = ("#B8860B", "#6A4C93", "#1B4332")
+
+
+def style(series):
+    """Colour, marker, line width and fill of a series; two threads are hollow."""
+    family, _, threads = series.partition(", ")
+    if family.startswith("sph:"):
+        colour = _OTHER_SCHEMES[sum(map(ord, family)) % len(_OTHER_SCHEMES)]
+        return colour, "o", 1.4, True
+    return *_STYLES[family], not threads
+
+
+def draw(folder, outcomes):
+    """Draw all pictures into a folder; returns their paths."""
+    drawn = []
+    for measure in MEASURES:
+        shown = [o for o in outcomes if any(_points(o.lines, s, measure) for s in _series(o.lines))]
+        if shown:
+            drawn.append(folder / f"frontier_{measure}.png")
+            figure = frontier_figure(shown, measure)
+            figure.savefig(drawn[-1], dpi=_DPI)
+            plt.close(figure)
+    return drawn
+
+
+def frontier_figure(outcomes, measure):
+    """Run time against one error, both logarithmic, a panel a scenario."""
+    n_columns = min(len(outcomes), 3 if len(outcomes) <= 6 else 4)
+    n_rows = -(-len(outcomes) // n_columns)
+    size = (max(4.1 * n_columns, 6.4), 3.5 * n_rows + 1.0)
+    figure, axes = plt.subplots(n_rows, n_columns, figsize=size, squeeze=False, layout="constrained")
+    for ax, outcome in zip(axes.flat, outcomes, strict=False):
+        _panel(ax, outcome, measure)
+    for ax in axes.flat[len(outcomes) :]:
+        ax.remove()
+    for i, ax in enumerate(axes.flat[: len(outcomes)]):
+        ax.set_xlabel(MEASURES[measure] if i + n_columns >= len(outcomes) else "", fontsize=8.5)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("run time (s)", fontsize=9)
+    figure.suptitle(f"Run time and {MEASURES[measure].partition(' (')[0]}, by filter and number of particles",
+                    fontsize=11)  # fmt: skip
+    _legend(figure, axes.flat)
+    return figure
+
+
+def _series(lines):
+    return dict.fromkeys(line.series for line in lines)
+
+
+def _points(lines, series, measure):
+    """Lines of a series that have a place on logarithmic axes."""
+    here = [i for i in lines if i.series == series]
+    return [i for i in here if np.isfinite(getattr(i, measure)) and getattr(i, measure) > 0]
+
+
+def _errors(lines, measure):
+    """One error of each line, none below the floor of the picture."""
+    return [max(getattr(i, measure), _FLOOR) for i in lines]
+
+
+def _panel(ax, outcome, measure):
+    lines = outcome.lines
+    for series in _series(lines):
+        points = _points(lines, series, measure)
+        if not points:
+            continue
+        colour, marker, width, filled = style(series)
+        error, seconds = _errors(points, measure), [i.seconds for i in points]
+        first = series.startswith(("sph", "paper"))
+        look = {"color": colour, "lw": width, "ls": "-" if filled else "--", "zorder": 4 if first else 3}
+        marks = {"marker": marker, "ms": 5.5 if first else 5, "mec": colour}
+        ax.plot(error, seconds, **look, **marks, mfc=colour if filled else "white", label=label(series))
+        if series in ("sph", "pf4", "grid"):
+            _sizes(ax, points, error, colour)
+    _law(ax, lines, measure)
+    _unreliable(ax, outcome, measure)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    here = [e for s in _series(lines) for e in _errors(_points(lines, s, measure), measure)]
+    ax.set_xlim(0.5 * min(here), 2.0 * max(here))
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(LogLocator(numticks=12))
+        axis.set_major_formatter(LogFormatterSciNotation())
+        axis.set_minor_formatter(NullFormatter())
+    ax.set_title(outcome.scenario.replace("_", " "), loc="left", fontsize=10, fontweight="bold")
+    ax.grid(alpha=0.25, lw=0.5)
+    ax.set_axisbelow(True)
+    ax.tick_params(labelsize=8)
+
+
+def _sizes(ax, points, error, colour):
+    """Write the sizes of the first and the last point beside them."""
+    for i in sorted({0, len(points) - 1}):
+        size = points[i].size
+        text = f"{size // 1000}k" if size >= 10_000 else f"{size}"
+        place = {"xytext": (5, 3), "textcoords": "offset points", "zorder": 5}
+        ax.annotate(text, (error[i], points[i].seconds), fontsize=7, color=colour, **place)
+
+
+def _law(ax, lines, measure):
+    """The particle filter's law, seconds = c / error², through its best point and beyond."""
+    points = _points(lines, "pf4", measure) or _points(lines, "pf", measure)
+    law = particle_law(lines, measure)
+    if not points or not np.isfinite(law):
+        return
+    here = [i for s in _series(lines) for i in _points(lines, s, measure)]
+    error = np.array([min(_errors(here, measure)), max(_errors(points, measure))])
+    seconds = [i.seconds for i in here]
+    ax.set_ylim(0.5 * min(seconds), 3.0 * max(seconds))
+    ax.plot(
+        error, law / error**2, ":", color="0.45", lw=1.2, zorder=2, label="particle filter's law, 1/error²"
+    )
+
+
+def _unreliable(ax, outcome, measure):
+    """Shade the errors that are less than five times the reference's own."""
+    own = getattr(outcome.reference, measure)
+    if own > 0:
+        ax.axvspan(0.1 * _FLOOR, 5 * own, color="0.5", alpha=0.13, lw=0, label="reference not good enough")
+
+
+def _legend(figure, axes):
+    entries = {}
+    for ax in axes:
+        if ax.figure is not None:
+            for handle, text in zip(*ax.get_legend_handles_labels(), strict=True):
+                entries.setdefault(text, handle)
+    columns = max(2, int(figure.get_figwidth() / 3.2))
+    figure.legend(
+        entries.values(), entries, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5
+    )
+
+
+def expensive_figure(lines, checked, scenario):
+    """Run time against the cost of one evaluation of the drift, a panel an error that is to be reached."""
+    n = len(_EXPENSIVE_LEVELS)
+    figure, axes = plt.subplots(1, n, figsize=(3.4 * n, 4.3), sharey=True, layout="constrained")
+    for ax, error in zip(axes, _EXPENSIVE_LEVELS, strict=True):
+        for series in _series(lines):
+            _expensive_series(ax, [i for i in lines if i.series == series], checked, error)
+        ax.set_title(f"error of the mean ≤ {error:g}", loc="left", fontsize=10)
+        ax.set_xlabel("seconds an evaluation of the drift")
+        ax.grid(alpha=0.25, lw=0.5)
+    axes[0].set_ylabel("run time (s)")
+    figure.suptitle(
+        f"{scenario.replace('_', ' ')} with an expensive drift, each filter at its best size\n"
+        "(markers: real runs; dotted: more particles by the particle filter's law)",
+        fontsize=10.5,
+    )
+    _legend(figure, axes)
+    return figure
+
+
+def _expensive_series(ax, lines, checked, error):
+    """One series: what its best size takes at each cost, and real runs of that size."""
+    usable = [i for i in lines if i.threads == 1 and np.isfinite(i.drift)]
+    costs = np.geomspace(1e-8, COSTS[-1], 60)
+    best = {c: found for c in (*costs, *COSTS) if (found := fastest(usable, c, error))}
+    if not best:
+        return
+    series = lines[0].series
+    colour, marker, width, _ = style(series)
+    by_law = any(more > 1 for _, _, more in best.values())
+    look = {"color": colour, "lw": width or 1.2, "ls": ":" if by_law else "-"}
+    ax.loglog(costs, [best[c][1] for c in costs], label=label(series), **look)
+    sizes = {c: line.size * more for c, (line, _, more) in best.items()}
+    real = [c for c in checked if c.series == series and c.size == sizes[c.cost]]
+    marks = {"marker": marker, "color": colour, "ms": 6, "mec": "w", "mew": 0.6, "zorder": 4}
+    ax.plot([c.cost for c in real], [c.measured for c in real], ls="", **marks)
+
+
+def draw_expensive(folder, lines, checked, scenario):
+    """Draw the picture of an expensive drift; returns its path."""
+    figure = expensive_figure(lines, checked, scenario)
+    path = folder / "expensive.png"
+    figure.savefig(path, dpi=_DPI)
+    plt.close(figure)
+    return path

@@ -1,0 +1,195 @@
+"""The converged solution of a case, with a bound of its own error, kept on disk.
+
+Linear models have the Kalman filter and the Beneš problem its closed form; other problems of one or two
+states a grid, refined until it stands still; the rest many large particle runs.
+"""
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+
+from experiments.filters import Factory
+from experiments.settings import Grid
+from reference_filters.grid_density import Box, GridDensity, fitted_box
+from sphfilter.campaign_store import case_digest
+from sphfilter.errors import PropagationError
+from sphfilter.results import FilterResult
+
+from .errors import errors, root_mean_square
+from .watch import Watched
+
+__all__ = ["Effort", "Reference", "epochs_of_densities", "find"]
+
+#: Nodes an axis, and error allowed a step, of the grid; each refinement divides the error by about five.
+_LADDER = ((48, 3e-3), (72, 1e-3), (96, 1e-3), (144, 3e-4), (216, 1e-4), (324, 3e-5))
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How good a reference has to be.
+
+    Attributes
+    ----------
+    error : float
+        Change of the grid's mean, in posterior standard deviations, at which refining ends.
+    first, last : int
+        First and last rung of the grid's ladder.
+    n_paths, n_runs : int
+        Particles of each of the large runs, and their number.
+    """
+
+    error: float = 1e-4
+    first: int = 2
+    last: int = 4
+    n_paths: int = 400_000
+    n_runs: int = 10
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Converged posterior of one case.
+
+    Attributes
+    ----------
+    kind : str
+        What it is, and how its error was bounded.
+    result : FilterResult
+    mean, cov, evidence, total : float
+        Its own error, in the measures of `errors.Errors`; zero where it is exact.
+    densities : dict of int to GridDensity
+        Posterior densities by epoch, for one and two states.
+    """
+
+    kind: str
+    result: FilterResult
+    mean: float
+    cov: float
+    evidence: float
+    total: float
+    densities: dict
+
+
+def epochs_of_densities(n_epochs):
+    """Epochs whose densities are compared: after a third, two thirds and all of the measurements."""
+    return sorted({max(0, round(n_epochs * part) - 1) for part in (1 / 3, 2 / 3, 1.0)})
+
+
+def find(scenario, case, effort, folder):
+    """Read the reference of a case from `folder`, or compute it and keep it there.
+
+    Raises
+    ------
+    PropagationError
+        The grid is too coarse at its last rung.
+    """
+    path = folder / f"{scenario.name}-{_digest(scenario, case, effort)}.npz"
+    if path.exists():
+        return _load(path)
+    folder.mkdir(parents=True, exist_ok=True)
+    if scenario.settings.exact:
+        reference = _exact(scenario, case)
+    elif scenario.model.dim <= 2 and not scenario.model.state_dependent_noise:
+        reference = _grid(scenario, case, effort)
+    else:
+        reference = _particles(scenario, case, effort, folder)
+    _save(path, reference)
+    return reference
+
+
+def _digest(scenario, case, effort):
+    s = scenario.settings
+    text = repr([asdict(part) for part in (s.model, s.sensor, s.start, effort)] + [s.exact])
+    return hashlib.sha256((text + case_digest(case)).encode()).hexdigest()[:16]
+
+
+def _exact(scenario, case):
+    name = scenario.settings.exact
+    watched = Watched(Factory(name, scenario)(case, None), epochs_of_densities(len(case.times)))
+    result = watched.run(case.times, case.z)
+    densities = {}
+    for i, found in watched.densities.items() if scenario.model.dim <= 2 else ():
+        # wide enough for a mixture of two Gaussians with these moments, too
+        box = fitted_box(result.x[i][None], np.ones(1), 1.3 * result.P[i], 96)
+        densities[i] = GridDensity(box, found.on(box))
+    return Reference(f"{name}, exact", result, 0.0, 0.0, 0.0, 0.0, densities)
+
+
+def _grid(scenario, case, effort):
+    """Refine until the mean stands still, or the ladder ends; the last change bounds the error."""
+    kept, change = None, None
+    for size, tol in _LADDER[effort.first : effort.last + 1]:
+        filt = Factory("grid", scenario, Grid(size=size, tol=tol))(case, None)
+        watched = Watched(filt, epochs_of_densities(len(case.times)), take=lambda filt: filt.density)
+        try:
+            result = watched.run(case.times, case.z)
+        except PropagationError:  # too coarse
+            continue
+        change = None if kept is None else errors(kept, result)
+        kept, densities, n_nodes = result, watched.densities, size
+        if change is not None and change.mean <= effort.error:
+            break
+    if change is None:
+        raise PropagationError(
+            f"{scenario.name}: no two grids of the reference hold the density; raise --reference-rungs"
+        )
+    kind = f"grid of {n_nodes} nodes an axis, error bounded by the change from the next coarser"
+    return Reference(kind, kept, change.mean, change.cov, change.evidence, change.total, densities)
+
+
+def _particles(scenario, case, effort, folder):
+    """Independent large particle runs; their spread is the error of their average."""
+    from reference_filters.big_particle import converged
+
+    found = converged(
+        scenario.model,
+        scenario.measurement,
+        case,
+        n_particles=effort.n_paths,
+        n_runs=effort.n_runs,
+        rng=0,
+        cache=folder,
+    )
+    prior = np.full_like(found.x, np.nan), np.full_like(found.P, np.nan)
+    accepted = np.ones(len(found.t), dtype=bool)
+    result = FilterResult(found.t, *prior, found.x, found.P, found.log_evidence, accepted)
+    n = found.x.shape[1]
+    to_white = np.linalg.inv(np.linalg.cholesky(found.P))
+    mean = np.linalg.norm(to_white @ found.x_error[..., None], axis=(1, 2))
+    cov = np.linalg.norm(to_white @ found.P_error @ np.swapaxes(to_white, 1, 2), axis=(1, 2)) / np.sqrt(n)
+    paths = f"{effort.n_runs} particle runs of {effort.n_paths:g}"
+    return Reference(
+        f"{paths}, error bounded by their spread",
+        result,
+        root_mean_square(mean),
+        root_mean_square(cov),
+        root_mean_square(found.evidence_error),
+        float(np.linalg.norm(found.evidence_error)),
+        {},
+    )
+
+
+def _save(path, reference):
+    """Write a reference to one file, which appears when it is complete."""
+    arrays = {f"result_{f.name}": getattr(reference.result, f.name) for f in fields(FilterResult)}
+    for i, p in reference.densities.items():
+        arrays |= {f"p{i}_centre": p.box.centre, f"p{i}_axes": p.box.axes, f"p{i}_values": p.values}
+    numbers = {name: getattr(reference, name) for name in ("kind", "mean", "cov", "evidence", "total")}
+    text = json.dumps({"numbers": numbers, "epochs": list(reference.densities)})
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    with open(part, "wb") as file:
+        np.savez_compressed(file, text=text, **arrays)
+    os.replace(part, path)
+
+
+def _load(path):
+    with np.load(path) as data:
+        text = json.loads(str(data["text"]))
+        result = FilterResult(**{f.name: data[f"result_{f.name}"] for f in fields(FilterResult)})
+        densities = {}
+        for i in text["epochs"]:
+            values = data[f"p{i}_values"]
+            densities[i] = GridDensity(Box(data[f"p{i}_centre"], data[f"p{i}_axes"], len(values)), values)
+    return Reference(result=result, densities=densities, **text["numbers"])

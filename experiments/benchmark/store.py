@@ -1,0 +1,58 @@
+"""Rows on disk: one small file for each competitor and run, written as soon as it is measured."""
+
+import hashlib
+import json
+import os
+from functools import cache
+from pathlib import Path
+
+import reference_filters
+import sphfilter
+
+__all__ = ["Rows", "code_digest", "digest"]
+
+
+@cache
+def code_digest():
+    """A digest of the source of library and reference filters: rows of other code are measured again."""
+    found = hashlib.sha256()
+    for package in (sphfilter, reference_filters):
+        for path in sorted(Path(package.__file__).parent.rglob("*.py")):
+            found.update(path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+def digest(*things):
+    """A digest of the texts of things."""
+    return hashlib.sha256(repr(things).encode()).hexdigest()[:16]
+
+
+class Rows:
+    """Measured rows by scenario, competitor and run.
+
+    Parameters
+    ----------
+    folder : Path
+    """
+
+    def __init__(self, folder):
+        self._folder = folder
+
+    def read(self, scenario, key, run, made_of):
+        """The row, or None if it is not there or was made of something else (`digest`)."""
+        path = self._path(scenario, key, run)
+        if not path.exists():
+            return None
+        row = json.loads(path.read_text(encoding="utf-8"))
+        return row if row.pop("made_of") == made_of else None
+
+    def write(self, scenario, key, run, made_of, row):
+        """Keep a row; the file appears when it is complete."""
+        path = self._path(scenario, key, run)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f"{path.name}.{os.getpid()}.part")
+        part.write_text(json.dumps({"made_of": made_of} | row), encoding="utf-8")
+        os.replace(part, path)
+
+    def _path(self, scenario, key, run):
+        return self._folder / scenario / f"{key}-run{run}.json"

@@ -1,0 +1,204 @@
+"""From rows of single runs to one line a competitor, and to the frontier of run time and error."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import root_mean_square
+
+__all__ = ["MEASURES", "Line", "ReferenceError", "fastest_to_reach", "frontier", "particle_law", "summarise"]
+
+#: What is measured against the reference, and in what unit.
+MEASURES = {
+    "mean": "error of the mean (posterior standard deviations)",
+    "cov": "error of the covariance (relative)",
+    "total": "error of the log-evidence of a run (nat)",
+}
+#: The reference must be so many times better than an error it is used for.
+_MARGIN = 5.0
+
+
+@dataclass(frozen=True)
+class ReferenceError:
+    """A scenario's references: what they are, and root mean squares of their own errors over the runs."""
+
+    kind: str
+    mean: float
+    cov: float
+    evidence: float
+    total: float
+
+    @classmethod
+    def of(cls, references):
+        """Put the references of all runs together."""
+        numbers = {
+            name: root_mean_square([getattr(r, name) for r in references])
+            for name in ("mean", "cov", "evidence", "total")
+        }
+        return cls(kind=references[-1].kind, **numbers)
+
+
+@dataclass(frozen=True)
+class Line:
+    """One competitor on one scenario, over all runs.
+
+    Attributes
+    ----------
+    scenario, family, series : str
+    size, threads : int
+    n_used : float
+        Particles at most, as the filter reports them; median of the runs.
+    runs, failed : int
+        Runs in all, and those in which the filter raised something (the numbers are of the others).
+    mean, worst, cov, evidence, total : float
+        As in `errors.Errors`: root mean squares over the runs; `worst` is the largest.
+    hellinger : float
+        Root mean square over runs and epochs; NaN above two states.
+    rmse : ndarray, shape (n,)
+        Root-mean-square distance from the truth.
+    nees : float
+    seconds, cpu_seconds : float
+        Median over runs and repeats.
+    spread : float
+        Interquartile range of the seconds over their median.
+    evaluations, drift : float
+        Evaluations of the velocity at all particles, and of the drift at a state; medians of the runs.
+    schemes : dict of str to int
+        Predictions by scheme.
+    fallbacks : float
+        Part of the predictions that did not use the scheme most used, or reported trouble.
+    refused : int
+        Measurements refused.
+    memory : float
+        Growth of the process, MB; the largest of the runs.
+    certified : bool
+        The reference's own error of the mean is at most a fifth of this one.
+    failure : str
+        One of the messages.
+    """
+
+    scenario: str
+    family: str
+    series: str
+    size: int
+    threads: int
+    n_used: float
+    runs: int
+    failed: int
+    mean: float
+    worst: float
+    cov: float
+    evidence: float
+    total: float
+    hellinger: float
+    rmse: np.ndarray
+    nees: float
+    seconds: float
+    cpu_seconds: float
+    spread: float
+    evaluations: float
+    drift: float
+    schemes: dict
+    fallbacks: float
+    refused: int
+    memory: float
+    certified: bool
+    failure: str
+
+
+def summarise(scenario, method, rows, drift, reference):
+    """Put the rows of all runs of a competitor together.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    method : Method
+    rows : list of dict
+        What `measure` returned.
+    drift : float
+        Evaluations of the drift in the first run.
+    reference : ReferenceError
+
+    Returns
+    -------
+    Line
+    """
+    done = [row for row in rows if "failure" not in row]
+    times = np.array([t for row in done for t in row["seconds"]])
+    rms = {
+        k: root_mean_square([r[k] for r in done]) for k in ("mean", "cov", "evidence", "total", "hellinger")
+    }
+    schemes = sum((Counter(row["schemes"]) for row in done), Counter())
+    return Line(
+        scenario=scenario.name,
+        family=method.family,
+        series=method.series,
+        size=method.size,
+        threads=method.threads,
+        runs=len(rows),
+        failed=len(rows) - len(done),
+        n_used=_median(done, "n_used"),
+        **rms,
+        worst=max((row["worst"] for row in done), default=np.nan),
+        rmse=_rmse([row["rmse"] for row in done], scenario.model.dim),
+        nees=float(np.mean([row["nees"] for row in done])) if done else np.nan,
+        seconds=float(np.median(times)) if done else np.nan,
+        cpu_seconds=float(np.median([t for row in done for t in row["cpu_seconds"]])) if done else np.nan,
+        spread=float(np.subtract(*np.quantile(times, [0.75, 0.25])) / np.median(times)) if done else np.nan,
+        evaluations=_median(done, "evaluations"),
+        drift=drift,
+        schemes=dict(schemes),
+        fallbacks=_fallbacks(done, schemes),
+        refused=sum(row["refused"] for row in done),
+        memory=max((row["memory"] for row in done), default=np.nan),
+        certified=bool(reference.mean * _MARGIN <= rms["mean"]),
+        failure=next((row["failure"] for row in rows if "failure" in row), ""),
+    )
+
+
+def _median(rows, key):
+    return float(np.median([row[key] for row in rows])) if rows else np.nan
+
+
+def _rmse(values, n):
+    return np.sqrt(np.mean(np.square(values), axis=0)) if values else np.full(n, np.nan)
+
+
+def _fallbacks(done, schemes):
+    """Part of the predictions by another scheme than the most used, or in trouble."""
+    n = sum(row["predictions"] for row in done)
+    if not n:
+        return 0.0
+    others = n - max(schemes.values())
+    return max(others, sum(len(row["troubles"]) for row in done)) / n
+
+
+def frontier(lines, measure="mean"):
+    """Lines that no other beats in both run time and error, fastest first.
+
+    Competitors that failed in a run are left out.
+    """
+    best, kept = np.inf, []
+    for line in sorted((i for i in lines if not i.failed), key=lambda i: i.seconds):
+        error = getattr(line, measure)
+        if error < best:
+            best = error
+            kept.append(line)
+    return kept
+
+
+def particle_law(lines, measure="mean"):
+    """c of the law seconds = c / error² of the best particle filter on one thread; NaN without one.
+
+    The law of its best size: larger ones meet the bias of the time step, smaller ones overhead.
+    """
+    costs = [i.seconds * getattr(i, measure) ** 2 for i in lines
+             if i.family in ("pf", "pf4") and i.threads == 1 and not i.failed]  # fmt: skip
+    return float(np.nanmin(costs)) if len(costs) and np.isfinite(costs).any() else np.nan
+
+
+def fastest_to_reach(lines, error, measure="mean"):
+    """The fastest of the lines whose error is at most `error`, or None."""
+    reached = [i for i in lines if not i.failed and getattr(i, measure) <= error]
+    return min(reached, key=lambda i: i.seconds, default=None)

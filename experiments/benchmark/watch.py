@@ -1,0 +1,81 @@
+"""A filter under observation: what its steps report, densities at chosen epochs, a limit of time."""
+
+from time import perf_counter
+
+import numpy as np
+
+from sphfilter.errors import SphfilterError
+from sphfilter.results import run_filter
+
+from .densities import snapshot
+
+__all__ = ["TooSlow", "Watched", "resident", "watch_peak"]
+
+
+class TooSlow(SphfilterError):
+    """A run passed its limit of time."""
+
+
+class Watched:
+    """Stands for a filter in `run_filter` and notes what its predictions and updates report.
+
+    Parameters
+    ----------
+    filt : filter
+    epochs : collection of int
+        Epochs whose posterior density is kept, in `densities`.
+    limit : float
+        Seconds after which the next prediction raises `TooSlow`.
+    take : callable
+        take(filter) → what is kept of its density.
+    """
+
+    def __init__(self, filt, epochs=(), limit=np.inf, take=snapshot):
+        self._filt, self._epochs, self._limit, self._take = filt, frozenset(epochs), limit, take
+        self._start = perf_counter()
+        self.predictions, self.updates, self.densities = [], [], {}
+
+    x = property(lambda self: self._filt.x)
+    P = property(lambda self: self._filt.P)
+    t = property(lambda self: self._filt.t)
+    log_likelihood = property(lambda self: self._filt.log_likelihood)
+
+    def predict(self, *, t):
+        """As the filter's own."""
+        if perf_counter() - self._start > self._limit:
+            raise TooSlow(f"stopped at t = {self.t:g} s, after {self._limit:g} s of computing")
+        info = self._filt.predict(t=t)
+        self.predictions.append(info)
+        return info
+
+    def update(self, z):
+        """As the filter's own."""
+        info = self._filt.update(z)
+        if len(self.updates) in self._epochs:
+            self.densities[len(self.updates)] = self._take(self._filt)
+        self.updates.append(info)
+        return info
+
+    def run(self, times, z):
+        """Run the filter; see `sphfilter.results.run_filter`."""
+        return run_filter(self, times, z)
+
+
+def watch_peak():
+    """Forget the process's peak of resident memory so far; returns False where the system cannot."""
+    try:
+        with open("/proc/self/clear_refs", "w") as file:
+            file.write("5")
+    except OSError:
+        return False
+    return True
+
+
+def resident(peak=False):
+    """Resident memory of the process, or its peak since `watch_peak`, in MB; NaN where unknown."""
+    name = "VmHWM:" if peak else "VmRSS:"
+    try:
+        with open("/proc/self/status") as file:
+            return next(float(line.split()[1]) / 1024 for line in file if line.startswith(name))
+    except (OSError, StopIteration):
+        return np.nan

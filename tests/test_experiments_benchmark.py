@@ -1,0 +1,321 @@
+"""The benchmark: measures against closed forms, references, rows on disk, and the command end to end."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments import __main__ as commands
+from experiments.benchmark import expensive, reference
+from experiments.benchmark.counting import drift_evaluations
+from experiments.benchmark.densities import Cloud, Normal, hellinger, snapshot
+from experiments.benchmark.errors import errors, root_mean_square, truth_errors
+from experiments.benchmark.measure import measure
+from experiments.benchmark.methods import Method, default_families, label, methods
+from experiments.benchmark.store import Rows
+from experiments.benchmark.summary import Line, fastest_to_reach, frontier, particle_law
+from experiments.benchmark.watch import TooSlow, Watched
+from experiments.filters import Factory
+from experiments.scenario import load_scenario
+from experiments.settings import Particle
+from reference_filters.grid_density import GridDensity, fitted_box
+from reference_filters.kalman import KalmanFilter
+from sphfilter import ConfigError
+from sphfilter.results import FilterResult
+
+_QUICK = ["--quick", "--runs", "2", "--set", "times.end=4"]
+
+
+def _result(x, P, evidence):
+    T, n = x.shape
+    blank = np.zeros((T, n)), np.zeros((T, n, n))
+    return FilterResult(np.arange(T), *blank, x, P, np.asarray(evidence), np.ones(T, dtype=bool))
+
+
+# --- measures ---
+
+
+def test_errors_are_in_standard_deviations_of_the_reference():
+    P = np.array([[4.0, 0.0], [0.0, 9.0]])
+    exact = _result(np.zeros((2, 2)), np.array([P, P]), [1.0, 2.0])
+    found = _result(np.array([[2.0, 3.0], [0.0, 0.0]]), np.array([2 * P, P]), [1.3, 1.6])
+    e = errors(found, exact)
+    np.testing.assert_allclose(e.mean, 1.0)  # sqrt((1 + 1 + 0) / 2)
+    np.testing.assert_allclose(e.worst, np.sqrt(2.0))
+    np.testing.assert_allclose(e.cov, np.sqrt(0.5))  # 1 in half the epochs
+    np.testing.assert_allclose(e.evidence, np.sqrt((0.09 + 0.16) / 2))
+    np.testing.assert_allclose(e.total, 0.1)
+
+
+def test_truth_errors_against_the_definition():
+    P = np.array([np.diag([4.0, 1.0])] * 2)
+    rmse, nees = truth_errors(_result(np.zeros((2, 2)), P, [0, 0]), np.array([[2.0, 0.0], [0.0, 2.0]]))
+    np.testing.assert_allclose(rmse, [np.sqrt(2.0), np.sqrt(2.0)])
+    np.testing.assert_allclose(nees, (1.0 + 4.0) / 2)
+
+
+def test_root_mean_square_leaves_out_what_is_not_finite():
+    assert root_mean_square([3.0, np.nan, 3.0]) == 3.0
+    assert np.isnan(root_mean_square([]))
+
+
+def test_hellinger_distance_of_two_gaussians():
+    """H² = 1 - exp(-d²/8) for equal covariances a Mahalanobis distance d apart."""
+    cov = np.array([[1.0, 0.6], [0.6, 2.0]])
+    mean, other = np.zeros(2), np.array([0.5, -0.7])
+    box = fitted_box(mean[None], np.ones(1), cov, 64)
+    exact = GridDensity(box, Normal(mean, cov).on(box))
+    d2 = (other - mean) @ np.linalg.solve(cov, other - mean)
+    np.testing.assert_allclose(hellinger(Normal(other, cov), exact), np.sqrt(1 - np.exp(-d2 / 8)), rtol=1e-5)
+    assert hellinger(Normal(mean, cov), exact) < 1e-5
+
+
+def test_kernel_estimate_of_a_cloud_approaches_its_density():
+    rng = np.random.default_rng(1)
+    cov = np.array([[1.0, 0.6], [0.6, 2.0]])
+    box = fitted_box(np.zeros((1, 2)), np.ones(1), cov, 96)
+    exact = GridDensity(box, Normal(np.zeros(2), cov).on(box))
+    distance = []
+    for N in (300, 30_000):
+        X = rng.multivariate_normal(np.zeros(2), 2 * cov, size=N)
+        log_w = -0.25 * np.einsum("ij,jk,ik->i", X, np.linalg.inv(cov), X)  # to the narrower Gaussian
+        distance.append(hellinger(Cloud(X, np.exp(log_w) / np.exp(log_w).sum()), exact))
+    assert distance[1] < 0.04 < distance[0]
+
+
+# --- references ---
+
+
+def test_grid_reference_has_the_error_it_claims(tmp_path):
+    """A linear problem that is not said to be one: the Kalman filter knows what the grid's error is."""
+    scenario = load_scenario("linear_underdamped", **{"times.end": 3.0})
+    case = scenario.draw(np.random.default_rng(2))
+    unknown = replace(scenario, settings=replace(scenario.settings, exact=None))
+    effort = reference.Effort(error=1e-3, first=0, last=2)
+    found = reference.find(unknown, case, effort, tmp_path)
+    exact = KalmanFilter(scenario.model, scenario.measurement, case.x0, case.P0).run(case.times, case.z)
+    e = errors(found.result, exact)
+    assert 0 < e.mean < found.mean < 1e-3
+    assert e.cov < found.cov
+    assert e.total < found.total
+    for i, p in found.densities.items():
+        assert hellinger(Normal(exact.x[i], exact.P[i]), p) < 1e-3
+    assert found.kind.startswith("grid of")
+
+
+def test_reference_is_read_again_and_belongs_to_its_case(tmp_path, monkeypatch):
+    scenario = load_scenario("benes", **{"times.end": 2.0})
+    cases = [scenario.draw(np.random.default_rng(seed)) for seed in (1, 2)]
+    effort = reference.Effort()
+    first = reference.find(scenario, cases[0], effort, tmp_path)
+    monkeypatch.setattr(reference, "_exact", lambda *_: pytest.fail("computed twice"))
+    again = reference.find(scenario, cases[0], effort, tmp_path)
+    np.testing.assert_array_equal(again.result.x, first.result.x)
+    assert sorted(again.densities) == sorted(first.densities) == [0, 2, 3]
+    for i, p in again.densities.items():
+        np.testing.assert_array_equal(p.values, first.densities[i].values)
+        np.testing.assert_array_equal(p.box.axes, first.densities[i].box.axes)
+    with pytest.raises(pytest.fail.Exception):
+        reference.find(scenario, cases[1], effort, tmp_path)
+
+
+def test_exact_reference_of_the_benes_problem_is_the_exact_density(tmp_path):
+    scenario = load_scenario("benes", **{"times.end": 2.0})
+    case = scenario.draw(np.random.default_rng(1))
+    found = reference.find(scenario, case, reference.Effort(), tmp_path)
+    exact = Factory("benes", scenario)(case, None)
+    exact.run(case.times, case.z)
+    assert hellinger(snapshot(exact), found.densities[3]) < 1e-6
+    np.testing.assert_allclose(found.densities[3].mass, 1.0, atol=1e-6)
+
+
+# --- one competitor ---
+
+
+def test_kalman_filter_has_no_error_on_a_linear_problem(tmp_path):
+    scenario = load_scenario("linear_underdamped", **{"times.end": 3.0})
+    case = scenario.draw(np.random.default_rng(2))
+    exact = reference.find(scenario, case, reference.Effort(), tmp_path)
+    row = measure(methods(["kf"], scenario)[0], case, exact, [1], 10.0)
+    assert row["mean"] == row["cov"] == row["total"] == 0.0
+    assert row["hellinger"] < 1e-6
+    assert len(row["seconds"]) == len(row["cpu_seconds"]) == 5
+    assert json.loads(json.dumps(row)) == row
+
+
+def test_particle_filter_has_less_error_with_more_particles(tmp_path):
+    scenario = load_scenario("linear_underdamped", **{"times.end": 3.0})
+    case = scenario.draw(np.random.default_rng(2))
+    exact = reference.find(scenario, case, reference.Effort(), tmp_path)
+    rows = [measure(m, case, exact, [1], 10.0) for m in methods(["pf"], scenario, counts=(100, 10_000))]
+    assert rows[1]["mean"] < 0.4 * rows[0]["mean"]
+    assert rows[1]["n_used"] == 10_000
+
+
+def test_failure_of_a_competitor_is_a_row_of_its_own(tmp_path):
+    scenario = load_scenario("linear_underdamped", **{"times.end": 3.0})
+    case = scenario.draw(np.random.default_rng(2))
+    exact = reference.find(scenario, case, reference.Effort(), tmp_path)
+    method = methods(["pf"], scenario, counts=(100,))[0]
+    assert measure(method, case, exact, [1], limit=0.0)["failure"].startswith("stopped at t = 0 s")
+    broken = replace(method, factory=replace(method.factory, settings=None))
+    assert measure(broken, case, exact, [1], 10.0)["failure"].startswith("AttributeError")
+
+
+def test_a_watched_run_stops_at_its_limit():
+    scenario = load_scenario("linear_underdamped", **{"times.end": 3.0})
+    case = scenario.draw(np.random.default_rng(2))
+    filt = Factory("kf", scenario)(case, None)
+    with pytest.raises(TooSlow, match="stopped"):
+        Watched(filt, limit=0.0).run(case.times, case.z)
+
+
+def test_evaluations_of_the_drift_are_counted():
+    """Four for every Runge-Kutta step of every particle, or as many for each as the steps say."""
+    scenario = load_scenario("van_der_pol", **{"times.end": 5.0})
+    case = scenario.draw(np.random.default_rng(2))
+    settings = Particle(n_particles=500, order=4, step=0.25)
+    method = Method("pf4", 500, 1, Factory("pf", scenario, settings))
+    one = drift_evaluations(method, scenario, case, n_steps=20)
+    assert one >= 500 * 20
+    assert one % 500 == 0
+    large = Method("pf4", 4000, 1, Factory("pf", scenario, replace(settings, n_particles=4000)))
+    np.testing.assert_allclose(drift_evaluations(large, scenario, case, n_steps=20), 8 * one, rtol=0.1)
+
+
+# --- lines and frontiers ---
+
+
+def _line(family, size, seconds, mean, failed=0, threads=1, drift=0.0):
+    blank = dict.fromkeys((f for f in Line.__dataclass_fields__), 0.0)
+    return Line(**blank | {"family": family, "series": family, "size": size, "seconds": seconds, "mean": mean,
+                           "failed": failed, "threads": threads, "drift": drift})  # fmt: skip
+
+
+def test_frontier_and_law():
+    lines = [
+        _line("ekf", 0, 0.001, 0.3),
+        _line("pf", 100, 0.01, 0.1),
+        _line("pf", 1000, 0.08, 0.04),
+        _line("sph", 200, 0.05, 0.01),
+        _line("sph", 400, 0.2, 0.02),
+        _line("ukf", 0, 0.0001, 0.001, failed=1),
+    ]
+    assert [i.seconds for i in frontier(lines)] == [0.001, 0.01, 0.05]
+    assert fastest_to_reach(lines, 0.05).family == "sph"
+    assert fastest_to_reach(lines, 0.005) is None
+    np.testing.assert_allclose(particle_law(lines), 1e-4)
+
+
+def test_who_wins_depends_on_the_cost_of_the_drift():
+    lines = [_line("pf4", 1000, 0.01, 0.02, drift=1e6), _line("sph", 200, 0.1, 0.01, drift=1e4)]
+    line, seconds, more = expensive.fastest(lines, 0.0, 0.02)
+    assert (line.family, seconds, more) == ("pf4", 0.01, 1.0)
+    line, seconds, _ = expensive.fastest(lines, 1e-6, 0.02)
+    assert line.family == "sph"
+    np.testing.assert_allclose(seconds, 0.11)
+    line, seconds, more = expensive.fastest(lines[:1], 0.0, 0.01)  # four times the particles halve the error
+    assert (more, seconds) == (4.0, 0.04)
+    assert expensive.fastest(lines[1:], 0.0, 0.001) is None
+
+
+def test_a_burning_drift_is_the_same_drift_and_takes_its_time():
+    scenario = load_scenario("van_der_pol")
+    model, a_loop = expensive.burning_model(scenario.model)
+    X = np.random.default_rng(0).normal(size=(5, 2))
+    burning = model.with_parameters(loops=1000.0)
+    np.testing.assert_array_equal(burning.drift(X, 0.0), scenario.model.drift(X, 0.0))
+    np.testing.assert_array_equal(burning.diffusion(X, 0.0), scenario.model.diffusion(X, 0.0))
+    assert 0 < a_loop < 1e-5
+
+
+# --- competitors and rows ---
+
+
+def test_competitors_of_a_scenario():
+    van_der_pol, cart = load_scenario("van_der_pol"), load_scenario("cart")
+    assert "grid" in default_families(van_der_pol)
+    assert "grid" not in default_families(cart)
+    assert default_families(load_scenario("linear_underdamped"))[-1] == "kf"
+    made = methods(default_families(van_der_pol), van_der_pol)
+    assert len({m.key for m in made}) == len(made)
+    assert {m.threads for m in made} == {1, 2}
+    assert label("pf, 2 threads") == "particle filter, weak order 2, 2 threads"
+
+
+def test_paper_has_the_kernels_of_its_tables():
+    made = [methods(["paper"], load_scenario(name))[0] for name in ("duffing", "cart")]
+    assert [m.factory.settings.config.scheme.kernel for m in made] == ["lucy", "gaussian"]
+
+
+@pytest.mark.parametrize("name", ["ekff", "sph:no_such_scheme"])
+def test_unknown_competitors_are_refused(name):
+    with pytest.raises(ConfigError):
+        methods([name], load_scenario("duffing"))
+
+
+def test_rows_are_of_what_they_were_made_of(tmp_path):
+    rows = Rows(tmp_path)
+    rows.write("s", "pf-100", 0, "abc", {"mean": np.nan, "seconds": [1.0]})
+    assert rows.read("s", "pf-100", 0, "abc")["seconds"] == [1.0]
+    assert rows.read("s", "pf-100", 0, "other") is None
+    assert rows.read("s", "pf-100", 1, "abc") is None
+    assert not list(tmp_path.rglob("*.part"))
+
+
+# --- the command ---
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("benchmark")
+    arguments = ["--filters", "ekf,pf,kf", "--counts", "100,2000", "--out", str(out)]
+    assert commands.main(["benchmark", "linear_underdamped", *_QUICK, *arguments]) == 0
+    return out
+
+
+def test_command_writes_numbers_tables_and_pictures(folder):
+    with open(folder / "benchmark.csv", encoding="utf-8") as file:
+        rows = {(row["family"], row["size"]): row for row in csv.DictReader(file)}
+    assert set(rows) == {("ekf", "0"), ("pf", "100"), ("pf", "2000"), ("kf", "0")}
+    assert float(rows["kf", "0"]["mean"]) == 0
+    assert float(rows["pf", "2000"]["mean"]) < 0.6 * float(rows["pf", "100"]["mean"])
+    assert float(rows["ekf", "0"]["mean"]) < 1e-4
+    assert all(float(row["seconds"]) > 0 for row in rows.values())
+    text = (folder / "benchmark.md").read_text()
+    assert "| PF, order 2 | 2,000 |" in text
+    assert "The reference is exact." in text
+    record = json.loads((folder / "benchmark.json").read_text())
+    assert set(record["versions"]) >= {"sphfilter", "numpy", "numba"}
+    assert record["machine"]["end"]["cores"] >= 1
+    for measure_name in ("mean", "cov", "total"):
+        assert (folder / f"frontier_{measure_name}.png").stat().st_size > 10_000
+
+
+def test_command_goes_on_from_what_is_there(folder, monkeypatch, capsys):
+    from experiments.benchmark import campaign
+
+    monkeypatch.setattr(campaign, "measure", lambda *_: pytest.fail("measured twice"))
+    arguments = ["--filters", "ekf,pf,kf", "--counts", "100,2000", "--out", str(folder)]
+    assert commands.main(["benchmark", "linear_underdamped", *_QUICK, *arguments]) == 0
+    assert "PF, order 2" in capsys.readouterr().out
+
+
+def test_command_tells_who_wins_with_an_expensive_drift(tmp_path, capsys):
+    arguments = ["--filters", "ekf,pf4", "--counts", "200", "--limit", "1", "--out", str(tmp_path)]
+    assert commands.main(["benchmark", "expensive", *_QUICK, "--set", "times.end=5", *arguments]) == 0
+    said = capsys.readouterr().out
+    assert "van_der_pol with an expensive drift" in said
+    assert "real runs took" in said
+    with open(tmp_path / "expensive.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    at_the_same_error = [float(row["seconds"]) for row in rows if row["error"] == "0.1"]
+    assert at_the_same_error == sorted(at_the_same_error)
+    assert (tmp_path / "expensive.png").stat().st_size > 10_000
+
+
+def test_unknown_competitor_is_one_sentence(tmp_path, capsys):
+    assert commands.main(["benchmark", "duffing", "--filters", "ekff", "--out", str(tmp_path)]) == 1
+    assert "did you mean 'ekf'" in capsys.readouterr().err
