@@ -24,7 +24,7 @@ from .store import load, path_of, save, sources
 __all__ = ["add_arguments", "main"]
 
 #: Seconds a reference may take.
-_REFERENCE_LIMIT = 300.0
+_REFERENCE_LIMIT = 150.0
 
 
 def add_arguments(parser):

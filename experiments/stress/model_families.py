@@ -74,7 +74,7 @@ def _two_rates(rng, k):
 
 def _relaxation(rng, mu):
     model, sensor = systems.relaxation(mu), systems.position(2, 0.1)
-    step = min(0.05, 0.1 / mu)
+    step = min(0.05, 0.2 / mu)
     return drawn(rng, model, sensor, [1.5, 0.0], np.diag([0.1, 0.1]), interval=0.5, step=step)
 
 
@@ -101,7 +101,7 @@ def _rough(name):
     def build(rng, q):
         x0 = 2.0 if name == "absolute" else 0.3
         model, start = systems.drift_1d(name, q=q), {"x0": [x0], "P0": [[0.3]]}
-        step = 0.002  # drifts with a kink or a corner cost a weak scheme its order
+        step = 0.005  # drifts with a kink or a corner cost a weak scheme its order
         return drawn(rng, model, systems.position(1, 0.1), **start, interval=0.5, step=step, n_particles=100)
 
     return build
