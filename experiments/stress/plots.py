@@ -112,7 +112,7 @@ def _heading(ax, method, rows, x0, y0):
 def _legend(ax, width, height):
     """One line under everything."""
     said = {"refused": "refused with a sentence", "no reference": "no reference to judge by",
-            "timeout": "stopped after the time limit", "wrong": "wrong, or an unexpected exception"}  # fmt: skip
+            "timeout": "stopped after the time limit", "wrong": "wrong, or a crash"}  # fmt: skip
     handles = [Patch(fc=_COLOURS[v][0], label=said.get(v, v)) for v in VERDICTS]
     ax.legend(
         handles=handles,

@@ -65,10 +65,22 @@ def reference(problem, seed):
             continue
         if found is None:
             continue
-        if trusted(found):
+        if not _definite(found.P):
+            reasons.append(f"{found.name}: its covariance is not positive definite to rounding")
+        elif trusted(found):
             return replace(found, truth=problem.truth)
-        reasons.append(f"{found.name}: own error {found.mean_error:.2g}, {found.cov_error:.2g}")
+        else:
+            reasons.append(f"{found.name}: own error {found.mean_error:.2g}, {found.cov_error:.2g}")
     return Reference(why="; ".join(reasons), truth=problem.truth)
+
+
+def _definite(P):
+    """Tell whether errors can be measured in units of these covariances (T, n, n)."""
+    variance = np.diagonal(P, axis1=1, axis2=2)
+    if not (np.isfinite(P).all() and (variance > 0).all()):
+        return False
+    scale = np.sqrt(variance)
+    return bool(np.linalg.eigvalsh(P / (scale[:, :, None] * scale[:, None, :])).min() > 1e-14)
 
 
 def _exact(problem, seed):
