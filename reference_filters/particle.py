@@ -1,16 +1,29 @@
-"""Bootstrap particle filter: weak second-order propagator, log-weights, systematic resampling of filterpy."""
+"""Bootstrap particle filter at its best: steps of high weak order, systematic resampling, all compiled."""
+
+from typing import NamedTuple
 
 import numpy as np
-from filterpy.monte_carlo import systematic_resample
-from numba import njit
-from scipy.special import logsumexp
 
 from sphfilter import validate
-from sphfilter.simulate import advance
+from sphfilter.errors import ModelError
 
 from ._base import ReferenceFilter, gaussian_start
+from ._paths import Paths
+from ._weights import condition, resample, weighted_moments
 
-__all__ = ["ParticleFilter", "systematic_indices"]
+__all__ = ["ParticleFilter"]
+
+#: Bias that a step may give to the moments of an interval, over 1/√N, their sampling error at the least.
+_BIAS = 0.6
+
+
+class Cloud(NamedTuple):
+    """Weighted states: X (N, n), logarithms of the weights (N,), weights (N,), all equal or not."""
+
+    X: np.ndarray
+    log_w: np.ndarray
+    w: np.ndarray
+    equal: bool
 
 
 class ParticleFilter(ReferenceFilter):
@@ -33,32 +46,42 @@ class ParticleFilter(ReferenceFilter):
     resampling : {"always", "ess"}
         After every update, or only when the effective number of particles 1 / Σ w² is below half of
         `n_particles` (002 triggers by it).
-    step : float
-        Longest time step, seconds.
+    step : float, optional
+        Longest time step, seconds. None: as long as its error stays far below the sampling error of
+        `n_particles`.
     dt : float, optional
         Interval of `predict()` without arguments.
+    order : {2, 4}
+        Of the steps, where the noise does not depend on the state. 2: Strang splitting, of weak order 2;
+        4: Runge-Kutta of order 4 along random paths, of weak order 3 as measured. Other noise has Platen's
+        scheme of weak order 2, and a linear model one exact step.
+    n_threads : int
+        Threads of a prediction; the result does not depend on it.
     """
 
     def __init__(self, model, measurement, x0, P0, t0=0.0, *, n_particles=1000, rng=None, resampling="always",
-                 step=0.1, dt=None):  # fmt: skip
+                 step=None, dt=None, order=4, n_threads=1):  # fmt: skip
         self.model = model
-        self.n_particles = validate.count("n_particles", n_particles, 2)
+        self.n_particles = N = validate.count("n_particles", n_particles, 2)
         self.resampling = validate.choice("resampling", resampling, ("always", "ess"))
-        self.step = validate.positive("step", step)
+        self.step = None if step is None else validate.positive("step", step)
+        if order not in (2, 4):
+            raise ModelError(f"order must be 2 or 4, got {order!r}")
+        self._paths = Paths(model, order, self.step, validate.count("n_threads", n_threads))
         self._rng = validate.generator(rng)
         x0, P0 = gaussian_start(x0, P0, model.dim)
-        X = x0 + self._rng.standard_normal((self.n_particles, model.dim)) @ np.linalg.cholesky(P0).T
-        super().__init__((X, np.full(self.n_particles, -np.log(self.n_particles))), measurement, t0, dt)
+        X = x0 + self._rng.standard_normal((N, model.dim)) @ np.linalg.cholesky(P0).T
+        super().__init__(Cloud(X, np.full(N, -np.log(N)), np.full(N, 1.0 / N), True), measurement, t0, dt)
 
     @property
     def particles(self):
         """States, shape (N, n)."""
-        return self._belief[0]
+        return self._belief.X
 
     @property
     def weights(self):
         """Weights, shape (N,), summing to one."""
-        return np.exp(self._belief[1])
+        return self._belief.w
 
     @property
     def effective_size(self):
@@ -66,49 +89,30 @@ class ParticleFilter(ReferenceFilter):
         return 1.0 / np.sum(self.weights**2)
 
     def _moments(self, belief):
-        X, log_w = belief
-        w = np.exp(log_w)
-        mean = w @ X
-        Y = X - mean
-        return mean, (w[:, None] * Y).T @ Y
+        n = self.model.dim
+        mean, cov = np.empty(n), np.empty((n, n))
+        weighted_moments(belief.X, belief.w, mean, cov)
+        return mean, cov
 
     def _predicted(self, belief, t0, t1):
-        X, log_w = self._resampled(*belief)
-        X = advance(self.model, X, t0, t1, self._rng, self.step)
-        return (X, log_w), int(np.ceil((t1 - t0) / self.step * (1 - 1e-12)))
+        belief = self._resampled(belief)
+        tolerance = _BIAS / np.sqrt(self.n_particles)
+        n_steps = self._paths.move(belief.X, t0, t1, np.diagonal(self.P).copy(), tolerance, self._rng)
+        return belief, n_steps
 
     def _updated(self, belief, z, measurement):
-        X, log_w = belief
-        joint = log_w + measurement.log_likelihood(z, X, self.t)
-        log_evidence = logsumexp(joint)
-        if not np.isfinite(log_evidence):
-            return belief, {"log_evidence": float(log_evidence)}
-        return (X, joint - log_evidence), {"log_evidence": float(log_evidence)}
+        log_likelihood = measurement.log_likelihood(z, belief.X, self.t)
+        log_w, w = belief.log_w.copy(), np.empty_like(belief.w)
+        log_evidence = condition(log_w, log_likelihood, w)
+        if np.isfinite(log_evidence):
+            belief = Cloud(belief.X, log_w, w, False)
+        return belief, {"log_evidence": log_evidence}
 
-    def _resampled(self, X, log_w):
-        w = np.exp(log_w)
-        enough = self.resampling == "ess" and np.sum(w**2) * len(w) <= 2.0
-        if enough or np.ptp(log_w) == 0.0:
-            return X, log_w
-        return X[systematic_indices(w, self._rng)], np.full(len(w), -np.log(len(w)))
-
-
-def systematic_indices(weights, rng):
-    """Indices, shape (N,), of a systematic draw from `weights`, by filterpy's routine.
-
-    That routine draws from a global generator and runs off the end when rounding leaves the sum of the
-    weights below one. Compiled, its generator is numba's, seeded here from `rng` (numpy's stays untouched);
-    and the last particle that has a weight gets all that rounding may have lost.
-    """
-    padded = np.array(weights, dtype=float)
-    padded[np.flatnonzero(padded)[-1]] += 1.0
-    return _seeded_resample(padded, rng.integers(2**32, dtype=np.uint32))
-
-
-_compiled_resample = njit(systematic_resample)
-
-
-@njit
-def _seeded_resample(weights, seed):
-    np.random.seed(seed)  # noqa: NPY002 - numba's own generator
-    return _compiled_resample(weights)
+    def _resampled(self, belief):
+        """Equally weighted copy of the cloud, or a copy of it as it is when its weights are good enough."""
+        X, w, N = belief.X, belief.w, len(belief.w)
+        if belief.equal or (self.resampling == "ess" and np.sum(w**2) * N <= 2.0):
+            return belief._replace(X=X.copy())
+        new = np.empty_like(X)
+        resample(X, w, self._rng.random(), new)
+        return Cloud(new, np.full(N, -np.log(N)), np.full(N, 1.0 / N), True)

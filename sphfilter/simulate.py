@@ -9,7 +9,7 @@ from . import validate
 from .core.sde_steps import normals_per_step, steps
 from .errors import ModelError, PropagationError
 
-__all__ = ["advance", "simulate"]
+__all__ = ["advance", "noise_root", "rate_of_time", "simulate"]
 
 #: dt times the fastest rate of the model; the scheme for additive noise has the higher order.
 _COURANT_ADDITIVE, _COURANT_GENERAL = 0.05, 0.01
@@ -87,7 +87,7 @@ def advance(model, x, t0, t1, rng, max_step=None):
     if model.linear:
         Phi, offset, root = _transition(model, t1 - t0)
         return x @ Phi.T + offset + rng.standard_normal(x.shape) @ root.T
-    L = _root(model.spectral_density)
+    L = noise_root(model.spectral_density)
     t, taken = float(t0), 0
     while t < t1:
         end, n_steps = (t1, _parts(t1 - t, max_step)) if max_step else _next_block(model, x, t, t1)
@@ -107,7 +107,7 @@ def advance(model, x, t0, t1, rng, max_step=None):
 def _transition(model, dt):
     """Return the exact transition of a linear model and a root of its covariance; models never change."""
     Phi, offset, Qd = model.to_linear().discretize(dt)
-    return Phi, offset, _root(Qd)
+    return Phi, offset, noise_root(Qd)
 
 
 def _take(model, x, t, dt, n_steps, L, rng):
@@ -118,7 +118,8 @@ def _take(model, x, t, dt, n_steps, L, rng):
     loop = steps(additive)
     for first in range(0, n_steps, at_once):
         normals = rng.standard_normal((min(at_once, n_steps - first), len(x), n_normals))
-        loop(x, t + first * dt, dt, model.drift_batch, model.noise_batch, model.p, L, normals)
+        rows = np.ascontiguousarray(normals.transpose(0, 2, 1))
+        loop(x, t + first * dt, dt, model.drift_batch, model.noise_batch, model.p, L, rows)
 
 
 def _next_block(model, x, t, t1):
@@ -126,7 +127,7 @@ def _next_block(model, x, t, t1):
     courant = _COURANT_GENERAL if model.state_dependent_noise else _COURANT_ADDITIVE
     rates = _rates(model, x, t)
     stiffest = x[np.argsort(rates)[-_LOOKED_AT:]]
-    rate = max(rates.max(), _rate_of_time(model, stiffest, t, t1))
+    rate = max(rates.max(), rate_of_time(model, stiffest, t, t1))
     length = min(t1 - t, _STEPS_PER_LOOK * courant / rate) if rate > 0 else t1 - t
     spread = np.sqrt(2.0 * length * np.abs(np.diagonal(model.diffusion(stiffest, t), axis1=1, axis2=2)))
     moved = [stiffest + sign * spread * axis for axis in np.eye(model.dim) for sign in (-1.0, 1.0)]
@@ -143,7 +144,7 @@ def _rates(model, X, t):
     model.jacobian_batch(np.ascontiguousarray(X), t, model.p, J)
     rates = np.linalg.norm(J, axis=1)
     if model.state_dependent_noise:
-        L = _root(model.spectral_density)
+        L = noise_root(model.spectral_density)
         h = 1e-5 * np.maximum(1.0, np.abs(X))
         for j, axis in enumerate(np.eye(model.dim)):
             rise = model.noise(X + h * axis, t) - model.noise(X - h * axis, t)
@@ -152,7 +153,7 @@ def _rates(model, X, t):
     return np.nan_to_num(rates, nan=0.0, posinf=0.0)
 
 
-def _rate_of_time(model, X, t, t1):
+def rate_of_time(model, X, t, t1):
     """Return how fast drift and noise change with time, 1/s, relative to their size on (t, t1)."""
     if model.autonomous:
         return 0.0
@@ -169,7 +170,7 @@ def _parts(length, longest):
     return max(1, int(np.ceil(length / longest * (1.0 - 1e-12))))
 
 
-def _root(Q):
+def noise_root(Q):
     """Return L with L Lᵀ = Q, for semidefinite Q too."""
     w, V = np.linalg.eigh(Q)
     return np.ascontiguousarray(V * np.sqrt(np.maximum(w, 0.0)))

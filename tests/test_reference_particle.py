@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from filterpy.monte_carlo import systematic_resample
+from scipy.special import logsumexp
 
+from reference_filters._weights import condition, resample, weighted_moments
 from reference_filters.kalman import KalmanFilter
-from reference_filters.particle import ParticleFilter, systematic_indices
+from reference_filters.particle import ParticleFilter
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.measurements import GaussianMeasurement, LikelihoodMeasurement
 from sphfilter.models import SDE, LinearSDE
@@ -85,28 +88,55 @@ def test_ess_resamples_only_when_weights_have_degenerated():
     assert np.ptp(filt.weights) == 0
 
 
-def test_systematic_resampling_copies_each_particle_its_share():
+def test_resampling_is_that_of_filterpy():
     rng = np.random.default_rng(5)
-    weights = rng.exponential(size=500) ** 3
-    weights[[0, 7, 499]] = 0.0
-    weights /= weights.sum()
-    draws = np.array([np.bincount(systematic_indices(weights, rng), minlength=500) for _ in range(2000)])
-    assert (draws >= np.floor(500 * weights - 1e-9)).all()
-    assert (draws <= np.ceil(500 * weights + 1e-9)).all()
-    share = 500 * weights - np.floor(500 * weights)
-    error = np.sqrt(share * (1 - share) / 2000)
-    assert (np.abs(draws.mean(axis=0) - 500 * weights) <= 5 * error + 1e-9).all()
+    for k in range(50):
+        w = rng.exponential(size=500) ** 3
+        w[[0, 7, 499]] = 0.0
+        w /= w.sum()
+        out, numbers = np.empty((500, 1)), np.arange(500.0)[:, None]
+        np.random.seed(k)  # noqa: NPY002
+        resample(numbers, w, np.random.random(), out)  # noqa: NPY002
+        np.random.seed(k)  # noqa: NPY002
+        np.testing.assert_array_equal(out[:, 0], systematic_resample(w))
 
 
-def test_systematic_resampling_survives_rounding_and_leaves_numpys_generator_alone():
-    before = np.random.get_state()[1].copy()  # noqa: NPY002
-    weights = np.full(1000, (1 - 1e-9) / 1000)
-    weights[-3:] = 0.0
-    for seed in range(200):
-        index = systematic_indices(weights, np.random.default_rng(seed))
-        assert index.min() >= 0
-        assert index.max() < 997
-    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+@pytest.mark.parametrize("u", [0.0, 0.5, 1.0 - 1e-16])
+def test_resampling_survives_rounding(u):
+    w = np.full(1000, (1 - 1e-9) / 1000)
+    w[-3:] = w[:2] = 0.0
+    out = np.empty((1000, 1))
+    resample(np.arange(1000.0)[:, None], w, u, out)
+    assert out.min() >= 2
+    assert out.max() <= 996
+
+
+def test_conditioning_and_moments():
+    rng = np.random.default_rng(6)
+    X, log_likelihood = rng.standard_normal((77, 3)), rng.normal(-2000.0, 3.0, 77)
+    log_likelihood[5] = -np.inf
+    prior = rng.dirichlet(np.ones(77))
+    log_w, w = np.log(prior), np.empty(77)
+    log_evidence = condition(log_w, log_likelihood, w)
+    assert log_evidence == pytest.approx(logsumexp(np.log(prior) + log_likelihood), rel=1e-13)
+    np.testing.assert_allclose(w, np.exp(np.log(prior) + log_likelihood - log_evidence), rtol=1e-9)
+    np.testing.assert_allclose(np.exp(log_w), w, rtol=1e-9)
+    mean, cov = np.empty(3), np.empty((3, 3))
+    weighted_moments(X, w, mean, cov)
+    np.testing.assert_allclose(mean, np.average(X, axis=0, weights=w), rtol=1e-12)
+    np.testing.assert_allclose(cov, np.cov(X.T, aweights=w, bias=True), rtol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [-np.inf, np.nan])
+def test_conditioning_on_the_impossible_changes_nothing(bad):
+    log_w, w = np.zeros(4), np.empty(4)
+    assert not np.isfinite(condition(log_w, np.full(4, bad), w))
+    np.testing.assert_array_equal(log_w, 0.0)
+
+
+def test_threads_do_not_change_a_run():
+    runs = [_filter(n=6000, n_threads=n).run(TIMES, READINGS) for n in (1, 2)]
+    np.testing.assert_array_equal(runs[0].x, runs[1].x)
 
 
 def test_the_seed_decides_everything():
@@ -128,3 +158,8 @@ def test_a_blow_up_leaves_the_filter_as_it_was():
 def test_unknown_resampling_is_named():
     with pytest.raises(ModelError, match="did you mean 'always'"):
         _filter("alway")
+
+
+def test_other_orders_are_refused():
+    with pytest.raises(ModelError, match="order must be 2 or 4, got 3"):
+        _filter(order=3)

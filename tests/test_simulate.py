@@ -31,7 +31,8 @@ def take(model, x0, T, n_steps, normals):
     x = np.repeat(np.array([x0], dtype=float), normals.shape[1], axis=0)
     L = np.linalg.cholesky(model.spectral_density)
     loop = steps(not model.state_dependent_noise)
-    loop(x, 0.0, T / n_steps, model.drift_batch, model.noise_batch, model.p, L, normals)
+    rows = np.ascontiguousarray(normals.transpose(0, 2, 1))
+    loop(x, 0.0, T / n_steps, model.drift_batch, model.noise_batch, model.p, L, rows)
     return x
 
 
@@ -104,7 +105,7 @@ def expectation(model, x0, T, n_steps, power, grid):
     nodes = 0.5 * (left + right + (right - left) * s)
     x = np.repeat(nodes, len(w))[:, None].copy()
     L = np.sqrt(model.spectral_density)
-    normals, loop = np.tile(normals, (1, k, 1)), steps(additive)
+    normals, loop = np.tile(normals.transpose(0, 2, 1), (1, 1, k)), steps(additive)
     loop(x, 0.0, T / n_steps, model.drift_batch, model.noise_batch, model.p, L, normals)
 
     def basis(x):

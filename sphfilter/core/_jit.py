@@ -13,7 +13,7 @@ from types import FunctionType
 from numba import njit, typeof, types
 from numba.core.dispatcher import Dispatcher
 
-__all__ = ["BATCH", "BATCH_FUNCTION", "call", "jit", "parallel_jit"]
+__all__ = ["BATCH", "BATCH_FUNCTION", "call", "jit", "jit_for", "parallel_jit"]
 
 #: Signature of every compiled model function: ``fill(x, t, p, out)`` writes one row of ``out`` (N, k)
 #: for each row of ``x`` (N, n) at time ``t`` with parameters ``p``.
@@ -58,6 +58,12 @@ def parallel_jit(function):
     copy = FunctionType(function.__code__, function.__globals__, function.__name__ + "_parallel")
     copy.__doc__ = function.__doc__
     return njit(_named_for_the_cache(copy), cache=True, error_model="numpy", parallel=True, nogil=True)
+
+
+def jit_for(signature, function):
+    """Compile for one signature, now (or load): calls convert jitted functions and look nothing up."""
+    copy = FunctionType(function.__code__, function.__globals__, function.__name__ + "_signed")
+    return njit(signature, cache=True, error_model="numpy", nogil=True)(_named_for_the_cache(copy))
 
 
 def call(dispatcher, *args):

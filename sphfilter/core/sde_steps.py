@@ -1,18 +1,21 @@
 """Steps of a stochastic differential equation that are accurate in distribution, many paths at once.
 
-Both loops take pre-drawn standard normals, so that a path depends on the generator alone, and model functions
-as first-class values, so that they compile once for all models. σ = g L with L Lᵀ = Q has independent
-columns.
+All loops take pre-drawn standard normals, one row of paths for each, so that a path depends on the generator
+alone; and model functions as first-class values, so that they compile once for all models. σ = g L with
+L Lᵀ = Q has independent columns. States and slopes are swept flat, as vectors of N n numbers.
 """
 
 import functools
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from ._jit import BATCH_FUNCTION, jit
+from ._jit import BATCH_FUNCTION, jit, jit_for
 
-__all__ = ["normals_per_step", "steps"]
+__all__ = [
+    "normals_per_step", "platen_steps", "root_noise", "root_now", "shifted_path_steps", "split_steps",
+    "spread", "steps",
+]  # fmt: skip
 
 _SIGNATURE = types.void(
     types.float64[:, ::1],  # x (N, n), moved in place
@@ -22,7 +25,7 @@ _SIGNATURE = types.void(
     BATCH_FUNCTION,  # noise
     types.float64[::1],  # p
     types.float64[:, ::1],  # L (m, m)
-    types.float64[:, :, ::1],  # normals (steps, N, normals_per_step)
+    types.float64[:, :, ::1],  # normals (steps, normals_per_step, N)
 )
 
 
@@ -40,20 +43,141 @@ def steps(additive):
     additive : bool
         True: noise without state dependence (`shifted_path_steps`); False: any Itô noise (`platen_steps`).
     """
-    function = shifted_path_steps if additive else platen_steps
-    return njit(_SIGNATURE, cache=True, error_model="numpy", nogil=True)(function)
+    loop = shifted_path_steps if additive else platen_steps
+    return jit_for(_SIGNATURE, loop.py_func)
+
+
+# --- additive noise ---
 
 
 @jit
-def _add(G, w, scale, out):
-    """Add scale · G w_i to every row, G (1, n m) the same for all."""
-    m = w.shape[1]
-    for i in range(out.shape[0]):
-        for a in range(out.shape[1]):
+def root_now(noise, x, t, p, L, g, sigma):
+    """Fill σ = g L (n, m) at time t, for noise that does not depend on the state; g (1, n m) is scratch."""
+    noise(x[:1], t, p, g)
+    n, m = sigma.shape
+    for a in range(n):
+        for k in range(m):
             s = 0.0
-            for k in range(m):
-                s += G[0, a * m + k] * w[i, k]
-            out[i, a] += scale * s
+            for r in range(m):
+                s += g[0, a * m + r] * L[r, k]
+            sigma[a, k] = s
+
+
+@jit
+def spread(sigma, w, out):
+    """Fill σ w_i at every path: w (m, N), out (N, n)."""
+    N = out.shape[0]
+    for a in range(out.shape[1]):
+        for i in range(N):
+            out[i, a] = 0.0
+        for k in range(w.shape[0]):
+            s = sigma[a, k]
+            if s != 0.0:
+                for i in range(N):
+                    out[i, a] += s * w[k, i]
+
+
+@jit
+def _runge_kutta(x, t, dt, drift, p, slopes, work):
+    """Move x over dt along the drift plus slopes, three of (N, n) at begin, middle and end: classical RK4."""
+    y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
+    X, Y = x.reshape(-1), y.reshape(-1)
+    K1, K2, K3, K4 = k1.reshape(-1), k2.reshape(-1), k3.reshape(-1), k4.reshape(-1)
+    S0, S1, S2 = slopes[0].reshape(-1), slopes[1].reshape(-1), slopes[2].reshape(-1)
+    half = 0.5 * dt
+    drift(x, t, p, k1)
+    for i in range(X.size):
+        K1[i] += S0[i]
+        Y[i] = X[i] + half * K1[i]
+    drift(y, t + half, p, k2)
+    for i in range(X.size):
+        K2[i] += S1[i]
+        Y[i] = X[i] + half * K2[i]
+    drift(y, t + half, p, k3)
+    for i in range(X.size):
+        K3[i] += S1[i]
+        Y[i] = X[i] + dt * K3[i]
+    drift(y, t + dt, p, k4)
+    for i in range(X.size):
+        X[i] += dt / 6.0 * (K1[i] + 2.0 * (K2[i] + K3[i]) + K4[i] + S2[i])
+
+
+@jit
+def _jump(sigma, w, work, x):
+    """Add σ w_i to every path, w (m, N)."""
+    spread(sigma, w, work[0])
+    X, change = x.reshape(-1), work[0].reshape(-1)
+    for i in range(X.size):
+        X[i] += change[i]
+
+
+@jit
+def _draw_path(xi, dt, path):
+    """Fill the step's path of noise, for independent unit noises: jump, slope over dt, jump; (3, m, N).
+
+    With W the increment over the step, dt H its area beyond dt W/2, H ~ N(0, dt/12), and c = ±√dt: the
+    path jumps by c/2 + H, rises by W − c, jumps by c/2 − H. Increment, area and E∫W² are the true path's.
+    """
+    m = path.shape[1]
+    root, area = np.sqrt(dt), np.sqrt(dt / 12.0)
+    for k in range(m):
+        W, H, sign = xi[k], xi[m + k], xi[2 * m + k]
+        start, slope, end = path[0, k], path[1, k], path[2, k]
+        for i in range(W.size):
+            half = 0.5 * root if sign[i] > 0.0 else -0.5 * root
+            start[i] = half + area * H[i]
+            slope[i] = (root * W[i] - 2.0 * half) / dt
+            end[i] = half - area * H[i]
+
+
+@jit
+def shifted_path_steps(x, t0, dt, drift, noise, p, L, normals):
+    """Replace the noise of each step by a simple random path and solve along it with RK4.
+
+    After the shifted ordinary differential equations of Foster, dos Reis and Strange, "High order splitting
+    methods for SDEs satisfying a commutativity condition" (2024); of weak order 2 at least, 3 as measured;
+    without noise it is the classical Runge–Kutta method of order 4.
+    """
+    N, n, m = x.shape[0], x.shape[1], L.shape[0]
+    path, slopes, work = np.empty((3, m, N)), np.empty((3, N, n)), np.empty((5, N, n))
+    g, sigma = np.empty((1, n * m)), np.empty((3, n, m))
+    for s in range(normals.shape[0]):
+        t = t0 + s * dt
+        for i in range(3):
+            root_now(noise, x, t + 0.5 * i * dt, p, L, g, sigma[i])
+        _draw_path(normals[s], dt, path)
+        _jump(sigma[0], path[0], work, x)
+        spread(sigma[0], path[1], slopes[0])
+        middle = end = slopes[0]
+        if np.any(sigma[1] != sigma[0]) or np.any(sigma[2] != sigma[0]):
+            middle, end = slopes[1], slopes[2]
+            spread(sigma[1], path[1], middle)
+            spread(sigma[2], path[1], end)
+        _runge_kutta(x, t, dt, drift, p, (slopes[0], middle, end), work)
+        _jump(sigma[2], path[2], work, x)
+
+
+@jit
+def split_steps(x, t0, dt, drift, noise, p, L, normals):
+    """Strang splitting: noise in jumps, drift by RK4 between them; of weak order 2.
+
+    The jump that ends a step and the one that begins the next are one: there is one row of normals more than
+    there are steps, normals (steps + 1, m, N), and the first and the last row make half a jump.
+    """
+    N, n, m = x.shape[0], x.shape[1], L.shape[0]
+    nothing, work = np.zeros((N, n)), np.empty((5, N, n))
+    g, sigma = np.empty((1, n * m)), np.empty((n, m))
+    last = normals.shape[0] - 1
+    for s in range(last + 1):
+        t = t0 + s * dt
+        root_now(noise, x, t, p, L, g, sigma)
+        sigma *= np.sqrt(0.5 * dt if s == 0 or s == last else dt)
+        _jump(sigma, normals[s], work, x)
+        if s < last:
+            _runge_kutta(x, t, dt, drift, p, (nothing, nothing, nothing), work)
+
+
+# --- any noise ---
 
 
 @jit
@@ -65,7 +189,7 @@ def _move(x, h, k, out):
 
 
 @jit
-def _root_noise(noise, y, t, p, L, raw, out):
+def root_noise(noise, y, t, p, L, raw, out):
     """Fill σ = g L at every row; out (N, n m)."""
     m = L.shape[0]
     noise(y, t, p, raw)
@@ -79,63 +203,6 @@ def _root_noise(noise, y, t, p, L, raw, out):
 
 
 @jit
-def _draw_path(xi, L, dt, start, slope, end):
-    """Fill the increments of the step's path: a jump, a straight line over dt, a jump; each (N, m).
-
-    With W the increment over the step, dt H its area beyond dt W/2, H ~ N(0, dt/12), and c = ±√dt: the
-    path jumps by c/2 + H, rises by W − c, jumps by c/2 − H. Increment, area and E∫W² are the true path's.
-    """
-    m = L.shape[0]
-    for i in range(start.shape[0]):
-        for k in range(m):
-            a = b = c = 0.0
-            for r in range(m):
-                W = L[k, r] * xi[i, r] * np.sqrt(dt)
-                H = L[k, r] * xi[i, m + r] * np.sqrt(dt / 12.0)
-                half = 0.5 * L[k, r] * (1.0 if xi[i, 2 * m + r] > 0.0 else -1.0) * np.sqrt(dt)
-                a += half + H
-                b += (W - 2.0 * half) / dt
-                c += half - H
-            start[i, k], slope[i, k], end[i, k] = a, b, c
-
-
-def shifted_path_steps(x, t0, dt, drift, noise, p, L, normals):
-    """Replace the noise of each step by a simple random path and solve along it with RK4.
-
-    After the shifted ordinary differential equations of Foster, dos Reis and Strange, "High order splitting
-    methods for SDEs satisfying a commutativity condition" (2024); of weak order 2 at least, 3 as measured;
-    without noise it is the classical Runge–Kutta method of order 4.
-    """
-    N, n, m = x.shape[0], x.shape[1], L.shape[0]
-    start, slope, end = np.empty((N, m)), np.empty((N, m)), np.empty((N, m))
-    k1, k2, k3, k4 = np.empty((N, n)), np.empty((N, n)), np.empty((N, n)), np.empty((N, n))
-    y = np.empty((N, n))
-    G0, G1, G2 = np.empty((1, n * m)), np.empty((1, n * m)), np.empty((1, n * m))
-    for s in range(normals.shape[0]):
-        t = t0 + s * dt
-        _draw_path(normals[s], L, dt, start, slope, end)
-        noise(x[:1], t, p, G0)
-        noise(x[:1], t + 0.5 * dt, p, G1)
-        noise(x[:1], t + dt, p, G2)
-        _add(G0, start, 1.0, x)
-        drift(x, t, p, k1)
-        _add(G0, slope, 1.0, k1)
-        _move(x, 0.5 * dt, k1, y)
-        drift(y, t + 0.5 * dt, p, k2)
-        _add(G1, slope, 1.0, k2)
-        _move(x, 0.5 * dt, k2, y)
-        drift(y, t + 0.5 * dt, p, k3)
-        _add(G1, slope, 1.0, k3)
-        _move(x, dt, k3, y)
-        drift(y, t + dt, p, k4)
-        _add(G2, slope, 1.0, k4)
-        _move(x, dt / 6.0, k1, x)
-        _move(x, dt / 3.0, k2, x)
-        _move(x, dt / 3.0, k3, x)
-        _move(x, dt / 6.0, k4, x)
-        _add(G2, end, 1.0, x)
-
-
 def platen_steps(x, t0, dt, drift, noise, p, L, normals):
     """Platen's explicit scheme of weak order 2 for any Itô noise (Kloeden & Platen 1992, eq. 15.1.3).
 
@@ -148,12 +215,12 @@ def platen_steps(x, t0, dt, drift, noise, p, L, normals):
     for s in range(normals.shape[0]):
         t, xi = t0 + s * dt, normals[s]
         drift(x, t, p, a0)
-        _root_noise(noise, x, t, p, L, raw, b0)
+        root_noise(noise, x, t, p, L, raw, b0)
         for i in range(N):
             for a in range(n):
                 w = 0.0
                 for k in range(m):
-                    w += b0[i, a * m + k] * root * xi[i, k]
+                    w += b0[i, a * m + k] * root * xi[k, i]
                 y[i, a] = x[i, a] + a0[i, a] * dt + w
                 new[i, a] = x[i, a] + 0.5 * dt * a0[i, a] + 0.5 * w
         drift(y, t + dt, p, a1)
@@ -163,23 +230,23 @@ def platen_steps(x, t0, dt, drift, noise, p, L, normals):
                 for i in range(N):
                     for a in range(n):
                         y[i, a] = x[i, a] + a0[i, a] * dt + sign * root * b0[i, a * m + j]
-                _root_noise(noise, y, t + dt, p, L, raw, b)
-                _add_own(b, j, xi, root, sign, new)
+                root_noise(noise, y, t + dt, p, L, raw, b)
+                _add_own(b, xi[j], root, sign, j, new)
                 if m > 1:
                     for i in range(N):
                         for a in range(n):
                             y[i, a] = x[i, a] + sign * root * b0[i, a * m + j]
-                    _root_noise(noise, y, t, p, L, raw, b)
+                    root_noise(noise, y, t, p, L, raw, b)
                     _add_mixed(b, b0, j, xi, root, sign, new)
         x[:] = new
 
 
 @jit
-def _add_own(b, j, xi, root, sign, new):
+def _add_own(b, xi, root, sign, j, new):
     """Add ¼ b^j(R±) [ΔW_j ± (ΔW_j² − dt)/√dt]."""
     m = b.shape[1] // new.shape[1]
     for i in range(new.shape[0]):
-        weight = 0.25 * root * (xi[i, j] + sign * (xi[i, j] ** 2 - 1.0))
+        weight = 0.25 * root * (xi[i] + sign * (xi[i] ** 2 - 1.0))
         for a in range(new.shape[1]):
             new[i, a] += weight * b[i, a * m + j]
 
@@ -188,13 +255,13 @@ def _add_own(b, j, xi, root, sign, new):
 def _add_mixed(b, b0, r, xi, root, sign, new):
     """Add ¼ Σ_{j≠r} [(b^j(U±) − b^j) ΔW_j ± b^j(U±) (ΔW_j ΔW_r + V_rj)/√dt], V_rj = −V_jr = ±dt."""
     m = b.shape[1] // new.shape[1]
-    for i in range(new.shape[0]):
-        for j in range(m):
-            if j == r:
-                continue
-            low, high = min(j, r), max(j, r)
-            V = 1.0 if xi[i, m + high * (high - 1) // 2 + low] > 0.0 else -1.0
-            V = V if r > j else -V
+    for j in range(m):
+        if j == r:
+            continue
+        low, high = min(j, r), max(j, r)
+        toss = xi[m + high * (high - 1) // 2 + low]
+        for i in range(new.shape[0]):
+            V = 1.0 if (toss[i] > 0.0) == (r > j) else -1.0
             for a in range(new.shape[1]):
-                change = (b[i, a * m + j] - b0[i, a * m + j]) * xi[i, j]
-                new[i, a] += 0.25 * root * (change + sign * b[i, a * m + j] * (xi[i, j] * xi[i, r] + V))
+                change = (b[i, a * m + j] - b0[i, a * m + j]) * xi[j, i]
+                new[i, a] += 0.25 * root * (change + sign * b[i, a * m + j] * (xi[j, i] * xi[r, i] + V))

@@ -1,0 +1,327 @@
+"""Many paths of a model over an interval: blocks that fit the cache, each with steps and normals of its own.
+
+A block is moved through the whole interval before the next one is touched. Its generator is known by its
+number and its steps follow from its own states, so that the result does not depend on how threads share the
+blocks.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+
+import numpy as np
+from numba import njit, types
+
+from sphfilter.core._first_class import ADDRESS, address_of, function_at
+from sphfilter.core._jit import jit, jit_for
+from sphfilter.core.normals import LANES, fill_normals, seed_lanes
+from sphfilter.core.sde_steps import (
+    platen_steps,
+    root_noise,
+    root_now,
+    shifted_path_steps,
+    split_steps,
+    spread,
+)
+from sphfilter.errors import PropagationError
+from sphfilter.simulate import noise_root, rate_of_time
+
+__all__ = ["Paths", "standard_normals"]
+
+SPLIT, SHIFTED_PATH, PLATEN = 0, 1, 2
+#: Steps between two looks at the step length, and the most steps a block may take.
+_STEPS_PER_LOOK, _MAX_STEPS = 4, 1_000_000
+#: Bias that the covariance of an interval gets for a rough error of one in its steps, by scheme: about the
+#: largest of six scenarios with two to four states (the smallest is a tenth of it).
+_BIAS_PER_ERROR = (0.5, 0.06, 0.5)
+#: Largest rough error of one state, in standard deviations: keeps the tails stable.
+_LARGEST = 0.5
+#: States at which the rate of change with time is looked at.
+_LOOKED_AT = 64
+#: Blocks a thread must have before another one is worth its start (about 50 µs).
+_BLOCKS_PER_THREAD = 8
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+def _in_deviations(change, moved, variance):
+    """Root mean square and largest of change (N, n) in standard deviations, of the worst component.
+
+    The variance (n,) is that of all states now, to which the spread of `moved` (N, n) is added.
+    """
+    N, n = change.shape
+    worst_rms, worst = 0.0, 0.0
+    for a in range(n):
+        mean = square = total = top = 0.0
+        for i in range(N):
+            mean += moved[i, a]
+            square += moved[i, a] ** 2
+            total += change[i, a] ** 2
+            top = max(top, abs(change[i, a]))
+        spread = max(square / N - (mean / N) ** 2, 0.0)
+        if not np.isfinite(total + square):
+            return np.inf, np.inf
+        if total > 0.0:
+            unit = np.sqrt(variance[a] + spread)
+            worst_rms, worst = max(worst_rms, np.sqrt(total / N) / unit), max(worst, top / unit)
+    return worst_rms, worst
+
+
+@jit
+def _additive_trial(x, t, h, functions, p, L, work):
+    """Fill change = h (k₃ − k₂) of a Runge-Kutta step with noise of typical size, and the move h k₃."""
+    drift, noise = functions
+    y, slope, k, change, moved = work
+    (N, n), m = x.shape, L.shape[0]
+    g, sigma = np.empty((1, n * m)), np.empty((n, m))
+    root_now(noise, x, t, p, L, g, sigma)
+    spread(sigma, _signs(m, N), slope)
+    X, Y, S, K = x.reshape(-1), y.reshape(-1), slope.reshape(-1), k.reshape(-1)
+    C, M, root = change.reshape(-1), moved.reshape(-1), 1.0 / np.sqrt(h)
+    drift(x, t, p, k)
+    for i in range(X.size):
+        S[i] *= root
+        Y[i] = X[i] + 0.5 * h * (K[i] + S[i])
+    drift(y, t + 0.5 * h, p, k)
+    for i in range(X.size):
+        Y[i] = X[i] + 0.5 * h * (K[i] + S[i])
+        C[i] = K[i]
+    drift(y, t + 0.5 * h, p, k)
+    for i in range(X.size):
+        C[i] = h * (K[i] - C[i])
+        M[i] = h * (K[i] + S[i])
+
+
+@jit
+def _general_trial(x, t, h, functions, p, L, work):
+    """Fill the changes of h f and √h σ over an Euler step with noise of typical size, and that step."""
+    drift, noise = functions
+    y, k, k_new, change, moved = work
+    N, n, m = x.shape[0], x.shape[1], L.shape[0]
+    signs, raw, b, b_new = _signs(m, N), np.empty((N, n * m)), np.empty((N, n * m)), np.empty((N, n * m))
+    drift(x, t, p, k)
+    root_noise(noise, x, t, p, L, raw, b)
+    for i in range(N):
+        for a in range(n):
+            moved[i, a] = h * k[i, a]
+            for j in range(m):
+                moved[i, a] += np.sqrt(h) * signs[j, i] * b[i, a * m + j]
+            y[i, a] = x[i, a] + moved[i, a]
+    drift(y, t + h, p, k_new)
+    root_noise(noise, y, t + h, p, L, raw, b_new)
+    for i in range(N):
+        for a in range(n):
+            change[i, a] = h * (k_new[i, a] - k[i, a])
+            for j in range(m):
+                change[i, a] += np.sqrt(h) * signs[j, i] * (b_new[i, a * m + j] - b[i, a * m + j])
+
+
+@jit
+def _signs(m, N):
+    """Return ±1, shape (m, N), in all combinations along the states."""
+    signs = np.empty((m, N))
+    for k in range(m):
+        for i in range(N):
+            signs[k, i] = 1.0 if (i >> (k % 8)) & 1 else -1.0
+    return signs
+
+
+@jit
+def _trial(scheme, x, t, h, functions, constants, work):
+    """Rough error of a step h from x, root mean square and largest over the states, in standard deviations.
+
+    The order in h is that of the scheme as measured: three for SHIFTED_PATH, two for the others.
+    """
+    p, variance, L = constants
+    if scheme == PLATEN:
+        _general_trial(x, t, h, functions, p, L, work)
+    else:
+        _additive_trial(x, t, h, functions, p, L, work)
+    rms, largest = _in_deviations(work[3], work[4], variance)
+    power = 2.0 if scheme == PLATEN else 2.0 / 3.0 if scheme == SPLIT else 1.0
+    return rms**power, largest**power
+
+
+@jit
+def _step_length(scheme, x, t, h, functions, constants, tolerance):
+    """Step, at most twice h, whose bias is about the tolerance; zero when there is none."""
+    power = -1 / 3 if scheme == SHIFTED_PATH else -1 / 2
+    shape = x.shape
+    work = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
+    for _ in range(60):
+        rms, largest = _trial(scheme, x, t, h, functions, constants, work)
+        excess = max(_BIAS_PER_ERROR[scheme] * rms / tolerance, largest / _LARGEST)
+        h *= min(2.0, 0.9 * excess**power) if excess < 100.0 else 0.2
+        if excess < 2.0:
+            return h
+    return 0.0
+
+
+@jit
+def _move_block(scheme, x, span, limits, functions, constants, state):
+    """Move one block x in place over the span; return (steps taken, length of the first).
+
+    No steps taken means that no step was short enough.
+    """
+    (t, t1), (longest, h, tolerance) = span, limits
+    p, _, L = constants
+    N, m = x.shape[0], L.shape[0]
+    n_normals = m if scheme == SPLIT else 3 * m if scheme == SHIFTED_PATH else m + m * (m - 1) // 2
+    normals = np.empty(((_STEPS_PER_LOOK + 1) * n_normals, N))
+    taken, first = 0, 0.0
+    while t < t1:
+        h = min(h, longest, t1 - t)
+        if tolerance < np.inf:
+            h = min(_step_length(scheme, x, t, h, functions, constants, tolerance), longest)
+        if not (h > 0.0 and taken < _MAX_STEPS):
+            return 0, t
+        left = max(1, int(np.ceil((t1 - t) / h * (1 - 1e-12))))
+        n_steps, dt = min(left, _STEPS_PER_LOOK), (t1 - t) / left
+        rows = n_normals * (n_steps + 1 if scheme == SPLIT else n_steps)
+        fill_normals(state, normals[:rows])
+        xi = normals[:rows].reshape((rows // n_normals, n_normals, N))
+        if scheme == SPLIT:
+            split_steps(x, t, dt, functions[0], functions[1], p, L, xi)
+        elif scheme == SHIFTED_PATH:
+            shifted_path_steps(x, t, dt, functions[0], functions[1], p, L, xi)
+        else:
+            platen_steps(x, t, dt, functions[0], functions[1], p, L, xi)
+        first = first if taken else dt
+        taken += n_steps
+        t = t1 if n_steps == left else t + n_steps * dt
+    return taken, first
+
+
+def _move_blocks(x, report, span, limits, addresses, constants, stream):
+    """Move the blocks first <= b < last of x (N, n); `report` (blocks, 2) gets what `_move_block` returns."""
+    scheme, seed, first, last = stream
+    state = np.empty((6, LANES), dtype=np.uint64)
+    functions = (function_at(addresses[0]), function_at(addresses[1]))
+    for b in range(first, last):
+        seed_lanes(np.uint64(seed), np.uint64(b), state)
+        block = x[b * LANES : min((b + 1) * LANES, x.shape[0])]
+        report[b, 0], report[b, 1] = _move_block(scheme, block, span, limits, functions, constants, state)
+
+
+@cache
+def _compiled_blocks():
+    """`_move_blocks` for any model: compiled (or loaded from the disk cache) at first use."""
+    vector, matrix = types.float64[::1], types.float64[:, ::1]
+    constants = types.Tuple((vector, vector, matrix))
+    numbers = types.UniTuple(types.float64, 2), types.UniTuple(types.float64, 3)
+    functions, stream = types.UniTuple(ADDRESS, 2), types.UniTuple(types.int64, 4)
+    signature = types.void(matrix, matrix, *numbers, functions, constants, stream)
+    return jit_for(signature, _move_blocks)
+
+
+class Paths:
+    """How the states of a model are moved.
+
+    Parameters
+    ----------
+    model : sphfilter.models.SDE
+    order : {2, 4}
+        4: RK4 along simple random paths, of weak order 3 as measured and of order 4 where there is no noise;
+        2: jumps of noise between RK4 steps. Noise that depends on the state has Platen's scheme of weak
+        order 2 in either case, and a linear model its exact transition.
+    step : float or None
+        Longest step, seconds. None: each block of 256 states takes what keeps the error in bounds.
+    n_threads : int
+        For many states; the result does not depend on it.
+    """
+
+    def __init__(self, model, order=4, step=None, n_threads=1):
+        self.model, self.step, self.n_threads = model, step, n_threads
+        self._scheme = PLATEN if model.state_dependent_noise else SPLIT if order == 2 else SHIFTED_PATH
+        self._root = noise_root(model.spectral_density)
+        self._first = np.inf
+        self._exact = {}
+
+    def move(self, x, t0, t1, variance, tolerance, rng):
+        """Move the states x (N, n) from t0 to t1 in place, each with noise of its own.
+
+        Parameters
+        ----------
+        variance : ndarray, shape (n,)
+            Of the states at t0: errors are counted in standard deviations.
+        tolerance : float
+            Bias allowed to the moments at t1, in standard deviations.
+        rng : numpy Generator
+            Gives one seed.
+
+        Returns
+        -------
+        int
+            Most steps taken by a block.
+
+        Raises
+        ------
+        PropagationError
+            A state is not finite, or no step is short enough.
+        """
+        seed = int(rng.integers(2**63))
+        if self.model.linear:
+            return self._exactly(x, t1 - t0, seed)
+        report = self._in_blocks(x, (t0, t1), self._limits(x, t0, t1, tolerance), variance, seed)
+        if not (report[:, 0].all() and np.isfinite(x).all()):
+            raise PropagationError(
+                f"the model blew up between t = {t0:g} and t = {t1:g} s: a particle is not finite or needs "
+                "ever shorter steps. Check the drift and its parameters for growth without bound"
+            )
+        self._first = report[:, 1].min()
+        return int(report[:, 0].max())
+
+    def _limits(self, x, t0, t1, tolerance):
+        """Longest step, first guess, tolerance of the compiled loop."""
+        if self.step is not None:
+            return self.step, self.step, np.inf
+        rate = rate_of_time(self.model, x[:_LOOKED_AT], t0, t1)
+        error = tolerance / _BIAS_PER_ERROR[self._scheme]
+        rough = (4.0 * error) ** (1 / 3) if self._scheme == SHIFTED_PATH else np.sqrt(error)
+        return (rough / rate if rate > 0.0 else np.inf), self._first, tolerance
+
+    def _in_blocks(self, x, span, limits, variance, seed):
+        n_blocks = -(-len(x) // LANES)
+        report = np.zeros((n_blocks, 2))
+        addresses = address_of(self.model.drift_batch), address_of(self.model.noise_batch)
+        constants = self.model.p, variance, self._root
+
+        def share(first, last):
+            stream = (self._scheme, seed, first, last)
+            _compiled_blocks()(x, report, span, limits, addresses, constants, stream)
+
+        n_shares = max(1, min(self.n_threads, n_blocks // _BLOCKS_PER_THREAD))
+        edges = [n_blocks * i // n_shares for i in range(n_shares + 1)]
+        if n_shares == 1:
+            share(0, n_blocks)
+        else:
+            list(_threads(n_shares).map(share, edges[:-1], edges[1:]))
+        return report
+
+    def _exactly(self, x, dt, seed):
+        if dt not in self._exact:
+            Phi, offset, Qd = self.model.to_linear().discretize(dt)
+            self._exact[dt] = Phi.T, offset, noise_root(Qd).T
+        Phi_T, offset, root_T = self._exact[dt]
+        x[:] = x @ Phi_T + offset + standard_normals(seed, *x.shape) @ root_T
+        return 1
+
+
+@cache
+def _threads(n):
+    return ThreadPoolExecutor(n)
+
+
+def standard_normals(seed, N, k):
+    """Return independent standard normals, shape (N, k)."""
+    out = np.empty((N, k))
+    _fill_rows(seed, out)
+    return out
+
+
+@jit
+def _fill_rows(seed, out):
+    state, rows = np.empty((6, LANES), dtype=np.uint64), np.empty((out.shape[1], LANES))
+    for b in range(-(-out.shape[0] // LANES)):
+        seed_lanes(np.uint64(seed), np.uint64(b), state)
+        fill_normals(state, rows)
+        block = out[b * LANES : (b + 1) * LANES]
+        block[:] = rows[:, : block.shape[0]].T
