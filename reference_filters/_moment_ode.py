@@ -8,9 +8,10 @@ linearised about the mean, or averaged over the sigma points of (m, P).
 from functools import cache
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from sphfilter.core._jit import BATCH_FUNCTION, jit
+from sphfilter.core._first_class import ADDRESS, address_of, function_at
+from sphfilter.core._jit import jit, jit_for
 from sphfilter.errors import PropagationError
 
 __all__ = ["LINEARISED", "SIGMA_POINTS", "propagate_moments"]
@@ -135,14 +136,14 @@ def _combine(y, dt, weights, k, n_rows, out):
         out[i] = y[i] + dt * total
 
 
-def _integrate(scheme, y, span, p, drift, jacobian, diffusion, settings):
+def _integrate(scheme, y, span, p, addresses, settings):
     """Integrate y = (m, P) flat over `span`; return (status, steps, time reached), `y` overwritten."""
     n = int(np.sqrt(y.size))
     rows = 1 if scheme == LINEARISED else 2 * n + 1
     matrices = np.empty((2, rows, n * n))
     work = (np.empty((rows, n)), np.empty((rows, n)), matrices[0], matrices[1], np.zeros((n, n)))
     k, stage, error, nought = np.empty((7, y.size)), np.empty(y.size), np.empty(y.size), np.zeros(y.size)
-    functions = (drift, jacobian, diffusion)
+    functions = (function_at(addresses[0]), function_at(addresses[1]), function_at(addresses[2]))
     (t, t1), (kappa, rtol) = span, settings
     dt = t1 - t
     if not _rates(scheme, t, y, p, functions, kappa, work, k[0]):
@@ -177,8 +178,7 @@ def _compiled_integrate():
     vector = types.float64[::1]
     outcome = types.Tuple((types.int64, types.int64, types.float64))
     pair = types.UniTuple(types.float64, 2)
-    signature = outcome(types.int64, vector, pair, vector, *(3 * [BATCH_FUNCTION]), pair)
-    return njit(signature, cache=True, error_model="numpy")(_integrate)
+    return jit_for(outcome(types.int64, vector, pair, vector, types.UniTuple(ADDRESS, 3), pair), _integrate)
 
 
 def propagate_moments(model, scheme, m, P, t0, t1, kappa=0.0, rtol=1e-6):
@@ -208,7 +208,8 @@ def propagate_moments(model, scheme, m, P, t0, t1, kappa=0.0, rtol=1e-6):
     n = m.size
     y = np.concatenate([m, P.ravel()])
     functions = model.drift_batch, model.jacobian_batch, model.diffusion_batch
-    status, n_steps, t = _compiled_integrate()(scheme, y, (t0, t1), model.p, *functions, (kappa, rtol))
+    addresses = tuple([address_of(f) for f in functions])
+    status, n_steps, t = _compiled_integrate()(scheme, y, (t0, t1), model.p, addresses, (kappa, rtol))
     if status != _DONE:
         raise PropagationError(
             f"moment equations stopped at t = {t:g} s between {t0:g} and {t1:g} s after {n_steps} steps: "

@@ -10,8 +10,8 @@ from functools import partial
 
 import numpy as np
 from filterpy import kalman as fp
-from scipy.linalg import cho_factor, cho_solve
 
+from sphfilter.core._jit import jit
 from sphfilter.errors import ModelError, PropagationError
 
 from ._base import ReferenceFilter, gaussian_start
@@ -37,10 +37,14 @@ class _GaussianFilter(ReferenceFilter):
                 "the particle and grid filters take any likelihood"
             )
         seen = np.flatnonzero(measurement.observed(z))
-        R = measurement.noise_cov[np.ix_(seen, seen)]
+        R = measurement.noise_cov
+        if seen.size < measurement.dim_z:
+            R = R[np.ix_(seen, seen)]
         try:
             x, P, y, S = self._condition(*belief, z, measurement, seen, R)
             log_evidence = _log_normal(y, S)
+            if np.isnan(log_evidence):
+                raise np.linalg.LinAlgError("innovation covariance")
         except np.linalg.LinAlgError as error:
             raise PropagationError(
                 f"update at t = {self.t:g}: a covariance is not positive definite ({error}); "
@@ -142,7 +146,7 @@ class UnscentedKalmanFilter(_GaussianFilter):
         self.kappa = float(max(3 - model.dim, 0) if kappa is None else kappa)
         if not self.kappa > -model.dim:
             raise ModelError(f"kappa must be above -n = {-model.dim}; got {kappa}")
-        points = fp.JulierSigmaPoints(model.dim, kappa=self.kappa)
+        points = fp.JulierSigmaPoints(model.dim, kappa=self.kappa, sqrt_method=_upper_root)
         self._engine = fp.UnscentedKalmanFilter(model.dim, 1, dt=0.0, hx=None, fx=None, points=points)
 
     def _predicted(self, belief, t0, t1):
@@ -155,11 +159,14 @@ class UnscentedKalmanFilter(_GaussianFilter):
         engine = self._engine
         engine.x, engine.P = x, P
         engine.sigmas_f = engine.points_fn.sigma_points(x, P)
-        residual = partial(_partial_residual, measurement, seen)
-        engine.residual_z = residual
-        # The mean relative to the central point is right for angles too.
-        engine.z_mean = lambda Z, W: Z[0] + W @ np.array([residual(z, Z[0]) for z in Z])
-        engine.update(z[seen], R=R, hx=lambda s: measurement.predict(s[None], self.t)[0, seen])
+        engine.residual_z, engine.z_mean = np.subtract, None
+        if measurement.angles:
+            engine.residual_z = residual = partial(_partial_residual, measurement, seen)
+            # The mean relative to the central point is right for angles too.
+            engine.z_mean = lambda Z, W: Z[0] + W @ np.array([residual(z, Z[0]) for z in Z])
+        # filterpy asks for one sigma point after the other; all of them take no longer than one
+        readings = iter(measurement.predict(engine.sigmas_f, self.t)[:, seen])
+        engine.update(z[seen], R=R, hx=lambda s: next(readings))
         return engine.x, engine.P, engine.y, engine.S
 
 
@@ -170,8 +177,27 @@ def _partial_residual(measurement, seen, z, zhat):
     return measurement.residual(full[0], full[1])[seen]
 
 
+def _upper_root(P):
+    return np.linalg.cholesky(P).T  # scipy's takes longer than the rest of the points
+
+
+@jit
 def _log_normal(y, S):
-    """Log-density of N(0, S) at y. (filterpy's accepts a singular S and is slower than the update.)"""
-    factor = cho_factor(S, lower=True)
-    log_det = 2 * np.sum(np.log(np.diag(factor[0])))
-    return float(-0.5 * (y @ cho_solve(factor, y) + log_det + y.size * np.log(2 * np.pi)))
+    """Log-density of N(0, S) at y, NaN for a singular S. (filterpy's is slower than the update.)"""
+    k = y.size
+    L, white = np.zeros((k, k)), np.empty(k)
+    value = -0.5 * k * np.log(2.0 * np.pi)
+    for a in range(k):
+        for b in range(a + 1):
+            s = S[a, b]
+            for c in range(b):
+                s -= L[a, c] * L[b, c]
+            L[a, b] = s / L[b, b] if b < a else np.sqrt(s)
+        if not L[a, a] > 0.0:
+            return np.nan
+        r = y[a]
+        for c in range(a):
+            r -= L[a, c] * white[c]
+        white[a] = r / L[a, a]
+        value -= 0.5 * white[a] ** 2 + np.log(L[a, a])
+    return value
