@@ -27,8 +27,6 @@ class Problem:
     truth : ndarray, shape (T, n), or None
         Drawn from the model and the start; None where the data were not (outliers), so that the distance
         to it says nothing of the filter.
-    step : float
-        Longest step a weak second-order scheme may take for this model, seconds.
     n_particles : int
         Bound given to the SPH filters.
     exact : callable, optional
@@ -43,7 +41,6 @@ class Problem:
     times: np.ndarray
     z: np.ndarray
     truth: np.ndarray | None = None
-    step: float = 0.05
     n_particles: int = 200
     t0: float = 0.0
     exact: Callable | None = None
@@ -90,6 +87,8 @@ def drawn(rng, model, sensor, x0, P0, *, interval, n_updates=6, t0=0.0, step=0.0
     sensor : measurement model
     interval : float
         Seconds from the start to the first measurement, and between measurements.
+    step : float
+        Longest step of the simulated truth, seconds.
     **more
         Further attributes of the `Problem`.
     """
@@ -97,5 +96,5 @@ def drawn(rng, model, sensor, x0, P0, *, interval, n_updates=6, t0=0.0, step=0.0
     times = t0 + interval * np.arange(n_updates + 1)
     start = x0 + np.linalg.cholesky(P0) @ rng.standard_normal(len(x0))
     truth, z = sf.simulate(model, sensor, start, times, rng, max_step=step)
-    given = {"truth": truth[1:], "z": z[1:], "step": step} | more
+    given = {"truth": truth[1:], "z": z[1:]} | more
     return Problem(model=model, measurement=sensor, x0=x0, P0=P0, times=times[1:], t0=t0, **given)

@@ -116,7 +116,7 @@ def _blow_up(name):
         end = min(horizon, 0.95 * margin * horizon)
         path = solve_ivp(lambda t, x: x**power, (0.0, end), [x0], rtol=1e-9, dense_output=True).sol
         z = path(np.minimum(times, end)).T
-        about = {"step": horizon / 600, "n_particles": 100}
+        about = {"n_particles": 100}
         sensor, start = systems.position(1, 0.01), {"x0": np.array([x0]), "P0": np.array([[2.5e-3]])}
         return Problem(model=model, measurement=sensor, **start, times=times, z=z, **about)
 

@@ -73,7 +73,7 @@ def _particle(n):
     def make(problem, seed):
         return ParticleFilter(
             problem.model, problem.measurement, problem.x0, problem.P0, problem.t0,
-            n_particles=n, rng=np.random.default_rng([seed, n]), step=problem.step,
+            n_particles=n, rng=np.random.default_rng([seed, n]),
         )  # fmt: skip
 
     return make
