@@ -21,6 +21,7 @@ from experiments.run import Interrupted
 from experiments.scenario import add_change_option, load_scenario, parse_change
 from sphfilter import __version__
 from sphfilter.campaign import draw_case
+from sphfilter.errors import ConfigError, SphfilterError
 
 from . import expensive, plots, tables
 from .campaign import Plan, run_scenario
@@ -83,10 +84,16 @@ def main(args):
     work = [(scenario, _competitors(scenario, args)) for scenario in scenarios.values()]
     plan, machine, outcomes = _plan(args), {"start": _machine()}, []
     for scenario, competitors in work:
-        outcomes.append(_measured(console, scenario, competitors, plan))
+        try:
+            outcomes.append(_measured(console, scenario, competitors, plan))
+        except SphfilterError as problem:  # no reference: the other scenarios go on
+            console.print(f"{problem}\n", style="red")
+            continue
         _tell(console, outcomes[-1])
         # after every scenario, so that an interruption leaves whole files
         drawn = _write(args, plan, outcomes, machine | {"end": _machine()}, work)
+    if not outcomes:
+        raise ConfigError("nothing was measured: no scenario has a reference")
     if _EXPENSIVE in names:
         base, competitors = next(pair for pair in work if pair[0].name == expensive.BASE)
         drawn.append(_expensive(console, base, competitors, outcomes, plan))

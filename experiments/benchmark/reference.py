@@ -41,7 +41,7 @@ class Effort:
         Particles of each of the large runs, and their number.
     """
 
-    error: float = 1e-4
+    error: float = 2e-4
     first: int = 2
     last: int = 4
     n_paths: int = 400_000
@@ -133,7 +133,7 @@ def _grid(scenario, case, effort):
             break
     if change is None:
         raise PropagationError(
-            f"{scenario.name}: no two grids of the reference hold the density; raise --reference-rungs"
+            f"{scenario.name}: no two grids of the reference hold the density; --full tries finer ones"
         )
     kind = f"grid of {n_nodes} nodes an axis, error bounded by the change from the next coarser"
     return Reference(kind, kept, change.mean, change.cov, change.evidence, change.total, densities)
