@@ -13,7 +13,7 @@ from ._weights import condition, resample, weighted_moments
 
 __all__ = ["ParticleFilter"]
 
-#: Bias that a step may give to the moments of an interval, over 1/√N, their sampling error at the least.
+#: Default of the bias of an interval over 1/√N, the least sampling error of moments.
 _BIAS = 0.6
 
 
@@ -47,8 +47,7 @@ class ParticleFilter(ReferenceFilter):
         After every update, or only when the effective number of particles 1 / Σ w² is below half of
         `n_particles` (002 triggers by it).
     step : float, optional
-        Longest time step, seconds. None: as long as its error stays far below the sampling error of
-        `n_particles`.
+        Longest time step, seconds. None: as long as `tolerance` lets it be.
     dt : float, optional
         Interval of `predict()` without arguments.
     order : {2, 4}
@@ -57,14 +56,19 @@ class ParticleFilter(ReferenceFilter):
         scheme of weak order 2, and a linear model one exact step.
     n_threads : int
         Threads of a prediction; the result does not depend on it.
+    tolerance : float, optional
+        Bias that steps of automatic length may give to mean and covariance over an interval, in standard
+        deviations. Default 0.6 / sqrt(n_particles), below the sampling error.
     """
 
     def __init__(self, model, measurement, x0, P0, t0=0.0, *, n_particles=1000, rng=None, resampling="always",
-                 step=None, dt=None, order=4, n_threads=1):  # fmt: skip
+                 step=None, dt=None, order=4, n_threads=1, tolerance=None):  # fmt: skip
         self.model = model
         self.n_particles = N = validate.count("n_particles", n_particles, 2)
         self.resampling = validate.choice("resampling", resampling, ("always", "ess"))
         self.step = None if step is None else validate.positive("step", step)
+        default = _BIAS / np.sqrt(N)
+        self.tolerance = validate.positive("tolerance", default if tolerance is None else tolerance)
         if order not in (2, 4):
             raise ModelError(f"order must be 2 or 4, got {order!r}")
         self._paths = Paths(model, order, self.step, validate.count("n_threads", n_threads))
@@ -96,8 +100,8 @@ class ParticleFilter(ReferenceFilter):
 
     def _predicted(self, belief, t0, t1):
         belief = self._resampled(belief)
-        tolerance = _BIAS / np.sqrt(self.n_particles)
-        n_steps = self._paths.move(belief.X, t0, t1, np.diagonal(self.P).copy(), tolerance, self._rng)
+        variance = np.diagonal(self.P).copy()
+        n_steps = self._paths.move(belief.X, t0, t1, variance, self.tolerance, self._rng)
         return belief, n_steps
 
     def _updated(self, belief, z, measurement):
