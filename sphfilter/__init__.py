@@ -3,7 +3,14 @@
 from . import consistency
 from ._version import __version__
 from .campaign import CampaignResult, Case, run_campaign
-from .config import AcceptanceTest, FilterConfig, PaperScheme, SolverConfig
+from .config import (
+    AcceptanceTest,
+    CorrectedScheme,
+    FilterConfig,
+    LogDensityScheme,
+    PaperScheme,
+    SolverConfig,
+)
 from .density import ParticleDensity
 from .errors import ConfigError, ExpressionError, ModelError, PropagationError, SphfilterError
 from .filter import SPHFilter
@@ -24,6 +31,7 @@ __all__ = [
     "CampaignResult",
     "Case",
     "ConfigError",
+    "CorrectedScheme",
     "ExpressionError",
     "FilterConfig",
     "FilterResult",
@@ -31,6 +39,7 @@ __all__ = [
     "GaussianMeasurement",
     "LikelihoodMeasurement",
     "LinearSDE",
+    "LogDensityScheme",
     "ModelError",
     "PaperScheme",
     "ParticleDensity",

@@ -9,14 +9,16 @@ from dataclasses import asdict, fields, is_dataclass, replace
 from typing import Annotated, Literal, get_args, get_origin
 
 import tomli_w
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from .errors import ConfigError, nearest
 
 __all__ = [
     "AcceptanceTest",
+    "CorrectedScheme",
     "FilterConfig",
+    "LogDensityScheme",
     "PaperScheme",
     "SolverConfig",
     "checked_filter_config",
@@ -110,6 +112,7 @@ class PaperScheme:
         What mean and covariance are computed from: "points" or the "mixture" of kernels.
     """
 
+    name: Literal["paper"] = "paper"
     kernel: Literal["gaussian", "lucy", "cubic", "wendland_c2", "wendland_c4"] = "lucy"
     represented_mass: Annotated[float, Field(gt=0.5, lt=1)] = 0.995
     domain_mass: Annotated[float, Field(gt=0.5, lt=1)] = 0.9995
@@ -133,8 +136,6 @@ class PaperScheme:
     max_steps: Count = 200_000
     read_out: Literal["points", "mixture"] = "points"
 
-    name = "paper"
-
     @model_validator(mode="after")
     def _consistent(self):
         if self.support_range[0] > self.support_range[1]:
@@ -145,11 +146,68 @@ class PaperScheme:
 
 
 @settings
-class AcceptanceTest:
-    """Measurement acceptance of 002 6.3; `enabled = False` accepts every measurement.
+class LogDensityScheme:
+    """Log-density on a whitened lattice, carried along backward stochastic characteristics.
+
+    Nothing here has to be tuned: time steps, lattices and neighbourhoods follow from the density.
 
     Attributes
     ----------
+    reach : float
+        Z: particles lie where log p is within Z²/2 of its largest, so out to Z sigma of a Gaussian.
+    tolerance : float
+        Error allowed in the paths of a time step: rms over the mass, in standard deviations.
+    noise_share : float
+        Largest variance that the noise of a time step may have, in units of the density's own.
+    quadrature : int
+        Gauss-Hermite points of one noise over a step.
+    most_lost : float
+        Probability that the lattices of one prediction may lose or gain in all before it is given up.
+    max_steps : int
+    """
+
+    name: Literal["log_density"] = "log_density"
+    reach: Annotated[float, Field(ge=2.5, le=12)] = 4.0
+    tolerance: Positive = 3e-4
+    noise_share: Annotated[float, Field(gt=0, le=2)] = 0.4
+    quadrature: Annotated[int, Field(ge=2, le=15)] = 5
+    most_lost: Positive = 0.2
+    max_steps: Count = 20_000
+
+
+@settings
+class CorrectedScheme:
+    """Summation SPH in whitened coordinates whose velocities satisfy the moment equations.
+
+    Attributes
+    ----------
+    kernel : str
+    support : float
+        K h in units of the particle spacing.
+    degree : int
+        Degree of the polynomial correction, lower where there are less than ten particles a polynomial; 0 is
+        plain SPH.
+    tol : float
+        Error allowed in a time step: root mean square over the mass, in standard deviations of the cloud.
+    max_steps : int
+        Steps of one prediction after which it is given up with an error.
+    """
+
+    name: Literal["corrected"] = "corrected"
+    kernel: Literal["gaussian", "lucy", "cubic", "wendland_c2", "wendland_c4"] = "wendland_c2"
+    support: Positive = 3.5
+    degree: Annotated[int, Field(ge=0, le=6)] = 4
+    tol: Positive = 1e-4
+    max_steps: Count = 20_000
+
+
+@settings
+class AcceptanceTest:
+    """Measurement acceptance of 002 6.3; off unless asked for (`FilterConfig.paper` asks).
+
+    Attributes
+    ----------
+    enabled : bool
     z_pi : float
         Standard deviations of the expected posterior that must lie inside the prior's domain (61).
     f_edge : float
@@ -158,7 +216,7 @@ class AcceptanceTest:
         "keep" the prior's particles, or "resample" them.
     """
 
-    enabled: bool = True
+    enabled: bool = False
     z_pi: Positive = 2.576
     f_edge: Annotated[float, Field(ge=0, lt=1)] = 1 / 3
     on_reject: Literal["keep", "resample"] = "keep"
@@ -188,9 +246,9 @@ class _Settings:
         >>> FilterConfig.paper(kernel="gaussian", z_pi=3.0).scheme.kernel
         'gaussian'
         """
-        settings = cls(scheme=PaperScheme())
+        settings = cls(scheme=PaperScheme(), **cls._paper_parts())
         parts = {f.name: getattr(settings, f.name) for f in fields(cls)}
-        owner = {f.name: part for part, value in parts.items() for f in fields(value)}
+        owner = {f.name: part for part, value in parts.items() if is_dataclass(value) for f in fields(value)}
         for key, value in changes.items():
             if key not in owner:
                 known = ", ".join(owner)
@@ -199,23 +257,78 @@ class _Settings:
         return cls(**parts)
 
 
+    @classmethod
+    def _paper_parts(cls):
+        return {}
+
+
 def _without_none(tree):
     return {k: _without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
 
 
+SCHEMES = {"log_density": LogDensityScheme, "corrected": CorrectedScheme, "paper": PaperScheme}
+_Auto = Literal["auto"]
+_Scheme = LogDensityScheme | CorrectedScheme | PaperScheme
+
+
+def _named_scheme(value):
+    """A scheme by its name, or as a table: the paper's where the table does not name one."""
+    if isinstance(value, str) and value in SCHEMES:
+        return SCHEMES[value]()
+    if isinstance(value, str) and value != "auto":
+        known = ["auto", *SCHEMES]
+        raise ValueError(f"there is no scheme {value!r}{nearest(value, known)}; there are {', '.join(known)}")
+    if isinstance(value, dict):
+        name = value.get("name", "paper")
+        if name not in SCHEMES:
+            raise ValueError(f"there is no scheme {name!r}{nearest(str(name), SCHEMES)}")
+        return SCHEMES[name](**value)
+    if not isinstance(value, str | _Scheme):
+        raise ValueError(f"a scheme is auto, one of {', '.join(SCHEMES)}, or its settings, not {value!r}")
+    return value
+
+
+SchemeChoice = Annotated[_Auto | _Scheme, BeforeValidator(_named_scheme)]
+
+
 @settings
 class SolverConfig(_Settings):
-    """Settings of the transient solver: the scheme that carries the density."""
+    """Settings of the transient solver.
 
-    scheme: PaperScheme = Field(default_factory=PaperScheme)
+    Attributes
+    ----------
+    scheme : "auto", or a scheme, or its name
+        "auto" carries the log-density where the model and the number of particles allow it, and falls back
+        on moment-corrected SPH where they do not or its health check fails; the info says which it was.
+    exact_linear : bool
+        Carry a Gaussian through a linear model in closed form.
+    """
+
+    scheme: SchemeChoice = "auto"
+    exact_linear: bool = False
 
 
 @settings
 class FilterConfig(_Settings):
-    """Settings of the filter: the scheme, and the acceptance test of a measurement."""
+    """Settings of the filter: as `SolverConfig`, and the acceptance test of a measurement.
 
-    scheme: PaperScheme = Field(default_factory=PaperScheme)
+    Attributes
+    ----------
+    scheme : "auto", or a scheme, or its name
+    exact_linear : bool
+    acceptance : AcceptanceTest
+    target_error : float
+        What ``n_particles="auto"`` aims at: error of the posterior mean, in posterior standard deviations.
+    """
+
+    scheme: SchemeChoice = "auto"
+    exact_linear: bool = False
     acceptance: AcceptanceTest = Field(default_factory=AcceptanceTest)
+    target_error: Positive = 0.01
+
+    @classmethod
+    def _paper_parts(cls):
+        return {"acceptance": AcceptanceTest(enabled=True)}
 
 
 def checked_filter_config(config):

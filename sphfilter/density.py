@@ -1,20 +1,25 @@
 """The probability density a filter carries: particles with mass and smoothing length, and what to ask it."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
+from dataclasses import field as attribute
+from functools import cached_property
 
 import numpy as np
 from scipy import optimize, special
 from scipy.stats import qmc
 
+from . import level_set
 from .core import kernels
+from .core.field import Field
 from .core.neighbors import build_index, choose_method
 from .core.summation import sample_density, sample_density_parallel
 from .errors import ModelError
 from .validate import array, choice, generator, state_rows
 
-__all__ = ["ParticleDensity"]
+__all__ = ["LATTICE_SUPPORT", "ParticleDensity"]
 
-READ_OUTS = ("points", "mixture")
+LATTICE_SUPPORT = 1.2  # smoothing length on a lattice, in units of its spacing
+READ_OUTS = ("points", "mixture", "log_density")
 _PARALLEL_FROM = 10_000_000  # distances of points and particles, about a second's work of one thread
 _SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
 
@@ -37,13 +42,19 @@ class ParticleDensity:
         Name of the SPH kernel.
     read_out : str
         What mean, covariance and the like are computed from unless ``kind=`` says otherwise: "points"
-        (sums over particles) or "mixture" (integrals of p; its covariance is larger by the kernel's own).
+        (sums over particles), "mixture" (integrals of p; its covariance is larger by the kernel's own) or
+        "log_density" (sums over a lattice, the covariance put right for its cut edge; the pdf is the
+        exponential of the `field`, tails included).
     represented_mass : float
         Probability of the region the particles cover, where the density was cut; one if unknown.
     log_density : ndarray, shape (N,), or None
         Log-density carried along the particles' paths, for schemes that have it.
     invariant : ndarray, shape (N,), or None
         rho h^n on the last lattice, which smoothing lengths keep (002 (14)); None on a fresh lattice.
+    field : Field or None
+        Polynomials of log p between the nodes of a lattice, where the particles are one.
+    volume : float or None
+        Volume the particles fill in whitened coordinates, of which the next lattice starts.
     capacity : int or None
         Bound of the number of particles at the next re-gridding, unless another is given.
 
@@ -59,8 +70,10 @@ class ParticleDensity:
     represented_mass: float = 1.0
     log_density: np.ndarray | None = None
     invariant: np.ndarray | None = None
+    field: Field | None = None
+    volume: float | None = None
     capacity: int | None = None
-    _index: list = field(init=False, repr=False, default_factory=list)
+    _index: list = attribute(init=False, repr=False, default_factory=list)
 
     def __post_init__(self):
         x = array("x", self.x, (None, None))
@@ -78,6 +91,22 @@ class ParticleDensity:
             value = value if heavy.all() else value[heavy]
             value.flags.writeable = False
             object.__setattr__(self, name, value)
+
+    @classmethod
+    def on_lattice(cls, laid, t, capacity=None):
+        """The density of a `level_set.Laid` at time t."""
+        spacing = abs(np.linalg.det(laid.field.A)) ** (1.0 / laid.x.shape[1])
+        return cls(
+            x=laid.x,
+            mass=laid.mass,
+            h=np.full(len(laid.x), LATTICE_SUPPORT * spacing),
+            t=t,
+            read_out="log_density",
+            log_density=laid.field.log_p,
+            field=laid.field,
+            volume=laid.volume,
+            capacity=capacity,
+        )
 
     def __reduce__(self):
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
@@ -111,6 +140,8 @@ class ParticleDensity:
 
     def pdf(self, X):
         """Density at the states X (M, n) or (n,); an array (M,), per unit volume of the state space."""
+        if self.field is not None and self.read_out == "log_density":
+            return np.exp(self.logpdf(X))
         Y = state_rows("X", X, self.dim)
         if not self._index:  # built once, at the first question
             width = kernels.RADIUS[self.kernel_code[0]] * np.median(self.h)
@@ -122,7 +153,9 @@ class ParticleDensity:
         return out
 
     def logpdf(self, X):
-        """Logarithm of `pdf`; minus infinity outside the kernels' supports."""
+        """Logarithm of `pdf`; minus infinity outside the kernels' supports, if it is a mixture's."""
+        if self.field is not None and self.read_out == "log_density":
+            return level_set.at(self.field, state_rows("X", X, self.dim))
         with np.errstate(divide="ignore"):
             return np.log(self.pdf(X))
 
@@ -136,7 +169,16 @@ class ParticleDensity:
         points = (d * self.mass[:, None]).T @ d
         if self._kind(kind) == "points":
             return points
+        if self._kind(kind) == "log_density":
+            return points / self._truncation
         return points + self.kernel_variance * (self.mass @ self.h**2) * np.eye(self.dim)
+
+    @cached_property
+    def _truncation(self):
+        """What a cut where the density has fallen by exp(-Z²/2) leaves of a Gaussian's variance."""
+        fallen = float(np.ptp(self.log_density))
+        inside = special.gammainc(0.5 * self.dim, fallen)
+        return special.gammainc(0.5 * self.dim + 1.0, fallen) / inside if inside > 0.5 else 1.0
 
     def moment(self, powers, central=False, kind=None):
         """Expectation of prod_d x_d^powers[d], about the mean if `central`.
@@ -146,7 +188,7 @@ class ParticleDensity:
         powers : sequence of int, length n
         central : bool
         kind : str, optional
-            "points" or "mixture" (kernels integrated over a fixed set of points each).
+            "points", "mixture" or "log_density" (integrated over a fixed set of points a kernel or cell).
         """
         powers = np.asarray(powers)
         if powers.shape != (self.dim,) or np.any(powers < 0) or np.any(powers != np.floor(powers)):
@@ -154,14 +196,15 @@ class ParticleDensity:
         centre = self.mean() if central else np.zeros(self.dim)
         return self._expect(lambda X: np.prod((X - centre) ** powers, axis=1), kind)
 
-    def probability(self, region, kind="mixture"):
+    def probability(self, region, kind=None):
         """Probability of a region given as a function of states X (M, n) that returns booleans (M,).
 
         Examples
         --------
         >>> density.probability(lambda X: X[:, 0] > 3.0)    # doctest: +SKIP
         """
-        return self._expect(lambda X: np.asarray(region(X), dtype=float), kind)
+        inner = "log_density" if self.read_out == "log_density" else "mixture"
+        return self._expect(lambda X: np.asarray(region(X), dtype=float), inner if kind is None else kind)
 
     def marginal(self, axes):
         """Density of the states in `axes` alone.
@@ -179,13 +222,17 @@ class ParticleDensity:
             h=self.h * np.sqrt(ratio),
             t=self.t,
             kernel=self.kernel,
-            read_out=self.read_out,
+            read_out="points" if self.read_out == "log_density" else self.read_out,
             represented_mass=self.represented_mass,
         )
 
     def sample(self, size, rng=None):
-        """Draw states, shape (size, n), from the mixture; `rng` is a numpy Generator or a seed."""
+        """Draw states, shape (size, n), from the density; `rng` is a numpy Generator or a seed."""
         rng = generator(rng)
+        if self.field is not None and self.read_out == "log_density":
+            X = self._cell_points(rng.random((32, self.dim)))
+            p = self.pdf(X)
+            return X[rng.choice(len(X), size=size, p=p / p.sum())]
         chosen = rng.choice(self.n_particles, size=size, p=self.mass)
         offsets = self._kernel_points(rng.random((size, self.dim + 1)))
         return self.x[chosen] + self.h[chosen, None] * offsets
@@ -213,12 +260,22 @@ class ParticleDensity:
 
     def _expect(self, function, kind):
         """Expectation of function(X) -> (M,)."""
-        if self._kind(kind) == "points":
+        kind = self._kind(kind)
+        if kind == "points" or (kind == "log_density" and self.field is None):
             return float(self.mass @ function(self.x))
+        if kind == "log_density":
+            X = self._cell_points(qmc.Sobol(self.dim, scramble=False).random(_SUBPOINTS // 8) + 1 / 32)
+            p = self.pdf(X)
+            return float(p @ function(X) / p.sum())
         uniform = qmc.Sobol(self.dim + 1, scramble=False).random(_SUBPOINTS)
         offsets = self._kernel_points(np.clip(uniform, 0.5 / _SUBPOINTS, 1 - 0.5 / _SUBPOINTS))
         values = function((self.x[:, None] + self.h[:, None, None] * offsets).reshape(-1, self.dim))
         return float(self.mass @ values.reshape(self.n_particles, -1).mean(axis=1))
+
+    def _cell_points(self, uniform):
+        """Points (N k, n) in the lattice cells of all particles, at `uniform` (k, n) parts of a cell."""
+        offsets = (np.asarray(uniform) % 1.0 - 0.5) @ self.field.A.T
+        return (self.x[:, None] + offsets).reshape(-1, self.dim)
 
     def _kernel_points(self, uniform):
         """Map uniform numbers (k, n + 1) to points (k, n) distributed as the kernel with h = 1."""

@@ -19,11 +19,17 @@ class PredictInfo:
         Evaluations with neighbour lists found anew, and steps that did without.
     n_regrids : int
         Times the particles were put on a new lattice inside the interval because steps had become too small.
+    n_rejected : int
+        Time steps repeated because the error control refused them.
+    mass_error : float
+        Probability the lattices lost or gained on the way, before it was put right (log-density scheme): a
+        measure of what the resolution costs.
     n_smoothing_failed : int
         Particle-steps whose smoothing-length equation had no root (the old length was kept).
     skipped : tuple of str
         Work the scene made unnecessary.
     scheme, status : str
+        What carried the density; "ok", or why another scheme than the first choice did.
     """
 
     n_steps: int = 0
@@ -31,6 +37,8 @@ class PredictInfo:
     n_searches: int = 0
     n_bypassed: int = 0
     n_regrids: int = 0
+    n_rejected: int = 0
+    mass_error: float = 0.0
     n_smoothing_failed: int = 0
     skipped: tuple = ()
     scheme: str = "paper"

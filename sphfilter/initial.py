@@ -5,12 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from .config import SolverConfig
+from .config import PaperScheme, SolverConfig
+from .density import ParticleDensity
 from .errors import ModelError
+from .exact import gaussian_log_pdf
 from .lattice import Lattice, heaviest, particles_on, place_gaussian
+from .level_set import lay
+from .resample import reach_of
 from .validate import array, count, covariance
 
 __all__ = ["Gaussian", "Uniform", "initialize"]
+
+_COARSE = 2000  # particles a callable pdf is first looked at with
 
 
 @dataclass(frozen=True)
@@ -74,6 +80,10 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0):
     """
     scheme = (config or SolverConfig()).scheme
     n_particles = count("n_particles", n_particles)
+    if not isinstance(scheme, PaperScheme) and not isinstance(distribution, Uniform):
+        return _on_level_set(distribution, box, n_particles, reach_of(scheme), t)
+    if not isinstance(scheme, PaperScheme):
+        scheme = PaperScheme(kernel="wendland_c2")  # a density with edges has no smooth logarithm
     if isinstance(distribution, Gaussian):
         return _from_gaussian(distribution, n_particles, scheme, t)
     if isinstance(distribution, Uniform):
@@ -81,6 +91,28 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0):
     elif box is None or not callable(distribution):
         raise ModelError("initialize takes a Gaussian, a Uniform, or a callable pdf with box=, shape (n, 2)")
     return _from_pdf(distribution, checked_box(box), n_particles, scheme, t)
+
+
+def _on_level_set(distribution, box, n_particles, reach, t):
+    """A smooth density on a lattice that follows its level set."""
+    depth = 0.5 * reach**2
+    if isinstance(distribution, Gaussian):
+        mean, cov = distribution.mean, distribution.cov
+        log_p = gaussian_log_pdf(mean, cov)
+        laid = lay(log_p, mean, np.linalg.cholesky(cov), mean[None], n_particles, depth)
+        return ParticleDensity.on_lattice(laid, t, n_particles)
+    if box is None or not callable(distribution):
+        raise ModelError("initialize takes a Gaussian, a Uniform, or a callable pdf with box=, shape (n, 2)")
+    coarse = _from_pdf(distribution, checked_box(box), max(n_particles, _COARSE), PaperScheme(), t)
+
+    def log_p(X):
+        with np.errstate(divide="ignore"):
+            return np.maximum(np.log(np.asarray(distribution(X), dtype=float)), -1e250)
+
+    factor = np.linalg.cholesky(coarse.cov("points"))
+    seeds = coarse.x[coarse.mass > coarse.mass.max() * np.exp(-depth)]
+    laid = lay(log_p, coarse.mean(), factor, seeds, n_particles, depth)
+    return ParticleDensity.on_lattice(laid, t, n_particles)
 
 
 def _from_gaussian(gaussian, n_particles, scheme, t):

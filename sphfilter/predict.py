@@ -1,14 +1,15 @@
 """Prediction: a density carried through the Fokker-Planck-Kolmogorov equation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .config import SolverConfig
-from .errors import ModelError
+from .config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
+from .errors import ModelError, PropagationError
+from .exact import propagate_exactly
 from .info import PredictInfo
 from .resample import bound
-from .schemes import paper
+from .schemes import corrected, log_density, paper
 from .validate import real
 
 __all__ = ["Trajectory", "predict", "propagate"]
@@ -47,10 +48,42 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
     target = real("t", t) if dt is None else density.t + real("dt", dt)
     if target < density.t:
         raise ModelError(f"cannot predict back in time: from t = {density.t:g} to {target:g}")
-    scheme = (config or SolverConfig()).scheme
+    config = config or SolverConfig()
+    scheme = config.scheme
     if target == density.t:
-        return density, PredictInfo(scheme=scheme.name, skipped=("everything: the interval is empty",))
-    return paper.propagate(density, model, target, scheme, bound(density, n_particles))
+        name = scheme if scheme == "auto" else scheme.name
+        return density, PredictInfo(scheme=name, skipped=("everything: the interval is empty",))
+    n_particles = bound(density, n_particles)
+    if config.exact_linear and model.linear:
+        exact = propagate_exactly(density, model, target, n_particles)
+        if exact is not None:
+            return exact
+    if scheme == "auto":
+        return _best(density, model, target, n_particles)
+    return _SCHEMES[type(scheme)](density, model, target, scheme, n_particles)
+
+
+def _corrected(density, model, target, scheme, n_particles):
+    moved, info = corrected.propagate(density, model, target, scheme, n_particles)
+    return replace(moved, field=None, volume=None), info
+
+
+def _best(density, model, target, n_particles):
+    """The log-density where it can be carried; moment-corrected SPH where it cannot, and the reason."""
+    reason = log_density.fits(model, density, n_particles)
+    if not reason:
+        try:
+            return log_density.propagate(density, model, target, LogDensityScheme(), n_particles)
+        except PropagationError as problem:
+            reason = str(problem)
+    try:
+        moved, info = _corrected(density, model, target, CorrectedScheme(), n_particles)
+    except PropagationError as problem:
+        raise PropagationError(reason if "stopped at" in reason or "blew up" in reason else str(problem)) from problem
+    return moved, replace(info, status=f"not log_density: {reason}")
+
+
+_SCHEMES = {LogDensityScheme: log_density.propagate, CorrectedScheme: _corrected, PaperScheme: paper.propagate}
 
 
 @dataclass(frozen=True)

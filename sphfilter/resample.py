@@ -1,16 +1,23 @@
 """Re-gridding: a density, or its product with a likelihood, on a new regular lattice (002 4.7 and 6.1)."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from .config import SolverConfig
+from .config import LogDensityScheme, PaperScheme, SolverConfig
+from .density import ParticleDensity
 from .errors import PropagationError
+from .exact import gaussian_log_pdf
 from .info import ResampleInfo
 from .lattice import Lattice, heaviest, particles_on
+from .level_set import at, posterior
+from .scattered import interpolant
 from .validate import count
 
-__all__ = ["bound", "regrid", "resample"]
+__all__ = ["bound", "logarithm", "product", "reach_of", "regrid", "resample"]
+
+_FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
 _MOST_NODES = 2e6  # of one lattice; a posterior thinner than that across the axes is resolved less
 _ZOOMS = 12
@@ -57,6 +64,28 @@ def resample(density, n_particles=None, config=None):
     return regrid(density, bound(density, n_particles), scheme)
 
 
+def reach_of(scheme):
+    """Z of the lattices of a scheme other than the paper's."""
+    return scheme.reach if isinstance(scheme, LogDensityScheme) else LogDensityScheme().reach
+
+
+def logarithm(density):
+    """Return log p as a function of states (M, n), defined far outside of the particles too."""
+    if density.field is not None:
+        return partial(at, density.field)
+    factor = np.linalg.cholesky(density.cov("points"))
+    if density.log_density is not None:
+        return interpolant(density.x, density.log_density, factor)
+    # A mixture of kernels ends somewhere: a faint Gaussian of the same moments goes on.
+    return lambda X: np.logaddexp(density.logpdf(X), _FAINT + gaussian_log_pdf(density.mean(), factor @ factor.T)(X))
+
+
+def product(density, log_weight, n_particles, reach):
+    """Density times exp(log_weight(X)) on a lattice that follows its level set, and the log of its integral."""
+    laid = posterior(density.x, density.mass, logarithm(density), log_weight, n_particles, 0.5 * reach**2)
+    return ParticleDensity.on_lattice(laid, density.t, n_particles), laid.log_mass
+
+
 def bound(density, n_particles=None):
     """Upper bound of the number of particles at the next re-gridding: as given, else the density's own."""
     if n_particles is not None:
@@ -72,6 +101,8 @@ def regrid(density, n_particles, scheme, log_weight=None):
     PropagationError
         The product is zero wherever the density has particles.
     """
+    if not isinstance(scheme, PaperScheme):
+        return _relaid(density, n_particles, scheme, log_weight)
     measured = log_weight is not None
     log_weight = log_weight or (lambda X: np.zeros(len(X)))
     raw = _weighted_masses(density, log_weight)
@@ -94,6 +125,23 @@ def regrid(density, n_particles, scheme, log_weight=None):
         fitness=float(best.fitness),
         volume_fraction=float(volume_fraction),
         log_evidence=float(np.log(total) + log_scale),
+    )
+    return new, info
+
+
+def _relaid(density, n_particles, scheme, log_weight):
+    """As `regrid` on a level-set lattice."""
+    weight = log_weight or (lambda X: np.zeros(len(X)))
+    new, log_evidence = product(density, weight, n_particles, reach_of(scheme))
+    span = np.ptp(new.field.node, axis=0) + 1
+    info = ResampleInfo(
+        n_particles=new.n_particles,
+        lattice_dims=tuple(int(d) for d in span),
+        spacing=tuple(float(s) for s in np.linalg.norm(new.field.A, axis=0)),
+        n_candidates=1,
+        fitness=abs(log_evidence) if log_weight is None else 0.0,
+        volume_fraction=new.n_particles / float(np.prod(span)),
+        log_evidence=log_evidence,
     )
     return new, info
 

@@ -4,12 +4,14 @@ import numpy as np
 from scipy.stats import multivariate_normal
 
 from .acceptance import test_measurement
-from .config import checked_filter_config
+from .config import PaperScheme, checked_filter_config
 from .errors import ModelError
 from .info import UpdateInfo
-from .resample import bound, regrid
+from .resample import bound, product, reach_of, regrid
 
 __all__ = ["update"]
+
+_OUTLYING = 5.0  # standard deviations
 
 
 def update(density, measurement, z, config=None, *, n_particles=None):
@@ -56,6 +58,17 @@ def update(density, measurement, z, config=None, *, n_particles=None):
         return values
 
     innovation, spread = _innovation(density, measurement, z, seen)
+    if not isinstance(config.scheme, PaperScheme) and not config.acceptance.enabled:
+        new, log_evidence = product(density, log_weight, n_particles, reach_of(config.scheme))
+        info = UpdateInfo(
+            accepted=True,
+            log_evidence=log_evidence,
+            innovation=innovation,
+            innovation_cov=spread,
+            reason=_flag(innovation, spread),
+            n_particles=new.n_particles,
+        )
+        return new, info
     accepted, reason = _verdict(density, measurement, z, seen, config.acceptance)
     if accepted:
         new, resampled = regrid(density, n_particles, config.scheme, log_weight)
@@ -77,6 +90,14 @@ def update(density, measurement, z, config=None, *, n_particles=None):
         resample=resampled,
     )
     return new, info
+
+
+def _flag(innovation, spread):
+    """Say so where a reading lies far outside of what was predicted."""
+    if innovation is None:
+        return ""
+    distance = np.sqrt(innovation @ np.linalg.solve(spread, innovation))
+    return f"outlying measurement: {distance:.1f} sigma from its prediction" if distance > _OUTLYING else ""
 
 
 def _kernel_ratio(density):

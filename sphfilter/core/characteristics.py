@@ -1,0 +1,437 @@
+"""The time loop of the log-density scheme: from lattice to lattice along backward stochastic characteristics.
+
+The FPK equation dp/dt = -div(f p) + D:grad grad p of additive noise is solved exactly by (Feynman-Kac)
+
+    p(y, t + tau) = E[ p(Y, t) exp(-int div f ds) ],     Y the end of dY = -f ds + g dW from y, back to t,
+
+and the expectation by a few weighted paths of the noise. Each path is a Runge-Kutta step of an ordinary equation
+(002 has no counterpart: there the diffusion velocity is summed over neighbours, with explicit limits on the
+step). Weights and densities are positive, so no step can become unstable; what limits tau is accuracy.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ._jit import jit
+from .field import LOWEST, UNKNOWN, build_field, evaluate, frontier, opened
+
+__all__ = ["COUNTERS", "MOST_CELLS", "STATUS", "Control", "Noise", "Paths", "march"]
+
+STATUS = ("ok", "not finite", "paused", "stalled", "too few nodes", "outgrown")
+OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN = range(6)
+COUNTERS = ("steps", "rejected", "evaluations", "relaid")
+STEPS, REJECTED, EVALUATIONS, RELAID = range(4)
+_MARGIN = 3  # cells around the seeds in the first box
+MOST_CELLS = 20_000_000
+_TRIES = 6
+
+
+class Noise(NamedTuple):
+    """D = G G^T / 2 per second; asked of the model at mid-step where it depends on time."""
+
+    G: np.ndarray  # (n, m)
+    p: np.ndarray  # parameters of the model
+    time_dependent: bool
+    constant_divergence: bool
+
+
+class Paths(NamedTuple):
+    """Weighted paths of the noise over a step of length one: straight to dW, bent to enclose the area."""
+
+    log_weight: np.ndarray  # (Q,)
+    dW: np.ndarray  # (Q, m)
+    bend: np.ndarray  # (Q, m)
+
+
+class Control(NamedTuple):
+    """What the march aims at."""
+
+    n_particles: int
+    depth: float  # Z^2 / 2: log p of the lightest nodes below that of the heaviest
+    tolerance: float  # of one step's paths, in standard deviations
+    noise_share: float  # largest variance a step's noise may have, in units of the density's own
+    pause_after: int
+
+
+@jit
+def _move(x, x0, c, f, shift):
+    for i in range(x.shape[0]):
+        for a in range(x.shape[1]):
+            x[i, a] = x0[i, a] + c * f[i, a] + shift[a]
+
+
+@jit
+def flow(drift, p, x, t, h, work):
+    """One classical Runge-Kutta step of dx/dt = f, in place; h < 0 goes back."""
+    zero = np.zeros(x.shape[1])
+    x0, f, y = x.copy(), work, np.empty_like(x)
+    drift(x0, t, p, f)
+    for stage in range(1, 5):
+        c = 1.0 / 6.0 if stage in (1, 4) else 1.0 / 3.0
+        for i in range(x.shape[0]):
+            for a in range(x.shape[1]):
+                x[i, a] += h * c * f[i, a]
+        if stage < 4:
+            ahead = h if stage == 3 else 0.5 * h
+            _move(y, x0, ahead, f, zero)
+            drift(y, t + ahead, p, f)
+
+
+@jit
+def _shift(G, paths, q, u, h, out):
+    """Displacement by the noise of path q a part u of the step h away from its start."""
+    for a in range(out.size):
+        out[a] = 0.0
+        for k in range(G.shape[1]):
+            straight = math.sqrt(h) * paths.dW[q, k] * u
+            out[a] += G[a, k] * (straight + 6.0 * math.sqrt(h / 12.0) * paths.bend[q, k] * u * (1.0 - u))
+
+
+@jit
+def back(drift, divergence, noise, field, sten, paths, Y, t1, h, out):
+    """log p(Y, t1), shape (M,), from the field at t1 - h."""
+    M, n = Y.shape
+    G, p = noise.G, noise.p
+    half, whole = np.empty(n), np.empty(n)
+    y, end, f, d = np.empty((M, n)), np.empty((M, n)), np.empty((M, n)), np.empty((M, 1))
+    f1, d1 = np.empty((M, n)), np.empty((M, 1))
+    action, highest, total, log_p = np.zeros(M), np.full(M, -np.inf), np.zeros(M), np.empty(M)
+    drift(Y, t1, p, f1)
+    divergence(Y, t1, p, d1)
+    for q in range(paths.log_weight.size):
+        _shift(G, paths, q, 0.5, h, half)
+        _shift(G, paths, q, 1.0, h, whole)
+        end[:] = Y
+        for stage in range(4):
+            if stage == 0:
+                f[:] = f1
+                d[:] = d1
+                action[:] = 0.0
+            else:
+                drift(y, t1 - (h if stage == 3 else 0.5 * h), p, f)
+                if not noise.constant_divergence:
+                    divergence(y, t1 - (h if stage == 3 else 0.5 * h), p, d)
+            c = h / 6.0 if stage in (0, 3) else h / 3.0
+            for i in range(M):
+                action[i] += c * d[i, 0]
+                for a in range(n):
+                    end[i, a] -= c * f[i, a]
+            if stage < 3:
+                _move(y, Y, -(h if stage == 2 else 0.5 * h), f, whole if stage == 2 else half)
+        for i in range(M):
+            for a in range(n):
+                end[i, a] += whole[a]
+        evaluate(field, sten, end, log_p)
+        for i in range(M):
+            v = log_p[i] - action[i] + paths.log_weight[q]
+            if not v > LOWEST:
+                v = LOWEST
+            if v > highest[i]:
+                total[i] = total[i] * math.exp(highest[i] - v) + 1.0
+                highest[i] = v
+            else:
+                total[i] += math.exp(v - highest[i])
+    for i in range(M):
+        out[i] = highest[i] + math.log(total[i])
+
+
+@jit
+def _refactor(diffusion, x, t, noise):
+    """G of D = G G^T / 2 at time t, its columns the axes of D; noise that does not depend on the state."""
+    n = x.shape[1]
+    D = np.empty((1, n * n))
+    diffusion(x[:1], t, noise.p, D)
+    w, V = np.linalg.eigh(D.reshape((n, n)))
+    for k in range(noise.G.shape[1]):
+        for a in range(n):
+            noise.G[a, k] = V[a, n - 1 - k] * math.sqrt(2.0 * max(w[n - 1 - k], 0.0))
+
+
+@jit
+def moments(x, m, mean, cov):
+    """Mean and covariance of weighted points."""
+    N, n = x.shape
+    for a in range(n):
+        mean[a] = 0.0
+        for i in range(N):
+            mean[a] += m[i] * x[i, a]
+    for a in range(n):
+        for b in range(a + 1):
+            c = 0.0
+            for i in range(N):
+                c += m[i] * (x[i, a] - mean[a]) * (x[i, b] - mean[b])
+            cov[a, b] = cov[b, a] = c
+
+
+@jit
+def cholesky(P, L):
+    """Lower factor; semi-definite directions get a spread of 1e-12 of the largest. False if not finite."""
+    n = P.shape[0]
+    L[:] = 0.0
+    for a in range(n):
+        for b in range(a + 1):
+            c = P[a, b]
+            for k in range(b):
+                c -= L[a, k] * L[b, k]
+            if a == b:
+                if not math.isfinite(c) or P[a, a] <= 0.0:
+                    return False
+                L[a, a] = math.sqrt(max(c, 1e-24 * P[a, a]))
+            else:
+                L[a, b] = c / L[b, b]
+    return True
+
+
+@jit
+def _whiten(L, v):
+    """v <- L^-1 v."""
+    for a in range(v.size):
+        for b in range(a):
+            v[a] -= L[a, b] * v[b]
+        v[a] /= L[a, a]
+
+
+@jit
+def noise_limit(G, L):
+    """Largest eigenvalue, bounded by the trace, of L^-1 G G^T L^-T: variance per second, in the density's."""
+    total, v = 0.0, np.empty(L.shape[0])
+    for k in range(G.shape[1]):
+        v[:] = G[:, k]
+        _whiten(L, v)
+        for a in range(v.size):
+            total += v[a] * v[a]
+    return total
+
+
+@jit
+def _path_error(once, twice, m, L):
+    """Mass-weighted rms distance of two results, in standard deviations; infinite if any is not finite."""
+    total, v = 0.0, np.empty(L.shape[0])
+    for i in range(m.size):
+        for a in range(v.size):
+            v[a] = once[i, a] - twice[i, a]
+        _whiten(L, v)
+        for a in range(v.size):
+            total += m[i] * v[a] * v[a]
+    return math.sqrt(total) if math.isfinite(total) else np.inf
+
+
+@jit
+def predicted(drift, noise, x, ahead, m, t, h, mean, cov):
+    """Mean and covariance after a step: the cloud carried along undisturbed, and along +-c of every noise."""
+    N, n = x.shape
+    k_noise = noise.G.shape[1]
+    width = max(3.0, float(k_noise))
+    share = 0.5 / width
+    X, M = np.empty(((2 * k_noise + 1) * N, n)), np.empty((2 * k_noise + 1) * N)
+    X[:N] = ahead
+    M[:N] = m * (1.0 - 2 * k_noise * share)
+    work = np.empty((N, n))
+    for k in range(k_noise):
+        for s in range(2):
+            begin = (1 + 2 * k + s) * N
+            c = (2 * s - 1) * math.sqrt(width * h)
+            y = x.copy()
+            # half the noise before and half after the flow: the covariance to second order in h
+            for i in range(N):
+                for a in range(n):
+                    y[i, a] += 0.5 * c * noise.G[a, k]
+            flow(drift, noise.p, y, t, h, work)
+            for i in range(N):
+                for a in range(n):
+                    X[begin + i, a] = y[i, a] + 0.5 * c * noise.G[a, k]
+            M[begin : begin + N] = m * share
+    moments(X, M, mean, cov)
+
+
+@jit
+def seeds_in_box(points, mu, inverse, reach, low, dims):
+    """Box around the lattice cells of some points, and the flat numbers of those cells."""
+    N, n = points.shape
+    cells = np.empty((N, n), np.int64)
+    for i in range(N):
+        for a in range(n):
+            t = 0.0
+            for c in range(n):
+                t += inverse[a, c] * (points[i, c] - mu[c])
+            cells[i, a] = int(math.floor(min(max(t, -reach), reach) + 0.5))
+    for a in range(n):
+        low[a] = cells[:, a].min() - _MARGIN
+        dims[a] = cells[:, a].max() + _MARGIN + 1 - low[a]
+    return cells
+
+
+@jit
+def states_of(found, mu, A, low, dims):
+    """States (M, n) of cells of a box, given by flat numbers; and their integer coordinates."""
+    n = dims.size
+    node, Y = np.empty((found.size, n), np.int64), np.empty((found.size, n))
+    for k in range(found.size):
+        rest = found[k]
+        for a in range(n - 1, -1, -1):
+            node[k, a] = rest % dims[a] + low[a]
+            rest //= dims[a]
+        for a in range(n):
+            Y[k, a] = mu[a]
+            for c in range(n):
+                Y[k, a] += A[a, c] * node[k, c]
+    return node, Y
+
+
+@jit
+def seeded(cells, low, dims):
+    """Flat numbers of cells, each once."""
+    mark = np.zeros(np.prod(dims), np.bool_)
+    for i in range(cells.shape[0]):
+        flat = 0
+        for a in range(dims.size):
+            flat = flat * dims[a] + cells[i, a] - low[a]
+        mark[flat] = True
+    return np.flatnonzero(mark)
+
+
+@jit
+def widen(value, low, dims):
+    """A box half as large again on every side, with the values known so far."""
+    n = dims.size
+    grow = np.maximum(dims // 4, 2)
+    new_low, new_dims = low - grow, dims + 2 * grow
+    if np.prod(new_dims.astype(np.float64)) > MOST_CELLS:
+        return np.empty(0), new_low, new_dims
+    new = np.full(np.prod(new_dims), UNKNOWN)
+    for flat in range(value.size):
+        if value[flat] != UNKNOWN:
+            rest, at, stride = flat, 0, 1
+            for a in range(n - 1, -1, -1):
+                at += (rest % dims[a] + grow[a]) * stride
+                rest //= dims[a]
+                stride *= new_dims[a]
+            new[at] = value[flat]
+    return new, new_low, new_dims
+
+
+@jit
+def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h, control, counters):
+    """Values on the new lattice wherever they lie above the depth: seeds, then their neighbours, until closed."""
+    n = mu.size
+    ball = sten.offsets[: sten.start[1]]
+    low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
+    cells = seeds_in_box(points, mu, np.linalg.inv(A), 500.0, low, dims)
+    if np.prod(dims.astype(np.float64)) > MOST_CELLS:
+        return np.empty(0), low, dims, 0.0
+    value = np.full(np.prod(dims), UNKNOWN)
+    found, highest = seeded(cells, low, dims), -np.inf
+    while found.size > 0:
+        _, Y = states_of(found, mu, A, low, dims)
+        log_p = np.empty(found.size)
+        back(drift, divergence, noise, field, sten, paths, Y, t1, h, log_p)
+        counters[EVALUATIONS] += found.size * (3 * paths.log_weight.size + 1)
+        for k in range(found.size):
+            value[found[k]] = log_p[k]
+            highest = max(highest, log_p[k])
+        found, beyond = frontier(value, highest - control.depth, dims, ball)
+        if beyond:
+            value, low, dims = widen(value, low, dims)
+            if value.size == 0:
+                break
+            found, beyond = frontier(value, highest - control.depth, dims, ball)
+    return value, low, dims, highest
+
+
+@jit
+def relaid(value, low, dims, highest, mu, A, sten, depth):
+    """The field of the cells above the depth, normalised; its masses, states and the log of its integral."""
+    ball = sten.offsets[: sten.start[1]]
+    found = opened(value, highest - depth, dims, ball)
+    node, x = states_of(found, mu, A, low, dims)
+    log_p, m, total = np.empty(found.size), np.empty(found.size), 0.0
+    for k in range(found.size):
+        m[k] = math.exp(value[found[k]] - highest)
+        total += m[k]
+    log_mass = highest + math.log(total * abs(np.linalg.det(A))) if found.size else 0.0
+    for k in range(found.size):
+        log_p[k] = value[found[k]] - log_mass
+        m[k] /= total
+    return node, x, log_p, m, log_mass
+
+
+@jit
+def march(drift, divergence, diffusion, noise, field, sten, paths, control, times, state, counters):
+    """Carry a field from times[0] to times[1]; times[0], `state` and the counters are kept up to date.
+
+    state: [filled volume of the whitened lattice, next step, sum of |log mass| lost, longest step].
+    Returns the field, its states and masses, and a code of `STATUS`. On failure they are as far as they came.
+    """
+    n = field.mu.size
+    mean, P, L = np.empty(n), np.empty((n, n)), np.empty((n, n))
+    everything = np.arange(field.node.shape[0])
+    x = np.empty((everything.size, n))
+    m = np.empty(everything.size)
+    cell = abs(np.linalg.det(field.A))
+    for i in range(everything.size):
+        m[i] = math.exp(field.log_p[i]) * cell
+        for a in range(n):
+            x[i, a] = field.mu[a]
+            for c in range(n):
+                x[i, a] += field.A[a, c] * field.node[i, c]
+    m /= m.sum()
+    span, first = times[1] - times[0], counters[STEPS]
+    while times[0] < times[1]:
+        if counters[STEPS] - first >= control.pause_after:
+            return field, x, m, PAUSED
+        moments(x, m, mean, P)
+        if not cholesky(P, L):
+            return field, x, m, NOT_FINITE
+        t, left = times[0], times[1] - times[0]
+        h = min(state[1], left, state[3])
+        if noise.time_dependent:
+            _refactor(diffusion, x, t + 0.5 * h, noise)
+        limit = control.noise_share / max(noise_limit(noise.G, L), 1e-300)
+        h = min(h, limit)
+        pieces = math.ceil(left / h - 1e-9)
+        h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
+        once, twice, work = x.copy(), x.copy(), np.empty_like(x)
+        flow(drift, noise.p, once, t, h, work)
+        flow(drift, noise.p, twice, t, 0.5 * h, work)
+        flow(drift, noise.p, twice, t + 0.5 * h, 0.5 * h, work)
+        counters[EVALUATIONS] += 12 * x.shape[0]
+        error = _path_error(once, twice, m, L) / control.tolerance
+        factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.2)) if error < np.inf else 0.1
+        if error > 1.0:
+            counters[REJECTED] += 1
+            state[1] = h * factor
+            if state[1] < 1e-9 * span:
+                return field, x, m, (NOT_FINITE if error == np.inf else STALLED)
+            continue
+        state[1] = min(max(h * factor, state[1]) if h < state[1] else h * factor, 1e300)
+        predicted(drift, noise, x, twice, m, t, h, mean, P)
+        counters[EVALUATIONS] += 8 * noise.G.shape[1] * x.shape[0]
+        if not cholesky(P, L):
+            return field, x, m, NOT_FINITE
+        for attempt in range(_TRIES):
+            spacing = (state[0] / (0.92 * control.n_particles)) ** (1.0 / n)
+            A, origin = L * spacing, mean.copy()
+            value, low, dims, highest = _flooded(
+                drift, divergence, noise, field, sten, paths, origin, A, twice, t + h, h, control, counters
+            )
+            if value.size == 0:
+                return field, x, m, OUTGROWN
+            node, x_new, log_p, m_new, log_mass = relaid(
+                value, low, dims, highest, origin, A, sten, control.depth
+            )
+            count = x_new.shape[0]
+            if 0.5 * control.n_particles <= count <= control.n_particles:
+                break
+            counters[RELAID] += 1
+            state[0] *= max(count, 0.1 * control.n_particles) / (0.92 * control.n_particles)
+            if attempt == _TRIES - 1 and (count == 0 or count > control.n_particles):
+                return field, x, m, TOO_FEW
+        state[0] = count * spacing**n
+        state[2] += abs(log_mass)
+        x, m = x_new, m_new
+        field = build_field(origin, A, node, log_p, sten)
+        counters[STEPS] += 1
+        times[0] = times[1] if pieces <= 1 else t + h
+    return field, x, m, OK

@@ -1,0 +1,334 @@
+"""A log-density on a lattice: polynomials through the nodes around every node, and values anywhere.
+
+The lattice is ``x = mu + A i`` with integer vectors i, regular in whitened coordinates. Around every node whose
+neighbours are complete, log p is a polynomial fitted by weighted least squares ("moving least squares particle
+hydrodynamics"). On a lattice those fits are the same linear combination of neighbours everywhere: the rows are
+computed once per dimension (`stencils`), and a fit costs one small matrix product. Nodes at the rim have no
+polynomial of their own; the nearest complete node's is used there, so nothing one-sided is ever fitted.
+"""
+
+import itertools
+import math
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from ._jit import jit
+
+__all__ = ["Field", "Stencils", "build_field", "evaluate", "frontier", "opened", "stencils"]
+
+UNKNOWN = -math.inf  # of a cell whose value has not been asked for; an impossible state is merely very low
+LOWEST = -1e300
+_WEIGHT_DECAY = 2.0  # weights exp(-2 r^2 / r_max^2) of the least-squares fit
+
+
+class Stencils(NamedTuple):
+    """Neighbourhoods of increasing size and the least-squares rows that belong to them."""
+
+    offsets: np.ndarray  # (sum of sizes, n) int, neighbourhood after neighbourhood
+    start: np.ndarray  # (levels + 1,) where each begins
+    rows: np.ndarray  # (levels, M, largest size): coefficients from differences of neighbours
+    parent: np.ndarray  # (M,) monomial that times x_axis gives this one, -1 for x_axis itself
+    axis: np.ndarray  # (M,)
+
+
+class Field(NamedTuple):
+    """log p as polynomials on a lattice; see the module's text."""
+
+    mu: np.ndarray  # (n,) origin
+    A: np.ndarray  # (n, n) lattice vectors in columns
+    inverse: np.ndarray  # (n, n) of A
+    low: np.ndarray  # (n,) int, lowest cell of the box
+    dims: np.ndarray  # (n,) int, cells of the box along every axis
+    owner: np.ndarray  # (cells,) int, whose polynomial is used there
+    node: np.ndarray  # (N, n) int
+    log_p: np.ndarray  # (N,)
+    coefficient: np.ndarray  # (N, M), in units of the lattice
+    tail: np.ndarray  # (N, n, n) concave part of the second derivatives
+
+
+def _neighborhoods(n):
+    """(offsets, degree, with mixed cubic terms) by level; each holds the one before."""
+    reach = {1: 3, 2: 2}.get(n, 2)
+    g = np.array([o for o in itertools.product(range(-reach, reach + 1), repeat=n) if any(o)])
+    r2, axes, widest = (g**2).sum(1), (g != 0).sum(1), np.abs(g).max(1)
+    if n == 1:
+        return [(g[widest <= k], 2 * k, True) for k in (1, 2, 3)]
+    ball = r2 <= 2
+    star = ball | ((r2 == 4) & (axes == 1))
+    levels = [(g[ball], 2, True), (g[star], 3, False)]
+    if n == 2:
+        levels += [(g[r2 <= 5], 3, True), (g[widest <= 2], 4, True)]
+    elif n == 3:
+        levels += [(g[r2 <= 4], 3, True)]
+    return levels
+
+
+def _exponents(n, degree):
+    """Exponents of the monomials up to a degree, by degree, without the constant."""
+    every = itertools.product(range(degree + 1), repeat=n)
+    return sorted((e for e in every if 1 <= sum(e) <= degree), key=lambda e: (sum(e), [-k for k in e]))
+
+
+@cache
+def stencils(n):
+    """The `Stencils` of n dimensions."""
+    levels = _neighborhoods(n)
+    exponents = _exponents(n, max(degree for _, degree, _ in levels))
+    E = np.array(exponents)
+    start = np.cumsum([0] + [len(g) for g, _, _ in levels])
+    rows = np.zeros((len(levels), len(E), max(len(g) for g, _, _ in levels)))
+    for level, (g, degree, mixed) in enumerate(levels):
+        used = E.sum(1) <= degree
+        if not mixed:
+            used &= ~((E.sum(1) == 3) & ((E > 0).sum(1) == 3))
+        basis = np.prod(g[:, None, :].astype(float) ** E[None, used], axis=2)
+        r2 = (g**2).sum(1)
+        weighted = basis * np.exp(-_WEIGHT_DECAY * r2 / r2.max())[:, None]
+        rows[level, used, : len(g)] = np.linalg.solve(weighted.T @ basis, weighted.T)
+    axis = [next(a for a in range(n) if e[a]) for e in exponents]
+    lowered = [tuple(k - (a == b) for b, k in enumerate(e)) for e, a in zip(exponents, axis, strict=True)]
+    parent = [exponents.index(e) if any(e) else -1 for e in lowered]
+    offsets = np.concatenate([g for g, _, _ in levels])
+    return Stencils(offsets, start, rows, np.array(parent), np.array(axis))
+
+
+@jit
+def strides_of(dims):
+    """Steps in a flat array for one step along every axis."""
+    n = dims.size
+    strides = np.ones(n, np.int64)
+    for a in range(n - 2, -1, -1):
+        strides[a] = strides[a + 1] * dims[a + 1]
+    return strides
+
+
+@jit
+def _inside(cell, offset, dims, strides, flat):
+    """Flat index of a cell plus an offset, or -1 outside of the box. `cell` is counted from the box's corner."""
+    for a in range(dims.size):
+        k = cell[a] + offset[a]
+        if k < 0 or k >= dims[a]:
+            return -1
+        flat += offset[a] * strides[a]
+    return flat
+
+
+@jit
+def _unravel(flat, strides, cell):
+    for a in range(strides.size):
+        cell[a] = flat // strides[a]
+        flat -= cell[a] * strides[a]
+
+
+@jit
+def frontier(value, kept_above, dims, offsets):
+    """Cells not yet asked for beside a cell above a level (flat indices); the bool tells if any lies outside."""
+    strides, n = strides_of(dims), dims.size
+    cell = np.empty(n, np.int64)
+    mark = np.zeros(value.size, np.bool_)
+    beyond, count = False, 0
+    for flat in range(value.size):
+        if value[flat] > kept_above:
+            _unravel(flat, strides, cell)
+            for k in range(offsets.shape[0]):
+                at = _inside(cell, offsets[k], dims, strides, flat)
+                if at < 0:
+                    beyond = True
+                elif value[at] == UNKNOWN and not mark[at]:
+                    mark[at] = True
+                    count += 1
+    found = np.empty(count, np.int64)
+    count = 0
+    for flat in range(value.size):
+        if mark[flat]:
+            found[count] = flat
+            count += 1
+    return found, beyond
+
+
+@jit
+def opened(value, kept_above, dims, ball):
+    """Cells above a level that belong to a complete ball of such cells: no tips, no single nodes."""
+    strides, n = strides_of(dims), dims.size
+    cell = np.empty(n, np.int64)
+    keep = np.zeros(value.size, np.bool_)
+    for flat in range(value.size):
+        if value[flat] <= kept_above:
+            continue
+        _unravel(flat, strides, cell)
+        complete = True
+        for k in range(ball.shape[0]):
+            at = _inside(cell, ball[k], dims, strides, flat)
+            if at < 0 or value[at] <= kept_above:
+                complete = False
+                break
+        if complete:
+            keep[flat] = True
+            for k in range(ball.shape[0]):
+                keep[_inside(cell, ball[k], dims, strides, flat)] = True
+    return np.flatnonzero(keep)
+
+
+@jit
+def _concave(h, work):
+    """Replace a symmetric matrix by its negative semi-definite part."""
+    n = h.shape[0]
+    if n == 1:
+        h[0, 0] = min(h[0, 0], 0.0)
+        return
+    w, V = np.linalg.eigh(h)
+    for a in range(n):
+        for b in range(n):
+            work[a, b] = 0.0
+            for k in range(n):
+                work[a, b] += V[a, k] * min(w[k], 0.0) * V[b, k]
+    h[:] = work
+
+
+@jit
+def build_field(mu, A, node, log_p, sten):
+    """Fit the polynomials of an opened set of nodes (N, n). Every node must have a complete one nearby."""
+    N, n = node.shape
+    low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
+    for a in range(n):
+        low[a] = node[:, a].min() - 2
+        dims[a] = node[:, a].max() + 3 - low[a]
+    strides = strides_of(dims)
+    index = np.full(np.prod(dims), -1, np.int64)
+    flats = np.zeros(N, np.int64)
+    for i in range(N):
+        for a in range(n):
+            flats[i] += (node[i, a] - low[a]) * strides[a]
+        index[flats[i]] = i
+    M = sten.parent.size
+    coefficient, tail = np.zeros((N, M)), np.zeros((N, n, n))
+    owner = np.full(index.size, -1, np.int64)
+    work, cell = np.empty((n, n)), np.empty(n, np.int64)
+    for i in range(N):
+        for a in range(n):
+            cell[a] = node[i, a] - low[a]
+        level = _level(cell, flats[i], index, dims, strides, sten)
+        if level < 0:
+            continue
+        owner[flats[i]] = i
+        begin = sten.start[level]
+        size = sten.start[level + 1] - begin
+        for k in range(size):
+            j = index[_inside(cell, sten.offsets[begin + k], dims, strides, flats[i])]
+            difference = log_p[j] - log_p[i]
+            for c in range(M):
+                coefficient[i, c] += sten.rows[level, c, k] * difference
+        _second_derivatives(coefficient[i], sten, tail[i])
+        _concave(tail[i], work)
+    _spread_owners(owner, node, low, dims, strides)
+    return Field(mu, A, np.linalg.inv(A), low, dims, owner, node, log_p, coefficient, tail)
+
+
+@jit
+def _level(cell, flat, index, dims, strides, sten):
+    """Largest neighbourhood that is complete; -1 if none is."""
+    for level in range(sten.start.size - 1):
+        # each holds the one before, but not in the same order: check it as a whole
+        for k in range(sten.start[level], sten.start[level + 1]):
+            at = _inside(cell, sten.offsets[k], dims, strides, flat)
+            if at < 0 or index[at] < 0:
+                return level - 1
+    return sten.start.size - 2
+
+
+@jit
+def _second_derivatives(c, sten, h):
+    n = h.shape[0]
+    for k in range(n, c.size):
+        p = sten.parent[k]
+        if p >= n:
+            break  # of higher degree from here on
+        a, b = sten.axis[k], sten.axis[p]
+        h[a, b] = h[b, a] = 2.0 * c[k] if a == b else c[k]
+
+
+@jit
+def _spread_owners(owner, node, low, dims, strides):
+    """Give every cell of the box the complete node nearest to it, wave by wave from the nodes outwards."""
+    n = dims.size
+    cell, other = np.empty(n, np.int64), np.empty(n, np.int64)
+    queue = np.empty(owner.size, np.int64)
+    head, tail = 0, 0
+    for flat in range(owner.size):
+        if owner[flat] >= 0:
+            queue[tail] = flat
+            tail += 1
+    while head < tail:
+        flat = queue[head]
+        head += 1
+        _unravel(flat, strides, cell)
+        for a in range(n):
+            for step in (-1, 1):
+                if cell[a] + step < 0 or cell[a] + step >= dims[a]:
+                    continue
+                at = flat + step * strides[a]
+                if owner[at] < 0:
+                    _unravel(at, strides, other)
+                    owner[at] = _nearest_of(other, owner, node, low, dims, strides, at, owner[flat])
+                    queue[tail] = at
+                    tail += 1
+
+
+@jit
+def _nearest_of(cell, owner, node, low, dims, strides, flat, best):
+    """The nearest of the owners beside a cell."""
+    n = dims.size
+    nearest = np.inf
+    for a in range(n):
+        for step in (-1, 1):
+            if 0 <= cell[a] + step < dims[a] and owner[flat + step * strides[a]] >= 0:
+                j = owner[flat + step * strides[a]]
+                r2 = 0.0
+                for b in range(n):
+                    r2 += float(cell[b] + low[b] - node[j, b]) ** 2
+                if r2 < nearest:
+                    nearest, best = r2, j
+    return best
+
+
+@jit
+def evaluate(field, sten, Y, out):
+    """log p at the states Y (M, n).
+
+    Further from a complete node than the rim of the lattice reaches, the quadratic part goes on alone, made
+    concave and never rising: an outlier's likelihood meets a Gaussian tail, not a cubic one.
+    """
+    n, M = field.mu.size, sten.parent.size
+    strides = strides_of(field.dims)
+    b, d = np.empty(M), np.empty(n)
+    for q in range(Y.shape[0]):
+        flat, finite = 0, True
+        for a in range(n):
+            t = 0.0
+            for c in range(n):
+                t += field.inverse[a, c] * (Y[q, c] - field.mu[c])
+            finite &= abs(t) < 1e150
+            d[a] = t if finite else 0.0
+            k = int(min(max(math.floor(d[a] + 0.5) - field.low[a], 0.0), field.dims[a] - 1.0))
+            flat += k * strides[a]
+        if not finite:
+            out[q] = LOWEST
+            continue
+        j = field.owner[flat]
+        r2, v = 0.0, 0.0
+        for a in range(n):
+            d[a] -= field.node[j, a]
+            r2 += d[a] * d[a]
+        if r2 <= 4.5:  # the rim lies at sqrt 2 from a complete node, half a cell inside of 4.5
+            for p in range(M):
+                b[p] = d[sten.axis[p]] * (1.0 if sten.parent[p] < 0 else b[sten.parent[p]])
+                v += field.coefficient[j, p] * b[p]
+        else:
+            for a in range(n):
+                v += field.coefficient[j, a] * d[a]
+                for c in range(n):
+                    v += 0.5 * d[a] * field.tail[j, a, c] * d[c]
+            v = min(v, 0.0)
+        out[q] = max(field.log_p[j] + v, LOWEST)

@@ -1,0 +1,218 @@
+"""Lattices that follow a density's level set: whitened, trimmed where log p has fallen far enough, any shape.
+
+Where 002 (39) keeps an ellipsoid, the nodes kept here are those with log p > log p_max - Z²/2: the same ellipsoid
+for a Gaussian, and the right region for anything else, in several pieces if need be. The lattice grows from
+seeds over the neighbours of kept nodes until its edge is closed, so nothing is asked of the density far away.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .core import characteristics as core
+from .core.field import UNKNOWN, Field, build_field, evaluate, frontier, stencils
+from .errors import ModelError, PropagationError
+
+__all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "posterior"]
+
+_TRIES = 24
+_REACH = 500.0  # cells around the origin that seeds may lie in
+_ROUNDS = 60  # of sharpening a likelihood
+_LOW_DENSITY = 1e-300  # of masses
+
+
+class Laid(NamedTuple):
+    """A density on a lattice of its own."""
+
+    x: np.ndarray  # (N, n)
+    mass: np.ndarray  # (N,)
+    field: Field
+    log_mass: float  # log of the integral before it was normalised
+    volume: float  # of the kept region in whitened coordinates
+
+
+def at(field, X):
+    """log p of a field at the states X (M, n)."""
+    out = np.empty(len(X))
+    evaluate(field, stencils(field.mu.size), np.ascontiguousarray(X, dtype=float), out)
+    return out
+
+
+def gaussian_volume(n, depth):
+    """Volume of the whitened ball in which a Gaussian's log p is at most `depth` below its largest."""
+    return math.pi ** (n / 2) / math.gamma(n / 2 + 1) * (2.0 * depth) ** (n / 2)
+
+
+def fewest_particles(n):
+    """Particles below which no lattice resolves a Gaussian: a complete node two cells from the centre."""
+    return (3**n if n <= 2 else 2 * n * n + 1) * (2 if n > 1 else 3)
+
+
+def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
+    """Put a density on a lattice of at most `n_particles` nodes, and at least about half of that.
+
+    Parameters
+    ----------
+    log_p : callable
+        States (M, n) to logarithms of an unnormalised density (M,).
+    mean, factor : ndarray, shape (n,), (n, n)
+        Origin, and the lower factor of a covariance: the coordinates that are whitened.
+    seeds : ndarray, shape (S, n)
+        States at least one of which lies in every piece of the region.
+    n_particles : int
+    depth : float
+        Z²/2.
+    volume : float, optional
+        First guess of the kept whitened volume.
+
+    Returns
+    -------
+    Laid
+
+    Raises
+    ------
+    PropagationError
+        No spacing gives a lattice with complete nodes.
+    """
+    n, sten = len(mean), stencils(len(mean))
+    volume = gaussian_volume(n, depth) if volume is None else volume
+    best, count = None, 0
+    for _ in range(_TRIES):
+        spacing = (volume / (0.92 * n_particles)) ** (1.0 / n)
+        A = np.ascontiguousarray(factor * spacing)
+        value, low, dims, highest = _flood(log_p, mean, A, seeds, depth, sten)
+        node, x, log_density, mass, log_mass = core.relaid(value, low, dims, highest, mean, A, sten, depth)
+        count = len(x)
+        if 0 < count <= n_particles:
+            best = node, x, log_density, mass, log_mass, A, count * spacing**n
+            if count >= 0.5 * n_particles:
+                break
+        volume *= np.clip(count, 0.1 * n_particles, 10.0 * n_particles) / (0.92 * n_particles)
+    if best is None:
+        raise PropagationError(
+            f"no lattice of at most {n_particles} particles resolves the density of {n} states near {mean} "
+            f"(the last one had {count}); use more particles"
+        )
+    node, x, log_density, mass, log_mass, A, volume = best
+    return Laid(x, mass, build_field(mean, A, node, log_density, sten), log_mass, volume)
+
+
+def _flood(log_p, mean, A, seeds, depth, sten):
+    """Values of log p on all lattice cells within `depth` of the largest, from the seeds outwards."""
+    n = len(mean)
+    ball = sten.offsets[: sten.start[1]]
+    low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
+    cells = core.seeds_in_box(np.ascontiguousarray(seeds), mean, np.linalg.inv(A), _REACH, low, dims)
+    if np.prod(dims.astype(float)) > core.MOST_CELLS:
+        raise PropagationError(_spread(mean))
+    value = np.full(np.prod(dims), UNKNOWN)
+    found, highest = core.seeded(cells, low, dims), -np.inf
+    while found.size:
+        _, states = core.states_of(found, mean, A, low, dims)
+        value[found] = log_p(states)
+        highest = max(highest, value[found].max())
+        found, beyond = frontier(value, highest - depth, dims, ball)
+        if beyond:
+            value, low, dims = core.widen(value, low, dims)
+            if value.size == 0:
+                raise PropagationError(_spread(mean))
+            found, beyond = frontier(value, highest - depth, dims, ball)
+    return value, low, dims, highest
+
+
+def _spread(mean):
+    return (
+        f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces are much "
+        f"smaller than the distance between them, or it has no edge"
+    )
+
+
+def posterior(x, mass, log_prior, log_weight, n_particles, depth):
+    """Lay prior times likelihood, however sharp the likelihood or far out its peak.
+
+    The likelihood is raised to a power under which it is wide enough for the points at hand, the product is
+    laid, and its nodes are the points of the next, higher power: the lattice closes in on the posterior, all
+    its pieces at once.
+
+    Parameters
+    ----------
+    x, mass : ndarray, shape (N, n), (N,)
+        Points of the prior.
+    log_prior, log_weight : callable
+        States (M, n) to (M,); the weight may be minus infinity.
+    n_particles : int
+    depth : float
+
+    Returns
+    -------
+    Laid
+        Its log_mass is the log-evidence.
+    """
+    n = x.shape[1]
+    enough = 4.0 + 3.0 * n
+    log_mass = np.log(np.maximum(mass, _LOW_DENSITY))
+    power = 0.0
+    for _ in range(_ROUNDS):
+        weight = log_weight(x)
+        if not np.any(weight > -np.inf):
+            raise PropagationError(
+                "prior times likelihood is zero wherever the prior has particles: check the measurement, its "
+                "unit and its noise"
+            )
+        power = _power(log_mass, weight, power, enough)
+        heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
+        w = np.exp(heavy - heavy.max())
+        effective = w.sum() ** 2 / (w @ w)
+        w /= w.sum()
+        mean = w @ x
+        factor = _factor(x, w, mean, mass)
+        if np.isnan(factor).any():
+            raise ModelError("the posterior's covariance is not finite; check the likelihood")
+        seeds = x[w > w.max() * math.exp(-depth)]
+
+        def product(Y, power=power):
+            return log_prior(Y) + power * np.maximum(log_weight(Y), -1e250)
+
+        laid = lay(product, mean, factor, seeds, n_particles, depth)
+        if power == 1.0 and effective >= enough:
+            return laid
+        x, mass, log_mass = laid.x, laid.mass, np.log(np.maximum(laid.mass, _LOW_DENSITY))
+        # What the nodes carry already is the likelihood to the power reached.
+        log_mass = log_mass - power * np.maximum(log_weight(x), -1e250)
+        log_mass -= log_mass.max()
+        if power == 1.0:
+            return laid
+    raise PropagationError("the likelihood is too sharp to close in on; check the measurement's noise")
+
+
+def _power(log_mass, weight, reached, enough):
+    """Largest power of the likelihood under which enough points count; more than reached before."""
+
+    def effective(power):
+        heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
+        w = np.exp(heavy - heavy.max())
+        return w.sum() ** 2 / (w @ w)
+
+    if effective(1.0) >= min(enough, 0.5 * len(weight)):
+        return 1.0
+    low, high = reached, 1.0
+    for _ in range(40):
+        middle = math.sqrt(max(low, 1e-12) * high)
+        low, high = (middle, high) if effective(middle) >= enough else (low, middle)
+    return min(1.0, max(low, 1.05 * reached, 1e-12))
+
+
+def _factor(x, w, mean, mass):
+    """Lower factor of the weighted covariance; flat directions get a thousandth of the points' own spread."""
+    d = x - mean
+    cov = (d * w[:, None]).T @ d
+    own = x - mass @ x
+    spread = (own * mass[:, None]).T @ own
+    try:
+        return np.linalg.cholesky(cov + 1e-9 * spread)
+    except np.linalg.LinAlgError:
+        scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+        w_, V = np.linalg.eigh((cov + 1e-9 * spread) / np.outer(scale, scale))
+        root = V * np.sqrt(np.maximum(w_, 1e-12 * max(w_.max(), 1e-300)))
+        return np.linalg.cholesky(scale[:, None] * (root @ root.T) * scale)
