@@ -17,12 +17,12 @@ from .judge import distance, trusted
 __all__ = ["Reference", "reference"]
 
 #: Particles of the last resort, in each of two independent runs.
-_N_PARTICLES = 400_000
+_N_PARTICLES = 150_000
 #: The grid cuts densities at 1e-11 of their maximum, 7.1 standard deviations of a Gaussian: a posterior must
 #: lie well inside the prior to be right. Particles must be this many in effect.
-_GRID_REACH, _EFFECTIVE = 5.0, 3000.0
+_GRID_REACH, _EFFECTIVE = 5.0, 2500.0
 #: Seconds after which the grid leaves the cell to the particles: stiff drifts can take it hours.
-_GRID_SECONDS = 40.0
+_GRID_SECONDS = 30.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def reference(problem, seed):
     """Return the best reference of a problem, the first below whose own error is small enough.
 
     A closed form or the Kalman filter; the grid with its error from half the resolution (1 or 2 states,
-    noise that does not depend on the state); two runs of 400,000 particles with their spread.
+    noise that does not depend on the state); two runs of 150,000 particles with their spread.
     """
     reasons = []
     for make in (_exact, _grid, _particles):
