@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 import sphfilter as sf
+from sphfilter.config import CorrectedScheme
 from sphfilter.core import corrected_march, kernels, moment_correction, number_density
-from sphfilter.corrected_config import CorrectedScheme
 from sphfilter.schemes.corrected import propagate
 
 OSCILLATOR = sf.LinearSDE(A=[[0.0, 1.0], [-1.0, -0.1]], noise=[[0.0], [1.0]], spectral_density=[[0.2]])
@@ -47,6 +47,10 @@ def scattered(n, N=80, seed=0):
     return rng.normal(size=(N, n)), m / m.sum(), rng
 
 
+def workspace(N, q):
+    return np.empty((N, q)), np.empty((q, q))
+
+
 def test_exponents_are_ordered_by_degree():
     powers = moment_correction.exponents(2, 3)
     assert powers.sum(axis=1).tolist() == [0, 1, 1, 2, 2, 2, 3, 3, 3, 3]
@@ -62,7 +66,7 @@ def test_basis_gradients_are_those_of_the_functions(n):
     for scale in (1.0, 9.0):
         z = rng.normal(size=n)
         z *= scale / np.linalg.norm(z)
-        phi, dphi, h = np.empty(q), np.empty((q, n)), np.empty((n, 8))
+        phi, dphi, h = np.empty(q), np.empty((q, n)), np.empty((2, n, 5))
 
         def at(y, h=h):
             phi, dphi = np.empty(q), np.empty((q, n))
@@ -83,7 +87,7 @@ def test_basis_is_orthonormal_for_the_normal_distribution():
     powers = moment_correction.exponents(2, 3)
     phi, dphi = np.empty((len(z), 10)), np.empty((10, 2))
     for i in range(len(z)):
-        moment_correction.basis(z, i, powers, np.empty((2, 8)), phi[i], dphi)
+        moment_correction.basis(z, i, powers, np.empty((2, 2, 4)), phi[i], dphi)
     assert (phi[near].T * w[near]) @ phi[near] == pytest.approx(np.eye(10), abs=2e-3)  # clipped tails
 
 
@@ -100,11 +104,11 @@ def test_moment_equations_hold_after_the_correction(varies):
     u[:, 1] = 0.0
     powers = moment_correction.exponents(n, 2)
     arguments = (z, m, np.ascontiguousarray(inverse), D, rows, powers, u)
-    assert moment_correction.correct(*arguments, np.empty((len(z), 10))) == 10
+    assert moment_correction.correct(*arguments, *workspace(len(z), 10)) == 10
     phi, dphi = np.empty(10), np.empty((10, n))
     defect = np.zeros((10, n))
     for i in range(len(z)):
-        moment_correction.basis(z, i, powers, np.empty((n, 8)), phi, dphi)
+        moment_correction.basis(z, i, powers, np.empty((2, n, 5)), phi, dphi)
         here = D[i if varies else 0].reshape(n, n)
         defect += m[i] * (phi[:, None] * u[i] - dphi @ inverse @ here.T)
     assert np.abs(defect).max() < 1e-8  # the ridge
@@ -118,7 +122,7 @@ def test_oblique_noise_stays_in_its_range():
     u = rng.normal(size=(len(z), 1)) @ g.T
     powers = moment_correction.exponents(2, 3)
     D = (g @ g.T).reshape(1, -1)
-    moment_correction.correct(z, m, np.eye(2), D, np.array([0, 1]), powers, u, np.empty((len(z), 10)))
+    moment_correction.correct(z, m, np.eye(2), D, np.array([0, 1]), powers, u, *workspace(len(z), 10))
     assert u[:, 1] == pytest.approx(2.0 * u[:, 0], abs=1e-9)
 
 
@@ -127,7 +131,7 @@ def test_degree_falls_where_particles_cannot_tell_polynomials_apart():
     x = np.linspace(-2, 2, 40)
     z, m, D = np.column_stack([x, x**2]), np.full(40, 1 / 40), np.eye(2).reshape(1, -1)
     powers, u = moment_correction.exponents(2, 2), np.zeros((40, 2))
-    used = moment_correction.correct(z, m, np.eye(2), D, np.array([0, 1]), powers, u, np.empty((40, 6)))
+    used = moment_correction.correct(z, m, np.eye(2), D, np.array([0, 1]), powers, u, *workspace(40, 6))
     assert used == 3
     assert np.isfinite(u).all()
 
@@ -143,7 +147,7 @@ def test_pairs_are_all_found_once(n):
     rows = np.repeat(order, np.diff(start))
     found = sorted(tuple(sorted(pair)) for pair in zip(rows.tolist(), neighbors.tolist(), strict=True))
     r = np.linalg.norm(z[:, None] - z[None], axis=2)
-    i, j = np.nonzero(np.triu(r < 0.5 * (reach[:, None] + reach[None]), 1))
+    i, j = np.nonzero(np.triu(r < np.maximum(reach[:, None], reach[None]), 1))
     assert found == sorted(zip(i.tolist(), j.tolist(), strict=True))
     seen = np.isin(np.arange(len(z)), [k for pair in found for k in pair])
     np.fill_diagonal(r, np.inf)
@@ -177,7 +181,7 @@ def test_smoothing_lengths_solve_their_equation(guess):
     x = rng.normal(size=(60, 2)) * [1.0, 50.0]
     cloud = corrected_march.Cloud(x, np.full(60, 1 / 60), np.full(60, guess))
     C = kernels.normalisation(3, 2)
-    options = corrected_march.Options(3, C, 3.5, 0.07, 1e-4, np.inf, 0, 10)
+    options = corrected_march.Options(3, C, 3.5, 1, 0.07, 1e-4, np.inf, 10)
     assert corrected_march.settle(cloud, options, 1e-8)
     L = np.linalg.cholesky(np.cov(x.T, bias=True))
     z, h = x @ np.linalg.inv(L).T, cloud.h / np.sqrt(np.linalg.det(L))

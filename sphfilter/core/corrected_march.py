@@ -17,8 +17,7 @@ import numpy as np
 
 from ._jit import jit
 from .kernels import RADIUS
-from .moment_correction import correct
-from .neighbors import build_index, neighbor_lists
+from .moment_correction import correct, keep_affine
 from .number_density import (
     cholesky,
     density_sums,
@@ -69,10 +68,10 @@ class Options(NamedTuple):
     kernel: int
     normalisation: float
     eta: float
+    degree: int
     variance: float
     tol: float
     dt_max: float
-    search: int
     pause_after: int
 
 
@@ -93,6 +92,7 @@ class Work(NamedTuple):
     grad: np.ndarray
     number: np.ndarray
     phi: np.ndarray
+    A: np.ndarray
     D: np.ndarray
     divergence: np.ndarray
 
@@ -236,14 +236,19 @@ def diffusion_velocity(model, coefficients, t, x, m, frame, pairs, powers, work,
             u[i, c] = -s
     if powers.shape[0] == 0:
         return 0
-    return correct(work.z, m, frame.inverse, work.D, rows, powers, u, work.phi)
+    return correct(work.z, m, frame.inverse, work.D, rows, powers, u, work.phi, work.A)
 
 
 @jit
-def _parabolic_limit(frame, work, variance):
-    """Largest stable step of the extrapolated diffusion on kernels of variance c_K h^2, in whitened terms."""
+def _stable_steps(frame, work, variance, degree):
+    """Largest steps at which extrapolated diffusion is stable: plain, put right, put right in affine parts.
+
+    Whitened, the fastest mode of the sums decays at a rate of about 1.5 D / (c_K h^2), a moment of order k,
+    which the correction makes exact, at k D. The rates times dt may be 1 without and .55 with what
+    Adams-Moulton adds (roots of the characteristic polynomials of the two methods).
+    """
     n = frame.L.shape[0]
-    G, limit, spread = np.empty((n, n)), np.inf, 0.0
+    G, limit, spread, fastest = np.empty((n, n)), np.inf, 0.0, 1e-300
     for i in range(frame.h.size):
         if i < work.D.shape[0]:
             spread = 0.0
@@ -255,9 +260,10 @@ def _parabolic_limit(frame, work, variance):
                             G[a, b] += frame.inverse[a, c] * work.D[i, c * n + d] * frame.inverse[b, d]
                     spread += G[a, b] * G[a, b]
             spread = math.sqrt(spread)  # Frobenius: no less than the largest eigenvalue, equal for rank one
-        if spread > 0.0:
-            limit = min(limit, _PARABOLIC * 2.0 * variance * frame.h[i] ** 2 / spread)
-    return limit
+        fastest = max(fastest, spread)
+        limit = min(limit, _PARABOLIC * 2.0 * variance * frame.h[i] ** 2 / max(spread, 1e-300))
+    plain = min(limit, 0.9 / ((degree + 1) * fastest))
+    return plain, 0.5 * plain, min(plain, 0.25 / fastest)
 
 
 @jit
@@ -334,17 +340,17 @@ def _crosses(x0, x, m, frame):
 
 @jit
 def _begin(model, coefficients, t, span, cloud, frame, pairs, powers, work, options, history):
-    """u and its rate of change at the start, the step to try, and the largest stable step.
+    """u and its rate of change at the start, the step to try, and the largest stable steps.
 
     The rate comes from a look a little ahead, which counts as a point of the past of negative age.
     """
     x, m, K = cloud.x, cloud.m, history.K
     N, n = x.shape
-    limit, ago = np.inf, 1.0
+    limits, ago = (np.inf, np.inf, np.inf), 1.0
     interacting = coefficients.rows.size > 0
     if interacting:
         diffusion_velocity(model, coefficients, t, x, m, frame, pairs, powers, work, options, history.u)
-        limit = _parabolic_limit(frame, work, options.variance)
+        limits = _stable_steps(frame, work, options.variance, options.degree)
     model[0](x, t, coefficients.p, K[0])
     for i in range(N):
         for d in range(n):
@@ -352,7 +358,7 @@ def _begin(model, coefficients, t, span, cloud, frame, pairs, powers, work, opti
     whiten(K[0], m, frame.inverse, work.z)
     first = 0.1 / max(_rms(work.z, m), 1e-300)  # a tenth of the time in which the cloud deforms by its size
     if interacting:
-        ago = -min(0.1 * first, 0.1 * limit, 0.1 * span, options.dt_max)
+        ago = -min(0.1 * first, 0.1 * limits[0], 0.1 * span, options.dt_max)
         for i in range(N):
             for d in range(n):
                 K[1, i, d] = x[i, d] - ago * K[0, i, d]
@@ -361,7 +367,7 @@ def _begin(model, coefficients, t, span, cloud, frame, pairs, powers, work, opti
         for i in range(N):
             for d in range(n):
                 history.slope[i, d] = (history.u[i, d] - history.new[i, d]) / ago
-    return first, limit, ago
+    return first, limits, ago
 
 
 @jit
@@ -376,9 +382,16 @@ def _surprise(dt, ago, history, m, inverse, z):
 
 
 @jit
-def _accept(x, dt, put_right, history):
-    """Add the correction in K[0] if wanted, and make the new u the present one."""
+def _accept(x, m, dt, limits, work, history):
+    """Put the step right as far as that is stable, and make the new u the present one.
+
+    The whole of the correction damps short waves less than the extrapolation alone. Its affine part, which
+    is what mean and covariance see of it, has no short waves.
+    """
     u, new, slope, K = history
+    if dt > limits[1] and work.A.shape[0] > 0:
+        keep_affine(m, work.phi, work.A, K[0])
+    put_right = dt <= limits[1] or (work.A.shape[0] > 0 and dt <= limits[2])
     for i in range(x.shape[0]):
         for d in range(x.shape[1]):
             x[i, d] += K[0, i, d] if put_right else 0.0
@@ -415,17 +428,13 @@ def _guess_lengths(frame, eta):
 def settle(cloud, options, tolerance):
     """Solve for h at the present positions; False where the cloud has no spread in some direction."""
     frame = _make_frame(*cloud.x.shape)
-    K = RADIUS[options.kernel]
     kernel = (options.kernel, options.normalisation)
     if not _whiten_frame(cloud, frame):
         return False
     _guess_lengths(frame, options.eta)
     for _ in range(30):
-        for i in range(frame.h.size):
-            frame.reach[i] = _SKIN * K * frame.h[i]
-        index = build_index(frame.z, frame.reach.mean(), options.search)
-        lists = neighbor_lists(frame.z, frame.reach / _SKIN, frame.reach, 0, index)
-        if solve_lengths(frame.z, frame.h, options.eta, lists, frame.reach, kernel, tolerance) == 0:
+        pairs = _search(frame, options)
+        if solve_lengths(frame.z, frame.h, options.eta, pairs, frame.reach, kernel, tolerance) == 0:
             break
     _keep_lengths(cloud, frame)
     return True
@@ -442,9 +451,10 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, powers, ti
     x, m, model, interacting = cloud.x, cloud.m, (drift, diffusion, divergence), coefficients.rows.size > 0
     frame = _make_frame(N, n)
     varies = coefficients.time_dependent or coefficients.state_dependent
+    q = powers.shape[0]
     work = Work(
-        np.empty((N, n)), np.empty(N), np.empty((N, n)), np.empty(N),
-        np.empty((N, powers.shape[0])), np.empty((N if varies else 1, n * n)), np.empty((N, n)),
+        np.empty((N, n)), np.empty(N), np.empty((N, n)), np.empty(N), np.empty((N, q)), np.empty((q, q)),
+        np.empty((N if varies else 1, n * n)), np.empty((N, n)),
     )  # fmt: skip
     if not varies:
         work.D[0] = coefficients.D.ravel()
@@ -454,13 +464,13 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, powers, ti
         return FLAT
     pairs = _search(frame, options)
     arguments = (times[0], span, cloud, frame, pairs, powers, work, options, history)
-    first, limit, ago = _begin(model, coefficients, *arguments)
+    first, limits, ago = _begin(model, coefficients, *arguments)
     counters[SEARCHES] += interacting
     counters[EVALUATIONS] += 2 * interacting
     times[2] = first if times[2] == 0.0 else times[2]
     while times[0] < times[1]:
         left = times[1] - times[0]
-        dt = min(times[2], limit, options.dt_max)
+        dt = min(times[2], limits[0], options.dt_max)
         dt = left if dt > 0.999 * left else min(dt, 0.5 * left) if dt > 0.5 * left else dt
         if not dt > 1e-9 * span:
             return STALLED if dt > 0.0 else NOT_FINITE
@@ -495,10 +505,9 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, powers, ti
         planned = times[2] if dt < times[2] and factor > 1.0 else 0.0
         times[2] = max(planned, dt * min(factor, 5.0))
         if interacting:
-            # near the limit of stability the plain extrapolation damps more
-            _accept(x, dt, dt <= 0.5 * limit, history)
+            _accept(x, m, dt, limits, work, history)
             _follow_spacing(frame, work.number, options, n)
-            ago, limit = dt, _parabolic_limit(frame, work, options.variance)
+            ago, limits = dt, _stable_steps(frame, work, options.variance, options.degree)
         times[0] = times[1] if dt == left else times[0] + dt
         if counters[STEPS] - steps_before >= options.pause_after and times[0] < times[1]:
             break

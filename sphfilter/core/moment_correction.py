@@ -14,13 +14,14 @@ import numpy as np
 
 from ._jit import jit
 
-__all__ = ["correct", "exponents", "moment_defect"]
+__all__ = ["basis", "correct", "exponents", "keep_affine"]
 
 #: Radius, in standard deviations, beyond which polynomials of degree two and more stay what they are there.
 CLIP = 5.0
 _RIDGE = 1e-10
 _LEAST_PIVOT = 1e-8
 _ROOT = np.sqrt(np.arange(8.0))
+_INVERSE_ROOT = 1.0 / np.sqrt(np.maximum(np.arange(8.0), 1.0))
 
 
 def exponents(dim, degree):
@@ -32,17 +33,18 @@ def exponents(dim, degree):
 
 @jit
 def _tables(z, i, scale, h):
-    """Normalised Hermite polynomials h[d, k] = He_k / sqrt(k!) of the coordinates scale z_i."""
+    """Normalised Hermite polynomials h[0, d, k] = He_k / sqrt(k!) of scale z_i; h[1] their derivatives."""
     for d in range(z.shape[1]):
         a = scale * z[i, d]
-        h[d, 0], h[d, 1] = 1.0, a
-        for k in range(1, h.shape[1] - 1):
-            h[d, k + 1] = (a * h[d, k] - _ROOT[k] * h[d, k - 1]) / _ROOT[k + 1]
+        h[0, d, 0], h[0, d, 1], h[1, d, 0], h[1, d, 1] = 1.0, a, 0.0, 1.0
+        for k in range(2, h.shape[2]):
+            h[0, d, k] = (a * h[0, d, k - 1] - _ROOT[k - 1] * h[0, d, k - 2]) * _INVERSE_ROOT[k]
+            h[1, d, k] = _ROOT[k] * h[0, d, k - 1]
 
 
 @jit
 def basis(z, i, powers, h, phi, dphi):
-    """Hermite products phi (q,) at z_i and their gradients dphi (q, n) in z.
+    """Hermite products phi (q,) at z_i and their gradients dphi (q, n) in z; h (2, n, degree + 1) is scratch.
 
     Beyond the radius `CLIP` products of degree two and more take their values on that sphere; a sphere,
     unlike a box, looks the same from all whitened coordinates.
@@ -53,20 +55,23 @@ def basis(z, i, powers, h, phi, dphi):
         r2 += z[i, d] * z[i, d]
     scale = min(1.0, CLIP / math.sqrt(max(r2, 1e-300)))
     _tables(z, i, scale, h)
-    for k in range(q):
-        product = 1.0
-        for d in range(n):
-            product *= h[d, powers[k, d]]
-        phi[k] = product
-        for d in range(n):
-            e = powers[k, d]
-            slope = _ROOT[e]
-            if e > 0:
-                slope *= h[d, e - 1]
-                for c in range(n):
-                    if c != d:
-                        slope *= h[c, powers[k, c]]
-            dphi[k, d] = slope
+    if n == 2:  # written out: loops over two axes cost more than what they do
+        for k in range(q):
+            a, b = powers[k, 0], powers[k, 1]
+            phi[k] = h[0, 0, a] * h[0, 1, b]
+            dphi[k, 0] = h[1, 0, a] * h[0, 1, b]
+            dphi[k, 1] = h[0, 0, a] * h[1, 1, b]
+    else:
+        for k in range(q):
+            product = 1.0
+            for d in range(n):  # the products of all factors before each, then times those after it
+                dphi[k, d] = product * h[1, d, powers[k, d]]
+                product *= h[0, d, powers[k, d]]
+            phi[k] = product
+            after = 1.0
+            for d in range(n - 1, -1, -1):
+                dphi[k, d] *= after
+                after *= h[0, d, powers[k, d]]
     if scale < 1.0:
         _project(z, i, r2, scale, powers, phi, dphi)
 
@@ -91,7 +96,8 @@ def _assemble(z, m, inverse, D, rows, powers, u, phi, A, b):
     """Normal matrix A_kl = sum m phi_k phi_l and right-hand sides b_cl = sum m (D grad phi_l - phi_l u)_c."""
     N, n = z.shape
     q = powers.shape[0]
-    h, dphi, T = np.empty((n, 8)), np.empty((q, n)), np.empty((rows.size, n))
+    h = np.empty((2, n, max(2, powers[q - 1].sum() + 1)))
+    dphi, T = np.empty((q, n)), np.empty((rows.size, n))
     b[:] = 0.0
     for i in range(N):
         if i < D.shape[0]:  # one D for all particles, or one for each; T = D L^-T takes gradients in z
@@ -174,7 +180,7 @@ def _solve(A, q, b):
 
 
 @jit
-def correct(z, m, inverse, D, rows, powers, u, phi):
+def correct(z, m, inverse, D, rows, powers, u, phi, A):
     """Add to the rows of u the polynomials that make the moment equations hold.
 
     Parameters
@@ -192,7 +198,10 @@ def correct(z, m, inverse, D, rows, powers, u, phi):
         Exponents of the polynomials.
     u : ndarray, shape (N, n), changed
         -div D - D grad p / p in the units of x.
-    phi : ndarray, shape (N, q), workspace
+    phi : ndarray, shape (N, q), written
+        The polynomials at the particles.
+    A : ndarray, shape (q, q), written
+        Cholesky factor of their normal matrix, lower half.
 
     Returns
     -------
@@ -200,7 +209,7 @@ def correct(z, m, inverse, D, rows, powers, u, phi):
         Number of functions used, at most q.
     """
     q = powers.shape[0]
-    A, b = np.empty((q, q)), np.empty((rows.size, q))
+    b = np.empty((rows.size, q))
     _assemble(z, m, inverse, D, rows, powers, u, phi, A, b)
     used = _factor(A, powers)
     for c in range(rows.size):
@@ -212,10 +221,17 @@ def correct(z, m, inverse, D, rows, powers, u, phi):
 
 
 @jit
-def moment_defect(z, m, inverse, D, rows, powers, u, phi):
-    """Largest defect |sum m (phi u - D grad phi)|, relative to the largest |sum m D grad phi|; for health."""
-    q = powers.shape[0]
-    A, b, b0 = np.empty((q, q)), np.empty((rows.size, q)), np.empty((rows.size, q))
-    _assemble(z, m, inverse, D, rows, powers, u, phi, A, b)
-    _assemble(z, m, inverse, D, rows, powers, np.zeros_like(u), phi, A, b0)
-    return np.abs(b).max() / max(np.abs(b0).max(), 1e-300)
+def keep_affine(m, phi, A, v):
+    """Replace vectors v (N, n) by the affine function of the state nearest to them, weighted by mass."""
+    N, n = v.shape
+    b = np.zeros((n, n + 1))
+    for i in range(N):
+        for c in range(n):
+            for k in range(n + 1):
+                b[c, k] += m[i] * v[i, c] * phi[i, k]
+    for c in range(n):
+        _solve(A, n + 1, b[c])
+        for i in range(N):
+            v[i, c] = 0.0
+            for k in range(n + 1):
+                v[i, c] += b[c, k] * phi[i, k]

@@ -158,26 +158,26 @@ def _squares(y, s, last, gap2):
 
 @jit
 def pair_lists(z, reach):
-    """Every pair closer than the mean reach of the two, once; by sorting and sweeping along the first axis.
+    """Every pair closer than the larger reach of the two, once; by sorting and sweeping along the first axis.
 
     Returns (order, start, neighbors): row s holds partners of particle ``order[s]``; and the nearest
     neighbour of each particle.
     """
     N, n = z.shape
     order = np.argsort(z[:, 0])
-    y, R = np.empty((n, N)), np.empty(N)
+    y, R2 = np.empty((n, N)), np.empty(N)
     for s in range(N):
-        R[s] = 0.5 * reach[order[s]]
+        R2[s] = reach[order[s]] ** 2
         for d in range(n):
             y[d, s] = z[order[s], d]
-    widest, last = R.max(), 0
+    widest, last = reach.max(), 0
     start, pairs, n_pairs = np.zeros(N + 1, np.int64), np.empty(32 * N, np.int32), 0
     nearest, best, r2 = np.arange(N), np.full(N, np.inf), np.empty(N)
     for s in range(N):
         last = max(last, s + 1)
-        while last < N and y[0, last] - y[0, s] < R[s] + widest:
+        while last < N and y[0, last] - y[0, s] < widest:
             last += 1
-        gap2, partner = r2[s + 1 : last], R[s + 1 : last]
+        gap2, partner = r2[s + 1 : last], R2[s + 1 : last]
         _squares(y, s, last, gap2)
         if n_pairs + last - s > pairs.size:
             more = np.empty(2 * pairs.size + N, np.int32)
@@ -186,7 +186,7 @@ def pair_lists(z, reach):
         first = n_pairs
         for c in range(gap2.size):
             pairs[n_pairs] = s + 1 + c  # the count is advanced only for a pair: no branch to mispredict
-            n_pairs += gap2[c] < (R[s] + partner[c]) ** 2
+            n_pairs += gap2[c] < max(R2[s], partner[c])
         for k in range(first, n_pairs):
             c = pairs[k]
             pairs[k] = order[c]
@@ -199,52 +199,59 @@ def pair_lists(z, reach):
 
 
 @jit
-def _own_number(i, z, h_i, lists, kernel):
-    """n_i = sum_j W(r_ij, h_i), and d log(n_i h_i^n) / d log h_i (for Newton's method)."""
-    start, neighbors = lists
-    kind, C = kernel
-    n = z.shape[1]
-    reach2 = (RADIUS[kind] * h_i) ** 2
-    total, steep = shape(kind, 0.0), 0.0
-    for s in range(start[i], start[i + 1]):
-        r2 = 0.0
-        for d in range(n):
-            r2 += (z[i, d] - z[neighbors[s], d]) ** 2
-        if r2 < reach2:
-            q = math.sqrt(r2) / h_i
-            total += shape(kind, q)
-            steep -= q * q * slope(kind, q)
-    return C * total, steep / total
+def _own_sums(z, h, pairs, kernel, total, steep):
+    """sum_j W1(r_ij / h_i) with each particle's own h, and its derivative in log h_i."""
+    order, start, neighbors = pairs
+    kind = kernel[0]
+    N, n = z.shape
+    total[:] = shape(kind, 0.0)
+    steep[:] = 0.0
+    for row in range(N):
+        i = order[row]
+        for s in range(start[row], start[row + 1]):
+            j = neighbors[s]
+            r2 = 0.0
+            for d in range(n):
+                r2 += (z[i, d] - z[j, d]) ** 2
+            r = math.sqrt(r2)
+            q_i, q_j = r / h[i], r / h[j]
+            total[i] += shape(kind, q_i)
+            total[j] += shape(kind, q_j)
+            steep[i] -= q_i * q_i * slope(kind, q_i)
+            steep[j] -= q_j * q_j * slope(kind, q_j)
 
 
 @jit
-def solve_lengths(z, h, eta, lists, reach, kernel, tolerance):
-    """Newton's method for sum_j C_n W1(r_ij / h_i) = eta^n, from h as it is; h changes in place.
+def solve_lengths(z, h, eta, pairs, reach, kernel, tolerance):
+    """Newton's method for C_n sum_j W1(r_ij / h_i) = eta^n in log h, for all particles; h changes in place.
 
-    The sum grows with h, its logarithm almost as n log h. Returns the number of particles whose length
-    wants to pass what their neighbour list covers, `reach` (N,) over K: they are left at that length.
+    The sum grows with h. Returns the number of particles whose length wants to pass what the lists cover,
+    `reach` (N,) over K: they are left at that length.
     """
     N, n = z.shape
-    K = RADIUS[kernel[0]]
-    target, blind = n * math.log(eta), 0
+    K, target = RADIUS[kernel[0]], n * math.log(eta) - math.log(kernel[1])
+    low, high, total, steep = np.zeros(N), reach / K, np.empty(N), np.empty(N)
     for i in range(N):
-        limit = reach[i] / K
-        low, high, new = 0.0, limit, min(h[i], limit)
-        for _ in range(50):
-            h_i = new
-            total, steep = _own_number(i, z, h_i, lists, kernel)
-            gap = target - math.log(total)
+        h[i] = min(h[i], high[i])
+    for _ in range(60):
+        _own_sums(z, h, pairs, kernel, total, steep)
+        blind, unsettled = 0, 0
+        for i in range(N):
+            gap = target - math.log(total[i])
+            if gap > 0.0 and h[i] >= reach[i] / K:
+                blind += 1
+                continue
+            if abs(gap) < tolerance * n:
+                continue
+            unsettled += 1
             if gap > 0.0:
-                low = h_i
+                low[i] = h[i]
             else:
-                high = h_i
-            new = h_i * math.exp(min(max(gap / max(steep, 0.2 * n), -0.7), 0.7))
-            if new >= high:
-                new = high if high == limit and h_i < limit else 0.5 * (h_i + high)
-            if new <= low:
-                new = 0.5 * (low + high)
-            if abs(gap) < tolerance * n or high - low < 1e-12 * limit:
-                break
-        h[i] = h_i
-        blind += high == limit and h_i > (1.0 - 1e-9) * limit
+                high[i] = h[i]
+            new = h[i] * math.exp(min(max(gap / max(steep[i] / total[i], 0.2 * n), -0.7), 0.7))
+            if not low[i] < new < high[i]:
+                new = 0.5 * (low[i] + high[i]) if high[i] < reach[i] / K or gap < 0.0 else high[i]
+            h[i] = new
+        if unsettled == 0:
+            break
     return blind

@@ -9,7 +9,6 @@ from ..core import corrected_march as core
 from ..core._jit import call
 from ..core.kernels import KINDS, RADIUS, kernel_variance, normalisation
 from ..core.moment_correction import exponents
-from ..core.neighbors import choose_method
 from ..errors import PropagationError
 from ..info import PredictInfo
 from .paper import _blow_up, _coefficients, _skipped
@@ -52,7 +51,7 @@ def propagate(density, model, t1, scheme, n_particles=None):
         volume; says when and where.
     """
     options = _options(density, model, t1, scheme)
-    powers = exponents(density.dim, _degree(density, scheme))[: None if scheme.degree else 0]
+    powers = exponents(density.dim, max(options.degree, 1))[: None if options.degree else 0]
     cloud = core.Cloud(density.x.copy(), density.mass.copy(), density.h.copy())
     before = _log_volumes(cloud, options, density.t)
     counters = _march(cloud, model, options, powers, scheme, (density.t, t1))
@@ -115,9 +114,10 @@ def _flat(t):
 
 
 def _degree(density, scheme):
-    """Largest degree up to the scheme's with particles enough for its functions; one at least."""
+    """Largest degree up to the scheme's with particles enough for its functions; one at least, unless 0."""
     n, most = density.dim, density.n_particles / _PARTICLES_A_FUNCTION
-    return max((p for p in range(1, scheme.degree + 1) if math.comb(n + p, p) <= most), default=1)
+    affordable = (p for p in range(2, scheme.degree + 1) if math.comb(n + p, p) <= most)
+    return max(affordable, default=min(scheme.degree, 1))
 
 
 def _options(density, model, t1, scheme):
@@ -126,10 +126,10 @@ def _options(density, model, t1, scheme):
         kernel=kind,
         normalisation=normalisation(kind, n),
         eta=scheme.support / RADIUS[kind],
+        degree=_degree(density, scheme),
         variance=kernel_variance(kind, n),
         tol=scheme.tol,
         dt_max=math.inf if model.autonomous else (t1 - density.t) / _TIME_SLICES,
-        search=choose_method(density.n_particles, n),
         pause_after=_PAUSE_AFTER,
     )
 
