@@ -4,7 +4,7 @@ import numpy as np
 
 from sphfilter.core._jit import jit
 
-__all__ = ["evaluate_spline", "spline_symbol"]
+__all__ = ["evaluate_spline", "spline_symbol", "spline_weights"]
 
 
 def spline_symbol(k):
@@ -31,6 +31,19 @@ def evaluate_spline(coefficients, indices):
     kernel = _evaluate_1d if coefficients.ndim == 1 else _evaluate_2d
     kernel(coefficients, np.ascontiguousarray(indices), out)
     return out
+
+
+def spline_weights(u):
+    """Values of the six splines around positions u (N,) of [0, 1) between two nodes, shape (N, 6)."""
+    out = np.empty((len(u), 6))
+    _fill_weights(np.ascontiguousarray(u), out)
+    return out
+
+
+@jit
+def _fill_weights(u, out):
+    for i in range(u.size):
+        _weights(u[i], out[i])
 
 
 @jit
