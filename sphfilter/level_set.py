@@ -101,7 +101,7 @@ def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
 def _flood(log_p, mean, A, seeds, depth, sten):
     """Values of log p on all lattice cells within `depth` of the largest, from the seeds outwards."""
     n = len(mean)
-    ball = sten.offsets[: sten.start[1]]
+    ball = sten.offsets[: sten.size[0]]
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     cells = core.seeds_in_box(np.ascontiguousarray(seeds), mean, np.linalg.inv(A), _REACH, low, dims)
     if np.prod(dims.astype(float)) > core.MOST_CELLS:

@@ -15,7 +15,18 @@ from typing import NamedTuple
 import numpy as np
 
 from ._jit import jit
-from .field import LOWEST, UNKNOWN, build_field, evaluate, frontier, opened
+from .field import (
+    LOWEST,
+    UNKNOWN,
+    build_field,
+    eigen,
+    evaluate,
+    frontier,
+    invert_lower,
+    marked,
+    opened,
+    product,
+)
 
 __all__ = ["COUNTERS", "MOST_CELLS", "STATUS", "Control", "Noise", "Paths", "march"]
 
@@ -103,13 +114,12 @@ def back(drift, divergence, noise, field, sten, paths, Y, t1, h, out):
     for q in range(paths.log_weight.size):
         _shift(G, paths, q, 0.5, h, half)
         _shift(G, paths, q, 1.0, h, whole)
-        end[:] = Y
+        for i in range(M):
+            action[i], d[i, 0] = 0.0, d1[i, 0]
+            for a in range(n):
+                end[i, a], f[i, a] = Y[i, a], f1[i, a]
         for stage in range(4):
-            if stage == 0:
-                f[:] = f1
-                d[:] = d1
-                action[:] = 0.0
-            else:
+            if stage > 0:
                 drift(y, t1 - (h if stage == 3 else 0.5 * h), p, f)
                 if not noise.constant_divergence:
                     divergence(y, t1 - (h if stage == 3 else 0.5 * h), p, d)
@@ -143,10 +153,15 @@ def _refactor(diffusion, x, t, noise):
     n = x.shape[1]
     D = np.empty((1, n * n))
     diffusion(x[:1], t, noise.p, D)
-    w, V = np.linalg.eigh(D.reshape((n, n)))
+    w, V = np.empty(n), np.empty((n, n))
+    eigen(D.reshape((n, n)), w, V)
     for k in range(noise.G.shape[1]):
+        largest = 0
         for a in range(n):
-            noise.G[a, k] = V[a, n - 1 - k] * math.sqrt(2.0 * max(w[n - 1 - k], 0.0))
+            largest = a if w[a] > w[largest] else largest
+        for a in range(n):
+            noise.G[a, k] = V[a, largest] * math.sqrt(2.0 * max(w[largest], 0.0))
+        w[largest] = -np.inf
 
 
 @jit
@@ -169,7 +184,9 @@ def moments(x, m, mean, cov):
 def cholesky(P, L):
     """Lower factor; semi-definite directions get a spread of 1e-12 of the largest. False if not finite."""
     n = P.shape[0]
-    L[:] = 0.0
+    for a in range(n):
+        for b in range(n):
+            L[a, b] = 0.0
     for a in range(n):
         for b in range(a + 1):
             c = P[a, b]
@@ -198,7 +215,8 @@ def noise_limit(G, L):
     """Largest eigenvalue, bounded by the trace, of L^-1 G G^T L^-T: variance per second, in the density's."""
     total, v = 0.0, np.empty(L.shape[0])
     for k in range(G.shape[1]):
-        v[:] = G[:, k]
+        for a in range(v.size):
+            v[a] = G[a, k]
         _whiten(L, v)
         for a in range(v.size):
             total += v[a] * v[a]
@@ -226,8 +244,10 @@ def predicted(drift, noise, x, ahead, m, t, h, mean, cov):
     width = max(3.0, float(k_noise))
     share = 0.5 / width
     X, M = np.empty(((2 * k_noise + 1) * N, n)), np.empty((2 * k_noise + 1) * N)
-    X[:N] = ahead
-    M[:N] = m * (1.0 - 2 * k_noise * share)
+    for i in range(N):
+        M[i] = m[i] * (1.0 - 2 * k_noise * share)
+        for a in range(n):
+            X[i, a] = ahead[i, a]
     work = np.empty((N, n))
     for k in range(k_noise):
         for s in range(2):
@@ -242,7 +262,7 @@ def predicted(drift, noise, x, ahead, m, t, h, mean, cov):
             for i in range(N):
                 for a in range(n):
                     X[begin + i, a] = y[i, a] + 0.5 * c * noise.G[a, k]
-            M[begin : begin + N] = m * share
+                M[begin + i] = m[i] * share
     moments(X, M, mean, cov)
 
 
@@ -258,8 +278,11 @@ def seeds_in_box(points, mu, inverse, reach, low, dims):
                 t += inverse[a, c] * (points[i, c] - mu[c])
             cells[i, a] = int(math.floor(min(max(t, -reach), reach) + 0.5))
     for a in range(n):
-        low[a] = cells[:, a].min() - _MARGIN
-        dims[a] = cells[:, a].max() + _MARGIN + 1 - low[a]
+        low[a], dims[a] = cells[0, a], cells[0, a]
+        for i in range(N):
+            low[a], dims[a] = min(low[a], cells[i, a]), max(dims[a], cells[i, a])
+        low[a] -= _MARGIN
+        dims[a] += _MARGIN + 1 - low[a]
     return cells
 
 
@@ -283,24 +306,26 @@ def states_of(found, mu, A, low, dims):
 @jit
 def seeded(cells, low, dims):
     """Flat numbers of cells, each once."""
-    mark = np.zeros(np.prod(dims), np.bool_)
+    mark = np.zeros(int(product(dims)), np.bool_)
     for i in range(cells.shape[0]):
         flat = 0
         for a in range(dims.size):
             flat = flat * dims[a] + cells[i, a] - low[a]
         mark[flat] = True
-    return np.flatnonzero(mark)
+    return marked(mark)
 
 
 @jit
 def widen(value, low, dims):
     """A box half as large again on every side, with the values known so far."""
     n = dims.size
-    grow = np.maximum(dims // 4, 2)
-    new_low, new_dims = low - grow, dims + 2 * grow
-    if np.prod(new_dims.astype(np.float64)) > MOST_CELLS:
+    grow, new_low, new_dims = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    for a in range(n):
+        grow[a] = max(dims[a] // 4, 2)
+        new_low[a], new_dims[a] = low[a] - grow[a], dims[a] + 2 * grow[a]
+    if product(new_dims) > MOST_CELLS:
         return np.empty(0), new_low, new_dims
-    new = np.full(np.prod(new_dims), UNKNOWN)
+    new = np.full(int(product(new_dims)), UNKNOWN)
     for flat in range(value.size):
         if value[flat] != UNKNOWN:
             rest, at, stride = flat, 0, 1
@@ -316,12 +341,12 @@ def widen(value, low, dims):
 def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h, control, counters):
     """Values on the new lattice wherever they lie above the depth: seeds, then their neighbours, until closed."""
     n = mu.size
-    ball = sten.offsets[: sten.start[1]]
+    ball = sten.offsets[: sten.size[0]]
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
-    cells = seeds_in_box(points, mu, np.linalg.inv(A), 500.0, low, dims)
-    if np.prod(dims.astype(np.float64)) > MOST_CELLS:
+    cells = seeds_in_box(points, mu, invert_lower(A), 500.0, low, dims)
+    if product(dims) > MOST_CELLS:
         return np.empty(0), low, dims, 0.0
-    value = np.full(np.prod(dims), UNKNOWN)
+    value = np.full(int(product(dims)), UNKNOWN)
     found, highest = seeded(cells, low, dims), -np.inf
     while found.size > 0:
         _, Y = states_of(found, mu, A, low, dims)
@@ -343,18 +368,38 @@ def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h,
 @jit
 def relaid(value, low, dims, highest, mu, A, sten, depth):
     """The field of the cells above the depth, normalised; its masses, states and the log of its integral."""
-    ball = sten.offsets[: sten.start[1]]
+    ball = sten.offsets[: sten.size[0]]
     found = opened(value, highest - depth, dims, ball)
     node, x = states_of(found, mu, A, low, dims)
     log_p, m, total = np.empty(found.size), np.empty(found.size), 0.0
     for k in range(found.size):
         m[k] = math.exp(value[found[k]] - highest)
         total += m[k]
-    log_mass = highest + math.log(total * abs(np.linalg.det(A))) if found.size else 0.0
+    cell = 1.0
+    for a in range(mu.size):
+        cell *= A[a, a]
+    log_mass = highest + math.log(total * cell) if found.size else 0.0
     for k in range(found.size):
         log_p[k] = value[found[k]] - log_mass
         m[k] /= total
     return node, x, log_p, m, log_mass
+
+
+@jit
+def nodes_of(field):
+    """States (N, n) and masses of a field's nodes."""
+    N, n = field.node.shape
+    x, m, total = np.empty((N, n)), np.empty(N), 0.0
+    for i in range(N):
+        m[i] = math.exp(field.log_p[i])
+        total += m[i]
+        for a in range(n):
+            x[i, a] = field.mu[a]
+            for c in range(n):
+                x[i, a] += field.A[a, c] * field.node[i, c]
+    for i in range(N):
+        m[i] /= total
+    return x, m
 
 
 @jit
@@ -366,17 +411,7 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
     """
     n = field.mu.size
     mean, P, L = np.empty(n), np.empty((n, n)), np.empty((n, n))
-    everything = np.arange(field.node.shape[0])
-    x = np.empty((everything.size, n))
-    m = np.empty(everything.size)
-    cell = abs(np.linalg.det(field.A))
-    for i in range(everything.size):
-        m[i] = math.exp(field.log_p[i]) * cell
-        for a in range(n):
-            x[i, a] = field.mu[a]
-            for c in range(n):
-                x[i, a] += field.A[a, c] * field.node[i, c]
-    m /= m.sum()
+    x, m = nodes_of(field)
     span, first = times[1] - times[0], counters[STEPS]
     while times[0] < times[1]:
         if counters[STEPS] - first >= control.pause_after:
@@ -412,7 +447,10 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
             return field, x, m, NOT_FINITE
         for attempt in range(_TRIES):
             spacing = (state[0] / (0.92 * control.n_particles)) ** (1.0 / n)
-            A, origin = L * spacing, mean.copy()
+            A, origin = L.copy(), mean.copy()
+            for a in range(n):
+                for b in range(n):
+                    A[a, b] *= spacing
             value, low, dims, highest = _flooded(
                 drift, divergence, noise, field, sten, paths, origin, A, twice, t + h, h, control, counters
             )

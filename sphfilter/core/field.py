@@ -20,15 +20,16 @@ __all__ = ["Field", "Stencils", "build_field", "evaluate", "frontier", "opened",
 
 UNKNOWN = -math.inf  # of a cell whose value has not been asked for; an impossible state is merely very low
 LOWEST = -1e300
+_PAD = 3  # cells around the nodes in the box of a field, the reach of the widest neighbourhood
 _WEIGHT_DECAY = 2.0  # weights exp(-2 r^2 / r_max^2) of the least-squares fit
 
 
 class Stencils(NamedTuple):
     """Neighbourhoods of increasing size and the least-squares rows that belong to them."""
 
-    offsets: np.ndarray  # (sum of sizes, n) int, neighbourhood after neighbourhood
-    start: np.ndarray  # (levels + 1,) where each begins
-    rows: np.ndarray  # (levels, M, largest size): coefficients from differences of neighbours
+    offsets: np.ndarray  # (largest size, n) int; a neighbourhood is the first so many of them
+    size: np.ndarray  # (levels,)
+    rows: np.ndarray  # (levels, largest size, M): coefficients from differences of neighbours
     parent: np.ndarray  # (M,) monomial that times x_axis gives this one, -1 for x_axis itself
     axis: np.ndarray  # (M,)
 
@@ -77,21 +78,101 @@ def stencils(n):
     levels = _neighborhoods(n)
     exponents = _exponents(n, max(degree for _, degree, _ in levels))
     E = np.array(exponents)
-    start = np.cumsum([0] + [len(g) for g, _, _ in levels])
-    rows = np.zeros((len(levels), len(E), max(len(g) for g, _, _ in levels)))
-    for level, (g, degree, mixed) in enumerate(levels):
+    size = np.array([len(g) for g, _, _ in levels])
+    rank = {tuple(o): level for level in reversed(range(len(levels))) for o in levels[level][0]}
+    offsets = np.array(sorted(rank, key=lambda o: (rank[o], sum(k * k for k in o), o)))
+    rows = np.zeros((len(levels), size[-1], len(E)))
+    for level, (_, degree, mixed) in enumerate(levels):
         used = E.sum(1) <= degree
         if not mixed:
             used &= ~((E.sum(1) == 3) & ((E > 0).sum(1) == 3))
+        g = offsets[: size[level]]
         basis = np.prod(g[:, None, :].astype(float) ** E[None, used], axis=2)
         r2 = (g**2).sum(1)
         weighted = basis * np.exp(-_WEIGHT_DECAY * r2 / r2.max())[:, None]
-        rows[level, used, : len(g)] = np.linalg.solve(weighted.T @ basis, weighted.T)
+        rows[level, : size[level], used] = np.linalg.solve(weighted.T @ basis, weighted.T)
     axis = [next(a for a in range(n) if e[a]) for e in exponents]
     lowered = [tuple(k - (a == b) for b, k in enumerate(e)) for e, a in zip(exponents, axis, strict=True)]
     parent = [exponents.index(e) if any(e) else -1 for e in lowered]
-    offsets = np.concatenate([g for g, _, _ in levels])
-    return Stencils(offsets, start, rows, np.array(parent), np.array(axis))
+    return Stencils(offsets, size, rows, np.array(parent), np.array(axis))
+
+
+@jit
+def invert_lower(A):
+    """Inverse of a lower triangular matrix."""
+    n = A.shape[0]
+    out = np.zeros((n, n))
+    for c in range(n):
+        for a in range(c, n):
+            total = 1.0 if a == c else 0.0
+            for b in range(c, a):
+                total -= A[a, b] * out[b, c]
+            out[a, c] = total / A[a, a]
+    return out
+
+
+@jit
+def product(values):
+    """Product of numbers, as a float: it may be beyond any integer."""
+    total = 1.0
+    for k in range(values.size):
+        total *= values[k]
+    return total
+
+
+@jit
+def marked(mark):
+    """Numbers of the cells that are marked."""
+    count = 0
+    for flat in range(mark.size):
+        count += mark[flat]
+    found = np.empty(count, np.int64)
+    count = 0
+    for flat in range(mark.size):
+        if mark[flat]:
+            found[count] = flat
+            count += 1
+    return found
+
+
+@jit
+def eigen(h, w, V):
+    """Eigenvalues and vectors (columns) of a small symmetric matrix, by Jacobi's rotations; h is used up."""
+    n = h.shape[0]
+    for a in range(n):
+        for b in range(n):
+            V[a, b] = 1.0 if a == b else 0.0
+    for _ in range(30):
+        off, size = 0.0, 0.0
+        for a in range(n):
+            size += h[a, a] ** 2
+            for b in range(a):
+                off += h[a, b] ** 2
+        if not off > 1e-30 * size:
+            break
+        for a in range(n):
+            for b in range(a):
+                if h[a, b] != 0.0:
+                    _rotate(h, V, a, b)
+    for a in range(n):
+        w[a] = h[a, a]
+
+
+@jit
+def _rotate(h, V, a, b):
+    """Make h[a, b] zero."""
+    theta = 0.5 * (h[b, b] - h[a, a]) / h[a, b]
+    t = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + math.sqrt(theta * theta + 1.0))
+    c = 1.0 / math.sqrt(t * t + 1.0)
+    s = t * c
+    for k in range(h.shape[0]):
+        x, y = h[k, a], h[k, b]
+        h[k, a], h[k, b] = c * x - s * y, s * x + c * y
+    for k in range(h.shape[0]):
+        x, y = h[a, k], h[b, k]
+        h[a, k], h[b, k] = c * x - s * y, s * x + c * y
+        x, y = V[k, a], V[k, b]
+        V[k, a], V[k, b] = c * x - s * y, s * x + c * y
 
 
 @jit
@@ -128,7 +209,7 @@ def frontier(value, kept_above, dims, offsets):
     strides, n = strides_of(dims), dims.size
     cell = np.empty(n, np.int64)
     mark = np.zeros(value.size, np.bool_)
-    beyond, count = False, 0
+    beyond = False
     for flat in range(value.size):
         if value[flat] > kept_above:
             _unravel(flat, strides, cell)
@@ -136,16 +217,9 @@ def frontier(value, kept_above, dims, offsets):
                 at = _inside(cell, offsets[k], dims, strides, flat)
                 if at < 0:
                     beyond = True
-                elif value[at] == UNKNOWN and not mark[at]:
+                elif value[at] == UNKNOWN:
                     mark[at] = True
-                    count += 1
-    found = np.empty(count, np.int64)
-    count = 0
-    for flat in range(value.size):
-        if mark[flat]:
-            found[count] = flat
-            count += 1
-    return found, beyond
+    return marked(mark), beyond
 
 
 @jit
@@ -168,23 +242,22 @@ def opened(value, kept_above, dims, ball):
             keep[flat] = True
             for k in range(ball.shape[0]):
                 keep[_inside(cell, ball[k], dims, strides, flat)] = True
-    return np.flatnonzero(keep)
+    return marked(keep)
 
 
 @jit
-def _concave(h, work):
+def _concave(h, w, V, work):
     """Replace a symmetric matrix by its negative semi-definite part."""
     n = h.shape[0]
-    if n == 1:
-        h[0, 0] = min(h[0, 0], 0.0)
-        return
-    w, V = np.linalg.eigh(h)
     for a in range(n):
         for b in range(n):
-            work[a, b] = 0.0
+            work[a, b] = h[a, b]
+    eigen(work, w, V)
+    for a in range(n):
+        for b in range(n):
+            h[a, b] = 0.0
             for k in range(n):
-                work[a, b] += V[a, k] * min(w[k], 0.0) * V[b, k]
-    h[:] = work
+                h[a, b] += V[a, k] * min(w[k], 0.0) * V[b, k]
 
 
 @jit
@@ -193,10 +266,17 @@ def build_field(mu, A, node, log_p, sten):
     N, n = node.shape
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     for a in range(n):
-        low[a] = node[:, a].min() - 2
-        dims[a] = node[:, a].max() + 3 - low[a]
+        low[a], dims[a] = node[0, a], node[0, a]
+        for i in range(N):
+            low[a], dims[a] = min(low[a], node[i, a]), max(dims[a], node[i, a])
+        low[a] -= _PAD
+        dims[a] += _PAD + 1 - low[a]
     strides = strides_of(dims)
-    index = np.full(np.prod(dims), -1, np.int64)
+    ahead = np.zeros(sten.offsets.shape[0], np.int64)
+    for k in range(ahead.size):
+        for a in range(n):
+            ahead[k] += sten.offsets[k, a] * strides[a]
+    index = np.full(int(product(dims)), -1, np.int64)
     flats = np.zeros(N, np.int64)
     for i in range(N):
         for a in range(n):
@@ -205,37 +285,32 @@ def build_field(mu, A, node, log_p, sten):
     M = sten.parent.size
     coefficient, tail = np.zeros((N, M)), np.zeros((N, n, n))
     owner = np.full(index.size, -1, np.int64)
-    work, cell = np.empty((n, n)), np.empty(n, np.int64)
+    work, V, w = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     for i in range(N):
-        for a in range(n):
-            cell[a] = node[i, a] - low[a]
-        level = _level(cell, flats[i], index, dims, strides, sten)
+        level = _level(index, flats[i], ahead, sten.size)
         if level < 0:
             continue
         owner[flats[i]] = i
-        begin = sten.start[level]
-        size = sten.start[level + 1] - begin
-        for k in range(size):
-            j = index[_inside(cell, sten.offsets[begin + k], dims, strides, flats[i])]
-            difference = log_p[j] - log_p[i]
+        for k in range(sten.size[level]):
+            difference = log_p[index[flats[i] + ahead[k]]] - log_p[i]
             for c in range(M):
-                coefficient[i, c] += sten.rows[level, c, k] * difference
+                coefficient[i, c] += sten.rows[level, k, c] * difference
         _second_derivatives(coefficient[i], sten, tail[i])
-        _concave(tail[i], work)
+        _concave(tail[i], w, V, work)
     _spread_owners(owner, node, low, dims, strides)
-    return Field(mu, A, np.linalg.inv(A), low, dims, owner, node, log_p, coefficient, tail)
+    return Field(mu, A, invert_lower(A), low, dims, owner, node, log_p, coefficient, tail)
 
 
 @jit
-def _level(cell, flat, index, dims, strides, sten):
-    """Largest neighbourhood that is complete; -1 if none is."""
-    for level in range(sten.start.size - 1):
-        # each holds the one before, but not in the same order: check it as a whole
-        for k in range(sten.start[level], sten.start[level + 1]):
-            at = _inside(cell, sten.offsets[k], dims, strides, flat)
-            if at < 0 or index[at] < 0:
-                return level - 1
-    return sten.start.size - 2
+def _level(index, flat, ahead, size):
+    """Largest neighbourhood that is complete; -1 if none is. The box's margin holds all of them."""
+    level = -1
+    for k in range(ahead.size):
+        if index[flat + ahead[k]] < 0:
+            break
+        if k + 1 == size[level + 1]:
+            level += 1
+    return level
 
 
 @jit
@@ -294,6 +369,14 @@ def _nearest_of(cell, owner, node, low, dims, strides, flat, best):
 
 
 @jit
+def _quartic(c, x, y):
+    """The polynomial of two dimensions, nested: half the time of the general sum."""
+    in_x = c[0] + x * (c[2] + x * (c[5] + x * c[9]))
+    in_y2 = c[4] + x * (c[7] + x * c[11]) + y * (c[8] + x * c[12] + y * c[13])
+    return x * in_x + y * (c[1] + x * (c[3] + x * (c[6] + x * c[10])) + y * in_y2)
+
+
+@jit
 def evaluate(field, sten, Y, out):
     """log p at the states Y (M, n).
 
@@ -322,9 +405,12 @@ def evaluate(field, sten, Y, out):
             d[a] -= field.node[j, a]
             r2 += d[a] * d[a]
         if r2 <= 4.5:  # the rim lies at sqrt 2 from a complete node, half a cell inside of 4.5
-            for p in range(M):
-                b[p] = d[sten.axis[p]] * (1.0 if sten.parent[p] < 0 else b[sten.parent[p]])
-                v += field.coefficient[j, p] * b[p]
+            if n == 2:
+                v = _quartic(field.coefficient[j], d[0], d[1])
+            else:
+                for p in range(M):
+                    b[p] = d[sten.axis[p]] * (1.0 if sten.parent[p] < 0 else b[sten.parent[p]])
+                    v += field.coefficient[j, p] * b[p]
         else:
             for a in range(n):
                 v += field.coefficient[j, a] * d[a]
