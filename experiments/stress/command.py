@@ -25,6 +25,8 @@ __all__ = ["add_arguments", "main"]
 
 #: Seconds a reference may take.
 _REFERENCE_LIMIT = 150.0
+#: Cells that make every method compile what it needs, and seconds that may take on an empty cache.
+_WARM, _COMPILE_LIMIT = ("dimension/*/[1-4]", "outlier/tanh_drift/5"), 1800.0
 
 
 def add_arguments(parser):
@@ -78,6 +80,17 @@ def main(args):
     console.print(f"\nEvery run is in {args.out}/stress.csv, the rest in stress.md. Picture: {drawn}")
 
 
+def _warm_up(console, methods):
+    """Let every method compile, in a process of its own, so that compiling does not count as run time."""
+    console.print("preparing (compiles once, for minutes; later starts take seconds)", style="dim")
+    run_tasks(_compile, methods, 1, lambda method: _COMPILE_LIMIT, lambda method, result: None)
+
+
+def _compile(method):
+    for cell in chosen(_WARM):
+        run(cell.problem(0), method)
+
+
 def _walk(console, grid, methods, args):
     """Run what is not yet on disk."""
     tasks = [
@@ -86,6 +99,8 @@ def _walk(console, grid, methods, args):
         for method in ("reference", *methods)
         if _stored(cell, method, args) is None
     ]
+    if tasks:
+        _warm_up(console, methods)
     by_name = {cell.name: cell for cell in grid}
     columns = (
         TextColumn("runs"),
