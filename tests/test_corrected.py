@@ -354,6 +354,32 @@ def test_diffusion_velocity_of_each_particle_is_that_of_the_density():
     assert density.cov() == pytest.approx(start.cov(), abs=2e-4)
 
 
+def test_mixed_clouds_are_read_from_their_kernels():
+    """Two wells for ten seconds: mass over volume is then worse than the kernels, and not used."""
+    from reference_filters.grid import GridFilter
+
+    model = sf.SDE.from_expressions(["x", "v"], ["v", "-0.2*v + x - x**3"], [["0"], ["1"]], [[0.4]])
+    grid = GridFilter(model, None, [0.0, 0.0], 0.1 * np.eye(2), size=96, tol=2e-3)
+    grid.predict(10.0)
+    density, info = propagate(gaussian([0.0, 0.0], 0.1 * np.eye(2), 0.4), model, 10.0, CorrectedScheme())
+    p = grid.density
+    exact = np.log(np.maximum(p.interpolated(density.x, p.coefficients(np.zeros((2, 2)))), 1e-12))
+    assert "mixed" in info.status
+    assert np.sqrt(density.mass @ (density.log_density - exact) ** 2) < 0.35
+    assert errors(density, grid.x, grid.P)[1] < 0.05
+
+
+def test_one_heavy_particle_is_survived():
+    """A posterior of one particle but for its tails: polynomials of high degree would throw those far off."""
+    start = gaussian([0.0, 10.0], np.eye(2) / 4, 0.7)
+    mass = start.mass.copy()
+    mass[np.argmax(mass)] = 2.0
+    spike = sf.ParticleDensity(x=start.x, mass=mass, h=start.h)
+    density, info = propagate(spike, DUFFING, 2.0, CorrectedScheme())
+    assert info.n_steps < 500
+    assert np.abs(density.x - density.mean()).max() < 50
+
+
 # --- failures ---
 
 

@@ -9,6 +9,9 @@ from ..core import corrected_march as core
 from ..core._jit import call
 from ..core.kernels import KINDS, RADIUS, kernel_variance, normalisation
 from ..core.moment_correction import exponents
+from ..core.neighbors import build_index, choose_method
+from ..core.number_density import cholesky, whiten
+from ..core.summation import sample_density
 from ..errors import PropagationError
 from ..info import PredictInfo
 from .paper import _blow_up, _coefficients, _skipped
@@ -18,7 +21,8 @@ __all__ = ["propagate"]
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _TIME_SLICES = 32  # steps at least over an interval, where drift or noise change with time
 _PARTICLES_A_FUNCTION = 10
-_TOLERANCE = 1e-6  # of the smoothing lengths that the log-density is computed from
+_MIXED = 0.45  # nats: where the two read-outs differ by more, root mean square, the kernels' is better
+_TOLERANCE = 1e-5  # of the smoothing lengths that the log-density is computed from
 
 
 def propagate(density, model, t1, scheme, n_particles=None):
@@ -57,6 +61,7 @@ def propagate(density, model, t1, scheme, n_particles=None):
     counters = _march(cloud, model, options, powers, scheme, (density.t, t1))
     after = _log_volumes(cloud, options, t1)
     known = np.log(cloud.m) - before if density.log_density is None else density.log_density
+    log_density, mixed = _unmixed(known + before - after, cloud, options)
     moved = replace(
         density,
         x=cloud.x,
@@ -65,9 +70,9 @@ def propagate(density, model, t1, scheme, n_particles=None):
         kernel=scheme.kernel,
         read_out="points",
         invariant=None,
-        log_density=known + before - after,
+        log_density=log_density,
     )
-    return moved, _info(model, scheme, counters, len(powers))
+    return moved, _info(model, scheme, counters, len(powers), mixed)
 
 
 def _march(cloud, model, options, powers, scheme, interval):
@@ -106,6 +111,30 @@ def _log_volumes(cloud, options, t):
     return cloud.x.shape[1] * np.log(cloud.h / options.eta)
 
 
+def _unmixed(L, cloud, options):
+    """Log-density, and whether it had to be read from the kernels.
+
+    Where particles of different origin have mixed, mass over volume differs from one to the next. The kernel
+    mixture, shrunk towards its mean by as much as its kernels widen it, knows less of a cloud in order but
+    more of a mixed one.
+    """
+    N, n = cloud.x.shape
+    factor, inverse, z = np.empty((n, n)), np.empty((n, n)), np.empty((N, n))
+    covariance = np.cov(cloud.x.T, aweights=cloud.m, ddof=0).reshape(n, n)
+    if not cholesky(covariance, factor, inverse):
+        return L, False
+    whiten(cloud.x, cloud.m, inverse, z)
+    scale = np.prod(np.diag(inverse)) ** (1.0 / n)
+    h = cloud.h * scale
+    shrink = 1.0 / math.sqrt(1.0 + options.variance * (cloud.m @ h**2))
+    index = build_index(z, RADIUS[options.kernel] * np.median(h), choose_method(N, n))
+    p, kernel = np.empty(N), (options.kernel, options.normalisation)
+    sample_density(z / shrink, z, cloud.m, h, index, kernel, p)
+    smooth = np.where(p > 0.0, np.log(np.maximum(p, 1e-300)) + n * math.log(scale / shrink), L)
+    mixed = math.sqrt(cloud.m @ (smooth - L) ** 2) > _MIXED
+    return (smooth if mixed else L), mixed
+
+
 def _flat(t):
     return (
         f"at t = {t:.6g} the particles' covariance is singular to rounding: some combination of the states "
@@ -114,8 +143,12 @@ def _flat(t):
 
 
 def _degree(density, scheme):
-    """Largest degree up to the scheme's with particles enough for its functions; one at least, unless 0."""
-    n, most = density.dim, density.n_particles / _PARTICLES_A_FUNCTION
+    """Largest degree up to the scheme's with particles enough for its functions; one at least, unless 0.
+
+    A few heavy particles cannot carry many functions either: their effective number counts.
+    """
+    n, effective = density.dim, 1.0 / np.sum(density.mass**2)
+    most = min(density.n_particles / _PARTICLES_A_FUNCTION, effective)
     affordable = (p for p in range(2, scheme.degree + 1) if math.comb(n + p, p) <= most)
     return max(affordable, default=min(scheme.degree, 1))
 
@@ -134,17 +167,20 @@ def _options(density, model, t1, scheme):
     )
 
 
-def _info(model, scheme, counters, n_functions):
+def _info(model, scheme, counters, n_functions, mixed):
     steps, rejected, evaluations, searches, used, _ = (int(c) for c in counters)
     status = "ok"
     if 0 < used < n_functions:
         status = f"ok; the particles told {used} of {n_functions} polynomials apart"
-    if rejected:
-        status += f"; {rejected} steps repeated"
+    if mixed:
+        status += (
+            "; particles have mixed: log-densities are those of the kernels, shorter intervals do better"
+        )
     return PredictInfo(
         n_steps=steps,
         n_evaluations=evaluations,
         n_searches=searches,
+        n_rejected=rejected,
         n_bypassed=max(evaluations - searches, 0),
         skipped=_skipped(model, max(evaluations - searches, 0)),
         scheme=scheme.name,
