@@ -70,6 +70,7 @@ def test_hellinger_distance_of_two_gaussians():
     d2 = (other - mean) @ np.linalg.solve(cov, other - mean)
     np.testing.assert_allclose(hellinger(Normal(other, cov), exact), np.sqrt(1 - np.exp(-d2 / 8)), rtol=1e-5)
     assert hellinger(Normal(mean, cov), exact) < 1e-5
+    np.testing.assert_allclose(hellinger(Normal(mean + 100.0, cov), exact), 1.0)
 
 
 def test_kernel_estimate_of_a_cloud_approaches_its_density():

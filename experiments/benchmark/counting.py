@@ -62,7 +62,10 @@ def drift_evaluations(method, scenario, case, n_steps, limit=np.inf):
     except Exception:  # its own row tells
         return np.nan
     steps = sum(info.n_steps for info in watched.predictions)
-    return float(count[0] * (method.size / size * n_steps / steps if sampled else 1.0))
+    more = method.size / size if sampled else 1.0
+    if sampled and not scenario.model.linear:  # whose steps are exact, but not those of a black box
+        more *= n_steps / steps
+    return float(count[0] * more)
 
 
 def _counting(model, count):

@@ -71,9 +71,12 @@ def snapshot(filt):
 def hellinger(found, reference):
     """Hellinger distance of a snapshot from a reference `GridDensity`, in [0, 1].
 
-    sqrt(1 - ∫ sqrt(p q)), integrated over the nodes of the reference; what lies outside counts as lost.
+    H² = ½ ∫ (√p - √q)², summed over the nodes of the reference; what is missing there of a mass of one is
+    counted as lying outside.
     """
+    cell = reference.box.cell
     p = np.maximum(reference.values, 0.0)
-    p = p / (p.sum() * reference.box.cell)
+    p = p / (p.sum() * cell)
     q = np.maximum(found.on(reference.box), 0.0)
-    return float(np.sqrt(max(0.0, 1.0 - np.sqrt(p * q).sum() * reference.box.cell)))
+    outside = max(0.0, 1.0 - q.sum() * cell)
+    return float(np.sqrt(0.5 * (((np.sqrt(p) - np.sqrt(q)) ** 2).sum() * cell + outside)))

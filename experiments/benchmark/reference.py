@@ -13,6 +13,7 @@ import numpy as np
 
 from experiments.filters import Factory
 from experiments.settings import Grid
+from reference_filters.big_particle import converged
 from reference_filters.grid_density import Box, GridDensity, fitted_box
 from sphfilter.campaign_store import case_digest
 from sphfilter.errors import PropagationError
@@ -141,8 +142,6 @@ def _grid(scenario, case, effort):
 
 def _particles(scenario, case, effort, folder):
     """Independent large particle runs; their spread is the error of their average."""
-    from reference_filters.big_particle import converged
-
     found = converged(
         scenario.model,
         scenario.measurement,
@@ -166,7 +165,7 @@ def _particles(scenario, case, effort, folder):
         root_mean_square(mean),
         root_mean_square(cov),
         root_mean_square(found.evidence_error),
-        float(np.linalg.norm(found.evidence_error)),
+        found.total_error,
         {},
     )
 
