@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ._first_class import function_at
 from ._jit import jit
 from .field import (
     LOWEST,
@@ -28,7 +29,7 @@ from .field import (
     product,
 )
 
-__all__ = ["COUNTERS", "MOST_CELLS", "STATUS", "Control", "Noise", "Paths", "march"]
+__all__ = ["COUNTERS", "MOST_CELLS", "STATUS", "Control", "Noise", "Paths", "carry", "march"]
 
 STATUS = ("ok", "not finite", "paused", "stalled", "too few nodes", "outgrown")
 OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN = range(6)
@@ -473,3 +474,11 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
         counters[STEPS] += 1
         times[0] = times[1] if pieces <= 1 else t + h
     return field, x, m, OK
+
+
+@jit
+def carry(addresses, noise, field, sten, paths, control, times, state, counters):
+    """`march` for model functions given by address (drift, divergence, D): entered without looking them up."""
+    drift, divergence = function_at(addresses[0]), function_at(addresses[1])
+    diffusion = function_at(addresses[2])
+    return march(drift, divergence, diffusion, noise, field, sten, paths, control, times, state, counters)

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from ..core import characteristics as core
-from ..core._jit import call
+from ..core._first_class import address_of
 from ..core.field import stencils
 from ..density import ParticleDensity
 from ..errors import PropagationError
@@ -61,15 +61,16 @@ def propagate(density, model, t1, scheme, n_particles):
     longest = math.inf if model.autonomous else (t1 - start) / _TIME_SLICES
     state, times = np.array([volume, min(t1 - start, longest), 0.0, longest]), np.array([start, t1])
     functions = (model.drift_batch, model.divergence_batch, model.diffusion_batch)
+    addresses = tuple([address_of(function) for function in functions])
+    rule = paths(G.shape[1], scheme.quadrature)
     field, status = density.field, "paused"
     while status == "paused":
         if counters[core.STEPS] >= scheme.max_steps:
             raise PropagationError(_given_up(f"{scheme.max_steps} steps were not enough", times[0], start, t1))
         try:
-            field, x, mass, code = call(
-                core.march, *functions, noise, field, stencils(n), paths(G.shape[1], scheme.quadrature),
-                control, times, state, counters,
-            )  # fmt: skip
+            field, x, mass, code = core.carry(
+                addresses, noise, field, stencils(n), rule, control, times, state, counters
+            )
         except Exception as problem:  # a black-box drift may raise anything
             raise PropagationError(
                 f"the model failed between t = {times[0]:g} and {t1:g} near {density.mean()}: {problem}"
