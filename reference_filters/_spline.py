@@ -15,21 +15,22 @@ def spline_symbol(k):
     return (66.0 + 52.0 * np.cos(k) + 2.0 * np.cos(2 * k)) / 120.0
 
 
-def evaluate_spline(coefficients, indices):
-    """Spline at fractional node indices, zero outside the grid.
+def evaluate_spline(coefficients, X, to_index, origin):
+    """Spline at states X, whose fractional node indices are to_index @ x + origin; zero outside the grid.
 
     Parameters
     ----------
     coefficients : ndarray, shape (M,) or (M, M)
-    indices : ndarray, shape (N, n)
+    X : ndarray, shape (N, n)
+    to_index, origin : ndarray, shapes (n, n), (n,)
 
     Returns
     -------
     ndarray, shape (N,)
     """
-    out = np.empty(len(indices))
+    out = np.empty(len(X))
     kernel = _evaluate_1d if coefficients.ndim == 1 else _evaluate_2d
-    kernel(coefficients, np.ascontiguousarray(indices), out)
+    kernel(coefficients, np.ascontiguousarray(X), to_index, origin, out)
     return out
 
 
@@ -63,11 +64,11 @@ def _weights(u, w):
 
 
 @jit
-def _evaluate_1d(c, s, out):
+def _evaluate_1d(c, X, to_index, origin, out):
     M = c.size
     w = np.empty(6)
     for i in range(out.size):
-        a = s[i, 0]
+        a = to_index[0, 0] * X[i, 0] + origin[0]
         if not 0.0 <= a <= M - 1.0:
             out[i] = 0.0
             continue
@@ -80,12 +81,13 @@ def _evaluate_1d(c, s, out):
 
 
 @jit
-def _evaluate_2d(c, s, out):
+def _evaluate_2d(c, X, to_index, origin, out):
     M0, M1 = c.shape
     wa, wb = np.empty(6), np.empty(6)
     column = np.empty(6, dtype=np.int64)
     for i in range(out.size):
-        a, b = s[i, 0], s[i, 1]
+        a = to_index[0, 0] * X[i, 0] + to_index[0, 1] * X[i, 1] + origin[0]
+        b = to_index[1, 0] * X[i, 0] + to_index[1, 1] * X[i, 1] + origin[1]
         if not (0.0 <= a <= M0 - 1.0 and 0.0 <= b <= M1 - 1.0):
             out[i] = 0.0
             continue

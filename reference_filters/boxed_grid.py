@@ -17,6 +17,7 @@ from sphfilter import validate
 from sphfilter.errors import ModelError
 
 from ._base import ReferenceFilter, gaussian_start
+from ._characteristics import follow
 from ._spline import spline_symbol, spline_weights
 from .particle import ParticleFilter
 
@@ -206,20 +207,12 @@ def _both(matrices):
 
 
 def _feet(model, X, dt):
-    """States dt before X (M, n) along the drift, and -∫ ∇·f dt, by classical Runge-Kutta."""
-    f, divergence, h = np.empty_like(X), np.empty((len(X), 1)), -dt / _PARTS
-    feet, dilation = X, np.zeros(len(X))
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(_PARTS):
-            total, stage = np.zeros_like(X), feet
-            for weight, c_next in ((1, 0.5), (2, 0.5), (2, 1.0), (1, 0.0)):
-                model.drift_batch(stage, 0.0, model.p, f)
-                model.divergence_batch(stage, 0.0, model.p, divergence)
-                total += weight * f
-                dilation = dilation + h / 6.0 * weight * divergence[:, 0]
-                stage = feet + c_next * h * f
-            feet = feet + h / 6.0 * total
-    return feet, dilation
+    """States dt before X (M, n) along the drift, and -∫ ∇·f dt."""
+    dilation = np.zeros(len(X))
+    for _ in range(_PARTS):
+        X, part = follow(model, X, 0.0, -dt / _PARTS)
+        dilation += part
+    return X, dilation
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})

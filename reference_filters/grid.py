@@ -16,6 +16,7 @@ from sphfilter.errors import ModelError, PropagationError
 from sphfilter.results import FilterResult
 
 from ._base import ReferenceFilter, gaussian_start
+from ._characteristics import follow
 from .grid_density import Box, GridDensity, fitted_box
 
 __all__ = ["GridConvergence", "GridFilter", "grid_convergence"]
@@ -111,25 +112,11 @@ class GridFilter(ReferenceFilter):
 
     def _advected(self, p, coefficients, t, dt, box):
         """Transport over dt of the density with these spline coefficients, on the nodes of `box`."""
-        feet, dilation = self._characteristics(box.nodes(), t + dt, -dt)
+        feet, dilation = follow(self.model, box.nodes(), t + dt, -dt)
         with np.errstate(over="ignore", invalid="ignore"):
             values = p.interpolated(feet, coefficients) * np.exp(dilation)
         values[~np.isfinite(values)] = 0.0  # characteristics that come from infinity carry nothing
         return GridDensity(box, values.reshape(box.shape))
-
-    def _characteristics(self, X, t, dt):
-        """States after dt (negative: before) along the drift, and ∫ ∇·f dt, by classical Runge-Kutta."""
-        f, divergence = np.empty_like(X), np.empty((len(X), 1))
-        total, dilation = np.zeros_like(X), np.zeros(len(X))
-        stage = X
-        with np.errstate(over="ignore", invalid="ignore"):
-            for weight, c, c_next in ((1, 0.0, 0.5), (2, 0.5, 0.5), (2, 0.5, 1.0), (1, 1.0, 0.0)):
-                self.model.drift_batch(stage, t + c * dt, self.model.p, f)
-                self.model.divergence_batch(stage, t + c * dt, self.model.p, divergence)
-                total += weight * f
-                dilation += weight * divergence[:, 0]
-                stage = X + c_next * dt * f
-            return X + dt / 6.0 * total, dt / 6.0 * dilation
 
     def _boxes_ahead(self, p, t, dt):
         """Boxes that will hold the density after dt and 2 dt; None if that is too long to tell."""
@@ -139,7 +126,7 @@ class GridFilter(ReferenceFilter):
         D = self.model.diffusion(p.box.centre[None], t + dt)[0]
         boxes = []
         for i in range(2):
-            X, _ = self._characteristics(X, t + i * dt, dt)
+            X, _ = follow(self.model, X, t + i * dt, dt)
             if not np.all(np.abs(p.box.indices(X)) < 1e3 * self.size):
                 return None
             boxes.append(fitted_box(X, weights, 2.0 * (i + 1) * dt * D, self.size))

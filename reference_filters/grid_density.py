@@ -1,7 +1,7 @@
 """A density on a regular grid whose box may lie askew: moments, blurring, interpolation, support."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy import fft
@@ -65,15 +65,32 @@ class Box:
         mesh = np.stack(np.meshgrid(*self.dim * [y], indexing="ij"), axis=-1)
         return self.centre + mesh.reshape(-1, self.dim) @ self.axes.T
 
+    @cached_property
+    def to_indices(self):
+        """Matrix (n, n) and origin (n,) that turn a state into fractional node indices."""
+        matrix = np.linalg.inv(self.axes) * (0.5 * self.size)
+        return matrix, 0.5 * self.size - matrix @ self.centre
+
     def indices(self, X):
         """Fractional node indices of states X (N, n), shape (N, n)."""
-        return ((X - self.centre) @ np.linalg.inv(self.axes).T + 1.0) * (0.5 * self.size)
+        matrix, origin = self.to_indices
+        return X @ matrix.T + origin
 
     def wave_numbers(self):
         """Wave numbers of a real transform in radians a node, one broadcastable array an axis."""
-        full, half = 2 * np.pi * fft.fftfreq(self.size), 2 * np.pi * fft.rfftfreq(self.size)
-        axes = [full] * (self.dim - 1) + [half]
-        return [k.reshape([-1 if a == i else 1 for a in range(self.dim)]) for i, k in enumerate(axes)]
+        return _wave_numbers(self.size, self.dim)
+
+
+@cache
+def _wave_numbers(size, dim):
+    full, half = 2 * np.pi * fft.fftfreq(size), 2 * np.pi * fft.rfftfreq(size)
+    axes = [full] * (dim - 1) + [half]
+    return [k.reshape([-1 if a == i else 1 for a in range(dim)]) for i, k in enumerate(axes)]
+
+
+@cache
+def _symbol(size, dim):
+    return np.prod(np.broadcast_arrays(*map(spline_symbol, _wave_numbers(size, dim))), axis=0)
 
 
 @dataclass(frozen=True)
@@ -119,14 +136,11 @@ class GridDensity:
 
     def interpolated(self, X, coefficients):
         """Spline with `coefficients` on this box at X (N, n), shape (N,)."""
-        return evaluate_spline(coefficients, self.box.indices(X))
+        return evaluate_spline(coefficients, X, *self.box.to_indices)
 
     def coefficients(self, blur=None):
         """Spline coefficients, after convolution with N(0, blur) if that is given, shape (n, n)."""
-        symbol = 1.0
-        for k in self.box.wave_numbers():
-            symbol = symbol * spline_symbol(k)
-        return self._filtered(self._gaussian(blur) / symbol)
+        return self._filtered(self._gaussian(blur) / _symbol(self.box.size, self.box.dim))
 
     def blurred(self, blur):
         """The density convolved with N(0, blur), blur (n, n)."""
@@ -136,7 +150,7 @@ class GridDensity:
         """Fourier transform of N(0, blur) on this box."""
         if blur is None:
             return 1.0
-        to_index = np.linalg.inv(self.box.axes) * (0.5 * self.box.size)
+        to_index, _ = self.box.to_indices
         C = to_index @ blur @ to_index.T
         k = self.box.wave_numbers()
         return np.exp(-0.5 * sum(C[a, b] * k[a] * k[b] for a in range(len(k)) for b in range(len(k))))
