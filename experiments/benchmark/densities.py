@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import multivariate_normal
 
+from reference_filters.boxed_grid import BoxedGridFilter
 from reference_filters.closed_forms import BenesFilter
-from reference_filters.grid_density import GridDensity
+from reference_filters.grid_density import Box, GridDensity
 from reference_filters.particle import ParticleFilter
 
 __all__ = ["Cloud", "Normal", "hellinger", "snapshot"]
@@ -61,11 +62,22 @@ def snapshot(filt):
     """The density a filter has now, as an object with ``on(box)``."""
     if isinstance(filt, ParticleFilter):
         return Cloud(filt.particles.copy(), filt.weights)
+    if isinstance(filt, BoxedGridFilter):
+        return _Function(_boxed(filt).pdf)
     if isinstance(filt, BenesFilter):
         now = copy(filt)
         return _Function(lambda X: now.pdf(X[:, 0]))
     density = getattr(filt, "density", None)
     return Normal(filt.x.copy(), filt.P.copy()) if density is None else _Function(density.pdf)
+
+
+def _boxed(filt):
+    """The density of a boxed grid filter, whose nodes are the centres of cells."""
+    low, high = filt.nodes.min(axis=0), filt.nodes.max(axis=0)
+    size = round(len(filt.nodes) ** (1.0 / filt.model.dim))
+    cell = (high - low) / (size - 1)
+    box = Box(low + 0.5 * size * cell, np.diag(0.5 * size * cell), size)
+    return GridDensity(box, filt.probabilities.reshape(box.shape) / box.cell)
 
 
 def hellinger(found, reference):

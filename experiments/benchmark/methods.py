@@ -7,6 +7,8 @@ from experiments.settings import Grid, MomentFilter, Particle, Sph
 from sphfilter.config import FilterConfig
 from sphfilter.errors import ConfigError, nearest
 
+from . import boxed
+
 __all__ = ["FAMILIES", "Method", "default_families", "label", "methods", "short"]
 
 #: What the names stand for, short and in words. Any scheme of the SPH filter can be forced with sph:SCHEME.
@@ -19,13 +21,16 @@ FAMILIES = {
     "pf": ("PF, order 2", "particle filter, weak order 2"),
     "pf4": ("PF, order 4", "particle filter, weak order 4"),
     "grid": ("Grid, boxed", "grid filter in a box it is told"),
+    "referee": ("Grid, free", "grid filter that finds its box"),
     "benes": ("Beneš", "closed form of the Beneš problem"),
 }
 #: Particles by number of states (three stands for all above two), quick or not.
 _SPH = {1: (25, 50, 100, 200), 2: (100, 200, 400, 800, 1600), 3: (200, 500, 1000, 2000, 4000)}
 _PAPER = {1: (50, 200), 2: (200, 800), 3: (1000,)}
 _PF, _PF4 = (200, 1000, 10_000, 100_000), (1000, 10_000, 100_000)
-_GRID = (32, 48, 64, 96)
+_REFEREE = (48, 96)
+#: Nodes an axis of the boxed grid, and its steps in an interval between measurements.
+_GRID = ((32, 12), (48, 25), (64, 50), (96, 100))
 #: Particles from which a second thread is tried.
 _TWO_THREADS_FROM = 100_000
 
@@ -41,13 +46,13 @@ class Method:
     size : int
         Particles at most, or nodes an axis; zero for filters that have none.
     threads : int
-    factory : Factory
+    factory : Factory or BoxedFactory
     """
 
     family: str
     size: int
     threads: int
-    factory: Factory
+    factory: object
 
     @property
     def key(self):
@@ -77,9 +82,9 @@ def short(family):
 
 def default_families(scenario):
     """Families that fit a scenario."""
-    n, exact = scenario.model.dim, scenario.settings.exact
+    exact = scenario.settings.exact
     fitting = ["sph", "paper", "ekf", "ukf", "pf", "pf4"]
-    if n <= 2 and not scenario.model.state_dependent_noise:
+    if boxed.fits(scenario):
         fitting.append("grid")
     return fitting + [exact] * (exact in FAMILIES)
 
@@ -123,7 +128,9 @@ def _family(family, scenario, counts, full):
     if family in ("pf", "pf4"):
         return _particle(family, scenario, counts or (_PF4 if family == "pf4" else _PF) + (10**6,) * full)
     if family == "grid":
-        return [_method("grid", "grid", scenario, Grid(size=size), size) for size in _GRID]
+        return _boxed(scenario)
+    if family == "referee":
+        return [_method(family, "grid", scenario, Grid(size=size), size) for size in _REFEREE]
     return [_method(family, family, scenario, MomentFilter() if family in ("ekf", "ukf") else None, 0)]
 
 
@@ -142,6 +149,15 @@ def _particle(family, scenario, sizes):
                 n_particles=size, order=4 if family == "pf4" else 2, n_threads=threads, step=None
             )
             made.append(_method(family, "pf", scenario, settings, size, threads))
+    return made
+
+
+def _boxed(scenario):
+    interval = scenario.settings.times.interval
+    made = []
+    for size, parts in _GRID:
+        settings = boxed.Boxed(size=size, step=interval / parts)
+        made.append(Method("grid", size, 1, boxed.BoxedFactory(scenario, settings)))
     return made
 
 
