@@ -4,10 +4,6 @@ The drift is cheap, the diffusion velocity u a sum over neighbours: each particl
 x' = f(x, t) + u(t) by a Runge-Kutta step of order five (Dormand & Prince 1980), with u extrapolated from the
 two sums before (Adams-Bashforth), evaluated once at the end, and its change against the extrapolation put
 right (Adams-Moulton). That change, and the embedded error of the Runge-Kutta step, choose the step size.
-
-Kernels, neighbours and errors live in whitened coordinates z = L^-1 (x - mean), so that results do not
-depend on the units or axes of the state. L, smoothing lengths and neighbour lists are kept until the lists
-can no longer be trusted or the spacing has changed: a rotation or shear of the whole cloud costs no search.
 """
 
 import math
@@ -18,13 +14,18 @@ import numpy as np
 from ._jit import jit
 from .kernels import RADIUS
 from .moment_correction import correct, keep_affine
-from .number_density import (
-    cholesky,
-    density_sums,
-    pair_lists,
-    solve_lengths,
-    transform,
-    whiten,
+from .number_density import density_sums, transform, whiten
+from .whitened_frame import (
+    Cloud,
+    Options,
+    crosses,
+    follow_spacing,
+    keep_lengths,
+    make_frame,
+    search,
+    settle,
+    still_valid,
+    whiten_frame,
 )
 
 __all__ = ["COUNTERS", "STATUS", "Cloud", "Options", "march", "settle"]
@@ -34,10 +35,7 @@ OK, NOT_FINITE, PAUSED, STALLED, FLAT = range(5)
 COUNTERS = ("steps", "rejected", "evaluations", "searches", "functions", "culprit")
 STEPS, REJECTED, EVALUATIONS, SEARCHES, FUNCTIONS, CULPRIT = range(6)
 
-_SKIN = 1.25  # radius of the lists in units of the support
 _PARABOLIC = 0.61  # 0.9 of the stability interval, 1; that of Heun's method, 2, was measured as 1.36 h^2 / D
-_LIGHT = 1e-6  # particles of less mass may cross their neighbours
-_CLOSE = 0.1  # of h: spacing below which a pair of particles counts as one
 
 
 # Dormand & Prince (1980): nodes, stage weights, fifth-order weights minus fourth-order weights.
@@ -54,36 +52,6 @@ _A = np.array(
     ]
 )
 _E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
-
-
-class Cloud(NamedTuple):
-    """Particles, updated in place; h is in the units of x: (det L)^(1/n) times that in whitened ones."""
-
-    x: np.ndarray  # (N, n)
-    m: np.ndarray  # (N,)
-    h: np.ndarray  # (N,)
-
-
-class Options(NamedTuple):
-    kernel: int
-    normalisation: float
-    eta: float
-    degree: int
-    variance: float
-    tol: float
-    dt_max: float
-    pause_after: int
-
-
-class Frame(NamedTuple):
-    """What is kept from one search to the next."""
-
-    L: np.ndarray  # (n, n)
-    inverse: np.ndarray
-    z: np.ndarray  # (N, n) whitened positions at the time of the search
-    h: np.ndarray  # (N,) smoothing lengths in whitened coordinates
-    reach: np.ndarray  # (N,) radius of the neighbour lists
-    nearest: np.ndarray  # (N,) nearest neighbour
 
 
 class Work(NamedTuple):
@@ -104,110 +72,6 @@ class History(NamedTuple):
     new: np.ndarray  # (N, n)
     slope: np.ndarray  # (N, n)
     K: np.ndarray  # (7, N, n)
-
-
-@jit
-def _make_frame(N, n):
-    matrices = (np.empty((n, n)), np.empty((n, n)), np.empty((N, n)))
-    return Frame(*matrices, np.empty(N), np.empty(N), np.empty(N, np.int64))
-
-
-@jit
-def _covariance(z, m, C):
-    """C = sum m z z' / sum m for centred z."""
-    N, n = z.shape
-    C[:] = 0.0
-    total = 0.0
-    for i in range(N):
-        total += m[i]
-        for a in range(n):
-            for b in range(n):
-                C[a, b] += m[i] * z[i, a] * z[i, b]
-    for a in range(n):
-        for b in range(n):
-            C[a, b] /= total
-
-
-@jit
-def _whiten_frame(cloud, frame):
-    """L of the covariance now, whitened positions and lengths; False where x has no spread somewhere."""
-    n = cloud.x.shape[1]
-    C = np.empty((n, n))
-    for a in range(n):
-        for b in range(n):
-            frame.inverse[a, b] = 1.0 if a == b else 0.0
-    whiten(cloud.x, cloud.m, frame.inverse, frame.z)
-    _covariance(frame.z, cloud.m, C)
-    if not cholesky(C, frame.L, frame.inverse):
-        return False
-    whiten(cloud.x, cloud.m, frame.inverse, frame.z)
-    scale = _scale(frame.L)
-    for i in range(frame.h.size):
-        frame.h[i] = cloud.h[i] / scale
-    return True
-
-
-@jit
-def _keep_lengths(cloud, frame):
-    scale = _scale(frame.L)
-    for i in range(frame.h.size):
-        cloud.h[i] = frame.h[i] * scale
-
-
-@jit
-def _search(frame, options):
-    """New pair lists."""
-    for i in range(frame.h.size):
-        frame.reach[i] = _SKIN * RADIUS[options.kernel] * frame.h[i]
-    pairs, nearest = pair_lists(frame.z, frame.reach)
-    frame.nearest[:] = nearest
-    return pairs
-
-
-@jit
-def _scale(L):
-    """(det L)^(1/n)."""
-    total = 0.0
-    for a in range(L.shape[0]):
-        total += math.log(L[a, a])
-    return math.exp(total / L.shape[0])
-
-
-@jit
-def _still_valid(z, m, frame, K):
-    """Do the lists hold every pair within its support?
-
-    An unlisted pair was farther apart than its reach. Under z -> F z + rest it is still beyond
-    sigma reach - 2 |rest|, with sigma^2 >= 1 - |F'F - 1| for the smallest singular value of F. F is the
-    regression on the old positions, whose covariance is the identity.
-    """
-    N, n = z.shape
-    F, total = np.zeros((n, n)), 0.0
-    for i in range(N):
-        total += m[i]
-        for a in range(n):
-            for b in range(n):
-                F[a, b] += m[i] * z[i, a] * frame.z[i, b]
-    F /= total
-    stretch2 = 0.0
-    for a in range(n):
-        for b in range(n):
-            s = -1.0 if a == b else 0.0
-            for c in range(n):
-                s += F[c, a] * F[c, b]
-            stretch2 += s * s
-    sigma = math.sqrt(max(1.0 - math.sqrt(stretch2), 0.0))
-    rest2, slack = 0.0, np.inf
-    for i in range(N):
-        r2 = 0.0
-        for a in range(n):
-            s = z[i, a]
-            for b in range(n):
-                s -= F[a, b] * frame.z[i, b]
-            r2 += s * s
-        rest2 = max(rest2, r2)
-        slack = min(slack, sigma * frame.reach[i] - K * frame.h[i])
-    return slack > 2.0 * math.sqrt(rest2)
 
 
 @jit
@@ -309,36 +173,6 @@ def _drift_step(drift, p, t, dt, x0, history, x):
 
 
 @jit
-def _crosses(x0, x, m, frame):
-    """Part of the way to its nearest neighbour, relative to it, that a particle goes; (worst, particle).
-
-    Not-a-number counts as infinitely far.
-    """
-    N, n = x.shape
-    worst, culprit = 0.0, 0
-    gap, way = np.empty(n), np.empty(n)
-    for i in range(N):
-        j = frame.nearest[i]
-        for d in range(n):
-            gap[d] = x0[i, d] - x0[j, d]
-            way[d] = x[i, d] - x[j, d] - gap[d]
-        gap2, way2 = 0.0, 0.0
-        for d in range(n):
-            a, b = 0.0, 0.0
-            for c in range(d + 1):
-                a += frame.inverse[d, c] * gap[c]
-                b += frame.inverse[d, c] * way[c]
-            gap2 += a * a
-            way2 += b * b
-        part = math.sqrt(way2 / max(gap2, (_CLOSE * frame.h[i]) ** 2))
-        if not math.isfinite(part):
-            return np.inf, i
-        if part > worst and m[i] > _LIGHT:
-            worst, culprit = part, i
-    return worst, culprit
-
-
-@jit
 def _begin(model, coefficients, t, span, cloud, frame, pairs, powers, work, options, history):
     """u and its rate of change at the start, the step to try, and the largest stable steps.
 
@@ -400,44 +234,23 @@ def _accept(x, m, dt, limits, work, history):
 
 
 @jit
-def _follow_spacing(frame, number, options, n):
-    """One step of the fixed-point iteration h = eta n^(-1/n); lists decide whether they still suffice."""
-    for i in range(number.size):
-        frame.h[i] = math.sqrt(frame.h[i] * options.eta * number[i] ** (-1.0 / n))
+def _allocate(N, n, q, coefficients):
+    """Arrays of the march; D is filled in where it is constant."""
+    varies = coefficients.time_dependent or coefficients.state_dependent
+    D = np.empty((N if varies else 1, n * n))
+    if not varies:
+        D[0] = coefficients.D.ravel()
+    sums = (np.empty((N, n)), np.empty(N), np.empty((N, n)), np.empty(N))
+    work = Work(*sums, np.empty((N, q)), np.empty((q, q)), D, np.empty((N, n)))
+    return work, History(np.zeros((N, n)), np.zeros((N, n)), np.zeros((N, n)), np.empty((7, N, n)))
 
 
 @jit
-def _guess_lengths(frame, eta):
-    """Lengths of a ball filled evenly, where those at hand are far off: particles of a new lattice.
-
-    The variance of a ball of radius Z along an axis is Z^2 / (n + 2).
-    """
-    N, n = frame.z.shape
-    total, mean = 0.0, 0.0
-    for i in range(N):
-        mean += frame.h[i] / N
-        for d in range(n):
-            total += frame.z[i, d] ** 2
-    radius = math.sqrt((n + 2) * total / (n * N))
-    guess = eta * radius * (math.pi ** (0.5 * n) / math.gamma(0.5 * n + 1.0) / N) ** (1.0 / n)
-    if not 0.8 * guess < mean < 1.25 * guess:
-        frame.h[:] = guess
-
-
-@jit
-def settle(cloud, options, tolerance):
-    """Solve for h at the present positions; False where the cloud has no spread in some direction."""
-    frame = _make_frame(*cloud.x.shape)
-    kernel = (options.kernel, options.normalisation)
-    if not _whiten_frame(cloud, frame):
-        return False
-    _guess_lengths(frame, options.eta)
-    for _ in range(30):
-        pairs = _search(frame, options)
-        if solve_lengths(frame.z, frame.h, options.eta, pairs, frame.reach, kernel, tolerance) == 0:
-            break
-    _keep_lengths(cloud, frame)
-    return True
+def _next_step(dt, left):
+    """The step that is wanted, or all that is left, or half of it where two steps will do."""
+    if dt > 0.999 * left:
+        return left
+    return min(dt, 0.5 * left)
 
 
 @jit
@@ -449,45 +262,34 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, powers, ti
     """
     N, n = cloud.x.shape
     x, m, model, interacting = cloud.x, cloud.m, (drift, diffusion, divergence), coefficients.rows.size > 0
-    frame = _make_frame(N, n)
-    varies = coefficients.time_dependent or coefficients.state_dependent
-    q = powers.shape[0]
-    work = Work(
-        np.empty((N, n)), np.empty(N), np.empty((N, n)), np.empty(N), np.empty((N, q)), np.empty((q, q)),
-        np.empty((N if varies else 1, n * n)), np.empty((N, n)),
-    )  # fmt: skip
-    if not varies:
-        work.D[0] = coefficients.D.ravel()
-    history = History(np.zeros((N, n)), np.zeros((N, n)), np.zeros((N, n)), np.empty((7, N, n)))
+    frame, (work, history) = make_frame(N, n), _allocate(N, n, powers.shape[0], coefficients)
     x0, steps_before, span = x.copy(), counters[STEPS], times[1] - times[0]
-    if not _whiten_frame(cloud, frame):
+    if not whiten_frame(cloud, frame):
         return FLAT
-    pairs = _search(frame, options)
+    pairs = search(frame, options)
     arguments = (times[0], span, cloud, frame, pairs, powers, work, options, history)
     first, limits, ago = _begin(model, coefficients, *arguments)
     counters[SEARCHES] += interacting
     counters[EVALUATIONS] += 2 * interacting
     times[2] = first if times[2] == 0.0 else times[2]
     while times[0] < times[1]:
-        left = times[1] - times[0]
-        dt = min(times[2], limits[0], options.dt_max)
-        dt = left if dt > 0.999 * left else min(dt, 0.5 * left) if dt > 0.5 * left else dt
+        dt = _next_step(min(times[2], limits[0], options.dt_max), times[1] - times[0])
         if not dt > 1e-9 * span:
             return STALLED if dt > 0.0 else NOT_FINITE
         x0[:] = x
         _drift_step(drift, coefficients.p, times[0], dt, x0, history, x)
         error = _size(history.K[6], m, frame.inverse, work.z) / options.tol
-        way, counters[CULPRIT] = _crosses(x0, x, m, frame)
+        way, counters[CULPRIT] = crosses(x0, x, m, frame)
         way = way if interacting or not math.isfinite(way) else 0.0
         factor = min(0.9 * max(error, 1e-6) ** -0.2, 0.45 / max(way, 0.01))
         accepted = error <= 1.0 and way <= 0.5
         if accepted and interacting:
             whiten(x, m, frame.inverse, work.z)
-            if not _still_valid(work.z, m, frame, RADIUS[options.kernel]):
-                _keep_lengths(cloud, frame)
-                if not _whiten_frame(cloud, frame):
+            if not still_valid(work.z, m, frame, RADIUS[options.kernel]):
+                keep_lengths(cloud, frame)
+                if not whiten_frame(cloud, frame):
                     return FLAT
-                pairs = _search(frame, options)
+                pairs = search(frame, options)
                 counters[SEARCHES] += 1
             ends = (times[0] + dt, x, m, frame, pairs, powers, work, options, history.new)
             counters[FUNCTIONS] = diffusion_velocity(model, coefficients, *ends)
@@ -501,15 +303,15 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, powers, ti
             times[2] = dt * (min(max(factor, 0.2), 0.9) if math.isfinite(factor) else 0.2)
             continue
         counters[STEPS] += 1
-        # a step cut short by the end or a limit says nothing against the longer one that was planned
+        # A step cut short by the end or a limit says nothing against the longer one that was planned.
         planned = times[2] if dt < times[2] and factor > 1.0 else 0.0
         times[2] = max(planned, dt * min(factor, 5.0))
         if interacting:
             _accept(x, m, dt, limits, work, history)
-            _follow_spacing(frame, work.number, options, n)
+            follow_spacing(frame, work.number, options, n)
             ago, limits = dt, _stable_steps(frame, work, options.variance, options.degree)
-        times[0] = times[1] if dt == left else times[0] + dt
+        times[0] = times[1] if dt == times[1] - times[0] else times[0] + dt
         if counters[STEPS] - steps_before >= options.pause_after and times[0] < times[1]:
             break
-    _keep_lengths(cloud, frame)
+    keep_lengths(cloud, frame)
     return OK if times[0] == times[1] else PAUSED
