@@ -1,1 +1,0 @@
-from .config import CorrectedScheme  # noqa: F401
