@@ -23,6 +23,7 @@ from experiments.settings import Particle
 from reference_filters.grid_density import GridDensity, fitted_box
 from reference_filters.kalman import KalmanFilter
 from sphfilter import ConfigError
+from sphfilter.errors import PropagationError
 from sphfilter.results import FilterResult
 
 _QUICK = ["--quick", "--runs", "2", "--set", "times.end=4"]
@@ -106,6 +107,19 @@ def test_grid_reference_has_the_error_it_claims(tmp_path):
     assert found.kind.startswith("grid of")
 
 
+def test_particle_reference_has_the_error_it_claims(tmp_path):
+    scenario = load_scenario("cart_linear", **{"times.end": 4.0})
+    case = scenario.draw(np.random.default_rng(4))
+    unknown = replace(scenario, settings=replace(scenario.settings, exact=None))
+    found = reference.find(unknown, case, reference.Effort(n_paths=10_000, n_runs=8), tmp_path)
+    exact = KalmanFilter(scenario.model, scenario.measurement, case.x0, case.P0).run(case.times, case.z)
+    e = errors(found.result, exact)
+    assert found.mean / 3 < e.mean < 3 * found.mean
+    assert found.cov / 3 < e.cov < 3 * found.cov
+    assert e.total < 3 * found.total
+    assert not found.densities
+
+
 def test_reference_is_read_again_and_belongs_to_its_case(tmp_path, monkeypatch):
     scenario = load_scenario("benes", **{"times.end": 2.0})
     cases = [scenario.draw(np.random.default_rng(seed)) for seed in (1, 2)]
@@ -153,6 +167,16 @@ def test_particle_filter_has_less_error_with_more_particles(tmp_path):
     rows = [measure(m, case, exact, [1], 10.0) for m in methods(["pf"], scenario, counts=(100, 10_000))]
     assert rows[1]["mean"] < 0.4 * rows[0]["mean"]
     assert rows[1]["n_used"] == 10_000
+
+
+def test_boxed_grid_converges_and_gives_its_density(tmp_path):
+    scenario = load_scenario("linear_underdamped", **{"times.end": 3.0})
+    case = scenario.draw(np.random.default_rng(2))
+    exact = reference.find(scenario, case, reference.Effort(), tmp_path)
+    rows = [measure(m, case, exact, [1], 10.0) for m in methods(["grid"], scenario)]
+    assert rows[-1]["mean"] < 0.1 * rows[0]["mean"]
+    assert rows[-1]["mean"] < 1e-3
+    assert rows[-1]["hellinger"] < 2e-3
 
 
 def test_failure_of_a_competitor_is_a_row_of_its_own(tmp_path):
@@ -243,7 +267,7 @@ def test_competitors_of_a_scenario():
     made = methods(default_families(van_der_pol), van_der_pol)
     assert len({m.key for m in made}) == len(made)
     assert {m.threads for m in made} == {1, 2}
-    assert label("pf, 2 threads") == "particle filter, weak order 2, 2 threads"
+    assert label("pf4, 2 threads") == "particle filter, weak order 4, 2 threads"
 
 
 def test_paper_has_the_kernels_of_its_tables():
@@ -315,6 +339,18 @@ def test_command_tells_who_wins_with_an_expensive_drift(tmp_path, capsys):
     at_the_same_error = [float(row["seconds"]) for row in rows if row["error"] == "0.1"]
     assert at_the_same_error == sorted(at_the_same_error)
     assert (tmp_path / "expensive.png").stat().st_size > 10_000
+
+
+def test_a_scenario_without_reference_is_told(tmp_path, capsys, monkeypatch):
+    def none(*_):
+        raise PropagationError("no reference")
+
+    monkeypatch.setattr(reference, "_exact", none)
+    arguments = ["--filters", "kf", "--out", str(tmp_path)]
+    assert commands.main(["benchmark", "linear_underdamped", *_QUICK, *arguments]) == 1
+    said = capsys.readouterr()
+    assert "no reference" in said.out
+    assert "nothing was measured" in said.err
 
 
 def test_unknown_competitor_is_one_sentence(tmp_path, capsys):

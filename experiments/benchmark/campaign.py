@@ -29,6 +29,8 @@ class Plan:
     limit : float
         Seconds of a run; sizes that would take longer are left out, runs that do are given up.
     effort : reference.Effort
+    counted : tuple of str
+        Scenarios whose drift evaluations are counted, which takes minutes each.
     """
 
     folder: Path
@@ -36,6 +38,7 @@ class Plan:
     seed: int
     limit: float
     effort: reference.Effort
+    counted: tuple = ()
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,8 @@ def run_scenario(scenario, competitors, plan, say):
     lines = []
     for method in competitors:
         if not work.left_out(method):
-            say(f"drift evaluations of {method.key}", 0)
+            if scenario.name in plan.counted:
+                say(f"drift evaluations of {method.key}", 0)
             rows = [work.row(method, run) for run in range(plan.n_runs)]
             lines.append(summarise(scenario, method, rows, work.drift(method), together))
     return Outcome(scenario.name, lines, together, [m.key for m in competitors if work.left_out(m)])
@@ -117,8 +121,9 @@ class _Work:
         return self._kept(method, run, lambda: self._measured(method, run))
 
     def drift(self, method):
-        """Evaluations of the drift in the first run."""
-        if method.family in ("kf", "benes") or "failure" in self.row(method, 0):
+        """Evaluations of the drift in the first run; NaN where they are not counted."""
+        counted = self._scenario.name in self._plan.counted and method.family not in ("kf", "benes")
+        if not counted or "failure" in self.row(method, 0):
             return np.nan
         n_steps = self.row(method, 0)["steps"]
 

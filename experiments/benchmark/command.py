@@ -8,7 +8,7 @@ import json
 import os
 import platform
 from contextlib import nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -40,7 +40,7 @@ SCENARIOS = (
 #: A name that is no scenario: what the rows of another one mean where the drift is expensive.
 _EXPENSIVE = "expensive"
 _QUICK = Effort(error=1e-2, first=0, last=1, n_paths=20_000, n_runs=4)
-_FULL = Effort(error=2e-5, first=2, last=5, n_paths=1_000_000, n_runs=20)
+_FULL = Effort(error=2e-5, first=2, last=5, n_runs=50)
 
 
 def add_arguments(parser):
@@ -55,6 +55,8 @@ def add_arguments(parser):
     parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
     limit = "seconds a run may take; larger sizes are left out (default 10)"
     parser.add_argument("--limit", type=float, help=limit)
+    paths = "particles in all of a reference above two states; more of them later add to those on disk"
+    parser.add_argument("--reference-paths", type=float, metavar="N", help=paths)
     parser.add_argument("--out", type=Path, default=Path("results/benchmark"), help="folder for results")
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--quick", action="store_true", help="two runs, coarse references: does it work?")
@@ -82,7 +84,8 @@ def main(args):
     if _EXPENSIVE in names:
         scenarios.setdefault(expensive.BASE, load_scenario(expensive.BASE, **changes))
     work = [(scenario, _competitors(scenario, args)) for scenario in scenarios.values()]
-    plan, machine, outcomes = _plan(args), {"start": _machine()}, []
+    counted = tuple(scenarios) if args.full else (expensive.BASE,) * (_EXPENSIVE in names)
+    plan, machine, outcomes = _plan(args, counted), {"start": _machine()}, []
     for scenario, competitors in work:
         try:
             outcomes.append(_measured(console, scenario, competitors, plan))
@@ -101,11 +104,13 @@ def main(args):
     console.print(f"Pictures: {', '.join(map(str, drawn))}")
 
 
-def _plan(args):
+def _plan(args, counted):
     effort = _QUICK if args.quick else _FULL if args.full else Effort()
+    if args.reference_paths:
+        effort = replace(effort, n_runs=max(2, round(args.reference_paths / effort.n_paths)))
     runs = args.runs or (2 if args.quick else 5)
     limit = args.limit or (120.0 if args.full else 10.0)
-    return Plan(folder=args.out, n_runs=runs, seed=args.seed, limit=limit, effort=effort)
+    return Plan(folder=args.out, n_runs=runs, seed=args.seed, limit=limit, effort=effort, counted=counted)
 
 
 def _competitors(scenario, args):

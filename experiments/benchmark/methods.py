@@ -31,7 +31,7 @@ _PF, _PF4 = (200, 1000, 10_000, 100_000), (1000, 10_000, 100_000)
 _REFEREE = (48, 96)
 #: Nodes an axis of the boxed grid, and its steps in an interval between measurements.
 _GRID = ((32, 12), (48, 25), (64, 50), (96, 100))
-#: Particles from which a second thread is tried.
+#: Particles from which the better of the particle filters is tried with a second thread, too.
 _TWO_THREADS_FROM = 100_000
 
 
@@ -144,7 +144,7 @@ def _config(family, scheme, n):
 def _particle(family, scenario, sizes):
     made = []
     for size in sizes:
-        for threads in (1, 2) if size >= _TWO_THREADS_FROM else (1,):
+        for threads in (1, 2) if size >= _TWO_THREADS_FROM and family == "pf4" else (1,):
             settings = Particle(
                 n_particles=size, order=4 if family == "pf4" else 2, n_threads=threads, step=None
             )

@@ -46,7 +46,7 @@ class Effort:
     first: int = 2
     last: int = 4
     n_paths: int = 400_000
-    n_runs: int = 10
+    n_runs: int = 8
 
 
 @dataclass(frozen=True)
@@ -154,20 +154,29 @@ def _particles(scenario, case, effort, folder):
     prior = np.full_like(found.x, np.nan), np.full_like(found.P, np.nan)
     accepted = np.ones(len(found.t), dtype=bool)
     result = FilterResult(found.t, *prior, found.x, found.P, found.log_evidence, accepted)
-    n = found.x.shape[1]
-    to_white = np.linalg.inv(np.linalg.cholesky(found.P))
-    mean = np.linalg.norm(to_white @ found.x_error[..., None], axis=(1, 2))
-    cov = np.linalg.norm(to_white @ found.P_error @ np.swapaxes(to_white, 1, 2), axis=(1, 2)) / np.sqrt(n)
     paths = f"{effort.n_runs} particle runs of {effort.n_paths:g}"
     return Reference(
         f"{paths}, error bounded by their spread",
         result,
-        root_mean_square(mean),
-        root_mean_square(cov),
+        *_white_errors(found),
         root_mean_square(found.evidence_error),
         found.total_error,
         {},
     )
+
+
+def _white_errors(found):
+    """Standard errors of mean and covariance in the measures of `errors.Errors`.
+
+    Those of the components are given. Sampling errors are correlated like samples of the posterior: the
+    covariance of the mean is c P, the variance of entry ij of the covariance c' (P_ii P_jj + P_ij²). With c
+    and c' averaged over the components, |L⁻¹ e|² is n c and ‖L⁻¹ E L⁻ᵀ‖² / n is (n + 1) c'.
+    """
+    n = found.x.shape[1]
+    var = np.diagonal(found.P, axis1=1, axis2=2)
+    c = np.mean(found.x_error**2 / var, axis=1)
+    c_prime = np.mean(found.P_error**2 / (var[:, :, None] * var[:, None, :] + found.P**2), axis=(1, 2))
+    return root_mean_square(np.sqrt(n * c)), root_mean_square(np.sqrt((n + 1) * c_prime))
 
 
 def _save(path, reference):
