@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, fields
 from dataclasses import field as attribute
-from functools import cached_property
 
 import numpy as np
 from scipy import optimize, special
@@ -43,8 +42,8 @@ class ParticleDensity:
     read_out : str
         What mean, covariance and the like are computed from unless ``kind=`` says otherwise: "points"
         (sums over particles), "mixture" (integrals of p; its covariance is larger by the kernel's own) or
-        "log_density" (sums over a lattice, the covariance put right for its cut edge; the pdf is the
-        exponential of the `field`, tails included).
+        "log_density" (sums over a lattice and the ring around its cut edge; the pdf is the exponential of the
+        `field`, tails included).
     represented_mass : float
         Probability of the region the particles cover, where the density was cut; one if unknown.
     log_density : ndarray, shape (N,), or None
@@ -54,7 +53,9 @@ class ParticleDensity:
     field : Field or None
         Polynomials of log p between the nodes of a lattice, where the particles are one.
     volume : float or None
-        Volume the particles fill in whitened coordinates, of which the next lattice starts.
+        Volume the particles fill in whitened coordinates, from which the next lattice starts.
+    moments : tuple or None
+        Mean (n,) and covariance (n, n) of the density beyond the cut too, where a lattice knows them.
     capacity : int or None
         Bound of the number of particles at the next re-gridding, unless another is given.
 
@@ -72,6 +73,7 @@ class ParticleDensity:
     invariant: np.ndarray | None = None
     field: Field | None = None
     volume: float | None = None
+    moments: tuple | None = None
     capacity: int | None = None
     _index: list = attribute(init=False, repr=False, default_factory=list)
 
@@ -105,6 +107,7 @@ class ParticleDensity:
             log_density=laid.field.log_p,
             field=laid.field,
             volume=laid.volume,
+            moments=(laid.mean, laid.cov),
             capacity=capacity,
         )
 
@@ -161,24 +164,20 @@ class ParticleDensity:
 
     def mean(self):
         """Mean, shape (n,); points and mixture agree, kernels being symmetric."""
+        if self.moments is not None and self.read_out == "log_density":
+            return self.moments[0].copy()
         return self.mass @ self.x
 
     def cov(self, kind=None):
         """Covariance, shape (n, n)."""
-        d = self.x - self.mean()
+        kind = self._kind(kind)
+        if kind == "log_density" and self.moments is not None:
+            return self.moments[1].copy()
+        d = self.x - self.mass @ self.x
         points = (d * self.mass[:, None]).T @ d
-        if self._kind(kind) == "points":
+        if kind in ("points", "log_density"):
             return points
-        if self._kind(kind) == "log_density":
-            return points / self._truncation
         return points + self.kernel_variance * (self.mass @ self.h**2) * np.eye(self.dim)
-
-    @cached_property
-    def _truncation(self):
-        """What a cut where the density has fallen by exp(-Z²/2) leaves of a Gaussian's variance."""
-        fallen = float(np.ptp(self.log_density))
-        inside = special.gammainc(0.5 * self.dim, fallen)
-        return special.gammainc(0.5 * self.dim + 1.0, fallen) / inside if inside > 0.5 else 1.0
 
     def moment(self, powers, central=False, kind=None):
         """Expectation of prod_d x_d^powers[d], about the mean if `central`.

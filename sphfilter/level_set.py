@@ -30,6 +30,8 @@ class Laid(NamedTuple):
     field: Field
     log_mass: float  # log of the integral before it was normalised
     volume: float  # of the kept region in whitened coordinates
+    mean: np.ndarray  # (n,)
+    cov: np.ndarray  # (n, n)
 
 
 def at(field, X):
@@ -82,10 +84,10 @@ def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
         spacing = (volume / (0.92 * n_particles)) ** (1.0 / n)
         A = np.ascontiguousarray(factor * spacing)
         value, low, dims, highest = _flood(log_p, mean, A, seeds, depth, sten)
-        node, x, log_density, mass, log_mass = core.relaid(value, low, dims, highest, mean, A, sten, depth)
-        count = len(x)
+        new = core.relaid(value, low, dims, highest, mean, A, sten, depth)
+        count = len(new[0])
         if 0 < count <= n_particles:
-            best = node, x, log_density, mass, log_mass, A, count * spacing**n
+            best = A, count * spacing**n, *new
             if count >= 0.5 * n_particles:
                 break
         volume *= np.clip(count, 0.1 * n_particles, 10.0 * n_particles) / (0.92 * n_particles)
@@ -94,8 +96,8 @@ def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
             f"no lattice of at most {n_particles} particles resolves the density of {n} states near {mean} "
             f"(the last one had {count}); use more particles"
         )
-    node, x, log_density, mass, log_mass, A, volume = best
-    return Laid(x, mass, build_field(mean, A, node, log_density, sten), log_mass, volume)
+    A, volume, node, x, log_density, mass, log_mass, new_mean, cov = best
+    return Laid(x, mass, build_field(mean, A, node, log_density, sten), log_mass, volume, new_mean, cov)
 
 
 def _flood(log_p, mean, A, seeds, depth, sten):

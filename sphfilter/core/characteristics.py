@@ -368,22 +368,42 @@ def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h,
 
 @jit
 def relaid(value, low, dims, highest, mu, A, sten, depth):
-    """The field of the cells above the depth, normalised; its masses, states and the log of its integral."""
-    ball = sten.offsets[: sten.size[0]]
-    found = opened(value, highest - depth, dims, ball)
+    """The nodes of a flooded box above the depth, normalised.
+
+    Mean, covariance and the integral are sums over all cells that were asked for, the ring just below the depth
+    included: what the cut would take away from them is below rounding of what the lattice resolves.
+
+    Returns
+    -------
+    node (N, n), x (N, n), log_p (N,), m (N,), log of the integral, mean (n,), covariance (n, n)
+    """
+    n = mu.size
+    found = opened(value, highest - depth, dims, sten.offsets[: sten.size[0]])
     node, x = states_of(found, mu, A, low, dims)
-    log_p, m, total = np.empty(found.size), np.empty(found.size), 0.0
-    for k in range(found.size):
-        m[k] = math.exp(value[found[k]] - highest)
-        total += m[k]
-    cell = 1.0
-    for a in range(mu.size):
+    known = np.zeros(value.size, np.bool_)
+    for flat in range(value.size):
+        known[flat] = value[flat] > highest - 50.0
+    asked = marked(known)
+    _, everywhere = states_of(asked, mu, A, low, dims)
+    weight, total, cell = np.empty(asked.size), 0.0, 1.0
+    for k in range(asked.size):
+        weight[k] = math.exp(value[asked[k]] - highest)
+        total += weight[k]
+    for k in range(asked.size):
+        weight[k] /= total
+    for a in range(n):
         cell *= A[a, a]
-    log_mass = highest + math.log(total * cell) if found.size else 0.0
+    log_mass = highest + math.log(total * cell)
+    mean, cov = np.empty(n), np.empty((n, n))
+    moments(everywhere, weight, mean, cov)
+    log_p, m, inside = np.empty(found.size), np.empty(found.size), 0.0
     for k in range(found.size):
         log_p[k] = value[found[k]] - log_mass
-        m[k] /= total
-    return node, x, log_p, m, log_mass
+        m[k] = math.exp(value[found[k]] - highest)
+        inside += m[k]
+    for k in range(found.size):
+        m[k] /= inside
+    return node, x, log_p, m, log_mass, mean, cov
 
 
 @jit
@@ -408,18 +428,19 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
     """Carry a field from times[0] to times[1]; times[0], `state` and the counters are kept up to date.
 
     state: [filled volume of the whitened lattice, next step, sum of |log mass| lost, longest step].
-    Returns the field, its states and masses, and a code of `STATUS`. On failure they are as far as they came.
+    Returns the field, its states and masses, their mean and covariance, and a code of `STATUS`. On failure they
+    are as far as they came.
     """
     n = field.mu.size
     mean, P, L = np.empty(n), np.empty((n, n)), np.empty((n, n))
     x, m = nodes_of(field)
     span, first = times[1] - times[0], counters[STEPS]
+    moments(x, m, mean, P)
     while times[0] < times[1]:
         if counters[STEPS] - first >= control.pause_after:
-            return field, x, m, PAUSED
-        moments(x, m, mean, P)
+            return field, x, m, mean, P, PAUSED
         if not cholesky(P, L):
-            return field, x, m, NOT_FINITE
+            return field, x, m, mean, P, NOT_FINITE
         t, left = times[0], times[1] - times[0]
         h = min(state[1], left, state[3])
         if noise.time_dependent:
@@ -439,13 +460,13 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
             counters[REJECTED] += 1
             state[1] = h * factor
             if state[1] < 1e-9 * span:
-                return field, x, m, (NOT_FINITE if error == np.inf else STALLED)
+                return field, x, m, mean, P, (NOT_FINITE if error == np.inf else STALLED)
             continue
         state[1] = min(max(h * factor, state[1]) if h < state[1] else h * factor, 1e300)
         predicted(drift, noise, x, twice, m, t, h, mean, P)
         counters[EVALUATIONS] += 8 * noise.G.shape[1] * x.shape[0]
         if not cholesky(P, L):
-            return field, x, m, NOT_FINITE
+            return field, x, m, mean, P, NOT_FINITE
         for attempt in range(_TRIES):
             spacing = (state[0] / (0.92 * control.n_particles)) ** (1.0 / n)
             A, origin = L.copy(), mean.copy()
@@ -456,8 +477,8 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
                 drift, divergence, noise, field, sten, paths, origin, A, twice, t + h, h, control, counters
             )
             if value.size == 0:
-                return field, x, m, OUTGROWN
-            node, x_new, log_p, m_new, log_mass = relaid(
+                return field, x, m, mean, P, OUTGROWN
+            node, x_new, log_p, m_new, log_mass, mean, P = relaid(
                 value, low, dims, highest, origin, A, sten, control.depth
             )
             count = x_new.shape[0]
@@ -466,14 +487,14 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
             counters[RELAID] += 1
             state[0] *= max(count, 0.1 * control.n_particles) / (0.92 * control.n_particles)
             if attempt == _TRIES - 1 and (count == 0 or count > control.n_particles):
-                return field, x, m, TOO_FEW
+                return field, x, m, mean, P, TOO_FEW
         state[0] = count * spacing**n
         state[2] += abs(log_mass)
         x, m = x_new, m_new
         field = build_field(origin, A, node, log_p, sten)
         counters[STEPS] += 1
         times[0] = times[1] if pieces <= 1 else t + h
-    return field, x, m, OK
+    return field, x, m, mean, P, OK
 
 
 @jit

@@ -68,7 +68,7 @@ def propagate(density, model, t1, scheme, n_particles):
         if counters[core.STEPS] >= scheme.max_steps:
             raise PropagationError(_given_up(f"{scheme.max_steps} steps were not enough", times[0], start, t1))
         try:
-            field, x, mass, code = core.carry(
+            field, x, mass, mean, cov, code = core.carry(
                 addresses, noise, field, stencils(n), rule, control, times, state, counters
             )
         except Exception as problem:  # a black-box drift may raise anything
@@ -84,7 +84,7 @@ def propagate(density, model, t1, scheme, n_particles):
         raise PropagationError(
             _given_up(f"the lattice lost or gained {100 * state[2]:.2g} % of the probability", t1, start, t1)
         )
-    laid = Laid(x, mass, field, 0.0, float(state[0]))
+    laid = Laid(x, mass, field, 0.0, float(state[0]), mean, cov)
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity)
     return moved, _info(model, scheme, counters, float(state[2]))
 
