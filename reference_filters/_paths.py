@@ -9,150 +9,24 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
 from sphfilter.core._first_class import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit, jit_for
 from sphfilter.core.normals import LANES, fill_normals, seed_lanes
-from sphfilter.core.sde_steps import (
-    platen_steps,
-    root_noise,
-    root_now,
-    shifted_path_steps,
-    split_steps,
-    spread,
-)
+from sphfilter.core.sde_steps import platen_steps, shifted_path_steps, split_steps
+from sphfilter.core.step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH, SPLIT, step_length
 from sphfilter.errors import PropagationError
 from sphfilter.simulate import noise_root, rate_of_time
 
 __all__ = ["Paths", "standard_normals"]
 
-SPLIT, SHIFTED_PATH, PLATEN = 0, 1, 2
 #: Steps between two looks at the step length, and the most steps a block may take.
 _STEPS_PER_LOOK, _MAX_STEPS = 4, 1_000_000
-#: Bias that the covariance of an interval gets for a rough error of one in its steps, by scheme: about the
-#: largest of six scenarios with two to four states (the smallest is a tenth of it).
-_BIAS_PER_ERROR = (0.5, 0.06, 0.5)
-#: Largest rough error of one state, in standard deviations: keeps the tails stable.
-_LARGEST = 0.5
 #: States at which the rate of change with time is looked at.
 _LOOKED_AT = 64
 #: Blocks a thread must have before another one is worth its start (about 50 µs).
 _BLOCKS_PER_THREAD = 8
-
-
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})
-def _in_deviations(change, moved, variance):
-    """Root mean square and largest of change (N, n) in standard deviations, of the worst component.
-
-    The variance (n,) is that of all states now, to which the spread of `moved` (N, n) is added.
-    """
-    N, n = change.shape
-    worst_rms, worst = 0.0, 0.0
-    for a in range(n):
-        mean = square = total = top = 0.0
-        for i in range(N):
-            mean += moved[i, a]
-            square += moved[i, a] ** 2
-            total += change[i, a] ** 2
-            top = max(top, abs(change[i, a]))
-        spread = max(square / N - (mean / N) ** 2, 0.0)
-        if not np.isfinite(total + square):
-            return np.inf, np.inf
-        if total > 0.0:
-            unit = np.sqrt(variance[a] + spread)
-            worst_rms, worst = max(worst_rms, np.sqrt(total / N) / unit), max(worst, top / unit)
-    return worst_rms, worst
-
-
-@jit
-def _additive_trial(x, t, h, functions, p, L, work):
-    """Fill change = h (k₃ − k₂) of a Runge-Kutta step with noise of typical size, and the move h k₃."""
-    drift, noise = functions
-    y, slope, k, change, moved = work
-    (N, n), m = x.shape, L.shape[0]
-    g, sigma = np.empty((1, n * m)), np.empty((n, m))
-    root_now(noise, x, t, p, L, g, sigma)
-    spread(sigma, _signs(m, N), slope)
-    X, Y, S, K = x.reshape(-1), y.reshape(-1), slope.reshape(-1), k.reshape(-1)
-    C, M, root = change.reshape(-1), moved.reshape(-1), 1.0 / np.sqrt(h)
-    drift(x, t, p, k)
-    for i in range(X.size):
-        S[i] *= root
-        Y[i] = X[i] + 0.5 * h * (K[i] + S[i])
-    drift(y, t + 0.5 * h, p, k)
-    for i in range(X.size):
-        Y[i] = X[i] + 0.5 * h * (K[i] + S[i])
-        C[i] = K[i]
-    drift(y, t + 0.5 * h, p, k)
-    for i in range(X.size):
-        C[i] = h * (K[i] - C[i])
-        M[i] = h * (K[i] + S[i])
-
-
-@jit
-def _general_trial(x, t, h, functions, p, L, work):
-    """Fill the changes of h f and √h σ over an Euler step with noise of typical size, and that step."""
-    drift, noise = functions
-    y, k, k_new, change, moved = work
-    N, n, m = x.shape[0], x.shape[1], L.shape[0]
-    signs, raw, b, b_new = _signs(m, N), np.empty((N, n * m)), np.empty((N, n * m)), np.empty((N, n * m))
-    drift(x, t, p, k)
-    root_noise(noise, x, t, p, L, raw, b)
-    for i in range(N):
-        for a in range(n):
-            moved[i, a] = h * k[i, a]
-            for j in range(m):
-                moved[i, a] += np.sqrt(h) * signs[j, i] * b[i, a * m + j]
-            y[i, a] = x[i, a] + moved[i, a]
-    drift(y, t + h, p, k_new)
-    root_noise(noise, y, t + h, p, L, raw, b_new)
-    for i in range(N):
-        for a in range(n):
-            change[i, a] = h * (k_new[i, a] - k[i, a])
-            for j in range(m):
-                change[i, a] += np.sqrt(h) * signs[j, i] * (b_new[i, a * m + j] - b[i, a * m + j])
-
-
-@jit
-def _signs(m, N):
-    """Return ±1, shape (m, N), in all combinations along the states."""
-    signs = np.empty((m, N))
-    for k in range(m):
-        for i in range(N):
-            signs[k, i] = 1.0 if (i >> (k % 8)) & 1 else -1.0
-    return signs
-
-
-@jit
-def _trial(scheme, x, t, h, functions, constants, work):
-    """Rough error of a step h from x, root mean square and largest over the states, in standard deviations.
-
-    The order in h is that of the scheme as measured: three for SHIFTED_PATH, two for the others.
-    """
-    p, variance, L = constants
-    if scheme == PLATEN:
-        _general_trial(x, t, h, functions, p, L, work)
-    else:
-        _additive_trial(x, t, h, functions, p, L, work)
-    rms, largest = _in_deviations(work[3], work[4], variance)
-    power = 2.0 if scheme == PLATEN else 2.0 / 3.0 if scheme == SPLIT else 1.0
-    return rms**power, largest**power
-
-
-@jit
-def _step_length(scheme, x, t, h, functions, constants, tolerance):
-    """Step, at most twice h, whose bias is about the tolerance; zero when there is none."""
-    power = -1 / 3 if scheme == SHIFTED_PATH else -1 / 2
-    shape = x.shape
-    work = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
-    for _ in range(60):
-        rms, largest = _trial(scheme, x, t, h, functions, constants, work)
-        excess = max(_BIAS_PER_ERROR[scheme] * rms / tolerance, largest / _LARGEST)
-        h *= min(2.0, 0.9 * excess**power) if excess < 100.0 else 0.2
-        if excess < 2.0:
-            return h
-    return 0.0
 
 
 @jit
@@ -170,7 +44,7 @@ def _move_block(scheme, x, span, limits, functions, constants, state):
     while t < t1:
         h = min(h, longest, t1 - t)
         if tolerance < np.inf:
-            h = min(_step_length(scheme, x, t, h, functions, constants, tolerance), longest)
+            h = min(step_length(scheme, x, t, h, functions, constants, tolerance), longest)
         if not (h > 0.0 and taken < _MAX_STEPS):
             return 0, t
         left = max(1, int(np.ceil((t1 - t) / h * (1 - 1e-12))))
@@ -274,7 +148,7 @@ class Paths:
         if self.step is not None:
             return self.step, self.step, np.inf
         rate = rate_of_time(self.model, x[:_LOOKED_AT], t0, t1)
-        error = tolerance / _BIAS_PER_ERROR[self._scheme]
+        error = tolerance / BIAS_PER_ERROR[self._scheme]
         rough = (4.0 * error) ** (1 / 3) if self._scheme == SHIFTED_PATH else np.sqrt(error)
         return (rough / rate if rate > 0.0 else np.inf), self._first, tolerance
 

@@ -121,6 +121,21 @@ def test_tails_of_a_stiffening_drift_stay_stable():
     assert abs(np.mean(x**2) - expected) < 4.5 * np.std(x**2) / np.sqrt(len(x)) + 3e-2 * expected
 
 
+def test_a_stiff_relaxation_oscillator_stays_stable():
+    """On its slow branches hardly anything moves at rates of 24 and, far out, 300 per second."""
+    model = SDE(lambda x: (x[1], -8.0 * x[1] * (x[0] ** 2 - 1.0) - x[0]), 2, [[0.0], [1.0]], [[0.8]])
+    start, found = np.random.default_rng(9).standard_normal((8000, 2)) * [1.5, 1.0], []
+    for tolerance in (3e-2, 1e-3):
+        x = start.copy()
+        n_steps = Paths(model).move(x, 0.0, 2.0, x.var(axis=0), tolerance, np.random.default_rng(10))
+        assert 24.0 * 2.0 / 2.8 < n_steps < 3000
+        found.append(x)
+    spread = found[1].std(axis=0)
+    noise = 4.5 * np.sqrt(2.0 / len(start))
+    assert np.all(np.abs(found[0].mean(axis=0) - found[1].mean(axis=0)) / spread < 3e-2 + noise)
+    np.testing.assert_allclose(found[0].std(axis=0), spread, rtol=3e-2 + 4 * noise)
+
+
 def test_a_start_without_spread():
     x = np.zeros((500, 2))
     assert Paths(HIDDEN).move(x, 0.0, 1.0, np.zeros(2), 1e-2, np.random.default_rng(7)) > 0
