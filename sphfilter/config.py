@@ -153,10 +153,12 @@ class LogDensityScheme:
 
     Attributes
     ----------
-    reach : float
-        Z: particles lie where log p is within Z²/2 of its largest, so out to Z sigma of a Gaussian.
-    tolerance : float
-        Error allowed in the paths of a time step: rms over the mass, in standard deviations.
+    reach : float, optional
+        Z: particles lie where log p is within Z²/2 of its largest, so out to Z sigma of a Gaussian. By default
+        5.5, 4.2 and 4 in one, two and more dimensions.
+    tolerance : float, optional
+        Error allowed in the paths of a time step: rms over the mass, in standard deviations. By default in
+        proportion to the error of the lattice.
     noise_share : float
         Largest variance that the noise of a time step may have, in units of the density's own.
     quadrature : int
@@ -167,8 +169,8 @@ class LogDensityScheme:
     """
 
     name: Literal["log_density"] = "log_density"
-    reach: Annotated[float, Field(ge=2.5, le=12)] = 4.0
-    tolerance: Positive = 3e-4
+    reach: Annotated[float, Field(ge=2.5, le=12)] | None = None
+    tolerance: Positive | None = None
     noise_share: Annotated[float, Field(gt=0, le=2)] = 0.4
     quadrature: Annotated[int, Field(ge=2, le=15)] = 5
     most_lost: Positive = 0.2

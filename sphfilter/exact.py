@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from .config import LogDensityScheme
 from .density import ParticleDensity
 from .info import PredictInfo
-from .level_set import lay
+from .level_set import lay, reach
 
 __all__ = ["gaussian_log_pdf", "propagate_exactly"]
 
@@ -34,7 +33,7 @@ def propagate_exactly(density, model, t1, n_particles):
         return None
     transition, offset, Q = model.to_linear().discretize(t1 - density.t)
     mean, cov = transition @ mean + offset, transition @ cov @ transition.T + Q
-    depth = 0.5 * LogDensityScheme().reach ** 2
+    depth = 0.5 * reach(None, density.dim) ** 2
     factor = np.linalg.cholesky(cov)
     laid = lay(gaussian_log_pdf(mean, cov), mean, factor, mean[None], n_particles, depth)
     info = PredictInfo(scheme="exact_linear", skipped=("everything: a Gaussian through a linear model",))

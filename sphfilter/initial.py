@@ -10,8 +10,7 @@ from .density import ParticleDensity
 from .errors import ModelError
 from .exact import gaussian_log_pdf
 from .lattice import Lattice, heaviest, particles_on, place_gaussian
-from .level_set import lay
-from .resample import reach_of
+from .level_set import lay, reach
 from .validate import array, count, covariance
 
 __all__ = ["Gaussian", "Uniform", "initialize"]
@@ -81,7 +80,7 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0):
     scheme = (config or SolverConfig()).scheme
     n_particles = count("n_particles", n_particles)
     if not isinstance(scheme, PaperScheme) and not isinstance(distribution, Uniform):
-        return _on_level_set(distribution, box, n_particles, reach_of(scheme), t)
+        return _on_level_set(distribution, box, n_particles, scheme, t)
     if not isinstance(scheme, PaperScheme):
         scheme = PaperScheme(kernel="wendland_c2")  # a density with edges has no smooth logarithm
     if isinstance(distribution, Gaussian):
@@ -93,9 +92,10 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0):
     return _from_pdf(distribution, checked_box(box), n_particles, scheme, t)
 
 
-def _on_level_set(distribution, box, n_particles, reach, t):
+def _on_level_set(distribution, box, n_particles, scheme, t):
     """A smooth density on a lattice that follows its level set."""
-    depth = 0.5 * reach**2
+    n = len(distribution.mean) if isinstance(distribution, Gaussian) else np.shape(box)[0] if np.ndim(box) else 0
+    depth = 0.5 * reach(scheme, n) ** 2
     if isinstance(distribution, Gaussian):
         mean, cov = distribution.mean, distribution.cov
         log_p = gaussian_log_pdf(mean, cov)

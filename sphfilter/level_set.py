@@ -14,7 +14,7 @@ from .core import characteristics as core
 from .core.field import UNKNOWN, Field, build_field, evaluate, frontier, stencils
 from .errors import ModelError, PropagationError
 
-__all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "posterior"]
+__all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "posterior", "reach"]
 
 _TRIES = 24
 _REACH = 500.0  # cells around the origin that seeds may lie in
@@ -39,6 +39,12 @@ def at(field, X):
     out = np.empty(len(X))
     evaluate(field, stencils(field.mu.size), np.ascontiguousarray(X, dtype=float), out)
     return out
+
+
+def reach(scheme, n):
+    """Z of a scheme in n dimensions: as far out as particles are cheap."""
+    given = getattr(scheme, "reach", None)
+    return given or {1: 5.5, 2: 4.2}.get(n, 4.0)
 
 
 def gaussian_volume(n, depth):

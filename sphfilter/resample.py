@@ -5,17 +5,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .config import LogDensityScheme, PaperScheme, SolverConfig
+from .config import PaperScheme, SolverConfig
 from .density import ParticleDensity
 from .errors import PropagationError
 from .exact import gaussian_log_pdf
 from .info import ResampleInfo
 from .lattice import Lattice, heaviest, particles_on
-from .level_set import at, posterior
+from .level_set import at, posterior, reach
 from .scattered import interpolant
 from .validate import count
 
-__all__ = ["bound", "logarithm", "product", "reach_of", "regrid", "resample"]
+__all__ = ["bound", "logarithm", "product", "regrid", "resample"]
 
 _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
@@ -64,11 +64,6 @@ def resample(density, n_particles=None, config=None):
     return regrid(density, bound(density, n_particles), scheme)
 
 
-def reach_of(scheme):
-    """Z of the lattices of a scheme other than the paper's."""
-    return scheme.reach if isinstance(scheme, LogDensityScheme) else LogDensityScheme().reach
-
-
 def logarithm(density):
     """Return log p as a function of states (M, n), defined far outside of the particles too."""
     if density.field is not None:
@@ -80,9 +75,9 @@ def logarithm(density):
     return lambda X: np.logaddexp(density.logpdf(X), _FAINT + gaussian_log_pdf(density.mean(), factor @ factor.T)(X))
 
 
-def product(density, log_weight, n_particles, reach):
+def product(density, log_weight, n_particles, scheme):
     """Density times exp(log_weight(X)) on a lattice that follows its level set, and the log of its integral."""
-    laid = posterior(density.x, density.mass, logarithm(density), log_weight, n_particles, 0.5 * reach**2)
+    laid = posterior(density.x, density.mass, logarithm(density), log_weight, n_particles, 0.5 * reach(scheme, density.dim) ** 2)
     return ParticleDensity.on_lattice(laid, density.t, n_particles), laid.log_mass
 
 
@@ -132,7 +127,7 @@ def regrid(density, n_particles, scheme, log_weight=None):
 def _relaid(density, n_particles, scheme, log_weight):
     """As `regrid` on a level-set lattice."""
     weight = log_weight or (lambda X: np.zeros(len(X)))
-    new, log_evidence = product(density, weight, n_particles, reach_of(scheme))
+    new, log_evidence = product(density, weight, n_particles, scheme)
     span = np.ptp(new.field.node, axis=0) + 1
     info = ResampleInfo(
         n_particles=new.n_particles,

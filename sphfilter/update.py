@@ -7,7 +7,7 @@ from .acceptance import test_measurement
 from .config import PaperScheme, checked_filter_config
 from .errors import ModelError
 from .info import UpdateInfo
-from .resample import bound, product, reach_of, regrid
+from .resample import bound, product, regrid
 
 __all__ = ["update"]
 
@@ -59,7 +59,7 @@ def update(density, measurement, z, config=None, *, n_particles=None):
 
     innovation, spread = _innovation(density, measurement, z, seen)
     if not isinstance(config.scheme, PaperScheme) and not config.acceptance.enabled:
-        new, log_evidence = product(density, log_weight, n_particles, reach_of(config.scheme))
+        new, log_evidence = product(density, log_weight, n_particles, config.scheme)
         info = UpdateInfo(
             accepted=True,
             log_evidence=log_evidence,

@@ -12,12 +12,14 @@ from ..core.field import stencils
 from ..density import ParticleDensity
 from ..errors import PropagationError
 from ..info import PredictInfo
-from ..level_set import Laid, fewest_particles, gaussian_volume
+from ..level_set import Laid, fewest_particles, gaussian_volume, reach
 from .paper import _blow_up, _skipped
 
 __all__ = ["fits", "propagate"]
 
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
+_TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
+_TOLERANCES = 5e-5, 3e-4
 _TIME_SLICES = 16  # steps at least over an interval, where drift or noise change with time
 
 
@@ -48,11 +50,13 @@ def propagate(density, model, t1, scheme, n_particles):
     start, n = density.t, density.dim
     G = _noise_factor(model, 0.5 * (start + t1))
     noise = core.Noise(G, model.p, not model.constant_diffusion, model.linear)
-    depth = 0.5 * scheme.reach**2
+    depth = 0.5 * reach(scheme, n) ** 2
+    spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
+    tolerance = scheme.tolerance or float(np.clip(_TIME_PART * spacing**4, *_TOLERANCES))
     control = core.Control(
         n_particles=n_particles,
         depth=depth,
-        tolerance=scheme.tolerance,
+        tolerance=tolerance,
         noise_share=scheme.noise_share,
         pause_after=_PAUSE_AFTER,
     )
@@ -106,29 +110,40 @@ def _noise_factor(model, t):
 
 @cache
 def paths(m, order):
-    """Weighted noise paths of `Paths` for m noises.
+    """Weighted noise paths for m noises, as `Paths`.
 
-    Each is straight to a Gauss-Hermite point of dW, and bent so that the covariance of dW and of the area
-    under it is right too; from four noises on a symmetric rule of 2 m straight paths.
+    Each is straight to a point of dW, and bent so that the covariance of dW with the area under it is right. One
+    noise has Gauss-Hermite points, bent both ways; two have Stroud's rule of degree five in both displacements
+    and bends (25 points, none negative); three that rule, four and more the symmetric rule of degree three, in
+    the displacements alone.
     """
     if m == 0:
-        rule = [(0.0, [], [])]
+        points, weights = np.zeros((1, 0)), np.ones(1)
+    elif m == 1:
+        x, w = np.polynomial.hermite_e.hermegauss(order)
+        points, weights = np.array([(a, b) for a in x for b in (-1.0, 1.0)]), np.repeat(w / w.sum(), 2) / 2
     elif m <= 3:
-        points, weights = np.polynomial.hermite_e.hermegauss(order if m == 1 else 3)
-        weights = weights / weights.sum()
-        one = [(math.log(w), p) for p, w in zip(points, weights, strict=True)]
-        bends = list(itertools.product((-1.0, 1.0), repeat=m)) if m <= 2 else [(0.0,) * m]
-        rule = [
-            (sum(w for w, _ in chosen) - math.log(len(bends)), [p for _, p in chosen], list(bend))
-            for chosen in itertools.product(one, repeat=m)
-            for bend in bends
-        ]
+        points, weights = _stroud(4 if m == 2 else 3)
     else:
-        axes = np.concatenate([np.eye(m), -np.eye(m)]) * math.sqrt(m)
-        rule = [(-math.log(2 * m), list(p), [0.0] * m) for p in axes]
-    weight, dW, bend = zip(*rule, strict=True)
-    shape = (len(rule), m)
-    return core.Paths(np.array(weight), np.array(dW).reshape(shape), np.array(bend).reshape(shape))
+        points = np.concatenate([np.eye(m), -np.eye(m)]) * math.sqrt(m)
+        weights = np.full(2 * m, 0.5 / m)
+    bend = points[:, m:] if points.shape[1] == 2 * m else np.zeros((len(points), m))
+    return core.Paths(np.log(weights), np.ascontiguousarray(points[:, :m]), np.ascontiguousarray(bend))
+
+
+def _stroud(k):
+    """Points (Q, k) and weights of degree five for k <= 4 normal numbers (Stroud, E_n^{r²} 5-2)."""
+    points, weights = [np.zeros(k)], [2.0 / (k + 2)]
+    for a in range(k):
+        for sign in (-1.0, 1.0):
+            points.append(sign * math.sqrt(k + 2) * np.eye(k)[a])
+            weights.append((4 - k) / (2.0 * (k + 2) ** 2))
+    for a, b in itertools.combinations(range(k), 2):
+        for one, other in itertools.product((-1.0, 1.0), repeat=2):
+            points.append(math.sqrt(0.5 * (k + 2)) * (one * np.eye(k)[a] + other * np.eye(k)[b]))
+            weights.append(1.0 / (k + 2) ** 2)
+    some = np.array(weights) > 0.0
+    return np.array(points)[some], np.array(weights)[some]
 
 
 def _fastest(model, x, t):
