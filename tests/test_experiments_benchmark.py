@@ -253,6 +253,8 @@ def test_a_burning_drift_is_the_same_drift_and_takes_its_time():
     burning = model.with_parameters(loops=1000.0)
     np.testing.assert_array_equal(burning.drift(X, 0.0), scenario.model.drift(X, 0.0))
     np.testing.assert_array_equal(burning.diffusion(X, 0.0), scenario.model.diffusion(X, 0.0))
+    assert burning.autonomous
+    assert burning.constant_diffusion
     assert 0 < a_loop < 1e-5
 
 

@@ -81,15 +81,15 @@ def burning_model(model):
 
 
 def _burning(fill, n, n_parameters):
-    """A compiled drift (x, t, p) of one state that spins p[-1] times before it does its work."""
+    """A compiled drift of one state, autonomous, that spins p[-1] times before it does its work."""
 
     @njit(error_model="numpy")
-    def drift(x, t, p):
+    def drift(x, t, p):  # of time it must not read a thing, or the model does not count as autonomous
         spun = 1.0
         for _ in range(int(p[n_parameters])):
             spun = math.sin(spun) + 1.0
         out = np.empty((1, n))
-        fill(x.reshape((1, n)), t, p, out)
+        fill(x.reshape((1, n)), 0.0, p, out)
         out[0, 0] += 0.0 * spun  # or the compiler would leave the loop out
         return out[0]
 

@@ -82,6 +82,11 @@ def sentences(outcome):
         )
     elif lines:
         said.append("The reference is exact.")
+    if any(i.family in ("pf", "pf4") and np.isfinite(i.hellinger) for i in lines):
+        said.append(
+            "The densities of particle filters are Gaussian kernel estimates of Silverman's width, which is "
+            "too wide for densities in several pieces."
+        )
     if outcome.left_out:
         said.append(f"Left out, as a run would take too long: {', '.join(outcome.left_out)}.")
     said += [f"{label(i.series)}, N = {i.size}: {i.failure}" for i in lines if i.failed]
@@ -140,4 +145,4 @@ def write_csv(path, outcomes):
 def _number(value):
     if not np.isfinite(value):
         return "–"
-    return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+    return f"{value:,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
