@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from .adapt import fewest, predict_adapting
 from .config import checked_filter_config
 from .density import ParticleDensity
 from .errors import ModelError
@@ -33,8 +34,9 @@ class SPHFilter:
         Initial covariance, positive definite.
     t0 : float
         Time of the initial density, seconds.
-    n_particles : int
-        Upper bound of the number of particles at every re-gridding.
+    n_particles : int or "auto"
+        Upper bound of the number of particles at every re-gridding. "auto" lets it follow the error that the
+        log-density scheme sees in itself towards the configuration's `target_error`.
     config : FilterConfig, optional
     density : ParticleDensity, optional
         Initial density instead of x0, P0 and t0.
@@ -74,8 +76,9 @@ class SPHFilter:
         dt=None,
     ):
         self.model, self.measurement = model, measurement
-        self.n_particles = count("n_particles", n_particles)
         self.config = checked_filter_config(config)
+        self._adapts = isinstance(n_particles, str)
+        self.n_particles = fewest(model.dim, n_particles) if self._adapts else count("n_particles", n_particles)
         self.dt = None if dt is None else positive("dt", dt)
         self._density = self._start(x0, P0, t0, density)
         self._moments()
@@ -127,9 +130,14 @@ class SPHFilter:
             if self.dt is None:
                 raise ModelError("predict needs dt or t=, or a filter made with dt=")
             dt = self.dt
-        self._density, info = predict(
-            self._density, self.model, dt, self.config, t=t, n_particles=self.n_particles
-        )
+        if self._adapts:
+            self._density, info, self.n_particles = predict_adapting(
+                self._density, self.model, dt, self.config, t=t, n_particles=self.n_particles
+            )
+        else:
+            self._density, info = predict(
+                self._density, self.model, dt, self.config, t=t, n_particles=self.n_particles
+            )
         self._moments()
         self.x_prior, self.P_prior = self._x, self._P
         return info

@@ -21,7 +21,7 @@ __all__ = ["Field", "Stencils", "build_field", "evaluate", "frontier", "opened",
 UNKNOWN = -math.inf  # of a cell whose value has not been asked for; an impossible state is merely very low
 LOWEST = -1e300
 _PAD = 3  # cells around the nodes in the box of a field, the reach of the widest neighbourhood
-_WEIGHT_DECAY = 2.0  # weights exp(-2 r^2 / r_max^2) of the least-squares fit
+_WEIGHT_DECAY = 4.0  # weights exp(-4 r^2 / r_max^2) of the least-squares fit
 
 
 class Stencils(NamedTuple):
