@@ -14,8 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from numba import prange
+
 from ._first_class import function_at
-from ._jit import jit
+from ._jit import jit, parallel_jit
 from .field import (
     LOWEST,
     UNKNOWN,
@@ -38,6 +40,7 @@ STEPS, REJECTED, EVALUATIONS, RELAID = range(4)
 _MARGIN = 3  # cells around the seeds in the first box
 MOST_CELLS = 20_000_000
 _TRIES = 6
+_BLOCK = 256  # states that one thread takes at a time
 
 
 class Noise(NamedTuple):
@@ -146,6 +149,14 @@ def back(drift, divergence, noise, field, sten, paths, Y, t1, h, out):
                 total[i] += math.exp(v - highest[i])
     for i in range(M):
         out[i] = highest[i] + math.log(total[i])
+
+
+@parallel_jit
+def back_in_blocks(drift, divergence, noise, field, sten, paths, Y, t1, h, out):
+    """As `back`, blocks of states spread over threads: a state's value does not depend on the block it is in."""
+    for block in prange((Y.shape[0] + _BLOCK - 1) // _BLOCK):
+        first, last = block * _BLOCK, min((block + 1) * _BLOCK, Y.shape[0])
+        back(drift, divergence, noise, field, sten, paths, Y[first:last], t1, h, out[first:last])
 
 
 @jit
@@ -339,7 +350,7 @@ def widen(value, low, dims):
 
 
 @jit
-def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h, control, counters):
+def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h, control, counters, threads):
     """Values on the new lattice wherever they lie above the depth: seeds, then their neighbours, until closed."""
     n = mu.size
     ball = sten.offsets[: sten.size[0]]
@@ -352,7 +363,10 @@ def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h,
     while found.size > 0:
         _, Y = states_of(found, mu, A, low, dims)
         log_p = np.empty(found.size)
-        back(drift, divergence, noise, field, sten, paths, Y, t1, h, log_p)
+        if threads is None:  # by type, so that the branch not taken is not compiled
+            back(drift, divergence, noise, field, sten, paths, Y, t1, h, log_p)
+        else:
+            back_in_blocks(drift, divergence, noise, field, sten, paths, Y, t1, h, log_p)
         counters[EVALUATIONS] += found.size * (3 * paths.log_weight.size + 1)
         for k in range(found.size):
             value[found[k]] = log_p[k]
@@ -424,7 +438,7 @@ def nodes_of(field):
 
 
 @jit
-def march(drift, divergence, diffusion, noise, field, sten, paths, control, times, state, counters):
+def march(drift, divergence, diffusion, noise, field, sten, paths, control, times, state, counters, threads):
     """Carry a field from times[0] to times[1]; times[0], `state` and the counters are kept up to date.
 
     state: [filled volume of the whitened lattice, next step, sum of |log mass| lost, longest step].
@@ -474,8 +488,9 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
                 for b in range(n):
                     A[a, b] *= spacing
             value, low, dims, highest = _flooded(
-                drift, divergence, noise, field, sten, paths, origin, A, twice, t + h, h, control, counters
-            )
+                drift, divergence, noise, field, sten, paths, origin, A, twice, t + h, h, control, counters,
+                threads,
+            )  # fmt: skip
             if value.size == 0:
                 return field, x, m, mean, P, OUTGROWN
             node, x_new, log_p, m_new, log_mass, mean, P = relaid(
@@ -498,8 +513,13 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
 
 
 @jit
-def carry(addresses, noise, field, sten, paths, control, times, state, counters):
-    """`march` for model functions given by address (drift, divergence, D): entered without looking them up."""
+def carry(addresses, noise, field, sten, paths, control, times, state, counters, threads):
+    """`march` for model functions given by address (drift, divergence, D): entered without looking them up.
+
+    `threads` is None for one thread, True for as many as there are.
+    """
     drift, divergence = function_at(addresses[0]), function_at(addresses[1])
     diffusion = function_at(addresses[2])
-    return march(drift, divergence, diffusion, noise, field, sten, paths, control, times, state, counters)
+    return march(
+        drift, divergence, diffusion, noise, field, sten, paths, control, times, state, counters, threads
+    )

@@ -20,6 +20,9 @@ __all__ = ["fits", "propagate"]
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
 _TOLERANCES = 5e-5, 3e-4
+#: Particles times paths from which threads pay; by these numbers alone, so that the thread count never changes a
+#: bit of the result.
+_THREADS_FROM = 20_000
 _TIME_SLICES = 16  # steps at least over an interval, where drift or noise change with time
 
 
@@ -68,12 +71,13 @@ def propagate(density, model, t1, scheme, n_particles):
     addresses = tuple([address_of(function) for function in functions])
     rule = paths(G.shape[1], scheme.quadrature)
     field, status = density.field, "paused"
+    threads = True if n_particles * len(rule.log_weight) >= _THREADS_FROM else None
     while status == "paused":
         if counters[core.STEPS] >= scheme.max_steps:
             raise PropagationError(_given_up(f"{scheme.max_steps} steps were not enough", times[0], start, t1))
         try:
             field, x, mass, mean, cov, code = core.carry(
-                addresses, noise, field, stencils(n), rule, control, times, state, counters
+                addresses, noise, field, stencils(n), rule, control, times, state, counters, threads
             )
         except Exception as problem:  # a black-box drift may raise anything
             raise PropagationError(
@@ -90,7 +94,7 @@ def propagate(density, model, t1, scheme, n_particles):
         )
     laid = Laid(x, mass, field, 0.0, float(state[0]), mean, cov)
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity)
-    return moved, _info(model, scheme, counters, float(state[2]))
+    return moved, _info(model, scheme, counters, float(state[2]), threads)
 
 
 _REASONS = {
@@ -152,12 +156,14 @@ def _fastest(model, x, t):
     return x[np.argmax(np.where(np.isfinite(speed), speed, np.inf))]
 
 
-def _info(model, scheme, counters, lost):
+def _info(model, scheme, counters, lost, threads):
     steps, rejected, evaluations, relaid = (int(c) for c in counters)
     skipped = ["neighbour search: the lattice knows its neighbours", "gradients: the expectation needs none"]
     skipped += [note for note in _skipped(model, 0) if "evaluation of D" in note]
     if model.linear:
         skipped.append("divergence of the drift along the paths: it is constant")
+    if threads is None:
+        skipped.append("threads: too little work for them")
     return PredictInfo(
         n_steps=steps,
         n_rejected=rejected,
