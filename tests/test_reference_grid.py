@@ -217,8 +217,8 @@ def test_models_out_of_reach_are_refused():
 
 
 def test_a_first_step_that_would_lose_the_density_is_cut():
-    """Tried whole, the first interval carries every node out of the box; the volume of states is kept here."""
+    """Tried whole, the first interval loses all of the density in both ways of stepping, which then agree."""
     model = SDE(lambda x, t: (1.0 - np.exp(x[1]), np.exp(x[0]) - 1.0), 2, np.eye(2), 0.05 * np.eye(2))
-    grid = GridFilter(model, None, [0.5, 0.0], 0.1 * np.eye(2), size=48)
+    grid = GridFilter(model, None, [0.5, 0.0], 0.1 * np.eye(2), size=64, tol=3e-4)
     assert grid.predict(2.0).n_steps > 1
     np.testing.assert_allclose(grid.density.mass, 1.0)
