@@ -58,7 +58,7 @@ def _run(problem):
 
 
 @given(problem=linear_problems())
-@_few(25)
+@_few(60)
 def test_linear_gaussian_problems_are_solved_or_refused(problem):
     exact = reference(problem, 0)
     assert exact.name == "Kalman filter"
