@@ -174,7 +174,7 @@ class LogDensityScheme:
     noise_share: Annotated[float, Field(gt=0, le=2)] = 0.4
     quadrature: Annotated[int, Field(ge=2, le=15)] = 5
     most_lost: Positive = 0.2
-    max_steps: Count = 20_000
+    max_steps: Count = 10_000
 
 
 @settings

@@ -89,8 +89,8 @@ def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
     for _ in range(_TRIES):
         spacing = (volume / (0.92 * n_particles)) ** (1.0 / n)
         A = np.ascontiguousarray(factor * spacing)
-        value, low, dims, highest = _flood(log_p, mean, A, seeds, depth, sten)
-        new = core.relaid(value, low, dims, highest, mean, A, sten, depth)
+        value, low, dims, highest, asked = _flood(log_p, mean, A, seeds, depth, sten, n_particles)
+        new = core.relaid(value, low, dims, highest, asked, mean, A, sten, depth)
         count = len(new[0])
         if 0 < count <= n_particles:
             best = A, count * spacing**n, *new
@@ -106,7 +106,7 @@ def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
     return Laid(x, mass, build_field(mean, A, node, log_density, sten), log_mass, volume, new_mean, cov)
 
 
-def _flood(log_p, mean, A, seeds, depth, sten):
+def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
     """Values of log p on all lattice cells within `depth` of the largest, from the seeds outwards."""
     n = len(mean)
     ball = sten.offsets[: sten.size[0]]
@@ -114,19 +114,20 @@ def _flood(log_p, mean, A, seeds, depth, sten):
     cells = core.seeds_in_box(np.ascontiguousarray(seeds), mean, np.linalg.inv(A), _REACH, low, dims)
     if np.prod(dims.astype(float)) > core.MOST_CELLS:
         raise PropagationError(_spread(mean))
-    value = np.full(np.prod(dims), UNKNOWN)
+    value, asked = np.full(np.prod(dims), UNKNOWN), np.empty(0, np.int64)
     found, highest = core.seeded(cells, low, dims), -np.inf
-    while found.size:
+    while found.size and asked.size < core.MOST_ASKED * n_particles:
         _, states = core.states_of(found, mean, A, low, dims)
         value[found] = log_p(states)
         highest = max(highest, value[found].max())
-        found, beyond = frontier(value, highest - depth, dims, ball)
+        asked = np.concatenate([asked, found])
+        found, beyond = frontier(value, asked, highest - depth, dims, ball)
         if beyond:
-            value, low, dims = core.widen(value, low, dims)
+            value, low, dims, asked = core.widen(value, low, dims, asked)
             if value.size == 0:
                 raise PropagationError(_spread(mean))
-            found, beyond = frontier(value, highest - depth, dims, ball)
-    return value, low, dims, highest
+            found, beyond = frontier(value, asked, highest - depth, dims, ball)
+    return value, low, dims, highest, asked
 
 
 def _spread(mean):
@@ -158,7 +159,7 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth):
         Its log_mass is the log-evidence.
     """
     n = x.shape[1]
-    enough = 4.0 + 3.0 * n
+    enough = min(4.0 + 3.0 * n, 0.3 * n_particles)
     log_mass = np.log(np.maximum(mass, _LOW_DENSITY))
     power = 0.0
     for _ in range(_ROUNDS):
@@ -202,7 +203,7 @@ def _power(log_mass, weight, reached, enough):
         w = np.exp(heavy - heavy.max())
         return w.sum() ** 2 / (w @ w)
 
-    if effective(1.0) >= min(enough, 0.5 * len(weight)):
+    if effective(1.0) >= enough:
         return 1.0
     low, high = reached, 1.0
     for _ in range(40):

@@ -31,7 +31,7 @@ from .field import (
     product,
 )
 
-__all__ = ["COUNTERS", "MOST_CELLS", "STATUS", "Control", "Noise", "Paths", "carry", "march"]
+__all__ = ["COUNTERS", "MOST_ASKED", "MOST_CELLS", "STATUS", "Control", "Noise", "Paths", "carry", "march"]
 
 STATUS = ("ok", "not finite", "paused", "stalled", "too few nodes", "outgrown")
 OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN = range(6)
@@ -40,6 +40,7 @@ STEPS, REJECTED, EVALUATIONS, RELAID = range(4)
 _MARGIN = 3  # cells around the seeds in the first box
 MOST_CELLS = 20_000_000
 _TRIES = 6
+MOST_ASKED = 12  # cells asked for, over the number of particles wanted
 _BLOCK = 256  # states that one thread takes at a time
 
 
@@ -78,9 +79,11 @@ def _move(x, x0, c, f, shift):
 
 
 @jit
-def flow(drift, p, x, t, h, work):
-    """One classical Runge-Kutta step of dx/dt = f, in place; h < 0 goes back."""
-    zero = np.zeros(x.shape[1])
+def flow(drift, p, x, t, h, half, whole, work):
+    """One classical Runge-Kutta step of dx/dt = f, in place, with a displacement added on the way.
+
+    `half` and `whole`, shape (n,), are where the displacement is at the middle and at the end of the step.
+    """
     x0, f, y = x.copy(), work, np.empty_like(x)
     drift(x0, t, p, f)
     for stage in range(1, 5):
@@ -90,8 +93,11 @@ def flow(drift, p, x, t, h, work):
                 x[i, a] += h * c * f[i, a]
         if stage < 4:
             ahead = h if stage == 3 else 0.5 * h
-            _move(y, x0, ahead, f, zero)
+            _move(y, x0, ahead, f, whole if stage == 3 else half)
             drift(y, t + ahead, p, f)
+    for i in range(x.shape[0]):
+        for a in range(x.shape[1]):
+            x[i, a] += whole[a]
 
 
 @jit
@@ -250,32 +256,60 @@ def _path_error(once, twice, m, L):
 
 @jit
 def predicted(drift, noise, x, ahead, m, t, h, mean, cov):
-    """Mean and covariance after a step: the cloud carried along undisturbed, and along +-c of every noise."""
+    """Mean and covariance after a step: of the cloud undisturbed, and pushed to and fro by every noise.
+
+    Straight pushes and bent ones: their covariance with each other is what keeps a thin density from being
+    taken for a still thinner one.
+    """
     N, n = x.shape
-    k_noise = noise.G.shape[1]
-    width = max(3.0, float(k_noise))
+    pushes = 4 * noise.G.shape[1]
+    width = max(3.0, 0.5 * pushes)
     share = 0.5 / width
-    X, M = np.empty(((2 * k_noise + 1) * N, n)), np.empty((2 * k_noise + 1) * N)
+    X, M = np.empty(((pushes + 1) * N, n)), np.empty((pushes + 1) * N)
     for i in range(N):
-        M[i] = m[i] * (1.0 - 2 * k_noise * share)
+        M[i] = m[i] * (1.0 - pushes * share)
         for a in range(n):
             X[i, a] = ahead[i, a]
-    work = np.empty((N, n))
-    for k in range(k_noise):
-        for s in range(2):
-            begin = (1 + 2 * k + s) * N
-            c = (2 * s - 1) * math.sqrt(width * h)
-            y = x.copy()
-            # half the noise before and half after the flow: the covariance to second order in h
-            for i in range(N):
-                for a in range(n):
-                    y[i, a] += 0.5 * c * noise.G[a, k]
-            flow(drift, noise.p, y, t, h, work)
-            for i in range(N):
-                for a in range(n):
-                    X[begin + i, a] = y[i, a] + 0.5 * c * noise.G[a, k]
-                M[begin + i] = m[i] * share
+    work, half, whole = np.empty((N, n)), np.empty(n), np.empty(n)
+    for push in range(pushes):
+        c = (1.0 if push % 2 else -1.0) * math.sqrt(width * h)
+        straight = (push // 2) % 2 == 0
+        for a in range(n):
+            g = c * noise.G[a, push // 4]
+            half[a] = 0.5 * g if straight else 1.5 * g / math.sqrt(12.0)
+            whole[a] = g if straight else 0.0
+        y = x.copy()
+        flow(drift, noise.p, y, t, h, half, whole, work)
+        for i in range(N):
+            M[(push + 1) * N + i] = m[i] * share
+            for a in range(n):
+                X[(push + 1) * N + i, a] = y[i, a]
     moments(X, M, mean, cov)
+
+
+@jit
+def sheared(drift, noise, mean, t, L):
+    """Sum over the noises of |L^-1 J g|^2: how fast the drift carries noise into directions without any."""
+    n = mean.size
+    y, f = np.empty((2, n)), np.empty((2, n))
+    total, v, scale = 0.0, np.empty(n), 0.0
+    for k in range(noise.G.shape[1]):
+        scale = 0.0
+        for a in range(n):
+            v[a] = noise.G[a, k]
+        _whiten(L, v)
+        for a in range(n):
+            scale += v[a] * v[a]
+        step = 1e-3 / math.sqrt(max(scale, 1e-300))  # a thousandth of a standard deviation along g
+        for a in range(n):
+            y[0, a], y[1, a] = mean[a] - step * noise.G[a, k], mean[a] + step * noise.G[a, k]
+        drift(y, t, noise.p, f)
+        for a in range(n):
+            v[a] = 0.5 * (f[1, a] - f[0, a]) / step
+        _whiten(L, v)
+        for a in range(n):
+            total += v[a] * v[a]
+    return total
 
 
 @jit
@@ -328,25 +362,35 @@ def seeded(cells, low, dims):
 
 
 @jit
-def widen(value, low, dims):
-    """A box half as large again on every side, with the values known so far."""
+def widen(value, low, dims, asked):
+    """A larger box on every side; values and the list of asked cells are carried over. Empty if too large."""
     n = dims.size
     grow, new_low, new_dims = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     for a in range(n):
         grow[a] = max(dims[a] // 4, 2)
         new_low[a], new_dims[a] = low[a] - grow[a], dims[a] + 2 * grow[a]
     if product(new_dims) > MOST_CELLS:
-        return np.empty(0), new_low, new_dims
-    new = np.full(int(product(new_dims)), UNKNOWN)
-    for flat in range(value.size):
-        if value[flat] != UNKNOWN:
-            rest, at, stride = flat, 0, 1
-            for a in range(n - 1, -1, -1):
-                at += (rest % dims[a] + grow[a]) * stride
-                rest //= dims[a]
-                stride *= new_dims[a]
-            new[at] = value[flat]
-    return new, new_low, new_dims
+        return np.empty(0), new_low, new_dims, asked
+    new, moved = np.full(int(product(new_dims)), UNKNOWN), np.empty_like(asked)
+    for k in range(asked.size):
+        rest, at, stride = asked[k], 0, 1
+        for a in range(n - 1, -1, -1):
+            at += (rest % dims[a] + grow[a]) * stride
+            rest //= dims[a]
+            stride *= new_dims[a]
+        new[at], moved[k] = value[asked[k]], at
+    return new, new_low, new_dims, moved
+
+
+@jit
+def joined(one, other):
+    """Two lists of cells as one."""
+    both = np.empty(one.size + other.size, np.int64)
+    for k in range(one.size):
+        both[k] = one[k]
+    for k in range(other.size):
+        both[one.size + k] = other[k]
+    return both
 
 
 @jit
@@ -357,8 +401,8 @@ def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h,
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     cells = seeds_in_box(points, mu, invert_lower(A), 500.0, low, dims)
     if product(dims) > MOST_CELLS:
-        return np.empty(0), low, dims, 0.0
-    value = np.full(int(product(dims)), UNKNOWN)
+        return np.empty(0), low, dims, 0.0, np.empty(0, np.int64)
+    value, asked = np.full(int(product(dims)), UNKNOWN), np.empty(0, np.int64)
     found, highest = seeded(cells, low, dims), -np.inf
     while found.size > 0:
         _, Y = states_of(found, mu, A, low, dims)
@@ -371,17 +415,20 @@ def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h,
         for k in range(found.size):
             value[found[k]] = log_p[k]
             highest = max(highest, log_p[k])
-        found, beyond = frontier(value, highest - control.depth, dims, ball)
+        asked = joined(asked, found)
+        if asked.size > MOST_ASKED * control.n_particles:
+            break  # far too fine a lattice: the caller takes a coarser one
+        found, beyond = frontier(value, asked, highest - control.depth, dims, ball)
         if beyond:
-            value, low, dims = widen(value, low, dims)
+            value, low, dims, asked = widen(value, low, dims, asked)
             if value.size == 0:
                 break
-            found, beyond = frontier(value, highest - control.depth, dims, ball)
-    return value, low, dims, highest
+            found, beyond = frontier(value, asked, highest - control.depth, dims, ball)
+    return value, low, dims, highest, asked
 
 
 @jit
-def relaid(value, low, dims, highest, mu, A, sten, depth):
+def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
     """The nodes of a flooded box above the depth, normalised.
 
     Mean, covariance and the integral are sums over all cells that were asked for, the ring just below the depth
@@ -392,12 +439,9 @@ def relaid(value, low, dims, highest, mu, A, sten, depth):
     node (N, n), x (N, n), log_p (N,), m (N,), log of the integral, mean (n,), covariance (n, n)
     """
     n = mu.size
-    found = opened(value, highest - depth, dims, sten.offsets[: sten.size[0]])
+    found = opened(value, cells, highest - depth, dims, sten.offsets[: sten.size[0]])
     node, x = states_of(found, mu, A, low, dims)
-    known = np.zeros(value.size, np.bool_)
-    for flat in range(value.size):
-        known[flat] = value[flat] > highest - 50.0
-    asked = marked(known)
+    asked = np.sort(cells)  # sums do not depend on the order in which the cells were found
     _, everywhere = states_of(asked, mu, A, low, dims)
     weight, total, cell = np.empty(asked.size), 0.0, 1.0
     for k in range(asked.size):
@@ -460,13 +504,14 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
         if noise.time_dependent:
             _refactor(diffusion, x, t + 0.5 * h, noise)
         limit = control.noise_share / max(noise_limit(noise.G, L), 1e-300)
-        h = min(h, limit)
+        bent = 3.0 * control.noise_share / max(sheared(drift, noise, mean, t, L), 1e-300)
+        h = min(h, limit, bent ** (1.0 / 3.0))
         pieces = math.ceil(left / h - 1e-9)
         h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
-        once, twice, work = x.copy(), x.copy(), np.empty_like(x)
-        flow(drift, noise.p, once, t, h, work)
-        flow(drift, noise.p, twice, t, 0.5 * h, work)
-        flow(drift, noise.p, twice, t + 0.5 * h, 0.5 * h, work)
+        once, twice, work, still = x.copy(), x.copy(), np.empty_like(x), np.zeros(n)
+        flow(drift, noise.p, once, t, h, still, still, work)
+        flow(drift, noise.p, twice, t, 0.5 * h, still, still, work)
+        flow(drift, noise.p, twice, t + 0.5 * h, 0.5 * h, still, still, work)
         counters[EVALUATIONS] += 12 * x.shape[0]
         error = _path_error(once, twice, m, L) / control.tolerance
         factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.2)) if error < np.inf else 0.1
@@ -478,7 +523,7 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
             continue
         state[1] = min(max(h * factor, state[1]) if h < state[1] else h * factor, 1e300)
         predicted(drift, noise, x, twice, m, t, h, mean, P)
-        counters[EVALUATIONS] += 8 * noise.G.shape[1] * x.shape[0]
+        counters[EVALUATIONS] += 16 * noise.G.shape[1] * x.shape[0]
         if not cholesky(P, L):
             return field, x, m, mean, P, NOT_FINITE
         for attempt in range(_TRIES):
@@ -487,14 +532,14 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
             for a in range(n):
                 for b in range(n):
                     A[a, b] *= spacing
-            value, low, dims, highest = _flooded(
+            value, low, dims, highest, asked = _flooded(
                 drift, divergence, noise, field, sten, paths, origin, A, twice, t + h, h, control, counters,
                 threads,
             )  # fmt: skip
             if value.size == 0:
                 return field, x, m, mean, P, OUTGROWN
             node, x_new, log_p, m_new, log_mass, mean, P = relaid(
-                value, low, dims, highest, origin, A, sten, control.depth
+                value, low, dims, highest, asked, origin, A, sten, control.depth
             )
             count = x_new.shape[0]
             if 0.5 * control.n_particles <= count <= control.n_particles:

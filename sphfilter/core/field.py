@@ -21,6 +21,7 @@ __all__ = ["Field", "Stencils", "build_field", "evaluate", "frontier", "opened",
 UNKNOWN = -math.inf  # of a cell whose value has not been asked for; an impossible state is merely very low
 LOWEST = -1e300
 _PAD = 3  # cells around the nodes in the box of a field, the reach of the widest neighbourhood
+_NEARLY = 0.2  # relative distance of second derivatives from a Gaussian's that is taken for noise of the fit
 _WEIGHT_DECAY = 4.0  # weights exp(-4 r^2 / r_max^2) of the least-squares fit
 
 
@@ -204,44 +205,51 @@ def _unravel(flat, strides, cell):
 
 
 @jit
-def frontier(value, kept_above, dims, offsets):
-    """Cells not yet asked for beside a cell above a level (flat indices); the bool tells if any lies outside."""
+def frontier(value, asked, kept_above, dims, offsets):
+    """Cells not yet asked for beside an asked cell above a level; the bool tells if any lies outside.
+
+    Cells found are given a very low value in `value`, so that none is found twice.
+    """
     strides, n = strides_of(dims), dims.size
     cell = np.empty(n, np.int64)
-    mark = np.zeros(value.size, np.bool_)
-    beyond = False
-    for flat in range(value.size):
-        if value[flat] > kept_above:
-            _unravel(flat, strides, cell)
-            for k in range(offsets.shape[0]):
-                at = _inside(cell, offsets[k], dims, strides, flat)
+    found, count, beyond = np.empty(asked.size * offsets.shape[0], np.int64), 0, False
+    for k in range(asked.size):
+        if value[asked[k]] > kept_above:
+            _unravel(asked[k], strides, cell)
+            for j in range(offsets.shape[0]):
+                at = _inside(cell, offsets[j], dims, strides, asked[k])
                 if at < 0:
                     beyond = True
                 elif value[at] == UNKNOWN:
-                    mark[at] = True
-    return marked(mark), beyond
+                    value[at] = LOWEST
+                    found[count] = at
+                    count += 1
+    if beyond:  # the box will be another one: forget
+        for k in range(count):
+            value[found[k]] = UNKNOWN
+    return found[:count].copy(), beyond
 
 
 @jit
-def opened(value, kept_above, dims, ball):
+def opened(value, asked, kept_above, dims, ball):
     """Cells above a level that belong to a complete ball of such cells: no tips, no single nodes."""
     strides, n = strides_of(dims), dims.size
     cell = np.empty(n, np.int64)
     keep = np.zeros(value.size, np.bool_)
-    for flat in range(value.size):
-        if value[flat] <= kept_above:
+    for k in range(asked.size):
+        if value[asked[k]] <= kept_above:
             continue
-        _unravel(flat, strides, cell)
+        _unravel(asked[k], strides, cell)
         complete = True
-        for k in range(ball.shape[0]):
-            at = _inside(cell, ball[k], dims, strides, flat)
+        for j in range(ball.shape[0]):
+            at = _inside(cell, ball[j], dims, strides, asked[k])
             if at < 0 or value[at] <= kept_above:
                 complete = False
                 break
         if complete:
-            keep[flat] = True
-            for k in range(ball.shape[0]):
-                keep[_inside(cell, ball[k], dims, strides, flat)] = True
+            keep[asked[k]] = True
+            for j in range(ball.shape[0]):
+                keep[_inside(cell, ball[j], dims, strides, asked[k])] = True
     return marked(keep)
 
 
@@ -286,6 +294,7 @@ def build_field(mu, A, node, log_p, sten):
     coefficient, tail = np.zeros((N, M)), np.zeros((N, n, n))
     owner = np.full(index.size, -1, np.int64)
     work, V, w = np.empty((n, n)), np.empty((n, n)), np.empty(n)
+    gaussian = _gaussian_curvature(node, log_p, w, V, work)
     for i in range(N):
         level = _level(index, flats[i], ahead, sten.size)
         if level < 0:
@@ -296,9 +305,51 @@ def build_field(mu, A, node, log_p, sten):
             for c in range(M):
                 coefficient[i, c] += sten.rows[level, k, c] * difference
         _second_derivatives(coefficient[i], sten, tail[i])
-        _concave(tail[i], w, V, work)
+        if _distance(tail[i], gaussian) < _NEARLY:
+            tail[i] = gaussian
+        else:
+            _concave(tail[i], w, V, work)
     _spread_owners(owner, node, low, dims, strides)
     return Field(mu, A, invert_lower(A), low, dims, owner, node, log_p, coefficient, tail)
+
+
+@jit
+def _gaussian_curvature(node, log_p, w, V, work):
+    """Second derivatives of the Gaussian with the nodes' covariance, in units of the lattice."""
+    N, n = node.shape
+    mean, total, highest = np.zeros(n), 0.0, log_p.max()
+    for i in range(N):
+        m = math.exp(log_p[i] - highest)
+        total += m
+        for a in range(n):
+            mean[a] += m * node[i, a]
+    for a in range(n):
+        mean[a] /= total
+        for b in range(n):
+            work[a, b] = 0.0
+    for i in range(N):
+        m = math.exp(log_p[i] - highest) / total
+        for a in range(n):
+            for b in range(n):
+                work[a, b] += m * (node[i, a] - mean[a]) * (node[i, b] - mean[b])
+    eigen(work, w, V)
+    h = np.zeros((n, n))
+    for a in range(n):
+        for b in range(n):
+            for k in range(n):
+                h[a, b] -= V[a, k] * V[b, k] / w[k]
+    return h
+
+
+@jit
+def _distance(h, other):
+    """Frobenius norm of a difference, relative to the other."""
+    off, size = 0.0, 0.0
+    for a in range(h.shape[0]):
+        for b in range(h.shape[0]):
+            off += (h[a, b] - other[a, b]) ** 2
+            size += other[a, b] ** 2
+    return math.sqrt(off / size)
 
 
 @jit
@@ -381,7 +432,8 @@ def evaluate(field, sten, Y, out):
     """log p at the states Y (M, n).
 
     Further from a complete node than the rim of the lattice reaches, the quadratic part goes on alone, made
-    concave and never rising: an outlier's likelihood meets a Gaussian tail, not a cubic one.
+    concave and never rising: an outlier's likelihood meets a Gaussian tail, not a cubic one. Where the second
+    derivatives are a Gaussian's but for noise, they are the Gaussian's: far out that noise is what counts.
     """
     n, M = field.mu.size, sten.parent.size
     strides = strides_of(field.dims)
