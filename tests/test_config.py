@@ -29,14 +29,16 @@ def test_toml_goes_round():
 def test_settings_are_frozen_and_pickle():
     config = sf.FilterConfig()
     with pytest.raises(AttributeError):
-        config.scheme.kernel = "lucy"
+        config.scheme = "paper"
+    with pytest.raises(AttributeError):
+        sf.FilterConfig.paper().scheme.kernel = "lucy"
     assert pickle.loads(pickle.dumps(config)) == config
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[scheme]\nkernl = 'lucy'", r"unknown key FilterConfig.scheme.kernl \(did you mean 'kernel'\?\)"),
+        ("[scheme]\nkernl = 'lucy'", r"FilterConfig.scheme: unknown key PaperScheme.kernl \(did you mean 'kernel'\?\)"),
         ("[schema]\n", r"did you mean 'scheme'"),
         ("[scheme]\nkernel = 'lucky'", "'lucy'"),
         ("[scheme]\nc_cfl = -1", "greater than 0"),

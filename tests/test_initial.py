@@ -7,6 +7,8 @@ from scipy import stats
 import sphfilter as sf
 from sphfilter.lattice import Lattice, collocation_masses, fit_support, heaviest, place_gaussian
 
+PAPER = sf.SolverConfig.paper()
+
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
 def test_lattice_stays_within_the_bound_and_near_it(n):
@@ -92,16 +94,17 @@ def test_heaviest_keeps_equals_together():
     np.testing.assert_array_equal(heaviest(np.array([1.0, 3.0, 1.0, 3.0]), 0.7), [False, True, False, True])
 
 
-def test_uniform_and_callable():
+@pytest.mark.parametrize("config", [sf.SolverConfig(), PAPER], ids=["default", "paper"])
+def test_uniform_and_callable(config):
     box = [[0.0, 1.0], [0.0, 2.0]]
-    uniform = sf.initialize(sf.Uniform(box), 400)
+    uniform = sf.initialize(sf.Uniform(box), 400, config)
     assert uniform.mean() == pytest.approx([0.5, 1.0])
     assert np.diag(uniform.cov("points")) == pytest.approx([1 / 12, 4 / 12], rel=0.02)
 
     def ring(X):
         return np.exp(-((np.linalg.norm(X, axis=1) - 2.0) ** 2) / 0.1)
 
-    density = sf.initialize(ring, 500, box=[[-4, 4], [-4, 4]], t=3.0)
+    density = sf.initialize(ring, 500, config, box=[[-4, 4], [-4, 4]], t=3.0)
     assert density.t == 3.0
     assert density.n_particles <= 500
     assert density.pdf([0.0, 0.0])[0] < 0.05 * density.pdf([2.0, 0.0])[0]
@@ -114,9 +117,9 @@ def oblique(gap):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: sf.initialize(sf.Gaussian(np.zeros(4), np.eye(4)), 10), "too small for 4 states"),
-        (lambda: sf.initialize(sf.Gaussian([0, 0], np.diag([1e6, 1e-6])), 200), "rescale the states"),
-        (lambda: sf.initialize(sf.Gaussian([0, 0], oblique(1e-10)), 200), "rotate or rescale"),
+        (lambda: sf.initialize(sf.Gaussian(np.zeros(4), np.eye(4)), 10, PAPER), "too small for 4 states"),
+        (lambda: sf.initialize(sf.Gaussian([0, 0], np.diag([1e6, 1e-6])), 200, PAPER), "rescale the states"),
+        (lambda: sf.initialize(sf.Gaussian([0, 0], oblique(1e-10)), 200, PAPER), "rotate or rescale"),
         (lambda: sf.initialize(lambda X: np.ones(len(X)), 100), "box"),
         (lambda: sf.initialize(lambda X: np.ones(3), 100, box=[[0, 1]]), "one finite density"),
         (lambda: sf.initialize(lambda X: np.zeros(len(X)), 100, box=[[0, 1]]), "zero everywhere"),
@@ -129,3 +132,16 @@ def oblique(gap):
 def test_bad_input(call, message):
     with pytest.raises(sf.ModelError, match=message):
         call()
+
+
+def test_too_few_particles_for_a_level_set():
+    with pytest.raises(sf.SphfilterError, match="no lattice of at most 10 particles .* use more particles"):
+        sf.initialize(sf.Gaussian(np.zeros(4), np.eye(4)), 10)
+
+
+@pytest.mark.parametrize("cov", [np.diag([1e6, 1e-6]), oblique(1e-10)], ids=["scales", "oblique"])
+def test_whitened_lattices_take_covariances_the_papers_cannot(cov):
+    density = sf.initialize(sf.Gaussian([0.0, 0.0], cov), 200)
+    whiten = np.linalg.inv(np.linalg.cholesky(cov))
+    assert whiten @ density.cov() @ whiten.T == pytest.approx(np.eye(2), abs=1e-3)
+    assert density.mean() / np.sqrt(np.diag(cov)) == pytest.approx(np.zeros(2), abs=1e-3)
