@@ -8,6 +8,7 @@ from sphfilter.errors import SphfilterError
 from . import converge, listing, run
 from .benchmark import command as benchmark
 from .own_data import command as own_data
+from .skips import command as skips
 from .stress import command as stress
 from .sunspots import command as sunspots
 from .sweep import command as sweep
@@ -21,6 +22,7 @@ COMMANDS = {
     "filter": own_data,
     "benchmark": benchmark,
     "stress": stress,
+    "skips": skips,
 }
 #: Names that `run` takes and that are no scenarios: measured data, with options of their own.
 MEASURED = {"sunspots": sunspots}

@@ -12,7 +12,7 @@ import sphfilter as sf
 from reference_filters.closed_forms import BenesFilter, linear_transition
 from reference_filters.grid import GridFilter
 from reference_filters.kalman import KalmanFilter
-from sphfilter.errors import PropagationError
+from sphfilter.errors import PropagationError, SphfilterError
 from sphfilter.schemes.log_density import paths
 
 #: T4: particles at most by dimension.
@@ -342,7 +342,7 @@ def test_blow_up_is_told():
 def test_too_few_particles_are_told():
     _, info = moved(linear(2), *start(2), 0.1, 200)
     assert info.status == "ok"
-    with pytest.raises(PropagationError, match="particles"):
+    with pytest.raises(SphfilterError, match="particles"):
         moved(linear(4), *start(4), 0.1, 20)
 
 

@@ -1,0 +1,1 @@
+"""What is left out where a scene does not need it, measured with and without."""

@@ -1,0 +1,75 @@
+"""`python -m experiments skips`: what each shortcut saves, and that results agree.
+
+Every shortcut is run with and without on a scene that can use it. Times are processor time of one thread.
+"""
+
+import csv
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from sphfilter.errors import ConfigError
+
+from .cases import cases
+from .measure import lattice_against_box, measured
+
+__all__ = ["add_arguments", "main"]
+
+_HEADS = ("shortcut", "scene", "with (ms)", "without (ms)", "ratio", "difference (std)")
+_TITLES = {
+    "skips": "processor time with each shortcut and without, and how far the results differ",
+    "particles": "nodes of the lattice of a Gaussian, its states correlated by one half",
+}
+_LATTICES = ((1, 100), (2, 200), (3, 400), (4, 800))
+_LATTICE_HEADS = ("states", "level set", "box, whitened", "box of the states")
+
+
+def add_arguments(parser):
+    """Add the options of `skips`."""
+    parser.add_argument("--samples", type=int, default=7, help="samples a median is taken of (default: 7)")
+    only = "shortcuts with this text in their name or scene"
+    parser.add_argument("--only", default="", metavar="TEXT", help=only)
+    parser.add_argument("--out", type=Path, default=Path("results/skips"), help="folder for the tables")
+
+
+def main(args):
+    """Run the command; prints to standard output."""
+    if args.samples < 5:
+        raise ConfigError(f"--samples must be 5 at least for a median worth its name, not {args.samples}")
+    chosen = [case for case in cases() if args.only.lower() in f"{case.name} {case.scene}".lower()]
+    if not chosen:
+        raise ConfigError(f"no shortcut has {args.only!r} in its name: {', '.join(c.name for c in cases())}")
+    console = Console(highlight=False)
+    console = console if console.is_terminal else Console(highlight=False, width=132)
+    with console.status("measuring (compiles once)"):
+        rows = [_cells(measured(case, args.samples)) for case in chosen]
+        lattices = [tuple(map(str, (n, *lattice_against_box(n, N)))) for n, N in _LATTICES]
+    args.out.mkdir(parents=True, exist_ok=True)
+    parts = (("skips", _HEADS, rows), ("particles", _LATTICE_HEADS, lattices))
+    for name, heads, body in parts:
+        console.print(_table(_TITLES[name], heads, body))
+        with open(args.out / f"{name}.csv", "w", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows([heads, *body])
+    text = "\n\n".join(_markdown(heads, body) for _, heads, body in parts)
+    (args.out / "skips.md").write_text(text + "\n", encoding="utf-8")
+    console.print(f"Tables: {args.out}/skips.md, skips.csv, particles.csv", soft_wrap=True)
+
+
+def _cells(row):
+    times = (f"{1e3 * row.on:.3g}", f"{1e3 * row.off:.3g}", f"{row.ratio:.2f}")
+    return (row.name, row.scene, *times, f"{row.difference:.1e}")
+
+
+def _table(title, heads, body):
+    table = Table(title=title)
+    for head in heads:
+        table.add_column(head, justify="left" if head in ("shortcut", "scene") else "right")
+    for row in body:
+        table.add_row(*row)
+    return table
+
+
+def _markdown(heads, body):
+    lines = [heads, ["---"] * len(heads), *body]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
