@@ -7,10 +7,10 @@ from scipy import stats
 
 from .config import PaperScheme, SolverConfig
 from .density import ParticleDensity
-from .errors import ModelError
+from .errors import ModelError, PropagationError
 from .exact import gaussian_log_pdf
 from .lattice import Lattice, heaviest, particles_on, place_gaussian
-from .level_set import lay, reach
+from .level_set import fewest_particles, lay, reach
 from .validate import array, count, covariance
 
 __all__ = ["Gaussian", "Uniform", "initialize"]
@@ -94,13 +94,13 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0):
 
 def _on_level_set(distribution, box, n_particles, scheme, t):
     """A smooth density on a lattice that follows its level set."""
-    n = len(distribution.mean) if isinstance(distribution, Gaussian) else np.shape(box)[0] if np.ndim(box) else 0
+    gaussian = isinstance(distribution, Gaussian)
+    n = len(distribution.mean) if gaussian else np.shape(box)[0] if np.ndim(box) else 0
     depth = 0.5 * reach(scheme, n) ** 2
-    if isinstance(distribution, Gaussian):
+    if gaussian:
         mean, cov = distribution.mean, distribution.cov
         log_p = gaussian_log_pdf(mean, cov)
-        laid = lay(log_p, mean, np.linalg.cholesky(cov), mean[None], n_particles, depth)
-        return ParticleDensity.on_lattice(laid, t, n_particles)
+        return _laid(log_p, mean, np.linalg.cholesky(cov), mean[None], n_particles, depth, t)
     if box is None or not callable(distribution):
         raise ModelError("initialize takes a Gaussian, a Uniform, or a callable pdf with box=, shape (n, 2)")
     coarse = _from_pdf(distribution, checked_box(box), max(n_particles, _COARSE), PaperScheme(), t)
@@ -111,7 +111,17 @@ def _on_level_set(distribution, box, n_particles, scheme, t):
 
     factor = np.linalg.cholesky(coarse.cov("points"))
     seeds = coarse.x[coarse.mass > coarse.mass.max() * np.exp(-depth)]
-    laid = lay(log_p, coarse.mean(), factor, seeds, n_particles, depth)
+    return _laid(log_p, coarse.mean(), factor, seeds, n_particles, depth, t)
+
+
+def _laid(log_p, mean, factor, seeds, n_particles, depth, t):
+    n = len(mean)
+    try:
+        laid = lay(log_p, mean, factor, seeds, n_particles, depth)
+    except PropagationError as problem:
+        if n_particles >= fewest_particles(n):
+            raise
+        raise ModelError(f"n_particles = {n_particles} is too small for {n} states: {problem}") from None
     return ParticleDensity.on_lattice(laid, t, n_particles)
 
 

@@ -123,11 +123,14 @@ def _innovation(density, measurement, z, seen):
     """z minus its predicted mean, and the predicted covariance plus R; None for a general likelihood."""
     if measurement.noise_cov is None:
         return None, None
-    readings = measurement.predict(density.x, density.t)
     reference = measurement.predict(density.mean(), density.t)[0]
-    around = measurement.residual(readings, reference)  # angles are averaged around the mean state's reading
-    mean = density.mass @ around
-    d = (around - mean)[:, seen]
-    spread = (d * density.mass[:, None]).T @ d + measurement.noise_cov[np.ix_(seen, seen)]
+    if measurement.H is not None and not measurement.angles:
+        mean, spread = 0.0, measurement.H @ density.cov() @ measurement.H.T
+    else:
+        readings = measurement.predict(density.x, density.t)
+        around = measurement.residual(readings, reference)  # angles are averaged around the mean's reading
+        mean = density.mass @ around
+        spread = ((around - mean) * density.mass[:, None]).T @ (around - mean)
     z = np.atleast_1d(np.asarray(z, dtype=float))
-    return measurement.residual(z, reference + mean)[seen], spread
+    both = np.ix_(seen, seen)
+    return measurement.residual(z, reference + mean)[seen], spread[both] + measurement.noise_cov[both]

@@ -38,7 +38,10 @@ def test_settings_are_frozen_and_pickle():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[scheme]\nkernl = 'lucy'", r"FilterConfig.scheme: unknown key PaperScheme.kernl \(did you mean 'kernel'\?\)"),
+        (
+            "[scheme]\nkernl = 'lucy'",
+            r"FilterConfig.scheme: unknown key PaperScheme.kernl \(did you mean 'kernel'\?\)",
+        ),
         ("[schema]\n", r"did you mean 'scheme'"),
         ("[scheme]\nkernel = 'lucky'", "'lucy'"),
         ("[scheme]\nc_cfl = -1", "greater than 0"),

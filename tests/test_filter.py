@@ -21,11 +21,12 @@ def data(model=OSCILLATOR, measurement=POSITION, x0=X0, times=TIMES, seed=1):
     return z[1:]
 
 
-def sph(n_particles=400, **changes):
-    changes = {"kernel": "gaussian", **changes}
-    return sf.SPHFilter(
-        OSCILLATOR, POSITION, X0, P0, n_particles=n_particles, config=sf.FilterConfig.paper(**changes)
-    )
+PAPER = sf.FilterConfig.paper(kernel="gaussian")
+BOTH = pytest.mark.parametrize("config", [sf.FilterConfig(), PAPER], ids=["default", "paper"])
+
+
+def sph(n_particles=400, config=PAPER):
+    return sf.SPHFilter(OSCILLATOR, POSITION, X0, P0, n_particles=n_particles, config=config)
 
 
 def off(result, exact):
@@ -36,10 +37,11 @@ def off(result, exact):
     return np.sqrt(np.mean((mean**2).sum(axis=1))), np.sqrt(np.mean((cov**2).sum(axis=(1, 2)) / 2))
 
 
-def test_linear_run_against_kalman():
+@BOTH
+def test_linear_run_against_kalman(config):
     z = data()
     exact = KalmanFilter(OSCILLATOR, POSITION, X0, P0).run(TIMES, z)
-    result = sph(1200).run(TIMES, z)
+    result = sph(1200, config).run(TIMES, z)
     mean_error, cov_error = off(result, exact)
     assert mean_error < 0.05
     assert cov_error < 0.1
@@ -52,13 +54,15 @@ def test_error_against_kalman_falls_with_the_number_of_particles():
     exact = KalmanFilter(OSCILLATOR, POSITION, X0, P0).run(TIMES, z)
     counts = [150, 600, 2400]
     settings = {"support_range": (3.2, 3.2), "integrator": "midpoint"}
-    found = np.array([off(sph(N, **settings).run(TIMES, z), exact) for N in counts])
+    config = sf.FilterConfig.paper(kernel="gaussian", **settings)
+    found = np.array([off(sph(N, config).run(TIMES, z), exact) for N in counts])
     orders = -2.0 * np.polyfit(np.log(counts), np.log(found), 1)[0]  # dx ~ N^(-1/2)
     assert np.all(orders > 1.0)
     assert np.all(found[-1] < 0.3 * found[0])
 
 
-def test_benes_filter():
+@BOTH
+def test_benes_filter(config):
     """dx = tanh(x) dt + dW: the exact posterior is a sum of two Gaussians."""
     model = sf.SDE.from_expressions(["x"], ["tanh(x)"], [["1"]], [[1.0]])
     sensor = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[1.0]])
@@ -66,9 +70,9 @@ def test_benes_filter():
     flt = sf.SPHFilter(
         model,
         sensor,
-        density=sf.initialize(lambda X: exact.pdf(X[:, 0]), 200, box=[[-5, 6]]),
+        density=sf.initialize(lambda X: exact.pdf(X[:, 0]), 200, config=config, box=[[-5, 6]]),
         n_particles=200,
-        config=sf.FilterConfig.paper(),
+        config=config,
     )
     y = np.linspace(-12, 12, 2001)[:, None]
     for t, z in [(1.0, 0.5), (2.0, -0.4), (3.0, 0.1)]:
@@ -82,18 +86,20 @@ def test_benes_filter():
     assert flt.log_evidence == pytest.approx(exact.log_evidence, abs=0.03)
 
 
-def test_same_input_same_bits():
+@BOTH
+def test_same_input_same_bits(config):
     z = data()
-    first, second = sph(200).run(TIMES, z), sph(200).run(TIMES, z)
+    first, second = sph(200, config).run(TIMES, z), sph(200, config).run(TIMES, z)
     for name in ("x", "P", "log_evidence"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_attributes_follow_predict_and_update():
-    flt = sph(200)
+@BOTH
+def test_attributes_follow_predict_and_update(config):
+    flt = sph(200, config)
     assert flt.x == pytest.approx(X0)
     prior_info = flt.predict(0.5)
-    assert prior_info.scheme == "paper"
+    assert prior_info.scheme == ("log_density" if config.scheme == "auto" else "paper")
     assert (flt.t, flt.density.t) == (0.5, 0.5)
     x_prior, P_prior = flt.x.copy(), flt.P.copy()
     info = flt.update([0.7])
@@ -108,11 +114,12 @@ def test_attributes_follow_predict_and_update():
     assert flt.log_evidence == pytest.approx(info.log_evidence + second.log_evidence)
 
 
-def test_missing_and_irregular_measurements():
+@BOTH
+def test_missing_and_irregular_measurements(config):
     times = np.array([0.0, 0.3, 0.3, 1.7, 2.0])
     z = [[1.0], None, [0.8], [np.nan], [0.1]]
     exact = KalmanFilter(OSCILLATOR, POSITION, X0, P0).run(times, z)
-    result = sph(800).run(times, z)
+    result = sph(800, config).run(times, z)
     np.testing.assert_array_equal(result.t, times)
     np.testing.assert_array_equal(result.log_evidence[[1, 3]], 0.0)
     np.testing.assert_array_equal(result.x[1], result.x_prior[1])
@@ -121,9 +128,10 @@ def test_missing_and_irregular_measurements():
     assert cov_error < 0.15
 
 
-def test_several_sensors():
+@BOTH
+def test_several_sensors(config):
     velocity = sf.GaussianMeasurement(h=[[0.0, 2.0]], noise_cov=[[0.3]])
-    flt, exact = sph(800), KalmanFilter(OSCILLATOR, POSITION, X0, P0)
+    flt, exact = sph(800, config), KalmanFilter(OSCILLATOR, POSITION, X0, P0)
     for f in (flt, exact):
         f.predict(0.7)
         f.update([0.9])
@@ -132,8 +140,9 @@ def test_several_sensors():
     assert pytest.approx(exact.P, abs=0.03) == flt.P
 
 
-def test_predict_without_argument_uses_dt():
-    flt = sf.SPHFilter(OSCILLATOR, POSITION, X0, P0, n_particles=100, dt=0.25)
+@BOTH
+def test_predict_without_argument_uses_dt(config):
+    flt = sf.SPHFilter(OSCILLATOR, POSITION, X0, P0, n_particles=100, config=config, dt=0.25)
     flt.predict()
     assert flt.t == 0.25
 
@@ -153,8 +162,9 @@ def state_of(flt):
         ),
     ],
 )
-def test_failed_step_leaves_the_filter_as_it_was(step):
-    flt = sph(150)
+@BOTH
+def test_failed_step_leaves_the_filter_as_it_was(config, step):
+    flt = sph(150, config)
     flt.predict(0.2)
     flt.update([0.9])
     before = state_of(flt)
@@ -163,27 +173,33 @@ def test_failed_step_leaves_the_filter_as_it_was(step):
     assert state_of(flt) == before
 
 
-def test_failed_predict_of_a_model_that_blows_up():
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [(sf.FilterConfig(), "blew up|stopped at t = .* shorter interval"), (PAPER, "blew up")],
+    ids=["default", "paper"],
+)
+def test_failed_predict_of_a_model_that_blows_up(config, message):
     model = sf.SDE(drift=lambda x, t: (x[0] ** 3,), dim=1, noise=[[1.0]], spectral_density=[[0.1]])
-    flt = sf.SPHFilter(
-        model, sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[1.0]]), [1.0], [[0.1]], n_particles=50
-    )
+    sensor = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[1.0]])
+    flt = sf.SPHFilter(model, sensor, [1.0], [[0.1]], n_particles=50, config=config)
     before = state_of(flt)
-    with pytest.raises(sf.PropagationError, match="blew up"):
+    with pytest.raises(sf.PropagationError, match=message):
         flt.predict(10.0)
     assert state_of(flt) == before
 
 
-def test_mean_cannot_be_overwritten():
-    flt = sph(150)
+@BOTH
+def test_mean_cannot_be_overwritten(config):
+    flt = sph(150, config)
     with pytest.raises(sf.ModelError, match="IMM"):
         flt.x = X0
     with pytest.raises(sf.ModelError, match="IMM"):
         flt.P = P0
 
 
-def test_mean_cannot_be_changed_in_place():
-    flt = sph(150)
+@BOTH
+def test_mean_cannot_be_changed_in_place(config):
+    flt = sph(150, config)
     before = flt.x.copy()
     with pytest.raises(ValueError, match="read-only"):
         flt.x += 1.0
@@ -198,8 +214,9 @@ def test_config_of_another_kind(config):
         sf.SPHFilter(OSCILLATOR, POSITION, X0, P0, config=config)
 
 
-def test_filterpy_saver():
-    flt = sph(150)
+@BOTH
+def test_filterpy_saver(config):
+    flt = sph(150, config)
     saver = Saver(flt)
     for z in ([0.5], [0.3]):
         flt.predict(0.2)
@@ -210,15 +227,17 @@ def test_filterpy_saver():
     assert saver.log_likelihood.shape == (2,)
 
 
-def test_result_goes_round_a_file(tmp_path):
-    result = sph(150).run(TIMES[:2], data()[:2])
+@BOTH
+def test_result_goes_round_a_file(config, tmp_path):
+    result = sph(150, config).run(TIMES[:2], data()[:2])
     result.save(tmp_path / "run.npz")
     back = sf.FilterResult.load(tmp_path / "run.npz")
     np.testing.assert_array_equal(back.P, result.P)
 
 
-def test_filter_pickles():
-    flt = sph(150)
+@BOTH
+def test_filter_pickles(config):
+    flt = sph(150, config)
     flt.predict(0.2)
     again = pickle.loads(pickle.dumps(flt))
     np.testing.assert_array_equal(again.density.x, flt.density.x)
@@ -239,9 +258,10 @@ def test_filter_pickles():
         ({"density": 3}, "not both"),
     ],
 )
-def test_bad_arguments(arguments, message):
+@BOTH
+def test_bad_arguments(config, arguments, message):
     with pytest.raises(sf.ModelError, match=message):
-        sf.SPHFilter(OSCILLATOR, POSITION, **{"x0": X0, "P0": P0, **arguments})
+        sf.SPHFilter(OSCILLATOR, POSITION, **{"x0": X0, "P0": P0, "config": config, **arguments})
 
 
 @pytest.mark.parametrize(
@@ -253,6 +273,7 @@ def test_bad_arguments(arguments, message):
         ([np.nan], [[0.0]], "finite"),
     ],
 )
-def test_bad_runs(times, z, message):
+@BOTH
+def test_bad_runs(config, times, z, message):
     with pytest.raises(sf.ModelError, match=message):
-        sph(150).run(times, z)
+        sph(150, config).run(times, z)

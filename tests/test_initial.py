@@ -135,7 +135,7 @@ def test_bad_input(call, message):
 
 
 def test_too_few_particles_for_a_level_set():
-    with pytest.raises(sf.SphfilterError, match="no lattice of at most 10 particles .* use more particles"):
+    with pytest.raises(sf.ModelError, match=r"n_particles = 10 is too small for 4 states: .* use more"):
         sf.initialize(sf.Gaussian(np.zeros(4), np.eye(4)), 10)
 
 

@@ -34,6 +34,13 @@ _SOURCES = _fingerprint()
 _COMPILING = Lock()
 
 
+def _copy(function, suffix):
+    """The same code under another name; numba's cache knows functions by `__qualname__` and line."""
+    copy = FunctionType(function.__code__, function.__globals__, function.__name__ + suffix)
+    copy.__qualname__, copy.__doc__ = copy.__name__, function.__doc__  # or it keeps the original's
+    return copy
+
+
 def _named_for_the_cache(function):
     """Make the sources part of the name under which a compiled function is cached.
 
@@ -52,18 +59,17 @@ def jit(function):
 def parallel_jit(function):
     """As `jit`, with ``prange`` loops spread over threads. Each iteration must write only its own row.
 
-    The function is copied under another name: numba's cache knows functions by name and line, and would hand
-    the serial code of a function that is compiled both ways to both.
+    The function is copied under another name: numba's cache would hand the serial code of a function that is
+    compiled both ways to both.
     """
-    copy = FunctionType(function.__code__, function.__globals__, function.__name__ + "_parallel")
-    copy.__doc__ = function.__doc__
-    return njit(_named_for_the_cache(copy), cache=True, error_model="numpy", parallel=True, nogil=True)
+    copy = _named_for_the_cache(_copy(function, "_parallel"))
+    return njit(copy, cache=True, error_model="numpy", parallel=True, nogil=True)
 
 
 def jit_for(signature, function):
     """Compile for one signature, now (or load): calls convert jitted functions and look nothing up."""
-    copy = FunctionType(function.__code__, function.__globals__, function.__name__ + "_signed")
-    return njit(signature, cache=True, error_model="numpy", nogil=True)(_named_for_the_cache(copy))
+    copy = _named_for_the_cache(_copy(function, "_signed"))
+    return njit(signature, cache=True, error_model="numpy", nogil=True)(copy)
 
 
 def call(dispatcher, *args):

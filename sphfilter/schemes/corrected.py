@@ -14,7 +14,7 @@ from ..core.number_density import cholesky, whiten
 from ..core.summation import sample_density
 from ..errors import PropagationError
 from ..info import PredictInfo
-from .paper import _blow_up, _coefficients, _skipped
+from ._shared import blow_up, coefficients_of, skip_notes
 
 __all__ = ["propagate"]
 
@@ -80,7 +80,7 @@ def _march(cloud, model, options, powers, scheme, interval):
     counters = np.zeros(len(core.COUNTERS), np.int64)
     times = np.array([*interval, 0.0])
     functions = (model.drift_batch, model.diffusion_batch, model.diffusion_divergence_batch)
-    coefficients, status = _coefficients(model), "paused"
+    coefficients, status = coefficients_of(model), "paused"
     while status == "paused":
         if counters[0] >= scheme.max_steps:
             raise PropagationError(
@@ -100,7 +100,7 @@ def _march(cloud, model, options, powers, scheme, interval):
         raise PropagationError(_flat(times[0]))
     if status != "ok":
         ahead = min(times[0] + 1e-6 * (interval[1] - interval[0]), interval[1])  # what the steps ran into
-        raise PropagationError(_blow_up(model, cloud.x[counters[-1]], ahead, *interval))
+        raise PropagationError(blow_up(model, cloud.x[counters[-1]], ahead, *interval))
     return counters
 
 
@@ -182,7 +182,7 @@ def _info(model, scheme, counters, n_functions, mixed):
         n_searches=searches,
         n_rejected=rejected,
         n_bypassed=max(evaluations - searches, 0),
-        skipped=_skipped(model, max(evaluations - searches, 0)),
+        skipped=skip_notes(model, max(evaluations - searches, 0)),
         scheme=scheme.name,
         status=status,
     )

@@ -13,7 +13,7 @@ from ..density import ParticleDensity
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ..level_set import Laid, fewest_particles, gaussian_volume, reach
-from .paper import _blow_up, _skipped
+from ._shared import blow_up, skip_notes
 
 __all__ = ["fits", "propagate"]
 
@@ -85,7 +85,7 @@ def propagate(density, model, t1, scheme, n_particles):
             ) from problem
         status = core.STATUS[code]
     if status == "not finite":
-        raise PropagationError(_blow_up(model, _fastest(model, x, times[0]), times[0], start, t1))
+        raise PropagationError(blow_up(model, _fastest(model, x, times[0]), times[0], start, t1))
     if status != "ok":
         raise PropagationError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     if not state[2] < scheme.most_lost:
@@ -159,7 +159,7 @@ def _fastest(model, x, t):
 def _info(model, scheme, counters, lost, threads):
     steps, rejected, evaluations, relaid = (int(c) for c in counters)
     skipped = ["neighbour search: the lattice knows its neighbours", "gradients: the expectation needs none"]
-    skipped += [note for note in _skipped(model, 0) if "evaluation of D" in note]
+    skipped += [note for note in skip_notes(model, 0) if "evaluation of D" in note]
     if model.linear:
         skipped.append("divergence of the drift along the paths: it is constant")
     if threads is None:

@@ -13,6 +13,7 @@ from ..core.smoothing import SMOOTHING
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ..resample import regrid
+from ._shared import blow_up, coefficients_of, skip_notes
 
 __all__ = ["propagate"]
 
@@ -46,7 +47,7 @@ def propagate(density, model, t1, scheme, n_particles):
     while density.t < t1:
         density, status, culprit = _march(density, model, t1, scheme, counters, dt_max)
         if status == "not finite" or (status == "stalled" and _runs_away(model, density, culprit, t1)):
-            raise PropagationError(_blow_up(model, culprit, density.t, start, t1))
+            raise PropagationError(blow_up(model, culprit, density.t, start, t1))
         if status == "paused" and counters[core.STEPS] >= scheme.max_steps:
             raise PropagationError(_given_up("too many steps", density.t, start, t1, scheme))
         if status == "stalled":
@@ -63,7 +64,7 @@ def propagate(density, model, t1, scheme, n_particles):
         n_bypassed=bypassed,
         n_regrids=n_regrids,
         n_smoothing_failed=failed,
-        skipped=_skipped(model, bypassed),
+        skipped=skip_notes(model, bypassed),
         scheme=scheme.name,
     )
     return density, info
@@ -78,7 +79,7 @@ def _march(density, model, t1, scheme, counters, dt_max):
     times = np.array([density.t, t1])
     functions = (model.drift_batch, model.diffusion_batch, model.diffusion_divergence_batch)
     try:
-        code = call(core.march, *functions, _coefficients(model), cloud, options, times, counters)
+        code = call(core.march, *functions, coefficients_of(model), cloud, options, times, counters)
     except Exception as problem:  # a black-box drift may raise anything
         raise PropagationError(
             f"the model failed between t = {density.t:g} and {t1:g} near {density.mean()}: {problem}"
@@ -97,18 +98,6 @@ def _runs_away(model, density, state, t1):
     """Would the drift at a state carry it out of all proportion to the cloud in the time that is left?"""
     extent = np.ptp(density.x, axis=0).max()
     return np.linalg.norm(model.drift(state, density.t)) * (t1 - density.t) > _RUN_AWAY * extent
-
-
-def _coefficients(model):
-    constant = model.constant_diffusion
-    D = model.diffusion(np.zeros((1, model.dim)), 0.0)[0] if constant else np.zeros((model.dim, model.dim))
-    return core.Coefficients(
-        p=model.p,
-        D=np.ascontiguousarray(D),
-        rows=np.flatnonzero(model.diffusion_rows),
-        time_dependent=not constant and not model.state_dependent_noise,
-        state_dependent=bool(model.state_dependent_noise),
-    )
 
 
 def _options(scheme, density, dt_max, steps_left):
@@ -137,31 +126,6 @@ def _options(scheme, density, dt_max, steps_left):
         looks_ahead=scheme.smoothing in ("fixed_point", "newton") or scheme.integrator != "euler",
         parallel=N >= PARALLEL_FROM,
         pause_after=max(min(_PAUSE_AFTER, steps_left), 1),
-    )
-
-
-def _skipped(model, bypassed):
-    zero = np.flatnonzero(~model.diffusion_rows)
-    notes = []
-    if zero.size:
-        notes.append(f"diffusion velocity of states {', '.join(map(str, zero))}: no noise there")
-    if not model.state_dependent_noise:
-        notes.append("divergence of D: noise does not depend on the state")
-    if model.constant_diffusion:
-        notes.append("evaluation of D: it is constant")
-    if bypassed:
-        notes.append(f"{bypassed} neighbour searches: lists still valid")
-    return tuple(notes)
-
-
-def _blow_up(model, state, t, start, t1):
-    velocity = model.drift(state, t)
-    what = "grows without bound" if np.isfinite(velocity).all() else "is NaN or infinite"
-    values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(model.states, state, strict=True))
-    return (
-        f"the model blew up at t = {t:.6g} (prediction from {start:g} to {t1:g}), at the particle {values}: "
-        f"its velocity {what}. Check the drift there, predict over a shorter interval, or use "
-        f"a smaller represented_mass so that particles stay out of the far tail"
     )
 
 

@@ -1,0 +1,47 @@
+"""What the schemes share: the model as compiled marches take it, and sentences about a prediction."""
+
+import numpy as np
+
+from ..core.march import Coefficients
+
+__all__ = ["blow_up", "coefficients_of", "skip_notes"]
+
+
+def coefficients_of(model):
+    """What the compiled marches know of a model besides its functions."""
+    constant = model.constant_diffusion
+    D = model.diffusion(np.zeros((1, model.dim)), 0.0)[0] if constant else np.zeros((model.dim, model.dim))
+    return Coefficients(
+        p=model.p,
+        D=np.ascontiguousarray(D),
+        rows=np.flatnonzero(model.diffusion_rows),
+        time_dependent=not constant and not model.state_dependent_noise,
+        state_dependent=bool(model.state_dependent_noise),
+    )
+
+
+def skip_notes(model, bypassed):
+    """Sentences for `PredictInfo.skipped`: work that the model's structure or valid neighbour lists saved."""
+    zero = np.flatnonzero(~model.diffusion_rows)
+    notes = []
+    if zero.size:
+        notes.append(f"diffusion velocity of states {', '.join(map(str, zero))}: no noise there")
+    if not model.state_dependent_noise:
+        notes.append("divergence of D: noise does not depend on the state")
+    if model.constant_diffusion:
+        notes.append("evaluation of D: it is constant")
+    if bypassed:
+        notes.append(f"{bypassed} neighbour searches: lists still valid")
+    return tuple(notes)
+
+
+def blow_up(model, state, t, start, t1):
+    """Sentence for a model that left the finite numbers at a state (n,), between `start` and `t1`."""
+    velocity = model.drift(state, t)
+    what = "grows without bound" if np.isfinite(velocity).all() else "is NaN or infinite"
+    values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(model.states, state, strict=True))
+    return (
+        f"the model blew up at t = {t:.6g} (prediction from {start:g} to {t1:g}), at the particle {values}: "
+        f"its velocity {what}. Check the drift there, predict over a shorter interval, or use "
+        f"a smaller represented_mass so that particles stay out of the far tail"
+    )

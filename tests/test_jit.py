@@ -1,0 +1,49 @@
+"""The compiler decorators: serial, parallel and signed code of one function do not share a cache file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import prange, types
+
+from sphfilter.core._jit import jit, jit_for, parallel_jit
+
+_VECTOR = types.float64[::1]
+
+
+def _doubled(x, out):
+    """Twice x."""
+    for i in prange(x.size):
+        out[i] = 2.0 * x[i]
+
+
+COMPILED = {
+    "serial": jit(_doubled),
+    "parallel": parallel_jit(_doubled),
+    "signed": jit_for(types.void(_VECTOR, _VECTOR), _doubled),
+}
+
+
+def index_of(dispatcher):
+    """Name of the file that lists a function's cached code."""
+    return Path(dispatcher._cache._cache_file._index_name).name
+
+
+def test_each_kind_of_code_has_a_cache_of_its_own():
+    assert len({index_of(f) for f in COMPILED.values()}) == 3
+
+
+def test_serial_and_parallel_code_differ():
+    x, code = np.arange(5.0), {}
+    for name in ("serial", "parallel"):
+        out = np.empty(5)
+        COMPILED[name](x, out)
+        np.testing.assert_array_equal(out, 2.0 * x)
+        code[name] = next(iter(COMPILED[name].inspect_llvm().values()))
+    assert "parallel_for" in code["parallel"]
+    assert "parallel_for" not in code["serial"]
+
+
+@pytest.mark.parametrize("kind", ["parallel", "signed"])
+def test_copies_keep_their_docstring(kind):
+    assert COMPILED[kind].__doc__ == "Twice x."
