@@ -18,6 +18,7 @@ __all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "posterio
 
 _TRIES = 24
 _REACH = 500.0  # cells around the origin that seeds may lie in
+_SKEWED = 6.0  # largest over smallest variance in coordinates that should be whitened
 _ROUNDS = 60  # of sharpening a likelihood
 _LOW_DENSITY = 1e-300  # of masses
 
@@ -85,18 +86,24 @@ def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
     """
     n, sten = len(mean), stencils(len(mean))
     volume = gaussian_volume(n, depth) if volume is None else volume
-    best, count = None, 0
+    best, count, too_fine, too_coarse = None, 0, 0.0, math.inf
     for _ in range(_TRIES):
         spacing = (volume / (0.92 * n_particles)) ** (1.0 / n)
         A = np.ascontiguousarray(factor * spacing)
         value, low, dims, highest, asked = _flood(log_p, mean, A, seeds, depth, sten, n_particles)
         new = core.relaid(value, low, dims, highest, asked, mean, A, sten, depth)
-        count = len(new[0])
+        closed = asked.size < core.MOST_ASKED * n_particles
+        count = len(new[0]) if closed else asked.size
         if 0 < count <= n_particles:
             best = A, count * spacing**n, *new
             if count >= 0.5 * n_particles:
                 break
-        volume *= np.clip(count, 0.1 * n_particles, 10.0 * n_particles) / (0.92 * n_particles)
+        if count > n_particles:
+            too_fine = max(too_fine, volume)
+        else:
+            too_coarse = min(too_coarse, volume)
+        guess = volume * np.clip(count, 0.1 * n_particles, 10.0 * n_particles) / (0.92 * n_particles)
+        volume = guess if too_fine < guess < too_coarse else math.sqrt(too_fine * too_coarse)
     if best is None:
         raise PropagationError(
             f"no lattice of at most {n_particles} particles resolves the density of {n} states near {mean} "
@@ -159,9 +166,9 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth):
         Its log_mass is the log-evidence.
     """
     n = x.shape[1]
-    enough = min(4.0 + 3.0 * n, 0.08 * n_particles)  # an eighth of the nodes count under a Gaussian at worst
+    enough = min(2.0 * 3.0**n, 0.08 * n_particles)  # three a direction; a tenth of a Gaussian's nodes count
     log_mass = np.log(np.maximum(mass, _LOW_DENSITY))
-    power = 0.0
+    power, closed_in = 0.0, False
     for _ in range(_ROUNDS):
         weight = log_weight(x)
         if not np.any(weight > -np.inf):
@@ -184,14 +191,15 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth):
             return log_prior(Y) + power * np.maximum(log_weight(Y), -1e250)
 
         laid = lay(product, mean, factor, seeds, n_particles, depth)
-        if power == 1.0 and effective >= enough:
+        if power == 1.0 and (effective >= enough or closed_in) and _whitened(factor, laid.cov):
             return laid
+        closed_in = power == 1.0
         x, mass, log_mass = laid.x, laid.mass, np.log(np.maximum(laid.mass, _LOW_DENSITY))
         # What the nodes carry already is the likelihood to the power reached.
         log_mass = log_mass - power * np.maximum(log_weight(x), -1e250)
         log_mass -= log_mass.max()
-        if power == 1.0:
-            return laid
+    if power == 1.0:
+        return laid
     raise PropagationError("the likelihood is too sharp to close in on; check the measurement's noise")
 
 
@@ -210,6 +218,13 @@ def _power(log_mass, weight, reached, enough):
         middle = math.sqrt(max(low, 1e-12) * high)
         low, high = (middle, high) if effective(middle) >= enough else (low, middle)
     return min(1.0, max(low, 1.05 * reached, 1e-12))
+
+
+def _whitened(factor, cov):
+    """Does a factor whiten a covariance nearly enough for a lattice?"""
+    half = np.linalg.solve(factor, cov)
+    spread = np.linalg.eigvalsh(np.linalg.solve(factor, half.T))
+    return spread[-1] < _SKEWED * spread[0]
 
 
 def _factor(x, w, mean, mass):

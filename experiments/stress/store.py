@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import sphfilter
 __all__ = ["load", "path_of", "save", "sources"]
 
 
+@cache  # what was loaded is what counts, though files may change while a campaign runs
 def sources(method):
     """Return a digest of the code a result depends on: results of other code are not taken for this one's.
 

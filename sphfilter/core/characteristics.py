@@ -541,7 +541,8 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
             node, x_new, log_p, m_new, log_mass, mean, P = relaid(
                 value, low, dims, highest, asked, origin, A, sten, control.depth
             )
-            count = x_new.shape[0]
+            closed = asked.size <= MOST_ASKED * control.n_particles
+            count = x_new.shape[0] if closed else asked.size
             if 0.5 * control.n_particles <= count <= control.n_particles:
                 break
             counters[RELAID] += 1

@@ -47,7 +47,7 @@ class Field(NamedTuple):
     node: np.ndarray  # (N, n) int
     log_p: np.ndarray  # (N,)
     coefficient: np.ndarray  # (N, M), in units of the lattice
-    tail: np.ndarray  # (N, n, n) concave part of the second derivatives
+    tail: np.ndarray  # (N, n, n) second derivatives for beyond the lattice: bent down in all directions
 
 
 def _neighborhoods(n):
@@ -254,8 +254,8 @@ def opened(value, asked, kept_above, dims, ball):
 
 
 @jit
-def _concave(h, w, V, work):
-    """Replace a symmetric matrix by its negative semi-definite part."""
+def _concave(h, least, w, V, work):
+    """Bound the eigenvalues of a symmetric matrix from above by `least` < 0: no tail without an end."""
     n = h.shape[0]
     for a in range(n):
         for b in range(n):
@@ -265,7 +265,7 @@ def _concave(h, w, V, work):
         for b in range(n):
             h[a, b] = 0.0
             for k in range(n):
-                h[a, b] += V[a, k] * min(w[k], 0.0) * V[b, k]
+                h[a, b] += V[a, k] * min(w[k], least) * V[b, k]
 
 
 @jit
@@ -295,6 +295,7 @@ def build_field(mu, A, node, log_p, sten):
     owner = np.full(index.size, -1, np.int64)
     work, V, w = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     gaussian = _gaussian_curvature(node, log_p, w, V, work)
+    least = -0.5 / w.max()  # half the curvature of the Gaussian along its widest axis
     for i in range(N):
         level = _level(index, flats[i], ahead, sten.size)
         if level < 0:
@@ -308,7 +309,7 @@ def build_field(mu, A, node, log_p, sten):
         if _distance(tail[i], gaussian) < _NEARLY:
             tail[i] = gaussian
         else:
-            _concave(tail[i], w, V, work)
+            _concave(tail[i], least, w, V, work)
     _spread_owners(owner, node, low, dims, strides)
     return Field(mu, A, invert_lower(A), low, dims, owner, node, log_p, coefficient, tail)
 
