@@ -2,7 +2,7 @@
 
 from difflib import get_close_matches
 
-__all__ = ["ConfigError", "ExpressionError", "ModelError", "PropagationError", "SphfilterError", "nearest"]
+__all__ = ["ConfigError", "ExpressionError", "ModelError", "PropagationError", "SphfilterError", "UnresolvedError", "nearest"]
 
 
 class SphfilterError(Exception):
@@ -23,6 +23,10 @@ class ModelError(SphfilterError, ValueError):
 
 class PropagationError(SphfilterError, RuntimeError):
     """A prediction or update that could not be completed; the filter is as it was before the call."""
+
+
+class UnresolvedError(PropagationError):
+    """No scheme can be trusted with this density on so few particles."""
 
 
 def nearest(name, allowed):

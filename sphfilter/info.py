@@ -70,7 +70,8 @@ class UpdateInfo:
     Attributes
     ----------
     accepted : bool
-        False where the acceptance test refused the measurement: the density is still the prior.
+        False where the measurement was refused, by the acceptance test or because the posterior would lie far
+        outside of all particles: the density is still the prior.
     log_evidence : float
         Log of the integral of prior times likelihood; zero if no measurement came. For a refused one, which
         lies where the prior has no particles, that of the Gaussian with the prior's mean and covariance.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
-from .errors import ModelError, PropagationError
+from .errors import ModelError, PropagationError, UnresolvedError
 from .exact import propagate_exactly
 from .info import PredictInfo
 from .resample import bound
@@ -74,6 +74,8 @@ def _best(density, model, target, n_particles):
     if not reason:
         try:
             return log_density.propagate(density, model, target, LogDensityScheme(), n_particles)
+        except UnresolvedError:
+            raise
         except PropagationError as problem:
             reason = str(problem)
     try:

@@ -6,12 +6,15 @@ from scipy.stats import multivariate_normal
 from .acceptance import test_measurement
 from .config import PaperScheme, checked_filter_config
 from .errors import ModelError
+from .exact import is_gaussian
 from .info import UpdateInfo
 from .resample import bound, product, regrid
 
 __all__ = ["update"]
 
-_OUTLYING = 5.0  # standard deviations
+_OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
+#: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
+_TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 8.0, 12.0
 
 
 def update(density, measurement, z, config=None, *, n_particles=None):
@@ -60,15 +63,16 @@ def update(density, measurement, z, config=None, *, n_particles=None):
     innovation, spread = _innovation(density, measurement, z, seen)
     if not isinstance(config.scheme, PaperScheme) and not config.acceptance.enabled:
         new, log_evidence = product(density, log_weight, n_particles, config.scheme)
+        unknown = _beyond(density, new)
         info = UpdateInfo(
-            accepted=True,
+            accepted=not unknown,
             log_evidence=log_evidence,
             innovation=innovation,
             innovation_cov=spread,
-            reason=_flag(innovation, spread),
-            n_particles=new.n_particles,
+            reason=unknown or _flag(innovation, spread),
+            n_particles=density.n_particles if unknown else new.n_particles,
         )
-        return new, info
+        return (density if unknown else new), info
     accepted, reason = _verdict(density, measurement, z, seen, config.acceptance)
     if accepted:
         new, resampled = regrid(density, n_particles, config.scheme, log_weight)
@@ -90,6 +94,21 @@ def update(density, measurement, z, config=None, *, n_particles=None):
         resample=resampled,
     )
     return new, info
+
+
+def _beyond(prior, posterior):
+    """Say so where the posterior lies so far outside of the prior's particles that its shape is a guess."""
+    L = np.linalg.cholesky(prior.cov())
+    away = np.linalg.norm(np.linalg.solve(L, posterior.mean() - prior.mean()))
+    if away < _TRUSTED_TAIL:
+        return ""
+    edge = np.linalg.norm(np.linalg.solve(L, (prior.x - prior.mean()).T), axis=0).max()
+    if away - edge < (_TRUSTED_GAUSSIAN if is_gaussian(prior) else _TRUSTED_TAIL):
+        return ""
+    return (
+        f"not used: the posterior would lie {away - edge:.0f} standard deviations outside of the prior's "
+        f"particles, where its density is a guess"
+    )
 
 
 def _flag(innovation, spread):

@@ -10,7 +10,7 @@ from ..core import characteristics as core
 from ..core._first_class import address_of
 from ..core.field import stencils
 from ..density import ParticleDensity
-from ..errors import PropagationError
+from ..errors import PropagationError, UnresolvedError
 from ..info import PredictInfo
 from ..level_set import Laid, fewest_particles, gaussian_volume, reach
 from ._shared import blow_up, skip_notes
@@ -18,6 +18,7 @@ from ._shared import blow_up, skip_notes
 __all__ = ["fits", "propagate"]
 
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
+_HOPELESS = 0.3  # part of the probability lost, above which no other scheme is tried on as many particles
 _TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
 _TOLERANCES = 5e-5, 3e-4
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never changes a
@@ -89,9 +90,11 @@ def propagate(density, model, t1, scheme, n_particles):
     if status != "ok":
         raise PropagationError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     if not state[2] < scheme.most_lost:
-        raise PropagationError(
-            _given_up(f"the lattice lost or gained {100 * state[2]:.2g} % of the probability", t1, start, t1)
-        )
+        reason = f"the lattice lost or gained {100 * state[2]:.2g} % of the probability"
+        if not state[2] < _HOPELESS:
+            reason += ": the drift jumps, or the density has edges finer than its particles; use more of them"
+            raise UnresolvedError(_given_up(reason, t1, start, t1))
+        raise PropagationError(_given_up(reason, t1, start, t1))
     laid = Laid(x, mass, field, 0.0, float(state[0]), mean, cov)
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity)
     return moved, _info(model, scheme, counters, float(state[2]), threads)
