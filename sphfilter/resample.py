@@ -12,7 +12,7 @@ from .exact import gaussian_log_pdf
 from .info import ResampleInfo
 from .lattice import Lattice, heaviest, particles_on
 from .level_set import at, posterior, reach
-from .scattered import interpolant
+from .scattered import normalised
 from .validate import count
 
 __all__ = ["bound", "logarithm", "product", "regrid", "resample"]
@@ -68,9 +68,9 @@ def logarithm(density):
     """Return log p as a function of states (M, n), defined far outside of the particles too."""
     if density.field is not None:
         return partial(at, density.field)
-    factor = np.linalg.cholesky(density.cov("points"))
     if density.log_density is not None:
-        return interpolant(density.x, density.log_density, factor)
+        return normalised(density)
+    factor = np.linalg.cholesky(density.cov("points"))
     # A mixture of kernels ends somewhere: a faint Gaussian of the same moments goes on.
     return lambda X: np.logaddexp(density.logpdf(X), _FAINT + gaussian_log_pdf(density.mean(), factor @ factor.T)(X))
 

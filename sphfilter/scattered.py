@@ -1,19 +1,29 @@
-"""Log-density between particles that lie on no lattice: a quadratic through the neighbours of each."""
+"""Log-density between particles that lie on no lattice: smooth polynomials through the neighbours of each."""
+
+import itertools
+import math
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-__all__ = ["interpolant"]
+from .core.kernels import RADIUS
+from .core.neighbors import build_index, choose_method
+from .core.summation import sample_density
 
-_NEIGHBORS_A_TERM = 2.0
-_NEAR = 1.5  # distances to the nearest neighbour, up to which a quadratic is taken as it is
+__all__ = ["interpolant", "normalised"]
+
+_NEIGHBORS_A_TERM = 3
+_CUBIC_UP_TO = 2  # states; beyond, cubic polynomials have too many terms for the particles at hand
+_NEAR = 1.5  # distances to the nearest neighbour, up to which a polynomial is taken as it is
 
 
 def interpolant(x, log_p, factor):
     """Return a function of states X (M, n) that gives log p (M,).
 
-    Each state gets the weighted least-squares quadratic of the particle nearest to it in whitened coordinates;
-    away from all particles its concave part alone, never rising.
+    Around each particle log p is the weighted least-squares polynomial through its neighbours in whitened
+    coordinates, which averages out what single particles know wrong; a state gets the mean of the nearest
+    particles' polynomials, with weights that make it continuous. Away from all particles the concave part of
+    the nearest one's quadratic goes on, never rising.
 
     Parameters
     ----------
@@ -24,34 +34,91 @@ def interpolant(x, log_p, factor):
     whiten = np.linalg.inv(factor).T
     z = x @ whiten
     N, n = z.shape
-    pairs = np.triu_indices(n)
-    terms = n + len(pairs[0])
-    K = min(int(_NEIGHBORS_A_TERM * terms) + 2, N - 1)
+    terms = _terms(n, 3 if n <= _CUBIC_UP_TO else 2, N)
     tree = cKDTree(z)
-    distance, neighbors = tree.query(z, K + 1)
-    d = z[neighbors[:, 1:]] - z[:, None]
-    basis = np.concatenate([d, d[..., pairs[0]] * d[..., pairs[1]]], axis=-1)
-    reach = distance[:, -1:]
-    weight = np.exp(-2.0 * (distance[:, 1:] / reach) ** 2)[..., None]
-    scale = np.concatenate([np.repeat(reach, n, 1), np.repeat(reach**2, terms - n, 1)], axis=1)[:, None]
-    normal = np.einsum("ikp,ikq->ipq", basis / scale * weight, basis / scale)
-    normal += 1e-8 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(terms)
-    right = np.einsum("ikp,ik->ip", basis / scale * weight, log_p[neighbors[:, 1:]] - log_p[:, None])
-    c = np.linalg.solve(normal, right[..., None])[..., 0] / scale[:, 0]
-    gradient, H = c[:, :n], np.zeros((N, n, n))
-    H[:, pairs[0], pairs[1]] = c[:, n:] * np.where(pairs[0] == pairs[1], 2.0, 1.0)
-    H[:, pairs[1], pairs[0]] = H[:, pairs[0], pairs[1]]
-    w, V = np.linalg.eigh(H)
-    concave = np.einsum("iab,ib,icb->iac", V, np.minimum(w, 0.0), V)
-    near = _NEAR * distance[:, 1]
+    c, reach, nearest = _fit(tree, z, log_p, terms)
+    gradient, concave = _tail(c, reach, terms, n)
+    blended = min(2 * n + 3, N)
 
     def log_density(X):
         Y = np.atleast_2d(X) @ whiten
-        r, j = tree.query(Y)
-        d = Y - z[j]
-        slope = np.einsum("ia,ia->i", d, gradient[j])
-        inside = slope + 0.5 * np.einsum("ia,iab,ib->i", d, H[j], d)
-        outside = np.minimum(slope + 0.5 * np.einsum("ia,iab,ib->i", d, concave[j], d), 0.0)
-        return log_p[j] + np.where(r <= near[j], inside, outside)
+        r, j = (a.reshape(len(Y), -1) for a in tree.query(Y, blended))
+        weight = _weight(r / (r[:, -1:] * (1.0 + 1e-9)))
+        values = np.einsum("mbp,mbp->mb", _monomials((Y[:, None] - z[j]) / reach[j][..., None], terms), c[j])
+        inside = (weight * values).sum(axis=1) / weight.sum(axis=1)
+        j, d = j[:, 0], Y - z[j[:, 0]]
+        fall = np.einsum("ia,ia->i", d, gradient[j]) + 0.5 * np.einsum("ia,iab,ib->i", d, concave[j], d)
+        return np.where(r[:, 0] <= _NEAR * nearest[j], inside, c[j, 0] + np.minimum(fall, 0.0))
 
     return log_density
+
+
+def _terms(n, degree, N):
+    """Monomials as tuples of axes, by degree; of lower degree where particles are few."""
+    every = [t for k in range(degree + 1) for t in itertools.combinations_with_replacement(range(n), k)]
+    while len(every) > max(n + 1, N // 2):
+        degree -= 1
+        every = [t for t in every if len(t) <= degree]
+    return every
+
+
+def _monomials(d, terms):
+    """Values of the monomials at displacements d (..., n), shape (..., T)."""
+    values = np.empty((*d.shape[:-1], len(terms)))
+    for k, axes in enumerate(terms):
+        values[..., k] = 1.0 if not axes else d[..., axes[-1]]
+        if len(axes) > 1:
+            values[..., k] *= values[..., terms.index(axes[:-1])]
+    return values
+
+
+def _weight(q):
+    """Wendland's C2 function."""
+    return (1.0 - q) ** 4 * (1.0 + 4.0 * q)
+
+
+def _fit(tree, z, log_p, terms):
+    """Coefficients (N, T) in units of each particle's reach, the reaches, and nearest distances."""
+    K = min(_NEIGHBORS_A_TERM * len(terms), len(z) - 1)
+    distance, neighbors = tree.query(z, K + 1)
+    reach = distance[:, -1]
+    basis = _monomials((z[neighbors] - z[:, None]) / reach[:, None, None], terms)
+    weighted = basis * _weight(distance / (1.05 * reach[:, None]))[..., None]
+    normal = np.swapaxes(weighted, 1, 2) @ basis
+    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(len(terms))
+    right = np.einsum("ikp,ik->ip", weighted, log_p[neighbors])
+    return np.linalg.solve(normal, right[..., None])[..., 0], reach, distance[:, 1]
+
+
+def _tail(c, reach, terms, n):
+    """Gradient (N, n) and concave part of the second derivatives (N, n, n) at each particle."""
+    gradient, H = np.zeros((len(c), n)), np.zeros((len(c), n, n))
+    for k, axes in enumerate(terms):
+        if len(axes) == 1:
+            gradient[:, axes[0]] = c[:, k] / reach
+        if len(axes) == 2:
+            second = c[:, k] / reach**2 * (2.0 if axes[0] == axes[1] else 1.0)
+            H[:, axes[0], axes[1]] = H[:, axes[1], axes[0]] = second
+    w, V = np.linalg.eigh(H)
+    return gradient, np.einsum("iab,ib,icb->iac", V, np.minimum(w, 0.0), V)
+
+
+def normalised(density):
+    """Return log p of a density that carries `log_density`, as `interpolant` does, with an integral of one.
+
+    The integral is taken by importance sampling from the mixture of kernels in whitened coordinates: 2n
+    points of equal weight stand for each kernel and have its covariance.
+    """
+    factor, n = np.linalg.cholesky(density.cov("points")), density.dim
+    log_p = interpolant(density.x, density.log_density, factor)
+    scale = np.prod(np.diag(factor)) ** (1.0 / n)
+    z = np.ascontiguousarray(np.linalg.solve(factor, (density.x - density.mean()).T).T)
+    h, (kind, constant) = density.h / scale, density.kernel_code
+    offsets = math.sqrt(n * density.kernel_variance) * np.concatenate([np.eye(n), -np.eye(n)])
+    y = (z[:, None] + h[:, None, None] * offsets).reshape(-1, n)
+    p = np.empty(len(y))
+    index = build_index(z, RADIUS[kind] * np.median(h), choose_method(len(z), n))
+    sample_density(y, z, density.mass, h, index, (kind, constant), p)
+    ratio = np.exp(log_p(density.mean() + y @ factor.T)) * scale**n / p
+    log_total = math.log(np.repeat(density.mass, 2 * n) @ ratio / (2 * n))
+    return lambda X: log_p(X) - log_total
