@@ -1,5 +1,8 @@
 """The compiler decorators: serial, parallel and signed code of one function do not share a cache file."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -47,3 +50,34 @@ def test_serial_and_parallel_code_differ():
 @pytest.mark.parametrize("kind", ["parallel", "signed"])
 def test_copies_keep_their_docstring(kind):
     assert COMPILED[kind].__doc__ == "Twice x."
+
+
+_CALLER = """
+import numpy as np
+from numba import prange
+from sphfilter.core._jit import call, jit, parallel_jit
+
+
+@parallel_jit
+def threaded(x):
+    for i in prange(x.size):
+        x[i] += 1.0
+
+
+@jit
+def serial(x):
+    if x.size > 1000:
+        threaded(x)
+    x[0] += 1.0
+"""
+
+
+@pytest.mark.slow
+def test_serial_code_linked_with_cached_threaded_code_can_be_loaded(tmp_path):
+    """Compiled, linked and loaded in three processes; without the threads the third one crashed."""
+    (tmp_path / "caller.py").write_text(_CALLER)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    for line in ("threaded(np.zeros(3))", "call(serial, np.zeros(3))", "call(serial, np.zeros(3))"):
+        words = [sys.executable, "-c", f"from caller import *; {line}"]
+        done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr

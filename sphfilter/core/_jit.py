@@ -10,10 +10,10 @@ from pathlib import Path
 from threading import Lock
 from types import FunctionType
 
-from numba import njit, typeof, types
+from numba import get_num_threads, njit, typeof, types
 from numba.core.dispatcher import Dispatcher
 
-__all__ = ["BATCH", "BATCH_FUNCTION", "call", "jit", "jit_for", "parallel_jit"]
+__all__ = ["BATCH", "BATCH_FUNCTION", "call", "jit", "jit_for", "parallel_jit", "start_threads"]
 
 #: Signature of every compiled model function: ``fill(x, t, p, out)`` writes one row of ``out`` (N, k)
 #: for each row of ``x`` (N, n) at time ``t`` with parameters ``p``.
@@ -72,11 +72,21 @@ def jit_for(signature, function):
     return njit(signature, cache=True, error_model="numpy", nogil=True)(copy)
 
 
+def start_threads():
+    """Start numba's threads; needed before serial code that calls threaded code is loaded from the cache.
+
+    Threaded code starts them as it is loaded. Serial code does not, if the threaded code it was linked with was
+    in the cache already, and crashes at its first call.
+    """
+    get_num_threads()
+
+
 def call(dispatcher, *args):
     """Call a `jit` function, with every jitted function among `args` passed as a `BATCH_FUNCTION`."""
     signature = tuple(BATCH_FUNCTION if isinstance(a, Dispatcher) else typeof(a) for a in args)
     if signature not in dispatcher.overloads:
         with _COMPILING:
+            start_threads()
             dispatcher.disable_compile(False)
             dispatcher.compile(signature)
             # Without this the next call would specialise for the dispatcher's own type, not convert it.

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..core import characteristics as core
 from ..core._first_class import address_of
+from ..core._jit import start_threads
 from ..core.field import stencils
 from ..density import ParticleDensity
 from ..errors import PropagationError, UnresolvedError
@@ -73,6 +74,8 @@ def propagate(density, model, t1, scheme, n_particles):
     rule = paths(G.shape[1], scheme.quadrature)
     field, status = density.field, "paused"
     threads = True if n_particles * len(rule.log_weight) >= _THREADS_FROM else None
+    if threads:
+        start_threads()
     while status == "paused":
         if counters[core.STEPS] >= scheme.max_steps:
             raise PropagationError(_given_up(f"{scheme.max_steps} steps were not enough", times[0], start, t1))
