@@ -13,7 +13,7 @@ from sphfilter.errors import ConfigError
 
 from . import plots
 from .comparison import distances
-from .filters import factories
+from .filters import factories, name_of
 from .scenario import add_change_option, load_scenario, parse_change
 
 __all__ = ["add_arguments", "convergence", "main", "orders"]
@@ -26,6 +26,7 @@ def add_arguments(parser):
     parser.add_argument(
         "scenario", nargs="?", default="linear_underdamped", help="a scenario with an exact filter"
     )
+    parser.add_argument("--filter", choices=("sph", "sph_paper"), default="sph", help="default: sph")
     parser.add_argument("--counts", default="100,200,400,800,1600", help="particles, comma-separated")
     parser.add_argument("--runs", type=int, default=3, help="simulated runs for each count")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random")
@@ -33,7 +34,7 @@ def add_arguments(parser):
     add_change_option(parser)
 
 
-def convergence(name, counts, n_runs, seed, **changes):
+def convergence(name, counts, n_runs, seed, which="sph", **changes):
     """Distance of the SPH filter from the scenario's exact filter, for each number of particles.
 
     Parameters
@@ -42,6 +43,8 @@ def convergence(name, counts, n_runs, seed, **changes):
         A scenario whose exact filter is known.
     counts : sequence of int
     n_runs, seed : int
+    which : str
+        "sph" or "sph_paper".
     **changes
         Keys of the scenario, as `load_scenario` takes them.
 
@@ -52,17 +55,17 @@ def convergence(name, counts, n_runs, seed, **changes):
     """
     rows = []
     for count in counts:
-        scenario = load_scenario(name, **changes, **{"filters.sph.n_particles": count})
+        scenario = load_scenario(name, **changes, **{f"filters.{which}.n_particles": count})
         exact = scenario.settings.exact
         if exact is None:
             raise ConfigError(f"no exact filter is known for {name}: take a linear scenario or benes")
-        filters = factories([exact, "sph"], scenario)
+        filters = factories([exact, which], scenario)
         campaign = run_campaign(scenario, filters, n_runs, seed)
         if campaign.failures:
             raise ConfigError(f"{count} particles: {campaign.failures[0].message}")
-        seconds = float(np.median(campaign.run_time["sph"]))
-        refused = int((~campaign.results["sph"].accepted).sum())
-        rows.append((count, distances(campaign.results, exact)["sph"], seconds, refused))
+        seconds = float(np.median(campaign.run_time[which]))
+        refused = int((~campaign.results[which].accepted).sum())
+        rows.append((count, distances(campaign.results, exact)[which], seconds, refused))
     return rows
 
 
@@ -84,18 +87,18 @@ def main(args):
         raise ConfigError("converge needs two different counts at least, and one run")
     changes = dict(parse_change(text) for text in args.changes)
     with console.status("running (compiles once, for half a minute)"):
-        rows = convergence(args.scenario, counts, args.runs, args.seed, **changes)
+        rows = convergence(args.scenario, counts, args.runs, args.seed, args.filter, **changes)
     dim = load_scenario(args.scenario).model.dim
     slopes = orders(rows, dim)
-    console.print(_table(args.scenario, rows, slopes))
+    console.print(_table(args.scenario, name_of(args.filter), rows, slopes))
     out = args.out or Path("results") / args.scenario
     out.mkdir(parents=True, exist_ok=True)
     _write(out / "convergence.csv", rows)
     console.print(f"Table and picture: {out}/convergence.csv, {plots.draw_convergence(out, rows, slopes)}")
 
 
-def _table(name, rows, slopes):
-    table = Table(title=f"{name}: SPH filter against the exact one")
+def _table(name, who, rows, slopes):
+    table = Table(title=f"{name}: {who} against the exact filter")
     for head in ("particles", "mean (std)", "covariance", "evidence (nat)", "seconds", "refused"):
         table.add_column(head, justify="right")
     for count, distance, seconds, refused in rows:

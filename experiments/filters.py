@@ -14,7 +14,7 @@ from sphfilter.errors import ConfigError, nearest
 
 from .scenario import Scenario
 
-__all__ = ["FILTERS", "Factory", "factories"]
+__all__ = ["FILTERS", "Factory", "factories", "name_of"]
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,8 @@ FILTERS = {
     "ekf": "extended Kalman filter",
     "ukf": "unscented Kalman filter",
     "pf": "bootstrap particle filter",
-    "sph": "SPH filter: carries the density itself",
+    "sph": "SPH filter: carries the density itself, default scheme",
+    "sph_paper": "SPH filter with the published scheme",
     "grid": "density on a grid (1 or 2 states), the referee",
     "benes": "closed form of the Beneš problem",
 }
@@ -107,9 +108,15 @@ _BUILDERS = {
     "ukf": _unscented,
     "pf": _particle,
     "sph": _sph,
+    "sph_paper": _sph,
     "grid": _grid,
     "benes": _benes,
 }
+
+
+def name_of(name):
+    """A filter's name as a heading."""
+    return name.upper().replace("_", " ")
 
 
 def factories(names, scenario):

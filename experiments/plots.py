@@ -12,6 +12,8 @@ import numpy as np
 from sphfilter import consistency
 from sphfilter.campaign import draw_case
 
+from .filters import name_of
+
 __all__ = ["COLOURS", "consistency_figure", "draw", "draw_convergence", "example_runs", "history_figure"]
 
 #: One colour a filter in every picture (Okabe & Ito: distinct for the colour-blind too).
@@ -21,6 +23,7 @@ COLOURS = {
     "ukf": "#CC79A7",
     "pf": "#0072B2",
     "sph": "#009E73",
+    "sph_paper": "#E69F00",
     "grid": "#56B4E9",
     "benes": "#000000",
 }
@@ -126,7 +129,7 @@ def history_figure(scenario, filters, seed, run):
                 ax.plot(case.times, case.z[:, j] / reads[1][j], "o", ms=3.2, mfc="w", mec="k", mew=0.9,
                         label="measurement", zorder=4)  # fmt: skip
             _frame(ax, case.truth[:, d])
-        row[0].set_title(name.upper(), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
+        row[0].set_title(name_of(name), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
     for d, ax in enumerate(axes[-1]):
         ax.set_xlabel("time (s)")
         figure.align_ylabels(axes[:, d])
@@ -173,7 +176,7 @@ def consistency_figure(scenario, campaign):
     top = figure.add_subplot(gs[0, :])
     n_runs = len(campaign.truth)
     for name, result in campaign.results.items():
-        style = {"color": COLOURS[name], "lw": 1.4, "marker": "o", "ms": 2.6, "label": name.upper()}
+        style = {"color": COLOURS[name], "lw": 1.4, "marker": "o", "ms": 2.6, "label": name_of(name)}
         top.plot(campaign.times, _average(consistency.nees(campaign.truth, result.x, result.P)), **style)
         nmee = _average(consistency.nmee(campaign.truth, result.x, result.P))
         rms = np.sqrt(_average((result.x - campaign.truth) ** 2))

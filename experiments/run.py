@@ -22,7 +22,7 @@ from sphfilter.report import report
 
 from . import pictures, plots
 from .comparison import distances, reference_name
-from .filters import FILTERS, factories
+from .filters import FILTERS, factories, name_of
 from .scenario import add_change_option, load_scenario, parse_change
 from .tables import distance_table, result_table, sentences
 
@@ -41,12 +41,12 @@ def add_arguments(parser):
     parser.add_argument("--seed", type=int, help="seed of everything random")
     parser.add_argument("--out", type=Path, help="folder for results (default: results/NAME)")
     parser.add_argument("--jobs", type=_count, default=1, help="processes")
-    parser.add_argument("--n-particles", type=int, help="particles of the SPH filter, at most")
+    parser.add_argument("--n-particles", type=int, help="particles of the SPH filters, at most")
     parser.add_argument(
         "--pictures",
         metavar="NAMES",
         help="comma-separated pictures of the paper to draw besides the histories, or none "
-        "(default: all the scenario has, if sph runs)",
+        "(default: all the scenario has, if sph_paper runs)",
     )
     add_change_option(parser)
 
@@ -63,13 +63,13 @@ def main(args):
     console = console if console.is_terminal else Console(highlight=False, width=132)
     changes = dict(parse_change(text) for text in args.changes)
     if args.n_particles is not None:
-        changes["filters.sph.n_particles"] = args.n_particles
+        changes |= {f"filters.{name}.n_particles": args.n_particles for name in ("sph", "sph_paper")}
     scenario = load_scenario(args.scenario, **changes)
     names = None if args.filters is None else [name.strip() for name in args.filters.split(",")]
     filters = factories(names, scenario)
     n_runs = scenario.settings.runs.default if args.runs is None else args.runs
     seed = scenario.settings.runs.seed if args.seed is None else args.seed
-    wanted = pictures.chosen(scenario, args.pictures if "sph" in filters else args.pictures or "none")
+    wanted = pictures.chosen(scenario, args.pictures if "sph_paper" in filters else args.pictures or "none")
     out = args.out or Path("results") / scenario.name
 
     console.print(f"[bold]{scenario.name}[/]: {scenario.settings.description}")
@@ -104,11 +104,11 @@ def _warm_up(console, scenario, filters):
     case = scenario.draw(np.random.default_rng(0))
     with _status(console) as say:
         for name, make in filters.items():
-            say(f"preparing {name.upper()} (compiles once, for half a minute; later starts take a second)")
+            say(f"preparing {name_of(name)} (compiles once, for half a minute; later starts take a second)")
             try:
                 make(case, np.random.default_rng(0)).run(case.times[:1], case.z[:1])
             except Exception as problem:  # the campaign records it, run by run
-                say(f"{name.upper()}: {problem}")
+                say(f"{name_of(name)}: {problem}")
 
 
 @contextmanager
@@ -153,7 +153,7 @@ def _tell(console, scenario, campaign, numbers, distance, reference):
     for sentence in sentences(numbers, scenario):
         console.print(f"• {sentence}")
     for run, name, message in campaign.failures:
-        console.print(f"run {run}, {name.upper()}: {message}", style="red")
+        console.print(f"run {run}, {name_of(name)}: {message}", style="red")
     console.print()
 
 

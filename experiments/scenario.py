@@ -109,8 +109,9 @@ def read_settings(name, changes=None):
     name : str
         A name of `scenario_names`, or the path of a TOML file.
     changes : mapping of str to value, optional
-        Values to replace, by dotted key: ``{"times.interval": 3.0}``. Keys of the SPH filter's
-        configuration may be given short: ``{"scheme.kernel": "gaussian"}``.
+        Values to replace, by dotted key: ``{"times.interval": 3.0}``. The scheme of the SPH filter, and keys
+        of the published one's configuration, may be given short: ``{"scheme": "corrected"}``,
+        ``{"scheme.kernel": "gaussian"}``.
 
     Raises
     ------
@@ -160,8 +161,8 @@ def add_change_option(parser):
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="change a key of the scenario, e.g. times.interval=3, or of the SPH filter, e.g. "
-        "scheme.kernel=gaussian; may be repeated",
+        help="change a key of the scenario, e.g. times.interval=3, the scheme of the SPH filter, e.g. "
+        "scheme=corrected, or a key of the published one, e.g. scheme.kernel=gaussian; may be repeated",
     )
 
 
@@ -185,7 +186,7 @@ def _change(tree, key, value):
     """Set a dotted key; the settings check it later."""
     parts = key.split(".")
     if parts[0] in ("scheme", "acceptance"):
-        parts = ["filters", "sph", "config", *parts]
+        parts = ["filters", "sph" if len(parts) == 1 else "sph_paper", "config", *parts]
     for i, part in enumerate(parts[:-1]):
         tree = tree.setdefault(part, {})
         if not isinstance(tree, dict):

@@ -3,7 +3,7 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from sphfilter.config import FilterConfig, settings
 
@@ -152,10 +152,25 @@ class Particle:
 
 @settings
 class Sph:
-    """`SPHFilter`: upper bound of the number of particles, and its configuration."""
+    """`SPHFilter` with the default scheme: upper bound of the number of particles, and its configuration."""
 
     n_particles: Count = 200
-    config: FilterConfig = Field(default_factory=FilterConfig.paper)
+    config: FilterConfig = Field(default_factory=FilterConfig)
+
+
+def _published(value):
+    """Settings that a table leaves out are those of `FilterConfig.paper`."""
+    if not isinstance(value, dict):
+        return value
+    return {"scheme": {}, **value, "acceptance": {"enabled": True, **value.get("acceptance", {})}}
+
+
+@settings
+class SphPaper:
+    """`SPHFilter` with the scheme of 002 and its acceptance test."""
+
+    n_particles: Count = 200
+    config: Annotated[FilterConfig, BeforeValidator(_published)] = Field(default_factory=FilterConfig.paper)
 
 
 @settings
@@ -175,6 +190,7 @@ class Filters:
     ukf: MomentFilter = Field(default_factory=MomentFilter)
     pf: Particle = Field(default_factory=Particle)
     sph: Sph = Field(default_factory=Sph)
+    sph_paper: SphPaper = Field(default_factory=SphPaper)
     grid: Grid = Field(default_factory=Grid)
 
 

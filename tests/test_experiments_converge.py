@@ -16,9 +16,10 @@ def test_orders_are_slopes_in_the_spacing():
     assert [found[m] for m in ("mean", "cov", "evidence")] == pytest.approx([2.0, 1.0, 0.0], abs=1e-9)
 
 
-def test_command_writes_table_and_picture(tmp_path, capsys):
+@pytest.mark.parametrize("which", ["sph", "sph_paper"])
+def test_command_writes_table_and_picture(which, tmp_path, capsys):
     arguments = ["linear_underdamped", "--counts", "100,200", "--runs", "1", "--set", "times.end=2"]
-    assert main(["converge", *arguments, "--out", str(tmp_path)]) == 0
+    assert main(["converge", *arguments, "--filter", which, "--out", str(tmp_path)]) == 0
     assert "order in dx" in capsys.readouterr().out
     with open(tmp_path / "convergence.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

@@ -9,8 +9,7 @@ from scipy.stats import chi2
 from experiments import start
 from experiments.filters import factories
 from experiments.scenario import Scenario, load_scenario, parse_change, read_settings, scenario_names
-from sphfilter import ConfigError, ExpressionError, ModelError
-from sphfilter.config import PaperScheme
+from sphfilter import ConfigError, ExpressionError, FilterConfig, ModelError
 
 
 @pytest.mark.parametrize("name", scenario_names())
@@ -55,9 +54,12 @@ def test_published_parameters(name, dim, Q, interval, end, n_particles, n_runs, 
     D = scenario.model.diffusion(np.zeros((1, dim)), 0.0)[0]
     np.testing.assert_allclose(np.diag(D)[1::2], Q / 2)
     assert (settings.times.interval, settings.times.end) == (interval, end)
-    assert (settings.filters.sph.n_particles, settings.filters.pf.n_particles) == n_particles
+    found = settings.filters
+    assert (found.sph_paper.n_particles, found.pf.n_particles) == n_particles
+    assert found.sph.n_particles == n_particles[0]
     assert settings.runs.published == n_runs
-    assert settings.filters.sph.config.scheme.kernel == kernel
+    assert found.sph_paper.config == FilterConfig.paper(kernel=kernel)
+    assert found.sph.config == FilterConfig()
 
 
 def test_drifts_are_those_of_the_paper():
@@ -80,14 +82,23 @@ def test_change_of_keys():
     changes = {"times.interval": 3.0, "scheme.kernel": "gaussian", "filters.pf.n_particles": 7}
     changed = load_scenario("duffing", **changes, **{"model.parameters.xi": 0.5})
     assert len(changed.settings.times.grid()) == 10
-    assert changed.settings.filters.sph.config.scheme == PaperScheme(kernel="gaussian")
+    assert changed.settings.filters.sph_paper.config == FilterConfig.paper(kernel="gaussian")
+    assert changed.settings.filters.sph.config == FilterConfig()
     assert changed.settings.filters.pf.n_particles == 7
     np.testing.assert_allclose(changed.model.drift([[0.0, 1.0]], 0.0), [[1.0, -1.0]])
+
+
+def test_short_keys_of_the_sph_filters():
+    """`scheme` names that of sph; what lies within scheme and acceptance are keys of sph_paper."""
+    filters = load_scenario("pendulum", **{"scheme": "corrected", "acceptance.f_edge": 0.5}).settings.filters
+    assert filters.sph.config == FilterConfig(scheme="corrected")
+    assert filters.sph_paper.config == FilterConfig.paper(f_edge=0.5)
 
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
+        ({"scheme": "correct"}, "did you mean 'corrected'"),
         ({"times.intervall": 1.0}, "did you mean 'interval'"),
         ({"scheme.kernal": "lucy"}, "did you mean 'kernel'"),
         ({"scheme.kernel": "lucky"}, "'lucky' is not valid"),

@@ -85,7 +85,8 @@ def test_accuracy_figure_shows_what_the_start_changes(monkeypatch):
 @pytest.fixture(scope="module")
 def short_duffing():
     scenario = load_scenario("duffing", **{"times.end": 4.0})
-    filters = replace(scenario.settings.filters, sph=replace(scenario.settings.filters.sph, n_particles=60))
+    paper = replace(scenario.settings.filters.sph_paper, n_particles=60)
+    filters = replace(scenario.settings.filters, sph_paper=paper)
     return replace(scenario, settings=replace(scenario.settings, filters=filters))
 
 

@@ -12,7 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from experiments.filters import FILTERS, factories
+from experiments.filters import FILTERS, factories, name_of
 from sphfilter.campaign import Case
 from sphfilter.errors import SphfilterError
 
@@ -48,7 +48,7 @@ def main(args):
     console.print(f"[bold]{scenario.name}[/]: {len(data.times)} lines of {args.data}{missing}\n")
     results, seconds, problems = _run(filters, case_of(scenario, data), args.seed)
     for name, problem in problems.items():
-        console.print(f"{name.upper()} stopped: {problem}", style="red")
+        console.print(f"{name_of(name)} stopped: {problem}", style="red")
     if not results:
         raise SphfilterError("no filter came to the end of the data")
     _tell(console, results, seconds)
@@ -92,7 +92,8 @@ def _tell(console, results, seconds):
         table.add_column(heading, justify="left" if heading == "filter" else "right")
     for name, result in results.items():
         rejected = int(np.sum(~result.accepted))
-        table.add_row(name.upper(), f"{result.log_evidence.sum():.2f}", str(rejected), f"{seconds[name]:.2f}")
+        evidence = f"{result.log_evidence.sum():.2f}"
+        table.add_row(name_of(name), evidence, str(rejected), f"{seconds[name]:.2f}")
     console.print(table)
     console.print(
         "• The log-evidence is the log-density that a filter gave to all measurements before it saw them. "

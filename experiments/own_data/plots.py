@@ -7,6 +7,7 @@ matplotlib.use("Agg")  # files only: no window system is asked for
 import matplotlib.pyplot as plt
 import numpy as np
 
+from experiments.filters import name_of
 from experiments.plots import COLOURS
 from experiments.sunspots.forecast import LEVELS
 
@@ -41,7 +42,7 @@ def draw(path, scenario, data, results):
                 j = list(reads[0]).index(d)
                 ax.plot(data.times, data.z[:, j] / reads[1][j], ".", ms=3.5, color="0.15", mec="none")
             _plain(ax)
-        row[0].set_title(name.upper(), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
+        row[0].set_title(name_of(name), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
     for ax, label, unit in zip(axes[0], scenario.labels, scenario.units, strict=True):
         ax.set_title(f"{label} ({unit})" if unit else label, fontsize=10)
     for ax in axes[-1]:
@@ -76,7 +77,7 @@ def draw_forecasts(path, scores):
             inside = ", ".join(f"{c:.0%}" for c in score.coverage[:2])
             ax.set_title(f"inside: {inside}", loc="right", fontsize=9)
             _plain(ax)
-        row[0].set_title(name.upper(), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
+        row[0].set_title(name_of(name), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
         row[0].set_ylabel("sunspot number")
     top = max(np.max(of[h].observed) for of in scores.values() for h in horizons)
     axes[0, 0].set_ylim(0, 1.5 * top)

@@ -40,7 +40,7 @@ _LOOSE = 0.6  # f_edge
 
 def rejected_measurements(scenario, seed, n_runs):
     """A run with refused measurements, the same run with the better remedy, and the rates of all settings."""
-    config = scenario.settings.filters.sph.config
+    config = scenario.settings.filters.sph_paper.config
     own = Coverage(config.scheme.represented_mass, config.scheme.domain_mass, config.acceptance.f_edge)
     loose = own._replace(f_edge=max(own.f_edge, _LOOSE))
     coverages = [*sorted({_NARROW, own, _WIDE}), *({loose} - {own})]
@@ -101,12 +101,12 @@ def rejection_rates(scenario, coverages, seed, n_runs):
 
 
 def _factory(scenario, coverage):
-    sph = scenario.settings.filters.sph
+    sph = scenario.settings.filters.sph_paper
     masses = {"represented_mass": coverage.represented_mass, "domain_mass": coverage.domain_mass}
     scheme = replace(sph.config.scheme, **masses)
     acceptance = replace(sph.config.acceptance, f_edge=coverage.f_edge)
     config = replace(sph.config, scheme=scheme, acceptance=acceptance)
-    return Factory("sph", scenario, replace(sph, config=config))
+    return Factory("sph_paper", scenario, replace(sph, config=config))
 
 
 def _observed(scenario):

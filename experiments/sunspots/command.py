@@ -18,7 +18,7 @@ import tomli_w
 from rich.console import Console
 from scipy.optimize import minimize
 
-from experiments.filters import FILTERS, factories
+from experiments.filters import FILTERS, factories, name_of
 from experiments.own_data.command import case_of
 from experiments.own_data.csv_data import Measurements, read_measurements
 from experiments.own_data.model_file import load_model
@@ -96,9 +96,9 @@ def _scores(console, filters, scenario, data, seed):
             scores[name] = score_forecasts(
                 filt, data.times, data.z[:, 0], scenario.measurement, HORIZONS, FIRST
             )
-            console.print(f"{name.upper()} took {time.perf_counter() - begin:.1f} s", style="dim")
+            console.print(f"{name_of(name)} took {time.perf_counter() - begin:.1f} s", style="dim")
         except SphfilterError as problem:
-            console.print(f"{name.upper()} stopped: {problem}", style="red")
+            console.print(f"{name_of(name)} stopped: {problem}", style="red")
     if not scores:
         raise SphfilterError("no filter came to the end of the data")
     return scores

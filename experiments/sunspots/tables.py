@@ -7,6 +7,8 @@ from rich import box
 from rich.table import Table
 from scipy.stats import binom
 
+from experiments.filters import name_of
+
 from .forecast import LEVELS
 
 __all__ = ["score_table", "sentences", "write_scores"]
@@ -27,7 +29,7 @@ def score_table(scores, horizons):
     table = Table(box=box.SIMPLE, pad_edge=False)
     table.add_column("")
     for name in scores:
-        table.add_column(name.upper(), justify="right", style="dim" if name == "history" else "bold")
+        table.add_column(name_of(name), justify="right", style="dim" if name == "history" else "bold")
     rows = [("Log score (nat a year)", lambda s: f"{s.log_score.mean():.3f}")]
     rows.append(("Median absolute error", lambda s: f"{np.median(np.abs(s.median - s.observed)):.1f}"))
     for k, level in enumerate(LEVELS):
@@ -57,7 +59,7 @@ def sentences(scores, history, first):
     reference = next((name for name in ("grid", "pf") if name in scores), next(iter(scores)))
     for h in history:
         parts = [
-            f"{name.upper()} {_difference(of[h], scores[reference][h])}"
+            f"{name_of(name)} {_difference(of[h], scores[reference][h])}"
             for name, of in scores.items()
             if name != reference
         ]

@@ -4,6 +4,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 
+from experiments.filters import name_of
+
 __all__ = ["draw"]
 
 _AXES = {"interval": "interval between updates (s)", "q": "factor on Q", "r": "factor on R"}
@@ -55,7 +57,7 @@ def _draw(path, rows, key, title, colouring):
             cells = {(row[x], row[y]): row[key] for row in here}
             image = _panel(ax, np.array([[cells[a, b] for a in xs] for b in ys]), *colouring)
             where = f", {panel.upper()} × {value:g}" if len(third) > 1 else ""
-            ax.set_title(name.upper() + where, size=9)
+            ax.set_title(name_of(name) + where, size=9)
             ax.set_xticks(range(len(xs)), [f"{v:g}" for v in xs])
             ax.set_yticks(range(len(ys)), [f"{v:g}" for v in ys])
     fig.supxlabel(_AXES[x], size=9)

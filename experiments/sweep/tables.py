@@ -6,6 +6,8 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
+from experiments.filters import name_of
+
 __all__ = ["rows_of", "sentences", "table", "write"]
 
 #: Filter whose error the others' are compared with, and part of the runs that is much to lose.
@@ -72,7 +74,7 @@ def _text(rows):
                 : len(columns)
             ]
         lines.append(line)
-    return ["Interval (s)", "Q ×", "R ×", *(f"{name.upper()} {c}" for name in names for c in columns)], lines
+    return ["Interval (s)", "Q ×", "R ×", *(f"{name_of(name)} {c}" for name in names for c in columns)], lines
 
 
 def table(rows, name):
@@ -106,7 +108,7 @@ def _where_hard(name, hard):
     """What another filter does where the EKF loses much."""
     lost = np.mean([values[name]["lost"] for values in hard])
     ratio = np.mean([values["ekf"]["rms_ratio"] / values[name]["rms_ratio"] for values in hard])
-    text = f"There the {name.upper()} loses {lost:.0%}"
+    text = f"There the {name_of(name)} loses {lost:.0%}"
     return (
         f"{text}, and the EKF's RMS error is {ratio:.1f} times its own." if np.isfinite(ratio) else f"{text}."
     )
