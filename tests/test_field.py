@@ -128,11 +128,11 @@ def test_a_gaussian_is_exact_on_its_lattice_and_nearly_in_its_tail(n, radius):
 
 def test_a_tail_unlike_the_nodes_covariance_is_its_own():
     """Two narrow peaks far from each other: away from both, each falls by its own curvature."""
-    ball = disc(2, 4.0)
-    node = np.concatenate([ball - [8, 0], ball + [8, 0]])
+    ball, offset = disc(2, 4.0), np.array([8, 0])
+    node = np.concatenate([ball - offset, ball + offset])
 
     def log_p(d):
-        return -0.7 * np.minimum(((d - [8, 0]) ** 2).sum(axis=1), ((d + [8, 0]) ** 2).sum(axis=1))
+        return -0.7 * np.minimum(((d - offset) ** 2).sum(axis=1), ((d + offset) ** 2).sum(axis=1))
 
     field = build_field(np.zeros(2), np.eye(2), node, log_p(node.astype(float)), stencils(2))
     far = np.array([[8.0, 30.0], [-8.0, -25.0], [20.0, 0.5]])

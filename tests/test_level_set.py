@@ -130,18 +130,36 @@ def test_sharp_and_dull_sensors(n, R):
     assert info.log_evidence == pytest.approx(evidence, abs=1e-2)
 
 
-@pytest.mark.parametrize("n", [1, 2, pytest.param(3, marks=CUT)])
-@pytest.mark.parametrize("sigmas", [10.0, 30.0, 50.0])
-def test_outliers_meet_a_gaussian_tail(n, sigmas):
-    p = gaussian(n)
+def reading(n, sigmas):
+    """A reading of the first of n states that far from its prediction: H, R, z."""
     H, R = np.eye(1, n), np.array([[0.1 * COV[n][0, 0]]])
-    z = np.array([1.0 + sigmas * np.sqrt(COV[n][0, 0] + R[0, 0])])
-    q, info = sf.update(p, sf.GaussianMeasurement(h=H, noise_cov=R), z, n_particles=COUNTS[n])
+    return H, R, np.array([1.0 + sigmas * np.sqrt(COV[n][0, 0] + R[0, 0])])
+
+
+@pytest.mark.parametrize("n", [1, 2, pytest.param(3, marks=CUT)])
+@pytest.mark.parametrize("sigmas", [10.0, 14.0])
+def test_outliers_meet_a_gaussian_tail(n, sigmas):
+    H, R, z = reading(n, sigmas)
+    q, info = sf.update(gaussian(n), sf.GaussianMeasurement(h=H, noise_cov=R), z, n_particles=COUNTS[n])
     mean, cov, evidence = kalman(np.arange(1.0, n + 1.0), COV[n], H, R, z)
+    assert info.accepted
     assert max(off(q, mean, cov)) < 2e-2
     assert info.log_evidence == pytest.approx(evidence, rel=1e-3)
-    assert f"{sigmas:.0f}" in info.reason
-    assert "outlying" in info.reason
+    assert f"outlying measurement: {sigmas:.1f} sigma" in info.reason
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("sigmas", [30.0, 50.0])
+def test_what_lies_too_far_out_is_not_used(n, sigmas):
+    """The filter says so and keeps its prior; the evidence still counts against the model."""
+    H, R, z = reading(n, sigmas)
+    p = gaussian(n)
+    q, info = sf.update(p, sf.GaussianMeasurement(h=H, noise_cov=R), z, n_particles=COUNTS[n])
+    assert not info.accepted
+    assert "not used" in info.reason
+    assert q is p
+    evidence = kalman(np.arange(1.0, n + 1.0), COV[n], H, R, z)[2]
+    assert info.log_evidence == pytest.approx(evidence, rel=2e-2)
 
 
 LOST = "a peak more than 500 cells from the mean is lost (level_set._REACH)"
