@@ -14,7 +14,7 @@ from .core import characteristics as core
 from .core.field import UNKNOWN, Field, build_field, evaluate, frontier, stencils
 from .errors import ModelError, PropagationError
 
-__all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "posterior", "reach"]
+__all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "local", "posterior", "reach"]
 
 _TRIES = 24
 _REACH = 500.0  # cells around the origin that seeds may lie in
@@ -190,8 +190,10 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth):
         def product(Y, power=power):
             return log_prior(Y) + power * np.maximum(log_weight(Y), -1e250)
 
+        if closed_in:  # the nodes know the pieces of the posterior now
+            factor, seeds = local(laid), x
         laid = lay(product, mean, factor, seeds, n_particles, depth)
-        if power == 1.0 and (effective >= enough or closed_in) and _whitened(factor, laid.cov):
+        if power == 1.0 and (effective >= enough or closed_in) and _whitened(factor, local(laid)):
             return laid
         closed_in = power == 1.0
         x, mass, log_mass = laid.x, laid.mass, np.log(np.maximum(laid.mass, _LOW_DENSITY))
@@ -220,10 +222,18 @@ def _power(log_mass, weight, reached, enough):
     return min(1.0, max(low, 1.05 * reached, 1e-12))
 
 
-def _whitened(factor, cov):
-    """Does a factor whiten a covariance nearly enough for a lattice?"""
-    half = np.linalg.solve(factor, cov)
-    spread = np.linalg.eigvalsh(np.linalg.solve(factor, half.T))
+def local(laid):
+    """Lower factor of the covariance within the pieces of a density: see `core.local_shape`."""
+    L = np.linalg.cholesky(laid.cov)
+    shape = np.empty_like(L)
+    core.local_shape(laid.field, laid.mass, L, shape)
+    return L @ shape
+
+
+def _whitened(factor, other):
+    """Does a factor whiten what another does, nearly enough for a lattice?"""
+    ratio = np.linalg.solve(factor, other)
+    spread = np.linalg.eigvalsh(ratio @ ratio.T)
     return spread[-1] < _SKEWED * spread[0]
 
 

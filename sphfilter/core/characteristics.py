@@ -41,6 +41,7 @@ _MARGIN = 3  # cells around the seeds in the first box
 MOST_CELLS = 20_000_000
 _TRIES = 6
 MOST_ASKED = 12  # cells asked for, over the number of particles wanted
+_LOCAL = 0.05  # variance within pieces, over that of the whole, below which lattices follow the pieces
 _BLOCK = 256  # states that one thread takes at a time
 
 
@@ -482,6 +483,66 @@ def nodes_of(field):
 
 
 @jit
+def local_shape(field, m, L, Q):
+    """Lower Q with which L Q whitens the density piece by piece, where L whitens it as a whole.
+
+    (L Q)(L Q)^T is the inverse of the Fisher information E[grad log p (grad log p)^T]: the covariance of a
+    Gaussian, and that within the pieces of a density in several, or across a bent one. Q is the identity unless
+    the two differ by much.
+    """
+    n = L.shape[0]
+    info, R, B = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    w, V, total = np.empty(n), np.empty((n, n)), 0.0
+    for i in range(m.size):
+        known = False
+        for a in range(n):
+            known |= field.coefficient[i, a] != 0.0
+        if known:  # nodes at the rim have no polynomial
+            total += m[i]
+            for a in range(n):
+                for b in range(n):
+                    info[a, b] += m[i] * field.coefficient[i, a] * field.coefficient[i, b]
+    inverse = invert_lower(L)
+    for a in range(n):
+        for b in range(n):
+            info[a, b] /= total
+            for k in range(n):
+                B[a, b] += inverse[a, k] * field.A[k, b]
+    eigen(info, w, V)
+    for k in range(n):  # R = B info^-1 B^T
+        for a in range(n):
+            v = 0.0
+            for b in range(n):
+                v += B[a, b] * V[b, k]
+            info[a, k] = v / math.sqrt(max(w[k], 1e-300))
+    for a in range(n):
+        for b in range(n):
+            for k in range(n):
+                R[a, b] += info[a, k] * info[b, k]
+            Q[a, b] = 1.0 if a == b else 0.0
+    for a in range(n):
+        for b in range(n):
+            B[a, b] = R[a, b]
+    eigen(B, w, V)
+    smallest = w[0]
+    for k in range(n):
+        smallest = min(smallest, w[k])
+    if 0.0 < smallest < _LOCAL:
+        cholesky(R, Q)
+
+
+@jit
+def times_lower(L, Q, out):
+    """out = L Q."""
+    n = L.shape[0]
+    for a in range(n):
+        for b in range(n):
+            out[a, b] = 0.0
+            for k in range(n):
+                out[a, b] += L[a, k] * Q[k, b]
+
+
+@jit
 def march(drift, divergence, diffusion, noise, field, sten, paths, control, times, state, counters, threads):
     """Carry a field from times[0] to times[1]; times[0], `state` and the counters are kept up to date.
 
@@ -491,6 +552,7 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
     """
     n = field.mu.size
     mean, P, L = np.empty(n), np.empty((n, n)), np.empty((n, n))
+    Q, S = np.empty((n, n)), np.empty((n, n))
     x, m = nodes_of(field)
     span, first = times[1] - times[0], counters[STEPS]
     moments(x, m, mean, P)
@@ -499,12 +561,14 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
             return field, x, m, mean, P, PAUSED
         if not cholesky(P, L):
             return field, x, m, mean, P, NOT_FINITE
+        local_shape(field, m, L, Q)
+        times_lower(L, Q, S)
         t, left = times[0], times[1] - times[0]
         h = min(state[1], left, state[3])
         if noise.time_dependent:
             _refactor(diffusion, x, t + 0.5 * h, noise)
-        limit = control.noise_share / max(noise_limit(noise.G, L), 1e-300)
-        bent = 3.0 * control.noise_share / max(sheared(drift, noise, mean, t, L), 1e-300)
+        limit = control.noise_share / max(noise_limit(noise.G, S), 1e-300)
+        bent = 3.0 * control.noise_share / max(sheared(drift, noise, mean, t, S), 1e-300)
         h = min(h, limit, bent ** (1.0 / 3.0))
         pieces = math.ceil(left / h - 1e-9)
         h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
@@ -513,7 +577,7 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
         flow(drift, noise.p, twice, t, 0.5 * h, still, still, work)
         flow(drift, noise.p, twice, t + 0.5 * h, 0.5 * h, still, still, work)
         counters[EVALUATIONS] += 12 * x.shape[0]
-        error = _path_error(once, twice, m, L) / control.tolerance
+        error = _path_error(once, twice, m, S) / control.tolerance
         factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.2)) if error < np.inf else 0.1
         if error > 1.0:
             counters[REJECTED] += 1
@@ -526,9 +590,10 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
         counters[EVALUATIONS] += 16 * noise.G.shape[1] * x.shape[0]
         if not cholesky(P, L):
             return field, x, m, mean, P, NOT_FINITE
+        times_lower(L, Q, S)
         for attempt in range(_TRIES):
             spacing = (state[0] / (0.92 * control.n_particles)) ** (1.0 / n)
-            A, origin = L.copy(), mean.copy()
+            A, origin = S.copy(), mean.copy()
             for a in range(n):
                 for b in range(n):
                     A[a, b] *= spacing

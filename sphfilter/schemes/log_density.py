@@ -5,6 +5,7 @@ import math
 from functools import cache
 
 import numpy as np
+from numba.core.errors import NumbaError
 
 from ..core import characteristics as core
 from ..core._first_class import address_of
@@ -83,6 +84,8 @@ def propagate(density, model, t1, scheme, n_particles):
             field, x, mass, mean, cov, code = core.carry(
                 addresses, noise, field, stencils(n), rule, control, times, state, counters, threads
             )
+        except NumbaError:  # a defect of this package must not be taken for one of the model
+            raise
         except Exception as problem:  # a black-box drift may raise anything
             raise PropagationError(
                 f"the model failed between t = {times[0]:g} and {t1:g} near {density.mean()}: {problem}"
