@@ -17,7 +17,7 @@ from .errors import ModelError, PropagationError
 __all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "local", "posterior", "reach"]
 
 _TRIES = 24
-_REACH = 500.0  # cells around the origin that seeds may lie in
+_STEP = 1e-4  # of slopes, in standard deviations
 _SKEWED = 6.0  # largest over smallest variance in coordinates that should be whitened
 _ROUNDS = 60  # of sharpening a likelihood
 _LOW_DENSITY = 1e-300  # of masses
@@ -118,7 +118,8 @@ def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
     n = len(mean)
     ball = sten.offsets[: sten.size[0]]
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
-    cells = core.seeds_in_box(np.ascontiguousarray(seeds), mean, np.linalg.inv(A), _REACH, low, dims)
+    seeds, reach = np.ascontiguousarray(seeds), core.furthest(n)
+    cells = core.seeds_in_box(seeds, mean, np.linalg.inv(A), reach, low, dims)
     if np.prod(dims.astype(float)) > core.MOST_CELLS:
         raise PropagationError(_spread(mean))
     value, asked = np.full(np.prod(dims), UNKNOWN), np.empty(0, np.int64)
@@ -185,11 +186,13 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth):
         factor = _factor(x, w, mean, mass)
         if np.isnan(factor).any():
             raise ModelError("the posterior's covariance is not finite; check the likelihood")
-        seeds = x[w > w.max() * math.exp(-depth)]
+        heavy = w > w.max() * math.exp(-depth)
+        seeds = x[heavy]
 
         def product(Y, power=power):
             return log_prior(Y) + power * np.maximum(log_weight(Y), -1e250)
 
+        factor = _within(product, seeds, w[heavy], factor)
         if closed_in:  # the nodes know the pieces of the posterior now
             factor, seeds = local(laid), x
         laid = lay(product, mean, factor, seeds, n_particles, depth)
@@ -228,6 +231,25 @@ def local(laid):
     shape = np.empty_like(L)
     core.local_shape(laid.field, laid.mass, L, shape)
     return L @ shape
+
+
+def _within(log_p, x, w, factor):
+    """A factor of the covariance within the pieces of a density, from its slopes at weighted points.
+
+    As `core.local_shape`, before there is a lattice: a posterior in two thin pieces needs a spacing that resolves
+    each of them.
+    """
+    n = len(factor)
+    slopes = np.empty((len(x), n))
+    for k in range(n):
+        step = _STEP * factor[:, k]
+        slopes[:, k] = np.clip((log_p(x + step) - log_p(x - step)) / (2.0 * _STEP), -1e100, 1e100)
+    information = (slopes * (w / w.sum())[:, None]).T @ slopes
+    values, axes = np.linalg.eigh(information)
+    if not np.isfinite(values).all() or values[-1] * core.LOCAL < 1.0:
+        return factor
+    inverse = (axes / np.maximum(values, 1.0)) @ axes.T  # no piece is wider than the whole
+    return factor @ np.linalg.cholesky(inverse)
 
 
 def _whitened(factor, other):

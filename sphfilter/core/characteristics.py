@@ -31,7 +31,7 @@ from .field import (
     product,
 )
 
-__all__ = ["COUNTERS", "MOST_ASKED", "MOST_CELLS", "STATUS", "Control", "Noise", "Paths", "carry", "march"]
+__all__ = ["COUNTERS", "LOCAL", "MOST_ASKED", "MOST_CELLS", "STATUS", "Control", "Noise", "Paths", "march"]
 
 STATUS = ("ok", "not finite", "paused", "stalled", "too few nodes", "outgrown")
 OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN = range(6)
@@ -41,7 +41,7 @@ _MARGIN = 3  # cells around the seeds in the first box
 MOST_CELLS = 20_000_000
 _TRIES = 6
 MOST_ASKED = 12  # cells asked for, over the number of particles wanted
-_LOCAL = 0.05  # variance within pieces, over that of the whole, below which lattices follow the pieces
+LOCAL = 0.05  # variance within pieces, over that of the whole, below which lattices follow the pieces
 _BLOCK = 256  # states that one thread takes at a time
 
 
@@ -314,6 +314,12 @@ def sheared(drift, noise, mean, t, L):
 
 
 @jit
+def furthest(n):
+    """Cells around the origin that seeds may lie in: pieces of a density further out would be lost."""
+    return max(500.0, min(1e6, 0.4 * MOST_CELLS ** (1.0 / n)))
+
+
+@jit
 def seeds_in_box(points, mu, inverse, reach, low, dims):
     """Box around the lattice cells of some points, and the flat numbers of those cells."""
     N, n = points.shape
@@ -400,7 +406,7 @@ def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h,
     n = mu.size
     ball = sten.offsets[: sten.size[0]]
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
-    cells = seeds_in_box(points, mu, invert_lower(A), 500.0, low, dims)
+    cells = seeds_in_box(points, mu, invert_lower(A), furthest(n), low, dims)
     if product(dims) > MOST_CELLS:
         return np.empty(0), low, dims, 0.0, np.empty(0, np.int64)
     value, asked = np.full(int(product(dims)), UNKNOWN), np.empty(0, np.int64)
@@ -527,7 +533,7 @@ def local_shape(field, m, L, Q):
     smallest = w[0]
     for k in range(n):
         smallest = min(smallest, w[k])
-    if 0.0 < smallest < _LOCAL:
+    if 0.0 < smallest < LOCAL:
         cholesky(R, Q)
 
 
@@ -543,13 +549,17 @@ def times_lower(L, Q, out):
 
 
 @jit
-def march(drift, divergence, diffusion, noise, field, sten, paths, control, times, state, counters, threads):
+def march(addresses, noise, field, sten, paths, control, times, state, counters, threads):
     """Carry a field from times[0] to times[1]; times[0], `state` and the counters are kept up to date.
 
+    addresses: of the model's drift, divergence and D, so that it is entered without looking functions up.
+    threads: None for one thread, True for as many as there are.
     state: [filled volume of the whitened lattice, next step, sum of |log mass| lost, longest step].
     Returns the field, its states and masses, their mean and covariance, and a code of `STATUS`. On failure they
     are as far as they came.
     """
+    drift, divergence = function_at(addresses[0]), function_at(addresses[1])
+    diffusion = function_at(addresses[2])
     n = field.mu.size
     mean, P, L = np.empty(n), np.empty((n, n)), np.empty((n, n))
     Q, S = np.empty((n, n)), np.empty((n, n))
@@ -622,15 +632,3 @@ def march(drift, divergence, diffusion, noise, field, sten, paths, control, time
         times[0] = times[1] if pieces <= 1 else t + h
     return field, x, m, mean, P, OK
 
-
-@jit
-def carry(addresses, noise, field, sten, paths, control, times, state, counters, threads):
-    """`march` for model functions given by address (drift, divergence, D): entered without looking them up.
-
-    `threads` is None for one thread, True for as many as there are.
-    """
-    drift, divergence = function_at(addresses[0]), function_at(addresses[1])
-    diffusion = function_at(addresses[2])
-    return march(
-        drift, divergence, diffusion, noise, field, sten, paths, control, times, state, counters, threads
-    )

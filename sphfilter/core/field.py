@@ -294,8 +294,7 @@ def build_field(mu, A, node, log_p, sten):
     coefficient, tail = np.zeros((N, M)), np.zeros((N, n, n))
     owner = np.full(index.size, -1, np.int64)
     work, V, w = np.empty((n, n)), np.empty((n, n)), np.empty(n)
-    gaussian = _gaussian_curvature(node, log_p, w, V, work)
-    least = -0.5 / w.max()  # half the curvature of the Gaussian along its widest axis
+    least = 0.5 * _widest(node, log_p, w, V, work)
     for i in range(N):
         level = _level(index, flats[i], ahead, sten.size)
         if level < 0:
@@ -306,6 +305,9 @@ def build_field(mu, A, node, log_p, sten):
             for c in range(M):
                 coefficient[i, c] += sten.rows[level, k, c] * difference
         _second_derivatives(coefficient[i], sten, tail[i])
+    gaussian = _mean_curvature(tail, log_p, owner, flats)
+    _concave(gaussian, least, w, V, work)
+    for i in range(N):
         if _distance(tail[i], gaussian) < _NEARLY:
             tail[i] = gaussian
         else:
@@ -315,8 +317,8 @@ def build_field(mu, A, node, log_p, sten):
 
 
 @jit
-def _gaussian_curvature(node, log_p, w, V, work):
-    """Second derivatives of the Gaussian with the nodes' covariance, in units of the lattice."""
+def _widest(node, log_p, w, V, work):
+    """Curvature of the Gaussian with the nodes' covariance along its widest axis, in units of the lattice."""
     N, n = node.shape
     mean, total, highest = np.zeros(n), 0.0, log_p.max()
     for i in range(N):
@@ -334,12 +336,22 @@ def _gaussian_curvature(node, log_p, w, V, work):
             for b in range(n):
                 work[a, b] += m * (node[i, a] - mean[a]) * (node[i, b] - mean[b])
     eigen(work, w, V)
-    h = np.zeros((n, n))
-    for a in range(n):
-        for b in range(n):
-            for k in range(n):
-                h[a, b] -= V[a, k] * V[b, k] / w[k]
-    return h
+    return -1.0 / w.max()
+
+
+@jit
+def _mean_curvature(second, log_p, owner, flats):
+    """Second derivatives averaged over the mass of complete nodes: a Gaussian's own, wherever it is cut."""
+    n = second.shape[1]
+    mean, total, highest = np.zeros((n, n)), 0.0, log_p.max()
+    for i in range(log_p.size):
+        if owner[flats[i]] == i:
+            m = math.exp(log_p[i] - highest)
+            total += m
+            for a in range(n):
+                for b in range(n):
+                    mean[a, b] += m * second[i, a, b]
+    return mean / max(total, 1e-300)
 
 
 @jit

@@ -26,7 +26,8 @@ _TOLERANCES = 5e-5, 3e-4
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never changes a
 #: bit of the result.
 _THREADS_FROM = 20_000
-_TIME_SLICES = 16  # steps at least over an interval, where drift or noise change with time
+_TIME_SLICES = (17, 37, 79, 167, 347, 709)  # steps at least over an interval, where drift or noise change
+_NOISE_ERROR = 1e-3  # of its integral over the interval, relative, by the middles of so many steps
 
 
 def fits(model, density, n_particles):
@@ -54,7 +55,7 @@ def propagate(density, model, t1, scheme, n_particles):
         probability was lost on the way: says when, where, and what to change.
     """
     start, n = density.t, density.dim
-    G = _noise_factor(model, 0.5 * (start + t1))
+    G, slices = _noise_factor(model, start, t1)
     noise = core.Noise(G, model.p, not model.constant_diffusion, model.linear)
     depth = 0.5 * reach(scheme, n) ** 2
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
@@ -68,7 +69,7 @@ def propagate(density, model, t1, scheme, n_particles):
     )
     counters = np.zeros(len(core.COUNTERS), np.int64)
     volume = density.volume or gaussian_volume(n, depth)
-    longest = math.inf if model.autonomous else (t1 - start) / _TIME_SLICES
+    longest = math.inf if model.autonomous else (t1 - start) / slices
     state, times = np.array([volume, min(t1 - start, longest), 0.0, longest]), np.array([start, t1])
     functions = (model.drift_batch, model.divergence_batch, model.diffusion_batch)
     addresses = tuple([address_of(function) for function in functions])
@@ -81,7 +82,7 @@ def propagate(density, model, t1, scheme, n_particles):
         if counters[core.STEPS] >= scheme.max_steps:
             raise PropagationError(_given_up(f"{scheme.max_steps} steps were not enough", times[0], start, t1))
         try:
-            field, x, mass, mean, cov, code = core.carry(
+            field, x, mass, mean, cov, code = core.march(
                 addresses, noise, field, stencils(n), rule, control, times, state, counters, threads
             )
         except NumbaError:  # a defect of this package must not be taken for one of the model
@@ -113,12 +114,21 @@ _REASONS = {
 }
 
 
-def _noise_factor(model, t):
-    """G (n, m) with D = G Gᵀ / 2 and as few columns as D has rank."""
-    D = model.diffusion(np.zeros((1, model.dim)), t)[0]
+def _noise_factor(model, t0, t1):
+    """G (n, m) with D = G Gᵀ / 2, as many columns as D ever has rank, and steps that see D change."""
+    before = np.full((model.dim, model.dim), np.inf)
+    for slices in _TIME_SLICES:
+        times = t0 + (t1 - t0) * (np.arange(1 if model.constant_diffusion else slices) + 0.5) / slices
+        D = np.array([model.diffusion(np.zeros((1, model.dim)), t)[0] for t in times])
+        mean = D.mean(axis=0)
+        if model.constant_diffusion or np.abs(mean - before).max() <= _NOISE_ERROR * np.abs(mean).max():
+            break
+        before = mean
     w, V = np.linalg.eigh(D)
-    some = w > 1e-14 * max(w.max(), 1e-300)
-    return np.ascontiguousarray((V * np.sqrt(2.0 * np.maximum(w, 0.0)))[:, some][:, ::-1])
+    rank = (w > 1e-14 * max(w.max(), 1e-300)).sum(axis=1).max()
+    middle = len(D) // 2
+    G = (V[middle] * np.sqrt(2.0 * np.maximum(w[middle], 0.0)))[:, ::-1][:, :rank]
+    return np.ascontiguousarray(G), slices
 
 
 @cache
