@@ -200,23 +200,17 @@ def test_noise_whose_direction_turns():
     assert found[1] < 1e-3
 
 
-@pytest.mark.xfail(reason="steps do not see how fast the noise changes: sixteen an interval", strict=True)
 def test_noise_faster_than_sixteen_steps():
     p, _ = moved(text(["x"], ["0"], [["1 + cos(50*t)"]]), [0.0], [[0.3]], 2.0, 100)
     exact = 0.3 + 1.5 * 2.0 + 2 * np.sin(100.0) / 50 + np.sin(200.0) / 200
     assert p.cov()[0, 0] == pytest.approx(exact, rel=0.05)
 
 
-RANK = "columns of G are counted at the middle of the interval alone (log_density._noise_factor)"
-
-
-@pytest.mark.xfail(reason=RANK, strict=True)
 def test_noise_that_is_off_at_the_middle_of_the_interval():
     p, _ = moved(text(["x"], ["0"], [["where(t < 0.4, 1, 0)"]]), [0.0], [[0.04]], 1.0, 100)
     assert p.cov()[0, 0] == pytest.approx(0.44, rel=0.1)
 
 
-@pytest.mark.xfail(reason=RANK, strict=True)
 def test_noise_whose_rank_changes():
     model = text(["x", "y"], ["0", "0"], [["cos(t)", "0"], ["0", "sin(t)"]], np.eye(2))
     p, _ = moved(model, [0.0, 0.0], 0.04 * np.eye(2), 2 * np.pi, 300)
