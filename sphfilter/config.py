@@ -154,8 +154,8 @@ class LogDensityScheme:
     Attributes
     ----------
     reach : float, optional
-        Z: particles lie where log p is within Z²/2 of its largest, so out to Z sigma of a Gaussian. By default
-        5.5, 4.2 and 4 in one, two and more dimensions.
+        Z: particles lie where log p is within Z²/2 of its largest, so out to Z sigma of a Gaussian. By
+        default 5.5, 4.2 and 4 in one, two and more dimensions.
     tolerance : float, optional
         Error allowed in the paths of a time step: rms over the mass, in standard deviations. By default in
         proportion to the error of the lattice.

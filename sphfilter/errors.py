@@ -2,7 +2,15 @@
 
 from difflib import get_close_matches
 
-__all__ = ["ConfigError", "ExpressionError", "ModelError", "PropagationError", "SphfilterError", "UnresolvedError", "nearest"]
+__all__ = [
+    "ConfigError",
+    "ExpressionError",
+    "ModelError",
+    "PropagationError",
+    "SphfilterError",
+    "UnresolvedError",
+    "nearest",
+]
 
 
 class SphfilterError(Exception):

@@ -78,7 +78,8 @@ class SPHFilter:
         self.model, self.measurement = model, measurement
         self.config = checked_filter_config(config)
         self._adapts = isinstance(n_particles, str)
-        self.n_particles = fewest(model.dim, n_particles) if self._adapts else count("n_particles", n_particles)
+        given = fewest(model.dim, n_particles) if self._adapts else n_particles
+        self.n_particles = count("n_particles", given)
         self.dt = None if dt is None else positive("dt", dt)
         self._density = self._start(x0, P0, t0, density)
         self._moments()

@@ -1,8 +1,9 @@
 """Lattices that follow a density's level set: whitened, trimmed where log p has fallen far enough, any shape.
 
-Where 002 (39) keeps an ellipsoid, the nodes kept here are those with log p > log p_max - Z²/2: the same ellipsoid
-for a Gaussian, and the right region for anything else, in several pieces if need be. The lattice grows from
-seeds over the neighbours of kept nodes until its edge is closed, so nothing is asked of the density far away.
+Where 002 (39) keeps an ellipsoid, the nodes kept here are those with log p > log p_max - Z²/2: the same
+ellipsoid for a Gaussian, and the right region for anything else, in several pieces if need be. The lattice
+grows from seeds over the neighbours of kept nodes until its edge is closed, so nothing is asked of the
+density far away.
 """
 
 import math
@@ -140,8 +141,8 @@ def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
 
 def _spread(mean):
     return (
-        f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces are much "
-        f"smaller than the distance between them, or it has no edge"
+        f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces are "
+        f"much smaller than the distance between them, or it has no edge"
     )
 
 
@@ -169,7 +170,7 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth):
     n = x.shape[1]
     enough = min(2.0 * 3.0**n, 0.08 * n_particles)  # three a direction; a tenth of a Gaussian's nodes count
     log_mass = np.log(np.maximum(mass, _LOW_DENSITY))
-    power, closed_in = 0.0, False
+    power, closed_in, laid = 0.0, False, None
     for _ in range(_ROUNDS):
         weight = log_weight(x)
         if not np.any(weight > -np.inf):
@@ -236,8 +237,8 @@ def local(laid):
 def _within(log_p, x, w, factor):
     """A factor of the covariance within the pieces of a density, from its slopes at weighted points.
 
-    As `core.local_shape`, before there is a lattice: a posterior in two thin pieces needs a spacing that resolves
-    each of them.
+    As `core.local_shape`, before there is a lattice: a posterior in two thin pieces needs a spacing that
+    resolves each of them.
     """
     n = len(factor)
     slopes = np.empty((len(x), n))

@@ -81,11 +81,16 @@ def _best(density, model, target, n_particles):
     try:
         moved, info = _corrected(density, model, target, CorrectedScheme(), n_particles)
     except PropagationError as problem:
-        raise PropagationError(reason if "stopped at" in reason or "blew up" in reason else str(problem)) from problem
+        told = "stopped at" in reason or "blew up" in reason
+        raise PropagationError(reason if told else str(problem)) from problem
     return moved, replace(info, status=f"not log_density: {reason}")
 
 
-_SCHEMES = {LogDensityScheme: log_density.propagate, CorrectedScheme: _corrected, PaperScheme: paper.propagate}
+_SCHEMES = {
+    LogDensityScheme: log_density.propagate,
+    CorrectedScheme: _corrected,
+    PaperScheme: paper.propagate,
+}
 
 
 @dataclass(frozen=True)

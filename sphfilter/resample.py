@@ -72,12 +72,16 @@ def logarithm(density):
         return normalised(density)
     factor = np.linalg.cholesky(density.cov("points"))
     # A mixture of kernels ends somewhere: a faint Gaussian of the same moments goes on.
-    return lambda X: np.logaddexp(density.logpdf(X), _FAINT + gaussian_log_pdf(density.mean(), factor @ factor.T)(X))
+    faint = gaussian_log_pdf(density.mean(), factor @ factor.T)
+    return lambda X: np.logaddexp(density.logpdf(X), _FAINT + faint(X))
 
 
 def product(density, log_weight, n_particles, scheme):
-    """Density times exp(log_weight(X)) on a lattice that follows its level set, and the log of its integral."""
-    laid = posterior(density.x, density.mass, logarithm(density), log_weight, n_particles, 0.5 * reach(scheme, density.dim) ** 2)
+    """Density times exp(log_weight(X)) on a lattice that follows its level set, and the log of
+    its integral.
+    """
+    depth = 0.5 * reach(scheme, density.dim) ** 2
+    laid = posterior(density.x, density.mass, logarithm(density), log_weight, n_particles, depth)
     return ParticleDensity.on_lattice(laid, density.t, n_particles), laid.log_mass
 
 

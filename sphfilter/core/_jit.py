@@ -75,8 +75,8 @@ def jit_for(signature, function):
 def start_threads():
     """Start numba's threads; needed before serial code that calls threaded code is loaded from the cache.
 
-    Threaded code starts them as it is loaded. Serial code does not, if the threaded code it was linked with was
-    in the cache already, and crashes at its first call.
+    Threaded code starts them as it is loaded. Serial code does not, if the threaded code it was linked with
+    was in the cache already, and crashes at its first call.
     """
     get_num_threads()
 

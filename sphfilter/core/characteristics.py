@@ -4,16 +4,16 @@ The FPK equation dp/dt = -div(f p) + D:grad grad p of additive noise is solved e
 
     p(y, t + tau) = E[ p(Y, t) exp(-int div f ds) ],     Y the end of dY = -f ds + g dW from y, back to t,
 
-and the expectation by a few weighted paths of the noise. Each path is a Runge-Kutta step of an ordinary equation
-(002 has no counterpart: there the diffusion velocity is summed over neighbours, with explicit limits on the
-step). Weights and densities are positive, so no step can become unstable; what limits tau is accuracy.
+and the expectation by a few weighted paths of the noise. Each path is a Runge-Kutta step of an ordinary
+equation (002 has no counterpart: there the diffusion velocity is summed over neighbours, with explicit
+limits on the step). Weights and densities are positive, so no step can become unstable; what limits tau is
+accuracy.
 """
 
 import math
 from typing import NamedTuple
 
 import numpy as np
-
 from numba import prange
 
 from ._first_class import function_at
@@ -160,7 +160,9 @@ def back(drift, divergence, noise, field, sten, paths, Y, t1, h, out):
 
 @parallel_jit
 def back_in_blocks(drift, divergence, noise, field, sten, paths, Y, t1, h, out):
-    """As `back`, blocks of states spread over threads: a state's value does not depend on the block it is in."""
+    """As `back`, blocks of states spread over threads: a state's value does not depend on the
+    block it is in.
+    """
     for block in prange((Y.shape[0] + _BLOCK - 1) // _BLOCK):
         first, last = block * _BLOCK, min((block + 1) * _BLOCK, Y.shape[0])
         back(drift, divergence, noise, field, sten, paths, Y[first:last], t1, h, out[first:last])
@@ -329,7 +331,7 @@ def seeds_in_box(points, mu, inverse, reach, low, dims):
             t = 0.0
             for c in range(n):
                 t += inverse[a, c] * (points[i, c] - mu[c])
-            cells[i, a] = int(math.floor(min(max(t, -reach), reach) + 0.5))
+            cells[i, a] = math.floor(min(max(t, -reach), reach) + 0.5)
     for a in range(n):
         low[a], dims[a] = cells[0, a], cells[0, a]
         for i in range(N):
@@ -402,7 +404,9 @@ def joined(one, other):
 
 @jit
 def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h, control, counters, threads):
-    """Values on the new lattice wherever they lie above the depth: seeds, then their neighbours, until closed."""
+    """Values on the new lattice wherever they lie above the depth: seeds, then their neighbours,
+    until closed.
+    """
     n = mu.size
     ball = sten.offsets[: sten.size[0]]
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
@@ -438,8 +442,8 @@ def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h,
 def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
     """The nodes of a flooded box above the depth, normalised.
 
-    Mean, covariance and the integral are sums over all cells that were asked for, the ring just below the depth
-    included: what the cut would take away from them is below rounding of what the lattice resolves.
+    Mean, covariance and the integral are sums over all cells that were asked for, the ring just below the
+    depth included: what the cut would take away from them is below rounding of what the lattice resolves.
 
     Returns
     -------
@@ -493,8 +497,8 @@ def local_shape(field, m, L, Q):
     """Lower Q with which L Q whitens the density piece by piece, where L whitens it as a whole.
 
     (L Q)(L Q)^T is the inverse of the Fisher information E[grad log p (grad log p)^T]: the covariance of a
-    Gaussian, and that within the pieces of a density in several, or across a bent one. Q is the identity unless
-    the two differ by much.
+    Gaussian, and that within the pieces of a density in several, or across a bent one. Q is the identity
+    unless the two differ by much.
     """
     n = L.shape[0]
     info, R, B = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
@@ -555,8 +559,8 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
     addresses: of the model's drift, divergence and D, so that it is entered without looking functions up.
     threads: None for one thread, True for as many as there are.
     state: [filled volume of the whitened lattice, next step, sum of |log mass| lost, longest step].
-    Returns the field, its states and masses, their mean and covariance, and a code of `STATUS`. On failure they
-    are as far as they came.
+    Returns the field, its states and masses, their mean and covariance, and a code of `STATUS`. On failure
+    they are as far as they came.
     """
     drift, divergence = function_at(addresses[0]), function_at(addresses[1])
     diffusion = function_at(addresses[2])

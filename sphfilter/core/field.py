@@ -1,10 +1,11 @@
 """A log-density on a lattice: polynomials through the nodes around every node, and values anywhere.
 
-The lattice is ``x = mu + A i`` with integer vectors i, regular in whitened coordinates. Around every node whose
-neighbours are complete, log p is a polynomial fitted by weighted least squares ("moving least squares particle
-hydrodynamics"). On a lattice those fits are the same linear combination of neighbours everywhere: the rows are
-computed once per dimension (`stencils`), and a fit costs one small matrix product. Nodes at the rim have no
-polynomial of their own; the nearest complete node's is used there, so nothing one-sided is ever fitted.
+The lattice is ``x = mu + A i`` with integer vectors i, regular in whitened coordinates. Around every node
+whose neighbours are complete, log p is a polynomial fitted by weighted least squares ("moving least squares
+particle hydrodynamics"). On a lattice those fits are the same linear combination of neighbours everywhere:
+the rows are computed once per dimension (`stencils`), and a fit costs one small matrix product. Nodes at the
+rim have no polynomial of their own; the nearest complete node's is used there, so nothing one-sided is ever
+fitted.
 """
 
 import itertools
@@ -188,7 +189,9 @@ def strides_of(dims):
 
 @jit
 def _inside(cell, offset, dims, strides, flat):
-    """Flat index of a cell plus an offset, or -1 outside of the box. `cell` is counted from the box's corner."""
+    """Flat index of a cell plus an offset, or -1 outside of the box. `cell` is counted from the
+    box's corner.
+    """
     for a in range(dims.size):
         k = cell[a] + offset[a]
         if k < 0 or k >= dims[a]:

@@ -23,8 +23,8 @@ _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _HOPELESS = 0.3  # part of the probability lost, above which no other scheme is tried on as many particles
 _TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
 _TOLERANCES = 5e-5, 3e-4
-#: Particles times paths from which threads pay; by these numbers alone, so that the thread count never changes a
-#: bit of the result.
+#: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
+#: changes a bit of the result.
 _THREADS_FROM = 20_000
 _TIME_SLICES = (17, 37, 79, 167, 347, 709)  # steps at least over an interval, where drift or noise change
 _NOISE_ERROR = 1e-3  # of its integral over the interval, relative, by the middles of so many steps
@@ -80,7 +80,8 @@ def propagate(density, model, t1, scheme, n_particles):
         start_threads()
     while status == "paused":
         if counters[core.STEPS] >= scheme.max_steps:
-            raise PropagationError(_given_up(f"{scheme.max_steps} steps were not enough", times[0], start, t1))
+            reason = f"{scheme.max_steps} steps were not enough"
+            raise PropagationError(_given_up(reason, times[0], start, t1))
         try:
             field, x, mass, mean, cov, code = core.march(
                 addresses, noise, field, stencils(n), rule, control, times, state, counters, threads
@@ -135,10 +136,10 @@ def _noise_factor(model, t0, t1):
 def paths(m, order):
     """Weighted noise paths for m noises, as `Paths`.
 
-    Each is straight to a point of dW, and bent so that the covariance of dW with the area under it is right. One
-    noise has Gauss-Hermite points, bent both ways; two have Stroud's rule of degree five in both displacements
-    and bends (25 points, none negative); three that rule, four and more the symmetric rule of degree three, in
-    the displacements alone.
+    Each is straight to a point of dW, and bent so that the covariance of dW with the area under it is right.
+    One noise has Gauss-Hermite points, bent both ways; two have Stroud's rule of degree five in both
+    displacements and bends (25 points, none negative); three that rule, four and more the symmetric rule of
+    degree three, in the displacements alone.
     """
     if m == 0:
         points, weights = np.zeros((1, 0)), np.ones(1)
@@ -195,4 +196,5 @@ def _info(model, scheme, counters, lost, threads):
 
 
 def _given_up(reason, t, start, t1):
-    return f"prediction from {start:g} to {t1:g} stopped at t = {t:.6g}: {reason}. Or predict over a shorter interval"
+    what = f"prediction from {start:g} to {t1:g} stopped at t = {t:.6g}: {reason}"
+    return f"{what}. Or predict over a shorter interval"
