@@ -8,7 +8,7 @@ from .config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
 from .errors import ModelError, PropagationError, UnresolvedError
 from .exact import propagate_exactly
 from .info import PredictInfo
-from .resample import bound
+from .resample import bound, regrid
 from .schemes import corrected, log_density, paper
 from .validate import real
 
@@ -69,23 +69,44 @@ def _corrected(density, model, target, scheme, n_particles):
 
 
 def _best(density, model, target, n_particles):
-    """The log-density where it can be carried; moment-corrected SPH where it cannot, and the reason."""
+    """The log-density where it can be carried, if need be on more particles; else moment-corrected SPH."""
     reason = log_density.fits(model, density, n_particles)
     if not reason:
         try:
             return log_density.propagate(density, model, target, LogDensityScheme(), n_particles)
-        except UnresolvedError:
-            raise
+        except UnresolvedError as problem:
+            return _finer(density, model, target, n_particles, problem)
         except PropagationError as problem:
             reason = str(problem)
     try:
         moved, info = _corrected(density, model, target, CorrectedScheme(), n_particles)
     except PropagationError as problem:
-        told = "stopped at" in reason or "blew up" in reason
+        told = "stopped at" in reason
         raise PropagationError(reason if told else str(problem)) from problem
     return moved, replace(info, status=f"not log_density: {reason}")
 
 
+def _finer(density, model, target, n_particles, problem):
+    """Carry the log-density on more particles than allowed, and put it back on as many as are.
+
+    Where a lattice loses probability, the density is finer than its particles for a while: between two wells,
+    along a fold. Other schemes see no more on as few particles, and do not notice.
+    """
+    for times in _FINER:
+        try:
+            moved, info = log_density.propagate(
+                density, model, target, LogDensityScheme(), times * n_particles
+            )
+            moved, relaid = regrid(moved, n_particles, LogDensityScheme())
+        except PropagationError:
+            continue
+        if abs(relaid.log_evidence) < LogDensityScheme().most_lost:
+            return moved, replace(info, status=f"on {times} times the particles: {problem}")
+    raise problem
+
+
+#: How many times the particles are tried where the lattice loses probability.
+_FINER = 3, 9
 _SCHEMES = {
     LogDensityScheme: log_density.propagate,
     CorrectedScheme: _corrected,

@@ -14,7 +14,7 @@ __all__ = ["update"]
 
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
-_TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 8.0, 12.0
+_TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 6.0
 
 
 def update(density, measurement, z, config=None, *, n_particles=None):

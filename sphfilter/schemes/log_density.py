@@ -20,7 +20,6 @@ from ._shared import blow_up, skip_notes
 __all__ = ["fits", "propagate"]
 
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
-_HOPELESS = 0.3  # part of the probability lost, above which no other scheme is tried on as many particles
 _TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
 _TOLERANCES = 5e-5, 3e-4
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
@@ -99,10 +98,8 @@ def propagate(density, model, t1, scheme, n_particles):
         raise PropagationError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     if not state[2] < scheme.most_lost:
         reason = f"the lattice lost or gained {100 * state[2]:.2g} % of the probability"
-        if not state[2] < _HOPELESS:
-            reason += ": the drift jumps, or the density has edges finer than its particles; use more of them"
-            raise UnresolvedError(_given_up(reason, t1, start, t1))
-        raise PropagationError(_given_up(reason, t1, start, t1))
+        reason += ": the drift jumps, or the density has edges finer than its particles; use more of them"
+        raise UnresolvedError(_given_up(reason, t1, start, t1))
     laid = Laid(x, mass, field, 0.0, float(state[0]), mean, cov)
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity)
     return moved, _info(model, scheme, counters, float(state[2]), threads)
