@@ -56,6 +56,8 @@ class ParticleDensity:
         Volume the particles fill in whitened coordinates, from which the next lattice starts.
     moments : tuple or None
         Mean (n,) and covariance (n, n) of the density beyond the cut too, where a lattice knows them.
+    gaussian : bool
+        Known to be Gaussian everywhere, by where it comes from.
     capacity : int or None
         Bound of the number of particles at the next re-gridding, unless another is given.
 
@@ -74,6 +76,7 @@ class ParticleDensity:
     field: Field | None = None
     volume: float | None = None
     moments: tuple | None = None
+    gaussian: bool = False
     capacity: int | None = None
     _index: list = attribute(init=False, repr=False, default_factory=list)
 
@@ -95,7 +98,7 @@ class ParticleDensity:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def on_lattice(cls, laid, t, capacity=None):
+    def on_lattice(cls, laid, t, capacity=None, gaussian=False):
         """The density of a `level_set.Laid` at time t."""
         spacing = abs(np.linalg.det(laid.field.A)) ** (1.0 / laid.x.shape[1])
         return cls(
@@ -108,6 +111,7 @@ class ParticleDensity:
             field=laid.field,
             volume=laid.volume,
             moments=(laid.mean, laid.cov),
+            gaussian=gaussian,
             capacity=capacity,
         )
 

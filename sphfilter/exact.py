@@ -6,7 +6,7 @@ from .density import ParticleDensity
 from .info import PredictInfo
 from .level_set import lay, reach
 
-__all__ = ["gaussian_log_pdf", "is_gaussian", "propagate_exactly"]
+__all__ = ["gaussian_log_pdf", "propagate_exactly"]
 
 _GAUSSIAN = 1e-2  # largest distance of log p from a quadratic
 
@@ -37,12 +37,7 @@ def propagate_exactly(density, model, t1, n_particles):
     factor = np.linalg.cholesky(cov)
     laid = lay(gaussian_log_pdf(mean, cov), mean, factor, mean[None], n_particles, depth)
     info = PredictInfo(scheme="exact_linear", skipped=("everything: a Gaussian through a linear model",))
-    return ParticleDensity.on_lattice(laid, float(t1), density.capacity), info
-
-
-def is_gaussian(density):
-    """Is log p on the particles a quadratic?"""
-    return density.field is not None and _quadratic(density)[0] is not None
+    return ParticleDensity.on_lattice(laid, float(t1), density.capacity, density.gaussian), info
 
 
 def _quadratic(density):

@@ -100,7 +100,8 @@ def _on_level_set(distribution, box, n_particles, scheme, t):
     if gaussian:
         mean, cov = distribution.mean, distribution.cov
         log_p = gaussian_log_pdf(mean, cov)
-        return _laid(log_p, mean, np.linalg.cholesky(cov), mean[None], n_particles, depth, t)
+        laid = _laid(log_p, mean, np.linalg.cholesky(cov), mean[None], n_particles, depth)
+        return ParticleDensity.on_lattice(laid, t, n_particles, gaussian=True)
     if box is None or not callable(distribution):
         raise ModelError("initialize takes a Gaussian, a Uniform, or a callable pdf with box=, shape (n, 2)")
     coarse = _from_pdf(distribution, checked_box(box), max(n_particles, _COARSE), PaperScheme(), t)
@@ -111,18 +112,18 @@ def _on_level_set(distribution, box, n_particles, scheme, t):
 
     factor = np.linalg.cholesky(coarse.cov("points"))
     seeds = coarse.x[coarse.mass > coarse.mass.max() * np.exp(-depth)]
-    return _laid(log_p, coarse.mean(), factor, seeds, n_particles, depth, t)
+    laid = _laid(log_p, coarse.mean(), factor, seeds, n_particles, depth)
+    return ParticleDensity.on_lattice(laid, t, n_particles)
 
 
-def _laid(log_p, mean, factor, seeds, n_particles, depth, t):
+def _laid(log_p, mean, factor, seeds, n_particles, depth):
     n = len(mean)
     try:
-        laid = lay(log_p, mean, factor, seeds, n_particles, depth)
+        return lay(log_p, mean, factor, seeds, n_particles, depth)
     except PropagationError as problem:
         if n_particles >= fewest_particles(n):
             raise
         raise ModelError(f"n_particles = {n_particles} is too small for {n} states: {problem}") from None
-    return ParticleDensity.on_lattice(laid, t, n_particles)
 
 
 def _from_gaussian(gaussian, n_particles, scheme, t):

@@ -65,7 +65,7 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
 
 def _corrected(density, model, target, scheme, n_particles):
     moved, info = corrected.propagate(density, model, target, scheme, n_particles)
-    return replace(moved, field=None, volume=None, moments=None), info
+    return replace(moved, field=None, volume=None, moments=None, gaussian=False), info
 
 
 def _best(density, model, target, n_particles):

@@ -1,12 +1,13 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.stats import multivariate_normal
 
 from .acceptance import test_measurement
 from .config import PaperScheme, checked_filter_config
 from .errors import ModelError
-from .exact import is_gaussian
 from .info import UpdateInfo
 from .resample import bound, product, regrid
 
@@ -14,7 +15,7 @@ __all__ = ["update"]
 
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
-_TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 6.0
+_TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
 
 
 def update(density, measurement, z, config=None, *, n_particles=None):
@@ -63,6 +64,8 @@ def update(density, measurement, z, config=None, *, n_particles=None):
     innovation, spread = _innovation(density, measurement, z, seen)
     if not isinstance(config.scheme, PaperScheme) and not config.acceptance.enabled:
         new, log_evidence = product(density, log_weight, n_particles, config.scheme)
+        linear = getattr(measurement, "H", None) is not None and not measurement.angles
+        new = replace(new, gaussian=density.gaussian and linear)
         unknown = _beyond(density, new)
         info = UpdateInfo(
             accepted=not unknown,
@@ -103,7 +106,7 @@ def _beyond(prior, posterior):
     if away < _TRUSTED_TAIL:
         return ""
     edge = np.linalg.norm(np.linalg.solve(L, (prior.x - prior.mean()).T), axis=0).max()
-    if away - edge < (_TRUSTED_GAUSSIAN if is_gaussian(prior) else _TRUSTED_TAIL):
+    if away - edge < (_TRUSTED_GAUSSIAN if prior.gaussian else _TRUSTED_TAIL):
         return ""
     return (
         f"not used: the posterior would lie {away - edge:.0f} standard deviations outside of the prior's "

@@ -101,7 +101,9 @@ def propagate(density, model, t1, scheme, n_particles):
         reason += ": the drift jumps, or the density has edges finer than its particles; use more of them"
         raise UnresolvedError(_given_up(reason, t1, start, t1))
     laid = Laid(x, mass, field, 0.0, float(state[0]), mean, cov)
-    moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity)
+    moved = ParticleDensity.on_lattice(
+        laid, float(t1), density.capacity, density.gaussian and model.linear
+    )
     return moved, _info(model, scheme, counters, float(state[2]), threads)
 
 
