@@ -12,6 +12,9 @@ from numba import types
 
 from sphfilter.core._first_class import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit, jit_for
+from sphfilter.core.dormand_prince import A as _A
+from sphfilter.core.dormand_prince import C as _C
+from sphfilter.core.dormand_prince import E as _E
 from sphfilter.errors import PropagationError
 
 __all__ = ["LINEARISED", "SIGMA_POINTS", "propagate_moments"]
@@ -19,22 +22,6 @@ __all__ = ["LINEARISED", "SIGMA_POINTS", "propagate_moments"]
 LINEARISED, SIGMA_POINTS = 0, 1
 _DONE, _TOO_MANY, _BLOWN_UP = 0, 1, 2
 _MAX_STEPS = 100_000
-
-# Dormand & Prince (1980): nodes, stage weights, fifth-order weights minus fourth-order weights.
-_C = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
-_A = np.array(
-    [
-        [0, 0, 0, 0, 0, 0],
-        [1 / 5, 0, 0, 0, 0, 0],
-        [3 / 40, 9 / 40, 0, 0, 0, 0],
-        [44 / 45, -56 / 15, 32 / 9, 0, 0, 0],
-        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0, 0],
-        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0],
-        [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-    ]
-)
-_E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
-
 
 @jit
 def _linearised_rates(P, f, J, D, dm, dP):

@@ -12,6 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ._jit import jit
+from .dormand_prince import A as _A
+from .dormand_prince import C as _C
+from .dormand_prince import E as _E
 from .kernels import RADIUS
 from .moment_correction import correct, keep_affine
 from .number_density import density_sums, transform, whiten
@@ -36,22 +39,6 @@ COUNTERS = ("steps", "rejected", "evaluations", "searches", "functions", "culpri
 STEPS, REJECTED, EVALUATIONS, SEARCHES, FUNCTIONS, CULPRIT = range(6)
 
 _PARABOLIC = 0.61  # 0.9 of the stability interval, 1; that of Heun's method, 2, was measured as 1.36 h^2 / D
-
-
-# Dormand & Prince (1980): nodes, stage weights, fifth-order weights minus fourth-order weights.
-_C = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
-_A = np.array(
-    [
-        [0, 0, 0, 0, 0, 0],
-        [1 / 5, 0, 0, 0, 0, 0],
-        [3 / 40, 9 / 40, 0, 0, 0, 0],
-        [44 / 45, -56 / 15, 32 / 9, 0, 0, 0],
-        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0, 0],
-        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0],
-        [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-    ]
-)
-_E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 
 
 class Work(NamedTuple):
