@@ -29,6 +29,7 @@ from .field import (
     marked,
     opened,
     product,
+    slopes,
 )
 
 __all__ = ["COUNTERS", "LOCAL", "MOST_ASKED", "MOST_CELLS", "STATUS", "Control", "Noise", "Paths", "march"]
@@ -42,6 +43,9 @@ MOST_CELLS = 20_000_000
 _TRIES = 6
 MOST_ASKED = 12  # cells asked for, over the number of particles wanted
 LOCAL = 0.05  # variance within pieces, over that of the whole, below which lattices follow the pieces
+_SMALLER = 2  # times a step that loses probability is halved
+_MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice
+_FAR = 6.0  # standard deviations of the noise
 _BLOCK = 256  # states that one thread takes at a time
 
 
@@ -58,8 +62,15 @@ class Paths(NamedTuple):
     """Weighted paths of the noise over a step of length one: straight to dW, bent to enclose the area."""
 
     log_weight: np.ndarray  # (Q,)
-    dW: np.ndarray  # (Q, m)
-    bend: np.ndarray  # (Q, m)
+    w: np.ndarray  # (Q, 2 m): dW, then bends
+
+
+class Aim(NamedTuple):
+    """Noise of a path back from y given where y is: a Gaussian, exact for a Gaussian density and linear paths."""
+
+    B: np.ndarray  # (n, 2 m) response of a path's end to its noise, in units of the lattice
+    root: np.ndarray  # (N, 2 m, 2 m) lower; its transpose times standard normals has the Gaussian's spread
+    log_det: np.ndarray  # (N,)
 
 
 class Control(NamedTuple):
@@ -70,83 +81,142 @@ class Control(NamedTuple):
     tolerance: float  # of one step's paths, in standard deviations
     noise_share: float  # largest variance a step's noise may have, in units of the density's own
     pause_after: int
+    bent_share: float
+    curved: float
+    step_loss: float
 
 
 @jit
-def _move(x, x0, c, f, shift):
-    for i in range(x.shape[0]):
-        for a in range(x.shape[1]):
-            x[i, a] = x0[i, a] + c * f[i, a] + shift[a]
+def along(drift, divergence, noise, x, f1, d1, t, h, parts, straight, bend, end, action):
+    """Paths from states x (M, n) at time t to t + h, h of either sign, by `parts` Runge-Kutta steps.
 
-
-@jit
-def flow(drift, p, x, t, h, half, whole, work):
-    """One classical Runge-Kutta step of dx/dt = f, in place, with a displacement added on the way.
-
-    `half` and `whole`, shape (n,), are where the displacement is at the middle and at the end of the step.
+    Noise displaces them on the way, by u straight + 6 u (1 - u) bend after a part u of the time, both (M, n).
+    `f1` and `d1` are drift and divergence at the start; `action`, shape (M,), takes the integral of the
+    divergence unless that is None.
     """
-    x0, f, y = x.copy(), work, np.empty_like(x)
-    drift(x0, t, p, f)
-    for stage in range(1, 5):
-        c = 1.0 / 6.0 if stage in (1, 4) else 1.0 / 3.0
-        for i in range(x.shape[0]):
-            for a in range(x.shape[1]):
-                x[i, a] += h * c * f[i, a]
-        if stage < 4:
-            ahead = h if stage == 3 else 0.5 * h
-            _move(y, x0, ahead, f, whole if stage == 3 else half)
-            drift(y, t + ahead, p, f)
-    for i in range(x.shape[0]):
-        for a in range(x.shape[1]):
-            x[i, a] += whole[a]
+    M, n = x.shape
+    y, z, f, step = np.empty((M, n)), x.copy(), f1.copy(), h / parts
+    for i in range(M):
+        for a in range(n):
+            end[i, a] = x[i, a]
+        if divergence is not None:
+            action[i] = 0.0
+    if divergence is not None:
+        d = d1.copy()
+    for stage in range(4 * parts):
+        k = stage % 4
+        u = (stage // 4 + (0.0 if k == 0 else 1.0 if k == 3 else 0.5)) / parts
+        if stage > 0:
+            drift(y, t + u * h, noise.p, f)
+            if divergence is not None and not noise.constant_divergence:
+                divergence(y, t + u * h, noise.p, d)
+        c = step / 6.0 if k in (0, 3) else step / 3.0
+        ahead, v = (step if k == 2 else 0.5 * step), u + (0.5 / parts if k in (0, 2) else 0.0)
+        for i in range(M):
+            if divergence is not None:
+                action[i] += c * d[i, 0]
+            for a in range(n):
+                end[i, a] += c * f[i, a]
+                if k == 3:
+                    z[i, a] = end[i, a]
+                shift = v * straight[i, a] + 6.0 * v * (1.0 - v) * bend[i, a]
+                y[i, a] = z[i, a] + shift + (ahead * f[i, a] if k < 3 else 0.0)
+    for i in range(M):
+        for a in range(n):
+            end[i, a] += straight[i, a]
 
 
 @jit
-def _shift(G, paths, q, u, h, out):
-    """Displacement by the noise of path q a part u of the step h away from its start."""
-    for a in range(out.size):
-        out[a] = 0.0
-        for k in range(G.shape[1]):
-            straight = math.sqrt(h) * paths.dW[q, k] * u
-            out[a] += G[a, k] * (straight + 6.0 * math.sqrt(h / 12.0) * paths.bend[q, k] * u * (1.0 - u))
+def _displace(G, h, w, straight, bend):
+    """Displacements (n,) of a path whose noise is w (2 m,): straight parts, then bends."""
+    m = G.shape[1]
+    for a in range(straight.size):
+        straight[a] = bend[a] = 0.0
+        for k in range(m):
+            straight[a] += G[a, k] * math.sqrt(h) * w[k]
+            bend[a] += G[a, k] * math.sqrt(h / 12.0) * w[m + k]
 
 
 @jit
-def back(drift, divergence, noise, field, sten, paths, Y, t1, h, out):
+def aimed(drift, noise, field, y, t1, h, parts):
+    """Where the noise of paths back from t1 goes, given where they start: see `Aim`.
+
+    y: (n,) state around which the response of the paths' ends to their noise is measured.
+    """
+    n, K = field.mu.size, 2 * noise.G.shape[1]
+    M = 2 * K
+    Y, straight, bend, end = np.empty((M, n)), np.empty((M, n)), np.empty((M, n)), np.empty((M, n))
+    f, w = np.empty((M, n)), np.empty(K)
+    for k in range(M):
+        for a in range(n):
+            Y[k, a] = y[a]
+        for j in range(K):
+            w[j] = 0.0
+        w[k // 2] = 1.0 if k % 2 else -1.0
+        _displace(noise.G, h, w, straight[k], bend[k])
+    drift(Y, t1, noise.p, f)
+    along(drift, None, noise, Y, f, f, t1, -h, parts, straight, bend, end, w)
+    B = np.zeros((n, K))
+    for a in range(n):
+        for k in range(K):
+            for c in range(n):
+                B[a, k] += field.inverse[a, c] * 0.5 * (end[2 * k + 1, c] - end[2 * k, c])
+    N = field.node.shape[0]
+    root, log_det = np.zeros((N, K, K)), np.zeros(N)
+    R = np.empty((K, K))
+    HB = np.empty((n, K))
+    precision = np.empty((K, K))
+    for i in range(N):
+        if field.tail[i, 0, 0] != 0.0:  # a complete node
+            for a in range(n):
+                for k in range(K):
+                    HB[a, k] = 0.0
+                    for c in range(n):
+                        HB[a, k] += field.tail[i, a, c] * B[c, k]
+            for k in range(K):
+                for j in range(K):
+                    v = 1.0 if j == k else 0.0
+                    for a in range(n):
+                        v -= B[a, j] * HB[a, k]
+                    precision[j, k] = v
+            cholesky(precision, R)
+            root[i] = invert_lower(R)
+            for k in range(K):
+                log_det[i] -= math.log(R[k, k])
+    return Aim(B, root, log_det)
+
+
+@jit
+def back(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, out):
     """log p(Y, t1), shape (M,), from the field at t1 - h."""
     M, n = Y.shape
-    G, p = noise.G, noise.p
-    half, whole = np.empty(n), np.empty(n)
-    y, end, f, d = np.empty((M, n)), np.empty((M, n)), np.empty((M, n)), np.empty((M, 1))
+    K = 2 * noise.G.shape[1]
+    straight, bend, end = np.zeros((M, n)), np.zeros((M, n)), np.empty((M, n))
     f1, d1 = np.empty((M, n)), np.empty((M, 1))
     action, highest, total, log_p = np.zeros(M), np.full(M, -np.inf), np.zeros(M), np.empty(M)
-    drift(Y, t1, p, f1)
-    divergence(Y, t1, p, d1)
+    owner, slope, centre, tilt = np.empty(M, np.int64), np.empty((M, n)), np.zeros((M, K)), np.empty(M)
+    drift(Y, t1, noise.p, f1)
+    divergence(Y, t1, noise.p, d1)
+    if K > 0:
+        along(drift, None, noise, Y, f1, d1, t1, -h, parts, straight, bend, end, action)
+        slopes(field, sten, end, owner, slope)
+        _centres(aim, owner, slope, centre)
+    w = np.empty(K)
     for q in range(paths.log_weight.size):
-        _shift(G, paths, q, 0.5, h, half)
-        _shift(G, paths, q, 1.0, h, whole)
         for i in range(M):
-            action[i], d[i, 0] = 0.0, d1[i, 0]
-            for a in range(n):
-                end[i, a], f[i, a] = Y[i, a], f1[i, a]
-        for stage in range(4):
-            if stage > 0:
-                drift(y, t1 - (h if stage == 3 else 0.5 * h), p, f)
-                if not noise.constant_divergence:
-                    divergence(y, t1 - (h if stage == 3 else 0.5 * h), p, d)
-            c = h / 6.0 if stage in (0, 3) else h / 3.0
-            for i in range(M):
-                action[i] += c * d[i, 0]
-                for a in range(n):
-                    end[i, a] -= c * f[i, a]
-            if stage < 3:
-                _move(y, Y, -(h if stage == 2 else 0.5 * h), f, whole if stage == 2 else half)
-        for i in range(M):
-            for a in range(n):
-                end[i, a] += whole[a]
+            tilt[i] = 0.0
+            if K > 0:
+                for k in range(K):
+                    w[k] = centre[i, k]
+                    for j in range(k, K):
+                        w[k] += aim.root[owner[i], j, k] * paths.w[q, j]
+                    tilt[i] += 0.5 * (paths.w[q, k] ** 2 - w[k] ** 2)
+                tilt[i] += aim.log_det[owner[i]]
+                _displace(noise.G, h, w, straight[i], bend[i])
+        along(drift, divergence, noise, Y, f1, d1, t1, -h, parts, straight, bend, end, action)
         evaluate(field, sten, end, log_p)
         for i in range(M):
-            v = log_p[i] - action[i] + paths.log_weight[q]
+            v = log_p[i] + action[i] + paths.log_weight[q] + tilt[i]
             if not v > LOWEST:
                 v = LOWEST
             if v > highest[i]:
@@ -158,14 +228,38 @@ def back(drift, divergence, noise, field, sten, paths, Y, t1, h, out):
         out[i] = highest[i] + math.log(total[i])
 
 
+@jit
+def _centres(aim, owner, slope, centre):
+    """The noise that leads to where the density is, as far as a quadratic knows; at most _FAR from zero."""
+    n, K = aim.B.shape
+    g, r = np.empty(K), np.empty(K)
+    for i in range(owner.size):
+        size = 0.0
+        for k in range(K):
+            g[k] = 0.0
+            for a in range(n):
+                g[k] += aim.B[a, k] * slope[i, a]
+        for k in range(K):
+            r[k] = 0.0
+            for j in range(k + 1):
+                r[k] += aim.root[owner[i], k, j] * g[j]
+        for k in range(K):
+            for j in range(k, K):
+                centre[i, k] += aim.root[owner[i], j, k] * r[j]
+            size += centre[i, k] ** 2
+        if not size <= _FAR**2:
+            for k in range(K):
+                centre[i, k] = centre[i, k] * _FAR / math.sqrt(size) if math.isfinite(size) else 0.0
+
+
 @parallel_jit
-def back_in_blocks(drift, divergence, noise, field, sten, paths, Y, t1, h, out):
+def back_in_blocks(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, out):
     """As `back`, blocks of states spread over threads: a state's value does not depend on the
     block it is in.
     """
     for block in prange((Y.shape[0] + _BLOCK - 1) // _BLOCK):
         first, last = block * _BLOCK, min((block + 1) * _BLOCK, Y.shape[0])
-        back(drift, divergence, noise, field, sten, paths, Y[first:last], t1, h, out[first:last])
+        back(drift, divergence, noise, field, sten, paths, aim, Y[first:last], t1, h, parts, out[first:last])
 
 
 @jit
@@ -258,7 +352,7 @@ def _path_error(once, twice, m, L):
 
 
 @jit
-def predicted(drift, noise, x, ahead, m, t, h, mean, cov):
+def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
     """Mean and covariance after a step: of the cloud undisturbed, and pushed to and fro by every noise.
 
     Straight pushes and bent ones: their covariance with each other is what keeps a thin density from being
@@ -273,29 +367,47 @@ def predicted(drift, noise, x, ahead, m, t, h, mean, cov):
         M[i] = m[i] * (1.0 - pushes * share)
         for a in range(n):
             X[i, a] = ahead[i, a]
-    work, half, whole = np.empty((N, n)), np.empty(n), np.empty(n)
+    straight, bend, w = np.empty((N, n)), np.empty((N, n)), np.zeros(2 * noise.G.shape[1])
     for push in range(pushes):
-        c = (1.0 if push % 2 else -1.0) * math.sqrt(width * h)
-        straight = (push // 2) % 2 == 0
-        for a in range(n):
-            g = c * noise.G[a, push // 4]
-            half[a] = 0.5 * g if straight else 1.5 * g / math.sqrt(12.0)
-            whole[a] = g if straight else 0.0
-        y = x.copy()
-        flow(drift, noise.p, y, t, h, half, whole, work)
+        w[push // 2] = (1.0 if push % 2 else -1.0) * math.sqrt(width)
         for i in range(N):
-            M[(push + 1) * N + i] = m[i] * share
-            for a in range(n):
-                X[(push + 1) * N + i, a] = y[i, a]
+            _displace(noise.G, h, w, straight[i], bend[i])
+        w[push // 2] = 0.0
+        first = (push + 1) * N
+        along(drift, None, noise, x, f, f, t, h, parts, straight, bend, X[first : first + N], M)
+        for i in range(N):
+            M[first + i] = m[i] * share
     moments(X, M, mean, cov)
+    return X
 
 
 @jit
-def sheared(drift, noise, mean, t, L):
-    """Sum over the noises of |L^-1 J g|^2: how fast the drift carries noise into directions without any."""
-    n = mean.size
-    y, f = np.empty((2, n)), np.empty((2, n))
-    total, v, scale = 0.0, np.empty(n), 0.0
+def bentness(X, m, L):
+    """How far from linear paths' ends are in their noise of one standard deviation: mass-weighted rms of the
+    second difference, in standard deviations of the density, all noises together.
+    """
+    N, n = m.size, X.shape[1]
+    pushes = X.shape[0] // N - 1
+    width = max(3.0, 0.5 * pushes)
+    total, v = 0.0, np.empty(n)
+    for push in range(0, pushes, 2):
+        for i in range(N):
+            for a in range(n):
+                v[a] = 0.5 * (X[(push + 1) * N + i, a] + X[(push + 2) * N + i, a]) - X[i, a]
+            _whiten(L, v)
+            for a in range(n):
+                total += m[i] * (v[a] / width) ** 2
+    return math.sqrt(total)
+
+
+@jit
+def sheared(drift, noise, x, m, t, L):
+    """Sum over the noises of |L^-1 J g|^2, mass-weighted mean: how fast the drift carries noise into
+    directions without any.
+    """
+    N, n = x.shape
+    y, f, g = np.empty((2 * N, n)), np.empty((2 * N, n)), np.empty(n)
+    total, v = 0.0, np.empty(n)
     for k in range(noise.G.shape[1]):
         scale = 0.0
         for a in range(n):
@@ -305,13 +417,17 @@ def sheared(drift, noise, mean, t, L):
             scale += v[a] * v[a]
         step = 1e-3 / math.sqrt(max(scale, 1e-300))  # a thousandth of a standard deviation along g
         for a in range(n):
-            y[0, a], y[1, a] = mean[a] - step * noise.G[a, k], mean[a] + step * noise.G[a, k]
+            g[a] = step * noise.G[a, k]
+        for i in range(N):
+            for a in range(n):
+                y[i, a], y[N + i, a] = x[i, a] - g[a], x[i, a] + g[a]
         drift(y, t, noise.p, f)
-        for a in range(n):
-            v[a] = 0.5 * (f[1, a] - f[0, a]) / step
-        _whiten(L, v)
-        for a in range(n):
-            total += v[a] * v[a]
+        for i in range(N):
+            for a in range(n):
+                v[a] = 0.5 * (f[N + i, a] - f[i, a]) / step
+            _whiten(L, v)
+            for a in range(n):
+                total += m[i] * v[a] * v[a]
     return total
 
 
@@ -403,7 +519,7 @@ def joined(one, other):
 
 
 @jit
-def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h, control, counters, threads):
+def _flooded(drift, divergence, noise, field, sten, paths, aim, mu, A, points, t1, h, parts, control, counters, threads):
     """Values on the new lattice wherever they lie above the depth: seeds, then their neighbours,
     until closed.
     """
@@ -419,10 +535,10 @@ def _flooded(drift, divergence, noise, field, sten, paths, mu, A, points, t1, h,
         _, Y = states_of(found, mu, A, low, dims)
         log_p = np.empty(found.size)
         if threads is None:  # by type, so that the branch not taken is not compiled
-            back(drift, divergence, noise, field, sten, paths, Y, t1, h, log_p)
+            back(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, log_p)
         else:
-            back_in_blocks(drift, divergence, noise, field, sten, paths, Y, t1, h, log_p)
-        counters[EVALUATIONS] += found.size * (3 * paths.log_weight.size + 1)
+            back_in_blocks(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, log_p)
+        counters[EVALUATIONS] += found.size * ((4 * parts - 1) * (paths.log_weight.size + 1) + 1)
         for k in range(found.size):
             value[found[k]] = log_p[k]
             highest = max(highest, log_p[k])
@@ -570,6 +686,7 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
     x, m = nodes_of(field)
     span, first = times[1] - times[0], counters[STEPS]
     moments(x, m, mean, P)
+    tried = 0
     while times[0] < times[1]:
         if counters[STEPS] - first >= control.pause_after:
             return field, x, m, mean, P, PAUSED
@@ -578,33 +695,42 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
         local_shape(field, m, L, Q)
         times_lower(L, Q, S)
         t, left = times[0], times[1] - times[0]
-        h = min(state[1], left, state[3])
+        h = min(_MOST_PARTS * state[1], left, state[3], state[4])
         if noise.time_dependent:
             _refactor(diffusion, x, t + 0.5 * h, noise)
         limit = control.noise_share / max(noise_limit(noise.G, S), 1e-300)
-        bent = 3.0 * control.noise_share / max(sheared(drift, noise, mean, t, S), 1e-300)
+        bent = control.bent_share / max(sheared(drift, noise, x, m, t, S), 1e-300)
         h = min(h, limit, bent ** (1.0 / 3.0))
         pieces = math.ceil(left / h - 1e-9)
         h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
-        once, twice, work, still = x.copy(), x.copy(), np.empty_like(x), np.zeros(n)
-        flow(drift, noise.p, once, t, h, still, still, work)
-        flow(drift, noise.p, twice, t, 0.5 * h, still, still, work)
-        flow(drift, noise.p, twice, t + 0.5 * h, 0.5 * h, still, still, work)
-        counters[EVALUATIONS] += 12 * x.shape[0]
+        parts = max(1, math.ceil(h / state[1] - 1e-9))
+        once, twice, f, still = np.empty_like(x), np.empty_like(x), np.empty_like(x), np.zeros_like(x)
+        drift(x, t, noise.p, f)
+        along(drift, None, noise, x, f, f, t, h, parts, still, still, once, m)
+        along(drift, None, noise, x, f, f, t, h, 2 * parts, still, still, twice, m)
+        counters[EVALUATIONS] += 12 * parts * x.shape[0]
         error = _path_error(once, twice, m, S) / control.tolerance
-        factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.2)) if error < np.inf else 0.1
+        factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.25)) if error < np.inf else 0.1
+        state[1] = min(h / parts * factor, 1e300)
         if error > 1.0:
             counters[REJECTED] += 1
-            state[1] = h * factor
             if state[1] < 1e-9 * span:
                 return field, x, m, mean, P, (NOT_FINITE if error == np.inf else STALLED)
             continue
-        state[1] = min(max(h * factor, state[1]) if h < state[1] else h * factor, 1e300)
-        predicted(drift, noise, x, twice, m, t, h, mean, P)
-        counters[EVALUATIONS] += 16 * noise.G.shape[1] * x.shape[0]
-        if not cholesky(P, L):
+        mean_new, P_new = np.empty(n), np.empty((n, n))
+        X = predicted(drift, noise, x, f, twice, m, t, h, parts, mean_new, P_new)
+        counters[EVALUATIONS] += 16 * parts * noise.G.shape[1] * x.shape[0]
+        if not cholesky(P_new, L):
             return field, x, m, mean, P, NOT_FINITE
         times_lower(L, Q, S)
+        curved = bentness(X, m, S) / control.curved
+        state[4] = h * min(3.0, max(0.2, 0.9 / math.sqrt(max(curved, 1e-6))))
+        if curved > 1.0:
+            counters[REJECTED] += 1
+            continue
+        mean_old, P_old = mean, P
+        mean, P = mean_new, P_new
+        aim = aimed(drift, noise, field, mean, t + h, h, parts)
         for attempt in range(_TRIES):
             spacing = (state[0] / (0.92 * control.n_particles)) ** (1.0 / n)
             A, origin = S.copy(), mean.copy()
@@ -612,8 +738,8 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
                 for b in range(n):
                     A[a, b] *= spacing
             value, low, dims, highest, asked = _flooded(
-                drift, divergence, noise, field, sten, paths, origin, A, twice, t + h, h, control, counters,
-                threads,
+                drift, divergence, noise, field, sten, paths, aim, origin, A, twice, t + h, h, parts,
+                control, counters, threads,
             )  # fmt: skip
             if value.size == 0:
                 return field, x, m, mean, P, OUTGROWN
@@ -628,6 +754,13 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
             state[0] *= max(count, 0.1 * control.n_particles) / (0.92 * control.n_particles)
             if attempt == _TRIES - 1 and (count == 0 or count > control.n_particles):
                 return field, x, m, mean, P, TOO_FEW
+        if abs(log_mass) > control.step_loss and tried < _SMALLER:
+            tried += 1
+            state[4] = 0.5 * h
+            counters[REJECTED] += 1
+            mean, P = mean_old, P_old
+            continue
+        tried = 0
         state[0] = count * spacing**n
         state[2] += abs(log_mass)
         x, m = x_new, m_new

@@ -17,7 +17,7 @@ import numpy as np
 
 from ._jit import jit
 
-__all__ = ["Field", "Stencils", "build_field", "evaluate", "frontier", "opened", "stencils"]
+__all__ = ["Field", "Stencils", "build_field", "evaluate", "frontier", "opened", "slopes", "stencils"]
 
 UNKNOWN = -math.inf  # of a cell whose value has not been asked for; an impossible state is merely very low
 LOWEST = -1e300
@@ -486,3 +486,44 @@ def evaluate(field, sten, Y, out):
                     v += 0.5 * d[a] * field.tail[j, a, c] * d[c]
             v = min(v, 0.0)
         out[q] = max(field.log_p[j] + v, LOWEST)
+
+
+@jit
+def slopes(field, sten, Y, owner, out):
+    """Gradient of log p (M, n), in units of the lattice, at states Y (M, n), and whose polynomial it is of."""
+    n, M = field.mu.size, sten.parent.size
+    strides = strides_of(field.dims)
+    b, d, db = np.empty(M), np.empty(n), np.empty((M, n))
+    for q in range(Y.shape[0]):
+        flat, finite = 0, True
+        for a in range(n):
+            t = 0.0
+            for c in range(n):
+                t += field.inverse[a, c] * (Y[q, c] - field.mu[c])
+            finite &= abs(t) < 1e150
+            d[a] = t if finite else 0.0
+            k = int(min(max(math.floor(d[a] + 0.5) - field.low[a], 0.0), field.dims[a] - 1.0))
+            flat += k * strides[a]
+            out[q, a] = 0.0
+        j = field.owner[flat]
+        owner[q] = j
+        if not finite:
+            continue
+        r2 = 0.0
+        for a in range(n):
+            d[a] -= field.node[j, a]
+            r2 += d[a] * d[a]
+        if r2 <= 4.5:
+            for p in range(M):
+                axis, parent = sten.axis[p], sten.parent[p]
+                b[p] = d[axis] * (1.0 if parent < 0 else b[parent])
+                for a in range(n):
+                    db[p, a] = 0.0 if parent < 0 else db[parent, a] * d[axis]
+                    if a == axis:
+                        db[p, a] += 1.0 if parent < 0 else b[parent]
+                    out[q, a] += field.coefficient[j, p] * db[p, a]
+        else:
+            for a in range(n):
+                out[q, a] = field.coefficient[j, a]
+                for c in range(n):
+                    out[q, a] += field.tail[j, a, c] * d[c]

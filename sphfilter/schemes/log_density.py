@@ -65,11 +65,14 @@ def propagate(density, model, t1, scheme, n_particles):
         tolerance=tolerance,
         noise_share=scheme.noise_share,
         pause_after=_PAUSE_AFTER,
+        bent_share=float(__import__('os').environ.get('BENT','0.8'))*spacing,
+        step_loss=float(__import__('os').environ.get('LOSS','2e-3')),
+        curved=float(__import__('os').environ.get('CURV','0.036'))*spacing**2,
     )
     counters = np.zeros(len(core.COUNTERS), np.int64)
     volume = density.volume or gaussian_volume(n, depth)
     longest = math.inf if model.autonomous else (t1 - start) / slices
-    state, times = np.array([volume, min(t1 - start, longest), 0.0, longest]), np.array([start, t1])
+    state, times = np.array([volume, min(t1 - start, longest), 0.0, longest, t1 - start]), np.array([start, t1])
     functions = (model.drift_batch, model.divergence_batch, model.diffusion_batch)
     addresses = tuple([address_of(function) for function in functions])
     rule = paths(G.shape[1], scheme.quadrature)
@@ -150,8 +153,9 @@ def paths(m, order):
     else:
         points = np.concatenate([np.eye(m), -np.eye(m)]) * math.sqrt(m)
         weights = np.full(2 * m, 0.5 / m)
-    bend = points[:, m:] if points.shape[1] == 2 * m else np.zeros((len(points), m))
-    return core.Paths(np.log(weights), np.ascontiguousarray(points[:, :m]), np.ascontiguousarray(bend))
+    w = np.zeros((len(points), 2 * m))
+    w[:, : points.shape[1]] = points
+    return core.Paths(np.log(weights), w)
 
 
 def _stroud(k):
