@@ -171,7 +171,7 @@ class LogDensityScheme:
     name: Literal["log_density"] = "log_density"
     reach: Annotated[float, Field(ge=2.5, le=12)] | None = None
     tolerance: Positive | None = None
-    noise_share: Annotated[float, Field(gt=0, le=20)] = 0.4
+    noise_share: Annotated[float, Field(gt=0, le=20)] = 2.0
     quadrature: Annotated[int, Field(ge=2, le=15)] = 5
     most_lost: Positive = 0.015
     max_steps: Count = 10_000

@@ -33,6 +33,10 @@ class PropagationError(SphfilterError, RuntimeError):
     """A prediction or update that could not be completed; the filter is as it was before the call."""
 
 
+class LatticeError(PropagationError):
+    """No lattice of so many particles holds this density."""
+
+
 class UnresolvedError(PropagationError):
     """No scheme can be trusted with this density on so few particles."""
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
-from .errors import ModelError, PropagationError, UnresolvedError
+from .errors import LatticeError, ModelError, PropagationError, UnresolvedError
 from .exact import propagate_exactly
 from .info import PredictInfo
-from .resample import bound, regrid
+from .resample import bound
 from .schemes import corrected, log_density, paper
 from .validate import real
 
@@ -74,10 +74,13 @@ def _best(density, model, target, n_particles):
     if not reason:
         try:
             return log_density.propagate(density, model, target, LogDensityScheme(), n_particles)
-        except UnresolvedError as problem:
-            return _finer(density, model, target, n_particles, problem)
         except PropagationError as problem:
             reason = str(problem)
+            finer = _finer(density, model, target, n_particles, problem)
+            if finer is not None:
+                return finer
+            if isinstance(problem, LatticeError | UnresolvedError):
+                raise  # other schemes see no more on as few particles, and do not notice
     try:
         moved, info = _corrected(density, model, target, CorrectedScheme(), n_particles)
     except PropagationError as problem:
@@ -87,26 +90,27 @@ def _best(density, model, target, n_particles):
 
 
 def _finer(density, model, target, n_particles, problem):
-    """Carry the log-density on more particles than allowed, and put it back on as many as are.
+    """Carry the log-density on more particles than allowed; the next update has as many as are. Or None.
 
     Where a lattice loses probability, the density is finer than its particles for a while: between two wells,
-    along a fold. Other schemes see no more on as few particles, and do not notice.
+    along a fold.
     """
-    for times in _FINER:
-        try:
-            moved, info = log_density.propagate(
-                density, model, target, LogDensityScheme(), times * n_particles
-            )
-            moved, relaid = regrid(moved, n_particles, LogDensityScheme())
-        except PropagationError:
-            continue
-        if abs(relaid.log_evidence) < LogDensityScheme().most_lost:
+    if isinstance(problem, LatticeError | UnresolvedError):
+        for times in _FINER:
+            more = times * n_particles
+            if more > _MOST_FINER:
+                break
+            try:
+                moved, info = log_density.propagate(density, model, target, LogDensityScheme(), more)
+            except PropagationError:
+                continue
             return moved, replace(info, status=f"on {times} times the particles: {problem}")
-    raise problem
+    return None
 
 
 #: How many times the particles are tried where the lattice loses probability.
-_FINER = 3, 9
+_FINER = 3, 9, 27
+_MOST_FINER = 30_000
 _SCHEMES = {
     LogDensityScheme: log_density.propagate,
     CorrectedScheme: _corrected,

@@ -69,15 +69,15 @@ def test_noise_paths_have_the_moments_of_brownian_motion(m):
     rule = paths(m, 5)
     w = np.exp(rule.log_weight)
     assert w.sum() == pytest.approx(1.0)
-    assert rule.dW.shape == rule.bend.shape == (len(w), m)
-    for values in (rule.dW, rule.bend):
-        assert np.allclose(w @ values, 0.0)
-    assert np.allclose((rule.dW * w[:, None]).T @ rule.dW, np.eye(m))
-    assert np.allclose((rule.dW * w[:, None]).T @ rule.bend, 0.0)
+    assert rule.w.shape == (len(w), 2 * m)
+    assert np.allclose(w @ rule.w, 0.0)
+    dW, bend = rule.w[:, :m], rule.w[:, m:]
+    assert np.allclose((dW * w[:, None]).T @ dW, np.eye(m))
+    assert np.allclose((dW * w[:, None]).T @ bend, 0.0)
     if 1 <= m <= 2:
-        assert np.allclose((rule.bend * w[:, None]).T @ rule.bend, np.eye(m))
+        assert np.allclose((bend * w[:, None]).T @ bend, np.eye(m))
     if 1 <= m <= 3:
-        fourth = np.einsum("q,qa,qa,qb,qb->ab", w, *[rule.dW] * 4)
+        fourth = np.einsum("q,qa,qa,qb,qb->ab", w, *[dW] * 4)
         assert np.allclose(fourth, 1.0 + 2.0 * np.eye(m))
 
 

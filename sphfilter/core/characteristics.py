@@ -34,17 +34,20 @@ from .field import (
 
 __all__ = ["COUNTERS", "LOCAL", "MOST_ASKED", "MOST_CELLS", "STATUS", "Control", "Noise", "Paths", "march"]
 
-STATUS = ("ok", "not finite", "paused", "stalled", "too few nodes", "outgrown")
-OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN = range(6)
+STATUS = ("ok", "not finite", "paused", "stalled", "too few nodes", "outgrown", "lost")
+OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN, LOST = range(7)
 COUNTERS = ("steps", "rejected", "evaluations", "relaid")
 STEPS, REJECTED, EVALUATIONS, RELAID = range(4)
 _MARGIN = 3  # cells around the seeds in the first box
 MOST_CELLS = 20_000_000
 _TRIES = 6
 MOST_ASKED = 12  # cells asked for, over the number of particles wanted
-LOCAL = 0.05  # variance within pieces, over that of the whole, below which lattices follow the pieces
+LOCAL = 0.9  # variance within pieces, over that of the whole, below which lattices follow the pieces
+_STEP_LOSS = 0.13  # of all that may be lost, from which a step is tried again in halves
 _SMALLER = 2  # times a step that loses probability is halved
 _MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice
+_FILL = 0.85  # nodes aimed at, over those allowed
+_SURE = 1.0  # nats below the last level kept, from which one path will do
 _FAR = 6.0  # standard deviations of the noise
 _BLOCK = 256  # states that one thread takes at a time
 
@@ -83,7 +86,7 @@ class Control(NamedTuple):
     pause_after: int
     bent_share: float
     curved: float
-    step_loss: float
+    most_lost: float  # sum over steps of |log of the lattice's integral| at which to stop
 
 
 @jit
@@ -187,32 +190,68 @@ def aimed(drift, noise, field, y, t1, h, parts):
 
 
 @jit
-def back(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, out):
-    """log p(Y, t1), shape (M,), from the field at t1 - h."""
+def back(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, floor, out):
+    """log p(Y, t1), shape (M,), from the field at t1 - h.
+
+    Where one path to the middle of the noise finds log p well below `floor`, that has to do.
+    """
     M, n = Y.shape
-    K = 2 * noise.G.shape[1]
-    straight, bend, end = np.zeros((M, n)), np.zeros((M, n)), np.empty((M, n))
+    K = aim.B.shape[1]
     f1, d1 = np.empty((M, n)), np.empty((M, 1))
-    action, highest, total, log_p = np.zeros(M), np.full(M, -np.inf), np.zeros(M), np.empty(M)
-    owner, slope, centre, tilt = np.empty(M, np.int64), np.empty((M, n)), np.zeros((M, K)), np.empty(M)
+    straight, bend, end, action = np.zeros((M, n)), np.zeros((M, n)), np.empty((M, n)), np.zeros(M)
+    owner, slope, centre = np.empty(M, np.int64), np.empty((M, n)), np.zeros((M, K))
     drift(Y, t1, noise.p, f1)
     divergence(Y, t1, noise.p, d1)
     if K > 0:
         along(drift, None, noise, Y, f1, d1, t1, -h, parts, straight, bend, end, action)
         slopes(field, sten, end, owner, slope)
         _centres(aim, owner, slope, centre)
-    w = np.empty(K)
+        for i in range(M):
+            _displace(noise.G, h, centre[i], straight[i], bend[i])
+    along(drift, divergence, noise, Y, f1, d1, t1, -h, parts, straight, bend, end, action)
+    evaluate(field, sten, end, out)
+    for i in range(M):
+        out[i] += action[i]
+        for k in range(K):
+            out[i] -= 0.5 * centre[i, k] ** 2
+        if K > 0:
+            out[i] += aim.log_det[owner[i]]
+    if K > 0:
+        high = _above(out, floor - _SURE)
+        out[high] = _expected(drift, divergence, noise, field, sten, paths, aim, Y[high], f1[high], d1[high],
+                              centre[high], owner[high], t1, h, parts)  # fmt: skip
+
+
+@jit
+def _above(values, level):
+    """Numbers of the values above a level."""
+    found, count = np.empty(values.size, np.int64), 0
+    for i in range(values.size):
+        if not values[i] <= level:
+            found[count] = i
+            count += 1
+    return found[:count]
+
+
+@jit
+def _expected(
+    drift, divergence, noise, field, sten, paths, aim, Y, f1, d1, centre, owner, t1, h, parts
+):  # fmt: skip
+    """Logarithm of the expectation over the paths back from states Y (M, n)."""
+    M, n = Y.shape
+    K = centre.shape[1]
+    straight, bend, end, w = np.empty((M, n)), np.empty((M, n)), np.empty((M, n)), np.empty(K)
+    action, tilt, log_p = np.empty(M), np.empty(M), np.empty(M)
+    highest, total = np.full(M, -np.inf), np.zeros(M)
     for q in range(paths.log_weight.size):
         for i in range(M):
-            tilt[i] = 0.0
-            if K > 0:
-                for k in range(K):
-                    w[k] = centre[i, k]
-                    for j in range(k, K):
-                        w[k] += aim.root[owner[i], j, k] * paths.w[q, j]
-                    tilt[i] += 0.5 * (paths.w[q, k] ** 2 - w[k] ** 2)
-                tilt[i] += aim.log_det[owner[i]]
-                _displace(noise.G, h, w, straight[i], bend[i])
+            tilt[i] = aim.log_det[owner[i]]
+            for k in range(K):
+                w[k] = centre[i, k]
+                for j in range(k, K):
+                    w[k] += aim.root[owner[i], j, k] * paths.w[q, j]
+                tilt[i] += 0.5 * (paths.w[q, k] ** 2 - w[k] ** 2)
+            _displace(noise.G, h, w, straight[i], bend[i])
         along(drift, divergence, noise, Y, f1, d1, t1, -h, parts, straight, bend, end, action)
         evaluate(field, sten, end, log_p)
         for i in range(M):
@@ -225,7 +264,8 @@ def back(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, out
             else:
                 total[i] += math.exp(v - highest[i])
     for i in range(M):
-        out[i] = highest[i] + math.log(total[i])
+        total[i] = highest[i] + math.log(total[i])
+    return total
 
 
 @jit
@@ -253,13 +293,13 @@ def _centres(aim, owner, slope, centre):
 
 
 @parallel_jit
-def back_in_blocks(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, out):
+def back_in_blocks(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, floor, out):
     """As `back`, blocks of states spread over threads: a state's value does not depend on the
     block it is in.
     """
     for block in prange((Y.shape[0] + _BLOCK - 1) // _BLOCK):
         first, last = block * _BLOCK, min((block + 1) * _BLOCK, Y.shape[0])
-        back(drift, divergence, noise, field, sten, paths, aim, Y[first:last], t1, h, parts, out[first:last])
+        back(drift, divergence, noise, field, sten, paths, aim, Y[first:last], t1, h, parts, floor, out[first:last])
 
 
 @jit
@@ -535,9 +575,9 @@ def _flooded(drift, divergence, noise, field, sten, paths, aim, mu, A, points, t
         _, Y = states_of(found, mu, A, low, dims)
         log_p = np.empty(found.size)
         if threads is None:  # by type, so that the branch not taken is not compiled
-            back(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, log_p)
+            back(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, highest - control.depth, log_p)
         else:
-            back_in_blocks(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, log_p)
+            back_in_blocks(drift, divergence, noise, field, sten, paths, aim, Y, t1, h, parts, highest - control.depth, log_p)
         counters[EVALUATIONS] += found.size * ((4 * parts - 1) * (paths.log_weight.size + 1) + 1)
         for k in range(found.size):
             value[found[k]] = log_p[k]
@@ -686,7 +726,7 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
     x, m = nodes_of(field)
     span, first = times[1] - times[0], counters[STEPS]
     moments(x, m, mean, P)
-    tried = 0
+    tried, before, coarse = 0, np.inf, False
     while times[0] < times[1]:
         if counters[STEPS] - first >= control.pause_after:
             return field, x, m, mean, P, PAUSED
@@ -732,7 +772,7 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
         mean, P = mean_new, P_new
         aim = aimed(drift, noise, field, mean, t + h, h, parts)
         for attempt in range(_TRIES):
-            spacing = (state[0] / (0.92 * control.n_particles)) ** (1.0 / n)
+            spacing = (state[0] / (_FILL * control.n_particles)) ** (1.0 / n)
             A, origin = S.copy(), mean.copy()
             for a in range(n):
                 for b in range(n):
@@ -751,21 +791,24 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
             if 0.5 * control.n_particles <= count <= control.n_particles:
                 break
             counters[RELAID] += 1
-            state[0] *= max(count, 0.1 * control.n_particles) / (0.92 * control.n_particles)
+            state[0] *= max(count, 0.1 * control.n_particles) / (_FILL * control.n_particles)
             if attempt == _TRIES - 1 and (count == 0 or count > control.n_particles):
                 return field, x, m, mean, P, TOO_FEW
-        if abs(log_mass) > control.step_loss and tried < _SMALLER:
-            tried += 1
-            state[4] = 0.5 * h
+        lost = abs(log_mass)
+        coarse |= lost > 0.5 * before  # a shorter step did not help: it is the lattice
+        if lost > _STEP_LOSS * control.most_lost and tried < _SMALLER and not coarse:
+            tried, before, state[4] = tried + 1, lost, 0.5 * h
             counters[REJECTED] += 1
             mean, P = mean_old, P_old
             continue
-        tried = 0
+        tried, before = 0, np.inf
         state[0] = count * spacing**n
-        state[2] += abs(log_mass)
+        state[2] += lost
         x, m = x_new, m_new
         field = build_field(origin, A, node, log_p, sten)
         counters[STEPS] += 1
         times[0] = times[1] if pieces <= 1 else t + h
+        if not state[2] < control.most_lost:
+            return field, x, m, mean, P, LOST
     return field, x, m, mean, P, OK
 

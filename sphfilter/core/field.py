@@ -21,6 +21,8 @@ __all__ = ["Field", "Stencils", "build_field", "evaluate", "frontier", "opened",
 
 UNKNOWN = -math.inf  # of a cell whose value has not been asked for; an impossible state is merely very low
 LOWEST = -1e300
+_TREND = {3: 4, 4: 4}  # degree of the polynomial through all nodes by dimension, 3 beyond
+_NODES_A_TERM = 2.5
 _PAD = 3  # cells around the nodes in the box of a field, the reach of the widest neighbourhood
 _NEARLY = 0.2  # relative distance of second derivatives from a Gaussian's that is taken for noise of the fit
 _WEIGHT_DECAY = 4.0  # weights exp(-4 r^2 / r_max^2) of the least-squares fit
@@ -34,6 +36,9 @@ class Stencils(NamedTuple):
     rows: np.ndarray  # (levels, largest size, M): coefficients from differences of neighbours
     parent: np.ndarray  # (M,) monomial that times x_axis gives this one, -1 for x_axis itself
     axis: np.ndarray  # (M,)
+    trend: np.ndarray  # (degrees,) monomials of a polynomial through all nodes, by its degree; none if empty
+    shift: np.ndarray  # (S, 3) int: terms `to`, `from` and of the displacement that move a polynomial's centre
+    binomial: np.ndarray  # (S,)
 
 
 class Field(NamedTuple):
@@ -44,10 +49,11 @@ class Field(NamedTuple):
     inverse: np.ndarray  # (n, n) of A
     low: np.ndarray  # (n,) int, lowest cell of the box
     dims: np.ndarray  # (n,) int, cells of the box along every axis
-    owner: np.ndarray  # (cells,) int, whose polynomial is used there
+    owner: np.ndarray  # (cells,) int, whose polynomial is used there; its complement (~) where no node lies
     node: np.ndarray  # (N, n) int
     log_p: np.ndarray  # (N,)
     coefficient: np.ndarray  # (N, M), in units of the lattice
+    cap: float  # log p is below it wherever no node lies
     tail: np.ndarray  # (N, n, n) second derivatives for beyond the lattice: bent down in all directions
 
 
@@ -78,7 +84,7 @@ def _exponents(n, degree):
 def stencils(n):
     """The `Stencils` of n dimensions."""
     levels = _neighborhoods(n)
-    exponents = _exponents(n, max(degree for _, degree, _ in levels))
+    exponents = _exponents(n, max(_TREND.get(n, 3) if n > 2 else 0, *(degree for _, degree, _ in levels)))
     E = np.array(exponents)
     size = np.array([len(g) for g, _, _ in levels])
     rank = {tuple(o): level for level in reversed(range(len(levels))) for o in levels[level][0]}
@@ -96,7 +102,22 @@ def stencils(n):
     axis = [next(a for a in range(n) if e[a]) for e in exponents]
     lowered = [tuple(k - (a == b) for b, k in enumerate(e)) for e, a in zip(exponents, axis, strict=True)]
     parent = [exponents.index(e) if any(e) else -1 for e in lowered]
-    return Stencils(offsets, size, rows, np.array(parent), np.array(axis))
+    trend = np.array([(E.sum(1) <= degree).sum() for degree in range(1, E.sum(1).max() + 1)])
+    return Stencils(offsets, size, rows, np.array(parent), np.array(axis), trend[: 0 if n < 3 else None],
+                    *_shifts(exponents))
+
+
+def _shifts(exponents):
+    """How coefficients around one point follow from those around another: see `Stencils`."""
+    at = {e: k for k, e in enumerate(exponents)}
+    shift, binomial = [], []
+    for source, e in enumerate(exponents):
+        for lower in itertools.product(*(range(k + 1) for k in e)):
+            if any(lower) and lower != e:
+                left = tuple(k - j for k, j in zip(e, lower, strict=True))
+                shift.append((at[lower], source, at[left]))
+                binomial.append(math.prod(math.comb(k, j) for k, j in zip(e, lower, strict=True)))
+    return np.array(shift).reshape(-1, 3), np.array(binomial, dtype=float)
 
 
 @jit
@@ -298,13 +319,21 @@ def build_field(mu, A, node, log_p, sten):
     owner = np.full(index.size, -1, np.int64)
     work, V, w = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     least = 0.5 * _widest(node, log_p, w, V, work)
+    base = _trend(node, log_p, sten)
+    rest = log_p.copy()
+    monomials = np.empty(M)
+    for i in range(N):
+        if base.size > 0:
+            rest[i] -= _monomials(node[i], sten, base, monomials)
     for i in range(N):
         level = _level(index, flats[i], ahead, sten.size)
         if level < 0:
             continue
         owner[flats[i]] = i
+        if base.size > 0:
+            _recentred(base, node[i], sten, monomials, coefficient[i])
         for k in range(sten.size[level]):
-            difference = log_p[index[flats[i] + ahead[k]]] - log_p[i]
+            difference = rest[index[flats[i] + ahead[k]]] - rest[i]
             for c in range(M):
                 coefficient[i, c] += sten.rows[level, k, c] * difference
         _second_derivatives(coefficient[i], sten, tail[i])
@@ -316,7 +345,88 @@ def build_field(mu, A, node, log_p, sten):
         else:
             _concave(tail[i], least, w, V, work)
     _spread_owners(owner, node, low, dims, strides)
-    return Field(mu, A, invert_lower(A), low, dims, owner, node, log_p, coefficient, tail)
+    for flat in range(owner.size):
+        if index[flat] < 0:
+            owner[flat] = ~owner[flat]
+    cap = _cap(log_p, gaussian)
+    return Field(mu, A, invert_lower(A), low, dims, owner, node, log_p, coefficient, cap, tail)
+
+
+@jit
+def _cap(log_p, gaussian):
+    """Largest log p that a Gaussian has outside of its nodes' cells, half a diagonal of a cell beyond them."""
+    n, trace, lowest = gaussian.shape[0], 0.0, log_p.min()
+    for a in range(n):
+        trace -= gaussian[a, a]
+    return lowest + math.sqrt(2.0 * (log_p.max() - lowest)) * 0.5 * math.sqrt(max(trace, 0.0))
+
+
+@jit
+def _monomials(x, sten, c, b):
+    """Value of a polynomial of coefficients c at x, and all monomials b."""
+    total = 0.0
+    for p in range(b.size):
+        b[p] = x[sten.axis[p]] * (1.0 if sten.parent[p] < 0 else b[sten.parent[p]])
+        total += c[p] * b[p]
+    return total
+
+
+@jit
+def _recentred(c, x, sten, b, out):
+    """Coefficients around x of a polynomial with coefficients c around the origin; its constant left out."""
+    _monomials(x, sten, c, b)
+    for p in range(c.size):
+        out[p] = c[p]
+    for k in range(sten.binomial.size):
+        out[sten.shift[k, 0]] += sten.binomial[k] * c[sten.shift[k, 1]] * b[sten.shift[k, 2]]
+
+
+@jit
+def _trend(node, log_p, sten):
+    """Coefficients (M,) of the polynomial through all nodes that fits best, weighted by the root of p.
+
+    Its degree is the highest for which there are nodes enough. Empty where lattices do without.
+    """
+    N, M, terms = log_p.size, sten.parent.size, 0
+    for degree in range(sten.trend.size):
+        if N >= _NODES_A_TERM * sten.trend[degree]:
+            terms = sten.trend[degree]
+    if terms == 0:
+        return np.empty(0)
+    out, scale, highest = np.zeros(M), np.ones(M + 1), log_p.max()
+    b, K = np.empty(M), terms + 1
+    A, right = np.zeros((K, K)), np.zeros(K)
+    for i in range(N):
+        _monomials(node[i], sten, out, b)
+        w = math.exp(0.5 * (log_p[i] - highest))
+        for p in range(K):
+            bp = w * (1.0 if p == 0 else b[p - 1])
+            right[p] += bp * log_p[i]
+            A[p, 0] += bp
+            for q in range(1, p + 1):
+                A[p, q] += bp * b[q - 1]
+    for p in range(K):
+        scale[p] = 1.0 / math.sqrt(A[p, p])
+    for p in range(K):
+        for q in range(p + 1):
+            A[p, q] *= scale[p] * scale[q]
+        A[p, p] += 1e-11
+        for q in range(p + 1):
+            for k in range(q):
+                A[p, q] -= A[p, k] * A[q, k]
+            A[p, q] = math.sqrt(max(A[p, p], 1e-15)) if p == q else A[p, q] / A[q, q]
+    for p in range(K):
+        right[p] *= scale[p]
+        for q in range(p):
+            right[p] -= A[p, q] * right[q]
+        right[p] /= A[p, p]
+    for p in range(K - 1, -1, -1):
+        for q in range(p + 1, K):
+            right[p] -= A[q, p] * right[q]
+        right[p] /= A[p, p]
+        if p > 0:
+            out[p - 1] = right[p] * scale[p]
+    return out
 
 
 @jit
@@ -467,7 +577,9 @@ def evaluate(field, sten, Y, out):
         if not finite:
             out[q] = LOWEST
             continue
-        j = field.owner[flat]
+        j, most = field.owner[flat], np.inf
+        if j < 0:
+            j, most = ~j, field.cap
         r2, v = 0.0, 0.0
         for a in range(n):
             d[a] -= field.node[j, a]
@@ -485,7 +597,7 @@ def evaluate(field, sten, Y, out):
                 for c in range(n):
                     v += 0.5 * d[a] * field.tail[j, a, c] * d[c]
             v = min(v, 0.0)
-        out[q] = max(field.log_p[j] + v, LOWEST)
+        out[q] = max(min(field.log_p[j] + v, most), LOWEST)
 
 
 @jit
@@ -506,6 +618,7 @@ def slopes(field, sten, Y, owner, out):
             flat += k * strides[a]
             out[q, a] = 0.0
         j = field.owner[flat]
+        j = j if j >= 0 else ~j
         owner[q] = j
         if not finite:
             continue

@@ -12,7 +12,7 @@ from ..core._first_class import address_of
 from ..core._jit import start_threads
 from ..core.field import stencils
 from ..density import ParticleDensity
-from ..errors import PropagationError, UnresolvedError
+from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import PredictInfo
 from ..level_set import Laid, fewest_particles, gaussian_volume, reach
 from ._shared import blow_up, skip_notes
@@ -25,6 +25,9 @@ _TOLERANCES = 5e-5, 3e-4
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
 #: changes a bit of the result.
 _THREADS_FROM = 20_000
+# What noise may do within a step, in units of the density's variance and standard deviation: what two bends a
+# path do not know of it, and what the paths' quadrature does not, fall with the error of the lattice.
+_BENT, _CURVED = 1.3, 0.036
 _TIME_SLICES = (17, 37, 79, 167, 347, 709)  # steps at least over an interval, where drift or noise change
 _NOISE_ERROR = 1e-3  # of its integral over the interval, relative, by the middles of so many steps
 
@@ -65,9 +68,9 @@ def propagate(density, model, t1, scheme, n_particles):
         tolerance=tolerance,
         noise_share=scheme.noise_share,
         pause_after=_PAUSE_AFTER,
-        bent_share=float(__import__('os').environ.get('BENT','0.8'))*spacing,
-        step_loss=float(__import__('os').environ.get('LOSS','2e-3')),
-        curved=float(__import__('os').environ.get('CURV','0.036'))*spacing**2,
+        bent_share=_BENT * spacing**1.5,
+        most_lost=scheme.most_lost,
+        curved=_CURVED * spacing**2,
     )
     counters = np.zeros(len(core.COUNTERS), np.int64)
     volume = density.volume or gaussian_volume(n, depth)
@@ -97,12 +100,14 @@ def propagate(density, model, t1, scheme, n_particles):
         status = core.STATUS[code]
     if status == "not finite":
         raise PropagationError(blow_up(model, _fastest(model, x, times[0]), times[0], start, t1))
-    if status != "ok":
-        raise PropagationError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
-    if not state[2] < scheme.most_lost:
+    if status == "lost":
         reason = f"the lattice lost or gained {100 * state[2]:.2g} % of the probability"
         reason += ": the drift jumps, or the density has edges finer than its particles; use more of them"
-        raise UnresolvedError(_given_up(reason, t1, start, t1))
+        raise UnresolvedError(_given_up(reason, times[0], start, t1))
+    if status in ("too few nodes", "outgrown"):
+        raise LatticeError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
+    if status != "ok":
+        raise PropagationError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     laid = Laid(x, mass, field, 0.0, float(state[0]), mean, cov)
     moved = ParticleDensity.on_lattice(
         laid, float(t1), density.capacity, density.gaussian and model.linear
