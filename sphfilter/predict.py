@@ -10,6 +10,7 @@ from .exact import propagate_exactly
 from .info import PredictInfo
 from .resample import bound
 from .schemes import corrected, log_density, paper
+from .schemes._shared import carried_off
 from .validate import real
 
 __all__ = ["Trajectory", "predict", "propagate"]
@@ -96,6 +97,9 @@ def _finer(density, model, target, n_particles, problem):
     along a fold.
     """
     if isinstance(problem, LatticeError | UnresolvedError):
+        blown = carried_off(model, density.x, density.t, target)
+        if blown:
+            raise PropagationError(blown) from problem
         for times in _FINER:
             more = times * n_particles
             if more > _MOST_FINER:

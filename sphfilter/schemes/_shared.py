@@ -1,10 +1,13 @@
 """What the schemes share: the model as compiled marches take it, and sentences about a prediction."""
 
+import itertools
+
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from ..core.march import Coefficients
 
-__all__ = ["blow_up", "coefficients_of", "skip_notes"]
+__all__ = ["blow_up", "carried_off", "coefficients_of", "skip_notes"]
 
 
 def coefficients_of(model):
@@ -45,3 +48,27 @@ def blow_up(model, state, t, start, t1):
         f"its velocity {what}. Check the drift there, predict over a shorter interval, or use "
         f"a smaller represented_mass so that particles stay out of the far tail"
     )
+
+
+def carried_off(model, x, start, t1):
+    """`blow_up`'s sentence if the drift alone carries some of the states x (N, n) to infinity; else empty."""
+    asked = itertools.count()
+
+    def velocity(t, y):
+        if next(asked) > _ASKED:
+            raise TimeoutError
+        return model.drift(y.reshape(x.shape), t).ravel()
+
+    try:
+        with np.errstate(all="ignore"):
+            paths = solve_ivp(velocity, (start, t1), x.ravel(), rtol=1e-3, atol=1e-6 * np.ptp(x))
+    except Exception:  # too stiff to tell, or a model that raises out there
+        return ""
+    ends = paths.y[:, -1].reshape(x.shape)
+    if paths.success and np.isfinite(ends).all():
+        return ""
+    away = np.abs(np.nan_to_num(ends - x, nan=np.inf)).max(axis=1)
+    return blow_up(model, ends[np.argmax(away)], paths.t[-1], start, t1)
+
+
+_ASKED = 3000  # evaluations of the drift, of all states at once

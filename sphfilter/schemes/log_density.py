@@ -21,13 +21,13 @@ __all__ = ["fits", "propagate"]
 
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
-_TOLERANCES = 5e-5, 3e-4
+_TOLERANCES = 1e-5, 3e-4
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
 #: changes a bit of the result.
 _THREADS_FROM = 20_000
 # What noise may do within a step, in units of the density's variance and standard deviation: what two bends a
 # path do not know of it, and what the paths' quadrature does not, fall with the error of the lattice.
-_BENT, _CURVED = 1.3, 0.036
+_BENT, _CURVED = 0.8, 0.036
 _TIME_SLICES = (17, 37, 79, 167, 347, 709)  # steps at least over an interval, where drift or noise change
 _NOISE_ERROR = 1e-3  # of its integral over the interval, relative, by the middles of so many steps
 
@@ -68,7 +68,7 @@ def propagate(density, model, t1, scheme, n_particles):
         tolerance=tolerance,
         noise_share=scheme.noise_share,
         pause_after=_PAUSE_AFTER,
-        bent_share=_BENT * spacing**1.5,
+        bent_share=_BENT * min(spacing, 1.0) ** 1.5,
         most_lost=scheme.most_lost,
         curved=_CURVED * spacing**2,
     )
