@@ -160,7 +160,8 @@ class LogDensityScheme:
         Error allowed in the paths of a time step: rms over the mass, in standard deviations. By default in
         proportion to the error of the lattice.
     noise_share : float
-        Largest variance that the noise of a time step may have, in units of the density's own.
+        Largest variance that the noise of a time step may have, in units of the density's own. Paths of the
+        noise are aimed at where they find the density, which makes this exact for a Gaussian, whatever it is.
     quadrature : int
         Gauss-Hermite points of one noise over a step.
     most_lost : float
@@ -257,7 +258,6 @@ class _Settings:
                 raise ConfigError(f"unknown key {key!r}{nearest(key, owner)}; valid keys are {known}")
             parts[owner[key]] = replace(parts[owner[key]], **{key: value})
         return cls(**parts)
-
 
     @classmethod
     def _paper_parts(cls):

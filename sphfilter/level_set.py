@@ -11,8 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .core import characteristics as core
-from .core.field import UNKNOWN, Field, build_field, evaluate, frontier, stencils
+from .core import cells
+from .core.cells import UNKNOWN, frontier
+from .core.characteristics import LOCAL, local_shape
+from .core.field import Field, build_field, evaluate
+from .core.flood import MOST_ASKED, relaid
+from .core.stencils import stencils
 from .errors import ModelError, PropagationError
 
 __all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "local", "posterior", "reach"]
@@ -92,8 +96,8 @@ def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
         spacing = (volume / (0.92 * n_particles)) ** (1.0 / n)
         A = np.ascontiguousarray(factor * spacing)
         value, low, dims, highest, asked = _flood(log_p, mean, A, seeds, depth, sten, n_particles)
-        new = core.relaid(value, low, dims, highest, asked, mean, A, sten, depth)
-        closed = asked.size < core.MOST_ASKED * n_particles
+        new = relaid(value, low, dims, highest, asked, mean, A, sten, depth)
+        closed = asked.size < MOST_ASKED * n_particles
         count = len(new[0]) if closed else asked.size
         if 0 < count <= n_particles:
             best = A, count * spacing**n, *new
@@ -119,20 +123,20 @@ def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
     n = len(mean)
     ball = sten.offsets[: sten.size[0]]
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
-    seeds, reach = np.ascontiguousarray(seeds), core.furthest(n)
-    cells = core.seeds_in_box(seeds, mean, np.linalg.inv(A), reach, low, dims)
-    if np.prod(dims.astype(float)) > core.MOST_CELLS:
+    seeds, reach = np.ascontiguousarray(seeds), cells.furthest(n)
+    at_seeds = cells.seeds_in_box(seeds, mean, np.linalg.inv(A), reach, low, dims)
+    if np.prod(dims.astype(float)) > cells.MOST_CELLS:
         raise PropagationError(_spread(mean))
     value, asked = np.full(np.prod(dims), UNKNOWN), np.empty(0, np.int64)
-    found, highest = core.seeded(cells, low, dims), -np.inf
-    while found.size and asked.size < core.MOST_ASKED * n_particles:
-        _, states = core.states_of(found, mean, A, low, dims)
+    found, highest = cells.seeded(at_seeds, low, dims), -np.inf
+    while found.size and asked.size < MOST_ASKED * n_particles:
+        _, states = cells.states_of(found, mean, A, low, dims)
         value[found] = log_p(states)
         highest = max(highest, value[found].max())
         asked = np.concatenate([asked, found])
         found, beyond = frontier(value, asked, highest - depth, dims, ball)
         if beyond:
-            value, low, dims, asked = core.widen(value, low, dims, asked)
+            value, low, dims, asked = cells.widen(value, low, dims, asked)
             if value.size == 0:
                 raise PropagationError(_spread(mean))
             found, beyond = frontier(value, asked, highest - depth, dims, ball)
@@ -227,17 +231,17 @@ def _power(log_mass, weight, reached, enough):
 
 
 def local(laid):
-    """Lower factor of the covariance within the pieces of a density: see `core.local_shape`."""
+    """Lower factor of the covariance within the pieces of a density: see `local_shape`."""
     L = np.linalg.cholesky(laid.cov)
     shape = np.empty_like(L)
-    core.local_shape(laid.field, laid.mass, L, shape)
+    local_shape(laid.field, laid.mass, L, shape)
     return L @ shape
 
 
 def _within(log_p, x, w, factor):
     """A factor of the covariance within the pieces of a density, from its slopes at weighted points.
 
-    As `core.local_shape`, before there is a lattice: a posterior in two thin pieces needs a spacing that
+    As `local_shape`, before there is a lattice: a posterior in two thin pieces needs a spacing that
     resolves each of them.
     """
     n = len(factor)
@@ -247,7 +251,7 @@ def _within(log_p, x, w, factor):
         slopes[:, k] = np.clip((log_p(x + step) - log_p(x - step)) / (2.0 * _STEP), -1e100, 1e100)
     information = (slopes * (w / w.sum())[:, None]).T @ slopes
     values, axes = np.linalg.eigh(information)
-    if not np.isfinite(values).all() or values[-1] * core.LOCAL < 1.0:
+    if not np.isfinite(values).all() or values[-1] * LOCAL < 1.0:
         return factor
     inverse = (axes / np.maximum(values, 1.0)) @ axes.T  # no piece is wider than the whole
     return factor @ np.linalg.cholesky(inverse)

@@ -1,16 +1,17 @@
 """The log-density scheme: from lattice to lattice along backward stochastic characteristics."""
 
-import itertools
 import math
 from functools import cache
 
 import numpy as np
 from numba.core.errors import NumbaError
 
-from ..core import characteristics as core
 from ..core._first_class import address_of
 from ..core._jit import start_threads
-from ..core.field import stencils
+from ..core.characteristics import STATUS, march
+from ..core.flood import COUNTERS, STEPS, Control
+from ..core.noise_paths import Noise, Paths
+from ..core.stencils import stencils
 from ..density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import PredictInfo
@@ -58,11 +59,11 @@ def propagate(density, model, t1, scheme, n_particles):
     """
     start, n = density.t, density.dim
     G, slices = _noise_factor(model, start, t1)
-    noise = core.Noise(G, model.p, not model.constant_diffusion, model.linear)
+    noise = Noise(G, model.p, not model.constant_diffusion, model.linear)
     depth = 0.5 * reach(scheme, n) ** 2
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
     tolerance = scheme.tolerance or float(np.clip(_TIME_PART * spacing**4, *_TOLERANCES))
-    control = core.Control(
+    control = Control(
         n_particles=n_particles,
         depth=depth,
         tolerance=tolerance,
@@ -72,10 +73,13 @@ def propagate(density, model, t1, scheme, n_particles):
         most_lost=scheme.most_lost,
         curved=_CURVED * spacing**2,
     )
-    counters = np.zeros(len(core.COUNTERS), np.int64)
+    counters = np.zeros(len(COUNTERS), np.int64)
     volume = density.volume or gaussian_volume(n, depth)
     longest = math.inf if model.autonomous else (t1 - start) / slices
-    state, times = np.array([volume, min(t1 - start, longest), 0.0, longest, t1 - start]), np.array([start, t1])
+    state, times = (
+        np.array([volume, min(t1 - start, longest), 0.0, longest, t1 - start]),
+        np.array([start, t1]),
+    )
     functions = (model.drift_batch, model.divergence_batch, model.diffusion_batch)
     addresses = tuple([address_of(function) for function in functions])
     rule = paths(G.shape[1], scheme.quadrature)
@@ -84,11 +88,11 @@ def propagate(density, model, t1, scheme, n_particles):
     if threads:
         start_threads()
     while status == "paused":
-        if counters[core.STEPS] >= scheme.max_steps:
+        if counters[STEPS] >= scheme.max_steps:
             reason = f"{scheme.max_steps} steps were not enough"
             raise PropagationError(_given_up(reason, times[0], start, t1))
         try:
-            field, x, mass, mean, cov, code = core.march(
+            field, x, mass, mean, cov, code = march(
                 addresses, noise, field, stencils(n), rule, control, times, state, counters, threads
             )
         except NumbaError:  # a defect of this package must not be taken for one of the model
@@ -97,7 +101,7 @@ def propagate(density, model, t1, scheme, n_particles):
             raise PropagationError(
                 f"the model failed between t = {times[0]:g} and {t1:g} near {density.mean()}: {problem}"
             ) from problem
-        status = core.STATUS[code]
+        status = STATUS[code]
     if status == "not finite":
         raise PropagationError(blow_up(model, _fastest(model, x, times[0]), times[0], start, t1))
     if status == "lost":
@@ -109,9 +113,7 @@ def propagate(density, model, t1, scheme, n_particles):
     if status != "ok":
         raise PropagationError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     laid = Laid(x, mass, field, 0.0, float(state[0]), mean, cov)
-    moved = ParticleDensity.on_lattice(
-        laid, float(t1), density.capacity, density.gaussian and model.linear
-    )
+    moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, density.gaussian and model.linear)
     return moved, _info(model, scheme, counters, float(state[2]), threads)
 
 
@@ -144,38 +146,42 @@ def paths(m, order):
     """Weighted noise paths for m noises, as `Paths`.
 
     Each is straight to a point of dW, and bent so that the covariance of dW with the area under it is right.
-    One noise has Gauss-Hermite points, bent both ways; two have Stroud's rule of degree five in both
-    displacements and bends (25 points, none negative); three that rule, four and more the symmetric rule of
-    degree three, in the displacements alone.
+    One noise has Gauss-Hermite points, two have a hexagon (degree five), all bent both ways; three have an
+    icosahedron (degree five), four and more the symmetric rule of degree three, all of them straight.
     """
+    bends = np.zeros((1, m))
     if m == 0:
-        points, weights = np.zeros((1, 0)), np.ones(1)
+        dW, weights = np.zeros((1, 0)), np.ones(1)
     elif m == 1:
         x, w = np.polynomial.hermite_e.hermegauss(order)
-        points, weights = np.array([(a, b) for a in x for b in (-1.0, 1.0)]), np.repeat(w / w.sum(), 2) / 2
-    elif m <= 3:
-        points, weights = _stroud(4 if m == 2 else 3)
+        dW, weights, bends = x[:, None], w / w.sum(), np.array([[1.0], [-1.0]])
+    elif m == 2:
+        return _hexagon()
+    elif m == 3:
+        dW, weights = _icosahedron()
     else:
-        points = np.concatenate([np.eye(m), -np.eye(m)]) * math.sqrt(m)
-        weights = np.full(2 * m, 0.5 / m)
-    w = np.zeros((len(points), 2 * m))
-    w[:, : points.shape[1]] = points
-    return core.Paths(np.log(weights), w)
+        dW, weights = np.concatenate([np.eye(m), -np.eye(m)]) * math.sqrt(m), np.full(2 * m, 0.5 / m)
+    w = np.hstack([np.repeat(dW, len(bends), axis=0), np.tile(bends, (len(dW), 1))])
+    return Paths(np.log(np.repeat(weights, len(bends)) / len(bends)), w)
 
 
-def _stroud(k):
-    """Points (Q, k) and weights of degree five for k <= 4 normal numbers (Stroud, E_n^{r²} 5-2)."""
-    points, weights = [np.zeros(k)], [2.0 / (k + 2)]
-    for a in range(k):
-        for sign in (-1.0, 1.0):
-            points.append(sign * math.sqrt(k + 2) * np.eye(k)[a])
-            weights.append((4 - k) / (2.0 * (k + 2) ** 2))
-    for a, b in itertools.combinations(range(k), 2):
-        for one, other in itertools.product((-1.0, 1.0), repeat=2):
-            points.append(math.sqrt(0.5 * (k + 2)) * (one * np.eye(k)[a] + other * np.eye(k)[b]))
-            weights.append(1.0 / (k + 2) ** 2)
-    some = np.array(weights) > 0.0
-    return np.array(points)[some], np.array(weights)[some]
+def _hexagon():
+    """Radon's seven points; bends alternate around the hexagon so that those of two noises do not covary."""
+    angle = np.arange(6) * math.pi / 3
+    rows = [(0.0, 0.0, a, b, 0.125) for a in (1.0, -1.0) for b in (1.0, -1.0)]
+    for k, (x, y) in enumerate(zip(2.0 * np.cos(angle), 2.0 * np.sin(angle), strict=True)):
+        rows += [(x, y, a, a * (-1.0) ** k, 1.0 / 24.0) for a in (1.0, -1.0)]
+    table = np.array(rows)
+    return Paths(np.log(table[:, 4]), np.ascontiguousarray(table[:, :4]))
+
+
+def _icosahedron():
+    """Thirteen points (13, 3) and weights of degree five for three normal numbers."""
+    golden = 0.5 * (1.0 + math.sqrt(5.0))
+    corners = np.array([(0.0, a, b * golden) for a in (1.0, -1.0) for b in (1.0, -1.0)])
+    corners = np.concatenate([np.roll(corners, k, axis=1) for k in range(3)])
+    points = np.concatenate([np.zeros((1, 3)), corners * math.sqrt(5.0 / (1.0 + golden**2))])
+    return points, np.array([0.4] + [0.05] * 12)
 
 
 def _fastest(model, x, t):

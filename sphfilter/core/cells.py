@@ -1,0 +1,221 @@
+"""Cells of a lattice in a box of integers: their numbers, and regions that grow over them."""
+
+import math
+
+import numpy as np
+
+from ._jit import jit
+
+__all__ = [
+    "LOWEST",
+    "MOST_CELLS",
+    "UNKNOWN",
+    "frontier",
+    "furthest",
+    "inside",
+    "joined",
+    "marked",
+    "opened",
+    "product",
+    "seeded",
+    "seeds_in_box",
+    "states_of",
+    "strides_of",
+    "unravel",
+    "widen",
+]
+
+UNKNOWN = -math.inf  # of a cell whose value has not been asked for; an impossible state is merely very low
+LOWEST = -1e300
+_MARGIN = 3  # cells around the seeds in the first box
+MOST_CELLS = 20_000_000
+
+
+@jit
+def product(values):
+    """Product of numbers, as a float: it may be beyond any integer."""
+    total = 1.0
+    for k in range(values.size):
+        total *= values[k]
+    return total
+
+
+@jit
+def strides_of(dims):
+    """Steps in a flat array for one step along every axis."""
+    n = dims.size
+    strides = np.ones(n, np.int64)
+    for a in range(n - 2, -1, -1):
+        strides[a] = strides[a + 1] * dims[a + 1]
+    return strides
+
+
+@jit
+def inside(cell, offset, dims, strides, flat):
+    """Flat index of a cell plus an offset, or -1 outside of the box. `cell` is counted from the
+    box's corner.
+    """
+    for a in range(dims.size):
+        k = cell[a] + offset[a]
+        if k < 0 or k >= dims[a]:
+            return -1
+        flat += offset[a] * strides[a]
+    return flat
+
+
+@jit
+def unravel(flat, strides, cell):
+    for a in range(strides.size):
+        cell[a] = flat // strides[a]
+        flat -= cell[a] * strides[a]
+
+
+@jit
+def marked(mark):
+    """Numbers of the cells that are marked."""
+    count = 0
+    for flat in range(mark.size):
+        count += mark[flat]
+    found = np.empty(count, np.int64)
+    count = 0
+    for flat in range(mark.size):
+        if mark[flat]:
+            found[count] = flat
+            count += 1
+    return found
+
+
+@jit
+def furthest(n):
+    """Cells around the origin that seeds may lie in: pieces of a density further out would be lost."""
+    return max(500.0, min(1e6, 0.4 * MOST_CELLS ** (1.0 / n)))
+
+
+@jit
+def seeds_in_box(points, mu, inverse, reach, low, dims):
+    """Box around the lattice cells of some points, and the flat numbers of those cells."""
+    N, n = points.shape
+    cells = np.empty((N, n), np.int64)
+    for i in range(N):
+        for a in range(n):
+            t = 0.0
+            for c in range(n):
+                t += inverse[a, c] * (points[i, c] - mu[c])
+            cells[i, a] = math.floor(min(max(t, -reach), reach) + 0.5)
+    for a in range(n):
+        low[a], dims[a] = cells[0, a], cells[0, a]
+        for i in range(N):
+            low[a], dims[a] = min(low[a], cells[i, a]), max(dims[a], cells[i, a])
+        low[a] -= _MARGIN
+        dims[a] += _MARGIN + 1 - low[a]
+    return cells
+
+
+@jit
+def seeded(cells, low, dims):
+    """Flat numbers of cells, each once."""
+    mark = np.zeros(int(product(dims)), np.bool_)
+    for i in range(cells.shape[0]):
+        flat = 0
+        for a in range(dims.size):
+            flat = flat * dims[a] + cells[i, a] - low[a]
+        mark[flat] = True
+    return marked(mark)
+
+
+@jit
+def states_of(found, mu, A, low, dims):
+    """States (M, n) of cells of a box, given by flat numbers; and their integer coordinates."""
+    n = dims.size
+    node, Y = np.empty((found.size, n), np.int64), np.empty((found.size, n))
+    for k in range(found.size):
+        rest = found[k]
+        for a in range(n - 1, -1, -1):
+            node[k, a] = rest % dims[a] + low[a]
+            rest //= dims[a]
+        for a in range(n):
+            Y[k, a] = mu[a]
+            for c in range(n):
+                Y[k, a] += A[a, c] * node[k, c]
+    return node, Y
+
+
+@jit
+def frontier(value, asked, kept_above, dims, offsets):
+    """Cells not yet asked for beside an asked cell above a level; the bool tells if any lies outside.
+
+    Cells found are given a very low value in `value`, so that none is found twice.
+    """
+    strides, n = strides_of(dims), dims.size
+    cell = np.empty(n, np.int64)
+    found, count, beyond = np.empty(asked.size * offsets.shape[0], np.int64), 0, False
+    for k in range(asked.size):
+        if value[asked[k]] > kept_above:
+            unravel(asked[k], strides, cell)
+            for j in range(offsets.shape[0]):
+                at = inside(cell, offsets[j], dims, strides, asked[k])
+                if at < 0:
+                    beyond = True
+                elif value[at] == UNKNOWN:
+                    value[at] = LOWEST
+                    found[count] = at
+                    count += 1
+    if beyond:  # the box will be another one: forget
+        for k in range(count):
+            value[found[k]] = UNKNOWN
+    return found[:count].copy(), beyond
+
+
+@jit
+def opened(value, asked, kept_above, dims, ball):
+    """Cells above a level that belong to a complete ball of such cells: no tips, no single nodes."""
+    strides, n = strides_of(dims), dims.size
+    cell = np.empty(n, np.int64)
+    keep = np.zeros(value.size, np.bool_)
+    for k in range(asked.size):
+        if value[asked[k]] <= kept_above:
+            continue
+        unravel(asked[k], strides, cell)
+        complete = True
+        for j in range(ball.shape[0]):
+            at = inside(cell, ball[j], dims, strides, asked[k])
+            if at < 0 or value[at] <= kept_above:
+                complete = False
+                break
+        if complete:
+            keep[asked[k]] = True
+            for j in range(ball.shape[0]):
+                keep[inside(cell, ball[j], dims, strides, asked[k])] = True
+    return marked(keep)
+
+
+@jit
+def widen(value, low, dims, asked):
+    """A larger box on every side; values and the list of asked cells are carried over. Empty if too large."""
+    n = dims.size
+    grow, new_low, new_dims = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    for a in range(n):
+        grow[a] = max(dims[a] // 4, 2)
+        new_low[a], new_dims[a] = low[a] - grow[a], dims[a] + 2 * grow[a]
+    if product(new_dims) > MOST_CELLS:
+        return np.empty(0), new_low, new_dims, asked
+    new, moved = np.full(int(product(new_dims)), UNKNOWN), np.empty_like(asked)
+    for k in range(asked.size):
+        rest, at, stride = asked[k], 0, 1
+        for a in range(n - 1, -1, -1):
+            at += (rest % dims[a] + grow[a]) * stride
+            rest //= dims[a]
+            stride *= new_dims[a]
+        new[at], moved[k] = value[asked[k]], at
+    return new, new_low, new_dims, moved
+
+
+@jit
+def joined(one, other):
+    """Two lists of cells as one."""
+    both = np.empty(one.size + other.size, np.int64)
+    for k in range(one.size):
+        both[k] = one[k]
+    for k in range(other.size):
+        both[one.size + k] = other[k]
+    return both

@@ -1,0 +1,117 @@
+"""What a step of the log-density scheme may not exceed, measured on the density's own nodes."""
+
+import math
+
+import numpy as np
+
+from ._jit import jit
+from .noise_paths import _displace, along
+from .small_matrices import moments, whiten
+
+__all__ = ["bentness", "noise_limit", "path_error", "predicted", "sheared"]
+
+
+@jit
+def noise_limit(G, L):
+    """Largest eigenvalue, bounded by the trace, of L^-1 G G^T L^-T: variance per second, in the density's."""
+    total, v = 0.0, np.empty(L.shape[0])
+    for k in range(G.shape[1]):
+        for a in range(v.size):
+            v[a] = G[a, k]
+        whiten(L, v)
+        for a in range(v.size):
+            total += v[a] * v[a]
+    return total
+
+
+@jit
+def sheared(drift, noise, x, m, t, L):
+    """Sum over the noises of |L^-1 J g|^2, mass-weighted mean: how fast the drift carries noise into
+    directions without any.
+    """
+    N, n = x.shape
+    y, f, g = np.empty((2 * N, n)), np.empty((2 * N, n)), np.empty(n)
+    total, v = 0.0, np.empty(n)
+    for k in range(noise.G.shape[1]):
+        scale = 0.0
+        for a in range(n):
+            v[a] = noise.G[a, k]
+        whiten(L, v)
+        for a in range(n):
+            scale += v[a] * v[a]
+        step = 1e-3 / math.sqrt(max(scale, 1e-300))  # a thousandth of a standard deviation along g
+        for a in range(n):
+            g[a] = step * noise.G[a, k]
+        for i in range(N):
+            for a in range(n):
+                y[i, a], y[N + i, a] = x[i, a] - g[a], x[i, a] + g[a]
+        drift(y, t, noise.p, f)
+        for i in range(N):
+            for a in range(n):
+                v[a] = 0.5 * (f[N + i, a] - f[i, a]) / step
+            whiten(L, v)
+            for a in range(n):
+                total += m[i] * v[a] * v[a]
+    return total
+
+
+@jit
+def path_error(once, twice, m, L):
+    """Mass-weighted rms distance of two results, in standard deviations; infinite if any is not finite."""
+    total, v = 0.0, np.empty(L.shape[0])
+    for i in range(m.size):
+        for a in range(v.size):
+            v[a] = once[i, a] - twice[i, a]
+        whiten(L, v)
+        for a in range(v.size):
+            total += m[i] * v[a] * v[a]
+    return math.sqrt(total) if math.isfinite(total) else np.inf
+
+
+@jit
+def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
+    """Mean and covariance after a step: of the cloud undisturbed, and pushed to and fro by every noise.
+
+    Straight pushes and bent ones: their covariance with each other is what keeps a thin density from being
+    taken for a still thinner one.
+    """
+    N, n = x.shape
+    pushes = 4 * noise.G.shape[1]
+    width = max(3.0, 0.5 * pushes)
+    share = 0.5 / width
+    X, M = np.empty(((pushes + 1) * N, n)), np.empty((pushes + 1) * N)
+    for i in range(N):
+        M[i] = m[i] * (1.0 - pushes * share)
+        for a in range(n):
+            X[i, a] = ahead[i, a]
+    straight, bend, w = np.empty((N, n)), np.empty((N, n)), np.zeros(2 * noise.G.shape[1])
+    for push in range(pushes):
+        w[push // 2] = (1.0 if push % 2 else -1.0) * math.sqrt(width)
+        for i in range(N):
+            _displace(noise.G, h, w, straight[i], bend[i])
+        w[push // 2] = 0.0
+        first = (push + 1) * N
+        along(drift, None, noise, x, f, f, t, h, parts, straight, bend, X[first : first + N], M)
+        for i in range(N):
+            M[first + i] = m[i] * share
+    moments(X, M, mean, cov)
+    return X
+
+
+@jit
+def bentness(X, m, L):
+    """How far from linear paths' ends are in their noise of one standard deviation: mass-weighted rms of the
+    second difference, in standard deviations of the density, all noises together.
+    """
+    N, n = m.size, X.shape[1]
+    pushes = X.shape[0] // N - 1
+    width = max(3.0, 0.5 * pushes)
+    total, v = 0.0, np.empty(n)
+    for push in range(0, pushes, 2):
+        for i in range(N):
+            for a in range(n):
+                v[a] = 0.5 * (X[(push + 1) * N + i, a] + X[(push + 2) * N + i, a]) - X[i, a]
+            whiten(L, v)
+            for a in range(n):
+                total += m[i] * (v[a] / width) ** 2
+    return math.sqrt(total)
