@@ -174,7 +174,7 @@ class LogDensityScheme:
     tolerance: Positive | None = None
     noise_share: Annotated[float, Field(gt=0, le=20)] = 2.0
     quadrature: Annotated[int, Field(ge=2, le=15)] = 5
-    most_lost: Positive = 0.015
+    most_lost: Positive = 0.01
     max_steps: Count = 10_000
 
 

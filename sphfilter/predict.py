@@ -75,13 +75,10 @@ def _best(density, model, target, n_particles):
     if not reason:
         try:
             return log_density.propagate(density, model, target, LogDensityScheme(), n_particles)
+        except (LatticeError, UnresolvedError) as problem:
+            return _finer(density, model, target, n_particles, problem)
         except PropagationError as problem:
             reason = str(problem)
-            finer = _finer(density, model, target, n_particles, problem)
-            if finer is not None:
-                return finer
-            if isinstance(problem, LatticeError | UnresolvedError):
-                raise  # other schemes see no more on as few particles, and do not notice
     try:
         moved, info = _corrected(density, model, target, CorrectedScheme(), n_particles)
     except PropagationError as problem:
@@ -91,25 +88,24 @@ def _best(density, model, target, n_particles):
 
 
 def _finer(density, model, target, n_particles, problem):
-    """Carry the log-density on more particles than allowed; the next update has as many as are. Or None.
+    """Carry a density on more particles than allowed; the next update has as many as are.
 
     Where a lattice loses probability, the density is finer than its particles for a while: between two wells,
-    along a fold.
+    along a fold. Other schemes see no more on as few particles, and do not notice.
     """
-    if isinstance(problem, LatticeError | UnresolvedError):
-        blown = carried_off(model, density.x, density.t, target)
-        if blown:
-            raise PropagationError(blown) from problem
-        for times in _FINER:
+    blown = carried_off(model, density.x, density.t, target)
+    if blown:
+        raise PropagationError(blown) from problem
+    for times in _FINER:
+        if times * n_particles > _MOST_FINER:
+            break
+        try:
             more = times * n_particles
-            if more > _MOST_FINER:
-                break
-            try:
-                moved, info = log_density.propagate(density, model, target, LogDensityScheme(), more)
-            except PropagationError:
-                continue
-            return moved, replace(info, status=f"on {times} times the particles: {problem}")
-    return None
+            moved, info = log_density.propagate(density, model, target, LogDensityScheme(), more)
+        except PropagationError:
+            continue
+        return moved, replace(info, status=f"on {times} times the particles: {problem}")
+    raise problem
 
 
 #: How many times the particles are tried where the lattice loses probability.
