@@ -45,8 +45,6 @@ def test_a_gaussian_on_its_lattice(n):
     assert p.volume == pytest.approx(gaussian_volume(n, 0.5 * radius**2), rel=0.35)
 
 
-
-
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
 def test_tail_and_integral_of_a_gaussian(n):
     p = gaussian(n)
@@ -158,8 +156,6 @@ def test_what_lies_too_far_out_is_not_used(n, sigmas):
     assert q is p
     evidence = kalman(np.arange(1.0, n + 1.0), COV[n], H, R, z)[2]
     assert info.log_evidence == pytest.approx(evidence, rel=2e-2)
-
-
 
 
 @pytest.mark.parametrize("R", [1e-1, 1e-2, 1e-3, 1e-6])

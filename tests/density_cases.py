@@ -1,0 +1,58 @@
+"""Models, and how far a density is from an exact one, for the tests of the log-density scheme."""
+
+import numpy as np
+
+import sphfilter as sf
+
+#: T4: particles at most by dimension.
+COUNTS = {1: 100, 2: 200, 3: 400, 4: 800}
+DUFFING = ["v", "-0.4*v - x*(0.1*x**2 - 1)"]
+
+
+def linear(n):
+    """A damped linear model of n states, noise in the last alone from two on."""
+    A = {
+        1: [[-0.5]],
+        2: [[0, 1], [-1, -0.4]],
+        3: [[-0.5, 1, 0], [-1, -0.5, 0.3], [0, 0.2, -0.8]],
+        4: [[0, 1, 0, 0], [-2, -0.3, 1, 0.1], [0, 0, 0, 1], [1, 0.1, -2, -0.3]],
+    }[n]
+    noise = np.eye(n)[:, [k for k in range(n) if n != 2 or k == 1]]
+    noise = noise[:, [1, 3]] if n == 4 else noise
+    return sf.LinearSDE(A=A, noise=noise, spectral_density=0.4 * np.eye(noise.shape[1]))
+
+
+def position(n, R=0.3):
+    return sf.GaussianMeasurement(h=np.eye(1, n), noise_cov=[[R]])
+
+
+def start(n):
+    return np.linspace(1.0, 0.0, n), 0.3 * np.eye(n) + 0.1
+
+
+def off(x, P, exact_x, exact_P):
+    """Norm of the whitened mean error, and of the whitened covariance error over sqrt(n)."""
+    whiten = np.linalg.inv(np.linalg.cholesky(exact_P))
+    cov = whiten @ P @ whiten.T - np.eye(len(x))
+    return np.linalg.norm(whiten @ (x - exact_x)), np.linalg.norm(cov) / np.sqrt(len(x))
+
+
+def moved(model, mean, cov, t, N, config=None):
+    return sf.predict(sf.initialize(sf.Gaussian(mean, cov), N), model, t, config)
+
+
+def text(states, drift, noise=(("0",), ("1",)), Q=((1.0,),), **parameters):
+    return sf.SDE.from_expressions(states, drift, noise, Q, parameters)
+
+
+def duffing(Q=0.5):
+    return text(["x", "v"], DUFFING, Q=[[Q]])
+
+
+def quadrature(p, n_nodes=400):
+    """Nodes and weights over six deviations around a density of two states."""
+    u = np.linspace(-6, 6, n_nodes)
+    root = np.linalg.cholesky(p.cov())
+    X = p.mean() + np.stack(np.meshgrid(u, u, indexing="ij"), axis=-1).reshape(-1, 2) @ root.T
+    w = p.pdf(X) * (u[1] - u[0]) ** 2 * np.prod(np.diag(root))
+    return X, w
