@@ -21,6 +21,7 @@ from .trend import recentred, trend, value_at
 
 __all__ = ["Field", "build_field", "evaluate", "slopes"]
 
+_RIM = 4.5  # squared distance: the rim lies at sqrt 2 from a complete node, half a cell inside of this
 _PAD = 3  # cells around the nodes in the box of a field, the reach of the widest neighbourhood
 _NEARLY = 0.2  # relative distance of second derivatives from a Gaussian's that is taken for noise of the fit
 
@@ -250,6 +251,30 @@ def _quartic(c, x, y):
 
 
 @jit
+def _located(field, strides, y, d):
+    """Owner of the cell of a state y (n,), and the squared distance from it; d (n,) becomes the distance.
+
+    All in units of the lattice. The owner is a complement as in the field; the distance is infinite for a
+    state beyond all numbers.
+    """
+    flat, n = 0, d.size
+    for a in range(n):
+        t = 0.0
+        for c in range(n):
+            t += field.inverse[a, c] * (y[c] - field.mu[c])
+        if not abs(t) < 1e150:
+            return field.owner[0], np.inf
+        d[a] = t
+        k = int(min(max(math.floor(t + 0.5) - field.low[a], 0.0), field.dims[a] - 1.0))
+        flat += k * strides[a]
+    j, r2 = field.owner[flat], 0.0
+    for a in range(n):
+        d[a] -= field.node[j if j >= 0 else ~j, a]
+        r2 += d[a] * d[a]
+    return j, r2
+
+
+@jit
 def evaluate(field, sten, Y, out):
     """log p at the states Y (M, n).
 
@@ -261,38 +286,23 @@ def evaluate(field, sten, Y, out):
     strides = strides_of(field.dims)
     b, d = np.empty(M), np.empty(n)
     for q in range(Y.shape[0]):
-        flat, finite = 0, True
-        for a in range(n):
-            t = 0.0
-            for c in range(n):
-                t += field.inverse[a, c] * (Y[q, c] - field.mu[c])
-            finite &= abs(t) < 1e150
-            d[a] = t if finite else 0.0
-            k = int(min(max(math.floor(d[a] + 0.5) - field.low[a], 0.0), field.dims[a] - 1.0))
-            flat += k * strides[a]
-        if not finite:
+        j, r2 = _located(field, strides, Y[q], d)
+        if r2 == np.inf:
             out[q] = LOWEST
             continue
-        j, most = field.owner[flat], np.inf
-        if j < 0:
-            j, most = ~j, field.cap
-        r2, v = 0.0, 0.0
-        for a in range(n):
-            d[a] -= field.node[j, a]
-            r2 += d[a] * d[a]
-        if r2 <= 4.5:  # the rim lies at sqrt 2 from a complete node, half a cell inside of 4.5
-            if n == 2:
-                v = _quartic(field.coefficient[j], d[0], d[1])
-            else:
-                for p in range(M):
-                    b[p] = d[sten.axis[p]] * (1.0 if sten.parent[p] < 0 else b[sten.parent[p]])
-                    v += field.coefficient[j, p] * b[p]
-        else:
+        most = np.inf if j >= 0 else field.cap
+        j = j if j >= 0 else ~j
+        if r2 > _RIM:
+            v = 0.0
             for a in range(n):
                 v += field.coefficient[j, a] * d[a]
                 for c in range(n):
                     v += 0.5 * d[a] * field.tail[j, a, c] * d[c]
             v = min(v, 0.0)
+        elif n == 2:
+            v = _quartic(field.coefficient[j], d[0], d[1])
+        else:
+            v = value_at(d, sten, field.coefficient[j], b)
         out[q] = max(min(field.log_p[j] + v, most), LOWEST)
 
 
@@ -303,26 +313,12 @@ def slopes(field, sten, Y, owner, out):
     strides = strides_of(field.dims)
     b, d, db = np.empty(M), np.empty(n), np.empty((M, n))
     for q in range(Y.shape[0]):
-        flat, finite = 0, True
-        for a in range(n):
-            t = 0.0
-            for c in range(n):
-                t += field.inverse[a, c] * (Y[q, c] - field.mu[c])
-            finite &= abs(t) < 1e150
-            d[a] = t if finite else 0.0
-            k = int(min(max(math.floor(d[a] + 0.5) - field.low[a], 0.0), field.dims[a] - 1.0))
-            flat += k * strides[a]
-            out[q, a] = 0.0
-        j = field.owner[flat]
+        j, r2 = _located(field, strides, Y[q], d)
         j = j if j >= 0 else ~j
         owner[q] = j
-        if not finite:
-            continue
-        r2 = 0.0
         for a in range(n):
-            d[a] -= field.node[j, a]
-            r2 += d[a] * d[a]
-        if r2 <= 4.5:
+            out[q, a] = 0.0
+        if r2 <= _RIM:
             for p in range(M):
                 axis, parent = sten.axis[p], sten.parent[p]
                 b[p] = d[axis] * (1.0 if parent < 0 else b[parent])
@@ -331,7 +327,7 @@ def slopes(field, sten, Y, owner, out):
                     if a == axis:
                         db[p, a] += 1.0 if parent < 0 else b[parent]
                     out[q, a] += field.coefficient[j, p] * db[p, a]
-        else:
+        elif r2 < np.inf:
             for a in range(n):
                 out[q, a] = field.coefficient[j, a]
                 for c in range(n):

@@ -286,14 +286,24 @@ def _centres(aim, owner, slope, centre):
                 centre[i, k] = centre[i, k] * _FAR / math.sqrt(size) if math.isfinite(size) else 0.0
 
 
-@parallel_jit
+@jit
 def back_in_blocks(step, Y, floor, out):
     """As `back`, blocks of states spread over threads: a state's value does not depend on its block."""
-    count = 0
-    for block in prange((Y.shape[0] + _BLOCK - 1) // _BLOCK):
+    full = np.zeros((Y.shape[0] + _BLOCK - 1) // _BLOCK, np.int64)
+    _blocks(
+        step.drift, step.divergence, step.noise, step.field, step.sten, step.paths, step.aim, step.t1, step.h,
+        step.parts, Y, floor, out, full,
+    )  # fmt: skip
+    return full.sum()
+
+
+@parallel_jit
+def _blocks(drift, divergence, noise, field, sten, paths, aim, t1, h, parts, Y, floor, out, full):
+    """The loop of `back_in_blocks`; numba hands threads tuples of arrays, but no tuples of tuples."""
+    for block in prange(full.size):
+        step = Step(drift, divergence, noise, field, sten, paths, aim, t1, h, parts)
         first, last = block * _BLOCK, min((block + 1) * _BLOCK, Y.shape[0])
-        count += back(step, Y[first:last], floor, out[first:last])
-    return count
+        full[block] = back(step, Y[first:last], floor, out[first:last])
 
 
 @jit

@@ -1,13 +1,15 @@
 """What the schemes share: the model as compiled marches take it, and sentences about a prediction."""
 
 import itertools
+import traceback
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from ..core.march import Coefficients
 
-__all__ = ["blow_up", "carried_off", "coefficients_of", "skip_notes"]
+__all__ = ["blow_up", "carried_off", "coefficients_of", "defect", "skip_notes"]
 
 
 def coefficients_of(model):
@@ -69,6 +71,12 @@ def carried_off(model, x, start, t1):
         return ""
     away = np.abs(np.nan_to_num(ends - x, nan=np.inf)).max(axis=1)
     return blow_up(model, ends[np.argmax(away)], paths.t[-1], start, t1)
+
+
+def defect(problem):
+    """Was an exception raised while compiling: a defect of this package, not one of the model?"""
+    frames = traceback.extract_tb(problem.__traceback__)
+    return any("numba" in Path(frame.filename).parts for frame in frames)
 
 
 _ASKED = 3000  # evaluations of the drift, of all states at once

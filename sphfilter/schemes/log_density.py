@@ -4,7 +4,6 @@ import math
 from functools import cache
 
 import numpy as np
-from numba.core.errors import NumbaError
 
 from ..core._first_class import address_of
 from ..core._jit import start_threads
@@ -16,7 +15,7 @@ from ..density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import PredictInfo
 from ..level_set import Laid, fewest_particles, gaussian_volume, reach
-from ._shared import blow_up, skip_notes
+from ._shared import blow_up, defect, skip_notes
 
 __all__ = ["fits", "propagate"]
 
@@ -95,9 +94,9 @@ def propagate(density, model, t1, scheme, n_particles):
             field, x, mass, mean, cov, code = march(
                 addresses, noise, field, stencils(n), rule, control, times, state, counters, threads
             )
-        except NumbaError:  # a defect of this package must not be taken for one of the model
-            raise
         except Exception as problem:  # a black-box drift may raise anything
+            if defect(problem):
+                raise
             raise PropagationError(
                 f"the model failed between t = {times[0]:g} and {t1:g} near {density.mean()}: {problem}"
             ) from problem
