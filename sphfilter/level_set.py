@@ -22,9 +22,10 @@ from .errors import ModelError, PropagationError
 __all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "local", "posterior", "reach"]
 
 _TRIES = 24
-_STEP = 1e-4  # of slopes, in standard deviations
+_STEP = 0.02  # of slopes, in standard deviations: far wider than jumps between polynomials can harm
 _SKEWED = 6.0  # largest over smallest variance in coordinates that should be whitened
 _ROUNDS = 60  # of sharpening a likelihood
+_LAYERS = 0.15  # least variance of the points that count, in units of their lattice: three layers
 _LOW_DENSITY = 1e-300  # of masses
 
 
@@ -150,7 +151,7 @@ def _spread(mean):
     )
 
 
-def posterior(x, mass, log_prior, log_weight, n_particles, depth):
+def posterior(x, mass, log_prior, log_weight, n_particles, depth, cell=None):
     """Lay prior times likelihood, however sharp the likelihood or far out its peak.
 
     The likelihood is raised to a power under which it is wide enough for the points at hand, the product is
@@ -165,6 +166,8 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth):
         States (M, n) to (M,); the weight may be minus infinity.
     n_particles : int
     depth : float
+    cell : ndarray, shape (n, n), optional
+        Lattice vectors of the points, in columns, if they lie on a lattice.
 
     Returns
     -------
@@ -182,7 +185,8 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth):
                 "prior times likelihood is zero wherever the prior has particles: check the measurement, its "
                 "unit and its noise"
             )
-        power = _power(log_mass, weight, power, enough)
+        on_lattice = None if cell is None else np.linalg.solve(cell, x.T).T
+        power = _power(log_mass, weight, power, enough, on_lattice)
         heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
         w = np.exp(heavy - heavy.max())
         effective = w.sum() ** 2 / (w @ w)
@@ -203,7 +207,7 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth):
         laid = lay(product, mean, factor, seeds, n_particles, depth)
         if power == 1.0 and (effective >= enough or closed_in) and _whitened(factor, local(laid)):
             return laid
-        closed_in = power == 1.0
+        closed_in, cell = power == 1.0, laid.field.A
         x, mass, log_mass = laid.x, laid.mass, np.log(np.maximum(laid.mass, _LOW_DENSITY))
         # What the nodes carry already is the likelihood to the power reached.
         log_mass = log_mass - power * np.maximum(log_weight(x), -1e250)
@@ -213,13 +217,21 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth):
     raise PropagationError("the likelihood is too sharp to close in on; check the measurement's noise")
 
 
-def _power(log_mass, weight, reached, enough):
-    """Largest power of the likelihood under which enough points count; more than reached before."""
+def _power(log_mass, weight, reached, enough, y):
+    """Largest power of the likelihood under which enough points count; more than reached before.
+
+    Points y (N, n) in units of their lattice must count in more than one of its layers in every direction.
+    """
 
     def effective(power):
         heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
         w = np.exp(heavy - heavy.max())
-        return w.sum() ** 2 / (w @ w)
+        count = w.sum() ** 2 / (w @ w)
+        if y is None or count < enough:
+            return count
+        d = y - w @ y / w.sum()
+        thinnest = np.linalg.eigvalsh((d * (w / w.sum())[:, None]).T @ d)[0]
+        return count if thinnest > _LAYERS else 0.0
 
     if effective(1.0) >= enough:
         return 1.0

@@ -81,7 +81,8 @@ def product(density, log_weight, n_particles, scheme):
     its integral.
     """
     depth = 0.5 * reach(scheme, density.dim) ** 2
-    laid = posterior(density.x, density.mass, logarithm(density), log_weight, n_particles, depth)
+    cell = None if density.field is None else density.field.A
+    laid = posterior(density.x, density.mass, logarithm(density), log_weight, n_particles, depth, cell)
     return ParticleDensity.on_lattice(laid, density.t, n_particles), laid.log_mass
 
 

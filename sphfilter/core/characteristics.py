@@ -22,23 +22,13 @@ from .noise_paths import Step, aimed, along, noise_factor_at
 from .small_matrices import cholesky, eigen, invert_lower, moments, times_lower
 from .step_limits import bentness, noise_limit, path_error, predicted, sheared
 
-__all__ = [
-    "LOCAL",
-    "LOST",
-    "NOT_FINITE",
-    "OK",
-    "OUTGROWN",
-    "PAUSED",
-    "STALLED",
-    "STATUS",
-    "TOO_FEW",
-    "local_shape",
-    "march",
-    "nodes_of",
-]
+__all__ = ["LOCAL", "LOST_MASS", "STATUS", "VOLUME", "local_shape", "march"]
 
 STATUS = ("ok", "not finite", "paused", "stalled", "too few nodes", "outgrown", "lost")
 OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN, LOST = range(7)
+#: What `state` holds: filled volume of the whitened lattice, next step of the paths, sum of |log mass| lost,
+#: longest step, next step of the lattice.
+VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP = range(5)
 _TRIES = 6
 LOCAL = 0.9  # variance within pieces, over that of the whole, below which lattices follow the pieces
 _FILL = 0.85  # nodes aimed at, over those allowed
@@ -119,8 +109,7 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
 
     addresses: of the model's drift, divergence and D, so that it is entered without looking functions up.
     threads: None for one thread, True for as many as there are.
-    state: [filled volume of the whitened lattice, next step of paths, sum of |log mass| lost, longest step,
-    next step of the lattice].
+    state: see `VOLUME` and what follows it.
     Returns the field, its states and masses, their mean and covariance, and a code of `STATUS`. On failure
     they are as far as they came.
     """
@@ -141,7 +130,7 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
         local_shape(field, m, L, Q)
         times_lower(L, Q, S)
         t, left = times[0], times[1] - times[0]
-        h = min(_MOST_PARTS * state[1], left, state[3], state[4])
+        h = min(_MOST_PARTS * state[PATH_STEP], left, state[LONGEST], state[LATTICE_STEP])
         if noise.time_dependent:
             noise_factor_at(diffusion, x, t + 0.5 * h, noise)
         limit = control.noise_share / max(noise_limit(noise.G, S), 1e-300)
@@ -149,18 +138,18 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
         h = min(h, limit, bent ** (1.0 / 3.0))
         pieces = math.ceil(left / h - 1e-9)
         h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
-        parts = max(1, math.ceil(h / state[1] - 1e-9))
+        parts = max(1, math.ceil(h / state[PATH_STEP] - 1e-9))
         once, twice, f, still = np.empty_like(x), np.empty_like(x), np.empty_like(x), np.zeros_like(x)
         drift(x, t, noise.p, f)
         along(drift, None, noise, x, f, f, t, h, parts, still, still, once, m)
         along(drift, None, noise, x, f, f, t, h, 2 * parts, still, still, twice, m)
-        counters[EVALUATIONS] += 12 * parts * x.shape[0]
+        counters[EVALUATIONS] += (12 * parts + 2 * noise.G.shape[1]) * x.shape[0]
         error = path_error(once, twice, m, S) / control.tolerance
         factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.25)) if error < np.inf else 0.1
-        state[1] = min(h / parts * factor, 1e300)
+        state[PATH_STEP] = min(h / parts * factor, 1e300)
         if error > 1.0:
             counters[REJECTED] += 1
-            if state[1] < 1e-9 * span:
+            if state[PATH_STEP] < 1e-9 * span:
                 return field, x, m, mean, P, (NOT_FINITE if error == np.inf else STALLED)
             continue
         mean_new, P_new = np.empty(n), np.empty((n, n))
@@ -170,7 +159,7 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
             return field, x, m, mean, P, NOT_FINITE
         times_lower(L, Q, S)
         curved = bentness(X, m, S) / control.curved
-        state[4] = h * min(3.0, max(0.2, 0.9 / math.sqrt(max(curved, 1e-6))))
+        state[LATTICE_STEP] = h * min(3.0, max(0.2, 0.9 / math.sqrt(max(curved, 1e-6))))
         if curved > 1.0:
             counters[REJECTED] += 1
             continue
@@ -179,7 +168,7 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
         aim = aimed(drift, noise, field, mean, t + h, h, parts)
         step = Step(drift, divergence, noise, field, sten, paths, aim, t + h, h, parts)
         for attempt in range(_TRIES):
-            spacing = (state[0] / (_FILL * control.n_particles)) ** (1.0 / n)
+            spacing = (state[VOLUME] / (_FILL * control.n_particles)) ** (1.0 / n)
             A, origin = S.copy(), mean.copy()
             for a in range(n):
                 for b in range(n):
@@ -195,24 +184,24 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
             if 0.5 * control.n_particles <= count <= control.n_particles:
                 break
             counters[RELAID] += 1
-            state[0] *= max(count, 0.1 * control.n_particles) / (_FILL * control.n_particles)
+            state[VOLUME] *= max(count, 0.1 * control.n_particles) / (_FILL * control.n_particles)
             if attempt == _TRIES - 1 and (count == 0 or count > control.n_particles):
                 return field, x, m, mean, P, TOO_FEW
         lost = abs(log_mass)
         coarse |= lost > 0.5 * before  # a shorter step did not help: it is the lattice
         if lost > _STEP_LOSS * control.most_lost and tried < _SMALLER and not coarse:
-            tried, before, state[4] = tried + 1, lost, 0.5 * h
+            tried, before, state[LATTICE_STEP] = tried + 1, lost, 0.5 * h
             counters[REJECTED] += 1
             mean, P = mean_old, P_old
             continue
         tried, before = 0, np.inf
         if count < 0.6 * control.n_particles:  # else the next lattice has this one's spacing: it fits
-            state[0] = count * spacing**n
-        state[2] += lost
+            state[VOLUME] = count * spacing**n
+        state[LOST_MASS] += lost
         x, m = x_new, m_new
         field = build_field(origin, A, node, log_p, sten)
         counters[STEPS] += 1
         times[0] = times[1] if pieces <= 1 else t + h
-        if not state[2] < control.most_lost:
+        if not state[LOST_MASS] < control.most_lost:
             return field, x, m, mean, P, LOST
     return field, x, m, mean, P, OK

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..core._first_class import address_of
 from ..core._jit import start_threads
-from ..core.characteristics import STATUS, march
+from ..core.characteristics import LOST_MASS, STATUS, VOLUME, march
 from ..core.flood import COUNTERS, STEPS, Control
 from ..core.noise_paths import Noise, Paths
 from ..core.stencils import stencils
@@ -104,16 +104,16 @@ def propagate(density, model, t1, scheme, n_particles):
     if status == "not finite":
         raise PropagationError(blow_up(model, _fastest(model, x, times[0]), times[0], start, t1))
     if status == "lost":
-        reason = f"the lattice lost or gained {100 * state[2]:.2g} % of the probability"
+        reason = f"the lattice lost or gained {100 * state[LOST_MASS]:.2g} % of the probability"
         reason += ": the drift jumps, or the density has edges finer than its particles; use more of them"
         raise UnresolvedError(_given_up(reason, times[0], start, t1))
     if status in ("too few nodes", "outgrown"):
         raise LatticeError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     if status != "ok":
         raise PropagationError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
-    laid = Laid(x, mass, field, 0.0, float(state[0]), mean, cov)
+    laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov)
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, density.gaussian and model.linear)
-    return moved, _info(model, scheme, counters, float(state[2]), threads)
+    return moved, _info(model, scheme, counters, float(state[LOST_MASS]), threads)
 
 
 _REASONS = {
