@@ -26,6 +26,7 @@ _STEP = 0.02  # of slopes, in standard deviations: far wider than jumps between 
 _SKEWED = 6.0  # largest over smallest variance in coordinates that should be whitened
 _ROUNDS = 60  # of sharpening a likelihood
 _LAYERS = 0.15  # least variance of the points that count, in units of their lattice: three layers
+_ROUNDED = 20.0  # roundings a standard deviation must be wide
 _LOW_DENSITY = 1e-300  # of masses
 
 
@@ -91,6 +92,11 @@ def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
         No spacing gives a lattice with complete nodes.
     """
     n, sten = len(mean), stencils(len(mean))
+    if np.any(np.sqrt((factor**2).sum(axis=1)) < _ROUNDED * np.spacing(np.abs(mean))):
+        raise PropagationError(
+            f"the density near {mean} is narrower than floating-point numbers resolve that far from zero; "
+            f"count states from a nearer origin"
+        )
     volume = gaussian_volume(n, depth) if volume is None else volume
     best, count, too_fine, too_coarse = None, 0, 0.0, math.inf
     for _ in range(_TRIES):
