@@ -14,7 +14,8 @@ import numpy as np
 from .core import cells
 from .core.cells import UNKNOWN, frontier
 from .core.characteristics import LOCAL, local_shape
-from .core.field import Field, build_field, evaluate
+from .core.field import Field, evaluate
+from .core.fitting import build_field
 from .core.flood import MOST_ASKED, relaid
 from .core.stencils import stencils
 from .errors import ModelError, PropagationError
@@ -25,6 +26,8 @@ _TRIES = 24
 _STEP = 0.02  # of slopes, in standard deviations: far wider than jumps between polynomials can harm
 _SKEWED = 6.0  # largest over smallest variance in coordinates that should be whitened
 _ROUNDS = 60  # of sharpening a likelihood
+_ENOUGH = 0.35  # nodes that have to count, over those of a Gaussian on a lattice of its own
+_POWERS = 1.02  # ratio of two powers that are not told apart
 _LAYERS = 0.15  # least variance of the points that count, in units of their lattice: three layers
 _ROUNDED = 20.0  # roundings a standard deviation must be wide
 _LOW_DENSITY = 1e-300  # of masses
@@ -181,7 +184,8 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth, cell=None):
         Its log_mass is the log-evidence.
     """
     n = x.shape[1]
-    enough = min(2.0 * 3.0**n, 0.08 * n_particles)  # three a direction; a tenth of a Gaussian's nodes count
+    counting = (4.0 * math.pi) ** (n / 2) / gaussian_volume(n, depth)  # effective part of a Gaussian's nodes
+    enough = min(2.0 * 3.0**n, _ENOUGH * counting * n_particles)
     log_mass = np.log(np.maximum(mass, _LOW_DENSITY))
     power, closed_in, laid = 0.0, False, None
     for _ in range(_ROUNDS):
@@ -241,11 +245,11 @@ def _power(log_mass, weight, reached, enough, y):
 
     if effective(1.0) >= enough:
         return 1.0
-    low, high = reached, 1.0
-    for _ in range(40):
-        middle = math.sqrt(max(low, 1e-12) * high)
+    low, high = max(reached, 1e-12), 1.0
+    while high > _POWERS * low:
+        middle = math.sqrt(low * high)
         low, high = (middle, high) if effective(middle) >= enough else (low, middle)
-    return min(1.0, max(low, 1.05 * reached, 1e-12))
+    return min(1.0, max(low, 1.05 * reached))
 
 
 def local(laid):

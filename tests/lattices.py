@@ -4,7 +4,8 @@ import itertools
 
 import numpy as np
 
-from sphfilter.core.field import build_field, evaluate
+from sphfilter.core.field import evaluate
+from sphfilter.core.fitting import build_field
 from sphfilter.core.stencils import stencils
 
 

@@ -8,7 +8,8 @@ from lattices import ask, complete, disc, exponents_of, field_of, lower, monomia
 from scipy import ndimage
 
 from sphfilter.core.cells import LOWEST, UNKNOWN, frontier, opened
-from sphfilter.core.field import build_field, evaluate
+from sphfilter.core.field import evaluate
+from sphfilter.core.fitting import build_field
 from sphfilter.core.small_matrices import eigen, invert_lower
 from sphfilter.core.stencils import stencils
 

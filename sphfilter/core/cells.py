@@ -10,6 +10,7 @@ __all__ = [
     "LOWEST",
     "MOST_CELLS",
     "UNKNOWN",
+    "box_of",
     "frontier",
     "furthest",
     "inside",
@@ -102,13 +103,19 @@ def seeds_in_box(points, mu, inverse, reach, low, dims):
             for c in range(n):
                 t += inverse[a, c] * (points[i, c] - mu[c])
             cells[i, a] = math.floor(min(max(t, -reach), reach) + 0.5)
-    for a in range(n):
-        low[a], dims[a] = cells[0, a], cells[0, a]
-        for i in range(N):
-            low[a], dims[a] = min(low[a], cells[i, a]), max(dims[a], cells[i, a])
-        low[a] -= _MARGIN
-        dims[a] += _MARGIN + 1 - low[a]
+    box_of(cells, _MARGIN, low, dims)
     return cells
+
+
+@jit
+def box_of(cells, margin, low, dims):
+    """Corner and size of the box that holds some cells (N, n), with a margin on every side."""
+    for a in range(dims.size):
+        low[a], dims[a] = cells[0, a], cells[0, a]
+        for i in range(cells.shape[0]):
+            low[a], dims[a] = min(low[a], cells[i, a]), max(dims[a], cells[i, a])
+        low[a] -= margin
+        dims[a] += margin + 1 - low[a]
 
 
 @jit

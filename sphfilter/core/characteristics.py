@@ -16,7 +16,7 @@ import numpy as np
 
 from ._first_class import function_at
 from ._jit import jit
-from .field import build_field
+from .fitting import build_field
 from .flood import EVALUATIONS, MOST_ASKED, REJECTED, RELAID, STEPS, flooded, relaid
 from .noise_paths import Step, aimed, along, noise_factor_at
 from .small_matrices import cholesky, eigen, invert_lower, moments, times_lower

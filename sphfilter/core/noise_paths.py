@@ -18,7 +18,19 @@ from .field import Field, evaluate, slopes
 from .small_matrices import cholesky, eigen, invert_lower
 from .stencils import Stencils
 
-__all__ = ["Aim", "Noise", "Paths", "Step", "aimed", "along", "back", "back_in_blocks", "noise_factor_at"]
+__all__ = [
+    "Aim",
+    "Noise",
+    "Paths",
+    "Step",
+    "aimed",
+    "along",
+    "back",
+    "back_in_blocks",
+    "displace",
+    "noise_factor_at",
+    "pushes",
+]
 
 _SURE = 1.0  # nats below the last level kept, from which one path will do
 _FAR = 6.0  # standard deviations of the noise
@@ -74,12 +86,11 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, straight, bend, end,
     """
     M, n = x.shape
     y, z, f, step = np.empty((M, n)), x.copy(), f1.copy(), h / parts
-    for i in range(M):
-        for a in range(n):
-            end[i, a] = x[i, a]
-        if divergence is not None:
-            action[i] = 0.0
+    end[:] = x
+    ends, ys, zs, fs = end.ravel(), y.ravel(), z.ravel(), f.ravel()  # one loop over all, in SIMD
+    straights, bends = straight.ravel(), bend.ravel()
     if divergence is not None:
+        action[:] = 0.0
         d = d1.copy()
     for stage in range(4 * parts):
         k = stage % 4
@@ -90,29 +101,43 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, straight, bend, end,
                 divergence(y, t + u * h, noise.p, d)
         c = step / 6.0 if k in (0, 3) else step / 3.0
         ahead, v = (step if k == 2 else 0.5 * step), u + (0.5 / parts if k in (0, 2) else 0.0)
-        for i in range(M):
-            if divergence is not None:
+        bent = 6.0 * v * (1.0 - v)
+        if divergence is not None:
+            for i in range(M):
                 action[i] += c * d[i, 0]
-            for a in range(n):
-                end[i, a] += c * f[i, a]
-                if k == 3:
-                    z[i, a] = end[i, a]
-                shift = v * straight[i, a] + 6.0 * v * (1.0 - v) * bend[i, a]
-                y[i, a] = z[i, a] + shift + (ahead * f[i, a] if k < 3 else 0.0)
-    for i in range(M):
-        for a in range(n):
-            end[i, a] += straight[i, a]
+        for e in range(M * n):
+            ends[e] += c * fs[e]
+        if k == 3:
+            zs[:] = ends
+            ahead = 0.0
+        for e in range(M * n):
+            ys[e] = zs[e] + (v * straights[e] + bent * bends[e]) + ahead * fs[e]
+    for e in range(M * n):
+        ends[e] += straights[e]
 
 
 @jit
-def _displace(G, h, w, straight, bend):
-    """Displacements (n,) of a path whose noise is w (2 m,): straight parts, then bends."""
-    m = G.shape[1]
+def pushes(G, h):
+    """Displacements (2 m, n) by every noise of one standard deviation: straight ones, then bends."""
+    n, m = G.shape
+    out = np.empty((2 * m, n))
+    for k in range(m):
+        for a in range(n):
+            out[k, a] = G[a, k] * math.sqrt(h)
+            out[m + k, a] = G[a, k] * math.sqrt(h / 12.0)
+    return out
+
+
+@jit
+def displace(push, w, straight, bend):
+    """Displacements (n,) of a path whose noise is w (2 m,)."""
+    m = w.size // 2
     for a in range(straight.size):
-        straight[a] = bend[a] = 0.0
-        for k in range(m):
-            straight[a] += G[a, k] * math.sqrt(h) * w[k]
-            bend[a] += G[a, k] * math.sqrt(h / 12.0) * w[m + k]
+        straight[a], bend[a] = 0.0, 0.0
+    for k in range(m):
+        for a in range(straight.size):
+            straight[a] += push[k, a] * w[k]
+            bend[a] += push[m + k, a] * w[m + k]
 
 
 @jit
@@ -124,14 +149,14 @@ def aimed(drift, noise, field, y, t1, h, parts):
     n, K = field.mu.size, 2 * noise.G.shape[1]
     M = 2 * K
     Y, straight, bend, end = np.empty((M, n)), np.empty((M, n)), np.empty((M, n)), np.empty((M, n))
-    f, w = np.empty((M, n)), np.empty(K)
+    f, w, push = np.empty((M, n)), np.empty(K), pushes(noise.G, h)
     for k in range(M):
         for a in range(n):
             Y[k, a] = y[a]
         for j in range(K):
             w[j] = 0.0
         w[k // 2] = 1.0 if k % 2 else -1.0
-        _displace(noise.G, h, w, straight[k], bend[k])
+        displace(push, w, straight[k], bend[k])
     drift(Y, t1, noise.p, f)
     along(drift, None, noise, Y, f, f, t1, -h, parts, straight, bend, end, w)
     B = np.zeros((n, K))
@@ -145,7 +170,7 @@ def aimed(drift, noise, field, y, t1, h, parts):
     HB = np.empty((n, K))
     precision = np.empty((K, K))
     for i in range(N):
-        if field.tail[i, 0, 0] != 0.0:  # a complete node
+        if field.tail[i, 0, 0] != 0.0:  # a complete node: no other's polynomial is ever used
             for a in range(n):
                 for k in range(K):
                     HB[a, k] = 0.0
@@ -183,8 +208,9 @@ def back(step, Y, floor, out):
         along(step.drift, None, noise, Y, f1, d1, t1, -h, step.parts, straight, bend, end, action)
         slopes(step.field, step.sten, end, owner, slope)
         _centres(aim, owner, slope, centre)
+        push = pushes(noise.G, h)
         for i in range(M):
-            _displace(noise.G, h, centre[i], straight[i], bend[i])
+            displace(push, centre[i], straight[i], bend[i])
     along(step.drift, step.divergence, noise, Y, f1, d1, t1, -h, step.parts, straight, bend, end, action)
     evaluate(step.field, step.sten, end, out)
     for i in range(M):
@@ -234,16 +260,18 @@ def _expected(step, Y, f1, d1, centre, owner, out):
     K = centre.shape[1]
     straight, bend, end, w = np.empty((M, n)), np.empty((M, n)), np.empty((M, n)), np.empty(K)
     action, tilt, log_p = np.empty(M), np.empty(M), np.empty(M)
-    highest, total = np.full(M, -np.inf), np.zeros(M)
+    highest, total, push = np.full(M, -np.inf), np.zeros(M), pushes(noise.G, step.h)
     for q in range(paths.log_weight.size):
+        drawn = paths.w[q]
         for i in range(M):
-            tilt[i] = aim.log_det[owner[i]]
+            root, v = aim.root[owner[i]], aim.log_det[owner[i]]
             for k in range(K):
                 w[k] = centre[i, k]
                 for j in range(k, K):
-                    w[k] += aim.root[owner[i], j, k] * paths.w[q, j]
-                tilt[i] += 0.5 * (paths.w[q, k] ** 2 - w[k] ** 2)
-            _displace(noise.G, step.h, w, straight[i], bend[i])
+                    w[k] += root[j, k] * drawn[j]
+                v += 0.5 * (drawn[k] ** 2 - w[k] ** 2)
+            tilt[i] = v
+            displace(push, w, straight[i], bend[i])
         along(
             step.drift, step.divergence, noise, Y, f1, d1, step.t1, -step.h, step.parts,
             straight, bend, end, action,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ._jit import jit
-from .noise_paths import _displace, along
+from .noise_paths import along, displace, pushes
 from .small_matrices import moments, whiten
 
 __all__ = ["bentness", "noise_limit", "path_error", "predicted", "sheared"]
@@ -72,23 +72,24 @@ def path_error(once, twice, m, L):
 def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
     """Mean and covariance after a step: of the cloud undisturbed, and pushed to and fro by every noise.
 
-    Straight pushes and bent ones: their covariance with each other is what keeps a thin density from being
+    Straight n_pushes and bent ones: their covariance with each other is what keeps a thin density from being
     taken for a still thinner one.
     """
     N, n = x.shape
-    pushes = 4 * noise.G.shape[1]
-    width = max(3.0, 0.5 * pushes)
+    n_pushes = 4 * noise.G.shape[1]
+    width = max(3.0, 0.5 * n_pushes)
     share = 0.5 / width
-    X, M = np.empty(((pushes + 1) * N, n)), np.empty((pushes + 1) * N)
+    X, M = np.empty(((n_pushes + 1) * N, n)), np.empty((n_pushes + 1) * N)
     for i in range(N):
-        M[i] = m[i] * (1.0 - pushes * share)
+        M[i] = m[i] * (1.0 - n_pushes * share)
         for a in range(n):
             X[i, a] = ahead[i, a]
     straight, bend, w = np.empty((N, n)), np.empty((N, n)), np.zeros(2 * noise.G.shape[1])
-    for push in range(pushes):
+    pushed = pushes(noise.G, h)
+    for push in range(n_pushes):
         w[push // 2] = (1.0 if push % 2 else -1.0) * math.sqrt(width)
         for i in range(N):
-            _displace(noise.G, h, w, straight[i], bend[i])
+            displace(pushed, w, straight[i], bend[i])
         w[push // 2] = 0.0
         first = (push + 1) * N
         along(drift, None, noise, x, f, f, t, h, parts, straight, bend, X[first : first + N], M)
