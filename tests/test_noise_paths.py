@@ -9,8 +9,9 @@ from scipy.stats import multivariate_normal
 import sphfilter as sf
 from sphfilter.core._first_class import address_of, function_at
 from sphfilter.core._jit import jit, start_threads
+from sphfilter.core.expectation import Step, aimed, back, back_in_blocks
 from sphfilter.core.fitting import build_field
-from sphfilter.core.noise_paths import Noise, Step, aimed, along, back, back_in_blocks, noise_factor_at
+from sphfilter.core.noise_paths import Noise, along, noise_factor_at
 from sphfilter.core.stencils import stencils
 from sphfilter.schemes.log_density import paths
 

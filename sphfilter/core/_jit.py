@@ -13,7 +13,8 @@ from types import FunctionType
 from numba import get_num_threads, njit, typeof, types
 from numba.core.dispatcher import Dispatcher
 
-__all__ = ["BATCH", "BATCH_FUNCTION", "call", "jit", "jit_for", "parallel_jit", "start_threads"]
+__all__ = ["BATCH", "BATCH_FUNCTION", "MATRIX", "VECTOR", "call", "jit", "jit_for", "parallel_jit",
+           "start_threads"]  # fmt: skip
 
 #: Signature of every compiled model function: ``fill(x, t, p, out)`` writes one row of ``out`` (N, k)
 #: for each row of ``x`` (N, n) at time ``t`` with parameters ``p``.
@@ -22,6 +23,9 @@ BATCH = types.void(types.float64[:, ::1], types.float64, types.float64[::1], typ
 #: A first-class function of that signature. Loops compiled for it accept every model without being
 #: compiled again; a jitted function passed as a dispatcher would specialise the whole loop per model.
 BATCH_FUNCTION = types.FunctionType(BATCH)
+
+#: Arrays of numbers as compiled functions take them.
+VECTOR, MATRIX = types.float64[::1], types.float64[:, ::1]
 
 
 def _fingerprint():

@@ -11,6 +11,7 @@ __all__ = [
     "MOST_CELLS",
     "UNKNOWN",
     "box_of",
+    "filled",
     "frontier",
     "furthest",
     "inside",
@@ -42,10 +43,20 @@ def product(values):
 
 
 @jit
+def filled(size, value):
+    """Array of one value."""
+    out = np.empty(size)
+    for k in range(size):
+        out[k] = value
+    return out
+
+
+@jit
 def strides_of(dims):
     """Steps in a flat array for one step along every axis."""
     n = dims.size
-    strides = np.ones(n, np.int64)
+    strides = np.empty(n, np.int64)
+    strides[n - 1] = 1
     for a in range(n - 2, -1, -1):
         strides[a] = strides[a + 1] * dims[a + 1]
     return strides
@@ -170,7 +181,7 @@ def frontier(value, asked, kept_above, dims, offsets):
     if beyond:  # the box will be another one: forget
         for k in range(count):
             value[found[k]] = UNKNOWN
-    return found[:count].copy(), beyond
+    return found[:count], beyond
 
 
 @jit
@@ -206,7 +217,7 @@ def widen(value, low, dims, asked):
         new_low[a], new_dims[a] = low[a] - grow[a], dims[a] + 2 * grow[a]
     if product(new_dims) > MOST_CELLS:
         return np.empty(0), new_low, new_dims, asked
-    new, moved = np.full(int(product(new_dims)), UNKNOWN), np.empty_like(asked)
+    new, moved = filled(int(product(new_dims)), UNKNOWN), np.empty(asked.size, np.int64)
     for k in range(asked.size):
         rest, at, stride = asked[k], 0, 1
         for a in range(n - 1, -1, -1):

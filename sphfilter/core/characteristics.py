@@ -11,30 +11,39 @@ accuracy.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from ._first_class import function_at
 from ._jit import jit
-from .fitting import build_field
-from .flood import EVALUATIONS, MOST_ASKED, REJECTED, RELAID, STEPS, flooded, relaid
-from .noise_paths import Step, aimed, along, noise_factor_at
-from .small_matrices import cholesky, eigen, invert_lower, moments, times_lower
-from .step_limits import bentness, noise_limit, path_error, predicted, sheared
+from .control import LATTICE_STEP, LOST, LOST_MASS, NOT_FINITE, OK, PAUSED, REJECTED, STEPS, VOLUME
+from .expectation import AIMED, BACK, Step
+from .fitting import BUILD
+from .flood import LAY
+from .small_matrices import cholesky, eigen, invert_lower, moments
+from .step_choice import CHOOSE
 
-__all__ = ["LOCAL", "LOST_MASS", "STATUS", "VOLUME", "local_shape", "march"]
+__all__ = ["LOCAL", "Entries", "local_shape", "march"]
 
-STATUS = ("ok", "not finite", "paused", "stalled", "too few nodes", "outgrown", "lost")
-OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN, LOST = range(7)
-#: What `state` holds: filled volume of the whitened lattice, next step of the paths, sum of |log mass| lost,
-#: longest step, next step of the lattice.
-VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP = range(5)
-_TRIES = 6
 LOCAL = 0.9  # variance within pieces, over that of the whole, below which lattices follow the pieces
-_FILL = 0.85  # nodes aimed at, over those allowed
 _STEP_LOSS = 0.13  # of all that may be lost, from which a step is tried again in halves
 _SMALLER = 2  # times a step that loses probability is halved
-_MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice
+
+back_at, choose_at, aim_at, lay_at, build_at = BACK.at, CHOOSE.at, AIMED.at, LAY.at, BUILD.at
+
+
+class Entries(NamedTuple):
+    """Addresses of what the march calls."""
+
+    drift: tuple
+    divergence: tuple
+    diffusion: tuple
+    back: tuple  # or `back_in_blocks`
+    choose: tuple
+    aim: tuple
+    lay: tuple
+    build: tuple
 
 
 @jit
@@ -104,20 +113,18 @@ def local_shape(field, m, L, Q):
 
 
 @jit
-def march(addresses, noise, field, sten, paths, control, times, state, counters, threads):
+def march(entries, noise, field, sten, paths, control, times, state, counters):
     """Carry a field from times[0] to times[1]; times[0], `state` and the counters are kept up to date.
 
-    addresses: of the model's drift, divergence and D, so that it is entered without looking functions up.
-    threads: None for one thread, True for as many as there are.
-    state: see `VOLUME` and what follows it.
     Returns the field, its states and masses, their mean and covariance, and a code of `STATUS`. On failure
     they are as far as they came.
     """
-    drift, divergence = function_at(addresses[0]), function_at(addresses[1])
-    diffusion = function_at(addresses[2])
+    drift, divergence = function_at(entries.drift), function_at(entries.divergence)
+    diffusion, back = function_at(entries.diffusion), back_at(entries.back)
+    choose, aim = choose_at(entries.choose), aim_at(entries.aim)
+    lay, build = lay_at(entries.lay), build_at(entries.build)
     n = field.mu.size
-    mean, P, L = np.empty(n), np.empty((n, n)), np.empty((n, n))
-    Q, S = np.empty((n, n)), np.empty((n, n))
+    mean, P, L, Q = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     x, m = nodes_of(field)
     span, first = times[1] - times[0], counters[STEPS]
     moments(x, m, mean, P)
@@ -128,80 +135,31 @@ def march(addresses, noise, field, sten, paths, control, times, state, counters,
         if not cholesky(P, L):
             return field, x, m, mean, P, NOT_FINITE
         local_shape(field, m, L, Q)
-        times_lower(L, Q, S)
-        t, left = times[0], times[1] - times[0]
-        h = min(_MOST_PARTS * state[PATH_STEP], left, state[LONGEST], state[LATTICE_STEP])
-        if noise.time_dependent:
-            noise_factor_at(diffusion, x, t + 0.5 * h, noise)
-        limit = control.noise_share / max(noise_limit(noise.G, S), 1e-300)
-        bent = control.bent_share / max(sheared(drift, noise, x, m, t, S), 1e-300)
-        h = min(h, limit, bent ** (1.0 / 3.0))
-        pieces = math.ceil(left / h - 1e-9)
-        h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
-        parts = max(1, math.ceil(h / state[PATH_STEP] - 1e-9))
-        once, twice, f, still = np.empty_like(x), np.empty_like(x), np.empty_like(x), np.zeros_like(x)
-        drift(x, t, noise.p, f)
-        along(drift, None, noise, x, f, f, t, h, parts, still, still, once, m)
-        along(drift, None, noise, x, f, f, t, h, 2 * parts, still, still, twice, m)
-        counters[EVALUATIONS] += (12 * parts + 2 * noise.G.shape[1]) * x.shape[0]
-        error = path_error(once, twice, m, S) / control.tolerance
-        factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.25)) if error < np.inf else 0.1
-        state[PATH_STEP] = min(h / parts * factor, 1e300)
-        if error > 1.0:
-            counters[REJECTED] += 1
-            if state[PATH_STEP] < 1e-9 * span:
-                return field, x, m, mean, P, (NOT_FINITE if error == np.inf else STALLED)
-            continue
-        mean_new, P_new = np.empty(n), np.empty((n, n))
-        X = predicted(drift, noise, x, f, twice, m, t, h, parts, mean_new, P_new)
-        counters[EVALUATIONS] += 16 * parts * noise.G.shape[1] * x.shape[0]
-        if not cholesky(P_new, L):
-            return field, x, m, mean, P, NOT_FINITE
-        times_lower(L, Q, S)
-        curved = bentness(X, m, S) / control.curved
-        state[LATTICE_STEP] = h * min(3.0, max(0.2, 0.9 / math.sqrt(max(curved, 1e-6))))
-        if curved > 1.0:
-            counters[REJECTED] += 1
-            continue
-        mean_old, P_old = mean, P
-        mean, P = mean_new, P_new
-        aim = aimed(drift, noise, field, mean, t + h, h, parts)
-        step = Step(drift, divergence, noise, field, sten, paths, aim, t + h, h, parts)
-        for attempt in range(_TRIES):
-            spacing = (state[VOLUME] / (_FILL * control.n_particles)) ** (1.0 / n)
-            A, origin = S.copy(), mean.copy()
-            for a in range(n):
-                for b in range(n):
-                    A[a, b] *= spacing
-            value, low, dims, highest, asked = flooded(step, origin, A, twice, control, counters, threads)
-            if value.size == 0:
-                return field, x, m, mean, P, OUTGROWN
-            node, x_new, log_p, m_new, log_mass, mean, P = relaid(
-                value, low, dims, highest, asked, origin, A, sten, control.depth
-            )
-            closed = asked.size <= MOST_ASKED * control.n_particles
-            count = x_new.shape[0] if closed else asked.size
-            if 0.5 * control.n_particles <= count <= control.n_particles:
-                break
-            counters[RELAID] += 1
-            state[VOLUME] *= max(count, 0.1 * control.n_particles) / (_FILL * control.n_particles)
-            if attempt == _TRIES - 1 and (count == 0 or count > control.n_particles):
-                return field, x, m, mean, P, TOO_FEW
-        lost = abs(log_mass)
+        pick = choose(drift, diffusion, noise, x, m, L, Q, times, span, control, state, counters)
+        if pick.code != OK:
+            return field, x, m, mean, P, pick.code
+        h, parts, t1 = pick.h, pick.parts, times[0] + pick.h
+        response = aim(drift, noise, field, pick.mean, t1, h, parts)
+        step = Step(drift, divergence, noise, field, sten, paths, response, t1, h, parts)
+        new = lay(back, step, pick.mean, pick.shape, pick.ends, control, state, counters)
+        if new.code != OK:
+            return field, x, m, mean, P, new.code
+        lost = abs(new.log_mass)
         coarse |= lost > 0.5 * before  # a shorter step did not help: it is the lattice
         if lost > _STEP_LOSS * control.most_lost and tried < _SMALLER and not coarse:
             tried, before, state[LATTICE_STEP] = tried + 1, lost, 0.5 * h
             counters[REJECTED] += 1
-            mean, P = mean_old, P_old
             continue
         tried, before = 0, np.inf
-        if count < 0.6 * control.n_particles:  # else the next lattice has this one's spacing: it fits
-            state[VOLUME] = count * spacing**n
+        if (
+            new.x.shape[0] < 0.6 * control.n_particles
+        ):  # else the next lattice has this one's spacing: it fits
+            state[VOLUME] = new.volume
         state[LOST_MASS] += lost
-        x, m = x_new, m_new
-        field = build_field(origin, A, node, log_p, sten)
+        x, m, mean, P = new.x, new.mass, new.mean, new.cov
+        field = build(new.mu, new.A, new.node, new.log_p, sten)
         counters[STEPS] += 1
-        times[0] = times[1] if pieces <= 1 else t + h
+        times[0] = times[1] if pick.last else t1
         if not state[LOST_MASS] < control.most_lost:
             return field, x, m, mean, P, LOST
     return field, x, m, mean, P, OK

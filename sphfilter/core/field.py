@@ -10,11 +10,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import typeof
 
 from ._jit import jit
 from .cells import LOWEST, strides_of
 
-__all__ = ["Field", "evaluate", "slopes"]
+__all__ = ["FIELD", "Field", "evaluate", "slopes"]
 
 _RIM = 4.5  # squared distance: the rim lies at sqrt 2 from a complete node, half a cell inside of this
 _LANES = 16  # states at a time
@@ -38,6 +39,16 @@ class Field(NamedTuple):
     tail: np.ndarray  # (N, n, n) second derivatives for beyond the lattice: bent down in all directions
 
 
+_INTEGERS, _NUMBERS, _MATRIX = np.empty(1, np.int64), np.empty(1), np.empty((1, 1))
+#: Numba's type of a `Field`.
+FIELD = typeof(
+    Field(
+        _NUMBERS, _MATRIX, _MATRIX, _INTEGERS, _INTEGERS, _INTEGERS, np.empty((1, 1), np.int64), _NUMBERS,
+        _MATRIX, 0.0, np.empty((1, 1, 1)),
+    )
+)  # fmt: skip
+
+
 class _Lanes(NamedTuple):
     """Room for `_LANES` states at a time; what is left over of the last ones is never read."""
 
@@ -50,8 +61,10 @@ class _Lanes(NamedTuple):
 
 @jit
 def _lanes(n, M):
-    room, one = np.zeros(_LANES), np.ones((M + 1, _LANES))
-    return _Lanes(np.zeros((n, _LANES)), room, np.zeros(_LANES, np.int64), room.copy(), one)
+    b = np.empty((M + 1, _LANES))
+    for lane in range(_LANES):
+        b[0, lane] = 1.0
+    return _Lanes(np.zeros((n, _LANES)), np.zeros(_LANES), np.zeros(_LANES, np.int64), np.zeros(_LANES), b)
 
 
 @jit

@@ -10,14 +10,17 @@ before and added again.
 import math
 
 import numpy as np
+from numba import types
 
-from ._jit import jit
+from ._first_class import Entry
+from ._jit import MATRIX, VECTOR, jit
 from .cells import box_of, product, strides_of, unravel
 from .field import Field
-from .small_matrices import eigen, invert_lower
+from .small_matrices import eigen, extremes, invert_lower
+from .stencils import STENCILS
 from .trend import recentred, trend, value_at
 
-__all__ = ["build_field"]
+__all__ = ["BUILD", "build_field"]
 
 _NEARLY = 0.2  # relative distance of second derivatives from a Gaussian's that is taken for noise of the fit
 
@@ -27,13 +30,13 @@ def build_field(mu, A, node, log_p, sten):
     """Fit the polynomials of an opened set of nodes (N, n). Every node must have a complete one nearby."""
     N, n = node.shape
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
-    box_of(node, sten.offsets.max(), low, dims)  # a margin as wide as the widest neighbourhood
+    box_of(node, sten.widest, low, dims)
     strides = strides_of(dims)
     ahead = np.zeros(sten.offsets.shape[0], np.int64)
     for k in range(ahead.size):
         for a in range(n):
             ahead[k] += sten.offsets[k, a] * strides[a]
-    index = np.full(int(product(dims)), -1, np.int64)
+    index = _nobody(int(product(dims)))
     flats = np.zeros(N, np.int64)
     for i in range(N):
         for a in range(n):
@@ -41,7 +44,7 @@ def build_field(mu, A, node, log_p, sten):
         index[flats[i]] = i
     M = sten.parent.size
     coefficient, tail = np.zeros((N, M)), np.zeros((N, n, n))
-    owner = np.full(index.size, -1, np.int64)
+    owner = _nobody(index.size)
     work, V, w = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     least = 0.5 * _widest(node, log_p, w, V, work)
     base = trend(node, log_p, sten)
@@ -69,7 +72,9 @@ def build_field(mu, A, node, log_p, sten):
         if owner[flats[i]] != i:
             continue  # only complete nodes own anything
         if _distance(tail[i], gaussian) < _NEARLY:
-            tail[i] = gaussian
+            for a in range(n):
+                for b in range(n):
+                    tail[i, a, b] = gaussian[a, b]
         else:
             _concave(tail[i], least, w, V, work)
     _spread_owners(owner, node, low, dims, strides)
@@ -81,19 +86,29 @@ def build_field(mu, A, node, log_p, sten):
 
 
 @jit
+def _nobody(size):
+    """No owner yet."""
+    out = np.empty(size, np.int64)
+    for k in range(size):
+        out[k] = -1
+    return out
+
+
+@jit
 def _cap(log_p, gaussian):
     """Largest log p that a Gaussian has outside of its nodes' cells, half a cell's diagonal beyond them."""
-    n, trace, lowest = gaussian.shape[0], 0.0, log_p.min()
+    n, trace = gaussian.shape[0], 0.0
+    lowest, highest = extremes(log_p)
     for a in range(n):
         trace -= gaussian[a, a]
-    return lowest + math.sqrt(2.0 * (log_p.max() - lowest)) * 0.5 * math.sqrt(max(trace, 0.0))
+    return lowest + math.sqrt(2.0 * (highest - lowest)) * 0.5 * math.sqrt(max(trace, 0.0))
 
 
 @jit
 def _widest(node, log_p, w, V, work):
     """Curvature of the Gaussian with the nodes' covariance along its widest axis, in units of the lattice."""
     N, n = node.shape
-    mean, total, highest = np.zeros(n), 0.0, log_p.max()
+    mean, total, highest = np.zeros(n), 0.0, extremes(log_p)[1]
     for i in range(N):
         m = math.exp(log_p[i] - highest)
         total += m
@@ -109,14 +124,14 @@ def _widest(node, log_p, w, V, work):
             for b in range(n):
                 work[a, b] += m * (node[i, a] - mean[a]) * (node[i, b] - mean[b])
     eigen(work, w, V)
-    return -1.0 / w.max()
+    return -1.0 / extremes(w)[1]
 
 
 @jit
 def _mean_curvature(second, log_p, owner, flats):
     """Second derivatives averaged over the mass of complete nodes: a Gaussian's own, wherever it is cut."""
     n = second.shape[1]
-    mean, total, highest = np.zeros((n, n)), 0.0, log_p.max()
+    mean, total, highest = np.zeros((n, n)), 0.0, extremes(log_p)[1]
     for i in range(log_p.size):
         if owner[flats[i]] == i:
             m = math.exp(log_p[i] - highest)
@@ -198,8 +213,8 @@ def _spread_owners(owner, node, low, dims, strides):
                 at = flat + step * strides[a]
                 if owner[at] < 0:
                     other = cells[tail]
-                    other[:] = cell
-                    other[a] += step
+                    for b in range(n):
+                        other[b] = cell[b] + (step if a == b else 0)
                     owner[at] = _nearest_of(other, owner, node, low, dims, strides, at, owner[flat])
                     queue[tail] = at
                     tail += 1
@@ -220,3 +235,7 @@ def _nearest_of(cell, owner, node, low, dims, strides, flat, best):
                 if r2 < nearest:
                     nearest, best = r2, j
     return best
+
+
+#: `build_field` by its address.
+BUILD = Entry(build_field, (VECTOR, MATRIX, types.int64[:, ::1], VECTOR, STENCILS))

@@ -5,10 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._jit import jit
+from ._first_class import Entry
+from ._jit import MATRIX, VECTOR, jit
 from .cells import (
     MOST_CELLS,
     UNKNOWN,
+    filled,
     frontier,
     furthest,
     joined,
@@ -20,43 +22,74 @@ from .cells import (
     states_of,
     widen,
 )
-from .noise_paths import back, back_in_blocks
+from .control import CONTROL, COUNTS, EVALUATIONS, OK, OUTGROWN, RELAID, STATE, TOO_FEW, VOLUME
+from .expectation import BACK, STEP
 from .small_matrices import invert_lower, moments
 
-__all__ = [
-    "COUNTERS",
-    "EVALUATIONS",
-    "MOST_ASKED",
-    "REJECTED",
-    "RELAID",
-    "STEPS",
-    "Control",
-    "flooded",
-    "relaid",
-]
+__all__ = ["LAY", "MOST_ASKED", "Lattice", "flooded", "lattice_after", "relaid"]
 
 MOST_ASKED = 12  # cells asked for, over the number of particles wanted
-COUNTERS = ("steps", "rejected", "evaluations", "relaid")
-STEPS, REJECTED, EVALUATIONS, RELAID = range(4)
+_TRIES = 6
+_FILL = 0.85  # nodes aimed at, over those allowed
 
 
-class Control(NamedTuple):
-    """What the march aims at."""
+class Lattice(NamedTuple):
+    """A density after a step."""
 
-    n_particles: int
-    depth: float  # Z^2 / 2: log p of the lightest nodes below that of the heaviest
-    tolerance: float  # of one step's paths, in standard deviations
-    noise_share: float  # largest variance a step's noise may have, in units of the density's own
-    bent_share: float  # the same of noise that the drift has sheared
-    curved: float  # how far from linear the paths' ends may be in their noise, in standard deviations
-    most_lost: float  # sum over steps of |log of the lattice's integral| at which to stop
-    pause_after: int  # steps
+    code: int  # of `STATUS`
+    mu: np.ndarray  # (n,) origin
+    A: np.ndarray  # (n, n) lattice vectors in columns
+    node: np.ndarray  # (N, n)
+    x: np.ndarray  # (N, n)
+    log_p: np.ndarray  # (N,)
+    mass: np.ndarray  # (N,)
+    log_mass: float  # of the integral before it was normalised
+    mean: np.ndarray  # (n,)
+    cov: np.ndarray  # (n, n)
+    volume: float  # of the kept region, in whitened coordinates
 
 
 @jit
-def flooded(step, mu, A, points, control, counters, threads):
+def lattice_after(back, step, mean, shape, seeds, control, state, counters):
+    """Lay the density after a step on a lattice of at most as many nodes as allowed, and at least half.
+
+    back: the function of that name, or `back_in_blocks`.
+    mean, shape: (n,), (n, n), origin and lower factor of a covariance: the coordinates that are whitened.
+    seeds: (S, n), states of which some lie in every piece of the region.
+    """
+    n, most = mean.size, control.n_particles
+    A = np.empty((n, n))
+    for _ in range(_TRIES):
+        spacing = (state[VOLUME] / (_FILL * most)) ** (1.0 / n)
+        for a in range(n):
+            for b in range(n):
+                A[a, b] = shape[a, b] * spacing
+        value, low, dims, highest, asked = flooded(back, step, mean, A, seeds, control, counters)
+        if value.size == 0:
+            return _no_lattice(OUTGROWN, n)
+        new = relaid(value, low, dims, highest, asked, mean, A, step.sten, control.depth)
+        closed = asked.size <= MOST_ASKED * most
+        count = new[1].shape[0] if closed else asked.size
+        if 0.5 * most <= count <= most:
+            break
+        counters[RELAID] += 1
+        state[VOLUME] *= max(count, 0.1 * most) / (_FILL * most)
+    if count == 0 or count > most:
+        return _no_lattice(TOO_FEW, n)
+    node, x, log_p, m, log_mass, own_mean, cov = new
+    return Lattice(OK, mean, A, node, x, log_p, m, log_mass, own_mean, cov, count * spacing**n)
+
+
+@jit
+def _no_lattice(code, n):
+    none, row = np.empty(0), np.empty((0, n))
+    return Lattice(code, none, row, np.empty((0, n), np.int64), row, none, none, 0.0, none, row, 0.0)
+
+
+@jit
+def flooded(back, step, mu, A, points, control, counters):
     """Values on the new lattice wherever they lie above the depth: seeds, then their neighbours,
-    until closed.
+    until closed. `back` is the function of that name, in blocks or not.
     """
     n = mu.size
     ball = step.sten.offsets[: step.sten.size[0]]
@@ -64,16 +97,13 @@ def flooded(step, mu, A, points, control, counters, threads):
     cells = seeds_in_box(points, mu, invert_lower(A), furthest(n), low, dims)
     if product(dims) > MOST_CELLS:
         return np.empty(0), low, dims, 0.0, np.empty(0, np.int64)
-    value, asked = np.full(int(product(dims)), UNKNOWN), np.empty(0, np.int64)
+    value, asked = filled(int(product(dims)), UNKNOWN), np.empty(0, np.int64)
     found, highest = seeded(cells, low, dims), -np.inf
     while found.size > 0:
         _, Y = states_of(found, mu, A, low, dims)
         log_p = np.empty(found.size)
         floor = highest - control.depth
-        if threads is None:  # noqa: SIM108 by type, so that the branch not taken is not compiled
-            full = back(step, Y, floor, log_p)
-        else:
-            full = back_in_blocks(step, Y, floor, log_p)
+        full = back(step, Y, floor, log_p)
         one = 4 * step.parts - 1  # a path's evaluations
         counters[EVALUATIONS] += found.size * (2 * one + 1) + full * one * step.paths.log_weight.size
         for k in range(found.size):
@@ -129,3 +159,7 @@ def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
     for k in range(found.size):
         m[k] /= inside
     return node, x, log_p, m, log_mass, mean, cov
+
+
+#: `lattice_after` by its address.
+LAY = Entry(lattice_after, (BACK, STEP, VECTOR, MATRIX, MATRIX, CONTROL, STATE, COUNTS))

@@ -6,7 +6,7 @@ import numpy as np
 
 from ._jit import jit
 
-__all__ = ["cholesky", "eigen", "invert_lower", "moments", "times_lower", "whiten"]
+__all__ = ["cholesky", "eigen", "extremes", "invert_lower", "moments", "times_lower", "whiten"]
 
 
 @jit
@@ -23,6 +23,15 @@ def moments(x, m, mean, cov):
             for i in range(N):
                 c += m[i] * (x[i, a] - mean[a]) * (x[i, b] - mean[b])
             cov[a, b] = cov[b, a] = c
+
+
+@jit
+def extremes(values):
+    """Smallest and largest of some numbers."""
+    low, high = values[0], values[0]
+    for k in range(values.size):
+        low, high = min(low, values[k]), max(high, values[k])
+    return low, high
 
 
 @jit

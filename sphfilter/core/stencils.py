@@ -6,8 +6,9 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numba import typeof
 
-__all__ = ["Stencils", "stencils"]
+__all__ = ["STENCILS", "Stencils", "stencils"]
 
 _TREND = {3: 4, 4: 4}  # degree of the polynomial through all nodes by dimension, 3 beyond
 _WEIGHT_DECAY = 4.0  # weights exp(-4 r^2 / r_max^2) of the least-squares fit
@@ -18,6 +19,7 @@ class Stencils(NamedTuple):
 
     offsets: np.ndarray  # (largest size, n) int; a neighbourhood is the first so many of them
     size: np.ndarray  # (levels,)
+    widest: int  # largest number in them
     rows: np.ndarray  # (levels, largest size, M): coefficients from differences of neighbours
     parent: np.ndarray  # (M,) monomial that times x_axis gives this one, -1 for x_axis itself
     axis: np.ndarray  # (M,)
@@ -75,6 +77,7 @@ def stencils(n):
     return Stencils(
         offsets,
         size,
+        int(offsets.max()),
         rows,
         np.array(parent),
         np.array(axis),
@@ -94,3 +97,7 @@ def _shifts(exponents):
                 shift.append((at[lower], source, at[left]))
                 binomial.append(math.prod(math.comb(k, j) for k, j in zip(e, lower, strict=True)))
     return np.array(shift).reshape(-1, 3), np.array(binomial, dtype=float)
+
+
+#: Numba's type of `Stencils`.
+STENCILS = typeof(stencils(1))

@@ -5,6 +5,8 @@ import math
 import numpy as np
 
 from ._jit import jit
+from .cells import filled
+from .small_matrices import extremes
 
 __all__ = ["recentred", "trend", "value_at"]
 
@@ -43,7 +45,7 @@ def trend(node, log_p, sten):
             terms = sten.trend[degree]
     if terms == 0:
         return np.empty(0)
-    out, scale, highest = np.zeros(M), np.ones(M + 1), log_p.max()
+    out, scale, highest = np.zeros(M), filled(M + 1, 1.0), extremes(log_p)[1]
     b, K = np.empty(M), terms + 1
     A, right = np.zeros((K, K)), np.zeros(K)
     for i in range(N):

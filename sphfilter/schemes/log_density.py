@@ -7,10 +7,14 @@ import numpy as np
 
 from ..core._first_class import address_of
 from ..core._jit import start_threads
-from ..core.characteristics import LOST_MASS, STATUS, VOLUME, march
-from ..core.flood import COUNTERS, STEPS, Control
+from ..core.characteristics import Entries, march
+from ..core.control import COUNTERS, LOST_MASS, STATUS, STEPS, VOLUME, Control
+from ..core.expectation import AIMED, BACK, BACK_IN_BLOCKS
+from ..core.fitting import BUILD
+from ..core.flood import LAY
 from ..core.noise_paths import Noise, Paths
 from ..core.stencils import stencils
+from ..core.step_choice import CHOOSE
 from ..density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import PredictInfo
@@ -79,20 +83,17 @@ def propagate(density, model, t1, scheme, n_particles):
         np.array([volume, min(t1 - start, longest), 0.0, longest, t1 - start]),
         np.array([start, t1]),
     )
-    functions = (model.drift_batch, model.divergence_batch, model.diffusion_batch)
-    addresses = tuple([address_of(function) for function in functions])
     rule = paths(G.shape[1], scheme.quadrature)
     field, status = density.field, "paused"
-    threads = True if n_particles * len(rule.log_weight) >= _THREADS_FROM else None
-    if threads:
-        start_threads()
+    threads = n_particles * len(rule.log_weight) >= _THREADS_FROM
+    entries = _entries(model, threads)
     while status == "paused":
         if counters[STEPS] >= scheme.max_steps:
             reason = f"{scheme.max_steps} steps were not enough"
             raise PropagationError(_given_up(reason, times[0], start, t1))
         try:
             field, x, mass, mean, cov, code = march(
-                addresses, noise, field, stencils(n), rule, control, times, state, counters, threads
+                entries, noise, field, stencils(n), rule, control, times, state, counters
             )
         except Exception as problem:  # a black-box drift may raise anything
             if defect(problem):
@@ -114,6 +115,15 @@ def propagate(density, model, t1, scheme, n_particles):
     laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov)
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, density.gaussian and model.linear)
     return moved, _info(model, scheme, counters, float(state[LOST_MASS]), threads)
+
+
+def _entries(model, threads):
+    """Addresses of what the march calls; compiles or loads it."""
+    if threads:
+        start_threads()
+    own = [address_of(f) for f in (model.drift_batch, model.divergence_batch, model.diffusion_batch)]
+    parts = BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, LAY, BUILD
+    return Entries(*own, *[part.address for part in parts])
 
 
 _REASONS = {
@@ -145,23 +155,32 @@ def paths(m, order):
     """Weighted noise paths for m noises, as `Paths`.
 
     Each is straight to a point of dW, and bent so that the covariance of dW with the area under it is right.
-    One noise has Gauss-Hermite points, two have a hexagon (degree five), all bent both ways; three have an
+    One noise has Gauss-Hermite points, two have a hexagon (degree five), bent both ways; three have an
     icosahedron (degree five), four and more the symmetric rule of degree three, all of them straight.
     """
-    bends = np.zeros((1, m))
+    if m == 1:
+        return _hermite(order)
+    if m == 2:
+        return _hexagon()
     if m == 0:
         dW, weights = np.zeros((1, 0)), np.ones(1)
-    elif m == 1:
-        x, w = np.polynomial.hermite_e.hermegauss(order)
-        dW, weights, bends = x[:, None], w / w.sum(), np.array([[1.0], [-1.0]])
-    elif m == 2:
-        return _hexagon()
     elif m == 3:
         dW, weights = _icosahedron()
     else:
         dW, weights = np.concatenate([np.eye(m), -np.eye(m)]) * math.sqrt(m), np.full(2 * m, 0.5 / m)
-    w = np.hstack([np.repeat(dW, len(bends), axis=0), np.tile(bends, (len(dW), 1))])
-    return Paths(np.log(np.repeat(weights, len(bends)) / len(bends)), w)
+    return Paths(np.log(weights), np.hstack([dW, np.zeros_like(dW)]))
+
+
+def _hermite(order):
+    """Gauss-Hermite points, bent both ways; the outermost two, whose weight is small, are straight."""
+    x, weights = np.polynomial.hermite_e.hermegauss(order)
+    weights = weights / weights.sum()
+    heavy = np.arange(order) if order <= 3 else np.arange(1, order - 1)
+    bend = 1.0 / math.sqrt(weights[heavy].sum())
+    rows = [(x[k], side * bend, 0.5 * weights[k]) for k in heavy for side in (1.0, -1.0)]
+    rows += [(x[k], 0.0, weights[k]) for k in range(order) if k not in heavy]
+    table = np.array(rows)
+    return Paths(np.log(table[:, 2]), np.ascontiguousarray(table[:, :2]))
 
 
 def _hexagon():
@@ -195,7 +214,7 @@ def _info(model, scheme, counters, lost, threads):
     skipped += [note for note in skip_notes(model, 0) if "evaluation of D" in note]
     if model.linear:
         skipped.append("divergence of the drift along the paths: it is constant")
-    if threads is None:
+    if not threads:
         skipped.append("threads: too little work for them")
     return PredictInfo(
         n_steps=steps,

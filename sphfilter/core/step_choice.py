@@ -1,0 +1,100 @@
+"""How far the next lattice may be: tried on the density's own nodes, without a lattice."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from ._first_class import Entry
+from ._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit
+from .control import (
+    CONTROL,
+    COUNTS,
+    EVALUATIONS,
+    LATTICE_STEP,
+    LONGEST,
+    NOT_FINITE,
+    OK,
+    PATH_STEP,
+    REJECTED,
+    STALLED,
+    STATE,
+)
+from .noise_paths import NOISE, along, noise_factor_at
+from .small_matrices import cholesky, times_lower
+from .step_limits import bentness, noise_limit, path_error, predicted, sheared
+
+__all__ = ["CHOOSE", "Choice", "chosen"]
+
+_MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice
+_SHORTEST = 1e-9  # of the interval
+
+
+class Choice(NamedTuple):
+    """A step, and where the density's nodes and moments go in it."""
+
+    code: int  # of `STATUS`
+    h: float
+    parts: int  # Runge-Kutta steps of its paths
+    last: bool  # it ends the interval
+    ends: np.ndarray  # (N, n) of the nodes' paths, without noise
+    mean: np.ndarray  # (n,)
+    shape: np.ndarray  # (n, n) lower factor of the covariance within the pieces of the density
+
+
+@jit
+def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, counters):
+    """Choose a step from times[0] of nodes x (N, n) with masses m (N,).
+
+    L, Q: (n, n) lower factor of their covariance, and what `local_shape` adds to it.
+    span: of the whole prediction, seconds.
+    """
+    n, t, left = x.shape[1], times[0], times[1] - times[0]
+    mean, P, own, S = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    once, twice = np.empty(x.shape), np.empty(x.shape)
+    f, still = np.empty(x.shape), np.zeros(x.shape)
+    drift(x, t, noise.p, f)
+    while True:
+        times_lower(L, Q, S)
+        h = min(_MOST_PARTS * state[PATH_STEP], left, state[LONGEST], state[LATTICE_STEP])
+        if noise.time_dependent:
+            noise_factor_at(diffusion, x, t + 0.5 * h, noise)
+        limit = control.noise_share / max(noise_limit(noise.G, S), 1e-300)
+        bent = control.bent_share / max(sheared(drift, noise, x, m, t, S), 1e-300)
+        h = min(h, limit, bent ** (1.0 / 3.0))
+        pieces = math.ceil(left / h - 1e-9)
+        h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
+        parts = max(1, math.ceil(h / state[PATH_STEP] - 1e-9))
+        along(drift, None, noise, x, f, f, t, h, parts, still, still, once, m)
+        along(drift, None, noise, x, f, f, t, h, 2 * parts, still, still, twice, m)
+        counters[EVALUATIONS] += (12 * parts + 2 * noise.G.shape[1]) * x.shape[0]
+        error = path_error(once, twice, m, S) / control.tolerance
+        factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.25)) if error < np.inf else 0.1
+        state[PATH_STEP] = min(h / parts * factor, 1e300)
+        if error > 1.0:
+            counters[REJECTED] += 1
+            if state[PATH_STEP] < _SHORTEST * span:
+                code = NOT_FINITE if error == np.inf else STALLED
+                return Choice(code, h, parts, False, twice, mean, S)
+            continue
+        X = predicted(drift, noise, x, f, twice, m, t, h, parts, mean, P)
+        counters[EVALUATIONS] += 16 * parts * noise.G.shape[1] * x.shape[0]
+        if not cholesky(P, own):
+            return Choice(NOT_FINITE, h, parts, False, twice, mean, S)
+        times_lower(own, Q, S)
+        curved = bentness(X, m, S) / control.curved
+        state[LATTICE_STEP] = h * min(3.0, max(0.2, 0.9 / math.sqrt(max(curved, 1e-6))))
+        if curved <= 1.0:
+            return Choice(OK, h, parts, pieces <= 1, twice, mean, S)
+        counters[REJECTED] += 1
+
+
+#: `chosen` by its address.
+CHOOSE = Entry(
+    chosen,
+    (
+        BATCH_FUNCTION, BATCH_FUNCTION, NOISE, MATRIX, VECTOR, MATRIX, MATRIX, VECTOR, types.float64, CONTROL,
+        STATE, COUNTS,
+    ),
+)  # fmt: skip
