@@ -1,12 +1,17 @@
-"""How many particles a prediction needs: ``n_particles="auto"``."""
+"""How many particles a prediction needs: ``n_particles="auto"``, and what the next measurement tells."""
 
 import math
+from dataclasses import replace
 
-from .errors import ModelError
-from .level_set import fewest_particles
+from scipy.stats import chi2
+
+from .config import LogDensityScheme
+from .errors import ModelError, PropagationError
+from .level_set import fewest_particles, reach
 from .predict import predict
+from .update import update
 
-__all__ = ["fewest", "predict_adapting"]
+__all__ = ["fewest", "predict_adapting", "update_repeating"]
 
 #: Error of the posterior mean, in standard deviations, over the probability that the lattices of a prediction
 #: lose or gain: 1 to 6 on the Van der Pol and Duffing oscillators at 100 to 800 particles.
@@ -15,6 +20,10 @@ _MOST = 20_000
 _ORDER = 1.5  # the error falls about as N^-1.5
 _SLACK = 4.0  # below the target by so much, fewer particles are tried next time
 _TRIES = 4
+#: Probability of a posterior that hangs on what the prediction lost, from which the prediction is repeated.
+_GUESSED = 0.01
+_FURTHER = 3, 9  # times the particles then
+_DEEPER = 0.7  # standard deviations that the lattices reach further then, each time
 
 
 def fewest(dim, n_particles):
@@ -45,3 +54,44 @@ def predict_adapting(density, model, dt, config, *, t, n_particles):
     if ratio < 1.0 / _SLACK:
         n_particles = max(fewest(model.dim, "auto"), int(0.8 * n_particles))
     return moved, info, n_particles
+
+
+def update_repeating(before, lost, prior, model, measurement, z, config, n_particles):
+    """Update; if the posterior hangs on what the prediction lost, predict again, finer and further.
+
+    A prediction cuts off what lies below a level of the density, and loses some of what is near. There a
+    measurement may find the state.
+
+    Parameters
+    ----------
+    before : ParticleDensity or None
+        The density that was predicted to the prior; None if it was not.
+    lost : float
+        Probability that the lattices lost on the way.
+
+    Returns
+    -------
+    ParticleDensity, ParticleDensity, UpdateInfo
+        The prior that was used, the posterior, and what was done.
+    """
+    posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
+    if before is None or before.field is None or prior.field is None or prior.gaussian:
+        return prior, posterior, info
+    scheme = config.scheme if isinstance(config.scheme, LogDensityScheme) else LogDensityScheme()
+    Z = reach(scheme, model.dim)
+    beyond = chi2.sf(Z**2, model.dim)  # what a Gaussian has there: so much of it may be wrong
+    for level, times in enumerate(_FURTHER, start=1):
+        sure = info.extrapolated * min(1.0, lost / beyond) < _GUESSED
+        if sure or not info.accepted or times * n_particles > _MOST:
+            break
+        further = replace(config, scheme=replace(scheme, reach=Z + level * _DEEPER))
+        try:
+            prior, predicted = predict(
+                before, model, t=prior.t, config=further, n_particles=times * n_particles
+            )
+        except PropagationError:
+            continue  # on still more particles, perhaps
+        lost = predicted.mass_error
+        posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
+        info = replace(info, status=f"prediction repeated on {times} times the particles")
+    return prior, posterior, info

@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from .adapt import fewest, predict_adapting
+from .adapt import fewest, predict_adapting, update_repeating
 from .config import checked_filter_config
 from .density import ParticleDensity
 from .errors import ModelError
 from .initial import Gaussian, initialize
 from .predict import predict
 from .results import run_filter
-from .update import update
 from .validate import array, count, covariance, positive, real
 
 __all__ = ["SPHFilter"]
@@ -81,7 +80,7 @@ class SPHFilter:
         given = fewest(model.dim, n_particles) if self._adapts else n_particles
         self.n_particles = count("n_particles", given)
         self.dt = None if dt is None else positive("dt", dt)
-        self._density = self._start(x0, P0, t0, density)
+        self._density, self._before = self._start(x0, P0, t0, density), (None, 0.0)
         self._moments()
         self.x_prior, self.P_prior = self.x_post, self.P_post = self._x, self._P
         self.z = self.y = self.S = None
@@ -131,6 +130,7 @@ class SPHFilter:
             if self.dt is None:
                 raise ModelError("predict needs dt or t=, or a filter made with dt=")
             dt = self.dt
+        before = self._density
         if self._adapts:
             self._density, info, self.n_particles = predict_adapting(
                 self._density, self.model, dt, self.config, t=t, n_particles=self.n_particles
@@ -139,6 +139,7 @@ class SPHFilter:
             self._density, info = predict(
                 self._density, self.model, dt, self.config, t=t, n_particles=self.n_particles
             )
+        self._before = before, info.mass_error
         self._moments()
         self.x_prior, self.P_prior = self._x, self._P
         return info
@@ -146,9 +147,13 @@ class SPHFilter:
     def update(self, z, measurement=None):
         """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo."""
         measurement = measurement or self.measurement
-        density, info = update(self._density, measurement, z, self.config, n_particles=self.n_particles)
+        prior, density, info = update_repeating(
+            *self._before, self._density, self.model, measurement, z, self.config, self.n_particles
+        )
+        self._density = prior
+        self._moments()
         self.x_prior, self.P_prior = self._x, self._P
-        self._density = density
+        self._density, self._before = density, (None, 0.0)
         self._moments()
         self.x_post, self.P_post = self._x, self._P
         self.z = None if z is None else np.atleast_1d(np.array(z, dtype=float))

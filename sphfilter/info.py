@@ -81,6 +81,11 @@ class UpdateInfo:
     reason : str
         Why it was refused, or why the acceptance test was not made; empty if there is nothing to say.
     n_particles : int
+    extrapolated : float
+        Probability of the posterior where the prior had no particles (log-density scheme): the share that
+        rests on a guess about the prior's tails.
+    status : str
+        "ok", or that the prediction before was repeated (`SPHFilter` does that where much is extrapolated).
     kernel_ratio : float
         Variance of the kernels over the smallest variance of the posterior along any direction. Above about
         one the kernels are wider than the posterior somewhere: more particles, or states of like scale.
@@ -93,5 +98,7 @@ class UpdateInfo:
     innovation_cov: np.ndarray | None = None
     reason: str = ""
     n_particles: int = 0
+    extrapolated: float = 0.0
+    status: str = "ok"
     kernel_ratio: float = 0.0
     resample: ResampleInfo | None = field(default=None, repr=False)

@@ -20,7 +20,8 @@ from .core.flood import MOST_ASKED, relaid
 from .core.stencils import stencils
 from .errors import ModelError, PropagationError
 
-__all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "local", "posterior", "reach"]
+__all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "local", "outside", "posterior",
+           "reach"]  # fmt: skip
 
 _TRIES = 24
 _STEP = 0.02  # of slopes, in standard deviations: far wider than jumps between polynomials can harm
@@ -50,6 +51,14 @@ def at(field, X):
     out = np.empty(len(X))
     evaluate(field, stencils(field.mu.size), np.ascontiguousarray(X, dtype=float), out)
     return out
+
+
+def outside(field, x, mass):
+    """Probability of weighted states x (N, n) in cells where a field has no node: its values are a guess."""
+    cell = np.floor((x - field.mu) @ field.inverse.T + 0.5) - field.low
+    boxed = ((cell >= 0) & (cell < field.dims)).all(axis=1)
+    flat = np.ravel_multi_index(tuple(cell[boxed].astype(np.int64).T), tuple(field.dims))
+    return max(0.0, 1.0 - float(mass[boxed][field.owner[flat] >= 0].sum()))
 
 
 def reach(scheme, n):

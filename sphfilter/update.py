@@ -9,6 +9,7 @@ from .acceptance import test_measurement
 from .config import PaperScheme, checked_filter_config
 from .errors import ModelError
 from .info import UpdateInfo
+from .level_set import outside
 from .resample import bound, product, regrid
 
 __all__ = ["update"]
@@ -74,6 +75,7 @@ def update(density, measurement, z, config=None, *, n_particles=None):
             innovation_cov=spread,
             reason=unknown or _flag(innovation, spread),
             n_particles=density.n_particles if unknown else new.n_particles,
+            extrapolated=0.0 if density.field is None else outside(density.field, new.x, new.mass),
         )
         return (density if unknown else new), info
     accepted, reason = _verdict(density, measurement, z, seen, config.acceptance)
