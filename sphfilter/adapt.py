@@ -75,7 +75,8 @@ def update_repeating(before, lost, prior, model, measurement, z, config, n_parti
         The prior that was used, the posterior, and what was done.
     """
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
-    if before is None or before.field is None or prior.field is None or prior.gaussian:
+    known = before is None or before.field is None or prior.field is None or prior.gaussian
+    if known or info.extrapolated < _GUESSED:
         return prior, posterior, info
     scheme = config.scheme if isinstance(config.scheme, LogDensityScheme) else LogDensityScheme()
     Z = reach(scheme, model.dim)

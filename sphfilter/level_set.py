@@ -29,6 +29,7 @@ _SKEWED = 6.0  # largest over smallest variance in coordinates that should be wh
 _ROUNDS = 60  # of sharpening a likelihood
 _ENOUGH = 0.35  # nodes that have to count, over those of a Gaussian on a lattice of its own
 _POWERS = 1.02  # ratio of two powers that are not told apart
+_SMALL_BOX = 4  # cells, over the number of particles wanted
 _LAYERS = 0.15  # least variance of the points that count, in units of their lattice: three layers
 _ROUNDED = 20.0  # roundings a standard deviation must be wide
 _LOW_DENSITY = 1e-300  # of masses
@@ -146,8 +147,10 @@ def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
     at_seeds = cells.seeds_in_box(seeds, mean, np.linalg.inv(A), reach, low, dims)
     if np.prod(dims.astype(float)) > cells.MOST_CELLS:
         raise PropagationError(_spread(mean))
-    value, asked = np.full(np.prod(dims), UNKNOWN), np.empty(0, np.int64)
-    found, highest = cells.seeded(at_seeds, low, dims), -np.inf
+    value, asked, highest = np.full(np.prod(dims), UNKNOWN), np.empty(0, np.int64), -np.inf
+    # A small box is asked for at once: waves from the seeds would cost more than the cells they save.
+    small = value.size <= _SMALL_BOX * n_particles
+    found = np.arange(value.size) if small else cells.seeded(at_seeds, low, dims)
     while found.size and asked.size < MOST_ASKED * n_particles:
         _, states = cells.states_of(found, mean, A, low, dims)
         value[found] = log_p(states)
@@ -275,11 +278,10 @@ def _within(log_p, x, w, factor):
     As `local_shape`, before there is a lattice: a posterior in two thin pieces needs a spacing that
     resolves each of them.
     """
-    n = len(factor)
-    slopes = np.empty((len(x), n))
-    for k in range(n):
-        step = _STEP * factor[:, k]
-        slopes[:, k] = np.clip((log_p(x + step) - log_p(x - step)) / (2.0 * _STEP), -1e100, 1e100)
+    step = _STEP * factor.T[:, None]
+    around = np.concatenate([x + step, x - step]).reshape(-1, x.shape[1])
+    ahead, behind = log_p(around).reshape(2, -1, len(x))
+    slopes = np.clip((ahead - behind) / (2.0 * _STEP), -1e100, 1e100).T
     information = (slopes * (w / w.sum())[:, None]).T @ slopes
     values, axes = np.linalg.eigh(information)
     if not np.isfinite(values).all() or values[-1] * LOCAL < 1.0:

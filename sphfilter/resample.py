@@ -76,14 +76,14 @@ def logarithm(density):
     return lambda X: np.logaddexp(density.logpdf(X), _FAINT + faint(X))
 
 
-def product(density, log_weight, n_particles, scheme):
+def product(density, log_weight, n_particles, scheme, gaussian=False):
     """Density times exp(log_weight(X)) on a lattice that follows its level set, and the log of
-    its integral.
+    its integral; `gaussian` if it is known to be one.
     """
     depth = 0.5 * reach(scheme, density.dim) ** 2
     cell = None if density.field is None else density.field.A
     laid = posterior(density.x, density.mass, logarithm(density), log_weight, n_particles, depth, cell)
-    return ParticleDensity.on_lattice(laid, density.t, n_particles), laid.log_mass
+    return ParticleDensity.on_lattice(laid, density.t, n_particles, gaussian), laid.log_mass
 
 
 def bound(density, n_particles=None):

@@ -1,7 +1,5 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.stats import multivariate_normal
 
@@ -64,9 +62,9 @@ def update(density, measurement, z, config=None, *, n_particles=None):
 
     innovation, spread = _innovation(density, measurement, z, seen)
     if not isinstance(config.scheme, PaperScheme) and not config.acceptance.enabled:
-        new, log_evidence = product(density, log_weight, n_particles, config.scheme)
         linear = getattr(measurement, "H", None) is not None and not measurement.angles
-        new = replace(new, gaussian=density.gaussian and linear)
+        gaussian = density.gaussian and linear
+        new, log_evidence = product(density, log_weight, n_particles, config.scheme, gaussian)
         unknown = _beyond(density, new)
         info = UpdateInfo(
             accepted=not unknown,

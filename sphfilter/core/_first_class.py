@@ -9,6 +9,7 @@ that function and all it calls are linked in and optimised once more, at every l
 compiled once.
 """
 
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 from numba import types
@@ -44,7 +45,7 @@ class Entry:
         """Type of the function as a value; compiles or loads it."""
         return types.FunctionType(_compiled(self._function, self._arguments).signature)
 
-    @property
+    @cached_property
     def address(self):
         """The two addresses; compiles or loads the function."""
         return address_of(self._function, self._arguments)
