@@ -226,7 +226,10 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth, cell=None):
         factor = _within(product, seeds, w[heavy], factor)
         if closed_in:  # the nodes know the pieces of the posterior now
             factor, seeds = local(laid), x
-        laid = lay(product, mean, factor, seeds, n_particles, depth)
+        volume = None
+        if cell is not None and len(seeds) >= enough:  # the region's own cells, measured by the new ones
+            volume = len(seeds) * abs(np.linalg.det(cell)) / np.prod(np.diag(factor))
+        laid = lay(product, mean, factor, seeds, n_particles, depth, volume)
         if power == 1.0 and (effective >= enough or closed_in) and _whitened(factor, local(laid)):
             return laid
         closed_in, cell = power == 1.0, laid.field.A

@@ -2,6 +2,7 @@
 
 import math
 from functools import cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -33,6 +34,7 @@ _THREADS_FROM = 20_000
 # path do not know of it, and what the paths' quadrature does not, fall with the error of the lattice.
 _BENT, _CURVED = 0.8, 0.036
 _TIME_SLICES = (17, 37, 79, 167, 347, 709)  # steps at least over an interval, where drift or noise change
+_CONSTANT = WeakKeyDictionary()  # what `_noise_factor` returns, by model, where it never changes
 _NOISE_ERROR = 1e-3  # of its integral over the interval, relative, by the middles of so many steps
 
 
@@ -135,6 +137,14 @@ _REASONS = {
 
 def _noise_factor(model, t0, t1):
     """G (n, m) with D = G Gᵀ / 2, as many columns as D ever has rank, and steps that see D change."""
+    if not model.constant_diffusion:
+        return _found_noise_factor(model, t0, t1)
+    if model not in _CONSTANT:
+        _CONSTANT[model] = _found_noise_factor(model, t0, t1)
+    return _CONSTANT[model]
+
+
+def _found_noise_factor(model, t0, t1):
     before = np.full((model.dim, model.dim), np.inf)
     for slices in _TIME_SLICES:
         times = t0 + (t1 - t0) * (np.arange(1 if model.constant_diffusion else slices) + 0.5) / slices
