@@ -154,7 +154,7 @@ class Particle:
 class Sph:
     """`SPHFilter` with the default scheme: upper bound of the number of particles, and its configuration."""
 
-    n_particles: Count = 200
+    n_particles: Count | Literal["auto"] = 200
     config: FilterConfig = Field(default_factory=FilterConfig)
 
 

@@ -35,7 +35,7 @@ __all__ = ["SCENARIOS", "add_arguments", "main"]
 SCENARIOS = (
     "van_der_pol", "duffing", "cart", "linear_underdamped", "benes",
     "van_der_pol_sharp", "duffing_square", "lorenz",
-    "pendulum", "bearing", "predator_prey", "vehicle",
+    "pendulum", "bearing", "predator_prey", "vehicle", "fitzhugh_nagumo", "double_well", "falling_body",
 )  # fmt: skip
 #: A name that is no scenario: what the rows of another one mean where the drift is expensive.
 _EXPENSIVE = "expensive"

@@ -14,6 +14,7 @@ __all__ = ["FAMILIES", "Method", "default_families", "label", "methods", "short"
 #: What the names stand for, short and in words. Any scheme of the SPH filter can be forced with sph:SCHEME.
 FAMILIES = {
     "sph": ("SPH", "SPH filter, default"),
+    "auto": ("SPH, auto", "SPH filter, particles by target error"),
     "paper": ("SPH, paper", "SPH filter, scheme of the paper"),
     "ekf": ("EKF", "extended Kalman filter"),
     "ukf": ("UKF", "unscented Kalman filter"),
@@ -26,6 +27,8 @@ FAMILIES = {
 }
 #: Particles by number of states (three stands for all above two), quick or not.
 _SPH = {1: (25, 50, 100, 200), 2: (100, 200, 400, 800, 1600), 3: (200, 500, 1000, 2000, 4000)}
+#: Of n_particles="auto": one over the target error.
+_AUTO = (100, 300, 1000)
 _PAPER = {1: (50, 200), 2: (200, 800), 3: (1000,)}
 _PF, _PF4 = (200, 1000, 10_000, 100_000), (1000, 10_000, 100_000)
 _REFEREE = (48, 96)
@@ -44,7 +47,7 @@ class Method:
     family : str
         A name of `FAMILIES`, or "sph:SCHEME".
     size : int
-        Particles at most, or nodes an axis; zero for filters that have none.
+        Particles at most, nodes an axis, or one over the error aimed at; zero for filters that have none.
     threads : int
     factory : Factory or BoxedFactory
     """
@@ -83,7 +86,7 @@ def short(family):
 def default_families(scenario):
     """Families that fit a scenario."""
     exact = scenario.settings.exact
-    fitting = ["sph", "paper", "ekf", "ukf", "pf", "pf4"]
+    fitting = ["sph", "auto", "paper", "ekf", "ukf", "pf", "pf4"]
     if boxed.fits(scenario):
         fitting.append("grid")
     return fitting + [exact] * (exact in FAMILIES)
@@ -125,6 +128,8 @@ def _family(family, scenario, counts, full):
         return [
             _method(family, "sph", scenario, Sph(n_particles=size, config=config), size) for size in sizes
         ]
+    if family == "auto":
+        return [_auto(scenario, size) for size in counts or _AUTO]
     if family in ("pf", "pf4"):
         return _particle(family, scenario, counts or (_PF4 if family == "pf4" else _PF) + (10**6,) * full)
     if family == "grid":
@@ -132,6 +137,11 @@ def _family(family, scenario, counts, full):
     if family == "referee":
         return [_method(family, "grid", scenario, Grid(size=size), size) for size in _REFEREE]
     return [_method(family, family, scenario, MomentFilter() if family in ("ekf", "ukf") else None, 0)]
+
+
+def _auto(scenario, size):
+    settings = Sph(n_particles="auto", config=FilterConfig(target_error=1.0 / size))
+    return _method("auto", "sph", scenario, settings, size)
 
 
 def _config(family, scheme, n):

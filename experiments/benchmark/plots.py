@@ -23,6 +23,7 @@ _EXPENSIVE_LEVELS = (0.1, 0.03, 0.01)
 #: Colour, marker and width of a series; the SPH filter stands out.
 _STYLES = {
     "sph": (COLOURS["sph"], "o", 2.4),
+    "auto": ("#1B7A5A", "o", 1.2),
     "paper": ("#7BC8AE", "s", 1.4),
     "ekf": (COLOURS["ekf"], "D", 0.0),
     "ukf": (COLOURS["ukf"], "D", 0.0),
