@@ -148,9 +148,13 @@ def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
     if np.prod(dims.astype(float)) > cells.MOST_CELLS:
         raise PropagationError(_spread(mean))
     value, asked, highest = np.full(np.prod(dims), UNKNOWN), np.empty(0, np.int64), -np.inf
-    # A small box is asked for at once: waves from the seeds would cost more than the cells they save.
-    small = value.size <= _SMALL_BOX * n_particles
-    found = np.arange(value.size) if small else cells.seeded(at_seeds, low, dims)
+    found = cells.seeded(at_seeds, low, dims)
+    if value.size <= _SMALL_BOX * n_particles:
+        asked, highest, beyond = _asked_at_once(log_p, mean, A, value, low, dims, depth, ball)
+        if not beyond:
+            return value, low, dims, highest, asked
+        value, low, dims, asked = cells.widen(value, low, dims, asked)
+        found, _ = frontier(value, asked, highest - depth, dims, ball)
     while found.size and asked.size < MOST_ASKED * n_particles:
         _, states = cells.states_of(found, mean, A, low, dims)
         value[found] = log_p(states)
@@ -163,6 +167,21 @@ def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
                 raise PropagationError(_spread(mean))
             found, beyond = frontier(value, asked, highest - depth, dims, ball)
     return value, low, dims, highest, asked
+
+
+def _asked_at_once(log_p, mean, A, value, low, dims, depth, ball):
+    """All cells of a small box: waves from the seeds would cost more than the cells they save.
+
+    Values of cells above the depth and of those beside go into `value`, as if the rest had not been asked.
+    """
+    _, states = cells.states_of(np.arange(value.size), mean, A, low, dims)
+    everywhere = log_p(states)
+    highest = everywhere.max()
+    kept = np.flatnonzero(everywhere > highest - depth)
+    value[kept] = everywhere[kept]
+    rim, beyond = frontier(value, kept, highest - depth, dims, ball)
+    value[rim] = everywhere[rim]
+    return np.concatenate([kept, rim]), highest, beyond
 
 
 def _spread(mean):

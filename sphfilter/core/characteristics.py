@@ -140,7 +140,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
             return field, x, m, mean, P, pick.code
         h, parts, t1 = pick.h, pick.parts, times[0] + pick.h
         response = aim(drift, noise, field, pick.mean, t1, h, parts)
-        step = Step(drift, divergence, noise, field, sten, paths, response, t1, h, parts)
+        step = Step(drift, divergence, noise, field, sten, paths, response, t1, h, parts, pick.blurred)
         new = lay(back, step, pick.mean, pick.shape, pick.ends, control, state, counters)
         if new.code != OK:
             return field, x, m, mean, P, new.code

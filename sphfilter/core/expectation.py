@@ -24,6 +24,7 @@ __all__ = ["AIMED", "BACK", "BACK_IN_BLOCKS", "STEP", "Aim", "Step", "aimed", "b
 
 _SURE = 1.0  # nats below the last level kept, from which one path will do
 _FAR = 6.0  # standard deviations of the noise
+_BLURRED = 2  # noises up to which paths are bent, and leave a bridge
 _BLOCK = 256  # states that one thread takes at a time
 
 
@@ -48,6 +49,7 @@ class Step(NamedTuple):
     t1: float
     h: float
     parts: int  # Runge-Kutta steps of a path
+    blurred: bool  # drift and divergence are averaged over what paths leave of the noise
 
 
 @jit
@@ -68,7 +70,7 @@ def aimed(drift, noise, field, y, t1, h, parts):
         w[k // 2] = 1.0 if k % 2 else -1.0
         displace(push, w, straight[k], bend[k])
     drift(Y, t1, noise.p, f)
-    along(drift, None, noise, Y, f, f, t1, -h, parts, straight, bend, end, w)
+    along(drift, None, noise, Y, f, f, t1, -h, parts, straight, bend, w[:0], end, w)
     B = np.zeros((n, K))
     for a in range(n):
         for k in range(K):
@@ -118,13 +120,16 @@ def back(step, Y, floor, out):
     step.drift(Y, t1, noise.p, f1)
     step.divergence(Y, t1, noise.p, d1)
     if K > 0:
-        along(step.drift, None, noise, Y, f1, d1, t1, -h, step.parts, straight, bend, end, action)
+        along(step.drift, None, noise, Y, f1, d1, t1, -h, step.parts, straight, bend, action[:0], end, action)
         slopes(step.field, step.sten, end, owner, slope)
         _centres(aim, owner, slope, centre)
         push = pushes(noise.G, h)
         for i in range(M):
             displace(push, centre[i], straight[i], bend[i])
-    along(step.drift, step.divergence, noise, Y, f1, d1, t1, -h, step.parts, straight, bend, end, action)
+    along(
+        step.drift, step.divergence, noise, Y, f1, d1, t1, -h, step.parts,
+        straight, bend, action[:0], end, action,
+    )  # fmt: skip
     evaluate(step.field, step.sten, end, out)
     for i in range(M):
         out[i] += action[i]
@@ -174,6 +179,7 @@ def _expected(step, Y, f1, d1, centre, owner, out):
     straight, bend, end, w = np.empty((M, n)), np.empty((M, n)), np.empty((M, n)), np.empty(K)
     action, tilt, log_p = np.empty(M), np.empty(M), np.empty(M)
     highest, total, push = filled(M, -np.inf), np.zeros(M), pushes(noise.G, step.h)
+    blur = np.empty(n if step.blurred and K // 2 <= _BLURRED else 0)
     for q in range(paths.log_weight.size):
         drawn = paths.w[q]
         for i in range(M):
@@ -185,9 +191,13 @@ def _expected(step, Y, f1, d1, centre, owner, out):
                 v += 0.5 * (drawn[k] ** 2 - w[k] ** 2)
             tilt[i] = v
             displace(push, w, straight[i], bend[i])
+        for a in range(blur.size):
+            blur[a] = 0.0
+            for k in range(K // 2):
+                blur[a] += push[k, a] * math.copysign(1.0, drawn[K // 2 + k])
         along(
             step.drift, step.divergence, noise, Y, f1, d1, step.t1, -step.h, step.parts,
-            straight, bend, end, action,
+            straight, bend, blur, end, action,
         )  # fmt: skip
         evaluate(step.field, step.sten, end, log_p)
         for i in range(M):
@@ -233,23 +243,23 @@ def back_in_blocks(step, Y, floor, out):
     full = np.zeros((Y.shape[0] + _BLOCK - 1) // _BLOCK, np.int64)
     _blocks(
         step.drift, step.divergence, step.noise, step.field, step.sten, step.paths, step.aim, step.t1, step.h,
-        step.parts, Y, floor, out, full,
+        step.parts, step.blurred, Y, floor, out, full,
     )  # fmt: skip
     return full.sum()
 
 
 @parallel_jit
-def _blocks(drift, divergence, noise, field, sten, paths, aim, t1, h, parts, Y, floor, out, full):
+def _blocks(drift, divergence, noise, field, sten, paths, aim, t1, h, parts, blurred, Y, floor, out, full):
     """The loop of `back_in_blocks`; numba hands threads tuples of arrays, but no tuples of tuples."""
     for block in prange(full.size):
-        step = Step(drift, divergence, noise, field, sten, paths, aim, t1, h, parts)
+        step = Step(drift, divergence, noise, field, sten, paths, aim, t1, h, parts, blurred)
         first, last = block * _BLOCK, min((block + 1) * _BLOCK, Y.shape[0])
         full[block] = back(step, Y[first:last], floor, out[first:last])
 
 
 #: Numba's types of `Aim` and `Step`.
 AIM = typeof(Aim(np.empty((1, 1)), np.empty((1, 1, 1)), np.empty(1)))
-_NUMBERS = types.float64, types.float64, types.int64
+_NUMBERS = types.float64, types.float64, types.int64, types.boolean
 STEP = types.NamedTuple([BATCH_FUNCTION, BATCH_FUNCTION, NOISE, FIELD, STENCILS, PATHS, AIM, *_NUMBERS], Step)
 #: `back` and `back_in_blocks`, and `aimed`, by their addresses.
 BACK, BACK_IN_BLOCKS = (Entry(f, (STEP, MATRIX, types.float64, VECTOR)) for f in (back, back_in_blocks))

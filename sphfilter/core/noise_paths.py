@@ -32,10 +32,12 @@ class Paths(NamedTuple):
 
 
 @jit
-def along(drift, divergence, noise, x, f1, d1, t, h, parts, straight, bend, end, action):
+def along(drift, divergence, noise, x, f1, d1, t, h, parts, straight, bend, blur, end, action):
     """Paths from states x (M, n) at time t to t + h, h of either sign, by `parts` Runge-Kutta steps.
 
     Noise displaces them on the way, by u straight + 6 u (1 - u) bend after a part u of the time, both (M, n).
+    Such a path leaves a bridge of the noise: drift and divergence are averaged over it, along `blur` (n,),
+    one standard deviation of the noise over the step; empty to leave that out.
     `f1` and `d1` are drift and divergence at the start; `action`, shape (M,), takes the integral of the
     divergence unless that is None.
     """
@@ -44,6 +46,7 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, straight, bend, end,
     E = M * n  # one loop over all numbers runs several at a time
     ends, ys, zs, fs = end.reshape(E), y.reshape(E), z.reshape(E), f.reshape(E)
     straights, bends = straight.reshape(E), bend.reshape(E)
+    other = np.empty((M if blur.size > 0 else 0, n))
     for e in range(E):
         ends[e] = zs[e]
     if divergence is not None:
@@ -53,10 +56,15 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, straight, bend, end,
     for stage in range(4 * parts):
         k = stage % 4
         u = (stage // 4 + (0.0 if k == 0 else 1.0 if k == 3 else 0.5)) / parts
-        if stage > 0:
+        left = u * (1.0 - u) - 3.0 * (u * (1.0 - u)) ** 2  # variance of the bridge
+        if stage > 0 and (blur.size == 0 or left <= 0.0):
             drift(y, t + u * h, noise.p, f)
             if divergence is not None and not noise.constant_divergence:
                 divergence(y, t + u * h, noise.p, d)
+        elif stage > 0:
+            _blurred(drift, y, t + u * h, noise.p, blur, math.sqrt(left), other, f)
+            if divergence is not None and not noise.constant_divergence:
+                _blurred(divergence, y, t + u * h, noise.p, blur, math.sqrt(left), other, d)
         c = step / 6.0 if k in (0, 3) else step / 3.0
         ahead, v = (step if k == 2 else 0.5 * step), u + (0.5 / parts if k in (0, 2) else 0.0)
         bent = 6.0 * v * (1.0 - v)
@@ -73,6 +81,24 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, straight, bend, end,
             ys[e] = zs[e] + (v * straights[e] + bent * bends[e]) + ahead * fs[e]
     for e in range(E):
         ends[e] += straights[e]
+
+
+@jit
+def _blurred(function, y, t, p, blur, scale, other, out):
+    """A function's mean over displacements of states y (M, n) to either side."""
+    M, n = y.shape
+    beside = np.empty((M, out.shape[1]))
+    for i in range(M):
+        for a in range(n):
+            other[i, a] = y[i, a] + scale * blur[a]
+    function(other, t, p, out)
+    for i in range(M):
+        for a in range(n):
+            other[i, a] = y[i, a] - scale * blur[a]
+    function(other, t, p, beside)
+    for i in range(M):
+        for a in range(out.shape[1]):
+            out[i, a] = 0.5 * (out[i, a] + beside[i, a])
 
 
 @jit

@@ -23,11 +23,12 @@ from .control import (
 )
 from .noise_paths import NOISE, along, noise_factor_at
 from .small_matrices import cholesky, times_lower
-from .step_limits import bentness, noise_limit, path_error, predicted, sheared
+from .step_limits import bentness, blurring, noise_limit, path_error, predicted, sheared
 
 __all__ = ["CHOOSE", "Choice", "chosen"]
 
 _MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice
+_SHARP = 0.1  # of the tolerance, below which nothing is averaged over what paths leave of the noise
 _SHORTEST = 1e-9  # of the interval
 
 
@@ -38,6 +39,7 @@ class Choice(NamedTuple):
     h: float
     parts: int  # Runge-Kutta steps of its paths
     last: bool  # it ends the interval
+    blurred: bool  # what paths leave of the noise counts
     ends: np.ndarray  # (N, n) of the nodes' paths, without noise
     mean: np.ndarray  # (n,)
     shape: np.ndarray  # (n, n) lower factor of the covariance within the pieces of the density
@@ -66,8 +68,8 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         pieces = math.ceil(left / h - 1e-9)
         h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
         parts = max(1, math.ceil(h / state[PATH_STEP] - 1e-9))
-        along(drift, None, noise, x, f, f, t, h, parts, still, still, once, m)
-        along(drift, None, noise, x, f, f, t, h, 2 * parts, still, still, twice, m)
+        along(drift, None, noise, x, f, f, t, h, parts, still, still, m[:0], once, m)
+        along(drift, None, noise, x, f, f, t, h, 2 * parts, still, still, m[:0], twice, m)
         counters[EVALUATIONS] += (12 * parts + 2 * noise.G.shape[1]) * x.shape[0]
         error = path_error(once, twice, m, S) / control.tolerance
         factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.25)) if error < np.inf else 0.1
@@ -76,17 +78,19 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
             counters[REJECTED] += 1
             if state[PATH_STEP] < _SHORTEST * span:
                 code = NOT_FINITE if error == np.inf else STALLED
-                return Choice(code, h, parts, False, twice, mean, S)
+                return Choice(code, h, parts, False, False, twice, mean, S)
             continue
         X = predicted(drift, noise, x, f, twice, m, t, h, parts, mean, P)
         counters[EVALUATIONS] += 16 * parts * noise.G.shape[1] * x.shape[0]
         if not cholesky(P, own):
-            return Choice(NOT_FINITE, h, parts, False, twice, mean, S)
+            return Choice(NOT_FINITE, h, parts, False, False, twice, mean, S)
         times_lower(own, Q, S)
         curved = bentness(X, m, S) / control.curved
         state[LATTICE_STEP] = h * min(3.0, max(0.2, 0.9 / math.sqrt(max(curved, 1e-6))))
         if curved <= 1.0:
-            return Choice(OK, h, parts, pieces <= 1, twice, mean, S)
+            counters[EVALUATIONS] += 2 * noise.G.shape[1] * x.shape[0]
+            blurred = not blurring(drift, noise, x, f, m, t, h, S) < _SHARP * control.tolerance
+            return Choice(OK, h, parts, pieces <= 1, blurred, twice, mean, S)
         counters[REJECTED] += 1
 
 

@@ -8,7 +8,7 @@ from ._jit import jit
 from .noise_paths import along, displace, pushes
 from .small_matrices import moments, whiten
 
-__all__ = ["bentness", "noise_limit", "path_error", "predicted", "sheared"]
+__all__ = ["bentness", "blurring", "noise_limit", "path_error", "predicted", "sheared"]
 
 
 @jit
@@ -56,6 +56,33 @@ def sheared(drift, noise, x, m, t, L):
 
 
 @jit
+def blurring(drift, noise, x, f, m, t, h, L):
+    """What averaging the drift over the bridge that a path leaves of the noise does to the path's end: rms
+    over the mass, in standard deviations, all noises together.
+    """
+    N, n = x.shape
+    y, ahead, behind, v = np.empty((N, n)), np.empty((N, n)), np.empty((N, n)), np.empty(n)
+    total = 0.0
+    for k in range(noise.G.shape[1]):
+        scale = 0.25 * math.sqrt(h)  # the bridge's at mid-step
+        for i in range(N):
+            for a in range(n):
+                y[i, a] = x[i, a] + scale * noise.G[a, k]
+        drift(y, t, noise.p, ahead)
+        for i in range(N):
+            for a in range(n):
+                y[i, a] = x[i, a] - scale * noise.G[a, k]
+        drift(y, t, noise.p, behind)
+        for i in range(N):
+            for a in range(n):
+                v[a] = h * (0.5 * (ahead[i, a] + behind[i, a]) - f[i, a])
+            whiten(L, v)
+            for a in range(n):
+                total += m[i] * v[a] * v[a]
+    return math.sqrt(total)
+
+
+@jit
 def path_error(once, twice, m, L):
     """Mass-weighted rms distance of two results, in standard deviations; infinite if any is not finite."""
     total, v = 0.0, np.empty(L.shape[0])
@@ -92,7 +119,7 @@ def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
             displace(pushed, w, straight[i], bend[i])
         w[push // 2] = 0.0
         first = (push + 1) * N
-        along(drift, None, noise, x, f, f, t, h, parts, straight, bend, X[first : first + N], M)
+        along(drift, None, noise, x, f, f, t, h, parts, straight, bend, w[:0], X[first : first + N], M)
         for i in range(N):
             M[first + i] = m[i] * share
     moments(X, M, mean, cov)

@@ -32,7 +32,7 @@ _TOLERANCES = 1e-5, 3e-4
 _THREADS_FROM = 20_000
 # What noise may do within a step, in units of the density's variance and standard deviation: what two bends a
 # path do not know of it, and what the paths' quadrature does not, fall with the error of the lattice.
-_BENT, _CURVED = 0.8, 0.036
+_BENT, _CURVED = 0.8, 0.018
 _TIME_SLICES = (17, 37, 79, 167, 347, 709)  # steps at least over an interval, where drift or noise change
 _CONSTANT = WeakKeyDictionary()  # what `_noise_factor` returns, by model, where it never changes
 _NOISE_ERROR = 1e-3  # of its integral over the interval, relative, by the middles of so many steps
@@ -76,7 +76,7 @@ def propagate(density, model, t1, scheme, n_particles):
         pause_after=_PAUSE_AFTER,
         bent_share=_BENT * min(spacing, 1.0) ** 1.5,
         most_lost=scheme.most_lost,
-        curved=_CURVED * spacing**2,
+        curved=_CURVED * spacing,
     )
     counters = np.zeros(len(COUNTERS), np.int64)
     volume = density.volume or gaussian_volume(n, depth)
