@@ -11,7 +11,7 @@ from sphfilter.core._first_class import address_of, function_at
 from sphfilter.core._jit import jit, start_threads
 from sphfilter.core.expectation import Step, aimed, back, back_in_blocks
 from sphfilter.core.fitting import build_field
-from sphfilter.core.noise_paths import Noise, along, noise_factor_at
+from sphfilter.core.noise_paths import Noise, Pull, along, noise_factor_at, unblurred
 from sphfilter.core.stencils import stencils
 from sphfilter.schemes.log_density import paths
 
@@ -30,8 +30,9 @@ def _ends(addresses, noise, x, t, h, parts, straight, bend):
     drift(x, t, noise.p, f)
     divergence(x, t, noise.p, d)
     end, action, alone = np.empty_like(x), np.empty(x.shape[0]), np.empty_like(x)
-    along(drift, divergence, noise, x, f, d, t, h, parts, straight, bend, action[:0], end, action)
-    along(drift, None, noise, x, f, d, t, h, parts, straight, bend, action[:0], alone, action)
+    pull = Pull(straight, bend, action[:0])
+    along(drift, divergence, noise, x, f, d, t, h, parts, pull, end, action)
+    along(drift, None, noise, x, f, d, t, h, parts, pull, alone, action)
     return end, action, alone
 
 
@@ -39,11 +40,12 @@ def _ends(addresses, noise, x, t, h, parts, straight, bend):
 def _blurred(addresses, noise, x, h, parts, blur):
     """Ends of paths, and integrals of the divergence, that average over a bridge and have no other noise."""
     drift, divergence = function_at(addresses[0]), function_at(addresses[1])
-    f, d, still = np.empty_like(x), np.empty((x.shape[0], 1)), np.zeros_like(x)
+    f, d, still = np.empty_like(x), np.empty((x.shape[0], 1)), unblurred(*x.shape)
+    pull = Pull(still.straight, still.bend, blur)
     drift(x, 0.0, noise.p, f)
     divergence(x, 0.0, noise.p, d)
     end, action = np.empty_like(x), np.empty(x.shape[0])
-    along(drift, divergence, noise, x, f, d, 0.0, h, parts, still, still, blur, end, action)
+    along(drift, divergence, noise, x, f, d, 0.0, h, parts, pull, end, action)
     return end, action
 
 

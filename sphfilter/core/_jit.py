@@ -56,8 +56,12 @@ def _named_for_the_cache(function):
 
 
 def jit(function):
-    """Compile lazily, in nopython mode, cached on disk; division by zero gives inf, as in numpy."""
-    return njit(_named_for_the_cache(function), cache=True, error_model="numpy")
+    """Compile lazily, in nopython mode; division by zero gives inf, as in numpy.
+
+    Cached on disk, but for private functions: their code is part of those that call them.
+    """
+    private = function.__name__.startswith("_")
+    return njit(_named_for_the_cache(function), cache=not private, error_model="numpy")
 
 
 def parallel_jit(function):

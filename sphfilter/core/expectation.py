@@ -16,7 +16,7 @@ from ._first_class import Entry
 from ._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit, parallel_jit
 from .cells import LOWEST, filled
 from .field import FIELD, Field, evaluate, slopes
-from .noise_paths import NOISE, PATHS, Noise, Paths, along, displace, pushes
+from .noise_paths import NOISE, PATHS, Noise, Paths, Pull, along, blurring, displace, pushes, unblurred
 from .small_matrices import cholesky, invert_lower
 from .stencils import STENCILS, Stencils
 
@@ -60,7 +60,7 @@ def aimed(drift, noise, field, y, t1, h, parts):
     """
     n, K = field.mu.size, 2 * noise.G.shape[1]
     M = 2 * K
-    Y, straight, bend, end = np.empty((M, n)), np.empty((M, n)), np.empty((M, n)), np.empty((M, n))
+    Y, pull, end = np.empty((M, n)), unblurred(M, n), np.empty((M, n))
     f, w, push = np.empty((M, n)), np.empty(K), pushes(noise.G, h)
     for k in range(M):
         for a in range(n):
@@ -68,9 +68,9 @@ def aimed(drift, noise, field, y, t1, h, parts):
         for j in range(K):
             w[j] = 0.0
         w[k // 2] = 1.0 if k % 2 else -1.0
-        displace(push, w, straight[k], bend[k])
+        displace(push, w, pull, k)
     drift(Y, t1, noise.p, f)
-    along(drift, None, noise, Y, f, f, t1, -h, parts, straight, bend, w[:0], end, w)
+    along(drift, None, noise, Y, f, f, t1, -h, parts, pull, end, w)
     B = np.zeros((n, K))
     for a in range(n):
         for k in range(K):
@@ -115,21 +115,18 @@ def back(step, Y, floor, out):
     M, n = Y.shape
     K = aim.B.shape[1]
     f1, d1 = np.empty((M, n)), np.empty((M, 1))
-    straight, bend, end, action = np.zeros((M, n)), np.zeros((M, n)), np.empty((M, n)), np.zeros(M)
+    pull, end, action = unblurred(M, n), np.empty((M, n)), np.zeros(M)
     owner, slope, centre = np.empty(M, np.int64), np.empty((M, n)), np.zeros((M, K))
     step.drift(Y, t1, noise.p, f1)
     step.divergence(Y, t1, noise.p, d1)
     if K > 0:
-        along(step.drift, None, noise, Y, f1, d1, t1, -h, step.parts, straight, bend, action[:0], end, action)
+        along(step.drift, None, noise, Y, f1, d1, t1, -h, step.parts, pull, end, action)
         slopes(step.field, step.sten, end, owner, slope)
         _centres(aim, owner, slope, centre)
         push = pushes(noise.G, h)
         for i in range(M):
-            displace(push, centre[i], straight[i], bend[i])
-    along(
-        step.drift, step.divergence, noise, Y, f1, d1, t1, -h, step.parts,
-        straight, bend, action[:0], end, action,
-    )  # fmt: skip
+            displace(push, centre[i], pull, i)
+    along(step.drift, step.divergence, noise, Y, f1, d1, t1, -h, step.parts, pull, end, action)
     evaluate(step.field, step.sten, end, out)
     for i in range(M):
         out[i] += action[i]
@@ -176,10 +173,10 @@ def _expected(step, Y, f1, d1, centre, owner, out):
     noise, paths, aim = step.noise, step.paths, step.aim
     M, n = Y.shape
     K = centre.shape[1]
-    straight, bend, end, w = np.empty((M, n)), np.empty((M, n)), np.empty((M, n)), np.empty(K)
+    blur = np.empty(n if step.blurred and K // 2 <= _BLURRED else 0)
+    pull, end, w = Pull(np.empty((M, n)), np.empty((M, n)), blur), np.empty((M, n)), np.empty(K)
     action, tilt, log_p = np.empty(M), np.empty(M), np.empty(M)
     highest, total, push = filled(M, -np.inf), np.zeros(M), pushes(noise.G, step.h)
-    blur = np.empty(n if step.blurred and K // 2 <= _BLURRED else 0)
     for q in range(paths.log_weight.size):
         drawn = paths.w[q]
         for i in range(M):
@@ -190,15 +187,9 @@ def _expected(step, Y, f1, d1, centre, owner, out):
                     w[k] += root[j, k] * drawn[j]
                 v += 0.5 * (drawn[k] ** 2 - w[k] ** 2)
             tilt[i] = v
-            displace(push, w, straight[i], bend[i])
-        for a in range(blur.size):
-            blur[a] = 0.0
-            for k in range(K // 2):
-                blur[a] += push[k, a] * math.copysign(1.0, drawn[K // 2 + k])
-        along(
-            step.drift, step.divergence, noise, Y, f1, d1, step.t1, -step.h, step.parts,
-            straight, bend, blur, end, action,
-        )  # fmt: skip
+            displace(push, w, pull, i)
+        blurring(push, drawn, blur)
+        along(step.drift, step.divergence, noise, Y, f1, d1, step.t1, -step.h, step.parts, pull, end, action)
         evaluate(step.field, step.sten, end, log_p)
         for i in range(M):
             v = log_p[i] + action[i] + paths.log_weight[q] + tilt[i]

@@ -12,7 +12,19 @@ from numba import typeof
 from ._jit import jit
 from .small_matrices import eigen
 
-__all__ = ["NOISE", "PATHS", "Noise", "Paths", "along", "displace", "noise_factor_at", "pushes"]
+__all__ = [
+    "NOISE",
+    "PATHS",
+    "Noise",
+    "Paths",
+    "Pull",
+    "along",
+    "blurring",
+    "displace",
+    "noise_factor_at",
+    "pushes",
+    "unblurred",
+]
 
 
 class Noise(NamedTuple):
@@ -31,13 +43,26 @@ class Paths(NamedTuple):
     w: np.ndarray  # (Q, 2 m): dW, then bends
 
 
+class Pull(NamedTuple):
+    """How noise displaces paths: on their way, and in what they leave of it."""
+
+    straight: np.ndarray  # (M, n)
+    bend: np.ndarray  # (M, n)
+    blur: np.ndarray  # (n,) one standard deviation of the noise over the step; empty if that does not matter
+
+
 @jit
-def along(drift, divergence, noise, x, f1, d1, t, h, parts, straight, bend, blur, end, action):
+def unblurred(M, n):
+    """No displacements yet."""
+    return Pull(np.zeros((M, n)), np.zeros((M, n)), np.empty(0))
+
+
+@jit
+def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
     """Paths from states x (M, n) at time t to t + h, h of either sign, by `parts` Runge-Kutta steps.
 
-    Noise displaces them on the way, by u straight + 6 u (1 - u) bend after a part u of the time, both (M, n).
-    Such a path leaves a bridge of the noise: drift and divergence are averaged over it, along `blur` (n,),
-    one standard deviation of the noise over the step; empty to leave that out.
+    Noise displaces them on the way, by u straight + 6 u (1 - u) bend after a part u of the time. Such a path
+    leaves a bridge of the noise: drift and divergence are averaged over it, along `blur`.
     `f1` and `d1` are drift and divergence at the start; `action`, shape (M,), takes the integral of the
     divergence unless that is None.
     """
@@ -45,7 +70,7 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, straight, bend, blur
     y, z, f, step = np.empty((M, n)), x.copy(), f1.copy(), h / parts
     E = M * n  # one loop over all numbers runs several at a time
     ends, ys, zs, fs = end.reshape(E), y.reshape(E), z.reshape(E), f.reshape(E)
-    straights, bends = straight.reshape(E), bend.reshape(E)
+    straights, bends, blur = pull.straight.reshape(E), pull.bend.reshape(E), pull.blur
     other = np.empty((M if blur.size > 0 else 0, n))
     for e in range(E):
         ends[e] = zs[e]
@@ -114,15 +139,25 @@ def pushes(G, h):
 
 
 @jit
-def displace(push, w, straight, bend):
-    """Displacements (n,) of a path whose noise is w (2 m,)."""
+def displace(push, w, pull, i):
+    """Displace path i as its noise w (2 m,) does."""
     m = w.size // 2
-    for a in range(straight.size):
-        straight[a], bend[a] = 0.0, 0.0
-    for k in range(m):
-        for a in range(straight.size):
-            straight[a] += push[k, a] * w[k]
-            bend[a] += push[m + k, a] * w[m + k]
+    for a in range(push.shape[1]):
+        straight, bend = 0.0, 0.0
+        for k in range(m):
+            straight += push[k, a] * w[k]
+            bend += push[m + k, a] * w[m + k]
+        pull.straight[i, a], pull.bend[i, a] = straight, bend
+
+
+@jit
+def blurring(push, w, blur):
+    """Where a path's bridge lies: noises to the sides that its bends take, all pairs of sides alike."""
+    m = w.size // 2
+    for a in range(blur.size):
+        blur[a] = 0.0
+        for k in range(m):
+            blur[a] += push[k, a] * math.copysign(1.0, w[m + k])
 
 
 @jit

@@ -21,9 +21,9 @@ from .control import (
     STALLED,
     STATE,
 )
-from .noise_paths import NOISE, along, noise_factor_at
+from .noise_paths import NOISE, along, noise_factor_at, unblurred
 from .small_matrices import cholesky, times_lower
-from .step_limits import bentness, blurring, noise_limit, path_error, predicted, sheared
+from .step_limits import bentness, blur_share, noise_limit, path_error, predicted, sheared
 
 __all__ = ["CHOOSE", "Choice", "chosen"]
 
@@ -55,7 +55,7 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     n, t, left = x.shape[1], times[0], times[1] - times[0]
     mean, P, own, S = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     once, twice = np.empty(x.shape), np.empty(x.shape)
-    f, still = np.empty(x.shape), np.zeros(x.shape)
+    f, still = np.empty(x.shape), unblurred(*x.shape)
     drift(x, t, noise.p, f)
     while True:
         times_lower(L, Q, S)
@@ -68,8 +68,8 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         pieces = math.ceil(left / h - 1e-9)
         h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
         parts = max(1, math.ceil(h / state[PATH_STEP] - 1e-9))
-        along(drift, None, noise, x, f, f, t, h, parts, still, still, m[:0], once, m)
-        along(drift, None, noise, x, f, f, t, h, 2 * parts, still, still, m[:0], twice, m)
+        along(drift, None, noise, x, f, f, t, h, parts, still, once, m)
+        along(drift, None, noise, x, f, f, t, h, 2 * parts, still, twice, m)
         counters[EVALUATIONS] += (12 * parts + 2 * noise.G.shape[1]) * x.shape[0]
         error = path_error(once, twice, m, S) / control.tolerance
         factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.25)) if error < np.inf else 0.1
@@ -89,7 +89,7 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         state[LATTICE_STEP] = h * min(3.0, max(0.2, 0.9 / math.sqrt(max(curved, 1e-6))))
         if curved <= 1.0:
             counters[EVALUATIONS] += 2 * noise.G.shape[1] * x.shape[0]
-            blurred = not blurring(drift, noise, x, f, m, t, h, S) < _SHARP * control.tolerance
+            blurred = not blur_share(drift, noise, x, f, m, t, h, S) < _SHARP * control.tolerance
             return Choice(OK, h, parts, pieces <= 1, blurred, twice, mean, S)
         counters[REJECTED] += 1
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from ._jit import jit
-from .noise_paths import along, displace, pushes
+from .noise_paths import along, displace, pushes, unblurred
 from .small_matrices import moments, whiten
 
-__all__ = ["bentness", "blurring", "noise_limit", "path_error", "predicted", "sheared"]
+__all__ = ["bentness", "blur_share", "noise_limit", "path_error", "predicted", "sheared"]
 
 
 @jit
@@ -56,7 +56,7 @@ def sheared(drift, noise, x, m, t, L):
 
 
 @jit
-def blurring(drift, noise, x, f, m, t, h, L):
+def blur_share(drift, noise, x, f, m, t, h, L):
     """What averaging the drift over the bridge that a path leaves of the noise does to the path's end: rms
     over the mass, in standard deviations, all noises together.
     """
@@ -111,15 +111,15 @@ def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
         M[i] = m[i] * (1.0 - n_pushes * share)
         for a in range(n):
             X[i, a] = ahead[i, a]
-    straight, bend, w = np.empty((N, n)), np.empty((N, n)), np.zeros(2 * noise.G.shape[1])
+    pull, w = unblurred(N, n), np.zeros(2 * noise.G.shape[1])
     pushed = pushes(noise.G, h)
     for push in range(n_pushes):
         w[push // 2] = (1.0 if push % 2 else -1.0) * math.sqrt(width)
         for i in range(N):
-            displace(pushed, w, straight[i], bend[i])
+            displace(pushed, w, pull, i)
         w[push // 2] = 0.0
         first = (push + 1) * N
-        along(drift, None, noise, x, f, f, t, h, parts, straight, bend, w[:0], X[first : first + N], M)
+        along(drift, None, noise, x, f, f, t, h, parts, pull, X[first : first + N], M)
         for i in range(N):
             M[first + i] = m[i] * share
     moments(X, M, mean, cov)
