@@ -6,12 +6,12 @@ from dataclasses import replace
 from scipy.stats import chi2
 
 from .config import LogDensityScheme
-from .errors import ModelError, PropagationError
+from .errors import LatticeError, ModelError, PropagationError, UnresolvedError
 from .level_set import fewest_particles, reach
 from .predict import predict
 from .update import update
 
-__all__ = ["fewest", "predict_adapting", "update_repeating"]
+__all__ = ["fewest", "predict_adapting", "predict_relaying", "update_repeating"]
 
 #: Error of the posterior mean, in standard deviations, over the probability that the lattices of a prediction
 #: lose or gain: 1 to 6 on the Van der Pol and Duffing oscillators at 100 to 800 particles.
@@ -20,6 +20,7 @@ _MOST = 20_000
 _ORDER = 1.5  # the error falls about as N^-1.5
 _SLACK = 4.0  # below the target by so much, fewer particles are tried next time
 _TRIES = 4
+_HELPED = 0.8  # times the loss, which more particles have to bring it below
 #: Probability of a posterior that hangs on what the prediction lost, from which the prediction is repeated.
 _GUESSED = 0.01
 _FURTHER = 3, 9  # times the particles then
@@ -41,19 +42,64 @@ def predict_adapting(density, model, dt, config, *, t, n_particles):
     ParticleDensity, PredictInfo, int
         The number is the bound for the next lattice.
     """
-    for attempt in range(_TRIES):
-        moved, info = predict(density, model, dt, config, t=t, n_particles=n_particles)
+    best, ratio = None, math.inf
+    for _ in range(_TRIES):
+        try:
+            moved, info = predict(density, model, dt, config, t=t, n_particles=n_particles)
+        except PropagationError:
+            if best is None:
+                raise
+            break
         if info.scheme != "log_density":
             return moved, info, n_particles
+        alike = best is not None and best[1].status == info.status == "ok"
+        if alike and info.mass_error > _HELPED * best[1].mass_error:
+            break  # the density itself is coarse, not what it becomes
+        best = moved, info, n_particles
         ratio = _ERROR_PER_MASS * info.mass_error / config.target_error
         if ratio <= 1.0 or n_particles >= _MOST:
             break
-        if attempt < _TRIES - 1:
-            more = n_particles * min(max(ratio ** (1.0 / _ORDER), 1.2), 3.0)
-            n_particles = min(math.ceil(more), _MOST)
+        more = n_particles * min(max(ratio ** (1.0 / _ORDER), 1.2), 3.0)
+        n_particles = min(math.ceil(more), _MOST)
+    moved, info, n_particles = best
     if ratio < 1.0 / _SLACK:
         n_particles = max(fewest(model.dim, "auto"), int(0.8 * n_particles))
     return moved, info, n_particles
+
+
+def predict_relaying(predicted, updated, config, n_particles):
+    """Predict; if the density is too coarse for that, lay it anew from before its update, on more particles.
+
+    Parameters
+    ----------
+    predicted : callable
+        A density to what `predict_adapting` returns.
+    updated : tuple
+        The density; and its prior, measurement and z, if it comes from an update, or None.
+
+    Returns
+    -------
+    ParticleDensity, tuple
+        The density that was predicted, and what `predicted` returned.
+    """
+    density, came_from = updated
+    try:
+        return density, predicted(density)
+    except (LatticeError, UnresolvedError):
+        if came_from is None or came_from[0].field is None:
+            raise
+        prior, measurement, z = came_from
+        for times in _FURTHER:
+            if times * n_particles > _MOST:
+                break
+            try:
+                finer, _ = update(prior, measurement, z, config, n_particles=times * n_particles)
+                moved, info, bound = predicted(finer)
+                status = f"the update before repeated on {times} times the particles"
+                return finer, (moved, replace(info, status=status), bound)
+            except PropagationError:
+                continue
+        raise
 
 
 def update_repeating(before, lost, prior, model, measurement, z, config, n_particles):

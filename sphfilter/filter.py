@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .adapt import fewest, predict_adapting, update_repeating
+from .adapt import fewest, predict_adapting, predict_relaying, update_repeating
 from .config import checked_filter_config
 from .density import ParticleDensity
 from .errors import ModelError
@@ -81,6 +81,7 @@ class SPHFilter:
         self.n_particles = count("n_particles", given)
         self.dt = None if dt is None else positive("dt", dt)
         self._density, self._before = self._start(x0, P0, t0, density), (None, 0.0)
+        self._updated = None
         self._moments()
         self.x_prior, self.P_prior = self.x_post, self.P_post = self._x, self._P
         self.z = self.y = self.S = None
@@ -130,16 +131,18 @@ class SPHFilter:
             if self.dt is None:
                 raise ModelError("predict needs dt or t=, or a filter made with dt=")
             dt = self.dt
-        before = self._density
-        if self._adapts:
-            self._density, info, self.n_particles = predict_adapting(
-                self._density, self.model, dt, self.config, t=t, n_particles=self.n_particles
-            )
-        else:
-            self._density, info = predict(
-                self._density, self.model, dt, self.config, t=t, n_particles=self.n_particles
-            )
-        self._before = before, info.mass_error
+
+        def predicted(density):
+            options = {"t": t, "n_particles": self.n_particles}
+            if self._adapts:
+                return predict_adapting(density, self.model, dt, self.config, **options)
+            return *predict(density, self.model, dt, self.config, **options), self.n_particles
+
+        before, (density, info, n_particles) = predict_relaying(
+            predicted, (self._density, self._updated), self.config, self.n_particles
+        )
+        self._density, self.n_particles = density, n_particles
+        self._before, self._updated = (before, info.mass_error), None
         self._moments()
         self.x_prior, self.P_prior = self._x, self._P
         return info
@@ -154,6 +157,7 @@ class SPHFilter:
         self._moments()
         self.x_prior, self.P_prior = self._x, self._P
         self._density, self._before = density, (None, 0.0)
+        self._updated = (prior, measurement, z) if density is not prior else None
         self._moments()
         self.x_post, self.P_post = self._x, self._P
         self.z = None if z is None else np.atleast_1d(np.array(z, dtype=float))

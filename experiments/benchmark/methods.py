@@ -86,7 +86,9 @@ def short(family):
 def default_families(scenario):
     """Families that fit a scenario."""
     exact = scenario.settings.exact
-    fitting = ["sph", "auto", "paper", "ekf", "ukf", "pf", "pf4"]
+    fitting = ["sph", "paper", "ekf", "ukf", "pf", "pf4"]
+    if scenario.settings.start.kind == "gaussian":
+        fitting.insert(1, "auto")  # other starts are laid on a number of particles beforehand
     if boxed.fits(scenario):
         fitting.append("grid")
     return fitting + [exact] * (exact in FAMILIES)
