@@ -8,7 +8,7 @@ from scipy.stats import chi2
 from .config import LogDensityScheme
 from .errors import LatticeError, ModelError, PropagationError, UnresolvedError
 from .level_set import fewest_particles, reach
-from .predict import predict
+from .predict import FINEST, predict
 from .update import update
 
 __all__ = ["fewest", "predict_adapting", "predict_relaying", "update_repeating"]
@@ -128,6 +128,7 @@ def update_repeating(before, lost, prior, model, measurement, z, config, n_parti
     Z = reach(scheme, model.dim)
     beyond = chi2.sf(Z**2, model.dim)  # what a Gaussian has there: so much of it may be wrong
     for level, times in enumerate(_FURTHER, start=1):
+        times = min(times, FINEST**model.dim)
         sure = info.extrapolated * min(1.0, lost / beyond) < _GUESSED
         if sure or not info.accepted or times * n_particles > _MOST:
             break

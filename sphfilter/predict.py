@@ -13,7 +13,7 @@ from .schemes import corrected, log_density, paper
 from .schemes._shared import carried_off
 from .validate import real
 
-__all__ = ["Trajectory", "predict", "propagate"]
+__all__ = ["FINEST", "Trajectory", "predict", "propagate"]
 
 
 def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
@@ -97,7 +97,7 @@ def _finer(density, model, target, n_particles, problem):
     if blown:
         raise PropagationError(blown) from problem
     for times in _FINER:
-        if times * n_particles > _MOST_FINER:
+        if times > FINEST**model.dim or times * n_particles > _MOST_FINER:
             break
         try:
             more = times * n_particles
@@ -110,6 +110,9 @@ def _finer(density, model, target, n_particles, problem):
 
 #: How many times the particles are tried where the lattice loses probability.
 _FINER = 3, 9, 27
+#: How many times finer a lattice may be along an axis than that of the density it starts from: beyond, it
+#: sees the borders between that one's polynomials.
+FINEST = 3
 _MOST_FINER = 30_000
 _SCHEMES = {
     LogDensityScheme: log_density.propagate,
