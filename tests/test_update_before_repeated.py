@@ -1,0 +1,90 @@
+"""Posteriors too coarse for the prediction that follows; ``n_particles="auto"`` where more do not help."""
+
+import importlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import sphfilter as sf
+from experiments.scenario import load_scenario
+from sphfilter.campaign import draw_case
+from sphfilter.errors import PropagationError, UnresolvedError
+
+ADAPT = importlib.import_module("sphfilter.adapt")
+SQUARE = load_scenario("duffing_square")
+CASE = draw_case(SQUARE, 1, 1)
+
+
+def filtered(n_particles, count):
+    """A filter of the oscillator seen through its square, after some updates."""
+    flt = sf.SPHFilter(
+        SQUARE.model, SQUARE.measurement, CASE.x0, CASE.P0, t0=CASE.t0, n_particles=n_particles
+    )
+    flt.run(CASE.times[:count], CASE.z[:count])
+    return flt
+
+
+def test_the_update_before_is_repeated_on_more_particles():
+    coarse, fine, t = filtered(100, 3), filtered(800, 3), CASE.times[3]
+    with pytest.raises(UnresolvedError):
+        sf.predict(coarse.density, SQUARE.model, t=t, n_particles=100)
+    info = coarse.predict(t=t)
+    fine.predict(t=t)
+    assert info.status.startswith("the update before repeated on")
+    away = np.linalg.solve(np.linalg.cholesky(fine.P), coarse.x - fine.x)
+    assert np.linalg.norm(away) < 0.1
+
+
+def test_a_density_that_comes_from_no_update_is_refused_and_left_alone(monkeypatch):
+    flt = filtered(100, 0)
+    before = flt.density
+
+    def refuse(*args, **options):
+        raise UnresolvedError("too coarse")
+
+    monkeypatch.setattr(importlib.import_module("sphfilter.filter"), "predict", refuse)
+    with pytest.raises(UnresolvedError, match="too coarse"):
+        flt.predict(1.0)
+    assert flt.density is before
+
+
+class Predictions:
+    """Stands for `predict`: each call loses what a list says, or fails where it says None."""
+
+    def __init__(self, *lost):
+        self.lost, self.sizes = list(lost), []
+
+    def __call__(self, density, model, dt, config, *, t, n_particles):
+        lost = self.lost[len(self.sizes)]
+        self.sizes.append(n_particles)
+        if lost is None:
+            raise PropagationError("no")
+        info = SimpleNamespace(scheme="log_density", mass_error=lost, status="ok")
+        return len(self.sizes), info
+
+
+@pytest.mark.parametrize(
+    ("lost", "called", "kept"),
+    [
+        ((1e-4,), 1, 1),  # good enough
+        ((0.01, 0.0097), 2, 1),  # more particles did not help: the first answer stands
+        ((0.01, None), 2, 1),  # nor where they fail
+        ((0.01, 0.004, 0.001), 3, 3),
+    ],
+)
+def test_auto_stops_where_more_particles_do_not_help(monkeypatch, lost, called, kept):
+    predictions = Predictions(*lost)
+    monkeypatch.setattr(ADAPT, "predict", predictions)
+    model, config = SimpleNamespace(dim=2), sf.FilterConfig(target_error=0.01)
+    moved, info, n_particles = ADAPT.predict_adapting(None, model, 1.0, config, t=None, n_particles=200)
+    assert len(predictions.sizes) == called
+    assert predictions.sizes == sorted(set(predictions.sizes))
+    assert (moved, info.mass_error) == (kept, lost[kept - 1])
+    assert n_particles <= predictions.sizes[kept - 1]
+
+
+def test_auto_refuses_what_the_first_prediction_refuses(monkeypatch):
+    monkeypatch.setattr(ADAPT, "predict", Predictions(None))
+    with pytest.raises(PropagationError):
+        ADAPT.predict_adapting(None, SimpleNamespace(dim=2), 1.0, sf.FilterConfig(), t=None, n_particles=200)
