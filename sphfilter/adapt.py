@@ -67,7 +67,7 @@ def predict_adapting(density, model, dt, config, *, t, n_particles):
     return moved, info, n_particles
 
 
-def predict_relaying(predicted, updated, config, n_particles):
+def predict_relaying(predicted, model, updated, config, n_particles):
     """Predict; if the density is too coarse for that, lay it anew from before its update, on more particles.
 
     Parameters
@@ -86,7 +86,8 @@ def predict_relaying(predicted, updated, config, n_particles):
     try:
         return density, predicted(density)
     except (LatticeError, UnresolvedError):
-        if came_from is None or came_from[0].field is None:
+        noisy = model.diffusion_rows.any()  # else nothing ever smooths what is too coarse
+        if came_from is None or came_from[0].field is None or not noisy:
             raise
         prior, measurement, z = came_from
         for times in _FURTHER:

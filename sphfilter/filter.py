@@ -139,7 +139,7 @@ class SPHFilter:
             return *predict(density, self.model, dt, self.config, **options), self.n_particles
 
         before, (density, info, n_particles) = predict_relaying(
-            predicted, (self._density, self._updated), self.config, self.n_particles
+            predicted, self.model, (self._density, self._updated), self.config, self.n_particles
         )
         self._density, self.n_particles = density, n_particles
         self._before, self._updated = (before, info.mass_error), None
