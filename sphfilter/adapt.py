@@ -1,7 +1,7 @@
 """How many particles a prediction needs: ``n_particles="auto"``, and what the next measurement tells."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from scipy.stats import chi2
 
@@ -11,7 +11,7 @@ from .level_set import fewest_particles, reach
 from .predict import FINEST, predict
 from .update import update
 
-__all__ = ["fewest", "predict_adapting", "predict_relaying", "update_repeating"]
+__all__ = ["Prediction", "Update", "fewest", "predict_adapting", "predict_relaying", "update_repeating"]
 
 #: Error of the posterior mean, in standard deviations, over the probability that the lattices of a prediction
 #: lose or gain: 1 to 6 on the Van der Pol and Duffing oscillators at 100 to 800 particles.
@@ -25,6 +25,27 @@ _HELPED = 0.8  # times the loss, which more particles have to bring it below
 _GUESSED = 0.01
 _FURTHER = 3, 9  # times the particles then
 _DEEPER = 0.7  # standard deviations that the lattices reach further then, each time
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The last prediction of a filter."""
+
+    before: object = None  # the density it began with; None if there was none
+    lost: float = 0.0  # probability that the lattices lost
+
+
+@dataclass(frozen=True)
+class Update:
+    """The last update of a filter."""
+
+    prior: object
+    measurement: object
+    z: object
+
+    def repeated(self, config, n_particles):
+        """The posterior on another number of particles."""
+        return update(self.prior, self.measurement, self.z, config, n_particles=n_particles)[0]
 
 
 def fewest(dim, n_particles):
@@ -67,34 +88,33 @@ def predict_adapting(density, model, dt, config, *, t, n_particles):
     return moved, info, n_particles
 
 
-def predict_relaying(predicted, model, updated, config, n_particles):
+def predict_relaying(predicted, model, density, origin, config, n_particles):
     """Predict; if the density is too coarse for that, lay it anew from before its update, on more particles.
 
     Parameters
     ----------
     predicted : callable
         A density to what `predict_adapting` returns.
-    updated : tuple
-        The density; and its prior, measurement and z, if it comes from an update, or None.
+    density : ParticleDensity
+    origin : Update or None
+        Where it comes from.
 
     Returns
     -------
     ParticleDensity, tuple
         The density that was predicted, and what `predicted` returned.
     """
-    density, came_from = updated
     try:
         return density, predicted(density)
     except (LatticeError, UnresolvedError):
         noisy = model.diffusion_rows.any()  # else nothing ever smooths what is too coarse
-        if came_from is None or came_from[0].field is None or not noisy:
+        if origin is None or origin.prior.field is None or not noisy:
             raise
-        prior, measurement, z = came_from
         for times in _FURTHER:
             if times * n_particles > _MOST:
                 break
             try:
-                finer, _ = update(prior, measurement, z, config, n_particles=times * n_particles)
+                finer = origin.repeated(config, times * n_particles)
                 moved, info, bound = predicted(finer)
                 status = f"the update before repeated on {times} times the particles"
                 return finer, (moved, replace(info, status=status), bound)
@@ -103,7 +123,7 @@ def predict_relaying(predicted, model, updated, config, n_particles):
         raise
 
 
-def update_repeating(before, lost, prior, model, measurement, z, config, n_particles):
+def update_repeating(prediction, prior, model, measurement, z, config, n_particles):
     """Update; if the posterior hangs on what the prediction lost, predict again, finer and further.
 
     A prediction cuts off what lies below a level of the density, and loses some of what is near. There a
@@ -111,16 +131,15 @@ def update_repeating(before, lost, prior, model, measurement, z, config, n_parti
 
     Parameters
     ----------
-    before : ParticleDensity or None
-        The density that was predicted to the prior; None if it was not.
-    lost : float
-        Probability that the lattices lost on the way.
+    prediction : Prediction
+        What led to the prior.
 
     Returns
     -------
     ParticleDensity, ParticleDensity, UpdateInfo
         The prior that was used, the posterior, and what was done.
     """
+    before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
     known = before is None or before.field is None or prior.field is None or prior.gaussian
     if known or info.extrapolated < _GUESSED:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .adapt import fewest, predict_adapting, predict_relaying, update_repeating
+from .adapt import Prediction, Update, fewest, predict_adapting, predict_relaying, update_repeating
 from .config import checked_filter_config
 from .density import ParticleDensity
 from .errors import ModelError
@@ -80,8 +80,8 @@ class SPHFilter:
         given = fewest(model.dim, n_particles) if self._adapts else n_particles
         self.n_particles = count("n_particles", given)
         self.dt = None if dt is None else positive("dt", dt)
-        self._density, self._before = self._start(x0, P0, t0, density), (None, 0.0)
-        self._updated = None
+        self._density = self._start(x0, P0, t0, density)
+        self._prediction, self._origin = Prediction(), None
         self._moments()
         self.x_prior, self.P_prior = self.x_post, self.P_post = self._x, self._P
         self.z = self.y = self.S = None
@@ -139,10 +139,10 @@ class SPHFilter:
             return *predict(density, self.model, dt, self.config, **options), self.n_particles
 
         before, (density, info, n_particles) = predict_relaying(
-            predicted, self.model, (self._density, self._updated), self.config, self.n_particles
+            predicted, self.model, self._density, self._origin, self.config, self.n_particles
         )
         self._density, self.n_particles = density, n_particles
-        self._before, self._updated = (before, info.mass_error), None
+        self._prediction, self._origin = Prediction(before, info.mass_error), None
         self._moments()
         self.x_prior, self.P_prior = self._x, self._P
         return info
@@ -151,13 +151,13 @@ class SPHFilter:
         """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo."""
         measurement = measurement or self.measurement
         prior, density, info = update_repeating(
-            *self._before, self._density, self.model, measurement, z, self.config, self.n_particles
+            self._prediction, self._density, self.model, measurement, z, self.config, self.n_particles
         )
         self._density = prior
         self._moments()
         self.x_prior, self.P_prior = self._x, self._P
-        self._density, self._before = density, (None, 0.0)
-        self._updated = (prior, measurement, z) if density is not prior else None
+        self._density, self._prediction = density, Prediction()
+        self._origin = Update(prior, measurement, z) if density is not prior else None
         self._moments()
         self.x_post, self.P_post = self._x, self._P
         self.z = None if z is None else np.atleast_1d(np.array(z, dtype=float))

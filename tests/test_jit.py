@@ -14,16 +14,16 @@ from sphfilter.core._jit import jit, jit_for, parallel_jit
 _VECTOR = types.float64[::1]
 
 
-def _doubled(x, out):
+def doubled(x, out):
     """Twice x."""
     for i in prange(x.size):
         out[i] = 2.0 * x[i]
 
 
 COMPILED = {
-    "serial": jit(_doubled),
-    "parallel": parallel_jit(_doubled),
-    "signed": jit_for(types.void(_VECTOR, _VECTOR), _doubled),
+    "serial": jit(doubled),
+    "parallel": parallel_jit(doubled),
+    "signed": jit_for(types.void(_VECTOR, _VECTOR), doubled),
 }
 
 
@@ -34,6 +34,14 @@ def index_of(dispatcher):
 
 def test_each_kind_of_code_has_a_cache_of_its_own():
     assert len({index_of(f) for f in COMPILED.values()}) == 3
+
+
+def test_private_functions_are_cached_within_their_callers_only():
+    def _private(x):
+        return x
+
+    assert jit(_private).stats.cache_path is None
+    assert COMPILED["serial"].stats.cache_path is not None
 
 
 def test_serial_and_parallel_code_differ():
