@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import FunctionType
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -44,13 +46,20 @@ def test_private_functions_are_cached_within_their_callers_only():
     assert COMPILED["serial"].stats.cache_path is not None
 
 
+def unknown_to_the_cache(function):
+    """The same function under a name of its own: code that comes from the cache cannot be inspected."""
+    copy = FunctionType(function.__code__, function.__globals__, f"{function.__name__}_{uuid4().hex}")
+    copy.__qualname__ = copy.__name__
+    return copy
+
+
 def test_serial_and_parallel_code_differ():
     x, code = np.arange(5.0), {}
-    for name in ("serial", "parallel"):
-        out = np.empty(5)
-        COMPILED[name](x, out)
+    for name, compiler in (("serial", jit), ("parallel", parallel_jit)):
+        out, compiled = np.empty(5), compiler(unknown_to_the_cache(doubled))
+        compiled(x, out)
         np.testing.assert_array_equal(out, 2.0 * x)
-        code[name] = next(iter(COMPILED[name].inspect_llvm().values()))
+        code[name] = next(iter(compiled.inspect_llvm().values()))
     assert "parallel_for" in code["parallel"]
     assert "parallel_for" not in code["serial"]
 
