@@ -153,8 +153,9 @@ class SPHFilter:
         prior, density, info = update_repeating(
             self._prediction, self._density, self.model, measurement, z, self.config, self.n_particles
         )
-        self._density = prior
-        self._moments()
+        if prior is not self._density:
+            self._density = prior
+            self._moments()
         self.x_prior, self.P_prior = self._x, self._P
         self._density, self._prediction = density, Prediction()
         self._origin = Update(prior, measurement, z) if density is not prior else None

@@ -148,13 +148,14 @@ def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
     if np.prod(dims.astype(float)) > cells.MOST_CELLS:
         raise PropagationError(_spread(mean))
     value, asked, highest = np.full(np.prod(dims), UNKNOWN), np.empty(0, np.int64), -np.inf
-    found = cells.seeded(at_seeds, low, dims)
     if value.size <= _SMALL_BOX * n_particles:
         asked, highest, beyond = _asked_at_once(log_p, mean, A, value, low, dims, depth, ball)
         if not beyond:
             return value, low, dims, highest, asked
         value, low, dims, asked = cells.widen(value, low, dims, asked)
         found, _ = frontier(value, asked, highest - depth, dims, ball)
+    else:
+        found = cells.seeded(at_seeds, low, dims)
     while found.size and asked.size < MOST_ASKED * n_particles:
         _, states = cells.states_of(found, mean, A, low, dims)
         value[found] = log_p(states)

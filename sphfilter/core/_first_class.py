@@ -48,7 +48,7 @@ class Entry:
     @cached_property
     def address(self):
         """The two addresses; compiles or loads the function."""
-        return address_of(self._function, self._arguments)
+        return _addresses(_compiled(self._function, self._arguments))
 
     @property
     def _arguments(self):
@@ -61,12 +61,15 @@ def _compiled(function, arguments):
     return function.overloads[arguments]
 
 
-def address_of(function, arguments=BATCH.args):
-    """Return the two addresses of a jitted function for some arguments; it must outlive their use."""
+def _addresses(compiled):
+    names = compiled.fndesc.llvm_func_name, compiled.fndesc.llvm_cfunc_wrapper_name
+    return tuple(compiled.library.get_pointer_to_function(name) for name in names)
+
+
+def address_of(function):
+    """Return the two addresses of a jitted function of signature `BATCH`; it must outlive their use."""
     if function not in _KNOWN:
-        result = _compiled(function, arguments)
-        names = result.fndesc.llvm_func_name, result.fndesc.llvm_cfunc_wrapper_name
-        _KNOWN[function] = tuple(result.library.get_pointer_to_function(name) for name in names)
+        _KNOWN[function] = _addresses(_compiled(function, BATCH.args))
     return _KNOWN[function]
 
 

@@ -19,6 +19,7 @@ __all__ = [
     "Paths",
     "Pull",
     "along",
+    "averaged",
     "blurring",
     "displace",
     "noise_factor_at",
@@ -87,9 +88,9 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
             if divergence is not None and not noise.constant_divergence:
                 divergence(y, t + u * h, noise.p, d)
         elif stage > 0:
-            _blurred(drift, y, t + u * h, noise.p, blur, math.sqrt(left), other, f)
+            averaged(drift, y, t + u * h, noise.p, blur, math.sqrt(left), other, f)
             if divergence is not None and not noise.constant_divergence:
-                _blurred(divergence, y, t + u * h, noise.p, blur, math.sqrt(left), other, d)
+                averaged(divergence, y, t + u * h, noise.p, blur, math.sqrt(left), other, d)
         c = step / 6.0 if k in (0, 3) else step / 3.0
         ahead, v = (step if k == 2 else 0.5 * step), u + (0.5 / parts if k in (0, 2) else 0.0)
         bent = 6.0 * v * (1.0 - v)
@@ -109,7 +110,7 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
 
 
 @jit
-def _blurred(function, y, t, p, blur, scale, other, out):
+def averaged(function, y, t, p, blur, scale, other, out):
     """A function's mean over displacements of states y (M, n) to either side."""
     M, n = y.shape
     beside = np.empty((M, out.shape[1]))

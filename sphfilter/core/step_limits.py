@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ._jit import jit
-from .noise_paths import along, displace, pushes, unblurred
+from .noise_paths import along, averaged, displace, pushes, unblurred
 from .small_matrices import moments, whiten
 
 __all__ = ["bentness", "blur_share", "noise_limit", "path_error", "predicted", "sheared"]
@@ -61,21 +61,14 @@ def blur_share(drift, noise, x, f, m, t, h, L):
     over the mass, in standard deviations, all noises together.
     """
     N, n = x.shape
-    y, ahead, behind, v = np.empty((N, n)), np.empty((N, n)), np.empty((N, n)), np.empty(n)
-    total = 0.0
+    g, mean, other, v, total = np.empty(n), np.empty((N, n)), np.empty((N, n)), np.empty(n), 0.0
     for k in range(noise.G.shape[1]):
-        scale = 0.25 * math.sqrt(h)  # the bridge's at mid-step
+        for a in range(n):
+            g[a] = noise.G[a, k]
+        averaged(drift, x, t, noise.p, g, 0.25 * math.sqrt(h), other, mean)  # the bridge's at mid-step
         for i in range(N):
             for a in range(n):
-                y[i, a] = x[i, a] + scale * noise.G[a, k]
-        drift(y, t, noise.p, ahead)
-        for i in range(N):
-            for a in range(n):
-                y[i, a] = x[i, a] - scale * noise.G[a, k]
-        drift(y, t, noise.p, behind)
-        for i in range(N):
-            for a in range(n):
-                v[a] = h * (0.5 * (ahead[i, a] + behind[i, a]) - f[i, a])
+                v[a] = h * (mean[i, a] - f[i, a])
             whiten(L, v)
             for a in range(n):
                 total += m[i] * v[a] * v[a]
