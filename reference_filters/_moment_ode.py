@@ -23,6 +23,7 @@ LINEARISED, SIGMA_POINTS = 0, 1
 _DONE, _TOO_MANY, _BLOWN_UP = 0, 1, 2
 _MAX_STEPS = 100_000
 
+
 @jit
 def _linearised_rates(P, f, J, D, dm, dP):
     """dm = f(m), dP = J P + P Jᵀ + 2 D(m)."""

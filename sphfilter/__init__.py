@@ -12,6 +12,7 @@ from .config import (
     SolverConfig,
 )
 from .density import ParticleDensity
+from .domain import Domain
 from .errors import ConfigError, ExpressionError, ModelError, PropagationError, SphfilterError
 from .filter import SPHFilter
 from .info import PredictInfo, ResampleInfo, UpdateInfo
@@ -32,6 +33,7 @@ __all__ = [
     "Case",
     "ConfigError",
     "CorrectedScheme",
+    "Domain",
     "ExpressionError",
     "FilterConfig",
     "FilterResult",

@@ -12,6 +12,7 @@ from .core import kernels
 from .core.field import Field
 from .core.neighbors import build_index, choose_method
 from .core.summation import sample_density, sample_density_parallel
+from .domain import Domain
 from .errors import ModelError
 from .validate import array, choice, generator, state_rows
 
@@ -60,6 +61,9 @@ class ParticleDensity:
         Known to be Gaussian everywhere, by where it comes from.
     capacity : int or None
         Bound of the number of particles at the next re-gridding, unless another is given.
+    domain : Domain or None
+        Where the states live, if an axis is periodic or ends. Means of periodic axes are mean directions,
+        covariances those of the differences the short way round. A log-density may lie several times round.
 
     Arrays are read-only; particles without mass are left out.
     """
@@ -78,6 +82,7 @@ class ParticleDensity:
     moments: tuple | None = None
     gaussian: bool = False
     capacity: int | None = None
+    domain: Domain | None = None
     _index: list = attribute(init=False, repr=False, default_factory=list)
 
     def __post_init__(self):
@@ -89,6 +94,9 @@ class ParticleDensity:
         if len(x) == 0 or own["mass"].min() < 0 or own["h"].min() <= 0 or own["mass"].sum() <= 0:
             raise ModelError("a density needs particles, masses >= 0 that are not all zero, and h > 0")
         own["mass"] /= own["mass"].sum()
+        if self.domain is not None:  # none rather than one without bounds
+            domain = Domain.of(self.domain, x.shape[1])
+            object.__setattr__(self, "domain", None if domain.unbounded else domain)
         choice("kernel", self.kernel, kernels.KINDS)
         choice("read_out", self.read_out, READ_OUTS)
         heavy = own["mass"] > 0
@@ -98,7 +106,7 @@ class ParticleDensity:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def on_lattice(cls, laid, t, capacity=None, gaussian=False):
+    def on_lattice(cls, laid, t, capacity=None, gaussian=False, domain=None):
         """The density of a `level_set.Laid` at time t."""
         spacing = abs(np.linalg.det(laid.field.A)) ** (1.0 / laid.x.shape[1])
         return cls(
@@ -113,6 +121,7 @@ class ParticleDensity:
             moments=(laid.mean, laid.cov),
             gaussian=gaussian,
             capacity=capacity,
+            domain=domain,
         )
 
     def __reduce__(self):
@@ -149,25 +158,35 @@ class ParticleDensity:
         """Density at the states X (M, n) or (n,); an array (M,), per unit volume of the state space."""
         if self.field is not None and self.read_out == "log_density":
             return np.exp(self.logpdf(X))
-        Y = state_rows("X", X, self.dim)
+        X = state_rows("X", X, self.dim)
+        Y = self._within(X)
         if not self._index:  # built once, at the first question
-            width = kernels.RADIUS[self.kernel_code[0]] * np.median(self.h)
-            self._index.append(build_index(self.x, width, choose_method(self.n_particles, self.dim)))
+            radius = kernels.RADIUS[self.kernel_code[0]]
+            seen = self._with_images(radius * self.h.max())
+            index = build_index(seen[0], radius * np.median(self.h), choose_method(len(seen[0]), self.dim))
+            self._index.extend((*seen, index))
         out = np.empty(len(Y))
         # Threads only for long sums: a process that has used them cannot be forked.
         sums = sample_density_parallel if len(Y) * self.n_particles > _PARALLEL_FROM else sample_density
-        sums(Y, self.x, self.mass, self.h, self._index[0], self.kernel_code, out)
+        sums(Y, *self._index, self.kernel_code, out)
+        if self.domain is not None:
+            out[~self.domain.contains(X)] = 0.0
         return out
 
     def logpdf(self, X):
         """Logarithm of `pdf`; minus infinity outside the kernels' supports, if it is a mixture's."""
         if self.field is not None and self.read_out == "log_density":
-            return level_set.at(self.field, state_rows("X", X, self.dim))
+            X = state_rows("X", X, self.dim)
+            if self.domain is None:
+                return level_set.at(self.field, X)
+            return special.logsumexp([level_set.at(self.field, X) for X in self._turns(X)], axis=0)
         with np.errstate(divide="ignore"):
             return np.log(self.pdf(X))
 
     def mean(self):
         """Mean, shape (n,); points and mixture agree, kernels being symmetric."""
+        if self.domain is not None:
+            return self.domain.mean(self.x, self.mass)
         if self.moments is not None and self.read_out == "log_density":
             return self.moments[0].copy()
         return self.mass @ self.x
@@ -175,16 +194,16 @@ class ParticleDensity:
     def cov(self, kind=None):
         """Covariance, shape (n, n)."""
         kind = self._kind(kind)
-        if kind == "log_density" and self.moments is not None:
+        if kind == "log_density" and self.moments is not None and self.domain is None:
             return self.moments[1].copy()
-        d = self.x - self.mass @ self.x
+        d = self._from(self.x, self.mean())
         points = (d * self.mass[:, None]).T @ d
         if kind in ("points", "log_density"):
             return points
         return points + self.kernel_variance * (self.mass @ self.h**2) * np.eye(self.dim)
 
     def moment(self, powers, central=False, kind=None):
-        """Expectation of prod_d x_d^powers[d], about the mean if `central`.
+        """Expectation of prod_d x_d^powers[d], about the mean if `central` (the short way round an angle).
 
         Parameters
         ----------
@@ -196,8 +215,10 @@ class ParticleDensity:
         powers = np.asarray(powers)
         if powers.shape != (self.dim,) or np.any(powers < 0) or np.any(powers != np.floor(powers)):
             raise ModelError(f"powers must be {self.dim} whole numbers >= 0, one a state, got {powers!r}")
-        centre = self.mean() if central else np.zeros(self.dim)
-        return self._expect(lambda X: np.prod((X - centre) ** powers, axis=1), kind)
+        centre = self.mean()
+        return self._expect(
+            lambda X: np.prod((self._from(X, centre) if central else X) ** powers, axis=1), kind
+        )
 
     def probability(self, region, kind=None):
         """Probability of a region given as a function of states X (M, n) that returns booleans (M,).
@@ -227,6 +248,7 @@ class ParticleDensity:
             kernel=self.kernel,
             read_out="points" if self.read_out == "log_density" else self.read_out,
             represented_mass=self.represented_mass,
+            domain=None if self.domain is None else Domain(*[self.domain.axes[axis] for axis in axes]),
         )
 
     def sample(self, size, rng=None):
@@ -235,10 +257,10 @@ class ParticleDensity:
         if self.field is not None and self.read_out == "log_density":
             X = self._cell_points(rng.random((32, self.dim)))
             p = self.pdf(X)
-            return X[rng.choice(len(X), size=size, p=p / p.sum())]
+            return self._within(X[rng.choice(len(X), size=size, p=p / p.sum())])
         chosen = rng.choice(self.n_particles, size=size, p=self.mass)
         offsets = self._kernel_points(rng.random((size, self.dim + 1)))
-        return self.x[chosen] + self.h[chosen, None] * offsets
+        return self._within(self.x[chosen] + self.h[chosen, None] * offsets)
 
     def mode(self):
         """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
@@ -258,6 +280,28 @@ class ParticleDensity:
         order = np.argsort(-p)
         return float(np.interp(probability, np.cumsum(self.mass[order]), p[order]))
 
+    def _from(self, X, centre):
+        """Differences of states X (M, n) from a centre (n,)."""
+        return X - centre if self.domain is None else self.domain.nearest(X - centre)
+
+    def _within(self, X):
+        """States X (M, n), those beyond an end where they are seen from inside."""
+        return X if self.domain is None else self.domain.fold(X)
+
+    def _with_images(self, reach):
+        own = self.x, self.mass, self.h
+        return own if self.domain is None else self.domain.seen(self._within(self.x), *own[1:], reach)
+
+    def _turns(self, X):
+        """States X (M, n) turned round periodic axes, as often as the particles go round."""
+        turns = [self._within(X)]
+        for d in np.flatnonzero(self.domain.periodic):
+            low, period = self.domain.low[d], self.domain.period[d]
+            first, last = (np.floor((x - low) / period) for x in (self.x[:, d].min(), self.x[:, d].max()))
+            shift = np.eye(self.dim)[d] * period
+            turns = [Y + k * shift for Y in turns for k in np.arange(first - 1, last + 2)]
+        return turns
+
     def _kind(self, kind):
         return self.read_out if kind is None else choice("kind", kind, READ_OUTS)
 
@@ -265,14 +309,15 @@ class ParticleDensity:
         """Expectation of function(X) -> (M,)."""
         kind = self._kind(kind)
         if kind == "points" or (kind == "log_density" and self.field is None):
-            return float(self.mass @ function(self.x))
+            return float(self.mass @ function(self._within(self.x)))
         if kind == "log_density":
             X = self._cell_points(qmc.Sobol(self.dim, scramble=False).random(_SUBPOINTS // 8) + 1 / 32)
-            p = self.pdf(X)
-            return float(p @ function(X) / p.sum())
+            p = np.exp(level_set.at(self.field, X))
+            return float(p @ function(self._within(X)) / p.sum())
         uniform = qmc.Sobol(self.dim + 1, scramble=False).random(_SUBPOINTS)
         offsets = self._kernel_points(np.clip(uniform, 0.5 / _SUBPOINTS, 1 - 0.5 / _SUBPOINTS))
-        values = function((self.x[:, None] + self.h[:, None, None] * offsets).reshape(-1, self.dim))
+        X = (self.x[:, None] + self.h[:, None, None] * offsets).reshape(-1, self.dim)
+        values = function(self._within(X))
         return float(self.mass @ values.reshape(self.n_particles, -1).mean(axis=1))
 
     def _cell_points(self, uniform):

@@ -37,7 +37,9 @@ def propagate_exactly(density, model, t1, n_particles):
     factor = np.linalg.cholesky(cov)
     laid = lay(gaussian_log_pdf(mean, cov), mean, factor, mean[None], n_particles, depth)
     info = PredictInfo(scheme="exact_linear", skipped=("everything: a Gaussian through a linear model",))
-    return ParticleDensity.on_lattice(laid, float(t1), density.capacity, density.gaussian), info
+    return ParticleDensity.on_lattice(
+        laid, float(t1), density.capacity, density.gaussian, density.domain
+    ), info
 
 
 def _quadratic(density):

@@ -7,14 +7,16 @@ from scipy import stats
 
 from .config import PaperScheme, SolverConfig
 from .density import ParticleDensity
+from .domain import Domain
 from .errors import ModelError, PropagationError
 from .exact import gaussian_log_pdf
 from .lattice import Lattice, heaviest, particles_on, place_gaussian
 from .level_set import fewest_particles, lay, reach
 from .validate import array, count, covariance
 
-__all__ = ["Gaussian", "Uniform", "initialize"]
+__all__ = ["Gaussian", "Uniform", "initialize", "spread"]
 
+_FAR = 6.0  # standard deviations within which a Gaussian is put on a domain with ends
 _COARSE = 2000  # particles a callable pdf is first looked at with
 
 
@@ -58,7 +60,7 @@ def checked_box(box):
     return box
 
 
-def initialize(distribution, n_particles, config=None, *, box=None, t=0.0):
+def initialize(distribution, n_particles, config=None, *, box=None, t=0.0, domain=None):
     """Put a distribution on particles (002 sections 4.1, 4.2 and 4.6).
 
     Parameters
@@ -72,6 +74,9 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0):
         Where a callable pdf is not negligible.
     t : float
         Time of the density, seconds.
+    domain : Domain, or sequence of its axes, optional
+        That of the model, if it has periodic axes or walls. The density is cut off at walls, and summed over
+        the turns of an angle.
 
     Returns
     -------
@@ -79,32 +84,66 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0):
     """
     scheme = (config or SolverConfig()).scheme
     n_particles = count("n_particles", n_particles)
-    if not isinstance(scheme, PaperScheme) and not isinstance(distribution, Uniform):
-        return _on_level_set(distribution, box, n_particles, scheme, t)
+    gaussian, box = isinstance(distribution, Gaussian), _box_of(distribution, box)
+    domain = None if domain is None else Domain.of(domain, len(box))
+    domain = None if domain is None or domain.unbounded else domain
+    smooth = not isinstance(distribution, Uniform) and (
+        domain is None or (gaussian and not domain.walled.any())
+    )
+    if smooth and not isinstance(scheme, PaperScheme):
+        return _on_level_set(distribution, box, n_particles, scheme, t, domain)
     if not isinstance(scheme, PaperScheme):
         scheme = PaperScheme(kernel="wendland_c2")  # a density with edges has no smooth logarithm
-    if isinstance(distribution, Gaussian):
+    if gaussian and domain is None:
         return _from_gaussian(distribution, n_particles, scheme, t)
+    pdf = distribution.pdf if isinstance(distribution, Gaussian | Uniform) else distribution
+    if domain is not None:
+        if gaussian:
+            pdf = _all_turns(pdf, domain, box)
+        box = np.transpose(domain.within(*box.T, 0.0))
+    return _from_pdf(pdf, checked_box(box), n_particles, scheme, t, domain)
+
+
+def spread(density, n_particles, scheme):
+    """Put a density that knows its pdf anywhere on a lattice of equal spacings, for sums over kernels."""
+    low, high = density.x.min(axis=0) - density.h[0], density.x.max(axis=0) + density.h[0]
+    domain = density.domain
+    if domain is not None:
+        low, high = domain.within(low, high, 0.0)
+    return _from_pdf(density.pdf, np.transpose([low, high]), n_particles, scheme, density.t, domain)
+
+
+def _box_of(distribution, box):
+    """Where a distribution is not negligible, shape (n, 2)."""
+    if isinstance(distribution, Gaussian):
+        half = _FAR * np.sqrt(np.diag(distribution.cov))
+        return np.transpose([distribution.mean - half, distribution.mean + half])
     if isinstance(distribution, Uniform):
-        distribution, box = distribution.pdf, distribution.box
-    elif box is None or not callable(distribution):
+        return distribution.box
+    if box is None or not callable(distribution):
         raise ModelError("initialize takes a Gaussian, a Uniform, or a callable pdf with box=, shape (n, 2)")
-    return _from_pdf(distribution, checked_box(box), n_particles, scheme, t)
+    return checked_box(box)
 
 
-def _on_level_set(distribution, box, n_particles, scheme, t):
+def _all_turns(pdf, domain, box):
+    """A pdf summed over the turns of periodic axes that its box reaches."""
+    shifts = np.zeros((1, domain.dim))
+    for d in np.flatnonzero(domain.periodic):
+        turns = 1 + int(np.ceil((box[d, 1] - box[d, 0]) / domain.period[d]))
+        steps = np.arange(-turns, turns + 1)[:, None] * domain.period[d] * np.eye(domain.dim)[d]
+        shifts = (shifts[:, None] + steps).reshape(-1, domain.dim)
+    return lambda X: np.sum([pdf(X + shift) for shift in shifts], axis=0)
+
+
+def _on_level_set(distribution, box, n_particles, scheme, t, domain):
     """A smooth density on a lattice that follows its level set."""
-    gaussian = isinstance(distribution, Gaussian)
-    n = len(distribution.mean) if gaussian else np.shape(box)[0] if np.ndim(box) else 0
-    depth = 0.5 * reach(scheme, n) ** 2
-    if gaussian:
+    depth = 0.5 * reach(scheme, len(box)) ** 2
+    if isinstance(distribution, Gaussian):
         mean, cov = distribution.mean, distribution.cov
         log_p = gaussian_log_pdf(mean, cov)
         laid = _laid(log_p, mean, np.linalg.cholesky(cov), mean[None], n_particles, depth)
-        return ParticleDensity.on_lattice(laid, t, n_particles, gaussian=True)
-    if box is None or not callable(distribution):
-        raise ModelError("initialize takes a Gaussian, a Uniform, or a callable pdf with box=, shape (n, 2)")
-    coarse = _from_pdf(distribution, checked_box(box), max(n_particles, _COARSE), PaperScheme(), t)
+        return ParticleDensity.on_lattice(laid, t, n_particles, gaussian=True, domain=domain)
+    coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), PaperScheme(), t)
 
     def log_p(X):
         with np.errstate(divide="ignore"):
@@ -135,13 +174,13 @@ def _from_gaussian(gaussian, n_particles, scheme, t):
     return particles_on(lattice, values, between, place.core, scheme, about)
 
 
-def _from_pdf(pdf, box, n_particles, scheme, t):
+def _from_pdf(pdf, box, n_particles, scheme, t, domain=None):
     """Cells of equal width over the box, particles at their centres, lowest masses dropped."""
     span = box[:, 1] - box[:, 0]
     for shrink in np.geomspace(0.25, 4.0, 80):
         dx = shrink * (np.prod(span) / n_particles) ** (1.0 / len(span))
         dims = np.maximum(np.ceil(span / dx).astype(int), 2)
-        lattice = Lattice(box[:, 0] + 0.5 * span / dims, span / dims, dims)
+        lattice = Lattice(box[:, 0] + 0.5 * span / dims, span / dims, dims, domain)
         values = np.asarray(pdf(lattice.nodes), dtype=float)
         if values.shape != (len(lattice.nodes),) or not np.all(np.isfinite(values)) or values.min() < 0:
             raise ModelError("pdf must return one finite density >= 0 for each row of its argument")
@@ -152,6 +191,6 @@ def _from_pdf(pdf, box, n_particles, scheme, t):
             scale = values.sum() * lattice.cell_volume
             between = np.asarray(pdf(lattice.half_shifted().nodes), dtype=float) / scale
             represented = float(values[kept].sum() / values.sum())
-            about = {"t": t, "represented_mass": represented, "capacity": n_particles}
+            about = {"t": t, "represented_mass": represented, "capacity": n_particles, "domain": domain}
             return particles_on(lattice, values * kept / scale, between, kept, scheme, about)
     raise ModelError(f"n_particles = {n_particles} is too small for {len(span)} states; use more")

@@ -1,7 +1,7 @@
 """Regular lattices of particles: where they lie, how far their kernels reach, what mass they carry."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ from .core.kernels import KINDS, RADIUS, normalisation, shape
 from .core.neighbors import build_index, choose_method, neighbor_lists
 from .core.summation import deposit
 from .density import ParticleDensity
+from .domain import Domain
 from .errors import ModelError
 
 __all__ = [
@@ -34,12 +35,21 @@ class Lattice:
     origin: np.ndarray
     spacing: np.ndarray
     dims: np.ndarray
+    domain: Domain | None = None
 
     @classmethod
-    def spanning(cls, low, high, dims):
-        """Lattice with nodes at both ends of [low, high] (002 (49) prints N = span/d: it is span/d + 1)."""
+    def spanning(cls, low, high, dims, domain=None):
+        """Lattice with nodes at both ends of [low, high] (002 (49) prints N = span/d: it is span/d + 1).
+
+        Where both ends are those of the domain, or one is a wall, nodes lie in the middle of equal cells.
+        """
+        low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
         dims = np.maximum(np.asarray(dims, dtype=int), 2)
-        return cls(np.asarray(low, dtype=float), (high - low) / (dims - 1), dims)
+        if domain is None:
+            return cls(low, (high - low) / (dims - 1), dims)
+        centred = domain.whole(low, high) | (domain.walled & ((low <= domain.low) | (high >= domain.high)))
+        spacing = (high - low) / np.where(centred, dims, dims - 1)
+        return cls(low + np.where(centred, 0.5 * spacing, 0.0), spacing, dims, domain)
 
     @property
     def nodes(self):
@@ -53,11 +63,13 @@ class Lattice:
 
     def half_shifted(self):
         """The interstitial lattice: half a cell off along every axis, inscribed (002 4.6.1)."""
-        return Lattice(self.origin + 0.5 * self.spacing, self.spacing, self.dims - 1)
+        return replace(self, origin=self.origin + 0.5 * self.spacing, dims=self.dims - 1)
 
     def density_of(self, x, mass, h, kernel):
         """Mixture density of particles at every node, shape (M,)."""
         out = np.empty(int(np.prod(self.dims)))
+        if self.domain is not None:
+            x, mass, h = self.domain.seen(x, mass, h, RADIUS[kernel[0]] * h.max())
         deposit(self.origin, self.spacing, self.dims, x, mass, h, kernel, out)
         return out
 
@@ -226,13 +238,15 @@ def particles_on(lattice, values, between, core, scheme, density):
         Nodes whose fit counts; interstitial nodes count from the lowest density of the core up.
     scheme : PaperScheme
     density : dict
-        The other attributes of the density: t, represented_mass, capacity.
+        The other attributes of the density: t, represented_mass, capacity, domain.
     """
     kept = values > 0
     mass = values * lattice.cell_volume
     interior_between = between >= values[core & kept].min(initial=np.inf)
     fit = fit_support(lattice, mass, values, between, core & kept, interior_between, scheme)
     x, mass = lattice.nodes[kept], mass[kept]
+    if density.get("domain") is not None:
+        x = density["domain"].wrap(x)
     if scheme.masses == "collocation":
         solved = collocation_masses(x, fit.h, values[kept], scheme.kernel)
         mass = mass if solved is None else solved

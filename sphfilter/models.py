@@ -12,6 +12,7 @@ from . import _derived as derived
 from . import validate
 from ._compile import compile_rows, shared
 from ._noise import noise_parts, reads_time
+from .domain import Domain
 from .errors import ModelError, nearest
 
 __all__ = ["SDE", "LinearSDE"]
@@ -42,6 +43,8 @@ class SDE:
     vectorized : bool
         The callables take all states at once, as numpy functions, and are not compiled.
     interpretation : {"ito", "stratonovich"}
+    domain : Domain or sequence of its axes, optional
+        Periodic axes (angles), and axes that end.
 
     Attributes
     ----------
@@ -62,7 +65,8 @@ class SDE:
     autonomous : bool
         Neither drift nor noise depends on time. For a callable, True only when it never reads t.
     linear : bool
-        The drift is affine in the state with constant coefficients, and the noise constant (provably).
+        The drift is affine in the state with constant coefficients, the noise constant (provably), and no
+        axis ends.
     diffusion_rows : ndarray of bool, shape (n,)
         Rows of D that may differ from zero; exact when D is constant.
 
@@ -73,7 +77,7 @@ class SDE:
     """
 
     def __init__(self, drift, dim, noise=None, spectral_density=None, *, diffusion=None, parameters=None,
-                 divergence=None, vectorized=False, interpretation="ito"):  # fmt: skip
+                 divergence=None, vectorized=False, interpretation="ito", domain=None):  # fmt: skip
         recipe = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         n = validate.count("dim", dim)
         validate.choice("interpretation", interpretation, ("ito", "stratonovich"))
@@ -90,11 +94,11 @@ class SDE:
             given = compile_rows(divergence, (), "divergence", n, p, vectorized)
             makers["divergence"] = lambda fs: given
         flags["autonomous"] = flags["autonomous"] and not reads_time(drift, "drift")
-        self._assemble((SDE, recipe), [f"x{i}" for i in range(n)], values, Q, makers, tail, flags)
+        self._assemble((SDE, recipe), [f"x{i}" for i in range(n)], values, Q, makers, tail, flags, domain)
 
     @classmethod
     def from_expressions(cls, states, drift, noise=None, spectral_density=None, parameters=None,
-                         interpretation="ito", diffusion=None):  # fmt: skip
+                         interpretation="ito", diffusion=None, domain=None):  # fmt: skip
         """Build a model from text; derivatives are symbolic.
 
         Parameters
@@ -109,6 +113,7 @@ class SDE:
         interpretation : {"ito", "stratonovich"}
         diffusion : nested sequence of str or float, shape (n, n), optional
             D itself instead of noise.
+        domain : Domain or sequence of its axes, optional
 
         Raises
         ------
@@ -130,15 +135,17 @@ class SDE:
         makers, Q, flags = symbolic_model(states, drift, noise, diffusion, spectral_density, tuple(values),
                                           interpretation)  # fmt: skip
         self = cls.__new__(cls)
-        self._assemble((SDE.from_expressions, recipe), states, values, Q, makers, np.empty(0), flags)
+        self._assemble((SDE.from_expressions, recipe), states, values, Q, makers, np.empty(0), flags, domain)
         return self
 
-    def _assemble(self, recipe, states, values, Q, makers, tail, flags):
+    def _assemble(self, recipe, states, values, Q, makers, tail, flags, domain=None):
         """Set every attribute; the derived functions are compiled when first used."""
         self._recipe, self._tail, self._flags = recipe, tail, flags
         self.states, self.dim, self.n_noise = tuple(states), len(states), len(Q)
         self.spectral_density = Q
         Q.setflags(write=False)
+        self.domain = Domain.of(domain, self.dim)
+        flags["linear"] = flags["linear"] and not self.domain.walled.any()
         self._functions = _Functions(makers, self.dim)
         for name in ("constant_diffusion", "state_dependent_noise", "autonomous", "linear"):
             setattr(self, name, bool(flags[name]))

@@ -49,6 +49,7 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
     target = real("t", t) if dt is None else density.t + real("dt", dt)
     if target < density.t:
         raise ModelError(f"cannot predict back in time: from t = {density.t:g} to {target:g}")
+    density = _in_domain(density, model.domain)
     config = config or SolverConfig()
     scheme = config.scheme
     if target == density.t:
@@ -62,6 +63,19 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
     if scheme == "auto":
         return _best(density, model, target, n_particles)
     return _SCHEMES[type(scheme)](density, model, target, scheme, n_particles)
+
+
+def _in_domain(density, domain):
+    """The density with the domain of a model."""
+    if domain.unbounded:
+        return density
+    outside = ~domain.contains(density.x)
+    if outside.any():
+        raise ModelError(
+            f"{outside.sum()} particles lie beyond the walls of the model's {domain}, one at "
+            f"{density.x[outside][0]}: give initialize the same domain="
+        )
+    return density if density.domain == domain else replace(density, domain=domain)
 
 
 def _corrected(density, model, target, scheme, n_particles):
@@ -79,6 +93,9 @@ def _best(density, model, target, n_particles):
             return _finer(density, model, target, n_particles, problem)
         except PropagationError as problem:
             reason = str(problem)
+    if density.domain is not None:
+        moved, info = paper.propagate(density, model, target, _SUMMED, n_particles)
+        return moved, replace(info, status=f"not log_density: {reason}")
     try:
         moved, info = _corrected(density, model, target, CorrectedScheme(), n_particles)
     except PropagationError as problem:
@@ -114,6 +131,8 @@ _FINER = 3, 9, 27
 #: sees the borders between that one's polynomials.
 FINEST = 3
 _MOST_FINER = 30_000
+#: Plain sums over kernels, for domains whose ends other schemes do not know.
+_SUMMED = PaperScheme(kernel="wendland_c2")
 _SCHEMES = {
     LogDensityScheme: log_density.propagate,
     CorrectedScheme: _corrected,

@@ -1,5 +1,6 @@
 """Re-gridding: a density, or its product with a likelihood, on a new regular lattice (002 4.7 and 6.1)."""
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from .config import PaperScheme, SolverConfig
 from .density import ParticleDensity
+from .domain import Domain
 from .errors import PropagationError
 from .exact import gaussian_log_pdf
 from .info import ResampleInfo
@@ -82,8 +84,10 @@ def product(density, log_weight, n_particles, scheme, gaussian=False):
     """
     depth = 0.5 * reach(scheme, density.dim) ** 2
     cell = None if density.field is None else density.field.A
-    laid = posterior(density.x, density.mass, logarithm(density), log_weight, n_particles, depth, cell)
-    return ParticleDensity.on_lattice(laid, density.t, n_particles, gaussian), laid.log_mass
+    domain = density.domain
+    weight = log_weight if domain is None else lambda X: log_weight(domain.wrap(X))
+    laid = posterior(density.x, density.mass, logarithm(density), weight, n_particles, depth, cell)
+    return ParticleDensity.on_lattice(laid, density.t, n_particles, gaussian, domain), laid.log_mass
 
 
 def bound(density, n_particles=None):
@@ -103,8 +107,10 @@ def regrid(density, n_particles, scheme, log_weight=None):
     """
     if not isinstance(scheme, PaperScheme):
         return _relaid(density, n_particles, scheme, log_weight)
-    measured = log_weight is not None
+    measured, domain = log_weight is not None, density.domain
     log_weight = log_weight or (lambda X: np.zeros(len(X)))
+    if domain is not None:
+        density, log_weight = _unrolled(density), lambda X, given=log_weight: given(domain.wrap(X))
     raw = _weighted_masses(density, log_weight)
     low, high, volume_fraction = _domain(density, raw, log_weight, n_particles, scheme)
     candidates = _candidates(density, raw, log_weight, (low, high), volume_fraction, n_particles, scheme)
@@ -115,7 +121,7 @@ def regrid(density, n_particles, scheme, log_weight=None):
     between = _field(density, lattice.half_shifted(), log_weight, log_scale).values / total
     represented = float(values[best.kept].sum() / values.sum())
     represented *= 1.0 if measured else density.represented_mass
-    about = {"t": density.t, "represented_mass": represented, "capacity": n_particles}
+    about = {"t": density.t, "represented_mass": represented, "capacity": n_particles, "domain": domain}
     new = particles_on(lattice, density_values, between, best.core, scheme, about)
     info = ResampleInfo(
         n_particles=new.n_particles,
@@ -144,6 +150,19 @@ def _relaid(density, n_particles, scheme, log_weight):
         log_evidence=log_evidence,
     )
     return new, info
+
+
+def _unrolled(density):
+    """The density with its particles side by side along periodic axes, cut where there are none."""
+    x, axes = density.domain.wrap(density.x), list(density.domain.axes)
+    for d in np.flatnonzero(density.domain.periodic):
+        period = density.domain.period[d]
+        along = np.sort(x[:, d])
+        gaps = np.diff(along, append=along[0] + period)
+        cut = along[np.argmax(gaps)] + 0.5 * gaps.max()
+        x[:, d] = cut + (x[:, d] - cut) % period
+        axes[d] = "periodic", cut, cut + period
+    return replace(density, x=x, domain=Domain(*axes))
 
 
 def _weighted_masses(density, log_weight):
@@ -198,9 +217,11 @@ def _domain(density, raw, log_weight, n_particles, scheme):
     low, high = kept.min(axis=0), kept.max(axis=0)
     widen = np.maximum(0.5 * (support - (high - low)), 0.0)  # a single row of particles still has width
     low, high = low - widen, high + widen
+    if density.domain is not None:
+        low, high = density.domain.within(low, high, support)
     for _ in range(_ZOOMS):
         dims = _dims(high - low, n_particles, 1.0, scheme.anisotropy, least)
-        lattice = Lattice.spanning(low, high, dims)
+        lattice = Lattice.spanning(low, high, dims, density.domain)
         filled = heaviest(_field(density, lattice, log_weight).values, scheme.domain_mass)
         nodes = lattice.nodes[filled]
         inner_low = np.maximum(low, nodes.min(axis=0) - lattice.spacing)
@@ -214,7 +235,7 @@ def _domain(density, raw, log_weight, n_particles, scheme):
 def _candidates(density, raw, log_weight, extents, volume_fraction, n_particles, scheme):
     """The central discretisation and its neighbours, one node more or less along each axis (002 4.7.3)."""
     low, high = extents
-    n = density.dim
+    n, domain = density.dim, density.domain
     cov = _covariance(density.x, raw)
     core_ratio = _core_ratio(density.mass, scheme)
     least = _least_nodes(n_particles, n)
@@ -222,7 +243,9 @@ def _candidates(density, raw, log_weight, extents, volume_fraction, n_particles,
     steps = [np.zeros(n, int), *np.eye(n, dtype=int), *-np.eye(n, dtype=int)]
     while True:
         tried = [
-            _candidate(density, log_weight, Lattice.spanning(low, high, dims + step), cov, core_ratio, scheme)
+            _candidate(
+                density, log_weight, Lattice.spanning(low, high, dims + step, domain), cov, core_ratio, scheme
+            )
             for step in steps
             if np.all(dims + step >= least)
         ]

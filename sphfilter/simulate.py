@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from . import validate
+from .core.images import bounce
 from .core.sde_steps import normals_per_step, steps
 from .errors import ModelError, PropagationError
 
@@ -60,7 +61,7 @@ def simulate(model, measurement, x0, times, rng=None, n_paths=None, max_step=Non
     truth = np.empty((len(times), *x.shape))
     truth[0] = x
     for i, (before, t) in enumerate(pairwise(times), start=1):
-        x = advance(model, x, before, t, rng, max_step) if t > before else x
+        x = model.domain.wrap(advance(model, x, before, t, rng, max_step)) if t > before else x
         truth[i] = x
     z = None
     if measurement is not None:
@@ -115,11 +116,16 @@ def _take(model, x, t, dt, n_steps, L, rng):
     additive = not model.state_dependent_noise
     n_normals = normals_per_step(len(L), additive)
     at_once = max(1, _NORMALS_AT_ONCE // (len(x) * n_normals))
-    loop = steps(additive)
+    loop, walled = steps(additive), model.domain.walled.any()
+    if walled:
+        at_once = 1  # walls are looked at after every step
     for first in range(0, n_steps, at_once):
         normals = rng.standard_normal((min(at_once, n_steps - first), len(x), n_normals))
         rows = np.ascontiguousarray(normals.transpose(0, 2, 1))
         loop(x, t + first * dt, dt, model.drift_batch, model.noise_batch, model.p, L, rows)
+        if walled:
+            bounce(model.domain.codes, x)
+            _check_walls(model.domain, x, t + first * dt)
 
 
 def _next_block(model, x, t, t1):
@@ -174,6 +180,12 @@ def noise_root(Q):
     """Return L with L Lᵀ = Q, for semidefinite Q too."""
     w, V = np.linalg.eigh(Q)
     return np.ascontiguousarray(V * np.sqrt(np.maximum(w, 0.0)))
+
+
+def _check_walls(domain, x, t):
+    left = np.isfinite(x).all(axis=1) & ~domain.contains(x)
+    if left.any():
+        raise PropagationError(f"a path left the domain near t = {t:.6g}, at {x[left][0]}; it is {domain}")
 
 
 def _check_finite(x, before, t):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sphfilter.core import kernels, neighbors, smoothing, summation
+from sphfilter.core.images import unseen
 from sphfilter.core.march import Cloud
 
 KIND = 1
@@ -27,7 +28,9 @@ def squeezed(mode, sweeps=1, factor=0.8, kind=KIND, support=2.6):
     failed = 0
     for _ in range(sweeps):
         summation.density_and_gradient(x, cloud.m, h, lists, kernel, cloud.rho, grad, r)
-        failed = smoothing.update_smoothing(MODES.index(mode), 1e-8, cloud, reach, lists, kernel, grad, r)
+        seen = unseen(x, cloud.m, h)
+        mode_code = MODES.index(mode)
+        failed = smoothing.update_smoothing(mode_code, 1e-8, cloud, seen, reach, lists, kernel, grad, r)
     return cloud, h0, failed
 
 

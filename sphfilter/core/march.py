@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ._jit import jit
+from .images import bounce, go_round, half_period, image_gap2, left_at, refresh, unseen, view_of, with_images
 from .kernels import RADIUS
 from .neighbors import build_index, neighbor_lists
 from .smoothing import update_smoothing
@@ -27,8 +28,8 @@ __all__ = [
 
 INTEGRATORS = ("euler", "midpoint", "rk4")
 EULER, MIDPOINT, RK4 = range(3)
-STATUS = ("ok", "not finite", "paused", "stalled")
-OK, NOT_FINITE, PAUSED, STALLED = range(4)
+STATUS = ("ok", "not finite", "paused", "stalled", "left")
+OK, NOT_FINITE, PAUSED, STALLED, LEFT = range(5)
 #: What the loop counts; the last is the particle a failure was seen at.
 COUNTERS = ("steps", "evaluations", "searches", "bypassed", "smoothing_failed", "culprit")
 STEPS, EVALUATIONS, SEARCHES, BYPASSED, SMOOTHING_FAILED, CULPRIT = range(6)
@@ -109,19 +110,20 @@ def velocity(drift, diffusion, divergence, coefficients, t, x, rho, work, v):
 
 
 @jit
-def evaluate(model, coefficients, t, x, cloud, lists, r, work, options, v):
-    """Density, gradient and velocity of the particles at positions x and time t."""
+def evaluate(model, coefficients, t, cloud, seen, lists, r, work, options, v):
+    """Density, gradient and velocity of the particles at time t."""
     drift, diffusion, divergence = model
     kernel = (options.kernel, options.normalisation)
+    refresh(seen, cloud.x, cloud.h)
     if options.parallel:
-        density_and_gradient_parallel(x, cloud.m, cloud.h, lists, kernel, cloud.rho, work.grad, r)
+        density_and_gradient_parallel(seen.x, seen.m, seen.h, lists, kernel, cloud.rho, work.grad, r)
     else:
-        density_and_gradient(x, cloud.m, cloud.h, lists, kernel, cloud.rho, work.grad, r)
-    velocity(drift, diffusion, divergence, coefficients, t, x, cloud.rho, work, v)
+        density_and_gradient(seen.x, seen.m, seen.h, lists, kernel, cloud.rho, work.grad, r)
+    velocity(drift, diffusion, divergence, coefficients, t, cloud.x, cloud.rho, work, v)
 
 
 @jit
-def stable_step(cloud, lists, r, work, coefficients, options):
+def stable_step(cloud, seen, lists, r, work, coefficients, options):
     """Step size of 002 (18), absolute or relative to the nearest neighbour, within the diffusion limit.
 
     Returns (dt, the particle that limits it); dt is NaN where a velocity is not finite. The diffusion limit
@@ -136,10 +138,10 @@ def stable_step(cloud, lists, r, work, coefficients, options):
         for s in range(start[i], start[i + 1]):
             if r[s] < nearest:
                 nearest, at = r[s], neighbors[s]
-        speed2, spread = 0.0, 0.0
+        speed2, spread = image_gap2(seen, work.v, i, at) if options.relative_cfl and at >= 0 else 0.0, 0.0
         for d in range(n):
-            other = work.v[at, d] if options.relative_cfl and at >= 0 else 0.0
-            speed2 += (work.v[i, d] - other) ** 2
+            if not options.relative_cfl or at < 0:
+                speed2 += work.v[i, d] ** 2
             spread += work.D[i if varies else 0, d * n + d]
         if not math.isfinite(speed2):
             return np.nan, i
@@ -154,7 +156,7 @@ def stable_step(cloud, lists, r, work, coefficients, options):
 
 
 @jit
-def bypass_time(cloud, h_old, dt_old, reach, lists, r, work, options):
+def bypass_time(cloud, seen, h_old, dt_old, reach, lists, r, work, options):
     """t_NNS of 002 (43) and the smallest number of buffer neighbours.
 
     Corrected: the support is K h, so that its rate is K dh/dt, and the distance to cover is that from the
@@ -162,7 +164,7 @@ def bypass_time(cloud, h_old, dt_old, reach, lists, r, work, options):
     made), not the width of the buffer.
     """
     start, neighbors = lists
-    N, n = cloud.x.shape
+    N = cloud.h.size
     K = RADIUS[options.kernel]
     t_nns, fewest = np.inf, N
     for i in range(N):
@@ -171,10 +173,7 @@ def bypass_time(cloud, h_old, dt_old, reach, lists, r, work, options):
             if r[s] > support:
                 buffer += 1
                 farthest = max(farthest, r[s])
-                speed2 = 0.0
-                for d in range(n):
-                    speed2 += (work.v[i, d] - work.v[neighbors[s], d]) ** 2
-                fastest2 = max(fastest2, speed2)
+                fastest2 = max(fastest2, image_gap2(seen, work.v, i, neighbors[s]))
         if start[i + 1] - start[i] < N - 1:
             fewest = min(fewest, buffer)
             rate = math.sqrt(fastest2) + K * (cloud.h[i] - h_old[i]) / dt_old
@@ -191,7 +190,7 @@ def _displace(x, x0, dt, v):
 
 
 @jit
-def move(model, coefficients, t, dt, cloud, lists, r, work, options):
+def move(model, coefficients, t, dt, cloud, seen, lists, r, work, options):
     """One Euler, midpoint or RK4 step; `work.v` holds the velocity at (t, x). Returns evaluations made.
 
     Smoothing lengths stay as they are within a step. 001 (29) prints the midpoint rule as "leapfrog".
@@ -206,7 +205,7 @@ def move(model, coefficients, t, dt, cloud, lists, r, work, options):
     for stage in range(n_stages):
         ahead = dt if stage == 2 else 0.5 * dt
         _displace(x, x0, ahead, v if stage == 0 else k)
-        evaluate(model, coefficients, t + ahead, x, cloud, lists, r, work, options, k)
+        evaluate(model, coefficients, t + ahead, cloud, seen, lists, r, work, options, k)
         _displace(total, total, 1.0 if stage == 2 else 2.0, k)
     if options.integrator == MIDPOINT:
         _displace(x, x0, dt, k)
@@ -216,19 +215,31 @@ def move(model, coefficients, t, dt, cloud, lists, r, work, options):
 
 
 @jit
-def _search(cloud, support, reach, options):
-    """New neighbour lists; `reach` starts from what sufficed last time, relative to the support.
+def _search(cloud, domain, support, reach, options):
+    """What the particles see now, and new neighbour lists of it.
 
-    Iterated smoothing lengths and the stages of a step look a little beyond the support as it is now.
+    `reach` starts from what sufficed last time, relative to the support: iterated smoothing lengths and the
+    stages of a step look a little beyond the support as it is now.
     """
     K, total, N = RADIUS[options.kernel], 0.0, cloud.h.size
-    least = 1.2 if options.looks_ahead else 1.0
+    least, farthest = 1.2 if options.looks_ahead else 1.0, 0.0
+    go_round(domain, cloud.x)
     for i in range(N):
         reach[i] = K * cloud.h[i] * max(0.99 * reach[i] / support[i], least)
         support[i] = K * cloud.h[i]
         total += support[i]
-    index = build_index(cloud.x, 1.3 * total / N, options.search)
-    return neighbor_lists(cloud.x, support, reach, options.buffer, index)
+        farthest = max(farthest, reach[i])
+    while True:
+        seen = view_of(domain, cloud.x, cloud.m, cloud.h, 1.3 * farthest)
+        index = build_index(seen.x, 1.3 * total / N, options.search)
+        wanted, needed = with_images(seen, reach), with_images(seen, support)
+        lists = neighbor_lists(seen.x, needed, wanted, options.buffer, index)
+        before, farthest = 1.3 * farthest, 0.0
+        for i in range(N):
+            reach[i] = min(wanted[i], before) if seen.owner.size > 0 else wanted[i]
+            farthest = max(farthest, wanted[i])
+        if seen.owner.size == 0 or farthest <= before or before > half_period(domain):
+            return seen, (lists[0][: N + 1], lists[1])
 
 
 @jit
@@ -241,7 +252,13 @@ def _outgrown(cloud, reach, K):
 
 
 @jit
-def march(drift, diffusion, divergence, coefficients, cloud, options, times, counters):
+def _cap(h, longest):
+    for i in range(h.size):
+        h[i] = min(h[i], longest)
+
+
+@jit
+def march(drift, diffusion, divergence, coefficients, cloud, domain, options, times, counters):
     """Carry the cloud from times[0] to times[1]; times[0] and the counters are kept up to date.
 
     Returns a code of `STATUS`. "paused" asks to be called again: between calls Python can be interrupted. On
@@ -254,51 +271,72 @@ def march(drift, diffusion, divergence, coefficients, cloud, options, times, cou
     if not varies:
         work.D[0] = coefficients.D.ravel()
     K = RADIUS[options.kernel]
+    longest = half_period(domain) / K
+    _cap(cloud.h, longest)
     support, reach, h_old = K * cloud.h, 1.3 * K * cloud.h, cloud.h.copy()
-    lists, r = (np.zeros(N + 1, np.int64), np.empty(0, np.int32)), np.empty(0)
+    lists, r, seen = (
+        (np.zeros(N + 1, np.int64), np.empty(0, np.int32)),
+        np.empty(0),
+        unseen(cloud.x, cloud.m, cloud.h),
+    )
     must_search, elapsed, k_bypass, t_ref, dt = True, 0.0, 0, np.inf, 1.0
     span, first = times[1] - times[0], counters[STEPS]
     known = cloud.invariant[0] > 0.0
     if known:  # h follows from the density here and now, however an interval is cut into calls
-        lists, must_search = _search(cloud, support, reach, options), False
+        (seen, lists), must_search = _search(cloud, domain, support, reach, options), False
         r = np.empty(lists[1].size)
-        density_and_gradient(cloud.x, cloud.m, cloud.h, lists, kernel, cloud.rho, work.grad, r)
+        density_and_gradient(seen.x, seen.m, seen.h, lists, kernel, cloud.rho, work.grad, r)
         counters[SEARCHES] += 1
     while times[0] < times[1]:
         if known:
             h_old[:] = cloud.h
             counters[SMOOTHING_FAILED] += update_smoothing(
-                options.smoothing, options.smoothing_tolerance, cloud, reach, lists, kernel, work.grad, r
+                options.smoothing,
+                options.smoothing_tolerance,
+                cloud,
+                seen,
+                reach,
+                lists,
+                kernel,
+                work.grad,
+                r,
             )
+            _cap(cloud.h, longest)
         searched = must_search or _outgrown(cloud, reach, K)
         if searched:
-            lists = _search(cloud, support, reach, options)
+            seen, lists = _search(cloud, domain, support, reach, options)
             r = np.empty(lists[1].size)
             elapsed, k_bypass = 0.0, 0
         k_bypass += not searched
         counters[SEARCHES if searched else BYPASSED] += 1
-        evaluate(model, coefficients, times[0], cloud.x, cloud, lists, r, work, options, work.v)
+        evaluate(model, coefficients, times[0], cloud, seen, lists, r, work, options, work.v)
         counters[EVALUATIONS] += 1
         if not known:
             for i in range(N):
                 cloud.invariant[i] = cloud.rho[i] * cloud.h[i] ** n
             known = True
         dt_old = dt
-        dt, counters[CULPRIT] = stable_step(cloud, lists, r, work, coefficients, options)
+        dt, counters[CULPRIT] = stable_step(cloud, seen, lists, r, work, coefficients, options)
         if not math.isfinite(dt):
             return NOT_FINITE
         if dt < 1e-9 * span:
             return STALLED
         dt = min(dt, options.dt_max, times[1] - times[0])
         if options.bypass:
-            t_nns, fewest = bypass_time(cloud, h_old, dt_old, reach, lists, r, work, options)
+            t_nns, fewest = bypass_time(cloud, seen, h_old, dt_old, reach, lists, r, work, options)
             t_ref = t_nns if searched else t_ref
             must_search = elapsed + dt >= min(t_ref, t_nns)
             must_search |= fewest <= options.buffer_min or k_bypass >= options.k_bypass_max
-        counters[EVALUATIONS] += move(model, coefficients, times[0], dt, cloud, lists, r, work, options)
+        counters[EVALUATIONS] += move(model, coefficients, times[0], dt, cloud, seen, lists, r, work, options)
         counters[STEPS] += 1
         elapsed += dt
         times[0] = times[1] if times[1] - times[0] <= dt else times[0] + dt
+        bounce(domain, cloud.x)
+        left = left_at(domain, cloud.x)
+        if left >= 0:
+            counters[CULPRIT] = left
+            return LEFT
         if counters[STEPS] - first >= options.pause_after and times[0] < times[1]:
             return PAUSED
+    go_round(domain, cloud.x)
     return OK

@@ -7,6 +7,7 @@ differ in the density they use.
 import math
 
 from ._jit import jit
+from .images import refresh
 from .kernels import RADIUS
 from .summation import density_and_gradient, own_density
 
@@ -57,7 +58,13 @@ def newton(i, m, h_i, target, lists, r, kernel, n, limit):
 
 
 @jit
-def update_smoothing(mode, tolerance, cloud, reach, lists, kernel, grad, r):
+def _density(cloud, seen, lists, kernel, grad, r):
+    refresh(seen, cloud.x, cloud.h)
+    density_and_gradient(seen.x, seen.m, seen.h, lists, kernel, cloud.rho, grad, r)
+
+
+@jit
+def update_smoothing(mode, tolerance, cloud, seen, reach, lists, kernel, grad, r):
     """Bring h to the present positions; return how many particles kept their old h for want of a root.
 
     `cloud.rho` holds the density of the last evaluation, which the lagged proportional update uses.
@@ -69,7 +76,7 @@ def update_smoothing(mode, tolerance, cloud, reach, lists, kernel, grad, r):
     if mode == PROPORTIONAL:
         proportional(cloud.rho, cloud.invariant, n, cloud.h)
     else:
-        density_and_gradient(cloud.x, cloud.m, cloud.h, lists, kernel, cloud.rho, grad, r)
+        _density(cloud, seen, lists, kernel, grad, r)
     if mode == FIXED_POINT:
         for _ in range(_SWEEPS):
             old = cloud.h.copy()
@@ -78,12 +85,12 @@ def update_smoothing(mode, tolerance, cloud, reach, lists, kernel, grad, r):
             # The plain iteration oscillates where few neighbours carry the sum: go to the geometric mean.
             for i in range(old.size):
                 cloud.h[i] = min(math.sqrt(old[i] * cloud.h[i]), reach[i] / RADIUS[kernel[0]])
-            density_and_gradient(cloud.x, cloud.m, cloud.h, lists, kernel, cloud.rho, grad, r)
+            _density(cloud, seen, lists, kernel, grad, r)
     if mode == NEWTON:
         for i in range(cloud.h.size):
             limit = reach[i] / RADIUS[kernel[0]]
             start = min(cloud.h[i], limit)
-            root = newton(i, cloud.m, start, cloud.invariant[i], lists, r, kernel, n, limit)
+            root = newton(i, seen.m, start, cloud.invariant[i], lists, r, kernel, n, limit)
             if root > 0.0:
                 cloud.h[i] = root
             else:

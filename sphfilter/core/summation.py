@@ -29,8 +29,9 @@ def _density_and_gradient(x, m, h, lists, kernel, rho, grad, r):
 
     Parameters
     ----------
-    x : ndarray, shape (N, n)
-    m, h : ndarray, shape (N,)
+    x : ndarray, shape (N + G, n)
+        Particles, and images of them that count as neighbours only.
+    m, h : ndarray, shape (N + G,)
     lists : (start, neighbors)
     kernel : (kind, C_n)
     rho : ndarray, shape (N,), written
@@ -39,7 +40,7 @@ def _density_and_gradient(x, m, h, lists, kernel, rho, grad, r):
     """
     start, neighbors = lists
     kind, C = kernel
-    N, n = x.shape
+    N, n = grad.shape
     K = RADIUS[kind]
     inv = 1.0 / h
     a = 0.5 * C * inv**n

@@ -54,6 +54,10 @@ def propagate(density, model, t1, scheme, n_particles=None):
         The state or its velocity is no longer finite, the steps fell to zero, or the particles span no
         volume; says when and where.
     """
+    if density.domain is not None:
+        raise PropagationError(
+            'moment-corrected SPH knows no periodic axes and no walls: use scheme = "paper"'
+        )
     options = _options(density, model, t1, scheme)
     powers = exponents(density.dim, max(options.degree, 1))[: None if options.degree else 0]
     cloud = core.Cloud(density.x.copy(), density.mass.copy(), density.h.copy())

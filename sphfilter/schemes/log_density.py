@@ -42,6 +42,8 @@ def fits(model, density, n_particles):
     """Can this scheme carry the density? Returns a reason why not, empty if it can."""
     if model.state_dependent_noise:
         return "the noise depends on the state"
+    if model.domain.walled.any():
+        return "an axis ends at a wall"
     if density.field is None:
         return "the density has no smooth logarithm"
     if n_particles < fewest_particles(model.dim):
@@ -115,7 +117,8 @@ def propagate(density, model, t1, scheme, n_particles):
     if status != "ok":
         raise PropagationError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov)
-    moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, density.gaussian and model.linear)
+    gaussian = density.gaussian and model.linear
+    moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain)
     return moved, _info(model, scheme, counters, float(state[LOST_MASS]), threads)
 
 

@@ -12,6 +12,7 @@ from ..core.neighbors import METHODS, choose_method
 from ..core.smoothing import SMOOTHING
 from ..errors import PropagationError
 from ..info import PredictInfo
+from ..initial import spread
 from ..resample import regrid
 from ._shared import blow_up, coefficients_of, skip_notes
 
@@ -42,6 +43,8 @@ def propagate(density, model, t1, scheme, n_particles):
         The state or its velocity is no longer finite, or re-gridding did not help; says when and where.
     """
     start, counters, n_regrids = density.t, np.zeros(len(core.COUNTERS), np.int64), 0
+    if density.field is not None:
+        density = spread(density, n_particles, scheme)
     # A step is chosen by what it sees at its start: it must not stride over a change in time.
     dt_max = math.inf if model.autonomous else (t1 - start) / _TIME_SLICES
     while density.t < t1:
@@ -79,7 +82,16 @@ def _march(density, model, t1, scheme, counters, dt_max):
     times = np.array([density.t, t1])
     functions = (model.drift_batch, model.diffusion_batch, model.diffusion_divergence_batch)
     try:
-        code = call(core.march, *functions, coefficients_of(model), cloud, options, times, counters)
+        code = call(
+            core.march,
+            *functions,
+            coefficients_of(model),
+            cloud,
+            model.domain.codes,
+            options,
+            times,
+            counters,
+        )
     except Exception as problem:  # a black-box drift may raise anything
         raise PropagationError(
             f"the model failed between t = {density.t:g} and {t1:g} near {density.mean()}: {problem}"
@@ -88,6 +100,8 @@ def _march(density, model, t1, scheme, counters, dt_max):
     finite = np.isfinite(cloud.x).all(axis=1) & np.isfinite(cloud.h)
     if not finite.all():
         status, culprit = "not finite", cloud.x[~finite][0]
+    if status == "left":
+        raise PropagationError(_left(model.domain, culprit, times[0]))
     if status == "not finite":
         return replace(density, t=times[0]), status, culprit
     moved = replace(density, x=cloud.x, h=cloud.h, t=times[0], invariant=cloud.invariant)
@@ -126,6 +140,14 @@ def _options(scheme, density, dt_max, steps_left):
         looks_ahead=scheme.smoothing in ("fixed_point", "newton") or scheme.integrator != "euler",
         parallel=N >= PARALLEL_FROM,
         pause_after=max(min(_PAUSE_AFTER, steps_left), 1),
+    )
+
+
+def _left(domain, state, t):
+    axis = np.flatnonzero(~domain.fits(state))[0]
+    return (
+        f"a particle left the domain at t = {t:.6g}, at {state}: axis {axis} is bounded by "
+        f"{domain.low[axis]:g} and {domain.high[axis]:g}. Widen it, make it reflecting, or stop earlier"
     )
 
 

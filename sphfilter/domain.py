@@ -1,0 +1,157 @@
+"""Where states live: axes without bounds, angles, and axes that end at a wall."""
+
+from functools import cached_property
+
+import numpy as np
+
+from . import validate
+from .core import images
+from .core.images import KINDS
+from .errors import ModelError
+
+__all__ = ["Domain"]
+
+
+class Domain:
+    """The kind and the ends of every axis of the state.
+
+    Parameters
+    ----------
+    *axes : None, or (kind, low, high)
+        One for each state: None where the axis has no bounds, else the kind and the ends (None for an end
+        that is not there). "periodic": high is low again, as of an angle. "bounded": a particle that leaves
+        stops the prediction with an error. "reflecting": nothing passes the wall.
+
+    Raises
+    ------
+    ModelError
+        An unknown kind, or ends that do not rise.
+
+    Examples
+    --------
+    >>> Domain(("periodic", -np.pi, np.pi), None).wrap([[4.0, 7.0]])
+    array([[-2.28318531,  7.        ]])
+    """
+
+    def __init__(self, *axes):
+        self.axes = tuple(_axis(f"axis {d} of the domain", axis) for d, axis in enumerate(axes))
+        kinds, lows, highs = zip(*self.axes, strict=True) if axes else ((), (), ())
+        self.kinds, self.low, self.high = kinds, np.array(lows, dtype=float), np.array(highs, dtype=float)
+        self.periodic = np.array([kind == "periodic" for kind in kinds], dtype=bool)
+        #: Axes that end.
+        self.walled = np.array([kind in ("bounded", "reflecting") for kind in kinds], dtype=bool)
+
+    @classmethod
+    def of(cls, value, dim):
+        """Return a domain of `dim` axes: as given, of a sequence of axes, or without bounds for None."""
+        value = [None] * dim if value is None else value
+        domain = value if isinstance(value, cls) else cls(*value)
+        if len(domain.axes) != dim:
+            raise ModelError(
+                f"domain has {len(domain.axes)} axes, but there are {dim} states; give one for each"
+            )
+        return domain
+
+    def __reduce__(self):
+        return Domain, self.axes
+
+    def __eq__(self, other):
+        return isinstance(other, Domain) and self.axes == other.axes
+
+    def __hash__(self):
+        return hash(self.axes)
+
+    def __repr__(self):
+        return f"Domain{self.axes}"
+
+    @property
+    def dim(self):
+        """Number of axes."""
+        return len(self.axes)
+
+    @property
+    def unbounded(self):
+        """No axis is periodic or ends."""
+        return not (self.periodic.any() or self.walled.any())
+
+    @property
+    def period(self):
+        """Lengths of the periodic axes, zero for others, shape (n,)."""
+        return np.where(self.periodic, self.high - self.low, 0.0)
+
+    @cached_property
+    def codes(self):
+        """The domain as compiled functions take it."""
+        kind = np.array([KINDS.index(kind) for kind in self.kinds], dtype=np.int64)
+        return images.Domain(kind, self.low, self.high)
+
+    def whole(self, low, high):
+        """Periodic axes that low to high (n,) go round whole."""
+        return self.periodic & (high - low > self.period * (1.0 - 1e-9))
+
+    def within(self, low, high, margin):
+        """Extents low, high (n,) up to the walls, and whole round a periodic axis they nearly go round."""
+        all_round = self.periodic & (high - low + margin >= self.period)
+        low = np.where(self.walled, np.maximum(low, self.low), np.where(all_round, self.low, low))
+        return low, np.where(self.walled, np.minimum(high, self.high), np.where(all_round, self.high, high))
+
+    def wrap(self, X):
+        """States X (M, n) with angles between their ends."""
+        X = np.array(X, dtype=float)
+        d = self.periodic
+        X[:, d] = self.low[d] + (X[:, d] - self.low[d]) % self.period[d]
+        return X
+
+    def fold(self, X):
+        """States X (M, n) with angles between their ends, and what passed a mirror mirrored."""
+        X = self.wrap(X)
+        images.bounce(self.codes, X)
+        return X
+
+    def nearest(self, differences):
+        """Differences (M, n) of states, the short way round periodic axes."""
+        D = np.array(differences, dtype=float)
+        d = self.periodic
+        D[:, d] -= self.period[d] * np.rint(D[:, d] / self.period[d])
+        return D
+
+    def fits(self, X):
+        """Which coordinates of states X (..., n) lie between walls, if their axis has any."""
+        return ~self.walled | ((self.low <= X) & (self.high >= X))
+
+    def contains(self, X):
+        """Which of the states X (M, n) lie between the walls, shape (M,)."""
+        return self.fits(X).all(axis=-1)
+
+    def mean(self, X, mass):
+        """Mean of states X (N, n), the mean direction on periodic axes (which go round once), shape (n,)."""
+        mean = mass @ X
+        for d in np.flatnonzero(self.periodic):
+            scale = 2.0 * np.pi / self.period[d]
+            angle = np.angle(mass @ np.exp(1j * scale * (X[:, d] - self.low[d])))
+            mean[d] = self.low[d] + angle % (2.0 * np.pi) / scale
+        return mean
+
+    def seen(self, x, mass, h, reach):
+        """Particles with the images of those within `reach` of an end: (x, mass, h)."""
+        if self.unbounded:
+            return x, mass, h
+        view = images.view_of(self.codes, *(np.array(a) for a in (x, mass, h)), float(reach))
+        return view.x, view.m, view.h
+
+
+def _axis(name, axis):
+    if axis is None or axis == "unbounded" or tuple(axis)[:1] == ("unbounded",):
+        return "unbounded", -np.inf, np.inf
+    if isinstance(axis, str) or len(axis) != 3:
+        raise ModelError(
+            f'{name} must be None or (kind, low, high), e.g. ("periodic", -3.14, 3.14), got {axis!r}'
+        )
+    kind = validate.choice(name, axis[0], KINDS)
+    low = -np.inf if axis[1] is None or axis[1] == -np.inf else validate.real(f"low of {name}", axis[1])
+    high = np.inf if axis[2] is None or axis[2] == np.inf else validate.real(f"high of {name}", axis[2])
+    if not low < high or (kind == "periodic" and not np.isfinite(high - low)):
+        raise ModelError(
+            f"{name} must rise from low to high, finite if it is periodic; got {low:g} to {high:g}"
+        )
+    return kind, low, high
