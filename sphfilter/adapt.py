@@ -33,19 +33,25 @@ class Prediction:
 
     before: object = None  # the density it began with; None if there was none
     lost: float = 0.0  # probability that the lattices lost
+    model: object = None
+    t: float = 0.0  # seconds, where it ended
+
+    def repeated(self, config, n_particles):
+        """The density it ended with on another number of particles."""
+        return predict(self.before, self.model, t=self.t, config=config, n_particles=n_particles)[0]
 
 
 @dataclass(frozen=True)
 class Update:
     """The last update of a filter."""
 
-    prior: object
+    before: object  # the prior
     measurement: object
     z: object
 
     def repeated(self, config, n_particles):
         """The posterior on another number of particles."""
-        return update(self.prior, self.measurement, self.z, config, n_particles=n_particles)[0]
+        return update(self.before, self.measurement, self.z, config, n_particles=n_particles)[0]
 
 
 def fewest(dim, n_particles):
@@ -89,14 +95,14 @@ def predict_adapting(density, model, dt, config, *, t, n_particles):
 
 
 def predict_relaying(predicted, model, density, origin, config, n_particles):
-    """Predict; if the density is too coarse for that, lay it anew from before its update, on more particles.
+    """Predict; if the density is too coarse for that, repeat what led to it on more particles.
 
     Parameters
     ----------
     predicted : callable
         A density to what `predict_adapting` returns.
     density : ParticleDensity
-    origin : Update or None
+    origin : Update, Prediction or None
         Where it comes from.
 
     Returns
@@ -108,7 +114,7 @@ def predict_relaying(predicted, model, density, origin, config, n_particles):
         return density, predicted(density)
     except (LatticeError, UnresolvedError):
         noisy = model.diffusion_rows.any()  # else nothing ever smooths what is too coarse
-        if origin is None or origin.prior.field is None or not noisy:
+        if origin is None or origin.before is None or origin.before.field is None or not noisy:
             raise
         for times in _FURTHER:
             if times * n_particles > _MOST:
@@ -116,7 +122,8 @@ def predict_relaying(predicted, model, density, origin, config, n_particles):
             try:
                 finer = origin.repeated(config, times * n_particles)
                 moved, info, bound = predicted(finer)
-                status = f"the update before repeated on {times} times the particles"
+                what = type(origin).__name__.lower()
+                status = f"the {what} before repeated on {times} times the particles"
                 return finer, (moved, replace(info, status=status), bound)
             except PropagationError:
                 continue

@@ -142,7 +142,7 @@ class SPHFilter:
             predicted, self.model, self._density, self._origin, self.config, self.n_particles
         )
         self._density, self.n_particles = density, n_particles
-        self._prediction, self._origin = Prediction(before, info.mass_error), None
+        self._prediction = self._origin = Prediction(before, info.mass_error, self.model, density.t)
         self._moments()
         self.x_prior, self.P_prior = self._x, self._P
         return info

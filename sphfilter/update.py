@@ -5,7 +5,7 @@ from scipy.stats import multivariate_normal
 
 from .acceptance import test_measurement
 from .config import PaperScheme, checked_filter_config
-from .errors import ModelError
+from .errors import ModelError, PropagationError
 from .info import UpdateInfo
 from .level_set import outside
 from .resample import bound, product, regrid
@@ -40,7 +40,8 @@ def update(density, measurement, z, config=None, *, n_particles=None):
     ModelError
         z of the wrong length, or a likelihood that is NaN.
     PropagationError
-        The likelihood is zero wherever the prior has particles.
+        The likelihood is zero wherever the prior has particles, or no lattice holds the posterior of a
+        measurement that is not outlying.
     """
     config = checked_filter_config(config)
     n_particles = bound(density, n_particles)
@@ -63,15 +64,23 @@ def update(density, measurement, z, config=None, *, n_particles=None):
     innovation, spread = _innovation(density, measurement, z, seen)
     if not isinstance(config.scheme, PaperScheme) and not config.acceptance.enabled:
         linear = getattr(measurement, "H", None) is not None and not measurement.angles
-        gaussian = density.gaussian and linear
-        new, log_evidence = product(density, log_weight, n_particles, config.scheme, gaussian)
-        unknown = _beyond(density, new)
+        flag = _flag(innovation, spread)
+        try:
+            new, log_evidence = product(
+                density, log_weight, n_particles, config.scheme, density.gaussian and linear
+            )
+            unknown = _beyond(density, new)
+        except PropagationError:
+            if not flag:
+                raise
+            new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
+            log_evidence = _gaussian_evidence(innovation, spread)
         info = UpdateInfo(
             accepted=not unknown,
             log_evidence=log_evidence,
             innovation=innovation,
             innovation_cov=spread,
-            reason=unknown or _flag(innovation, spread),
+            reason=unknown or flag,
             n_particles=density.n_particles if unknown else new.n_particles,
             extrapolated=0.0 if density.field is None else outside(density.field, new.x, new.mass),
         )
@@ -82,8 +91,7 @@ def update(density, measurement, z, config=None, *, n_particles=None):
         log_evidence = resampled.log_evidence
     else:
         new, resampled = density, None
-        # Where the particles end the sum over them knows nothing: the Gaussian of the same moments does.
-        log_evidence = float(multivariate_normal.logpdf(innovation, cov=spread))
+        log_evidence = _gaussian_evidence(innovation, spread)
         if config.acceptance.on_reject == "resample":
             new, resampled = regrid(density, n_particles, config.scheme)
     info = UpdateInfo(
@@ -97,6 +105,11 @@ def update(density, measurement, z, config=None, *, n_particles=None):
         resample=resampled,
     )
     return new, info
+
+
+def _gaussian_evidence(innovation, spread):
+    """Log-evidence where the particles end and a sum over them knows nothing: by the prior's moments."""
+    return float(multivariate_normal.logpdf(innovation, cov=spread))
 
 
 def _beyond(prior, posterior):

@@ -104,6 +104,24 @@ def test_outlier_is_rejected_and_the_prior_kept():
     assert info.n_particles == before.n_particles
 
 
+@pytest.mark.parametrize("z", [-9999.0, 1e4, 30.0])
+def test_a_wild_reading_is_not_used_and_the_filter_goes_on(z):
+    flt = sf.SPHFilter(
+        sf.SDE.from_expressions(["x", "v"], ["v", "-x - x**3"], noise=[[0], [1]]),
+        SENSOR,
+        PRIOR.mean,
+        PRIOR.cov,
+        n_particles=200,
+    )
+    flt.predict(0.1)
+    before = flt.density
+    info = flt.update([z])
+    assert not info.accepted and info.reason.startswith("not used")
+    assert flt.density is before and info.log_evidence < -100
+    flt.predict(0.1)
+    assert flt.update([0.5]).accepted
+
+
 def test_refused_measurement_keeps_a_fair_evidence():
     """Refusing must not decide a comparison of models: the evidence is that of a Gaussian prior."""
     _, info = sf.update(prior(500), SENSOR, [PRIOR.mean[0] + 5.0], PAPER)

@@ -36,6 +36,25 @@ def test_the_update_before_is_repeated_on_more_particles():
     assert np.linalg.norm(away) < 0.1
 
 
+def test_the_prediction_before_is_repeated_on_more_particles(monkeypatch):
+    """A chain of forecasts: the second prediction finds what the first left too coarse."""
+    model = sf.SDE.from_expressions(["x"], ["x - x**3"], noise=[[1.0]], spectral_density=[[0.5]])
+    flt = sf.SPHFilter(model, None, [0.1], [[0.2]], n_particles=50)
+    flt.predict(0.5)
+    coarse, predict, sizes = flt.density, sf.predict, []
+
+    def picky(density, *args, **options):
+        sizes.append(density.n_particles)
+        if density is coarse:
+            raise UnresolvedError("too coarse")
+        return predict(density, *args, **options)
+
+    monkeypatch.setattr(importlib.import_module("sphfilter.filter"), "predict", picky)
+    info = flt.predict(0.5)
+    assert info.status == "the prediction before repeated on 3 times the particles"
+    assert sizes[0] <= 50 < sizes[1] <= 150 and flt.t == 1.0
+
+
 def test_a_density_that_comes_from_no_update_is_refused_and_left_alone(monkeypatch):
     flt = filtered(100, 0)
     before = flt.density
