@@ -12,11 +12,13 @@ from .skips import command as skips
 from .stress import command as stress
 from .sunspots import command as sunspots
 from .sweep import command as sweep
+from .transient import command as transient
 
 #: Modules with a one-line docstring, ``add_arguments(parser)`` and ``main(args)``.
 COMMANDS = {
     "list": listing,
     "run": run,
+    "transient": transient,
     "sweep": sweep,
     "converge": converge,
     "filter": own_data,

@@ -5,6 +5,7 @@ from rich.table import Table
 
 from .scenario import read_settings, scenario_names
 from .sunspots import command as sunspots
+from .transient.problem import load_problem, problem_names
 
 __all__ = ["add_arguments", "main"]
 
@@ -23,4 +24,15 @@ def main(args):
     table.add_row("sunspots", sunspots.SUMMARY)
     console = Console(highlight=False)
     console.print(table)
-    console.print("\nRun one with: python -m experiments run NAME", style="dim")
+    console.print("\nRun one with: python -m experiments run NAME\n", style="dim")
+    console.print(_transients())
+    console.print("\nSolve one without measurements with: python -m experiments transient NAME", style="dim")
+
+
+def _transients():
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column()
+    for name in problem_names():
+        table.add_row(name, load_problem(name).settings.description)
+    return table

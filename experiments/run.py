@@ -164,7 +164,7 @@ def _write(out, scenario, campaign, numbers, distance):
     runs = replace(scenario.settings.runs, default=numbers.n_runs, seed=campaign.seed)
     filters = replace(scenario.settings.filters, default=tuple(campaign.results))
     settings = replace(scenario.settings, runs=runs, filters=filters)
-    text = tomli_w.dumps(_without_none(asdict(settings)))
+    text = tomli_w.dumps(without_none(asdict(settings)))
     (out / "scenario.toml").write_text(text, encoding="utf-8")
     record = {
         "scenario": scenario.name,
@@ -182,8 +182,8 @@ def _write(out, scenario, campaign, numbers, distance):
     (out / "run.json").write_text(text, encoding="utf-8")
 
 
-def _without_none(tree):
-    return {k: _without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
+def without_none(tree):
+    return {k: without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
 
 
 def _without_nan(tree):

@@ -18,7 +18,9 @@ from .settings import ScenarioSettings
 __all__ = [
     "Scenario",
     "add_change_option",
+    "change",
     "load_scenario",
+    "model_of",
     "parse_change",
     "read_settings",
     "scenario_names",
@@ -50,7 +52,7 @@ class Scenario:
     @property
     def model(self):
         """The `SDE`."""
-        return _model(json.dumps(asdict(self.settings.model), sort_keys=True))
+        return model_of(json.dumps(asdict(self.settings.model), sort_keys=True))
 
     @property
     def measurement(self):
@@ -84,7 +86,8 @@ class Scenario:
 
 
 @cache
-def _model(text):
+def model_of(text):
+    """The `SDE` of a `ModelText` as JSON."""
     values = json.loads(text)
     return sf.SDE.from_expressions(**{k: v for k, v in values.items() if k not in ("labels", "units")})
 
@@ -183,10 +186,16 @@ def parse_change(text):
 
 
 def _change(tree, key, value):
-    """Set a dotted key; the settings check it later."""
+    """As `change`; the schemes of the two SPH filters may be given short."""
     parts = key.split(".")
     if parts[0] in ("scheme", "acceptance"):
-        parts = ["filters", "sph" if len(parts) == 1 else "sph_paper", "config", *parts]
+        key = ".".join(["filters", "sph" if len(parts) == 1 else "sph_paper", "config", *parts])
+    change(tree, key, value)
+
+
+def change(tree, key, value):
+    """Set a dotted key of a TOML tree; the settings check it later."""
+    parts = key.split(".")
     for i, part in enumerate(parts[:-1]):
         tree = tree.setdefault(part, {})
         if not isinstance(tree, dict):

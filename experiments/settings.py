@@ -13,6 +13,7 @@ Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 Row = tuple[float, ...]
 Matrix = tuple[Row, ...]
+_End = float | Literal["none"]
 
 
 @settings
@@ -27,16 +28,22 @@ class ModelText:
     noise : nested tuple of str or float, shape (n, m)
     spectral_density : nested tuple, shape (m, m)
         Q, dW covariance Q dt: D = g Q gᵀ / 2.
+    diffusion : nested tuple of str or float, shape (n, n)
+        D itself, instead of noise and spectral_density.
     parameters : dict of str to float
+    domain : tuple, one of "unbounded" or (kind, low, high) a state
+        Periodic axes and walls, see `Domain`; "none" for an end that is not there.
     """
 
     states: tuple[str, ...]
     labels: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     drift: tuple[str, ...]
-    noise: tuple[tuple[float | str, ...], ...]
-    spectral_density: Matrix
+    noise: tuple[tuple[float | str, ...], ...] | None = None
+    spectral_density: Matrix | None = None
+    diffusion: tuple[tuple[float | str, ...], ...] | None = None
     parameters: dict[str, float] = Field(default_factory=dict)
+    domain: tuple[Literal["unbounded"] | tuple[str, _End, _End], ...] | None = None
     interpretation: Literal["ito", "stratonovich"] = "ito"
 
     @model_validator(mode="after")

@@ -19,11 +19,12 @@ from .info import PredictInfo, ResampleInfo, UpdateInfo
 from .initial import Gaussian, Uniform, initialize
 from .measurements import GaussianMeasurement, LikelihoodMeasurement
 from .models import SDE, LinearSDE
-from .predict import Trajectory, predict, propagate
+from .predict import predict
 from .report import Report, report
 from .resample import resample
 from .results import FilterResult
 from .simulate import simulate
+from .transient import Trajectory, propagate
 from .update import update
 
 __all__ = [

@@ -140,6 +140,9 @@ class Domain:
         return view.x, view.m, view.h
 
 
+_NO_END = None, "none"  # TOML has no None
+
+
 def _axis(name, axis):
     if axis is None or axis == "unbounded" or tuple(axis)[:1] == ("unbounded",):
         return "unbounded", -np.inf, np.inf
@@ -148,8 +151,8 @@ def _axis(name, axis):
             f'{name} must be None or (kind, low, high), e.g. ("periodic", -3.14, 3.14), got {axis!r}'
         )
     kind = validate.choice(name, axis[0], KINDS)
-    low = -np.inf if axis[1] is None or axis[1] == -np.inf else validate.real(f"low of {name}", axis[1])
-    high = np.inf if axis[2] is None or axis[2] == np.inf else validate.real(f"high of {name}", axis[2])
+    low = -np.inf if axis[1] in _NO_END or axis[1] == -np.inf else validate.real(f"low of {name}", axis[1])
+    high = np.inf if axis[2] in _NO_END or axis[2] == np.inf else validate.real(f"high of {name}", axis[2])
     if not low < high or (kind == "periodic" and not np.isfinite(high - low)):
         raise ModelError(
             f"{name} must rise from low to high, finite if it is periodic; got {low:g} to {high:g}"

@@ -1,8 +1,6 @@
 """Prediction: a density carried through the Fokker-Planck-Kolmogorov equation."""
 
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import replace
 
 from .config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
 from .errors import LatticeError, ModelError, PropagationError, UnresolvedError
@@ -13,7 +11,7 @@ from .schemes import corrected, log_density, paper
 from .schemes._shared import carried_off
 from .validate import real
 
-__all__ = ["FINEST", "Trajectory", "predict", "propagate"]
+__all__ = ["FINEST", "predict"]
 
 
 def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
@@ -138,44 +136,3 @@ _SCHEMES = {
     CorrectedScheme: _corrected,
     PaperScheme: paper.propagate,
 }
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """Densities of a transient solution.
-
-    Attributes
-    ----------
-    times : ndarray, shape (T,)
-    densities : tuple of ParticleDensity
-    infos : tuple of PredictInfo
-    """
-
-    times: np.ndarray
-    densities: tuple
-    infos: tuple
-
-
-def propagate(density, model, times, config=None):
-    """Solve the transient FPK equation without measurements.
-
-    Parameters
-    ----------
-    density : ParticleDensity
-        Made by `initialize`.
-    model : SDE
-    times : array_like, shape (T,)
-        Times at which the density is wanted, seconds, not decreasing.
-    config : SolverConfig, optional
-
-    Returns
-    -------
-    Trajectory
-    """
-    times = np.atleast_1d(np.asarray(times, dtype=float))
-    densities, infos = [], []
-    for t in times:
-        density, info = predict(density, model, t=t, config=config)
-        densities.append(density)
-        infos.append(info)
-    return Trajectory(times, tuple(densities), tuple(infos))

@@ -1,0 +1,1 @@
+"""Transient densities: systems of the papers and of users, against closed forms, grids and many paths."""

@@ -1,0 +1,141 @@
+"""`python -m experiments transient NAME`: a density without measurements, beside exact values or many paths."""
+
+import json
+import platform
+import shutil
+from contextlib import suppress
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+import sphfilter as sf
+from experiments.run import Interrupted, without_none
+from experiments.scenario import parse_change
+from sphfilter import __version__
+from sphfilter.errors import ConfigError, SphfilterError
+
+from . import plots
+from .problem import load_problem
+from .references import reference_of
+from .solution import folder_of, solve
+from .tables import sentences, steady_table, table, write_csv
+
+__all__ = ["add_arguments", "main"]
+
+
+def add_arguments(parser):
+    """Add the options of `transient`."""
+    parser.add_argument("name", nargs="?", help="a name from `list`")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="a TOML file of your own instead of a name"
+    )
+    parser.add_argument("--out", type=Path, help="folder for results (default: results/transient/NAME)")
+    parser.add_argument("--n-particles", type=int, help="particles, at most")
+    parser.add_argument("--no-reference", action="store_true", help="do not compute the reference")
+    parser.add_argument("--animate", metavar="FILE", help="write the densities as a GIF of this name")
+    parser.add_argument(
+        "--set",
+        dest="changes",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a key of the file, e.g. solver.config.scheme=paper or times.end=10; may be repeated",
+    )
+
+
+def main(args):
+    """Run the command; prints to standard output."""
+    console = Console(highlight=False)
+    console = console if console.is_terminal else Console(highlight=False, width=132)
+    if (args.name is None) == (args.config is None):
+        raise ConfigError("transient takes a name from `list`, or --config FILE, one of them")
+    if args.animate and not args.animate.endswith(".gif"):
+        raise ConfigError(f"--animate writes GIF files: {args.animate} does not end in .gif")
+    changes = dict(parse_change(text) for text in args.changes)
+    if args.n_particles is not None:
+        changes["solver.n_particles"] = args.n_particles
+    if args.no_reference:
+        changes["reference.kind"] = "none"
+    problem = load_problem(args.config or args.name, changes)
+    out = args.out or Path("results") / "transient" / problem.name
+    console.print(f"[bold]{problem.name}[/]: {problem.settings.description}")
+    console.print(f"{problem.settings.source}\n", style="dim")
+    _warm_up(console, problem)
+    folder = folder_of(out, problem)
+    solution = _followed(console, problem, folder)
+    reference = _reference(console, problem)
+    console.print(table(problem, solution, reference))
+    if problem.settings.steady:
+        console.print(steady_table(problem, solution))
+    for sentence in sentences(problem, solution, reference):
+        console.print(f"• {sentence}")
+    _write(out, problem, solution, reference)
+    shutil.rmtree(folder)
+    drawn = plots.draw(out, problem, solution, reference)
+    if args.animate:
+        drawn.append(plots.animate(Path(args.animate), problem, solution))
+    console.print(
+        f"\nNumbers are in {out}/trajectory.npz, statistics.csv and run.json, the file in transient.toml."
+    )
+    console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
+
+
+def _warm_up(console, problem):
+    """Compile before the clock runs."""
+    console.print("preparing (the first time compiles, for a minute)", style="dim")
+    start, config = problem.begin(), problem.settings.solver.config
+    with suppress(SphfilterError):  # the solution will say so
+        sf.predict(start, problem.model, 1e-6 * (problem.times[-1] - start.t), config)
+
+
+def _followed(console, problem, folder):
+    columns = TextColumn("times"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=len(problem.times))
+        try:
+            return solve(problem, folder, lambda done, total: bar.update(task, completed=done))
+        except KeyboardInterrupt:
+            done = len(list(folder.glob("density_*.npz")))
+            raise Interrupted(
+                f"Stopped; {done} of {len(problem.times)} times are in {folder}. The same command goes on."
+            ) from None
+
+
+def _reference(console, problem):
+    if problem.settings.reference.kind == "none":
+        return None
+    with Progress(
+        TextColumn("reference"), BarColumn(), TimeElapsedColumn(), console=console, transient=True
+    ) as bar:
+        task = bar.add_task("", total=None)
+        return reference_of(problem, lambda done, total: bar.update(task, completed=done, total=total))
+
+
+def _write(out, problem, solution, reference):
+    """Write densities, numbers, settings and versions."""
+    out.mkdir(parents=True, exist_ok=True)
+    solution.trajectory.save(out / "trajectory.npz")
+    write_csv(out / "statistics.csv", problem, solution, reference)
+    settings = asdict(problem.settings)
+    (out / "transient.toml").write_text(tomli_w.dumps(_plain(settings)), encoding="utf-8")
+    record = {
+        "problem": problem.name,
+        "versions": {"sphfilter": __version__, "python": platform.python_version()}
+        | {name: version(name) for name in ("numpy", "numba", "scipy")},
+        "seconds": float(np.sum(solution.seconds)),
+        "reference": None if reference is None else reference.name,
+        "settings": settings,
+    }
+    (out / "run.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+
+
+def _plain(tree):
+    """Settings without what is None, deep in lists too."""
+    if isinstance(tree, dict):
+        return {k: _plain(v) for k, v in without_none(tree).items()}
+    return [_plain(v) for v in tree] if isinstance(tree, list | tuple) else tree

@@ -1,0 +1,191 @@
+"""Pictures of a transient solution: densities, moments with their reference, exceedances, an animation."""
+
+import numpy as np
+from matplotlib.animation import PillowWriter
+
+from experiments.pictures._style import ACCENT, INK, frame, plt, save
+
+__all__ = ["animate", "draw"]
+
+_DECADES = 6
+_MOST_DRAWN = 6
+_OURS, _THEIRS = ACCENT["sph"], INK
+
+
+def draw(out, problem, solution, reference):
+    """Draw all pictures into the folder `out`; returns their paths."""
+    figures = {"densities": _densities(problem, solution), "moments": _moments(problem, solution, reference)}
+    if any(q.powers is None for q in problem.quantities):
+        figures["exceedance"] = _exceedances(problem, solution, reference)
+    if problem.settings.steady:
+        figures["steady"] = _steady(problem, solution)
+    return [save(figure, out / f"{name}.png") for name, figure in figures.items()]
+
+
+def _label(problem, state):
+    unit = (problem.settings.model.units or ("",) * problem.model.dim)[state]
+    return f"{problem.labels[state]} ({unit})" if unit else problem.labels[state]
+
+
+def _axes(problem):
+    return problem.settings.axes or tuple(range(min(problem.model.dim, 2)))
+
+
+def _drawn(problem, solution):
+    """Numbers of the densities that are drawn; -1 is the start."""
+    wanted = problem.settings.times.drawn
+    if wanted:
+        every = np.append(problem.times, solution.start.t)
+        chosen = [int(np.argmin(np.abs(every - t))) for t in wanted]
+        return [-1 if k == len(problem.times) else k for k in dict.fromkeys(chosen)]
+    last = len(problem.times) - 1
+    return [-1, *np.unique(np.linspace(0, last, min(last + 1, _MOST_DRAWN - 1)).round().astype(int))]
+
+
+def _densities(problem, solution):
+    axes = _axes(problem)
+    if len(axes) == 1:
+        return _curves(problem, solution, axes[0])
+    drawn = _drawn(problem, solution)
+    columns = min(len(drawn), 3)
+    rows = -(-len(drawn) // columns)
+    figure = plt.figure(figsize=(3.9 * columns, 3.4 * rows), layout="constrained")
+    for place, k in enumerate(drawn, start=1):
+        three = len(axes) == 3
+        ax = figure.add_subplot(rows, columns, place, **({"projection": "3d"} if three else {}))
+        density = solution.start if k < 0 else solution.trajectory.densities[k]
+        artist = _cloud(ax, density, axes, size=3.0 if three else 7.0)
+        frame(
+            ax, f"t = {density.t:g}, {density.n_particles} particles", *(_label(problem, a) for a in axes[:2])
+        )
+        if three:
+            ax.set_zlabel(_label(problem, axes[2]))
+    bar = figure.colorbar(artist, ax=figure.axes, shrink=0.8, pad=0.02, extend="min")
+    bar.set_ticks(range(-_DECADES, 1, 2), labels=[f"$10^{{{k}}}$" for k in range(-_DECADES, 1, 2)])
+    bar.set_label("density, highest = 1")
+    figure.suptitle(f"{problem.name}: {problem.settings.description}", fontsize=11)
+    return figure
+
+
+def _cloud(ax, density, axes, size):
+    """Particles coloured by the logarithm of the density there, the highest on top."""
+    with np.errstate(divide="ignore"):
+        level = np.log10(density.pdf(density.x))
+    level = np.maximum(level - level.max(), -_DECADES)
+    order = np.argsort(level)
+    x = density.x if density.domain is None else density.domain.fold(density.x)
+    x = x[order][:, list(axes)]
+    return ax.scatter(*x.T, c=level[order], s=size, lw=0, cmap="viridis", vmin=-_DECADES, vmax=0)
+
+
+def _curves(problem, solution, axis):
+    """Densities of one state."""
+    figure, ax = plt.subplots(figsize=(8, 4.2), layout="constrained")
+    drawn = _drawn(problem, solution)
+    for shade, k in zip(np.linspace(0.0, 0.85, len(drawn)), drawn, strict=True):
+        density = solution.start if k < 0 else solution.trajectory.densities[k]
+        alone = density if density.dim == 1 else density.marginal([axis])
+        ends = density.x[:, axis].min(), density.x[:, axis].max()
+        if density.domain is not None and density.domain.periodic[axis]:
+            ends = density.domain.low[axis], density.domain.high[axis]
+        x = np.linspace(*ends, 400)
+        ax.plot(x, alone.pdf(x[:, None]), color=plt.cm.viridis(shade), label=f"t = {density.t:g}")
+    ax.legend(frameon=False)
+    ax.set_ylim(bottom=0)
+    frame(ax, f"{problem.name}: {problem.settings.description}", _label(problem, axis), "density")
+    return figure
+
+
+def _moments(problem, solution, reference):
+    names = [j for j, q in enumerate(problem.quantities) if q.powers is not None]
+    columns = min(len(names), 3)
+    rows = -(-len(names) // columns)
+    figure, axes = plt.subplots(
+        rows,
+        columns,
+        figsize=(3.9 * columns, 2.5 * rows + 0.6),
+        layout="constrained",
+        squeeze=False,
+        sharex=True,
+    )
+    for ax, j in zip(axes.ravel(), names, strict=False):
+        if reference is not None:
+            value, width = reference.values[:, j], reference.half_width[:, j]
+            ax.fill_between(problem.times, value - width, value + width, color=_THEIRS, alpha=0.25, lw=0)
+            ax.plot(problem.times, value, color=_THEIRS, lw=1.2, ls=":", label=reference.name)
+        ax.plot(problem.times, solution.values[:, j], color=_OURS, lw=1.4, label="SPH", zorder=1)
+        frame(ax, problem.quantities[j].name, "", "")
+    for ax in axes.ravel()[len(names) :]:
+        ax.remove()
+    for ax in axes[-1]:
+        ax.set_xlabel("t (s)")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    figure.suptitle(f"{problem.name}: moments", fontsize=11)
+    return figure
+
+
+def _exceedances(problem, solution, reference):
+    figure, ax = plt.subplots(figsize=(8, 5), layout="constrained")
+    asked = [j for j, q in enumerate(problem.quantities) if q.powers is None]
+    for shade, j in zip(np.linspace(0.0, 0.9, len(asked)), asked, strict=True):
+        colour = plt.cm.viridis(shade)
+        ax.plot(problem.times, solution.values[:, j], color=colour, label=problem.quantities[j].name)
+        if reference is not None:
+            value, width = reference.values[:, j], reference.half_width[:, j]
+            shown = np.where(value > width, value, np.nan)
+            ax.errorbar(problem.times, shown, width, fmt=".", ms=4, lw=0.8, color=colour, mec=INK, mew=0.4)
+    ax.set_yscale("log")
+    ax.set_ylim(1e-7, 1.5)
+    ax.legend(frameon=False, fontsize=9, ncols=2)
+    against = "" if reference is None else f"; points: {reference.name}, 95 %"
+    frame(ax, f"{problem.name}: probability of exceedance{against}", "t (s)", "probability")
+    return figure
+
+
+def _steady(problem, solution):
+    """Relative error against the steady state, 000 (158)."""
+    figure, ax = plt.subplots(figsize=(7, 3.6), layout="constrained")
+    for shade, row in zip(
+        np.linspace(0, 0.7, len(problem.settings.steady)), problem.settings.steady, strict=True
+    ):
+        j = [q.powers for q in problem.quantities].index(row.powers)
+        error = np.abs(solution.values[:, j] - row.value) / abs(row.value)
+        ax.plot(
+            problem.times,
+            np.maximum(error, 1e-8),
+            color=plt.cm.viridis(shade),
+            label=problem.quantities[j].name,
+        )
+    ax.axhline(0.01, color=INK, lw=0.8, ls=":")
+    ax.set_yscale("log")
+    ax.legend(frameon=False)
+    frame(ax, f"{problem.name}: relative error against the steady state", "t (s)", "relative error")
+    return figure
+
+
+def animate(path, problem, solution, fps=10):
+    """Write the densities as a GIF, or as an MP4 where ffmpeg is installed; by the name's ending."""
+    axes = _axes(problem)[:2]
+    densities = [solution.start, *solution.trajectory.densities]
+    figure, ax = plt.subplots(figsize=(5.2, 4.6), layout="constrained")
+    writer = PillowWriter(fps=fps)
+    every = np.concatenate([d.x for d in densities])
+    with writer.saving(figure, path, dpi=90):
+        for density in densities:
+            ax.clear()
+            if len(axes) == 2:
+                _cloud(ax, density, axes, size=7.0)
+                ax.set(xlim=_ends(every[:, axes[0]]), ylim=_ends(every[:, axes[1]]))
+                frame(ax, f"t = {density.t:g}", *(_label(problem, a) for a in axes))
+            else:
+                x = np.linspace(*_ends(every[:, axes[0]]), 400)
+                ax.plot(x, density.pdf(x[:, None]), color=_OURS)
+                frame(ax, f"t = {density.t:g}", _label(problem, axes[0]), "density")
+            writer.grab_frame()
+    plt.close(figure)
+    return path
+
+
+def _ends(x):
+    room = 0.05 * (x.max() - x.min())
+    return x.min() - room, x.max() + room

@@ -1,0 +1,143 @@
+"""Reference values of a transient problem's statistics, each with a bound or an interval."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from reference_filters.closed_forms import drifted_uniform, linear_moments
+from reference_filters.grid import GridFilter
+from reference_filters.monte_carlo import simulate_statistics
+from sphfilter.errors import ConfigError
+
+__all__ = ["ReferenceValues", "reference_of"]
+
+#: Points of a quadrature over a Gaussian, and its standard deviations.
+_NODES, _FAR = 200_001, 12.0
+#: Folder of the paths that are kept from run to run.
+_CACHE = Path("results") / "transient" / "references"
+
+
+@dataclass(frozen=True)
+class ReferenceValues:
+    """Values of S quantities at T times.
+
+    Attributes
+    ----------
+    name : str
+        What they are, for people.
+    values, half_width : ndarray, shape (T, S)
+        NaN where there is none; half widths of 95 % intervals, or bounds of the error.
+    """
+
+    name: str
+    values: np.ndarray
+    half_width: np.ndarray
+
+
+def reference_of(problem, progress=None):
+    """Return the `ReferenceValues` that a problem's file asks for, or None."""
+    kind = problem.settings.reference.kind
+    if kind == "none":
+        return None
+    return _KINDS[kind](problem, progress)
+
+
+def _linear(problem, progress):
+    """Closed form of a linear model: Gaussian at all times."""
+    model, start = problem.model, problem.settings.start
+    if not model.linear or start.kind != "gaussian":
+        raise ConfigError('reference.kind = "linear" needs a linear model and a Gaussian start')
+    exact, origin = model.to_linear(), np.zeros((1, model.dim))
+    intensity = 2.0 * exact.diffusion(origin, 0.0)[0]
+    rows = []
+    for t in problem.times:
+        mean, cov = linear_moments(exact.A, exact.b, intensity, start.mean, start.cov, t - start.time)
+        rows.append([_of_gaussian(q, mean, cov) for q in problem.quantities])
+    return ReferenceValues("closed form", np.array(rows), np.zeros((len(rows), len(rows[0]))))
+
+
+def _of_gaussian(quantity, mean, cov):
+    """A quantity of a Gaussian: over the one or two states it reads, NaN where it reads more."""
+    n = len(mean)
+    read = [d for d in range(n) if _reads(quantity, d, mean, cov)]
+    if len(read) == 1:
+        z = np.linspace(-_FAR, _FAR, _NODES)
+        X = np.tile(mean, (_NODES, 1))
+        X[:, read[0]] += z * np.sqrt(cov[read[0], read[0]])
+        return float(np.trapezoid(quantity.at(X) * stats.norm.pdf(z), z))
+    if quantity.powers is not None and sum(quantity.powers) == 2:
+        i, j = read
+        return float(cov[i, j] + mean[i] * mean[j])
+    return np.nan
+
+
+def _reads(quantity, axis, mean, cov):
+    if quantity.powers is not None:
+        return quantity.powers[axis] > 0
+    X = mean + np.sqrt(np.diag(cov)) * np.random.default_rng(axis).uniform(-6, 6, (4000, len(mean)))
+    Y = X.copy()
+    Y[:, axis] = Y[::-1, axis]
+    return np.any(quantity.at(X) != quantity.at(Y))
+
+
+def _uniform(problem, progress):
+    """Closed form of drifted Brownian motion from a uniform start, 000 (58)."""
+    model, box = problem.model, problem.settings.start.box
+    if model.dim != 1 or box is None:
+        raise ConfigError('reference.kind = "drifted_uniform" needs one state that starts uniform on a box')
+    drift, D = model.drift(np.zeros((1, 1)), 0.0)[0, 0], model.diffusion(np.zeros((1, 1)), 0.0)[0, 0, 0]
+    centre, half = np.mean(box[0]), 0.5 * np.ptp(box[0])
+    rows = []
+    for t in problem.times - problem.settings.start.time:
+        width = half + _FAR * np.sqrt(2.0 * D * t)
+        x = np.linspace(-width, width, _NODES) + drift * t
+        p = drifted_uniform(x, t, drift, D, half)
+        rows.append([np.trapezoid(q.at(x[:, None] + centre) * p, x) for q in problem.quantities])
+    return ReferenceValues("closed form", np.array(rows), np.zeros((len(rows), len(rows[0]))))
+
+
+def _grid(problem, progress):
+    """A grid, and the difference to half as many nodes as the bound of its error."""
+    size = problem.settings.reference.size
+    fine, coarse = (_on_grid(problem, s) for s in (size, max(size // 2, 32)))
+    return ReferenceValues(f"grid of {size} nodes an axis", fine, np.abs(fine - coarse))
+
+
+def _on_grid(problem, size):
+    start = problem.settings.start
+    if start.kind != "gaussian":
+        raise ConfigError('reference.kind = "grid" needs a Gaussian start')
+    grid = GridFilter(problem.model, None, start.mean, start.cov, t0=start.time, size=size, tol=1e-4)
+    rows = []
+    for t in problem.times:
+        if t > grid.t:
+            grid.predict(t=t)
+        X, p = grid.density.box.nodes(), grid.density.values.ravel()
+        rows.append([q.at(X) @ p / p.sum() for q in problem.quantities])
+    return np.array(rows)
+
+
+def _monte_carlo(problem, progress):
+    """Means over paths with intervals of Student's t."""
+    asked, quantities = problem.settings.reference, problem.quantities
+    indicators = {q.name: q.at for q in quantities if q.powers is None}
+    found = simulate_statistics(
+        problem.model,
+        problem.distribution,
+        problem.times,
+        moments=[q.powers for q in quantities if q.powers is not None],
+        indicators=indicators,
+        n_paths=asked.n_paths,
+        t0=problem.settings.start.time,
+        rng=1,
+        step=asked.step,
+        cache=_CACHE / problem.name,
+        progress=progress,
+    )
+    low, high = found.interval(0.95)
+    return ReferenceValues(f"{found.n_paths:.2g} paths", found.mean, 0.5 * (high - low))
+
+
+_KINDS = {"linear": _linear, "drifted_uniform": _uniform, "grid": _grid, "monte_carlo": _monte_carlo}

@@ -1,0 +1,147 @@
+"""What a transient scenario file may say; those of the project and a user's own have one form."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from experiments.settings import Count, Matrix, ModelText, Positive, Row
+from sphfilter.config import SolverConfig, settings
+
+__all__ = ["Begin", "Output", "Reference", "Solver", "Statistics", "Steady", "TransientSettings"]
+
+
+@settings
+class Begin:
+    """The density at `time`.
+
+    Attributes
+    ----------
+    kind : str
+        "gaussian" with mean and cov, "uniform" on a box, or "expression" with a pdf of the states on a box
+        (zero outside, normalised here; nodes where it is zero carry no particle).
+    reach : float or None
+        Standard deviations out to which particles of a Gaussian lie; the scheme's own if None.
+    """
+
+    kind: Literal["gaussian", "uniform", "expression"] = "gaussian"
+    mean: Row | None = None
+    cov: Matrix | None = None
+    box: tuple[tuple[float, float], ...] | None = None
+    pdf: str | None = None
+    time: float = 0.0
+    reach: Annotated[float, Field(ge=2.5, le=12)] | None = None
+
+    @model_validator(mode="after")
+    def _fits_its_kind(self):
+        needed = {"gaussian": ("mean", "cov"), "uniform": ("box",), "expression": ("box", "pdf")}[self.kind]
+        for key in ("mean", "cov", "box", "pdf"):
+            if (getattr(self, key) is None) == (key in needed):
+                verb = "needs" if key in needed else "has no"
+                raise ValueError(f'kind = "{self.kind}" {verb} {key}')
+        return self
+
+
+@settings
+class Output:
+    """Times of output, seconds: as given, or every `interval` up to `end`; densities are drawn at `drawn`."""
+
+    at: Row | None = None
+    end: float | None = None
+    interval: Positive | None = None
+    drawn: Row = ()
+
+    @model_validator(mode="after")
+    def _one_way(self):
+        if (self.at is None) == (self.end is None) or (self.end is None) != (self.interval is None):
+            raise ValueError("give either at, or end and interval")
+        return self
+
+    def times(self, start):
+        """Times of output, shape (T,)."""
+        if self.at is not None:
+            return np.array(self.at)
+        n = int(np.floor((self.end - start) / self.interval * (1 + 1e-12)))
+        return start + self.interval * np.arange(1, n + 1)
+
+
+@settings
+class Solver:
+    """Upper bound of the number of particles, and the solver's configuration."""
+
+    n_particles: Count = 400
+    config: SolverConfig = Field(default_factory=SolverConfig)
+
+
+@settings
+class Statistics:
+    """What is reported besides mean and covariance.
+
+    Attributes
+    ----------
+    moments : tuple of tuples, length n each
+        Powers of raw moments.
+    exceedance : tuple of str
+        Conditions on the states, such as "abs(q) > 0.5".
+    """
+
+    moments: tuple[tuple[Annotated[int, Field(ge=0)], ...], ...] = ()
+    exceedance: tuple[str, ...] = ()
+
+
+@settings
+class Reference:
+    """What the solution is compared with.
+
+    Attributes
+    ----------
+    kind : str
+        "linear" (closed form of a linear model from a Gaussian), "drifted_uniform" (000 (58)), "grid" (one or
+        two states), "monte_carlo", or "none".
+    size : int
+        Nodes an axis of the grid; half as many bound its error.
+    n_paths : int
+        Of Monte Carlo.
+    step : float or None
+        Time step of Monte Carlo, seconds; by the model's rates if None.
+    """
+
+    kind: Literal["linear", "drifted_uniform", "grid", "monte_carlo", "none"] = "none"
+    size: Count = 128
+    n_paths: Count = 1_000_000
+    step: Positive | None = None
+
+
+@settings
+class Steady:
+    """A raw moment of the steady state, in closed form."""
+
+    powers: tuple[Annotated[int, Field(ge=0)], ...]
+    value: float
+
+
+@settings
+class TransientSettings:
+    """One file.
+
+    Attributes
+    ----------
+    description, source : str
+        One line for `list`; where system and figures come from, and what was left open there.
+    published : tuple of str
+        What the publication says of accuracy and run time, a sentence each; printed beside ours.
+    axes : tuple of int
+        States drawn against each other, two or three.
+    """
+
+    description: str = ""
+    source: str = ""
+    model: ModelText
+    start: Begin
+    times: Output
+    solver: Solver = Field(default_factory=Solver)
+    statistics: Statistics = Field(default_factory=Statistics)
+    reference: Reference = Field(default_factory=Reference)
+    steady: tuple[Steady, ...] = ()
+    published: tuple[str, ...] = ()
+    axes: tuple[int, ...] = ()

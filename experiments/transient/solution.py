@@ -1,0 +1,95 @@
+"""Solving a transient problem step by step, every density kept on disk until all are there."""
+
+import hashlib
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+import sphfilter as sf
+from sphfilter.storage import load_arrays, write_arrays
+
+__all__ = ["Solution", "folder_of", "solve"]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A solved problem.
+
+    Attributes
+    ----------
+    start : ParticleDensity
+    trajectory : Trajectory
+    values : ndarray, shape (T, S)
+        The problem's quantities at its times.
+    seconds : ndarray, shape (T,)
+        Wall time of each interval.
+    """
+
+    start: object
+    trajectory: object
+    values: np.ndarray
+    seconds: np.ndarray
+
+
+def solve(problem, folder, progress=None):
+    """Carry a problem's start through its times, going on from what a stopped run left in `folder`.
+
+    Parameters
+    ----------
+    problem : Problem
+    folder : Path
+        Of this problem with these settings only, see `folder_of`.
+    progress : callable(n_done, n_times), optional
+
+    Returns
+    -------
+    Solution
+    """
+    start, config = problem.begin(), problem.settings.solver.config
+    n_particles = problem.settings.solver.n_particles
+    done, times = _finished(folder), problem.times
+    density = done[-1][0].densities[0] if done else start
+    folder.mkdir(parents=True, exist_ok=True)
+    for k in range(len(done), len(times)):
+        began = time.perf_counter()
+        way = sf.propagate(density, problem.model, times[k], config, n_particles=n_particles)
+        seconds = time.perf_counter() - began
+        done.append((way, seconds))
+        _keep(folder, k, way, seconds)
+        density = way.densities[0]
+        if progress is not None:
+            progress(k + 1, len(times))
+    densities, infos = (sum((getattr(way, part) for way, _ in done), ()) for part in ("densities", "infos"))
+    values = np.array([[q.of(density) for q in problem.quantities] for density in densities])
+    trajectory = sf.Trajectory(times, densities, infos)
+    return Solution(start, trajectory, values, np.array([seconds for _, seconds in done]))
+
+
+def folder_of(out, problem):
+    """Where densities wait until all are there: another folder for other settings."""
+    which = hashlib.sha256(repr(sorted(asdict(problem.settings).items())).encode()).hexdigest()[:8]
+    return Path(out) / f"unfinished-{which}"
+
+
+def _file(folder, k):
+    return folder / f"density_{k:04d}.npz"
+
+
+def _keep(folder, k, way, seconds):
+    """Write one interval; the file has its name when it is complete."""
+    part = folder / "writing.npz"
+    way.save(part)
+    part.replace(_file(folder, k))
+    write_arrays(folder / f"seconds_{k:04d}.npz", {"seconds": np.array(seconds)})
+
+
+def _finished(folder):
+    """Intervals that an earlier run left."""
+    done = []
+    while _file(folder, len(done)).exists() and (folder / f"seconds_{len(done):04d}.npz").exists():
+        k = len(done)
+        seconds = float(load_arrays(folder / f"seconds_{k:04d}.npz")["seconds"])
+        done.append((sf.Trajectory.load(_file(folder, k)), seconds))
+    return done

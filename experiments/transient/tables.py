@@ -1,0 +1,125 @@
+"""What a transient solution says, in tables, sentences and files."""
+
+import csv
+
+import numpy as np
+from rich.table import Table
+
+__all__ = ["comparison", "sentences", "steady_table", "table", "write_csv"]
+
+_MOST_ROWS = 12  # times in a printed table; files have all
+
+
+def comparison(problem, solution, reference):
+    """Errors of mean and covariance against a reference, at all times, shape (T, 2).
+
+    The mean's in standard deviations of the reference, the covariance's largest entry in units of its
+    standard deviations' products.
+    """
+    n, T = problem.model.dim, len(problem.times)
+    out = np.full((T, 2), np.nan)
+    for k in range(T):
+        mean, cov = _moments(reference.values[k], n)
+        ours = _moments(solution.values[k], n)
+        scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
+        out[k] = (
+            np.abs((ours[0] - mean) / scale).max(),
+            np.abs((ours[1] - cov) / np.outer(scale, scale)).max(),
+        )
+    return out
+
+
+def _moments(values, n):
+    mean, second = values[:n], np.empty((n, n))
+    second[np.triu_indices(n)] = values[n : n + n * (n + 1) // 2]
+    second = np.triu(second) + np.triu(second, 1).T
+    return mean, second - np.outer(mean, mean)
+
+
+def table(problem, solution, reference):
+    """Quantities at some of the times, with the reference's value and half width below each other."""
+    made = Table(box=None, pad_edge=False, header_style="bold")
+    made.add_column("t", justify="right")
+    for quantity in problem.quantities:
+        made.add_column(quantity.name, justify="right")
+    for k in _shown(len(problem.times)):
+        made.add_row(f"{problem.times[k]:g}", *(f"{v:.4g}" for v in solution.values[k]))
+        if reference is not None:
+            pairs = zip(reference.values[k], reference.half_width[k], strict=True)
+            made.add_row("", *(_with_width(v, w) for v, w in pairs), style="dim")
+    return made
+
+
+def _with_width(value, width):
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:.4g}" if width <= 1e-4 * abs(value) else f"{value:.4g}±{width:.1g}"
+
+
+def _shown(n):
+    return np.unique(np.linspace(0, n - 1, min(n, _MOST_ROWS)).round().astype(int))
+
+
+def steady_table(problem, solution):
+    """Relative error against the steady state's moments at the last time, 000 (158)."""
+    made = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("steady state", "exact", f"t = {problem.times[-1]:g}", "relative error"):
+        made.add_column(name, justify="right")
+    for row in problem.settings.steady:
+        at = [q.powers for q in problem.quantities].index(row.powers)
+        value = solution.values[-1, at]
+        error = abs(value - row.value) / abs(row.value)
+        made.add_row(problem.quantities[at].name, f"{row.value:.5g}", f"{value:.5g}", f"{100 * error:.2g} %")
+    return made
+
+
+def sentences(problem, solution, reference):
+    """What came out, in words."""
+    infos, sizes = solution.trajectory.infos, [d.n_particles for d in solution.trajectory.densities]
+    schemes = ", ".join(dict.fromkeys(info.scheme for info in infos))
+    steps, seconds = sum(info.n_steps for info in infos), solution.seconds.sum()
+    yield (
+        f"{schemes}, {min(sizes)} to {max(sizes)} particles, {steps} steps, {seconds:.2g} s from t = "
+        f"{solution.start.t:g} to {problem.times[-1]:g}"
+    )
+    for status in dict.fromkeys(info.status for info in infos if info.status != "ok"):
+        yield f"at {sum(info.status == status for info in infos)} of {len(infos)} times: {status}"
+    if reference is not None:
+        mean, cov = np.nanmax(comparison(problem, solution, reference), axis=0)
+        yield f"against the {reference.name}: mean within {mean:.2g} of a standard deviation, covariance {cov:.2g}"
+        yield from _exceedances(problem, solution, reference)
+    yield from (f"published: {line}" for line in problem.settings.published)
+
+
+def _exceedances(problem, solution, reference):
+    for j, quantity in enumerate(problem.quantities):
+        if quantity.powers is not None:
+            continue
+        ours, theirs, width = solution.values[:, j], reference.values[:, j], reference.half_width[:, j]
+        sure = (theirs > 0) & (width < 0.2 * theirs)
+        if sure.any():
+            ratio = ours[sure] / theirs[sure]
+            low = theirs[sure].min()
+            between = f"{ratio.min():.2f} to {ratio.max():.2f}"
+            yield f"{quantity.name}: {between} times the reference, down to {low:.1g}"
+
+
+def write_csv(path, problem, solution, reference):
+    """One line a time: quantities, reference and half widths, particles, steps, seconds."""
+    names = [q.name for q in problem.quantities]
+    header = ["t", *names]
+    if reference is not None:
+        header += [f"{name} reference" for name in names] + [f"{name} half width" for name in names]
+    header += ["n_particles", "n_steps", "scheme", "status", "seconds"]
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        lines = csv.writer(file)
+        lines.writerow(header)
+        for k, (density, info) in enumerate(
+            zip(solution.trajectory.densities, solution.trajectory.infos, strict=True)
+        ):
+            row = [problem.times[k], *solution.values[k]]
+            if reference is not None:
+                row += [*reference.values[k], *reference.half_width[k]]
+            lines.writerow(
+                [*row, density.n_particles, info.n_steps, info.scheme, info.status, solution.seconds[k]]
+            )

@@ -1,0 +1,72 @@
+"""Densities on disk: numpy arrays with a version, nothing that could run."""
+
+import json
+from dataclasses import fields
+
+import numpy as np
+
+from ._version import __version__
+from .core.fitting import build_field
+from .core.stencils import stencils
+from .density import ParticleDensity
+from .domain import Domain
+from .errors import ModelError
+
+__all__ = ["FORMAT", "density_from", "load_arrays", "stored", "write_arrays"]
+
+FORMAT = 1
+_ARRAYS = "x", "mass", "h", "log_density", "invariant"
+_FIELD = "mu", "A", "node", "log_p"  # what a field is built from
+
+
+def stored(density):
+    """A density as arrays by name; `density_from` makes the same density of them, to the last bit."""
+    arrays = {name: getattr(density, name) for name in _ARRAYS if getattr(density, name) is not None}
+    if density.field is not None:
+        arrays |= {f"field.{name}": getattr(density.field, name) for name in _FIELD}
+    if density.moments is not None:
+        arrays |= {"moments.mean": density.moments[0], "moments.cov": density.moments[1]}
+    special = {*_ARRAYS, "field", "moments", "domain"}
+    about = {f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special}
+    about["domain"] = None if density.domain is None else density.domain.axes
+    return arrays | {"about": np.array(json.dumps(about))}
+
+
+def density_from(arrays):
+    """The density of arrays that `stored` made."""
+    about = json.loads(str(arrays["about"]))
+    if about["domain"] is not None:
+        about["domain"] = Domain(*about["domain"])
+    if "field.mu" in arrays:
+        n = len(arrays["field.mu"])
+        parts = (np.ascontiguousarray(arrays[f"field.{name}"]) for name in _FIELD)
+        about["field"] = build_field(*parts, stencils(n))
+    if "moments.mean" in arrays:
+        about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
+    return ParticleDensity(**{name: arrays[name] for name in _ARRAYS if name in arrays}, **about)
+
+
+def write_arrays(path, arrays):
+    """Write arrays by name to a compressed npz file, with the version of the format."""
+    version = {"format": np.array(FORMAT), "sphfilter": np.array(__version__)}
+    with open(path, "wb") as file:  # an open file, or numpy would add a suffix
+        np.savez_compressed(file, **version, **arrays)
+
+
+def load_arrays(path):
+    """Read a file of `write_arrays`.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read, or is of another format.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
+    except (OSError, ValueError) as problem:
+        raise ModelError(f"cannot read {path}: {problem}") from None
+    if int(arrays.get("format", -1)) != FORMAT:
+        found = arrays.get("format", "none")
+        raise ModelError(f"{path} has format {found}, this version reads {FORMAT}; write it again")
+    return arrays

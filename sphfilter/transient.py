@@ -1,0 +1,126 @@
+"""The transient FPK equation without measurements: a density carried to a list of times."""
+
+from dataclasses import asdict, dataclass, fields, replace
+
+import numpy as np
+
+from .adapt import Prediction, predict_relaying
+from .config import CorrectedScheme, SolverConfig
+from .errors import LatticeError, ModelError, UnresolvedError
+from .info import PredictInfo
+from .predict import predict
+from .resample import bound
+from .storage import density_from, load_arrays, stored, write_arrays
+from .validate import array
+
+__all__ = ["Trajectory", "propagate"]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Densities of a transient solution.
+
+    Attributes
+    ----------
+    times : ndarray, shape (T,)
+    densities : tuple of ParticleDensity
+    infos : tuple of PredictInfo
+    """
+
+    times: np.ndarray
+    densities: tuple
+    infos: tuple
+
+    def moment(self, powers, central=False, kind=None):
+        """`ParticleDensity.moment` at all times, shape (T,)."""
+        return np.array([density.moment(powers, central, kind) for density in self.densities])
+
+    def probability(self, region, kind=None):
+        """`ParticleDensity.probability` at all times, shape (T,)."""
+        return np.array([density.probability(region, kind) for density in self.densities])
+
+    def save(self, path):
+        """Write everything to one npz file, which `load` reads back to the last bit."""
+        arrays = {"n_times": np.array(len(self.times))}
+        for k, (density, info) in enumerate(zip(self.densities, self.infos, strict=True)):
+            parts = stored(density) | {f"info.{key}": np.array(v) for key, v in asdict(info).items()}
+            arrays |= {f"{k}.{name}": value for name, value in parts.items()}
+        write_arrays(path, arrays)
+
+    @classmethod
+    def load(cls, path):
+        """Read a trajectory that `save` wrote."""
+        arrays, steps = load_arrays(path), []
+        for k in range(int(arrays["n_times"])):
+            own = {name.partition(".")[2]: v for name, v in arrays.items() if name.startswith(f"{k}.")}
+            info = {f.name: _plain(own[f"info.{f.name}"]) for f in fields(PredictInfo)}
+            steps.append((density_from(own), PredictInfo(**info)))
+        densities, infos = zip(*steps, strict=True) if steps else ((), ())
+        return cls(np.array([density.t for density in densities]), densities, infos)
+
+
+def _plain(value):
+    return value.item() if value.ndim == 0 else tuple(value.tolist())
+
+
+def propagate(density, model, times, config=None, *, n_particles=None, callback=None):
+    """Solve the transient FPK equation without measurements.
+
+    Where a lattice proves too coarse for what comes, the interval before is repeated on 3 or 9 times the
+    particles; where ``scheme="auto"`` finds no lattice that holds the density, moment-corrected SPH goes on
+    with the particles. The infos say so.
+
+    Parameters
+    ----------
+    density : ParticleDensity
+        Made by `initialize`.
+    model : SDE
+    times : array_like, shape (T,)
+        Times at which the density is wanted, seconds, not decreasing.
+    config : SolverConfig, optional
+    n_particles : int, optional
+        Upper bound of the number of particles at re-griddings; the density's own if not given.
+    callback : callable, optional
+        Called as ``callback(density, info)`` at each of the times; the solution stops there if it returns
+        a true value.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    ModelError
+        Times that decrease, or lie before the density's.
+    PropagationError
+        The model blew up, or no scheme could go on; says when, where and what to change.
+    """
+    times, config = array("times", np.atleast_1d(times), (None,)), config or SolverConfig()
+    if np.any(np.diff(times, prepend=density.t) < 0):
+        raise ModelError(f"times must not decrease, nor begin before t = {density.t:g}, that of the density")
+    n_particles = bound(density, n_particles)
+    densities, infos, origin = [], [], None
+    for t in times:
+        before, (density, info, _) = _carried(density, model, float(t), config, n_particles, origin)
+        origin = Prediction(before, info.mass_error, model, density.t)
+        densities.append(density)
+        infos.append(info)
+        if callback is not None and callback(density, info):
+            break
+    return Trajectory(times[: len(densities)], tuple(densities), tuple(infos))
+
+
+def _carried(density, model, t, config, n_particles, origin):
+    """One interval, as `predict_relaying` returns it."""
+
+    def predicted(density):
+        return *predict(density, model, t=t, config=config, n_particles=n_particles), n_particles
+
+    try:
+        return predict_relaying(predicted, model, density, origin, config, n_particles)
+    except (LatticeError, UnresolvedError) as problem:
+        if config.scheme != "auto" or density.domain is not None:
+            raise
+        last = SolverConfig(scheme=CorrectedScheme())
+        moved, info = predict(density, model, t=t, config=last, n_particles=n_particles)
+        return density, (moved, replace(info, status=f"not log_density: {problem}"), n_particles)
