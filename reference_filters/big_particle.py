@@ -6,15 +6,14 @@ runs together. The bias of a particle filter itself is of the order of the varia
 posterior variances: smaller than the sampling error by about sqrt(runs) times the error of one run.
 """
 
-import os
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
 from sphfilter import validate
 
+from ._store import digest, save
 from .particle import ParticleFilter
 
 __all__ = ["Reference", "converged"]
@@ -124,10 +123,7 @@ def _digest(model, measurement, case, settings):
     for t in (float(case.t0), 0.5 * (case.t0 + times[-1]) + 0.1234):
         parts += [model.drift(X, t), model.noise(X, t)]
         parts += [measurement.log_likelihood(z, X, t) for z in case.z]
-    digest = sha256()
-    for part in parts:
-        digest.update(part if isinstance(part, bytes) else np.asarray(part, dtype=float).tobytes())
-    return digest.hexdigest()[:20]
+    return digest(parts)
 
 
 def _load(path):
@@ -139,11 +135,5 @@ def _load(path):
 
 
 def _save(path, runs):
-    """Write all runs to one file, which appears when it is complete."""
-    if path is None:
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    with open(part, "wb") as file:
-        np.savez(file, **dict(zip(_RECORDED, map(np.array, zip(*runs, strict=True)), strict=True)))
-    os.replace(part, path)
+    """Write all runs to one file."""
+    save(path, **dict(zip(_RECORDED, map(np.array, zip(*runs, strict=True)), strict=True)))

@@ -41,18 +41,25 @@ def linear_transition(A, b, noise_intensity, dt):
 
     Notes
     -----
-    Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978) 395.
+    Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978) 395, over a part of
+    dt, then doubled.
     """
     A = np.atleast_2d(np.asarray(A, dtype=float))
     n = len(A)
+    # -A grows as fast as A decays: over too long a step the block would lose every digit
+    doublings = max(0, int(np.ceil(np.log2(max(np.linalg.norm(A, 2) * dt, 1.0)))))
+    h = dt / 2**doublings
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[:n, n:], block[n:, n:] = -A, np.asarray(noise_intensity, dtype=float), A.T
-    E = expm(block * dt)
+    E = expm(block * h)
     Phi = E[n:, n:].T
     Qd = Phi @ E[:n, n:]
     affine = np.zeros((n + 1, n + 1))
     affine[:n, :n], affine[:n, n] = A, 0.0 if b is None else np.asarray(b, dtype=float)
-    return Phi, expm(affine * dt)[:n, n], 0.5 * (Qd + Qd.T)
+    c = expm(affine * h)[:n, n]
+    for _ in range(doublings):
+        Phi, c, Qd = Phi @ Phi, Phi @ c + c, Phi @ Qd @ Phi.T + Qd
+    return Phi, c, 0.5 * (Qd + Qd.T)
 
 
 def linear_moments(A, b, noise_intensity, mean, cov, t):

@@ -31,6 +31,22 @@ def test_linear_moments_solve_their_differential_equation():
     np.testing.assert_allclose(np.r_[m, P.ravel()], y, rtol=1e-8)
 
 
+@pytest.mark.parametrize("t", [3.0, 30.0, 1e3, 1e7])
+def test_a_critically_damped_oscillator_comes_to_rest(t):
+    """Damping ratio 1, frequency 1, S = .2 (002 Table 1): the variances are .05 at the end."""
+    A, S = [[0.0, 1.0], [-1.0, -2.0]], np.diag([0.0, 0.2])
+    mean, cov = linear_moments(A, [0.0, 0.3], S, [5.0, 5.0], np.eye(2) / 9, t)
+    decay = np.exp(-t)
+    Phi = decay * np.array([[1 + t, t], [-t, 1 - t]])
+    np.testing.assert_allclose(mean, Phi @ [4.7, 5.0] + [0.3, 0.0], atol=1e-12)
+    # ∫ S u uᵀ ds of u = e^-s (s, 1 - s)
+    e = decay**2
+    xx = 0.05 * (1 - e * (2 * t**2 + 2 * t + 1)) if t < 100 else 0.05
+    xv, vv = (0.1 * t**2 * e, 0.05 * (1 - e * (2 * t**2 - 2 * t + 1))) if t < 100 else (0.0, 0.05)
+    expected = Phi @ Phi.T / 9 + [[xx, xv], [xv, vv]]
+    np.testing.assert_allclose(cov, expected, atol=1e-12)
+
+
 def test_ornstein_uhlenbeck_is_the_scalar_linear_case():
     m, P = linear_moments([[-0.8]], None, [[0.5]], [1.3], [[0.2]], 0.9)
     mean, var = ornstein_uhlenbeck_moments(0.8, 0.5, 1.3, 0.2, 0.9)

@@ -1,0 +1,27 @@
+"""Files that keep finished parts of long runs, named by what was computed."""
+
+import os
+from hashlib import sha256
+
+import numpy as np
+
+__all__ = ["digest", "save"]
+
+
+def digest(parts):
+    """Name of a problem, from bytes and arrays of numbers."""
+    found = sha256()
+    for part in parts:
+        found.update(part if isinstance(part, bytes) else np.asarray(part, dtype=float).tobytes())
+    return found.hexdigest()[:20]
+
+
+def save(path, **arrays):
+    """Write arrays to one npz file, which appears when it is complete; None writes nothing."""
+    if path is None:
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    with open(part, "wb") as file:
+        np.savez(file, **arrays)
+    os.replace(part, path)
