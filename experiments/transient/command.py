@@ -1,4 +1,4 @@
-"""`python -m experiments transient NAME`: a density without measurements, beside exact values or many paths."""
+"""`python -m experiments transient NAME`: a density without measurements, beside exact values or paths."""
 
 import json
 import platform

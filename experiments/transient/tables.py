@@ -3,6 +3,7 @@
 import csv
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 __all__ = ["comparison", "sentences", "steady_table", "table", "write_csv"]
@@ -41,7 +42,7 @@ def table(problem, solution, reference):
     made = Table(box=None, pad_edge=False, header_style="bold")
     made.add_column("t", justify="right")
     for quantity in problem.quantities:
-        made.add_column(quantity.name, justify="right")
+        made.add_column(escape(quantity.name), justify="right")
     for k in _shown(len(problem.times)):
         made.add_row(f"{problem.times[k]:g}", *(f"{v:.4g}" for v in solution.values[k]))
         if reference is not None:
@@ -69,7 +70,9 @@ def steady_table(problem, solution):
         at = [q.powers for q in problem.quantities].index(row.powers)
         value = solution.values[-1, at]
         error = abs(value - row.value) / abs(row.value)
-        made.add_row(problem.quantities[at].name, f"{row.value:.5g}", f"{value:.5g}", f"{100 * error:.2g} %")
+        made.add_row(
+            escape(problem.quantities[at].name), f"{row.value:.5g}", f"{value:.5g}", f"{100 * error:.2g} %"
+        )
     return made
 
 
@@ -86,7 +89,8 @@ def sentences(problem, solution, reference):
         yield f"at {sum(info.status == status for info in infos)} of {len(infos)} times: {status}"
     if reference is not None:
         mean, cov = np.nanmax(comparison(problem, solution, reference), axis=0)
-        yield f"against the {reference.name}: mean within {mean:.2g} of a standard deviation, covariance {cov:.2g}"
+        against = f"against the {reference.name}"
+        yield f"{against}: mean within {mean:.2g} of a standard deviation, covariance {cov:.2g}"
         yield from _exceedances(problem, solution, reference)
     yield from (f"published: {line}" for line in problem.settings.published)
 
