@@ -216,9 +216,17 @@ class ParticleDensity:
         if powers.shape != (self.dim,) or np.any(powers < 0) or np.any(powers != np.floor(powers)):
             raise ModelError(f"powers must be {self.dim} whole numbers >= 0, one a state, got {powers!r}")
         centre = self.mean()
+        if powers.sum() <= 2 and self.domain is None:  # a lattice knows these beyond its cut too
+            return self._low_moment(powers.astype(int), np.zeros(self.dim) if central else centre, kind)
         return self._expect(
             lambda X: np.prod((self._from(X, centre) if central else X) ** powers, axis=1), kind
         )
+
+    def _low_moment(self, powers, mean, kind):
+        """Moment of order two at most, of a density whose mean is taken to be `mean` (n,)."""
+        axes = np.repeat(np.arange(self.dim), powers)
+        product = float(np.prod(mean[axes]))
+        return product + float(self.cov(kind)[tuple(axes)]) if len(axes) == 2 else product
 
     def probability(self, region, kind=None):
         """Probability of a region given as a function of states X (M, n) that returns booleans (M,).

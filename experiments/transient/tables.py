@@ -8,6 +8,7 @@ from rich.table import Table
 
 __all__ = ["comparison", "sentences", "steady_table", "table", "write_csv"]
 
+_FAINT = 1e-7  # probability below which none is compared
 _MOST_ROWS = 12  # times in a printed table; files have all
 
 
@@ -100,7 +101,7 @@ def _exceedances(problem, solution, reference):
         if quantity.powers is not None:
             continue
         ours, theirs, width = solution.values[:, j], reference.values[:, j], reference.half_width[:, j]
-        sure = (theirs > 0) & (width < 0.2 * theirs)
+        sure = (theirs > _FAINT) & (width < 0.2 * theirs)
         if sure.any():
             ratio = ours[sure] / theirs[sure]
             low = theirs[sure].min()
