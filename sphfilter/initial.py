@@ -1,6 +1,6 @@
 """Initial densities: a Gaussian, a uniform box, or any pdf with a box, put on particles."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -17,6 +17,7 @@ from .validate import array, count, covariance
 __all__ = ["Gaussian", "Uniform", "initialize", "spread"]
 
 _FAR = 6.0  # standard deviations within which a Gaussian is put on a domain with ends
+_MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
 _COARSE = 2000  # particles a callable pdf is first looked at with
 
 
@@ -92,8 +93,10 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0, domai
     )
     if smooth and not isinstance(scheme, PaperScheme):
         return _on_level_set(distribution, box, n_particles, scheme, t, domain)
+    if not isinstance(scheme, PaperScheme) and domain is None:
+        return _for_corrected(distribution, box, n_particles, t)  # edges have no smooth logarithm
     if not isinstance(scheme, PaperScheme):
-        scheme = PaperScheme(kernel="wendland_c2")  # a density with edges has no smooth logarithm
+        scheme = PaperScheme(kernel="wendland_c2")
     if gaussian and domain is None:
         return _from_gaussian(distribution, n_particles, scheme, t)
     pdf = distribution.pdf if isinstance(distribution, Gaussian | Uniform) else distribution
@@ -102,6 +105,17 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0, domai
             pdf = _all_turns(pdf, domain, box)
         box = np.transpose(domain.within(*box.T, 0.0))
     return _from_pdf(pdf, checked_box(box), n_particles, scheme, t, domain)
+
+
+def _for_corrected(distribution, box, n_particles, t):
+    """Particles of a uniform density with its variance, which cell centres alone have too little of."""
+    scheme = PaperScheme(
+        kernel="wendland_c2", support_steps=1
+    )  # moment-corrected SPH finds lengths of its own
+    density = _from_pdf(distribution.pdf, box, n_particles, scheme, t)
+    centre, actual = box.mean(axis=1), np.diag(density.cov("points"))
+    stretch = np.sqrt((box[:, 1] - box[:, 0]) ** 2 / 12.0 / actual)
+    return replace(density, x=centre + stretch * (density.x - centre))
 
 
 def spread(density, n_particles, scheme):
@@ -180,6 +194,8 @@ def _from_pdf(pdf, box, n_particles, scheme, t, domain=None):
     for shrink in np.geomspace(0.25, 4.0, 80):
         dx = shrink * (np.prod(span) / n_particles) ** (1.0 / len(span))
         dims = np.maximum(np.ceil(span / dx).astype(int), 2)
+        if np.prod(dims.astype(float)) > _MOST_TRIED * n_particles:
+            continue
         lattice = Lattice(box[:, 0] + 0.5 * span / dims, span / dims, dims, domain)
         values = np.asarray(pdf(lattice.nodes), dtype=float)
         if values.shape != (len(lattice.nodes),) or not np.all(np.isfinite(values)) or values.min() < 0:

@@ -1,4 +1,4 @@
-"""`python -m experiments transient`: every file is readable, solutions agree with closed forms, runs resume."""
+"""`python -m experiments transient`: files are readable, solutions agree with closed forms, runs resume."""
 
 import csv
 import json
