@@ -22,6 +22,7 @@ from sphfilter.errors import ConfigError, SphfilterError
 from . import plots
 from .problem import load_problem
 from .references import reference_of
+from .rivals import rivals_of
 from .solution import folder_of, solve
 from .tables import sentences, steady_table, table, write_csv
 
@@ -69,14 +70,17 @@ def main(args):
     folder = folder_of(out, problem)
     solution = _followed(console, problem, folder)
     reference = _reference(console, problem)
+    rivals = rivals_of(problem)
     console.print(table(problem, solution, reference))
     if problem.settings.steady:
-        console.print(steady_table(problem, solution))
+        console.print(steady_table(problem, solution, rivals))
+    for rival in rivals:
+        console.print(f"• {rival.name}: {rival.seconds:.2g} s{'; ' * bool(rival.diverged)}{rival.diverged}")
     for sentence in sentences(problem, solution, reference):
         console.print(f"• {sentence}")
     _write(out, problem, solution, reference)
     shutil.rmtree(folder)
-    drawn = plots.draw(out, problem, solution, reference)
+    drawn = plots.draw(out, problem, solution, reference, rivals)
     if args.animate:
         drawn.append(plots.animate(Path(args.animate), problem, solution))
     console.print(

@@ -12,13 +12,16 @@ _MOST_DRAWN = 6
 _OURS, _THEIRS = ACCENT["sph"], INK
 
 
-def draw(out, problem, solution, reference):
+def draw(out, problem, solution, reference, rivals=()):
     """Draw all pictures into the folder `out`; returns their paths."""
-    figures = {"densities": _densities(problem, solution), "moments": _moments(problem, solution, reference)}
+    figures = {
+        "densities": _densities(problem, solution),
+        "moments": _moments(problem, solution, reference, rivals),
+    }
     if any(q.powers is None for q in problem.quantities):
         figures["exceedance"] = _exceedances(problem, solution, reference)
     if problem.settings.steady:
-        figures["steady"] = _steady(problem, solution)
+        figures["steady"] = _steady(problem, solution, rivals)
     return [save(figure, out / f"{name}.png") for name, figure in figures.items()]
 
 
@@ -96,7 +99,7 @@ def _curves(problem, solution, axis):
     return figure
 
 
-def _moments(problem, solution, reference):
+def _moments(problem, solution, reference, rivals):
     names = [j for j, q in enumerate(problem.quantities) if q.powers is not None]
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
@@ -114,14 +117,29 @@ def _moments(problem, solution, reference):
             ax.fill_between(problem.times, value - width, value + width, color=_THEIRS, alpha=0.25, lw=0)
             ax.plot(problem.times, value, color=_THEIRS, lw=1.2, ls=":", label=reference.name)
         ax.plot(problem.times, solution.values[:, j], color=_OURS, lw=1.4, label="SPH", zorder=1)
+        room = _room(ax, problem, solution, problem.quantities[j].powers)
+        for shade, rival in zip(np.linspace(0.3, 0.9, len(rivals)), rivals, strict=True):
+            ax.plot(problem.times, rival.values[:, j], color=plt.cm.plasma(shade), lw=0.9, label=rival.name)
+        ax.set_ylim(room)  # equations that diverge leave the picture
         frame(ax, problem.quantities[j].name, "", "")
     for ax in axes.ravel()[len(names) :]:
         ax.remove()
     for ax in axes[-1]:
         ax.set_xlabel("t (s)")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(f"{problem.name}: moments", fontsize=11)
     return figure
+
+
+def _room(ax, problem, solution, powers):
+    """Ends of an axis that do not magnify what is nothing beside the size of the states."""
+    squares = [
+        [q.powers for q in problem.quantities].index(tuple(row)) for row in 2 * np.eye(problem.model.dim)
+    ]
+    sizes = np.sqrt(np.nanmax(solution.values[:, squares], axis=0))
+    low, high = ax.get_ylim()
+    least, middle = 0.05 * np.prod(sizes ** np.array(powers)), 0.5 * (low + high)
+    return min(low, middle - least), max(high, middle + least)
 
 
 def _exceedances(problem, solution, reference):
@@ -142,25 +160,30 @@ def _exceedances(problem, solution, reference):
     return figure
 
 
-def _steady(problem, solution):
-    """Relative error against the steady state, 000 (158)."""
-    figure, ax = plt.subplots(figsize=(7, 3.6), layout="constrained")
-    for shade, row in zip(
-        np.linspace(0, 0.7, len(problem.settings.steady)), problem.settings.steady, strict=True
-    ):
+def _steady(problem, solution, rivals):
+    """Relative errors against the steady state, 000 (158)."""
+    rows = problem.settings.steady
+    figure, axes = plt.subplots(
+        1, len(rows), figsize=(3.9 * len(rows), 3.6), layout="constrained", squeeze=False, sharey=True
+    )
+    for ax, row in zip(axes[0], rows, strict=True):
         j = [q.powers for q in problem.quantities].index(row.powers)
-        error = np.abs(solution.values[:, j] - row.value) / abs(row.value)
-        ax.plot(
-            problem.times,
-            np.maximum(error, 1e-8),
-            color=plt.cm.viridis(shade),
-            label=problem.quantities[j].name,
-        )
-    ax.axhline(0.01, color=INK, lw=0.8, ls=":")
-    ax.set_yscale("log")
-    ax.legend(frameon=False)
-    frame(ax, f"{problem.name}: relative error against the steady state", "t (s)", "relative error")
+        for shade, rival in zip(np.linspace(0.3, 0.9, len(rivals)), rivals, strict=True):
+            _error_curve(ax, problem, rival.values[:, j], row.value, plt.cm.plasma(shade), rival.name)
+        _error_curve(ax, problem, solution.values[:, j], row.value, _OURS, "SPH")
+        ax.axhline(0.01, color=INK, lw=0.8, ls=":")
+        ax.set_yscale("log")
+        ax.set_ylim(1e-6, 10)
+        frame(ax, problem.quantities[j].name, "t (s)", "relative error" if ax is axes[0, 0] else "")
+    handles = axes[0, 0].get_legend_handles_labels()
+    figure.legend(*handles, loc="outside lower center", ncols=5, frameon=False)
+    figure.suptitle(f"{problem.name}: distance from the steady state; dotted: 1 %", fontsize=11)
     return figure
+
+
+def _error_curve(ax, problem, value, exact, colour, label):
+    error = np.abs(value - exact) / abs(exact)
+    ax.plot(problem.times, np.maximum(error, 1e-8), color=colour, lw=1.2, label=label)
 
 
 def animate(path, problem, solution, fps=10):

@@ -83,10 +83,13 @@ class Statistics:
         Powers of raw moments.
     exceedance : tuple of str
         Conditions on the states, such as "abs(q) > 0.5".
+    cumulants : tuple of int
+        Orders of cumulant equations to solve beside (polynomial models, 000 4.1.3).
     """
 
     moments: tuple[tuple[Annotated[int, Field(ge=0)], ...], ...] = ()
     exceedance: tuple[str, ...] = ()
+    cumulants: tuple[Annotated[int, Field(ge=2, le=10)], ...] = ()
 
 
 @settings

@@ -39,42 +39,58 @@ def _moments(values, n):
 
 
 def table(problem, solution, reference):
-    """Quantities at some of the times, with the reference's value and half width below each other."""
+    """Quantities at some of the times, each with the reference's value and half width below."""
     made = Table(box=None, pad_edge=False, header_style="bold")
     made.add_column("t", justify="right")
+    errors = None if reference is None else comparison(problem, solution, reference)
+    if reference is not None:
+        made.add_column("mean off", justify="right")
+        made.add_column("cov off", justify="right")
     for quantity in problem.quantities:
         made.add_column(escape(quantity.name), justify="right")
+    sizes = np.nanmax(np.abs(solution.values), axis=0)
     for k in _shown(len(problem.times)):
-        made.add_row(f"{problem.times[k]:g}", *(f"{v:.4g}" for v in solution.values[k]))
+        off = [] if reference is None else [f"{v:.1g}" for v in errors[k]]
+        values = zip(solution.values[k], sizes, strict=True)
+        made.add_row(f"{problem.times[k]:g}", *off, *(_number(v, size) for v, size in values))
         if reference is not None:
-            pairs = zip(reference.values[k], reference.half_width[k], strict=True)
-            made.add_row("", *(_with_width(v, w) for v, w in pairs), style="dim")
+            rows = zip(reference.values[k], reference.half_width[k], sizes, strict=True)
+            made.add_row("", "", "", *(_with_width(*row) for row in rows), style="dim")
     return made
 
 
-def _with_width(value, width):
+def _number(value, size):
+    """A number to four digits; what is nothing beside the size of its column is 0."""
+    return "0" if abs(value) < 1e-5 * size else f"{value:.4g}"
+
+
+def _with_width(value, width, size):
     if not np.isfinite(value):
         return "-"
-    return f"{value:.4g}" if width <= 1e-4 * abs(value) else f"{value:.4g}±{width:.1g}"
+    text = _number(value, size)
+    return text if width <= 1e-4 * max(abs(value), 0.01 * size) else f"{text}±{width:.1g}"
 
 
 def _shown(n):
     return np.unique(np.linspace(0, n - 1, min(n, _MOST_ROWS)).round().astype(int))
 
 
-def steady_table(problem, solution):
-    """Relative error against the steady state's moments at the last time, 000 (158)."""
+def steady_table(problem, solution, rivals):
+    """Relative errors against the steady state's moments at the last time, 000 (158)."""
     made = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("steady state", "exact", f"t = {problem.times[-1]:g}", "relative error"):
+    last = f"SPH, t = {problem.times[-1]:g}"
+    for name in ("steady state", "exact", last, "error", *(rival.name for rival in rivals)):
         made.add_column(name, justify="right")
     for row in problem.settings.steady:
         at = [q.powers for q in problem.quantities].index(row.powers)
         value = solution.values[-1, at]
-        error = abs(value - row.value) / abs(row.value)
-        made.add_row(
-            escape(problem.quantities[at].name), f"{row.value:.5g}", f"{value:.5g}", f"{100 * error:.2g} %"
-        )
+        errors = (_relative(v, row.value) for v in (value, *(rival.values[-1, at] for rival in rivals)))
+        made.add_row(escape(problem.quantities[at].name), f"{row.value:.5g}", f"{value:.5g}", *errors)
     return made
+
+
+def _relative(value, exact):
+    return f"{100 * abs(value - exact) / abs(exact):.2g} %" if np.isfinite(value) else "-"
 
 
 def sentences(problem, solution, reference):
