@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 import sphfilter as sf
@@ -77,7 +78,7 @@ def main(args):
     for rival in rivals:
         console.print(f"• {rival.name}: {rival.seconds:.2g} s{'; ' * bool(rival.diverged)}{rival.diverged}")
     for sentence in sentences(problem, solution, reference):
-        console.print(f"• {sentence}")
+        console.print(f"• {escape(sentence)}")
     _write(out, problem, solution, reference)
     shutil.rmtree(folder)
     drawn = plots.draw(out, problem, solution, reference, rivals)
