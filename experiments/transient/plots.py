@@ -88,7 +88,7 @@ def _curves(problem, solution, axis):
     for shade, k in zip(np.linspace(0.0, 0.85, len(drawn)), drawn, strict=True):
         density = solution.start if k < 0 else solution.trajectory.densities[k]
         alone = density if density.dim == 1 else density.marginal([axis])
-        ends = density.x[:, axis].min(), density.x[:, axis].max()
+        ends = _ends(density.x[:, axis], 0.25)
         if density.domain is not None and density.domain.periodic[axis]:
             ends = density.domain.low[axis], density.domain.high[axis]
         x = np.linspace(*ends, 400)
@@ -100,7 +100,7 @@ def _curves(problem, solution, axis):
 
 
 def _moments(problem, solution, reference, rivals):
-    names = [j for j, q in enumerate(problem.quantities) if q.powers is not None]
+    names = [j for j, q in enumerate(problem.quantities) if q.powers is not None and _shown(problem, q)]
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
     figure, axes = plt.subplots(
@@ -125,10 +125,16 @@ def _moments(problem, solution, reference, rivals):
     for ax in axes.ravel()[len(names) :]:
         ax.remove()
     for ax in axes[-1]:
-        ax.set_xlabel("t (s)")
+        ax.set_xlabel("t")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(f"{problem.name}: moments", fontsize=11)
     return figure
+
+
+def _shown(problem, quantity):
+    """Has the picture of moments a panel for it? Beyond three states not for what mixes two."""
+    asked = quantity.powers in problem.settings.statistics.moments
+    return problem.model.dim <= 3 or asked or np.count_nonzero(quantity.powers) == 1
 
 
 def _room(ax, problem, solution, powers):
@@ -156,7 +162,7 @@ def _exceedances(problem, solution, reference):
     ax.set_ylim(1e-7, 1.5)
     ax.legend(frameon=False, fontsize=9, ncols=2)
     against = "" if reference is None else f"; points: {reference.name}, 95 %"
-    frame(ax, f"{problem.name}: probability of exceedance{against}", "t (s)", "probability")
+    frame(ax, f"{problem.name}: probability of exceedance{against}", "t", "probability")
     return figure
 
 
@@ -174,7 +180,7 @@ def _steady(problem, solution, rivals):
         ax.axhline(0.01, color=INK, lw=0.8, ls=":")
         ax.set_yscale("log")
         ax.set_ylim(1e-6, 10)
-        frame(ax, problem.quantities[j].name, "t (s)", "relative error" if ax is axes[0, 0] else "")
+        frame(ax, problem.quantities[j].name, "t", "relative error" if ax is axes[0, 0] else "")
     handles = axes[0, 0].get_legend_handles_labels()
     figure.legend(*handles, loc="outside lower center", ncols=5, frameon=False)
     figure.suptitle(f"{problem.name}: distance from the steady state; dotted: 1 %", fontsize=11)
@@ -209,6 +215,6 @@ def animate(path, problem, solution, fps=10):
     return path
 
 
-def _ends(x):
-    room = 0.05 * (x.max() - x.min())
+def _ends(x, part=0.05):
+    room = part * (x.max() - x.min())
     return x.min() - room, x.max() + room
