@@ -99,10 +99,11 @@ class PaperScheme:
         Smoothing length: "proportional" (002 (14), lagged a step), "fixed_point", "newton" or "fixed".
     integrator, cfl, c_cfl, dt_max
         Time stepping: (17)-(18); "relative" compares with the nearest neighbour's velocity (000) and wants
-        `dt_max` seconds, since it guards against collisions and does not control the error. Where drift or
-        noise depend on time a step is a hundredth of the prediction at most; give `dt_max` if that is coarse.
-    c_diffusion : float
-        Explicit limit dt <= c_diffusion c_K h^2 / tr D (unstable from about 2.7 on); not in 002.
+        `dt_max` seconds, since it guards against collisions and does not control the error; "fixed" takes
+        `dt_max` for every step, without the limit of diffusion (000). Where drift or noise depend on time a
+        step is a hundredth of the prediction at most; give `dt_max` if that is coarse.
+    c_diffusion : float or None
+        Explicit limit dt <= c_diffusion c_K h^2 / tr D (unstable from about 2.7 on); not in 002, None is off.
     search, bypass, c_nns, bypass_max, buffer_neighbors
         Neighbour search, and its bypass (43)-(47); `buffer_neighbors` is M_B (by dimension if None), and
         half of it forces a search.
@@ -124,10 +125,10 @@ class PaperScheme:
     smoothing: Literal["fixed", "proportional", "fixed_point", "newton"] = "proportional"
     smoothing_tolerance: Positive = 1e-3
     integrator: Literal["euler", "midpoint", "rk4"] = "euler"
-    cfl: Literal["absolute", "relative"] = "absolute"
+    cfl: Literal["absolute", "relative", "fixed"] = "absolute"
     c_cfl: Positive = 0.2
     dt_max: Positive | None = None
-    c_diffusion: Positive = 1.0
+    c_diffusion: Positive | None = 1.0
     search: Literal["auto", "brute", "cells", "tree"] = "auto"
     bypass: bool = True
     c_nns: Positive = 1.0
@@ -142,6 +143,8 @@ class PaperScheme:
             raise ValueError("support_range must rise, e.g. [2.2, 3.0]")
         if self.cfl == "relative" and self.dt_max is None:
             raise ValueError('cfl = "relative" guards against collisions only: give dt_max as well')
+        if self.cfl == "fixed" and self.dt_max is None:
+            raise ValueError('cfl = "fixed" takes steps of dt_max: give it, seconds')
         return self
 
 

@@ -295,3 +295,14 @@ def test_uniform_density_diffuses_as_the_closed_form():
     expected = 0.5 * (stats.norm.cdf((y[:, 0] + 1) / sd) - stats.norm.cdf((y[:, 0] - 1) / sd))
     assert density.pdf(y) == pytest.approx(expected, abs=0.01)
     assert density.represented_mass == pytest.approx(1.0)
+
+
+def test_fixed_steps_are_taken_as_they_are():
+    config = sf.SolverConfig(scheme=sf.PaperScheme(cfl="fixed", dt_max=0.02))
+    start = sf.initialize(sf.Gaussian([1.0], [[0.1]]), 60, config)
+    model = sf.LinearSDE([[-1.0]], noise=[[0.3]])
+    end, info = sf.predict(start, model, 0.5, config)
+    assert info.n_steps == 25
+    assert end.mean()[0] == pytest.approx((1 - 0.02) ** 25, rel=1e-3)  # Euler's own error and no more
+    with pytest.raises(sf.ConfigError, match="give it, seconds"):
+        sf.PaperScheme(cfl="fixed")

@@ -24,6 +24,7 @@ PARALLEL_FROM = 2000
 _MOST_REGRIDS = 20
 _PAUSE_AFTER = 2000  # steps between two chances to be interrupted
 _TIME_SLICES = 100  # steps at least over an interval, where drift or noise change with time
+_NO_LIMIT = 1e100  # of a step
 _RUN_AWAY = 1e3  # extents of the cloud
 
 
@@ -119,6 +120,7 @@ def _options(scheme, density, dt_max, steps_left):
     n, N = density.dim, density.n_particles
     buffer = scheme.buffer_neighbors or BUFFER_NEIGHBORS.get(n, 110)
     buffer = min(buffer, N - 1) if scheme.bypass else 0
+    fixed = scheme.cfl == "fixed"
     search = choose_method(N, n) if scheme.search == "auto" else METHODS.index(scheme.search)
     return core.Options(
         kernel=kind,
@@ -128,9 +130,9 @@ def _options(scheme, density, dt_max, steps_left):
         smoothing_tolerance=scheme.smoothing_tolerance,
         integrator=core.INTEGRATORS.index(scheme.integrator),
         relative_cfl=scheme.cfl == "relative",
-        c_cfl=scheme.c_cfl,
+        c_cfl=_NO_LIMIT if fixed else scheme.c_cfl,
         dt_max=dt_max if scheme.dt_max is None else min(dt_max, scheme.dt_max),
-        c_diffusion=scheme.c_diffusion,
+        c_diffusion=_NO_LIMIT if fixed or scheme.c_diffusion is None else scheme.c_diffusion,
         search=search,
         bypass=scheme.bypass,
         c_nns=scheme.c_nns,
