@@ -9,7 +9,7 @@ from .errors import ModelError
 from .initial import Gaussian, initialize
 from .predict import predict
 from .results import run_filter
-from .validate import array, count, covariance, positive, real
+from .validate import array, count, covariance, positive, real, row
 
 __all__ = ["SPHFilter"]
 
@@ -103,6 +103,14 @@ class SPHFilter:
     def _moments(self):
         self._x, self._P = self._density.mean(), self._density.cov()
         self._x.flags.writeable = self._P.flags.writeable = False  # else flt.x += d would half succeed
+
+    def __repr__(self):
+        scheme = self.config.scheme
+        return (
+            f"SPHFilter(states={self.model.states}, t={self.t:g}, x={row(self._x)}, "
+            f"std={row(np.sqrt(np.diag(self._P)))}, {self._density.n_particles} particles "
+            f"(at most {self.n_particles}), scheme={scheme if isinstance(scheme, str) else scheme.name!r})"
+        )
 
     density = property(lambda self: self._density, doc="The density now.")
     t = property(lambda self: self._density.t, doc="Time of the density, seconds.")

@@ -86,6 +86,11 @@ class GaussianMeasurement:
     def __reduce__(self):
         return GaussianMeasurement, self._recipe
 
+    def __repr__(self):
+        h = _name(self._recipe[0]) if self.H is None else validate.short(self.H.tolist())
+        angles = f", angles={list(self.angles)}" if self.angles else ""
+        return f"GaussianMeasurement(h={h}, noise_cov={validate.short(self.noise_cov.tolist())}{angles})"
+
     def predict(self, X, t=0.0):
         """Return the noise-free reading in each state X (N, n), shape (N, k)."""
         X = np.array(X, dtype=float, order="C", ndmin=2)
@@ -184,6 +189,9 @@ class _Expressions:
     def __reduce__(self):
         return _Expressions, self._text
 
+    def __repr__(self):
+        return validate.short(list(self._text[1]))
+
     def __call__(self, X, t):
         """Return the readings (N, k) in the states X (N, n)."""
         states, texts = self._text
@@ -218,6 +226,9 @@ class LikelihoodMeasurement:
         self.dim_z = None if dim_z is None else validate.count("dim_z", dim_z)
         self._loglik, self._sample = loglik, sample
 
+    def __repr__(self):
+        return f"LikelihoodMeasurement(loglik={_name(self._loglik)}, dim_z={self.dim_z})"
+
     def observed(self, z):
         """Return which components of z were measured, bool (k,); all False for None."""
         return np.isfinite(_reading(z, self.dim_z))
@@ -246,6 +257,11 @@ class LikelihoodMeasurement:
         X = np.array(x, dtype=float, ndmin=2)
         z = np.array(self._sample(X, t, validate.generator(rng)), dtype=float).reshape(len(X), -1)
         return z[0] if np.ndim(x) == 1 else z
+
+
+def _name(function):
+    """Name of a function, or the text of what has none."""
+    return getattr(function, "__name__", None) or repr(function)
 
 
 def _reading(z, k):

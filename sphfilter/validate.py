@@ -6,8 +6,8 @@ import numpy as np
 
 from .errors import ModelError, nearest
 
-__all__ = ["array", "choice", "count", "covariance", "generator", "positive", "real", "square",
-           "state_rows", "times"]  # fmt: skip
+__all__ = ["array", "choice", "count", "covariance", "generator", "positive", "real", "row", "short",
+           "square", "state_rows", "times"]  # fmt: skip
 
 
 def array(name, value, shape):
@@ -30,12 +30,12 @@ def array(name, value, shape):
         a = np.array(value, dtype=float, order="C")
     except (TypeError, ValueError) as error:
         raise ModelError(
-            f"{name} must be numbers in an array of shape {_text(shape)}, got {_short(value)}."
+            f"{name} must be numbers in an array of shape {_text(shape)}, got {short(value)}."
         ) from error
     if a.ndim != len(shape) or any(s is not None and s != g for s, g in zip(shape, a.shape, strict=True)):
         raise ModelError(f"{name} has shape {a.shape}, but shape {_text(shape)} is needed; reshape it.")
     if not np.isfinite(a).all():
-        raise ModelError(f"{name} contains NaN or infinity ({_short(value)}); every entry must be finite.")
+        raise ModelError(f"{name} contains NaN or infinity ({short(value)}); every entry must be finite.")
     return a
 
 
@@ -50,7 +50,7 @@ def covariance(name, value, dim=None, definite=True):
     a = square(name, value, dim)
     scale = np.abs(a).max(initial=0.0)
     if np.abs(a - a.T).max(initial=0.0) > 1e-10 * scale:
-        raise ModelError(f"{name} is not symmetric: {_short(value)}. A covariance equals its transpose.")
+        raise ModelError(f"{name} is not symmetric: {short(value)}. A covariance equals its transpose.")
     a = 0.5 * (a + a.T)
     # a matrix is judged in the units of its own diagonal: metres and radians may share it
     d = np.sqrt(np.abs(np.diag(a)))
@@ -87,14 +87,14 @@ def real(name, value):
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, numbers.Real) or not np.isfinite(value):
-        raise ModelError(f"{name} must be one finite number, got {_short(value)}.")
+        raise ModelError(f"{name} must be one finite number, got {short(value)}.")
     return float(value)
 
 
 def count(name, value, least=1):
     """Return an int that is at least `least`."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-        raise ModelError(f"{name} must be a whole number of at least {least}, got {_short(value)}.")
+        raise ModelError(f"{name} must be a whole number of at least {least}, got {short(value)}.")
     return int(value)
 
 
@@ -130,7 +130,7 @@ def generator(rng):
     try:
         return np.random.default_rng(rng)
     except (TypeError, ValueError) as error:
-        raise ModelError(f"rng must be a numpy Generator or a seed (int >= 0), got {_short(rng)}.") from error
+        raise ModelError(f"rng must be a numpy Generator or a seed (int >= 0), got {short(rng)}.") from error
 
 
 def _text(shape):
@@ -138,6 +138,12 @@ def _text(shape):
     return f"({inside},)" if len(shape) == 1 else f"({inside})"
 
 
-def _short(value):
+def row(values):
+    """Return a row of numbers as text, four digits each: [1, 0.3333]."""
+    return f"[{', '.join(f'{v:.4g}' for v in values)}]"
+
+
+def short(value):
+    """Return the text of a value on one line, cut to 80 characters."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else text[:77] + "..."

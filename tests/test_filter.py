@@ -277,3 +277,14 @@ def test_bad_arguments(config, arguments, message):
 def test_bad_runs(config, times, z, message):
     with pytest.raises(sf.ModelError, match=message):
         sph(150, config).run(times, z)
+
+
+@BOTH
+def test_a_filter_tells_itself_in_a_line(config):
+    flt = sph(150, config)
+    flt.predict(0.5)
+    said = repr(flt)
+    name = "auto" if config.scheme == "auto" else "paper"
+    particles = f"{flt.density.n_particles} particles (at most 150)"
+    for text in ("states=('x0', 'x1'), t=0.5, x=[", "std=[", particles, f"scheme='{name}'"):
+        assert text in said

@@ -18,6 +18,10 @@ def polar(x):
     return np.arctan2(x[1], x[0]), np.hypot(x[0], x[1])
 
 
+def never(z, X, t):
+    return np.full(len(X), -np.inf)
+
+
 def test_linear_likelihood_is_the_normal_density():
     sensor = GaussianMeasurement(H, R)
     z = np.array([0.3, -1.0, 0.8])
@@ -171,3 +175,19 @@ def test_a_sensor_in_text_knows_its_number_of_states():
     sensor = GaussianMeasurement.from_expressions(["x"], ["x**2"], [[1.0]])
     with pytest.raises(ModelError, match="1 states, but the states have 2"):
         sensor.predict(np.ones((3, 2)))
+
+
+@pytest.mark.parametrize(
+    ("sensor", "said"),
+    [
+        (GaussianMeasurement([[1.0, 0.0]], 0.2), "GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])"),
+        (
+            GaussianMeasurement(polar, np.eye(2), angles=[0]),
+            "h=polar, noise_cov=[[1.0, 0.0], [0.0, 1.0]], angles=[0]",
+        ),
+        (GaussianMeasurement.from_expressions(["x"], ["x**2"], [[1.0]]), "h=['x**2']"),
+        (LikelihoodMeasurement(never, dim_z=2), "LikelihoodMeasurement(loglik=never, dim_z=2)"),
+    ],
+)
+def test_a_sensor_tells_what_it_is(sensor, said):
+    assert said in repr(sensor)
