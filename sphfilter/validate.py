@@ -10,7 +10,7 @@ __all__ = ["array", "choice", "count", "covariance", "generator", "positive", "r
            "square", "state_rows", "times"]  # fmt: skip
 
 
-def array(name, value, shape):
+def array(name, value, shape, what=""):
     """Return `value` as a new C-contiguous float64 array of `shape`, all finite.
 
     Parameters
@@ -20,6 +20,8 @@ def array(name, value, shape):
     value : array_like
     shape : tuple of int or None
         Required shape; None leaves an axis free.
+    what : str
+        What its axes hold, for the message.
 
     Raises
     ------
@@ -33,7 +35,8 @@ def array(name, value, shape):
             f"{name} must be numbers in an array of shape {_text(shape)}, got {short(value)}."
         ) from error
     if a.ndim != len(shape) or any(s is not None and s != g for s, g in zip(shape, a.shape, strict=True)):
-        raise ModelError(f"{name} has shape {a.shape}, but shape {_text(shape)} is needed; reshape it.")
+        needed = f"{_text(shape)} is needed" + (f": {what}." if what else ".")
+        raise ModelError(f"{name} has shape {a.shape}, but shape {needed}")
     if not np.isfinite(a).all():
         raise ModelError(f"{name} contains NaN or infinity ({short(value)}); every entry must be finite.")
     return a
@@ -67,9 +70,14 @@ def covariance(name, value, dim=None, definite=True):
 
 def square(name, value, dim=None):
     """Return a finite square matrix, shape (dim, dim); a number stands for 1 × 1."""
+    size = "square, (n, n)" if dim is None else f"of shape ({dim}, {dim})"
+    if isinstance(value, list | tuple | np.ndarray) and all(isinstance(v, numbers.Real) for v in value):
+        raise ModelError(
+            f"{name} has shape {np.shape(value)}, but it must be {size}; np.diag({name}) is a matrix with "
+            "these on its diagonal."
+        )
     a = array(name, [[value]] if isinstance(value, numbers.Real) else value, (None, None))
     if a.shape[0] != a.shape[1] or len(a) == 0 or (dim is not None and len(a) != dim):
-        size = "square" if dim is None else f"of shape ({dim}, {dim})"
         raise ModelError(f"{name} has shape {a.shape}, but it must be {size}.")
     return a
 

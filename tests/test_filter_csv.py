@@ -157,11 +157,11 @@ class TestModelFile:
     @pytest.mark.parametrize(
         ("old", "new", "sentence"),
         [
-            ("[sensor]", "[sensr]", "unknown key ModelFile.sensr (did you mean 'sensor'?)"),
-            ("mean = [1.0]", "", "ModelFile.start.mean is missing"),
+            ("[sensor]", "[sensr]", "unknown key sensr (did you mean 'sensor'?)"),
+            ("mean = [1.0]", "", "start.mean is missing"),
             ("mean = [1.0]", "mean = [1.0, 0.0]", "the model has 1 states, but sensor.h has 1 columns and"),
             ("cov = [[2.0]]", "cov = [[-2.0]]", "positive definite"),
-            ("-a*x", "-a*y", "y"),
+            ("-a*x", "-a*y", "unknown name 'y'. The names here are x, a, t, pi"),
             ("[start]", "[start", "is not valid TOML"),
         ],
     )
@@ -170,6 +170,11 @@ class TestModelFile:
         with pytest.raises(SphfilterError) as problem:
             load_model(model)
         assert sentence in str(problem.value)
+        assert str(problem.value).startswith(str(model))
+
+    def test_sensor_in_text(self, model):
+        model.write_text(MODEL.replace("h = [[1.0]]", 'h = ["x**2"]'), encoding="utf-8")
+        assert load_model(model).measurement.H is None
 
     def test_errors_have_their_class(self, model, tmp_path):
         with pytest.raises(ConfigError, match="cannot read"):

@@ -120,11 +120,25 @@ def test_likelihood_measurement():
         (lambda: GaussianMeasurement([[1.0]], [[-1.0]]), "not positive definite"),
         (lambda: GaussianMeasurement([[1.0]], [[1.0, 2.0]]), "must be square"),
         (lambda: GaussianMeasurement([[1.0]], [[np.nan]]), "NaN"),
-        (lambda: GaussianMeasurement([[1.0, 0], [0, 1.0]], [[1.0]]), r"shape \(1, any\)"),
+        (lambda: GaussianMeasurement([[1.0, 0], [0, 1.0]], [[1.0]]), "do not fit"),
+        (
+            lambda: GaussianMeasurement([[1.0, 0]], np.eye(2)),
+            r"h of shape \(1, 2\) and noise_cov of shape \(2, 2\) do not fit",
+        ),
+        (
+            lambda: GaussianMeasurement(H, [1.0, 1.0, 1.0]),
+            r"noise_cov has shape \(3,\).*np\.diag\(noise_cov\)",
+        ),
+        (lambda: GaussianMeasurement([[1.0]], [[1.0]], angles=True), r"such as angles=\[0\], got True"),
+        (lambda: GaussianMeasurement([[1.0]], [[1.0]], angles=0), r"such as angles=\[0\], got 0"),
+        (
+            lambda: LikelihoodMeasurement(lambda z, x: 1.0),
+            r"function of \(z, X, t\), but its arguments are \(z, x",
+        ),
         (lambda: GaussianMeasurement([[1.0]], [[1.0]], angles=[1]), "angles names component 1"),
         (lambda: GaussianMeasurement(polar, [[1.0]]), r"h returns 2 value\(s\), but 1"),
         (lambda: GaussianMeasurement(polar, np.eye(2)).predict(np.ones((3, 1))), "reads beyond the state"),
-        (lambda: GaussianMeasurement(H, R).predict(np.ones((3, 2))), "of 3 states, but the states have 2"),
+        (lambda: GaussianMeasurement(H, R).predict(np.ones((3, 2))), "h is of 3 states, but the state has 2"),
         (lambda: GaussianMeasurement(H, R).observed([1.0]), "measurement has shape"),
         (lambda: GaussianMeasurement(H, R).observed([1.0, np.inf, 0.0]), "infinite; use NaN"),
         (lambda: GaussianMeasurement(H, R).log_likelihood("abc", X), "3 numbers"),
@@ -173,7 +187,7 @@ def test_a_wrong_text_of_a_sensor_is_refused(states, h, error, said):
 
 def test_a_sensor_in_text_knows_its_number_of_states():
     sensor = GaussianMeasurement.from_expressions(["x"], ["x**2"], [[1.0]])
-    with pytest.raises(ModelError, match="1 states, but the states have 2"):
+    with pytest.raises(ModelError, match="h is of 1 states, but the state has 2"):
         sensor.predict(np.ones((3, 2)))
 
 
