@@ -81,7 +81,8 @@ def initial_accuracy(scenario, seed, n_runs):
         ax.margins(x=0.02)
         ax.legend(fontsize=9)
     against = "its exact Gaussian" if model.linear else "the grid solution"
-    figure.suptitle(f"{scenario.name}: error of the transient density against {against}", fontsize=11)
+    what = f"error of the transient density against {against}"
+    figure.suptitle(f"{scenario.name}, the paper's scheme: {what}", fontsize=11)
     sentence = (
         "accuracy.png: error of the density without measurements. Exact masses at the start are of little "
         "use once the particles have left their lattice."
