@@ -34,9 +34,13 @@ class Belief:
 
 @settings
 class Columns:
-    """Names of columns: the time (the first if None) and the measurements (all others if empty)."""
+    """Names of columns: the time (the first if None) and the measurements (all others if empty).
+
+    `time_unit` is for the axes of pictures: seconds or years, whatever the rates of the model are in.
+    """
 
     time: str | None = None
+    time_unit: str = ""
     columns: tuple[str, ...] = ()
 
 
