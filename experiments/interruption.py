@@ -16,8 +16,12 @@ __all__ = ["STOPPED", "stoppable"]
 #: Exit code of a program that Ctrl-C ended.
 STOPPED = 130
 _AGAIN = 0.02  # seconds after which an interruption that could not be raised is tried again
-#: Functions of llvmlite that C code calls: what is raised in them is lost, with what they were to do.
-_CALLED_FROM_C = frozenset({"_raw_object_cache_notify", "_raw_object_cache_getbuffer"})
+#: Functions that C or compiled code calls. What is raised in those of llvmlite is lost, with what they were
+#: to do; those of numba are expected to return something, and what called them may crash if they do not.
+_CALLED_FROM_C = frozenset(
+    "_raw_object_cache_notify _raw_object_cache_getbuffer "
+    "_numba_unpickle _get_wrapper_address _get_jit_address".split()
+)
 
 
 def stoppable(prepare, work):
