@@ -17,7 +17,7 @@ from sphfilter.campaign import draw_case
 from .filters import name_of
 
 __all__ = ["COLOURS", "consistency_figure", "draw", "draw_convergence", "example_runs", "history_figure",
-           "losses"]  # fmt: skip
+           "losses", "plain_numbers"]  # fmt: skip
 
 #: One colour a filter in every picture (Okabe & Ito: distinct for the colour-blind too).
 COLOURS = {
@@ -236,7 +236,7 @@ def consistency_figure(scenario, campaign):
     top.axhline(n, color="0.5", lw=0.8, ls="--", label="expected")
     top.axhspan(*consistency.nees_bounds(n, n_runs), **interval)
     top.set_yscale("log")
-    _plain_numbers(top.yaxis)
+    plain_numbers(top.yaxis)
     top.set_ylabel("normalised estimation\nerror squared (NEES)")
     top.sharex(axes[2, 0])
     for d, (label, unit) in enumerate(zip(scenario.labels, scenario.units, strict=True)):
@@ -254,7 +254,7 @@ def consistency_figure(scenario, campaign):
     return figure
 
 
-def _plain_numbers(axis):
+def plain_numbers(axis):
     """Ticks of a logarithmic axis at 1, 2 and 5 of each decade, as plain numbers."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
     axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))

@@ -44,7 +44,7 @@ my.toml: text is allowed wherever a model has functions (see `SDE.from_expressio
   h = [[1.0, 0.0]]
   noise_cov = [[0.2]]
 
-  [start]                               # belief before the first line of data is used, at its time ...
+  [start]                               # belief at the time of the first line, before it is used ...
   mean = [3.0, 0.0]
   cov = [[0.2, 0.0], [0.0, 1.0]]
   # time = -1.0                         # ... unless another time is given
