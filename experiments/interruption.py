@@ -19,8 +19,13 @@ _AGAIN = 0.02  # seconds after which an interruption that could not be raised is
 #: Functions that C or compiled code calls. What is raised in those of llvmlite is lost, with what they were
 #: to do; those of numba are expected to return something, and what called them may crash if they do not.
 _CALLED_FROM_C = frozenset(
-    "_raw_object_cache_notify _raw_object_cache_getbuffer "
-    "_numba_unpickle _get_wrapper_address _get_jit_address".split()
+    (
+        "_raw_object_cache_notify",
+        "_raw_object_cache_getbuffer",
+        "_numba_unpickle",
+        "_get_wrapper_address",
+        "_get_jit_address",
+    )
 )
 
 

@@ -35,6 +35,7 @@ my.toml: text is allowed wherever a model has functions (see `SDE.from_expressio
 
   [model]                               # dX = drift dt + noise dW, with dW dW' = spectral_density dt
   states = ["x", "v"]
+  units = ["m", "m/s"]
   drift = ["v", "-c*v - x*(g + e*x**2)"]
   noise = [["0"], ["1"]]
   spectral_density = [[1.6]]
