@@ -27,6 +27,7 @@ _CALLED_FROM_C = frozenset(
         "_get_jit_address",
     )
 )
+_interrupted = threading.Event()
 
 
 def stoppable(prepare, work):
@@ -61,14 +62,18 @@ def _interrupt(signum, frame):
         if frame.f_code.co_name in _CALLED_FROM_C:
             return _interrupt_soon()
         frame = frame.f_back
+    _interrupted.set()
     raise KeyboardInterrupt
 
 
 def _unraised(problem):
-    """What Python calls for exceptions that nobody can catch, as those of destructors."""
+    """What Python calls for exceptions that nobody can catch, as those of destructors.
+
+    After an interruption only half-made objects complain, which nobody wants to know.
+    """
     if issubclass(problem.exc_type, KeyboardInterrupt):
         _interrupt_soon()
-    else:
+    elif not _interrupted.is_set():
         sys.__unraisablehook__(problem)
 
 

@@ -73,6 +73,21 @@ def work():
         return 130
 sys.exit(stoppable(lambda: None, work))
 """,
+    "while an object is made": """
+class Thing:
+    def __init__(self):
+        interrupt()
+        self.part = 1
+    def __del__(self):
+        self.part
+def work():
+    try:
+        Thing()
+    except KeyboardInterrupt:
+        print("Stopped.", file=sys.stderr)
+        return 130
+sys.exit(stoppable(lambda: None, work))
+""",
     "twice": """
 def work():
     try:
