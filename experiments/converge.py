@@ -2,10 +2,12 @@
 
 import csv
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from sphfilter.campaign import run_campaign
@@ -24,7 +26,10 @@ MEASURES = ("mean", "cov", "evidence")
 def add_arguments(parser):
     """Add the options of `converge`."""
     parser.add_argument(
-        "scenario", nargs="?", default="linear_underdamped", help="a scenario with an exact filter"
+        "scenario",
+        nargs="?",
+        default="linear_underdamped",
+        help="a scenario with an exact filter: a linear one, or benes (default: linear_underdamped)",
     )
     parser.add_argument("--filter", choices=("sph", "sph_paper"), default="sph", help="default: sph")
     parser.add_argument("--counts", default="100,200,400,800,1600", help="particles, comma-separated")
@@ -34,7 +39,7 @@ def add_arguments(parser):
     add_change_option(parser)
 
 
-def convergence(name, counts, n_runs, seed, which="sph", **changes):
+def convergence(name, counts, n_runs, seed, which="sph", progress=lambda *numbers: None, **changes):
     """Distance of the SPH filter from the scenario's exact filter, for each number of particles.
 
     Parameters
@@ -45,6 +50,8 @@ def convergence(name, counts, n_runs, seed, which="sph", **changes):
     n_runs, seed : int
     which : str
         "sph" or "sph_paper".
+    progress : callable
+        Called with (particles, runs done, runs in all).
     **changes
         Keys of the scenario, as `load_scenario` takes them.
 
@@ -60,7 +67,7 @@ def convergence(name, counts, n_runs, seed, which="sph", **changes):
         if exact is None:
             raise ConfigError(f"no exact filter is known for {name}: take a linear scenario or benes")
         filters = factories([exact, which], scenario)
-        campaign = run_campaign(scenario, filters, n_runs, seed)
+        campaign = run_campaign(scenario, filters, n_runs, seed, progress=partial(progress, count))
         if campaign.failures:
             raise ConfigError(f"{count} particles: {campaign.failures[0].message}")
         seconds = float(np.median(campaign.run_time[which]))
@@ -86,8 +93,7 @@ def main(args):
     if len(counts) < 2 or args.runs < 1:
         raise ConfigError("converge needs two different counts at least, and one run")
     changes = dict(parse_change(text) for text in args.changes)
-    with console.status("running (compiles once, for half a minute)"):
-        rows = convergence(args.scenario, counts, args.runs, args.seed, args.filter, **changes)
+    rows = _shown(console, args, counts, changes)
     dim = load_scenario(args.scenario).model.dim
     slopes = orders(rows, dim)
     console.print(_table(args.scenario, name_of(args.filter), rows, slopes))
@@ -95,6 +101,23 @@ def main(args):
     out.mkdir(parents=True, exist_ok=True)
     _write(out / "convergence.csv", rows)
     console.print(f"Table and picture: {out}/convergence.csv, {plots.draw_convergence(out, rows, slopes)}")
+
+
+def _shown(console, args, counts, changes):
+    """Run `convergence` with a progress bar, or a line for each run where there is no terminal."""
+    console.print("running (the first time compiles, for a minute)", style="dim")
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=len(counts) * args.runs)
+
+        def progress(count, done, n_runs):
+            bar.update(task, completed=counts.index(count) * n_runs + done, description=f"{count} particles")
+            if not console.is_terminal and done:
+                console.print(f"{count} particles: run {done} of {n_runs} done", style="dim")
+
+        return convergence(
+            args.scenario, counts, args.runs, args.seed, args.filter, progress=progress, **changes
+        )
 
 
 def _table(name, who, rows, slopes):

@@ -1,6 +1,7 @@
 """Pictures of a campaign: state histories with ±2σ bands, and consistency over time."""
 
 from dataclasses import replace
+from functools import partial
 
 import matplotlib
 
@@ -8,13 +9,15 @@ matplotlib.use("Agg")  # files only: no window system is asked for
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from sphfilter import consistency
 from sphfilter.campaign import draw_case
 
 from .filters import name_of
 
-__all__ = ["COLOURS", "consistency_figure", "draw", "draw_convergence", "example_runs", "history_figure"]
+__all__ = ["COLOURS", "consistency_figure", "draw", "draw_convergence", "example_runs", "history_figure",
+           "losses", "plain_numbers"]  # fmt: skip
 
 #: One colour a filter in every picture (Okabe & Ito: distinct for the colour-blind too).
 COLOURS = {
@@ -28,12 +31,12 @@ COLOURS = {
     "benes": "#000000",
 }
 _DPI = 130
-#: Room around the truth, in its spans. All filters share it; one that lost the truth leaves the frame.
-_ROOM = 0.4
+#: Room around the truth, in its spans, and how far a filter that lost it is followed.
+_ROOM, _FAR = 0.4, 4.0
 
 
-def draw(out, scenario, filters, campaign):
-    """Draw all pictures of a campaign into the folder `out`.
+def draw(out, scenario, filters, campaign, say=lambda text: None):
+    """Draw all pictures of a campaign into the folder `out`; `say` is told what is drawn next.
 
     Returns
     -------
@@ -42,10 +45,16 @@ def draw(out, scenario, filters, campaign):
     drawn = []
     for kind, run in example_runs(campaign).items():
         drawn.append(out / f"history_{kind}.png")
-        _save(history_figure(scenario, filters, campaign.seed, run), drawn[-1])
+        told = partial(_tell, say, drawn[-1].name)
+        _save(history_figure(scenario, filters, campaign, run, told), drawn[-1])
     drawn.append(out / "consistency.png")
+    say(f"drawing {drawn[-1].name}")
     _save(consistency_figure(scenario, campaign), drawn[-1])
     return drawn
+
+
+def _tell(say, picture, name):
+    say(f"drawing {picture}: {name_of(name)} (the numbers are safe)")
 
 
 def draw_convergence(out, rows, slopes):
@@ -105,39 +114,72 @@ def example_runs(campaign):
     return chosen | ({"diverged": int(lost[-1])} if len(lost) else {})
 
 
-def history_figure(scenario, filters, seed, run):
+def losses(campaign, run):
+    """When each filter that lost the truth in a run was farthest off: the time of its largest NEES.
+
+    Returns
+    -------
+    dict of str to float
+        Times in seconds, of the filters that `consistency.diverged` finds, alone.
+    """
+    found, n = {}, campaign.truth.shape[-1]
+    for name, result in campaign.results.items():
+        nees = np.nan_to_num(consistency.nees(campaign.truth[run], result.x[run], result.P[run]))
+        if consistency.diverged(nees, n):
+            found[name] = float(campaign.times[np.argmax(nees)])
+    return found
+
+
+def history_figure(scenario, filters, campaign, run, say=lambda name: None):
     """One run over time: a row for each filter, a column for each state (002 Figs 22–26, 30, 31).
 
-    The run is drawn again with times in between the measurements; the particle filter draws anew.
+    The run is drawn again with times in between the measurements; the particle filter draws anew. Rows share
+    their scales, but for those of filters that lost the truth. `say` gets the name of each filter.
     """
-    case = draw_case(replace(scenario, between=True), seed, run)
+    case, lost = draw_case(replace(scenario, between=True), campaign.seed, run), losses(campaign, run)
     n = case.truth.shape[1]
     n_measured = np.isfinite(case.z).any(axis=1).sum()
-    size = (max(n * np.clip(0.18 * n_measured, 4.2, 7.5), 7.0), 1.9 * len(filters) + 1.4)
+    size = (max(n * np.clip(0.18 * n_measured, 4.2, 7.5), 7.0), 1.9 * len(filters) + 1.6)
     figure, axes = plt.subplots(
-        len(filters), n, figsize=size, sharex=True, sharey="col", squeeze=False, layout="constrained"
+        len(filters), n, figsize=size, sharex=True, squeeze=False, layout="constrained"
     )
-    reads = scenario.measurement.directly_observed
     for row, (name, make) in zip(axes, filters.items(), strict=True):
-        result = _rerun(make, case)
-        for d, ax in enumerate(row):
-            ax.plot(case.times, case.truth[:, d], color="0.25", lw=1.0, label="truth")
-            if result is not None:
-                _band(ax, result, d, COLOURS[name])
-            if reads is not None and d in reads[0]:
-                j = list(reads[0]).index(d)
-                ax.plot(case.times, case.z[:, j] / reads[1][j], "o", ms=3.2, mfc="w", mec="k", mew=0.9,
-                        label="measurement", zorder=4)  # fmt: skip
-            _frame(ax, case.truth[:, d])
-        row[0].set_title(name_of(name), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
+        say(name)
+        _row(row, scenario, case, name, _rerun(make, case), lost.get(name))
     for d, ax in enumerate(axes[-1]):
         ax.set_xlabel("time (s)")
         figure.align_ylabels(axes[:, d])
     for ax, label, unit in zip(axes[0], scenario.labels, scenario.units, strict=True):
-        ax.set_title(_quantity(label, unit), fontsize=10)
-    figure.suptitle(f"{scenario.name}, run {run}: truth and estimate", fontsize=11)
+        ax.set_title(_quantity(label, unit), fontsize=10, loc="right")
+    figure.suptitle(f"{scenario.name}, run {run}: {_verdict(lost)}", fontsize=11)
     _legend(figure, axes[0, 0], neutral=("estimate", "estimate ± 2σ"))
     return figure
+
+
+def _verdict(lost):
+    if not lost:
+        return "truth and estimate"
+    names = " and ".join(name_of(name) for name in lost)
+    return f"{names} lost the truth, worst at the dotted line\n(scales of their own; all others share one)"
+
+
+def _row(row, scenario, case, name, result, t_lost):
+    """Truth, measurements and one filter, a panel a state."""
+    reads = scenario.measurement.directly_observed
+    for d, ax in enumerate(row):
+        ax.plot(case.times, case.truth[:, d], color="0.25", lw=1.0, label="truth")
+        if result is not None:
+            _band(ax, result, d, COLOURS[name])
+        if reads is not None and d in reads[0]:
+            j = list(reads[0]).index(d)
+            ax.plot(case.times, case.z[:, j] / reads[1][j], "o", ms=3.2, mfc="w", mec="k", mew=0.9,
+                    label="measurement", zorder=4)  # fmt: skip
+        strayed = result.x_prior[:, d] if t_lost is not None and result is not None else None
+        _frame(ax, case.truth[:, d], strayed)
+        if t_lost is not None:
+            ax.axvline(t_lost, color="0.3", lw=1.0, ls=":")
+    title = name_of(name) + ("" if t_lost is None else f", worst at {t_lost:g} s")
+    row[0].set_title(title, loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
 
 
 def _rerun(make, case):
@@ -156,9 +198,16 @@ def _band(ax, result, d, colour):
     ax.plot(t, m, color=colour, lw=1.3, label="estimate")
 
 
-def _frame(ax, truth):
+def _frame(ax, truth, strayed=None):
+    """Limits around the truth, and around an estimate that strayed from it, but not however far."""
     low, high = truth.min(), truth.max()
-    room = _ROOM * (high - low)
+    span = high - low
+    if strayed is not None:
+        low, high = (
+            max(min(low, strayed.min()), low - _FAR * span),
+            min(max(high, strayed.max()), high + _FAR * span),
+        )
+    room = _ROOM * span
     ax.set_ylim(low - room, high + room)
     ax.margins(x=0.01)
     ax.grid(alpha=0.25, lw=0.5)
@@ -187,14 +236,15 @@ def consistency_figure(scenario, campaign):
     top.axhline(n, color="0.5", lw=0.8, ls="--", label="expected")
     top.axhspan(*consistency.nees_bounds(n, n_runs), **interval)
     top.set_yscale("log")
-    top.set_ylabel("NEES")
+    plain_numbers(top.yaxis)
+    top.set_ylabel("normalised estimation\nerror squared (NEES)")
     top.sharex(axes[2, 0])
     for d, (label, unit) in enumerate(zip(scenario.labels, scenario.units, strict=True)):
         axes[1, d].axhspan(*consistency.nmee_bounds(n_runs), **interval)
         axes[1, d].set_title(label, fontsize=10)
         axes[2, d].set_ylim(bottom=0)
         axes[2, d].set_xlabel("time (s)")
-        axes[1, d].set_ylabel("NMEE")
+        axes[1, d].set_ylabel("" if d else "normalised mean\nestimation error (NMEE)")
         axes[2, d].set_ylabel("RMS error" + (f" ({unit})" if unit else ""))
     for ax in [top, *axes[1:].ravel()]:
         ax.grid(alpha=0.25, lw=0.5)
@@ -202,6 +252,13 @@ def consistency_figure(scenario, campaign):
     figure.suptitle(f"{scenario.name}: averages over {n_runs} runs", fontsize=11)
     _legend(figure, top)
     return figure
+
+
+def plain_numbers(axis):
+    """Ticks of a logarithmic axis at 1, 2 and 5 of each decade, as plain numbers."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _average(values):

@@ -26,7 +26,7 @@ from .filters import FILTERS, factories, name_of
 from .scenario import add_change_option, load_scenario, parse_change
 from .tables import distance_table, result_table, sentences
 
-__all__ = ["Interrupted", "add_arguments", "main"]
+__all__ = ["Interrupted", "add_arguments", "main", "status"]
 
 
 class Interrupted(KeyboardInterrupt):
@@ -58,7 +58,7 @@ def _count(text):
 
 
 def main(args):
-    """Run the command; prints to standard output."""
+    """Run the command; prints to standard output. Returns 1 if a filter failed in every run, else 0."""
     console = Console(highlight=False)
     console = console if console.is_terminal else Console(highlight=False, width=132)
     changes = dict(parse_change(text) for text in args.changes)
@@ -81,16 +81,26 @@ def main(args):
     distance = distances(campaign.results, reference) if reference else {}
     _tell(console, scenario, campaign, numbers, distance, reference)
     _write(out, scenario, campaign, numbers, distance)
-    drawn = plots.draw(out, scenario, filters, campaign)
+    with status(console) as say:
+        drawn = plots.draw(out, scenario, filters, campaign, say)
     console.print(f"Numbers are in {out}/campaign.npz and run.json, the scenario as run in scenario.toml.")
     for name in wanted:
         drawn += _picture(console, name, scenario, out, seed, n_runs)
     console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
+    _mention_unfinished(console, out)
+    return int(any(f.n_failed == f.n_runs for f in numbers.filters.values()))
+
+
+def _mention_unfinished(console, out):
+    left = ", ".join(str(folder) for folder in sorted(out.glob("unfinished-*")))
+    if left:
+        text = "Interrupted runs of other settings wait to be gone on with, or to be deleted, in"
+        console.print(f"{text} {left}", style="dim")
 
 
 def _picture(console, name, scenario, out, seed, n_runs):
     """Draw a picture of the paper; one that cannot be drawn costs none of the results."""
-    with _status(console) as say:
+    with status(console) as say:
         say(f"drawing {name} (up to half a minute; the numbers are safe)")
         try:
             return pictures.draw(name, scenario, out, seed, n_runs, lambda text: console.print(f"• {text}"))
@@ -102,9 +112,9 @@ def _picture(console, name, scenario, out, seed, n_runs):
 def _warm_up(console, scenario, filters):
     """Let every filter take one measurement, so that compiling neither surprises nor counts as run time."""
     case = scenario.draw(np.random.default_rng(0))
-    with _status(console) as say:
+    with status(console) as say:
         for name, make in filters.items():
-            say(f"preparing {name_of(name)} (compiles once, for half a minute; later starts take a second)")
+            say(f"preparing {name_of(name)} (the first time compiles, for a minute)")
             try:
                 make(case, np.random.default_rng(0)).run(case.times[:1], case.z[:1])
             except Exception as problem:  # the campaign records it, run by run
@@ -112,12 +122,13 @@ def _warm_up(console, scenario, filters):
 
 
 @contextmanager
-def _status(console):
+def status(console):
+    """Yield a function that shows what goes on: a line that changes, or lines where there is no terminal."""
     if not console.is_terminal:
         yield lambda text: console.print(text, style="dim")
         return
-    with console.status("") as status:
-        yield status.update
+    with console.status("") as line:
+        yield line.update
 
 
 def _campaign(console, scenario, filters, n_runs, seed, n_jobs, out):
@@ -139,6 +150,9 @@ def _campaign(console, scenario, filters, n_runs, seed, n_jobs, out):
             campaign = run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, progress)
         except KeyboardInterrupt:
             done = len(list(folder.glob("run_*.npz")))
+            if not done:
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
             raise Interrupted(
                 f"Stopped; {done} of {n_runs} runs are kept in {folder}. The same command goes on from there."
             ) from None

@@ -10,7 +10,8 @@ import numpy as np
 
 import sphfilter as sf
 from sphfilter.campaign import Case
-from sphfilter.errors import ConfigError, ModelError, nearest
+from sphfilter.config import from_table
+from sphfilter.errors import ConfigError, ModelError, SphfilterError, nearest
 
 from . import start
 from .settings import ScenarioSettings
@@ -19,6 +20,7 @@ __all__ = [
     "Scenario",
     "add_change_option",
     "change",
+    "check_parts",
     "load_scenario",
     "model_of",
     "parse_change",
@@ -121,17 +123,23 @@ def read_settings(name, changes=None):
     ConfigError
         Unknown scenario or key (the nearest valid one is named), or a value that is not valid.
     """
-    path = Path(name) if str(name).endswith(".toml") else _FOLDER / f"{name}.toml"
+    own = str(name).endswith(".toml")
+    path = Path(name) if own else _FOLDER / f"{name}.toml"
     if not path.is_file():
+        if own:
+            raise ConfigError(f"the file {name} does not exist (`list` names the scenarios of the project)")
         known = scenario_names()
         raise ConfigError(f"no scenario {name!r}{nearest(name, known)}; there are {', '.join(known)}")
     try:
         tree = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
         raise ConfigError(f"{path} is not valid TOML: {problem}") from None
-    for key, value in (changes or {}).items():
+    found = from_table(ScenarioSettings, tree, path)  # what is wrong with the file is not the changes' fault
+    if not changes:
+        return found
+    for key, value in changes.items():
         _change(tree, key, value)
-    return ScenarioSettings(**tree)
+    return from_table(ScenarioSettings, tree, f"{name} with {', '.join(changes)} changed")
 
 
 def load_scenario(name, **changes):
@@ -146,14 +154,34 @@ def load_scenario(name, **changes):
     ConfigError, ExpressionError, ModelError
     """
     scenario = Scenario(Path(name).stem, read_settings(name, changes))
-    n, H, begin = scenario.model.dim, scenario.measurement.H, scenario.settings.start
-    if (H is not None and H.shape[1] != n) or len(begin.mean) != n:
-        columns = "expressions" if H is None else f"{H.shape[1]} columns"
-        raise ModelError(
-            f"the model has {n} states, but sensor.h has {columns} and start.mean {len(begin.mean)} values"
-        )
-    sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
+    check_parts(scenario, name)
     return scenario
+
+
+def check_parts(scenario, source):
+    """Build model and sensor, and check that they and the start fit each other.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    source : str or Path
+        What errors start with: name or file of the scenario.
+
+    Raises
+    ------
+    ExpressionError, ModelError
+    """
+    try:
+        n, H, begin = scenario.model.dim, scenario.measurement.H, scenario.settings.start
+        if (H is not None and H.shape[1] != n) or len(begin.mean) != n:
+            columns = "expressions" if H is None else f"{H.shape[1]} columns"
+            raise ModelError(
+                f"the model has {n} states, but sensor.h has {columns} "
+                f"and start.mean {len(begin.mean)} values"
+            )
+        sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
+    except SphfilterError as problem:
+        raise type(problem)(f"{source}: {problem}") from problem
 
 
 def add_change_option(parser):

@@ -158,6 +158,11 @@ def _check_shape(returned, shape, name):
         if np.prod(shape, dtype=int) == 1:
             return
         raise ModelError(_arity(name, (1,), shape))
+    if isinstance(returned, types.NoneType):
+        raise ModelError(
+            f"{name} returns nothing: it raises an exception or has no return statement; "
+            f"it must return {_wanted(shape)}."
+        )
     raise ModelError(f"{name} returns {returned}; it must return {_wanted(shape)}.")
 
 
@@ -187,7 +192,14 @@ def probe(function, shape, name, dim, p, vectorized=False):
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             values = _python(function)(*arguments)
+    except ModelError:
+        raise
     except IndexError as error:
+        if "too many indices" in str(error):
+            raise ModelError(
+                f"{name} indexes one state (dim={dim}) as if it were many rows of states: {error}. Write "
+                "x[0], x[1] and so on, or pass vectorized=True for a numpy function of all states at once."
+            ) from error
         raise ModelError(
             f"{name} reads beyond the state (dim={dim}) or the parameters ({p.size} given): {error}. "
             "Check dim, parameters and the indices of x and p."

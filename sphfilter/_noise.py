@@ -27,7 +27,8 @@ def noise_parts(noise, spectral_density, diffusion, n, p, vectorized):
         return _noise_function(noise, spectral_density, n, p, vectorized)
     if noise is None and spectral_density is not None:
         raise ModelError("spectral_density= is given without noise=; give noise= of shape (n, m) too.")
-    g = np.zeros((n, 1)) if noise is None else validate.array("noise", noise, (n, None))
+    what = f"a row for each of dim = {n} states, a column for each noise"
+    g = np.zeros((n, 1)) if noise is None else validate.array("noise", noise, (n, None), what)
     m = g.shape[1]
     Q = np.eye(m) if spectral_density is None else _spectral_density(spectral_density, m)
     makers = {

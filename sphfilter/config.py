@@ -22,6 +22,7 @@ __all__ = [
     "PaperScheme",
     "SolverConfig",
     "checked_filter_config",
+    "from_table",
     "settings",
 ]
 
@@ -30,6 +31,10 @@ Count = Annotated[int, Field(ge=1)]
 
 #: M_B for n = 2, 3, 4 (002 section 4.5). For n = 1 two layers of a lattice; n = 5, 6 continue the growth.
 BUFFER_NEIGHBORS = {1: 4, 2: 8, 3: 30, 4: 54, 5: 80, 6: 110}
+
+
+_UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden")
+_TYPES = ("float", "int", "str", "constrained-int", "constrained-float")
 
 
 def settings(cls):
@@ -42,28 +47,60 @@ def settings(cls):
         try:
             plain_init(self, **values)
         except ValidationError as problem:
-            raise ConfigError(_sentence(checked, problem)) from None
+            raise ConfigError(_sentence(checked, problem, checked.__name__)) from None
 
     __init__.__wrapped__ = plain_init
     checked.__init__ = __init__
     return checked
 
 
-def _sentence(cls, problem):
-    return "; ".join(_explain(cls, error) for error in problem.errors())
+def from_table(cls, table, source=""):
+    """Make settings from a table read from a file or a command line.
+
+    Parameters
+    ----------
+    cls : type
+        A class that `settings` made.
+    table : mapping of str to value
+    source : str or Path
+        What errors start with, such as the file's name. They name keys as the table does.
+
+    Raises
+    ------
+    ConfigError
+    """
+    made = object.__new__(cls)
+    try:
+        cls.__init__.__wrapped__(made, **table)
+    except ValidationError as problem:
+        told = _sentence(cls, problem)
+        raise ConfigError(f"{source}: {told}" if source else told) from None
+    return made
 
 
-def _explain(cls, error):
-    path = [str(part) for part in error["loc"]]
-    where = f"{cls.__name__}.{'.'.join(path)}" if path else cls.__name__
-    if error["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+def _sentence(cls, problem, name=""):
+    return "; ".join(dict.fromkeys(_explain(cls, error, name) for error in problem.errors()))
+
+
+def _explain(cls, error, name):
+    *above, last = error["loc"] or ("",)
+    path = [str(part) for part in above if not _is_type(part)]
+    path += [str(last)] if error["type"] in _UNKNOWN or (last != "" and not _is_type(last)) else []
+    where = ".".join([name, *path] if name else path) or "the table"
+    if error["type"] in _UNKNOWN:
         allowed = [f.name for f in fields(_settings_at(cls, path[:-1]))]
         return f"unknown key {where}{nearest(path[-1], allowed)}; valid keys are {', '.join(allowed)}"
     if error["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
         return f"{where} is missing"
     if error["type"] == "value_error":
         return f"{where}: {error['ctx']['error']}"
-    return f"{where} = {error.get('input')!r} is not valid: {error['msg'][0].lower()}{error['msg'][1:]}"
+    said = error["msg"].replace("a valid tuple", "a list")
+    return f"{where} = {error.get('input')!r} is not valid: {said[0].lower()}{said[1:]}"
+
+
+def _is_type(part):
+    """Pydantic's name of one of the types that a value may have, between the keys of an error."""
+    return isinstance(part, str) and ("[" in part or part in _TYPES)
 
 
 def _settings_at(cls, path):
@@ -287,7 +324,7 @@ def _named_scheme(value):
         name = value.get("name", "paper")
         if name not in SCHEMES:
             raise ValueError(f"there is no scheme {name!r}{nearest(str(name), SCHEMES)}")
-        return SCHEMES[name](**value)
+        return from_table(SCHEMES[name], value)
     if not isinstance(value, str | _Scheme):
         raise ValueError(f"a scheme is auto, one of {', '.join(SCHEMES)}, or its settings, not {value!r}")
     return value

@@ -14,7 +14,7 @@ from .core.neighbors import build_index, choose_method
 from .core.summation import sample_density, sample_density_parallel
 from .domain import Domain
 from .errors import ModelError
-from .validate import array, choice, generator, state_rows
+from .validate import array, choice, generator, row, state_rows
 
 __all__ = ["LATTICE_SUPPORT", "ParticleDensity"]
 
@@ -122,6 +122,14 @@ class ParticleDensity:
             gaussian=gaussian,
             capacity=capacity,
             domain=domain,
+        )
+
+    def __repr__(self):
+        domain = "" if self.domain is None else f", domain={self.domain}"
+        return (
+            f"ParticleDensity(N={self.n_particles}, dim={self.dim}, t={self.t:g}, "
+            f"read_out={self.read_out!r}, mean={row(self.mean())}, "
+            f"std={row(np.sqrt(np.diag(self.cov())))}{domain})"
         )
 
     def __reduce__(self):

@@ -135,7 +135,10 @@ class _Walk:
         known = [*self.names.symbols, *FUNCTIONS, "where"]
         if node.id in known:
             raise self._error(f"{node.id!r} is a function; write {node.id}(...).")
-        raise self._error(f"unknown name {node.id!r}{nearest(node.id, known)}. {_ALLOWED}")
+        raise self._error(
+            f"unknown name {node.id!r}{nearest(node.id, known)}. The names here are "
+            f"{', '.join(self.names.symbols)}, and the functions {' '.join(FUNCTIONS)} where."
+        )
 
     def _unaryop(self, node):
         if isinstance(node.op, ast.Not):

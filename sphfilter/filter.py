@@ -7,9 +7,11 @@ from .config import checked_filter_config
 from .density import ParticleDensity
 from .errors import ModelError
 from .initial import Gaussian, initialize
+from .measurements import GaussianMeasurement
+from .models import SDE
 from .predict import predict
 from .results import run_filter
-from .validate import array, count, covariance, positive, real
+from .validate import array, count, covariance, positive, real, row, short
 
 __all__ = ["SPHFilter"]
 
@@ -74,7 +76,9 @@ class SPHFilter:
         density=None,
         dt=None,
     ):
-        self.model, self.measurement = model, measurement
+        if not isinstance(model, SDE):
+            raise ModelError(f"model must be an SDE or LinearSDE, got {short(model)}")
+        self.model, self.measurement = model, _sensor(measurement, model)
         self.config = checked_filter_config(config)
         self._adapts = isinstance(n_particles, str)
         given = fewest(model.dim, n_particles) if self._adapts else n_particles
@@ -96,13 +100,22 @@ class SPHFilter:
             return density
         if x0 is None or P0 is None:
             raise ModelError("the filter needs x0 and P0, or density=")
-        x0 = array("x0", x0, (self.model.dim,))
+        n = self.model.dim
+        x0 = array("x0", x0, (n,), f"a value for each of the model's {n} states")
         P0 = covariance("P0", P0, dim=self.model.dim)
         return initialize(Gaussian(x0, P0), self.n_particles, self.config, t=real("t0", t0))
 
     def _moments(self):
         self._x, self._P = self._density.mean(), self._density.cov()
         self._x.flags.writeable = self._P.flags.writeable = False  # else flt.x += d would half succeed
+
+    def __repr__(self):
+        scheme = self.config.scheme
+        return (
+            f"SPHFilter(states={self.model.states}, t={self.t:g}, x={row(self._x)}, "
+            f"std={row(np.sqrt(np.diag(self._P)))}, {self._density.n_particles} particles "
+            f"(at most {self.n_particles}), scheme={scheme if isinstance(scheme, str) else scheme.name!r})"
+        )
 
     density = property(lambda self: self._density, doc="The density now.")
     t = property(lambda self: self._density.t, doc="Time of the density, seconds.")
@@ -149,7 +162,7 @@ class SPHFilter:
 
     def update(self, z, measurement=None):
         """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo."""
-        measurement = measurement or self.measurement
+        measurement = self.measurement if measurement is None else _sensor(measurement, self.model)
         prior, density, info = update_repeating(
             self._prediction, self._density, self.model, measurement, z, self.config, self.n_particles
         )
@@ -170,3 +183,14 @@ class SPHFilter:
     def run(self, times, measurements):
         """Predict to each time and update with its measurement; returns a `FilterResult`."""
         return run_filter(self, times, measurements)
+
+
+def _sensor(measurement, model):
+    """Return a measurement that fits the model, or raise `ModelError`."""
+    if not hasattr(measurement, "log_likelihood"):
+        raise ModelError(
+            f"measurement must be a GaussianMeasurement or LikelihoodMeasurement, got {short(measurement)}"
+        )
+    if isinstance(measurement, GaussianMeasurement):
+        measurement.check_dim(model.dim)
+    return measurement

@@ -1,5 +1,8 @@
 """Measurement models: what a sensor reads in a state, and how likely a reading is."""
 
+import inspect
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.linalg import solve_triangular
 
@@ -10,6 +13,9 @@ from .errors import ModelError
 __all__ = ["GaussianMeasurement", "LikelihoodMeasurement"]
 
 _NO_PARAMETERS = np.empty(0)
+_DIFFERENT = (
+    "The sensor's h is of {} states, but the state has {}: h has a column, or a name, for each state."
+)
 
 
 class GaussianMeasurement:
@@ -50,16 +56,24 @@ class GaussianMeasurement:
         self.noise_cov = validate.covariance("noise_cov", noise_cov)
         self.noise_cov.setflags(write=False)
         self.dim_z = len(self.noise_cov)
+        if isinstance(angles, str) or not isinstance(angles, Iterable):
+            raise ModelError(f"angles must list components of z, such as angles=[0], got {angles!r}.")
+        angles = tuple(angles)
         self.angles = tuple(sorted({validate.count("angles", a, least=0) for a in angles}))
         if self.angles and self.angles[-1] >= self.dim_z:
             raise ModelError(f"angles names component {self.angles[-1]}, but z has {self.dim_z} (from 0).")
-        self._recipe = (h, noise_cov, tuple(angles), vectorized)
+        self._recipe = (h, noise_cov, angles, vectorized)
         self._factors, self._tried = {}, set()
         self.H = self._fill = None
         if callable(h):
             self._fill = compile_rows(h, (self.dim_z,), "h", None, _NO_PARAMETERS, vectorized)
         else:
-            self.H = validate.array("h", h, (self.dim_z, None))
+            self.H = validate.array("h", h, (None, None))
+            if len(self.H) != self.dim_z:
+                raise ModelError(
+                    f"h of shape {self.H.shape} and noise_cov of shape {self.noise_cov.shape} do not fit: "
+                    "both need a row for each component of z."
+                )
             self.H.setflags(write=False)
         self.directly_observed = self._direct()
 
@@ -86,21 +100,30 @@ class GaussianMeasurement:
     def __reduce__(self):
         return GaussianMeasurement, self._recipe
 
+    def __repr__(self):
+        h = _name(self._recipe[0]) if self.H is None else validate.short(self.H.tolist())
+        angles = f", angles={list(self.angles)}" if self.angles else ""
+        return f"GaussianMeasurement(h={h}, noise_cov={validate.short(self.noise_cov.tolist())}{angles})"
+
     def predict(self, X, t=0.0):
         """Return the noise-free reading in each state X (N, n), shape (N, k)."""
         X = np.array(X, dtype=float, order="C", ndmin=2)
-        n = X.shape[1]
+        self.check_dim(X.shape[1])
         if self.H is not None:
-            if n != self.H.shape[1]:
-                raise ModelError(f"The measurement is of {self.H.shape[1]} states, but the states have {n}.")
             return X @ self.H.T
-        if n not in self._tried:
-            h, _, _, vectorized = self._recipe
-            probe(h, (self.dim_z,), "h", n, _NO_PARAMETERS, vectorized)
-            self._tried.add(n)
         out = np.empty((len(X), self.dim_z))
         self._fill(X, float(t), _NO_PARAMETERS, out)
         return out
+
+    def check_dim(self, n):
+        """Raise `ModelError` if the sensor cannot read states of length n."""
+        if self.H is not None:
+            if n != self.H.shape[1]:
+                raise ModelError(_DIFFERENT.format(self.H.shape[1], n))
+        elif n not in self._tried:
+            h, _, _, vectorized = self._recipe
+            probe(h, (self.dim_z,), "h", n, _NO_PARAMETERS, vectorized)
+            self._tried.add(n)
 
     def residual(self, z, zhat):
         """Return z − zhat (..., k), angles wrapped to (−π, π]."""
@@ -184,11 +207,14 @@ class _Expressions:
     def __reduce__(self):
         return _Expressions, self._text
 
+    def __repr__(self):
+        return validate.short(list(self._text[1]))
+
     def __call__(self, X, t):
         """Return the readings (N, k) in the states X (N, n)."""
         states, texts = self._text
         if X.shape[1] != len(states):
-            raise ModelError(f"The measurement is of {len(states)} states, but the states have {X.shape[1]}.")
+            raise ModelError(_DIFFERENT.format(len(states), X.shape[1]))
         out = np.empty((len(X), len(texts)))
         self._fill(X, t, _NO_PARAMETERS, out)
         return out
@@ -215,8 +241,12 @@ class LikelihoodMeasurement:
     def __init__(self, loglik, dim_z=None, sample=None):
         if not callable(loglik):
             raise ModelError(f"loglik must be a function (z, X, t) -> (N,), got {loglik!r}.")
+        _check_arguments(loglik)
         self.dim_z = None if dim_z is None else validate.count("dim_z", dim_z)
         self._loglik, self._sample = loglik, sample
+
+    def __repr__(self):
+        return f"LikelihoodMeasurement(loglik={_name(self._loglik)}, dim_z={self.dim_z})"
 
     def observed(self, z):
         """Return which components of z were measured, bool (k,); all False for None."""
@@ -246,6 +276,25 @@ class LikelihoodMeasurement:
         X = np.array(x, dtype=float, ndmin=2)
         z = np.array(self._sample(X, t, validate.generator(rng)), dtype=float).reshape(len(X), -1)
         return z[0] if np.ndim(x) == 1 else z
+
+
+def _check_arguments(loglik):
+    """Refuse a likelihood that cannot be called with (z, X, t), where its signature is known."""
+    try:
+        signature = inspect.signature(loglik)
+    except (TypeError, ValueError):
+        return
+    try:
+        signature.bind(None, None, None)
+    except TypeError:
+        raise ModelError(
+            f"loglik must be a function of (z, X, t), but its arguments are {signature}."
+        ) from None
+
+
+def _name(function):
+    """Name of a function, or the text of what has none."""
+    return getattr(function, "__name__", None) or repr(function)
 
 
 def _reading(z, k):

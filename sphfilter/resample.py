@@ -25,8 +25,8 @@ _MOST_NODES = 2e6  # of one lattice; a posterior thinner than that across the ax
 _ZOOMS = 12
 _ZOOM_ENDS = 0.8  # part of its extent that the posterior fills along every axis when zooming in has ended
 _NO_OVERLAP = (
-    "prior times likelihood is zero wherever the prior has particles: the measurement lies outside them; use "
-    "more particles, a larger represented_mass and domain_mass, or check the measurement"
+    "prior times likelihood is zero wherever the prior has particles: the measurement lies outside them; "
+    "check it, use more particles, or, in the paper's scheme, a larger represented_mass and domain_mass"
 )
 
 

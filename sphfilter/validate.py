@@ -6,11 +6,11 @@ import numpy as np
 
 from .errors import ModelError, nearest
 
-__all__ = ["array", "choice", "count", "covariance", "generator", "positive", "real", "square",
-           "state_rows", "times"]  # fmt: skip
+__all__ = ["array", "choice", "count", "covariance", "generator", "positive", "real", "row", "short",
+           "square", "state_rows", "times"]  # fmt: skip
 
 
-def array(name, value, shape):
+def array(name, value, shape, what=""):
     """Return `value` as a new C-contiguous float64 array of `shape`, all finite.
 
     Parameters
@@ -20,6 +20,8 @@ def array(name, value, shape):
     value : array_like
     shape : tuple of int or None
         Required shape; None leaves an axis free.
+    what : str
+        What its axes hold, for the message.
 
     Raises
     ------
@@ -30,12 +32,13 @@ def array(name, value, shape):
         a = np.array(value, dtype=float, order="C")
     except (TypeError, ValueError) as error:
         raise ModelError(
-            f"{name} must be numbers in an array of shape {_text(shape)}, got {_short(value)}."
+            f"{name} must be numbers in an array of shape {_text(shape)}, got {short(value)}."
         ) from error
     if a.ndim != len(shape) or any(s is not None and s != g for s, g in zip(shape, a.shape, strict=True)):
-        raise ModelError(f"{name} has shape {a.shape}, but shape {_text(shape)} is needed; reshape it.")
+        needed = f"{_text(shape)} is needed" + (f": {what}." if what else ".")
+        raise ModelError(f"{name} has shape {a.shape}, but shape {needed}")
     if not np.isfinite(a).all():
-        raise ModelError(f"{name} contains NaN or infinity ({_short(value)}); every entry must be finite.")
+        raise ModelError(f"{name} contains NaN or infinity ({short(value)}); every entry must be finite.")
     return a
 
 
@@ -50,7 +53,7 @@ def covariance(name, value, dim=None, definite=True):
     a = square(name, value, dim)
     scale = np.abs(a).max(initial=0.0)
     if np.abs(a - a.T).max(initial=0.0) > 1e-10 * scale:
-        raise ModelError(f"{name} is not symmetric: {_short(value)}. A covariance equals its transpose.")
+        raise ModelError(f"{name} is not symmetric: {short(value)}. A covariance equals its transpose.")
     a = 0.5 * (a + a.T)
     # a matrix is judged in the units of its own diagonal: metres and radians may share it
     d = np.sqrt(np.abs(np.diag(a)))
@@ -67,9 +70,14 @@ def covariance(name, value, dim=None, definite=True):
 
 def square(name, value, dim=None):
     """Return a finite square matrix, shape (dim, dim); a number stands for 1 × 1."""
+    size = "square, (n, n)" if dim is None else f"of shape ({dim}, {dim})"
+    if isinstance(value, list | tuple | np.ndarray) and all(isinstance(v, numbers.Real) for v in value):
+        raise ModelError(
+            f"{name} has shape {np.shape(value)}, but it must be {size}; np.diag({name}) is a matrix with "
+            "these on its diagonal."
+        )
     a = array(name, [[value]] if isinstance(value, numbers.Real) else value, (None, None))
     if a.shape[0] != a.shape[1] or len(a) == 0 or (dim is not None and len(a) != dim):
-        size = "square" if dim is None else f"of shape ({dim}, {dim})"
         raise ModelError(f"{name} has shape {a.shape}, but it must be {size}.")
     return a
 
@@ -87,14 +95,14 @@ def real(name, value):
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, numbers.Real) or not np.isfinite(value):
-        raise ModelError(f"{name} must be one finite number, got {_short(value)}.")
+        raise ModelError(f"{name} must be one finite number, got {short(value)}.")
     return float(value)
 
 
 def count(name, value, least=1):
     """Return an int that is at least `least`."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-        raise ModelError(f"{name} must be a whole number of at least {least}, got {_short(value)}.")
+        raise ModelError(f"{name} must be a whole number of at least {least}, got {short(value)}.")
     return int(value)
 
 
@@ -130,7 +138,7 @@ def generator(rng):
     try:
         return np.random.default_rng(rng)
     except (TypeError, ValueError) as error:
-        raise ModelError(f"rng must be a numpy Generator or a seed (int >= 0), got {_short(rng)}.") from error
+        raise ModelError(f"rng must be a numpy Generator or a seed (int >= 0), got {short(rng)}.") from error
 
 
 def _text(shape):
@@ -138,6 +146,12 @@ def _text(shape):
     return f"({inside},)" if len(shape) == 1 else f"({inside})"
 
 
-def _short(value):
+def row(values):
+    """Return a row of numbers as text, four digits each: [1, 0.3333]."""
+    return f"[{', '.join(f'{v:.4g}' for v in values)}]"
+
+
+def short(value):
+    """Return the text of a value on one line, cut to 80 characters."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else text[:77] + "..."

@@ -5,6 +5,7 @@ import pickle
 import pytest
 
 import sphfilter as sf
+from sphfilter.config import from_table
 
 
 def test_paper_values():
@@ -40,9 +41,10 @@ def test_settings_are_frozen_and_pickle():
     [
         (
             "[scheme]\nkernl = 'lucy'",
-            r"FilterConfig.scheme: unknown key PaperScheme.kernl \(did you mean 'kernel'\?\)",
+            r"FilterConfig.scheme: unknown key kernl \(did you mean 'kernel'\?\)",
         ),
-        ("[schema]\n", r"did you mean 'scheme'"),
+        ("[schema]\n", r"unknown key FilterConfig.schema \(did you mean 'scheme'\?\)"),
+        ("exact-linear = true\n", r"unknown key FilterConfig.exact-linear \(did you mean 'exact_linear'\?\)"),
         ("[scheme]\nkernel = 'lucky'", "'lucy'"),
         ("[scheme]\nc_cfl = -1", "greater than 0"),
         ("[scheme]\nc_cfl = 'fast'", "valid number"),
@@ -63,3 +65,15 @@ def test_bad_keywords():
         sf.PaperScheme(bypas_max=3)
     with pytest.raises(sf.ConfigError, match="did you mean 'kernel'"):
         sf.FilterConfig.paper(kernal="lucy")
+
+
+def test_settings_from_a_table_name_the_source_and_its_keys():
+    table = {"acceptance": {"z_pi": -1}, "schema": "auto"}
+    with pytest.raises(sf.ConfigError) as problem:
+        from_table(sf.FilterConfig, table, "mine.toml")
+    said = str(problem.value)
+    assert said.startswith("mine.toml: ")
+    assert (
+        "acceptance.z_pi = -1 is not valid" in said and "unknown key schema (did you mean 'scheme'?)" in said
+    )
+    assert from_table(sf.FilterConfig, {"scheme": "paper"}) == sf.FilterConfig(scheme="paper")

@@ -128,3 +128,13 @@ def test_bad_questions(density):
     ]:
         with pytest.raises(sf.ModelError, match=message):
             question()
+
+
+@pytest.mark.parametrize("domain", [None, [("periodic", -np.pi, np.pi), None]])
+def test_a_density_tells_itself_in_a_line(domain):
+    p = sf.initialize(sf.Gaussian([0.5, -1.0], np.diag([0.04, 0.25])), 100, t=2.0, domain=domain)
+    said = repr(p)
+    for text in (f"N={p.n_particles}, dim=2, t=2, read_out='log_density'", "mean=[0.5, -1]", "std=[0."):
+        assert text in said
+    assert ("periodic" in said) is (domain is not None)
+    assert len(said) < 250

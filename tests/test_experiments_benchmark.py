@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from experiments import __main__ as commands
-from experiments.benchmark import expensive, reference
+from experiments.benchmark import expensive, reference, tables
+from experiments.benchmark.campaign import Outcome
 from experiments.benchmark.counting import drift_evaluations
 from experiments.benchmark.densities import Cloud, Normal, hellinger, snapshot
 from experiments.benchmark.errors import errors, root_mean_square, truth_errors
 from experiments.benchmark.measure import measure
-from experiments.benchmark.methods import Method, default_families, label, methods
+from experiments.benchmark.methods import Method, default_families, label, methods, size_text
 from experiments.benchmark.store import Rows
-from experiments.benchmark.summary import Line, fastest_to_reach, frontier, particle_law
+from experiments.benchmark.summary import Line, ReferenceError, fastest_to_reach, frontier, particle_law
 from experiments.benchmark.watch import TooSlow, Watched
 from experiments.filters import Factory
 from experiments.scenario import load_scenario
@@ -232,6 +233,25 @@ def test_frontier_and_law():
     assert fastest_to_reach(lines, 0.05).family == "sph"
     assert fastest_to_reach(lines, 0.005) is None
     np.testing.assert_allclose(particle_law(lines), 1e-4)
+
+
+def test_sizes_in_words():
+    assert size_text("sph", 1600) == "N = 1,600"
+    assert size_text("auto", 300) == "target error 0.00333"
+    assert size_text("ekf", 0) == ""
+
+
+def test_tables_show_what_auto_was_asked_for():
+    lines = [
+        replace(_line(family, size, seconds, mean), rmse=np.zeros(2), schemes={}, failure="")
+        for family, size, seconds, mean in (("auto", 100, 0.1, 0.006), ("sph", 200, 0.2, 0.004))
+    ]
+    outcome = Outcome("duffing", lines, ReferenceError("exact", 0.0, 0.0, 0.0, 0.0), [])
+    headings, cells = tables.rows(outcome)
+    assert [row[headings.index("N")] for row in cells] == ["target 0.01", "200"]
+    said = " ".join(tables.sentences(outcome))
+    assert "Error 0.01: SPH filter, target error 0.01, in 0.1 s." in said
+    assert "in place of N stands the error" in said
 
 
 def test_who_wins_depends_on_the_cost_of_the_drift():

@@ -20,7 +20,9 @@ def test_orders_are_slopes_in_the_spacing():
 def test_command_writes_table_and_picture(which, tmp_path, capsys):
     arguments = ["linear_underdamped", "--counts", "100,200", "--runs", "1", "--set", "times.end=2"]
     assert main(["converge", *arguments, "--filter", which, "--out", str(tmp_path)]) == 0
-    assert "order in dx" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "order in dx" in said
+    assert "100 particles: run 1 of 1 done" in said and "200 particles: run 1 of 1 done" in said
     with open(tmp_path / "convergence.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["particles"] for row in rows] == ["100", "200"]

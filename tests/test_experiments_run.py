@@ -58,7 +58,8 @@ def test_run_prints_the_table_beside_the_paper(tmp_path, capsys):
     assert _run("run", "duffing", "--filters", "ekf", *_TINY, "--out", str(tmp_path)) == 0
     said = capsys.readouterr().out
     for text in ("RMS error, position (m)", "(paper)", "2.722", "22.121", "8 of 25", "run 2 of 2 done",
-                 "compiles once", "--runs 25", "campaign.npz"):  # fmt: skip
+                 "the first time compiles", "drawing history_consistent.png: EKF",
+                 "drawing consistency.png", "--runs 25", "campaign.npz"):  # fmt: skip
         assert text in said
 
 
@@ -90,7 +91,7 @@ def test_a_filter_that_fails_is_reported_and_the_others_go_on(tmp_path, capsys, 
         return make(self, case, rng)
 
     monkeypatch.setattr(Factory, "__call__", failing)
-    assert _run("run", "duffing", "--filters", "ekf,ukf", *_TINY, "--out", str(tmp_path)) == 0
+    assert _run("run", "duffing", "--filters", "ekf,ukf", *_TINY, "--out", str(tmp_path)) == 1
     said = capsys.readouterr().out
     assert "UKF failed in 2 of 2 runs" in said
     assert "run 1, UKF: RuntimeError: no such luck" in said

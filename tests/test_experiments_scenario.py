@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from experiments import scenario as scenarios
 from experiments import start
 from experiments.filters import factories
 from experiments.scenario import Scenario, load_scenario, parse_change, read_settings, scenario_names
-from sphfilter import ConfigError, ExpressionError, FilterConfig, ModelError
+from sphfilter import ConfigError, ExpressionError, FilterConfig, ModelError, SphfilterError
 
 
 @pytest.mark.parametrize("name", scenario_names())
@@ -99,7 +100,7 @@ def test_short_keys_of_the_sph_filters():
     ("changes", "sentence"),
     [
         ({"scheme": "correct"}, "did you mean 'corrected'"),
-        ({"times.intervall": 1.0}, "did you mean 'interval'"),
+        ({"times.intervall": 1.0}, "duffing with times.intervall changed: unknown key times.intervall"),
         ({"scheme.kernal": "lucy"}, "did you mean 'kernel'"),
         ({"scheme.kernel": "lucky"}, "'lucky' is not valid"),
         ({"times.interval": -1.0}, "times.interval = -1.0 is not valid"),
@@ -132,8 +133,24 @@ def test_files_of_ones_own(tmp_path):
     with pytest.raises(ConfigError, match="not valid TOML"):
         load_scenario(str(path))
     path.write_text((tmp_path / "mine.toml").read_text() + "'x'\n")
-    with pytest.raises(ConfigError, match="model is missing"):
+    with pytest.raises(ConfigError, match=r"mine\.toml: model is missing"):
         load_scenario(str(path))
+
+
+def test_a_wrong_file_is_named_with_its_keys(tmp_path):
+    path = tmp_path / "mine.toml"
+    with pytest.raises(ConfigError, match=r"the file .*mine\.toml does not exist"):
+        load_scenario(str(path))
+    text = (scenarios._FOLDER / "duffing.toml").read_text(encoding="utf-8")
+    for old, new, sentence in (
+        ("interval", "intervall", r"unknown key times\.intervall \(did you mean 'interval'\?\)"),
+        ("h = ", "h = 1 #", r"sensor\.h = 1 is not valid: input should be a list$"),
+        ('drift = ["', 'drift = ["y*', "unknown name 'y'"),
+    ):
+        assert old in text
+        path.write_text(text.replace(old, new, 1), encoding="utf-8")
+        with pytest.raises(SphfilterError, match=rf"^{path}: .*{sentence}"):
+            load_scenario(str(path))
 
 
 def test_parse_change():

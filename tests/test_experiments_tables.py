@@ -2,6 +2,7 @@
 
 import io
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from rich.console import Console
@@ -84,6 +85,22 @@ def test_examples_show_the_ekf_keep_and_lose_the_truth():
     assert plots.example_runs(campaign) == {"consistent": 1}
     campaign = _campaign({"sph": _result(x, np.eye(2)), "pf": _result(0 * x, np.eye(2))})
     assert plots.example_runs(campaign)["diverged"] == 3
+
+
+def test_the_time_of_a_loss_is_that_of_the_largest_error():
+    x = np.zeros((4, 15, 2))
+    x[3, 6:, 0], x[3, 8, 0] = 20.0, 50.0
+    campaign = _campaign({"ekf": _result(x, np.eye(2)), "sph": _result(0 * x, np.eye(2))})
+    assert plots.losses(campaign, 3) == {"ekf": 9.0}
+    assert plots.losses(campaign, 2) == {}
+
+
+def test_limits_follow_an_estimate_that_strayed_but_not_forever():
+    _, ax = plt.subplots()
+    for strayed, limits in ((None, (-0.4, 1.4)), ([0.5, 3.0], (-0.4, 3.4)), ([-1e9, 0.5], (-4.4, 1.4))):
+        plots._frame(ax, np.array([0.0, 1.0]), None if strayed is None else np.array(strayed))
+        assert ax.get_ylim() == pytest.approx(limits)
+    plt.close("all")
 
 
 def test_sentences_say_what_went_wrong():

@@ -247,7 +247,9 @@ def test_filter_pickles(config):
     ("arguments", "message"),
     [
         ({"x0": [0.0]}, r"x0 has shape \(1,\)"),
+        ({"x0": [0.0, 0.0, 0.0]}, "a value for each of the model's 2 states"),
         ({"x0": [0.0, np.nan]}, "x0 contains NaN"),
+        ({"P0": [1.0, 1.0]}, r"P0 has shape \(2,\), but it must be of shape \(2, 2\); np\.diag\(P0\)"),
         ({"P0": np.ones((2, 3))}, "P0"),
         ({"P0": [[1.0, 2.0], [2.0, 1.0]]}, "P0 is not positive definite"),
         ({"P0": np.zeros((2, 2))}, "P0 is not positive definite"),
@@ -265,6 +267,24 @@ def test_bad_arguments(config, arguments, message):
 
 
 @pytest.mark.parametrize(
+    ("model", "measurement", "message"),
+    [
+        ("x", POSITION, "model must be an SDE or LinearSDE, got 'x'"),
+        (OSCILLATOR, 3, "measurement must be a GaussianMeasurement or LikelihoodMeasurement, got 3"),
+        (OSCILLATOR, sf.GaussianMeasurement([[1.0, 0.0, 0.0]], 0.2), "h is of 3 states, but the state has 2"),
+        (OSCILLATOR, sf.GaussianMeasurement(lambda x: (x[2],), 0.2), r"beyond the state \(dim=2\)"),
+        (OSCILLATOR, sf.GaussianMeasurement.from_expressions(["x"], ["x"], 0.2), "h is of 1 states"),
+    ],
+)
+def test_parts_that_do_not_fit(model, measurement, message):
+    with pytest.raises(sf.ModelError, match=message):
+        sf.SPHFilter(model, measurement, X0, P0)
+    if model is OSCILLATOR:
+        with pytest.raises(sf.ModelError, match=message):
+            sph(150).update([0.0], measurement=measurement)
+
+
+@pytest.mark.parametrize(
     ("times", "z", "message"),
     [
         ([1.0, 0.5], [[0.0], [0.0]], "not decreasing"),
@@ -277,3 +297,14 @@ def test_bad_arguments(config, arguments, message):
 def test_bad_runs(config, times, z, message):
     with pytest.raises(sf.ModelError, match=message):
         sph(150, config).run(times, z)
+
+
+@BOTH
+def test_a_filter_tells_itself_in_a_line(config):
+    flt = sph(150, config)
+    flt.predict(0.5)
+    said = repr(flt)
+    name = "auto" if config.scheme == "auto" else "paper"
+    particles = f"{flt.density.n_particles} particles (at most 150)"
+    for text in ("states=('x0', 'x1'), t=0.5, x=[", "std=[", particles, f"scheme='{name}'"):
+        assert text in said

@@ -1,14 +1,16 @@
 """`python -m experiments filter`: data files, model files, and the command against a textbook recursion."""
 
 import csv
+import inspect
 
 import numpy as np
 import pytest
 
 from experiments.__main__ import main
+from experiments.filters import Factory
 from experiments.own_data.csv_data import read_measurements
 from experiments.own_data.model_file import load_model
-from sphfilter.errors import ConfigError, ModelError, SphfilterError
+from sphfilter.errors import ConfigError, ModelError, PropagationError, SphfilterError
 
 A, Q, R, M0, P0 = 0.4, 0.5, 0.3, 1.0, 2.0
 MODEL = f"""
@@ -107,6 +109,33 @@ class TestCommand:
         said = capsys.readouterr()
         assert "PF stopped" in said.out and "no filter came to the end" in said.err
 
+    def test_one_filter_stops(self, model, data, tmp_path, capsys, monkeypatch):
+        make = Factory.__call__
+
+        def failing(self, case, rng):
+            if self.name == "pf":
+                raise PropagationError("no such luck")
+            return make(self, case, rng)
+
+        monkeypatch.setattr(Factory, "__call__", failing)
+        words = ["filter", "--model", str(model), "--data", str(data), "--filters", "kf,pf"]
+        assert main([*words, "--out", str(tmp_path)]) == 1
+        said = capsys.readouterr().out
+        assert "PF stopped: no such luck" in said and "Estimates are in" in said
+        assert (tmp_path / "kf.csv").exists()
+
+    def test_help_shows_both_files(self, tmp_path, capsys):
+        with pytest.raises(SystemExit):
+            main(["filter", "--help"])
+        said = capsys.readouterr().out
+        text = said[said.index("  [model]") : said.index("Exit code")]
+        table = said[said.index("  t,position") : said.index("my.toml: ")]
+        for name, lines in (("my.toml", text), ("my.csv", table)):
+            (tmp_path / name).write_text(inspect.cleandoc("\n" + lines), encoding="utf-8")
+        words = ["--model", str(tmp_path / "my.toml"), "--data", str(tmp_path / "my.csv")]
+        assert main(["filter", *words, "--filters", "ekf", "--out", str(tmp_path)]) == 0
+        assert len(numbers(tmp_path / "ekf.csv")[1]) == 3
+
     def test_unknown_filter(self, model, data, tmp_path, capsys):
         words = ["filter", "--model", str(model), "--data", str(data), "--out", str(tmp_path)]
         assert main([*words, "--filters", "spf"]) == 1
@@ -157,11 +186,11 @@ class TestModelFile:
     @pytest.mark.parametrize(
         ("old", "new", "sentence"),
         [
-            ("[sensor]", "[sensr]", "unknown key ModelFile.sensr (did you mean 'sensor'?)"),
-            ("mean = [1.0]", "", "ModelFile.start.mean is missing"),
+            ("[sensor]", "[sensr]", "unknown key sensr (did you mean 'sensor'?)"),
+            ("mean = [1.0]", "", "start.mean is missing"),
             ("mean = [1.0]", "mean = [1.0, 0.0]", "the model has 1 states, but sensor.h has 1 columns and"),
             ("cov = [[2.0]]", "cov = [[-2.0]]", "positive definite"),
-            ("-a*x", "-a*y", "y"),
+            ("-a*x", "-a*y", "unknown name 'y'. The names here are x, a, t, pi"),
             ("[start]", "[start", "is not valid TOML"),
         ],
     )
@@ -170,6 +199,11 @@ class TestModelFile:
         with pytest.raises(SphfilterError) as problem:
             load_model(model)
         assert sentence in str(problem.value)
+        assert str(problem.value).startswith(str(model))
+
+    def test_sensor_in_text(self, model):
+        model.write_text(MODEL.replace("h = [[1.0]]", 'h = ["x**2"]'), encoding="utf-8")
+        assert load_model(model).measurement.H is None
 
     def test_errors_have_their_class(self, model, tmp_path):
         with pytest.raises(ConfigError, match="cannot read"):

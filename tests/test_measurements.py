@@ -18,6 +18,10 @@ def polar(x):
     return np.arctan2(x[1], x[0]), np.hypot(x[0], x[1])
 
 
+def never(z, X, t):
+    return np.full(len(X), -np.inf)
+
+
 def test_linear_likelihood_is_the_normal_density():
     sensor = GaussianMeasurement(H, R)
     z = np.array([0.3, -1.0, 0.8])
@@ -116,11 +120,25 @@ def test_likelihood_measurement():
         (lambda: GaussianMeasurement([[1.0]], [[-1.0]]), "not positive definite"),
         (lambda: GaussianMeasurement([[1.0]], [[1.0, 2.0]]), "must be square"),
         (lambda: GaussianMeasurement([[1.0]], [[np.nan]]), "NaN"),
-        (lambda: GaussianMeasurement([[1.0, 0], [0, 1.0]], [[1.0]]), r"shape \(1, any\)"),
+        (lambda: GaussianMeasurement([[1.0, 0], [0, 1.0]], [[1.0]]), "do not fit"),
+        (
+            lambda: GaussianMeasurement([[1.0, 0]], np.eye(2)),
+            r"h of shape \(1, 2\) and noise_cov of shape \(2, 2\) do not fit",
+        ),
+        (
+            lambda: GaussianMeasurement(H, [1.0, 1.0, 1.0]),
+            r"noise_cov has shape \(3,\).*np\.diag\(noise_cov\)",
+        ),
+        (lambda: GaussianMeasurement([[1.0]], [[1.0]], angles=True), r"such as angles=\[0\], got True"),
+        (lambda: GaussianMeasurement([[1.0]], [[1.0]], angles=0), r"such as angles=\[0\], got 0"),
+        (
+            lambda: LikelihoodMeasurement(lambda z, x: 1.0),
+            r"function of \(z, X, t\), but its arguments are \(z, x",
+        ),
         (lambda: GaussianMeasurement([[1.0]], [[1.0]], angles=[1]), "angles names component 1"),
         (lambda: GaussianMeasurement(polar, [[1.0]]), r"h returns 2 value\(s\), but 1"),
         (lambda: GaussianMeasurement(polar, np.eye(2)).predict(np.ones((3, 1))), "reads beyond the state"),
-        (lambda: GaussianMeasurement(H, R).predict(np.ones((3, 2))), "of 3 states, but the states have 2"),
+        (lambda: GaussianMeasurement(H, R).predict(np.ones((3, 2))), "h is of 3 states, but the state has 2"),
         (lambda: GaussianMeasurement(H, R).observed([1.0]), "measurement has shape"),
         (lambda: GaussianMeasurement(H, R).observed([1.0, np.inf, 0.0]), "infinite; use NaN"),
         (lambda: GaussianMeasurement(H, R).log_likelihood("abc", X), "3 numbers"),
@@ -169,5 +187,21 @@ def test_a_wrong_text_of_a_sensor_is_refused(states, h, error, said):
 
 def test_a_sensor_in_text_knows_its_number_of_states():
     sensor = GaussianMeasurement.from_expressions(["x"], ["x**2"], [[1.0]])
-    with pytest.raises(ModelError, match="1 states, but the states have 2"):
+    with pytest.raises(ModelError, match="h is of 1 states, but the state has 2"):
         sensor.predict(np.ones((3, 2)))
+
+
+@pytest.mark.parametrize(
+    ("sensor", "said"),
+    [
+        (GaussianMeasurement([[1.0, 0.0]], 0.2), "GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])"),
+        (
+            GaussianMeasurement(polar, np.eye(2), angles=[0]),
+            "h=polar, noise_cov=[[1.0, 0.0], [0.0, 1.0]], angles=[0]",
+        ),
+        (GaussianMeasurement.from_expressions(["x"], ["x**2"], [[1.0]]), "h=['x**2']"),
+        (LikelihoodMeasurement(never, dim_z=2), "LikelihoodMeasurement(loglik=never, dim_z=2)"),
+    ],
+)
+def test_a_sensor_tells_what_it_is(sensor, said):
+    assert said in repr(sensor)

@@ -23,6 +23,10 @@ def duffing_rows(X, t):
     return np.stack([X[:, 1], -0.4 * X[:, 1] - X[:, 0] * (-1.0 + 0.1 * X[:, 0] ** 2)], axis=1)
 
 
+def only_raises(x, t):
+    raise NotImplementedError
+
+
 def three_forms():
     text = SDE.from_expressions(
         ["x", "v"], ["v", "-c*v - x*(g + e*x**2)"], [["0"], ["1"]], [[1.6]], {"c": 0.4, "g": -1.0, "e": 0.1}
@@ -294,6 +298,10 @@ def test_discretize_limits():
         (lambda: SDE(duffing, 2, [[0.0], [np.nan]]), "NaN"),
         (lambda: SDE(duffing, 2, [[0.0], [1.0], [0.0]]), r"noise has shape \(3, 1\)"),
         (lambda: SDE(duffing, 2, [0.0, 1.0]), r"noise has shape \(2,\)"),
+        (lambda: SDE(lambda x: (x[0], x[1], x[2]), 3, [[0.0], [1.0]]), "a row for each of dim = 3 states"),
+        (lambda: SDE(duffing, 2, [[0.0], [1.0]], [1.0, 2.0]), r"np\.diag\(spectral_density\)"),
+        (lambda: SDE(only_raises, 2), "drift returns nothing: it raises"),
+        (lambda: SDE(duffing_rows, 2), "pass vectorized=True for a numpy function of all states"),
         (lambda: SDE(duffing, 2, [["a"], [1]]), "must be numbers"),
         (lambda: SDE(duffing, 2, [[0.0], [1.0]], np.eye(2)), r"must be of shape \(1, 1\)"),
         (lambda: SDE(duffing, 2, [[0.0], [1.0]], [[-1.0]]), "not positive semidefinite"),

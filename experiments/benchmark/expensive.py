@@ -18,7 +18,7 @@ import sphfilter as sf
 
 from .counting import OtherModel
 from .measure import warm_up
-from .methods import short
+from .methods import short, size_text
 from .watch import Watched
 
 __all__ = [
@@ -170,8 +170,8 @@ def _who(found):
     if found is None:
         return "nobody"
     line, seconds, more = found
-    size = f", N = {line.size * more:,.2g}" if more > 1 else f", N = {line.size:,}" if line.size else ""
-    return f"{short(line.family)}{size}: {seconds:.2g} s"
+    size = size_text(line.family, line.size if more == 1 else int(float(f"{line.size * more:.2g}")))
+    return f"{short(line.family)}{', ' if size else ''}{size}: {seconds:.2g} s"
 
 
 def cost_text(cost):

@@ -9,7 +9,7 @@ from sphfilter.errors import ConfigError, nearest
 
 from . import boxed
 
-__all__ = ["FAMILIES", "Method", "default_families", "label", "methods", "short"]
+__all__ = ["FAMILIES", "Method", "default_families", "label", "methods", "short", "size_text"]
 
 #: What the names stand for, short and in words. Any scheme of the SPH filter can be forced with sph:SCHEME.
 FAMILIES = {
@@ -81,6 +81,13 @@ def short(family):
     """A family in a word or two."""
     scheme = family.partition(":")[2]
     return f"SPH, {scheme.replace('_', ' ')}" if scheme else FAMILIES[family][0]
+
+
+def size_text(family, size):
+    """A size in words: particles or nodes, or the error that n_particles="auto" aims at; empty for none."""
+    if family == "auto":
+        return f"target error {1 / size:.3g}"
+    return f"N = {size:,}" if size else ""
 
 
 def default_families(scenario):

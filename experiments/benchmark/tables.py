@@ -7,7 +7,7 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from .methods import label, short
+from .methods import label, short, size_text
 from .summary import Line, fastest_to_reach, particle_law
 
 __all__ = ["LEVELS", "markdown", "rows", "sentences", "table", "write_csv"]
@@ -19,9 +19,7 @@ LEVELS = (0.1, 0.03, 0.01, 0.003, 0.001)
 def _columns():
     """Headings of the table for people, and what stands below them."""
     return {
-        "N": lambda i: (
-            "" if not i.size else f"{i.size:,}" + (f" × {i.threads} thr." if i.threads > 1 else "")
-        ),
+        "N": lambda i: _size(i) + (f" × {i.threads} thr." if i.threads > 1 else ""),
         "Time (s)": lambda i: _number(i.seconds),
         "Mean": lambda i: _number(i.mean) + ("" if i.certified or not np.isfinite(i.mean) else " †"),
         "Worst": lambda i: _number(i.worst),
@@ -37,6 +35,16 @@ def _columns():
         "MB": lambda i: f"{i.memory:.0f}" if i.memory >= 0.5 else "",
         "Failed": lambda i: f"{i.failed} of {i.runs}" if i.failed else "",
     }
+
+
+def _size(line):
+    return size_text(line.family, line.size).removeprefix("N = ").replace(" error", "")
+
+
+def _called(line):
+    """Filter and size in words."""
+    who = "SPH filter" if line.family == "auto" else label(line.series)
+    return ", ".join(filter(None, (who, size_text(line.family, line.size))))
 
 
 def rows(outcome, leave_out=()):
@@ -89,24 +97,25 @@ def sentences(outcome):
         )
     if outcome.left_out:
         said.append(f"Left out, as a run would take too long: {', '.join(outcome.left_out)}.")
-    said += [f"{label(i.series)}, N = {i.size}: {i.failure}" for i in lines if i.failed]
+    if any(i.family == "auto" for i in lines):
+        said.append("SPH, auto: in place of N stands the error of the mean that was asked for.")
+    said += [f"{_called(i)}: {i.failure}" for i in lines if i.failed]
     said += [s for error in LEVELS if (s := _at_level(lines, error))]
     return said
 
 
 def _at_level(lines, error):
     """Who reaches an error first, and what the best particle filter needs for it."""
-    sph = fastest_to_reach([i for i in lines if i.family == "sph"], error)
-    rivals = [i for i in lines if not i.family.startswith(("sph", "kf", "benes"))]
+    sph = fastest_to_reach([i for i in lines if i.family in ("sph", "auto")], error)
+    rivals = [i for i in lines if not i.family.startswith(("sph", "auto", "kf", "benes"))]
     rival = fastest_to_reach(rivals, error)
     if sph is None and rival is None:
         return ""
     parts = []
     if sph is not None:
-        parts.append(f"SPH in {_number(sph.seconds)} s (N = {sph.size})")
+        parts.append(f"{_called(sph)}, in {_number(sph.seconds)} s")
     if rival is not None:
-        size = f" (N = {rival.size:,})" if rival.size else ""
-        parts.append(f"the fastest other, {label(rival.series)}, in {_number(rival.seconds)} s{size}")
+        parts.append(f"the fastest other, {_called(rival)}, in {_number(rival.seconds)} s")
     law = particle_law(lines)
     if np.isfinite(law):
         parts.append(f"the particle filter by its law in {_number(law / error**2)} s")

@@ -20,7 +20,46 @@ from .csv_data import read_measurements
 from .model_file import load_model
 from .plots import draw
 
-__all__ = ["add_arguments", "case_of", "main", "write_result"]
+__all__ = ["EPILOG", "add_arguments", "case_of", "main", "write_result"]
+
+EPILOG = """\
+my.csv: a line of names, then a time and what was measured on each line. Cells may be empty; the times need
+not be regular.
+
+  t,position
+  0.0,3.1
+  2.0,
+  3.5,-2.7
+
+my.toml: text is allowed wherever a model has functions (see `SDE.from_expressions`).
+
+  [model]                               # dX = drift dt + noise dW, with dW dW' = spectral_density dt
+  states = ["x", "v"]
+  units = ["m", "m/s"]
+  drift = ["v", "-c*v - x*(g + e*x**2)"]
+  noise = [["0"], ["1"]]
+  spectral_density = [[1.6]]
+  parameters = { c = 0.4, g = -1.0, e = 0.1 }
+
+  [sensor]                              # z = h(x) + noise; h is a matrix, or a list such as ["x**2"]
+  h = [[1.0, 0.0]]
+  noise_cov = [[0.2]]
+
+  [start]                               # belief at the time of the first line, before it is used ...
+  mean = [3.0, 0.0]
+  cov = [[0.2, 0.0], [0.0, 1.0]]
+  # time = -1.0                         # ... unless another time is given
+
+  [data]
+  time_unit = "s"                       # for the picture; that of the model's rates
+  # time = "t"                          # the time is the first column, unless another is named ...
+  # columns = ["position"]              # ... and all others are measured, unless some are named
+
+  # [filters]                           # settings, as in the scenarios of the project
+  # sph = { n_particles = 400 }
+
+Exit code: 1 if a filter did not come to the end of the data, else 0.
+"""
 
 
 def add_arguments(parser):
@@ -33,7 +72,7 @@ def add_arguments(parser):
 
 
 def main(args):
-    """Run the command; prints to standard output."""
+    """Run the command; prints to standard output. Returns 1 if a filter did not come to the end, else 0."""
     console = Console(highlight=False)
     console = console if console.is_terminal else Console(highlight=False, width=132)
     scenario = load_model(args.model)
@@ -58,6 +97,7 @@ def main(args):
     draw(out / "estimates.png", scenario, data, results)
     listed = ", ".join(f"{name}.csv" for name in results)
     console.print(f"Estimates are in {out}: {listed}; the picture is {out / 'estimates.png'}.")
+    return int(bool(problems))
 
 
 def case_of(scenario, data):

@@ -6,11 +6,10 @@ from typing import Literal
 
 from pydantic import Field
 
-import sphfilter as sf
-from experiments.scenario import Scenario
+from experiments.scenario import Scenario, check_parts
 from experiments.settings import Filters, ModelText, Sensor
-from sphfilter.config import settings
-from sphfilter.errors import ConfigError, ModelError
+from sphfilter.config import from_table, settings
+from sphfilter.errors import ConfigError
 
 __all__ = ["Belief", "Columns", "ModelFile", "load_model"]
 
@@ -35,9 +34,13 @@ class Belief:
 
 @settings
 class Columns:
-    """Names of columns: the time (the first if None) and the measurements (all others if empty)."""
+    """Names of columns: the time (the first if None) and the measurements (all others if empty).
+
+    `time_unit` is for the axes of pictures: seconds or years, whatever the rates of the model are in.
+    """
 
     time: str | None = None
+    time_unit: str = ""
     columns: tuple[str, ...] = ()
 
 
@@ -72,12 +75,6 @@ def load_model(path):
         raise ConfigError(f"cannot read {path}: {problem.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
         raise ConfigError(f"{path} is not valid TOML: {problem}") from None
-    scenario = Scenario(path.stem, ModelFile(**tree))
-    n, width, start = scenario.model.dim, scenario.measurement.H.shape[1], scenario.settings.start
-    if width != n or len(start.mean) != n:
-        raise ModelError(
-            f"the model has {n} states, but sensor.h has {width} columns "
-            f"and start.mean {len(start.mean)} values"
-        )
-    sf.Gaussian(start.mean, start.cov)  # checks the covariance
+    scenario = Scenario(path.stem, from_table(ModelFile, tree, path))
+    check_parts(scenario, path)
     return scenario

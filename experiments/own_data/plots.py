@@ -40,13 +40,23 @@ def draw(path, scenario, data, results):
             ax.plot(result.t, result.x[:, d], color=COLOURS[name], lw=1.2)
             if reads is not None and d in reads[0]:
                 j = list(reads[0]).index(d)
-                ax.plot(data.times, data.z[:, j] / reads[1][j], ".", ms=3.5, color="0.15", mec="none")
+                ax.plot(
+                    data.times,
+                    data.z[:, j] / reads[1][j],
+                    "o",
+                    ms=4.5,
+                    color="0.1",
+                    mec="w",
+                    mew=0.6,
+                    zorder=4,
+                )
             _plain(ax)
         row[0].set_title(name_of(name), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
     for ax, label, unit in zip(axes[0], scenario.labels, scenario.units, strict=True):
         ax.set_title(f"{label} ({unit})" if unit else label, fontsize=10)
+    unit = scenario.settings.data.time_unit
     for ax in axes[-1]:
-        ax.set_xlabel(data.time_name)
+        ax.set_xlabel(f"{data.time_name} ({unit})" if unit else data.time_name)
     title = f"{scenario.name}: estimate after each line ± 2σ (band), measurements (dots)"
     figure.suptitle(title, fontsize=11)
     _save(figure, path)

@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import sphfilter as sf
+from experiments.plots import plain_numbers
 from reference_filters.closed_forms import linear_moments
 from reference_filters.grid import GridFilter
 from sphfilter.lattice import fit_support, place_gaussian
@@ -36,11 +37,13 @@ def support_sweep(scenario, seed, n_runs):
         ax.plot(fit.support, fit.error, color="k", lw=2, label="both together")
         ax.axvline(best, color="0.5", ls="--", lw=0.9, label=f"best: {best:.2f}")
         ax.set_yscale("log")
+        plain_numbers(ax.yaxis)
         frame(ax, f"{kernel.capitalize()} kernel", r"support $\Lambda = K h / \Delta x$", "")
         ax.legend(fontsize=9)
     axes[0].set_ylabel(r"$\varepsilon_{RMS}$ of the density")
     figure.suptitle(
-        f"Standard normal density in two dimensions on {_N_SUPPORT} particles: one h for all", fontsize=11
+        f"The paper's scheme: standard normal density of two states on {_N_SUPPORT} particles, one h for all",
+        fontsize=11,
     )
     sentence = (
         "support.png: how far the kernels of a lattice should reach. A shorter reach leaves ripples, a "
@@ -78,10 +81,12 @@ def initial_accuracy(scenario, seed, n_runs):
     for ax, what, n in zip(axes, ("support", "masses"), (_N_SUPPORT, _N_MASSES), strict=True):
         frame(ax, f"{what} at the start, N = {n}", "time (s)", r"$\varepsilon_{RMS}$ of the density (s/m²)")
         ax.set_yscale("log")
+        plain_numbers(ax.yaxis)
         ax.margins(x=0.02)
         ax.legend(fontsize=9)
     against = "its exact Gaussian" if model.linear else "the grid solution"
-    figure.suptitle(f"{scenario.name}: error of the transient density against {against}", fontsize=11)
+    what = f"error of the transient density against {against}"
+    figure.suptitle(f"{scenario.name}, the paper's scheme: {what}", fontsize=11)
     sentence = (
         "accuracy.png: error of the density without measurements. Exact masses at the start are of little "
         "use once the particles have left their lattice."

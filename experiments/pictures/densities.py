@@ -55,7 +55,8 @@ def resampling_figure(scenario, density, config):
     _label(scenario, axes, titles)
     mass_bar(figure, artist, axes)
     figure.suptitle(
-        f"{scenario.name}: resampling of the transient density at t = {density.t:g} s", fontsize=11
+        f"{scenario.name}, the paper's scheme: resampling of the transient density at t = {density.t:g} s",
+        fontsize=11,
     )
     return figure
 
@@ -92,7 +93,8 @@ def bayes_figure(scenario, prior, config):
     frame(f, "(f) densities of the position", quantity(scenario, 0), "density (1/m)")
     mass_bar(figure, artist, axes, "mass of a particle; in (b) likelihood")
     verdict = "accepted" if info.accepted else f"refused: {info.reason}"
-    figure.suptitle(f"{scenario.name}: one measurement update at t = {prior.t:g} s ({verdict})", fontsize=11)
+    what = f"one measurement update at t = {prior.t:g} s ({verdict})"
+    figure.suptitle(f"{scenario.name}, the paper's scheme: {what}", fontsize=11)
     return figure
 
 

@@ -66,7 +66,8 @@ def rejected_measurements(scenario, seed, n_runs):
     handles, labels = axes["before"].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     _bars(axes["rates"], scenario.model.dim, rates, n_runs)
-    figure.suptitle(f"{scenario.name}, run {run}: refused measurements, and a remedy", fontsize=11)
+    what = f"run {run}: refused measurements, and a remedy"
+    figure.suptitle(f"{scenario.name}, the paper's scheme, {what}", fontsize=11)
     return Picture({"rejections": figure}, (_sentence(scenario, rates, n_runs),))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from experiments.run import status
 from sphfilter.errors import ConfigError
 
 from .cases import cases
@@ -42,8 +43,11 @@ def main(args):
         raise ConfigError(f"no shortcut has {args.only!r} in its name: {', '.join(c.name for c in cases())}")
     console = Console(highlight=False)
     console = console if console.is_terminal else Console(highlight=False, width=132)
-    with console.status("measuring (compiles once)"):
-        rows = [_cells(measured(case, args.samples)) for case in chosen]
+    with status(console) as say:
+        rows = []
+        for case in chosen:
+            say(f"measuring {case.name}, {case.scene} (what is new is compiled first)")
+            rows.append(_cells(measured(case, args.samples)))
         lattices = [tuple(map(str, (n, *lattice_against_box(n, N)))) for n, N in _LATTICES]
     args.out.mkdir(parents=True, exist_ok=True)
     parts = (("skips", _HEADS, rows), ("particles", _LATTICE_HEADS, lattices))

@@ -82,7 +82,7 @@ def main(args):
 
 def _warm_up(console, methods):
     """Let every method compile, in a process of its own, so that compiling does not count as run time."""
-    console.print("preparing (compiles once, for minutes; later starts take seconds)", style="dim")
+    console.print("preparing (the first time compiles, for minutes)", style="dim")
     run_tasks(_compile, methods, 1, lambda method: _COMPILE_LIMIT, lambda method, result: None)
 
 

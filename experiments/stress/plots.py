@@ -22,8 +22,8 @@ _COLOURS = {
 _NAMES = {"default": "SPH, default", "paper": "SPH, as published", "pf1e3": "particle filter, 1,000",
           "pf1e4": "particle filter, 10,000"}  # fmt: skip
 _CELL, _LEFT, _GAP = (0.44, 0.25), 3.6, 0.3
-#: Least width of a panel, for its heading, and of the picture, for its legend.
-_PANEL, _WIDTH = 1.9, 9.5
+#: Least width of a panel, for its heading, and of a picture whose legend is one line; of all pictures.
+_PANEL, _WIDE, _NARROWEST = 1.9, 9.5, 6.4
 
 
 def draw(path, rows):
@@ -45,8 +45,8 @@ def draw(path, rows):
               for line in lines}  # fmt: skip
     units = {(row["family"], row["system"]): row["unit"] for row in rows}
     panel = max(max(map(len, levels.values())) * _CELL[0], _PANEL) + _GAP
-    width = max(_LEFT + len(methods) * panel, _WIDTH)
-    height = len(lines) * _CELL[1] + 1.35
+    width = max(_LEFT + len(methods) * panel, _NARROWEST)
+    height = len(lines) * _CELL[1] + (1.35 if width >= _WIDE else 1.6)
     figure = plt.figure(figsize=(width, height))
     ax = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(height, 0))
     ax.axis("off")
@@ -110,19 +110,19 @@ def _heading(ax, method, rows, x0, y0):
 
 
 def _legend(ax, width, height):
-    """One line under everything."""
+    """One line under everything, or two where the picture is narrow."""
     said = {"refused": "refused with a sentence", "no reference": "no reference to judge by",
             "timeout": "stopped after the time limit", "wrong": "wrong, or a crash"}  # fmt: skip
     handles = [Patch(fc=_COLOURS[v][0], label=said.get(v, v)) for v in VERDICTS]
     ax.legend(
         handles=handles,
-        ncols=len(handles),
+        ncols=len(handles) if width >= _WIDE else 3,
         frameon=False,
         fontsize=6.8,
         handlelength=1.1,
         handleheight=1.1,
         columnspacing=1.2,
         loc="center",
-        bbox_to_anchor=(0.5 * width, height - 0.2),
+        bbox_to_anchor=(0.5 * width, height - (0.2 if width >= _WIDE else 0.3)),
         bbox_transform=ax.transData,
     )

@@ -12,6 +12,7 @@ import numpy as np
 import sphfilter as sf
 from experiments.scenario import change, model_of
 from sphfilter._symbolic import symbolic_rows
+from sphfilter.config import from_table
 from sphfilter.errors import ConfigError, ModelError, nearest
 
 from .settings import TransientSettings
@@ -145,8 +146,11 @@ def load_problem(name, changes=None):
     ConfigError, ExpressionError, ModelError
         Each names the key.
     """
-    path = Path(name) if str(name).endswith(".toml") else _FOLDER / f"{name}.toml"
+    own = str(name).endswith(".toml")
+    path = Path(name) if own else _FOLDER / f"{name}.toml"
     if not path.is_file():
+        if own:
+            raise ConfigError(f"the file {name} does not exist (`list` names the problems of the project)")
         known = problem_names()
         raise ConfigError(
             f"no transient scenario {name!r}{nearest(name, known)}; there are {', '.join(known)}"
@@ -157,7 +161,7 @@ def load_problem(name, changes=None):
         raise ConfigError(f"{path} is not valid TOML: {problem}") from None
     for key, value in (changes or {}).items():
         change(tree, key, value)
-    problem = Problem(path.stem, TransientSettings(**tree))
+    problem = Problem(path.stem, from_table(TransientSettings, tree, path))
     n, start = problem.model.dim, problem.settings.start
     given = start.mean if start.kind == "gaussian" else start.box
     if len(given) != n:

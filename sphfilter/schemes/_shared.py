@@ -40,15 +40,23 @@ def skip_notes(model, bypassed):
     return tuple(notes)
 
 
-def blow_up(model, state, t, start, t1):
+#: What keeps particles out of the far tail, by scheme; the corrected one has nothing of its own for that.
+_OUT_OF_THE_TAIL = {
+    "log_density": "lay no particles so far out, with scheme=LogDensityScheme(reach=3)",
+    "paper": "use a smaller represented_mass so that particles stay out of the far tail",
+    "corrected": "start from a narrower density",
+}
+
+
+def blow_up(model, state, t, start, t1, scheme="log_density"):
     """Sentence for a model that left the finite numbers at a state (n,), between `start` and `t1`."""
     velocity = model.drift(state, t)
     what = "grows without bound" if np.isfinite(velocity).all() else "is NaN or infinite"
     values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(model.states, state, strict=True))
     return (
         f"the model blew up at t = {t:.6g} (prediction from {start:g} to {t1:g}), at the particle {values}: "
-        f"its velocity {what}. Check the drift there, predict over a shorter interval, or use "
-        f"a smaller represented_mass so that particles stay out of the far tail"
+        f"its velocity {what}. Check the drift there, predict over a shorter interval, or "
+        f"{_OUT_OF_THE_TAIL[scheme]}"
     )
 
 

@@ -104,7 +104,7 @@ def _march(cloud, model, options, powers, scheme, interval):
         raise PropagationError(_flat(times[0]))
     if status != "ok":
         ahead = min(times[0] + 1e-6 * (interval[1] - interval[0]), interval[1])  # what the steps ran into
-        raise PropagationError(blow_up(model, cloud.x[counters[-1]], ahead, *interval))
+        raise PropagationError(blow_up(model, cloud.x[counters[-1]], ahead, *interval, "corrected"))
     return counters
 
 

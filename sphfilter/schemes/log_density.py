@@ -93,7 +93,8 @@ def propagate(density, model, t1, scheme, n_particles):
     entries = _entries(model, threads)
     while status == "paused":
         if counters[STEPS] >= scheme.max_steps:
-            reason = f"{scheme.max_steps} steps were not enough"
+            reason = f"{scheme.max_steps} steps were not enough; allow more with scheme="
+            reason += "LogDensityScheme(max_steps=...)"
             raise PropagationError(_given_up(reason, times[0], start, t1))
         try:
             field, x, mass, mean, cov, code = march(
@@ -132,9 +133,9 @@ def _entries(model, threads):
 
 
 _REASONS = {
-    "stalled": "steps became too small: the drift is too stiff there, or not smooth",
+    "stalled": "steps became too small: the drift is too stiff there, or not smooth; check it",
     "too few nodes": "no lattice of at most {n} particles resolves the density; use more particles",
-    "outgrown": "the density is spread over more lattice cells than fit into memory",
+    "outgrown": "the density is spread over more lattice cells than fit into memory; use fewer particles",
 }
 
 
@@ -242,4 +243,4 @@ def _info(model, scheme, counters, lost, threads):
 
 def _given_up(reason, t, start, t1):
     what = f"prediction from {start:g} to {t1:g} stopped at t = {t:.6g}: {reason}"
-    return f"{what}. Or predict over a shorter interval"
+    return f"{what}, or predict over a shorter interval"

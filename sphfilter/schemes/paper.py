@@ -51,7 +51,7 @@ def propagate(density, model, t1, scheme, n_particles):
     while density.t < t1:
         density, status, culprit = _march(density, model, t1, scheme, counters, dt_max)
         if status == "not finite" or (status == "stalled" and _runs_away(model, density, culprit, t1)):
-            raise PropagationError(blow_up(model, culprit, density.t, start, t1))
+            raise PropagationError(blow_up(model, culprit, density.t, start, t1, "paper"))
         if status == "paused" and counters[core.STEPS] >= scheme.max_steps:
             raise PropagationError(_given_up("too many steps", density.t, start, t1, scheme))
         if status == "stalled":

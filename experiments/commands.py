@@ -1,0 +1,78 @@
+"""The commands, and the command line that they make."""
+
+import argparse
+import sys
+
+from sphfilter.errors import SphfilterError
+
+from . import converge, listing, run
+from .benchmark import command as benchmark
+from .own_data import command as own_data
+from .skips import command as skips
+from .stress import command as stress
+from .sunspots import command as sunspots
+from .sweep import command as sweep
+from .transient import command as transient
+
+__all__ = ["COMMANDS", "main"]
+
+#: Modules with a one-line docstring, ``add_arguments(parser)`` and ``main(args)``, which returns an exit code
+#: or None; ``EPILOG`` ends their help, if they have one.
+COMMANDS = {
+    "list": listing,
+    "run": run,
+    "transient": transient,
+    "sweep": sweep,
+    "converge": converge,
+    "filter": own_data,
+    "benchmark": benchmark,
+    "stress": stress,
+    "skips": skips,
+}
+#: Names that `run` takes and that are no scenarios: measured data, with options of their own.
+MEASURED = {"sunspots": sunspots}
+
+
+def parser():
+    """The command line."""
+    top = argparse.ArgumentParser(prog="python -m experiments", description="Experiments with the filters.")
+    commands = top.add_subparsers(dest="command", required=True)
+    for name, module in COMMANDS.items():
+        summary = module.__doc__.partition("`: ")[2].splitlines()[0]
+        command = commands.add_parser(name, help=summary, description=summary, epilog=_epilog(module))
+        command.formatter_class = argparse.RawDescriptionHelpFormatter  # examples keep their lines
+        module.add_arguments(command)
+        command.set_defaults(main=module.main)
+    return top
+
+
+def _epilog(module):
+    return getattr(module, "EPILOG", None)
+
+
+def _measured_parser(name):
+    """The command line of `run` with a name of `MEASURED`."""
+    module = MEASURED[name]
+    description = module.__doc__.partition("`: ")[2].splitlines()[0]
+    made = argparse.ArgumentParser(prog=f"python -m experiments run {name}", description=description)
+    module.add_arguments(made)
+    made.set_defaults(main=module.main)
+    return made
+
+
+def main(argv=None):
+    """Run a command and return its exit code: 0, 1 after an error, 130 after an interruption.
+
+    A command that tells of a filter that failed, and goes on with the others, ends with 1 too.
+    """
+    argv = sys.argv[1:] if argv is None else list(argv)
+    measured = argv[:1] == ["run"] and len(argv) > 1 and argv[1] in MEASURED
+    args = _measured_parser(argv[1]).parse_args(argv[2:]) if measured else parser().parse_args(argv)
+    try:
+        return args.main(args) or 0
+    except SphfilterError as problem:
+        print(f"error: {problem}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt as stop:
+        print(str(stop) or "Stopped.", file=sys.stderr)
+        return 130

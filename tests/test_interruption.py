@@ -1,0 +1,138 @@
+"""Ctrl-C ends a program with one line and exit code 130, wherever it comes."""
+
+import subprocess
+import sys
+
+import pytest
+
+BEFORE = """
+import ctypes, os, signal, sys, time
+from experiments.interruption import stoppable
+
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.001)  # here it is answered
+
+def wait():
+    while True:
+        time.sleep(0.01)
+"""
+CASES = {
+    "while importing": """
+def prepare():
+    try:
+        interrupt()
+    except BaseException:  # as an import may say
+        pass
+    wait()
+sys.exit(stoppable(prepare, wait))
+""",
+    "in a function that C calls": """
+def _raw_object_cache_notify():
+    interrupt()
+    print("done what was to be done")
+callback = ctypes.CFUNCTYPE(None)(_raw_object_cache_notify)
+def work():
+    try:
+        callback()
+        wait()
+    except KeyboardInterrupt:
+        print("Stopped.", file=sys.stderr)
+        return 130
+sys.exit(stoppable(lambda: None, work))
+""",
+    "in a function of numba that compiled code calls": """
+import collections, numba
+Pair = collections.namedtuple("Pair", "a b")
+pair = numba.njit(lambda x: Pair(x, x))
+pair(1.0)
+def interrupt_there(frame, event, argument):
+    if event == "call" and frame.f_code.co_name == "_numba_unpickle":
+        sys.setprofile(None)
+        interrupt()
+def work():
+    sys.setprofile(interrupt_there)
+    try:
+        print("done what was to be done", pair(2.0))
+        wait()
+    except KeyboardInterrupt:
+        print("Stopped.", file=sys.stderr)
+        return 130
+sys.exit(stoppable(lambda: None, work))
+""",
+    "in a destructor": """
+class Thing:
+    def __del__(self):
+        interrupt()
+def work():
+    try:
+        Thing()
+        wait()
+    except KeyboardInterrupt:
+        print("Stopped.", file=sys.stderr)
+        return 130
+sys.exit(stoppable(lambda: None, work))
+""",
+    "while an object is made": """
+class Thing:
+    def __init__(self):
+        interrupt()
+        self.part = 1
+    def __del__(self):
+        self.part
+def work():
+    try:
+        Thing()
+    except KeyboardInterrupt:
+        print("Stopped.", file=sys.stderr)
+        return 130
+sys.exit(stoppable(lambda: None, work))
+""",
+    "twice": """
+def work():
+    try:
+        interrupt()
+    except KeyboardInterrupt:
+        print("Stopped.", file=sys.stderr)
+        interrupt()
+sys.exit(stoppable(lambda: None, work))
+""",
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_one_line_and_an_exit_code(case):
+    done = subprocess.run(
+        [sys.executable, "-c", BEFORE + CASES[case]], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (130, "Stopped.\n")
+    assert ("done what" in done.stdout) is (" calls" in case)
+
+
+def test_other_exceptions_of_destructors_are_told():
+    code = """
+class Thing:
+    def __del__(self):
+        raise RuntimeError("no such luck")
+sys.exit(stoppable(lambda: None, lambda: Thing() and 3))
+"""
+    done = subprocess.run([sys.executable, "-c", BEFORE + code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3
+    assert "no such luck" in done.stderr
+
+
+def test_the_command_line_is_stopped_while_it_starts():
+    done = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "Stopped.\n")
+
+
+START = """
+import os, runpy, signal, sys
+class Interrupting:  # when the commands begin to be imported
+    def find_spec(self, name, path=None, target=None):
+        if name == "experiments.commands":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+sys.argv = ["experiments", "list"]
+runpy.run_module("experiments", run_name="__main__", alter_sys=True)
+"""
