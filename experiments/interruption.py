@@ -1,6 +1,6 @@
 """Ctrl-C: a line and exit code 130, whatever the program is doing when it comes.
 
-Python raises KeyboardInterrupt wherever it happens to be. Inside an import that is a page of traceback; inside
+Python raises KeyboardInterrupt wherever it happens to be. In an import that is a page of traceback; inside
 a function that C code calls it may be printed and forgotten, or crash what called; and some code catches all.
 """
 
