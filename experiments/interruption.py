@@ -18,7 +18,7 @@ STOPPED = 130
 #: somebody have swallowed it.
 _SOON, _LATER = 0.02, 1.0
 #: Functions that C or compiled code calls. What is raised in those of llvmlite is lost, with what they were
-#: to do; those of numba are expected to return something, and what called them may crash if they do not.
+#: to do; those of numba must return something, or what called them may crash.
 _CALLED_FROM_C = frozenset(
     (
         "_raw_object_cache_notify",
@@ -28,6 +28,8 @@ _CALLED_FROM_C = frozenset(
         "_get_jit_address",
     )
 )
+#: How the name of a named tuple's own module begins: compiled code makes some, and crashes if it gets none.
+_NAMED_TUPLE = "namedtuple_"
 
 
 def stoppable(prepare, work):
@@ -106,7 +108,8 @@ class _Interruptions:
 
 def _called_from_c(frame):
     while frame is not None:
-        if frame.f_code.co_name in _CALLED_FROM_C:
+        module = str(frame.f_globals.get("__name__"))
+        if frame.f_code.co_name in _CALLED_FROM_C or module.startswith(_NAMED_TUPLE):
             return True
         frame = frame.f_back
     return False

@@ -41,25 +41,6 @@ def work():
         return 130
 sys.exit(stoppable(lambda: None, work))
 """,
-    "in a function of numba that compiled code calls": """
-import collections, numba
-Pair = collections.namedtuple("Pair", "a b")
-pair = numba.njit(lambda x: Pair(x, x))
-pair(1.0)
-def interrupt_there(frame, event, argument):
-    if event == "call" and frame.f_code.co_name == "_numba_unpickle":
-        sys.setprofile(None)
-        interrupt()
-def work():
-    sys.setprofile(interrupt_there)
-    try:
-        print("done what was to be done", pair(2.0))
-        wait()
-    except KeyboardInterrupt:
-        print("Stopped.", file=sys.stderr)
-        return 130
-sys.exit(stoppable(lambda: None, work))
-""",
     "in a destructor": """
 class Thing:
     def __del__(self):
@@ -118,6 +99,32 @@ def work():
 sys.exit(stoppable(lambda: None, work))
 """,
 }
+
+
+NUMBA = """
+import collections, numba
+Pair = collections.namedtuple("Pair", "a b")
+pair = numba.njit(lambda x: Pair(x, x))
+pair(1.0)
+def interrupt_there(frame, event, argument):
+    if event == "call" and WHERE:
+        sys.setprofile(None)
+        interrupt()
+def work():
+    sys.setprofile(interrupt_there)
+    try:
+        print("done what was to be done", pair(2.0))
+        wait()
+    except KeyboardInterrupt:
+        print("Stopped.", file=sys.stderr)
+        return 130
+sys.exit(stoppable(lambda: None, work))
+"""
+for where, test in {
+    "in a function of numba that compiled code calls": "frame.f_code.co_name == '_numba_unpickle'",
+    "in a named tuple that compiled code calls": "frame.f_globals.get('__name__') == 'namedtuple_Pair'",
+}.items():
+    CASES[where] = NUMBA.replace("WHERE", test)
 
 
 @pytest.mark.parametrize("case", CASES)
