@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from experiments import __main__ as commands
+from experiments import run
 from experiments.filters import Factory
 from sphfilter.campaign import CampaignResult
 
@@ -119,6 +120,24 @@ def test_interruption_keeps_finished_runs(tmp_path, capsys, monkeypatch):
     assert _run(*arguments[:-1], str(tmp_path / "whole")) == 0
     whole = CampaignResult.load(tmp_path / "whole" / "campaign.npz")
     np.testing.assert_array_equal(resumed.results["kf"].x, whole.results["kf"].x)
+
+
+def test_interruption_before_the_first_run_leaves_nothing(tmp_path, capsys, monkeypatch):
+    def interrupted(self, case, rng):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "_warm_up", lambda *arguments: None)
+    monkeypatch.setattr(Factory, "__call__", interrupted)
+    assert _run("run", "linear_critical", "--filters", "kf", "--out", str(tmp_path)) == 130
+    assert capsys.readouterr().err == "Stopped.\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_runs_that_others_left_are_mentioned(tmp_path, capsys):
+    (tmp_path / "unfinished-00000000").mkdir()
+    assert _run("run", "linear_critical", "--filters", "kf", "--runs", "1", "--out", str(tmp_path)) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Interrupted runs of other settings" in said and "unfinished-00000000" in said
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def main(args):
     with status(console) as say:
         rows = []
         for case in chosen:
-            say(f"measuring {case.name}, {case.scene} (what is new is compiled first)")
+            say(f"measuring {case.name}, {case.scene}")
             rows.append(_cells(measured(case, args.samples)))
         lattices = [tuple(map(str, (n, *lattice_against_box(n, N)))) for n, N in _LATTICES]
     args.out.mkdir(parents=True, exist_ok=True)
