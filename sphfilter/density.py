@@ -1,17 +1,14 @@
 """The probability density a filter carries: particles with mass and smoothing length, and what to ask it."""
 
-from dataclasses import dataclass, fields
-from dataclasses import field as attribute
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
-from scipy import optimize, special
-from scipy.stats import qmc
+from scipy import special
 
-from . import level_set
+from . import level_set, marginal, mixture, statistics
 from .core import kernels
 from .core.field import Field
-from .core.neighbors import build_index, choose_method
-from .core.summation import sample_density, sample_density_parallel
 from .domain import Domain
 from .errors import ModelError
 from .validate import array, choice, generator, row, state_rows
@@ -19,9 +16,7 @@ from .validate import array, choice, generator, row, state_rows
 __all__ = ["LATTICE_SUPPORT", "ParticleDensity"]
 
 LATTICE_SUPPORT = 1.2  # smoothing length on a lattice, in units of its spacing
-READ_OUTS = ("points", "mixture", "log_density")
-_PARALLEL_FROM = 10_000_000  # distances of points and particles, about a second's work of one thread
-_SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
+READ_OUTS = ("points", "mixture", "shrunk", "log_density")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,9 +37,11 @@ class ParticleDensity:
         Name of the SPH kernel.
     read_out : str
         What mean, covariance and the like are computed from unless ``kind=`` says otherwise: "points"
-        (sums over particles), "mixture" (integrals of p; its covariance is larger by the kernel's own) or
-        "log_density" (sums over a lattice and the ring around its cut edge; the pdf is the exponential of the
-        `field`, tails included).
+        (sums over particles), "mixture" (integrals of p; its covariance is larger by the kernel's own),
+        "shrunk" (as "mixture", with what the kernels widen taken back: mean and covariance are those of the
+        points; with a domain it is the mixture) or "log_density" (sums over a lattice and the ring around
+        its cut edge; the pdf is the exponential of the `field`, tails included). Where the points do not say
+        how the density lies between them, they stand for the mixture.
     represented_mass : float
         Probability of the region the particles cover, where the density was cut; one if unknown.
     log_density : ndarray, shape (N,), or None
@@ -83,7 +80,6 @@ class ParticleDensity:
     gaussian: bool = False
     capacity: int | None = None
     domain: Domain | None = None
-    _index: list = attribute(init=False, repr=False, default_factory=list)
 
     def __post_init__(self):
         x = array("x", self.x, (None, None))
@@ -162,21 +158,30 @@ class ParticleDensity:
         """K h averaged over the particles: how far a kernel reaches, in the units of the state."""
         return float(kernels.RADIUS[self.kernel_code[0]] * self.h.mean())
 
+    @cached_property
+    def mixture(self):
+        """The kernels that `pdf` sums, as a `mixture.Mixture`; made at the first question."""
+        if self.read_out == "shrunk" and self.domain is None:
+            found = mixture.shrunk(self.x, self.mass, self.h, self.kernel_code)
+            if found is not None:
+                return found
+        own = self.x, self.mass, self.h
+        if self.domain is not None:
+            reach = kernels.RADIUS[self.kernel_code[0]] * self.h.max()
+            own = self.domain.seen(self._within(self.x), *own[1:], reach)
+        return mixture.mixture(*own, self.kernel_code)
+
+    @cached_property
+    def cells(self):
+        """Middles (M, n) of the lattice's cells in which the density is more than nothing."""
+        return marginal.around(self.field)
+
     def pdf(self, X):
         """Density at the states X (M, n) or (n,); an array (M,), per unit volume of the state space."""
         if self.field is not None and self.read_out == "log_density":
             return np.exp(self.logpdf(X))
         X = state_rows("X", X, self.dim)
-        Y = self._within(X)
-        if not self._index:  # built once, at the first question
-            radius = kernels.RADIUS[self.kernel_code[0]]
-            seen = self._with_images(radius * self.h.max())
-            index = build_index(seen[0], radius * np.median(self.h), choose_method(len(seen[0]), self.dim))
-            self._index.extend((*seen, index))
-        out = np.empty(len(Y))
-        # Threads only for long sums: a process that has used them cannot be forked.
-        sums = sample_density_parallel if len(Y) * self.n_particles > _PARALLEL_FROM else sample_density
-        sums(Y, *self._index, self.kernel_code, out)
+        out = mixture.pdf(self.mixture, self._within(X))
         if self.domain is not None:
             out[~self.domain.contains(X)] = 0.0
         return out
@@ -201,12 +206,12 @@ class ParticleDensity:
 
     def cov(self, kind=None):
         """Covariance, shape (n, n)."""
-        kind = self._kind(kind)
+        kind = self._read(kind).read_out
         if kind == "log_density" and self.moments is not None and self.domain is None:
             return self.moments[1].copy()
         d = self._from(self.x, self.mean())
         points = (d * self.mass[:, None]).T @ d
-        if kind in ("points", "log_density"):
+        if kind != "mixture":
             return points
         return points + self.kernel_variance * (self.mass @ self.h**2) * np.eye(self.dim)
 
@@ -218,23 +223,11 @@ class ParticleDensity:
         powers : sequence of int, length n
         central : bool
         kind : str, optional
-            "points", "mixture" or "log_density" (integrated over a fixed set of points a kernel or cell).
+            A `read_out`; "points" for a density that is "shrunk", for it is they whose moments a prediction
+            gets right. "shrunk" and "log_density" take a fixed set of points a kernel or cell.
         """
-        powers = np.asarray(powers)
-        if powers.shape != (self.dim,) or np.any(powers < 0) or np.any(powers != np.floor(powers)):
-            raise ModelError(f"powers must be {self.dim} whole numbers >= 0, one a state, got {powers!r}")
-        centre = self.mean()
-        if powers.sum() <= 2 and self.domain is None:  # a lattice knows these beyond its cut too
-            return self._low_moment(powers.astype(int), np.zeros(self.dim) if central else centre, kind)
-        return self._expect(
-            lambda X: np.prod((self._from(X, centre) if central else X) ** powers, axis=1), kind
-        )
-
-    def _low_moment(self, powers, mean, kind):
-        """Moment of order two at most, of a density whose mean is taken to be `mean` (n,)."""
-        axes = np.repeat(np.arange(self.dim), powers)
-        product = float(np.prod(mean[axes]))
-        return product + float(self.cov(kind)[tuple(axes)]) if len(axes) == 2 else product
+        read = self._read("points" if kind is None and self.read_out == "shrunk" else kind)
+        return statistics.moment(read, powers, self.mean() if central else None)
 
     def probability(self, region, kind=None):
         """Probability of a region given as a function of states X (M, n) that returns booleans (M,).
@@ -243,58 +236,64 @@ class ParticleDensity:
         --------
         >>> density.probability(lambda X: X[:, 0] > 3.0)    # doctest: +SKIP
         """
-        inner = "log_density" if self.read_out == "log_density" else "mixture"
-        return self._expect(lambda X: np.asarray(region(X), dtype=float), inner if kind is None else kind)
+        read = self._between(kind)
+        return statistics.expectation(read, lambda X: np.asarray(region(X), dtype=float), smooth=False)
+
+    def quantile(self, axis, probability, kind=None):
+        """Value below which a state lies with `probability`, a float, or an array (K,) for an array of them.
+
+        It is counted from the low end of the domain, if the axis has one; `kind` is a `read_out`.
+        """
+        return statistics.quantile(self._between(kind), axis, probability)
+
+    def entropy(self, kind=None):
+        """Differential entropy -E[log p], nats; it depends on the units of the states.
+
+        Of "points" that of the log-density they carry, if they do; `kind` is a `read_out`.
+        """
+        return statistics.entropy(self._between(kind))
+
+    def hpd_region(self, probability, kind=None):
+        """The smallest region that holds `probability`, as a `statistics.Region`.
+
+        It is a function of states X (M, n) that returns booleans (M,), with its `level` and its `volume`;
+        `kind` is a `read_out`.
+        """
+        return statistics.highest_region(self._between(kind), probability)
+
+    def hpd_level(self, probability):
+        """Density level whose super-level set, the highest-density region, holds `probability`."""
+        return self.hpd_region(probability).level
+
+    def mode(self):
+        """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
+        return statistics.mode(self)
+
+    def sample(self, size, rng=None):
+        """Draw states, shape (size, n), from the density; `rng` is a numpy Generator or a seed."""
+        return statistics.sample(self, size, generator(rng))
 
     def marginal(self, axes):
-        """Density of the states in `axes` alone.
+        """Density of the states in `axes` alone, a `ParticleDensity` with the domain of those axes.
 
-        A kernel's marginal is given the same kernel with its variance (exact for the Gaussian up to its cut).
+        A log-density is summed over the others, on a lattice of its own. A kernel's marginal is given the
+        same kernel with its variance (exact for the Gaussian up to its cut).
         """
-        axes = list(axes)
-        if not axes or len(set(axes)) < len(axes) or not set(axes) <= set(range(self.dim)):
-            raise ModelError(f"axes must be different numbers from 0 to {self.dim - 1}, got {axes}")
-        code = self.kernel_code[0]
-        ratio = self.kernel_variance / kernels.kernel_variance(code, len(axes))
+        axes = statistics.checked_axes(axes, self.dim)
+        domain = None if self.domain is None else Domain(*[self.domain.axes[axis] for axis in axes])
+        if self.read_out == "log_density" and self.field is not None:
+            laid = marginal.laid_marginal(self, axes)
+            return ParticleDensity.on_lattice(laid, self.t, gaussian=self.gaussian, domain=domain)
         return ParticleDensity(
             x=self.x[:, axes],
             mass=self.mass,
-            h=self.h * np.sqrt(ratio),
+            h=marginal.projected_lengths(self, axes),
             t=self.t,
             kernel=self.kernel,
             read_out="points" if self.read_out == "log_density" else self.read_out,
             represented_mass=self.represented_mass,
-            domain=None if self.domain is None else Domain(*[self.domain.axes[axis] for axis in axes]),
+            domain=domain,
         )
-
-    def sample(self, size, rng=None):
-        """Draw states, shape (size, n), from the density; `rng` is a numpy Generator or a seed."""
-        rng = generator(rng)
-        if self.field is not None and self.read_out == "log_density":
-            X = self._cell_points(rng.random((32, self.dim)))
-            p = self.pdf(X)
-            return self._within(X[rng.choice(len(X), size=size, p=p / p.sum())])
-        chosen = rng.choice(self.n_particles, size=size, p=self.mass)
-        offsets = self._kernel_points(rng.random((size, self.dim + 1)))
-        return self._within(self.x[chosen] + self.h[chosen, None] * offsets)
-
-    def mode(self):
-        """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
-        best = self.x[np.argmax(self.pdf(self.x))]
-        scale = 0.5 * np.median(self.h)
-        simplex = np.vstack([best, best + scale * np.eye(self.dim)])
-        found = optimize.minimize(
-            lambda y: -self.pdf(y)[0], best, method="Nelder-Mead", options={"initial_simplex": simplex}
-        )
-        return found.x
-
-    def hpd_level(self, probability):
-        """Density level whose super-level set, the highest-density region, holds `probability`."""
-        if not 0 < probability < 1:
-            raise ModelError(f"probability must lie between 0 and 1, got {probability!r}")
-        p = self.pdf(self.x)
-        order = np.argsort(-p)
-        return float(np.interp(probability, np.cumsum(self.mass[order]), p[order]))
 
     def _from(self, X, centre):
         """Differences of states X (M, n) from a centre (n,)."""
@@ -303,10 +302,6 @@ class ParticleDensity:
     def _within(self, X):
         """States X (M, n), those beyond an end where they are seen from inside."""
         return X if self.domain is None else self.domain.fold(X)
-
-    def _with_images(self, reach):
-        own = self.x, self.mass, self.h
-        return own if self.domain is None else self.domain.seen(self._within(self.x), *own[1:], reach)
 
     def _turns(self, X):
         """States X (M, n) turned round periodic axes, as often as the particles go round."""
@@ -318,39 +313,14 @@ class ParticleDensity:
             turns = [Y + k * shift for Y in turns for k in np.arange(first - 1, last + 2)]
         return turns
 
-    def _kind(self, kind):
-        return self.read_out if kind is None else choice("kind", kind, READ_OUTS)
+    def _read(self, kind):
+        """The density with another read-out, or itself."""
+        kind = self.read_out if kind is None else choice("kind", kind, READ_OUTS)
+        return self if kind == self.read_out else replace(self, read_out=kind)
 
-    def _expect(self, function, kind):
-        """Expectation of function(X) -> (M,)."""
-        kind = self._kind(kind)
-        if kind == "points" or (kind == "log_density" and self.field is None):
-            return float(self.mass @ function(self._within(self.x)))
-        if kind == "log_density":
-            X = self._cell_points(qmc.Sobol(self.dim, scramble=False).random(_SUBPOINTS // 8) + 1 / 32)
-            p = np.exp(level_set.at(self.field, X))
-            return float(p @ function(self._within(X)) / p.sum())
-        uniform = qmc.Sobol(self.dim + 1, scramble=False).random(_SUBPOINTS)
-        offsets = self._kernel_points(np.clip(uniform, 0.5 / _SUBPOINTS, 1 - 0.5 / _SUBPOINTS))
-        X = (self.x[:, None] + self.h[:, None, None] * offsets).reshape(-1, self.dim)
-        values = function(self._within(X))
-        return float(self.mass @ values.reshape(self.n_particles, -1).mean(axis=1))
-
-    def _cell_points(self, uniform):
-        """Points (N k, n) in the lattice cells of all particles, at `uniform` (k, n) parts of a cell."""
-        offsets = (np.asarray(uniform) % 1.0 - 0.5) @ self.field.A.T
-        return (self.x[:, None] + offsets).reshape(-1, self.dim)
-
-    def _kernel_points(self, uniform):
-        """Map uniform numbers (k, n + 1) to points (k, n) distributed as the kernel with h = 1."""
-        direction = special.ndtri(np.clip(uniform[:, :-1], 1e-15, 1 - 1e-15))
-        length = np.linalg.norm(direction, axis=1, keepdims=True)
-        code = self.kernel_code[0]
-        q = np.linspace(0.0, kernels.RADIUS[code], 512)
-        radial = q ** (self.dim - 1) * np.array([kernels.shape(code, qk) for qk in q])
-        cdf = np.concatenate([[0.0], np.cumsum(0.5 * (radial[1:] + radial[:-1]))])
-        radius = np.interp(uniform[:, -1], cdf / cdf[-1], q)
-        return radius[:, None] * direction / np.maximum(length, 1e-300)
+    def _between(self, kind):
+        """The density as it is read between its points."""
+        return self._read("mixture" if kind is None and self.read_out == "points" else kind)
 
 
 def _rebuild(values):

@@ -9,9 +9,6 @@ from ..core import corrected_march as core
 from ..core._jit import call
 from ..core.kernels import KINDS, RADIUS, kernel_variance, normalisation
 from ..core.moment_correction import exponents
-from ..core.neighbors import build_index, choose_method
-from ..core.number_density import cholesky, whiten
-from ..core.summation import sample_density
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ._shared import blow_up, coefficients_of, skip_notes
@@ -65,17 +62,18 @@ def propagate(density, model, t1, scheme, n_particles=None):
     counters = _march(cloud, model, options, powers, scheme, (density.t, t1))
     after = _log_volumes(cloud, options, t1)
     known = np.log(cloud.m) - before if density.log_density is None else density.log_density
-    log_density, mixed = _unmixed(known + before - after, cloud, options)
     moved = replace(
         density,
         x=cloud.x,
         h=cloud.h,
         t=float(t1),
         kernel=scheme.kernel,
-        read_out="points",
+        read_out="shrunk",
         invariant=None,
-        log_density=log_density,
+        log_density=known + before - after,
     )
+    log_density, mixed = _unmixed(moved.log_density, moved)
+    moved = replace(moved, log_density=log_density)
     return moved, _info(model, scheme, counters, len(powers), mixed)
 
 
@@ -115,27 +113,15 @@ def _log_volumes(cloud, options, t):
     return cloud.x.shape[1] * np.log(cloud.h / options.eta)
 
 
-def _unmixed(L, cloud, options):
+def _unmixed(L, density):
     """Log-density, and whether it had to be read from the kernels.
 
     Where particles of different origin have mixed, mass over volume differs from one to the next. The kernel
-    mixture, shrunk towards its mean by as much as its kernels widen it, knows less of a cloud in order but
-    more of a mixed one.
+    mixture, with what kernels widen taken back, knows less of a cloud in order but more of a mixed one.
     """
-    N, n = cloud.x.shape
-    factor, inverse, z = np.empty((n, n)), np.empty((n, n)), np.empty((N, n))
-    covariance = np.cov(cloud.x.T, aweights=cloud.m, ddof=0).reshape(n, n)
-    if not cholesky(covariance, factor, inverse):
-        return L, False
-    whiten(cloud.x, cloud.m, inverse, z)
-    scale = np.prod(np.diag(inverse)) ** (1.0 / n)
-    h = cloud.h * scale
-    shrink = 1.0 / math.sqrt(1.0 + options.variance * (cloud.m @ h**2))
-    index = build_index(z, RADIUS[options.kernel] * np.median(h), choose_method(N, n))
-    p, kernel = np.empty(N), (options.kernel, options.normalisation)
-    sample_density(z / shrink, z, cloud.m, h, index, kernel, p)
-    smooth = np.where(p > 0.0, np.log(np.maximum(p, 1e-300)) + n * math.log(scale / shrink), L)
-    mixed = math.sqrt(cloud.m @ (smooth - L) ** 2) > _MIXED
+    p = density.pdf(density.x)
+    smooth = np.where(p > 0.0, np.log(np.maximum(p, 1e-300)), L)
+    mixed = math.sqrt(density.mass @ (smooth - L) ** 2) > _MIXED
     return (smooth if mixed else L), mixed
 
 

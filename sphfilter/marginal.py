@@ -1,0 +1,120 @@
+"""Marginals of a log-density on a lattice: sums over the other axes, laid on a lattice of their own."""
+
+import math
+
+import numpy as np
+from scipy import ndimage
+from scipy.special import logsumexp
+
+from .core import cells, kernels
+from .core.stencils import stencils
+from .level_set import at, lay
+from .mixture import narrowed
+
+__all__ = ["around", "laid_marginal", "projected_lengths"]
+
+_FURTHER = 11.0  # nats below the cut of a lattice to which its tails are summed
+_RINGS = 2  # of cells beyond its nodes that a density has in planes through it
+_FINE_UP_TO = 2  # other axes, along which the sum takes two terms a cell, and one along more
+_FINER = 2.0  # times finer a marginal's lattice is along an axis
+_FEWEST = {1: 60, 2: 500, 3: 1500}  # nodes of a marginal at least, and so many with more states
+_BLOCK = 500_000  # terms at a time
+
+
+def around(field):
+    """States (M, n) at the middle of all cells of a lattice where its density counts, tails included.
+
+    Those of nodes and, beyond them, down to where what is left counts no more: the cut is for the sake of
+    those who carry the nodes along.
+    """
+    n, depth = len(field.mu), np.ptp(field.log_p) + _FURTHER
+    ball = stencils(n).offsets[: stencils(n).size[0]]
+    low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
+    cells.box_of(field.node, 3, low, dims)
+    value = np.full(np.prod(dims), cells.UNKNOWN)
+    asked, found, highest = np.empty(0, np.int64), cells.seeded(field.node, low, dims), field.log_p.max()
+    while found.size:
+        value[found] = at(field, cells.states_of(found, field.mu, field.A, low, dims)[1])
+        asked = np.concatenate([asked, found])
+        found, beyond = cells.frontier(value, asked, highest - depth, dims, ball)
+        if beyond:
+            wider = cells.widen(value, low, dims, asked)
+            if wider[0].size == 0:
+                break
+            value, low, dims, asked = wider
+            found, _ = cells.frontier(value, asked, highest - depth, dims, ball)
+    kept = np.sort(asked[value[asked] > highest - depth])
+    return cells.states_of(kept, field.mu, field.A, low, dims)[1]
+
+
+def laid_marginal(density, axes):
+    """The density of some axes of one that has a field, on a lattice.
+
+    In coordinates that whiten the field's lattice, those axes first, the states with given values there fill
+    planes; sums over the points of a lattice in such a plane are spectrally accurate, as those over the
+    nodes are.
+
+    Parameters
+    ----------
+    density : ParticleDensity
+    axes : list of int, length k
+
+    Returns
+    -------
+    Laid
+    """
+    field, x = density.field, density.x
+    n, k = len(field.mu), len(axes)
+    order = np.array([*axes, *(axis for axis in range(n) if axis not in axes)])
+    factor = np.linalg.cholesky((field.A @ field.A.T)[np.ix_(order, order)])
+    z = np.linalg.solve(factor, (x - field.mu)[:, order].T).T
+    plane, spacing = _plane(z[:, k:])
+    log_cell = math.log(spacing) * (n - k) + np.log(np.diag(factor)[k:]).sum()
+
+    def log_p(Y):
+        here = np.linalg.solve(factor[:k, :k], (Y - field.mu[axes]).T).T
+        out = np.empty(len(Y))
+        step = max(1, _BLOCK // len(plane))
+        for first in range(0, len(Y), step):
+            some = here[first : first + step]
+            both = np.concatenate(
+                [np.repeat(some, len(plane), axis=0), np.tile(plane, (len(some), 1))], axis=1
+            )
+            X = np.empty_like(both)
+            X[:, order] = both @ factor.T
+            out[first : first + step] = logsumexp(at(field, field.mu + X).reshape(len(some), -1), axis=1)
+        return out + log_cell
+
+    shadow = len(np.unique(np.floor(z[:, :k] + 0.5), axis=0))
+    n_nodes = max(_FEWEST.get(k, _FEWEST[3]), math.ceil(_FINER**k * shadow))
+    mean, own = (density.mass @ x)[axes], np.ascontiguousarray(factor[:k, :k])
+    seeds, depth = np.unique(x[:, axes], axis=0), np.ptp(field.log_p)
+    laid = lay(log_p, mean, own, seeds, n_nodes, depth, float(shadow))
+    if density.moments is None:
+        return laid
+    mean, cov = density.moments  # beyond the cut too
+    return laid._replace(mean=mean[axes], cov=cov[np.ix_(axes, axes)])
+
+
+def projected_lengths(density, axes):
+    """Smoothing lengths (N,) with which kernels seen along some axes have the variance they have there."""
+    code = density.kernel_code[0]
+    ratio = math.sqrt(density.kernel_variance / kernels.kernel_variance(code, len(axes)))
+    if density.read_out == "shrunk":
+        ratio *= narrowed(density.mixture, axes)
+    return ratio * density.h
+
+
+def _plane(z):
+    """Points (Q, m) of a lattice that cover nodes z (N, m) and the cells around them, and its spacing."""
+    m = z.shape[1]
+    if m == 0:
+        return np.zeros((1, 0)), 1.0
+    whole = np.floor(z + 0.5).astype(np.int64)
+    low = whole.min(axis=0) - _RINGS
+    mark = np.zeros(whole.max(axis=0) - low + _RINGS + 1, dtype=bool)
+    mark[tuple((whole - low).T)] = True
+    mark = ndimage.binary_dilation(mark, np.ones([3] * m), _RINGS)
+    parts = 2 if m <= _FINE_UP_TO else 1
+    mark = np.kron(mark, np.ones([parts] * m, dtype=bool))
+    return (np.argwhere(mark) + 0.5) / parts - 0.5 + low, 1.0 / parts

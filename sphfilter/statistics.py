@@ -1,0 +1,228 @@
+"""Numbers and regions of a density: expectations, quantiles, entropy, where it is highest.
+
+All are sums over states that stand for the density as it is read: its particles, points in each of its
+kernels, or points in each cell of its lattice and beyond.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import integrate, optimize
+from scipy.stats import qmc
+
+from .core import kernels
+from .errors import ModelError
+from .level_set import at
+from .mixture import drawn, points, raw_moment, standing_for
+
+__all__ = [
+    "Region",
+    "checked_axes",
+    "entropy",
+    "expectation",
+    "highest_region",
+    "mode",
+    "moment",
+    "quantile",
+    "sample",
+    "states",
+]
+
+_SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
+_FEW_SUBPOINTS = 16  # where the density at each is wanted
+_CELL_POINTS = 2**17  # points in all cells, up to 128 in each and at least 16
+_FINE = 16  # points of a distribution function in a smoothing length or a cell
+_MOST_FINE = 2**17
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """The smallest region that holds a probability: where the density lies above a level.
+
+    Attributes
+    ----------
+    density : ParticleDensity
+    level : float
+    volume : float
+        In the units of the state space.
+
+    Examples
+    --------
+    >>> region = density.hpd_region(0.95)    # doctest: +SKIP
+    >>> region([[0.0, 1.0]]), density.probability(region)    # doctest: +SKIP
+    (array([ True]), 0.95)
+    """
+
+    density: object
+    level: float
+    volume: float
+
+    def __call__(self, X):
+        """Which of the states X (M, n) lie in it, shape (M,)."""
+        return self.density.pdf(X) >= self.level
+
+
+def states(density, count=_SUBPOINTS, smooth=False):
+    """States (M, n) and weights (M,) whose sums are the expectations of a density; `count` a kernel.
+
+    Particles for "points"; else points spread evenly over kernels or cells, always the same ones. Those of
+    all cells lie in rows: sums of `smooth` functions are spectrally accurate then, while an edge along the
+    rows would be known to the distance between two of them only; so else each cell has its own.
+    """
+    if density.read_out == "points" or (density.read_out == "log_density" and density.field is None):
+        return _folded(density, density.x), density.mass
+    if density.read_out == "log_density":
+        count = 2 ** int(np.clip(np.log2(_CELL_POINTS / len(density.cells)), 4, 7))
+        uniform = qmc.Sobol(density.dim, scramble=False).random(count) + 0.5 / count
+        if not smooth:
+            uniform = uniform + _spread_evenly(len(density.cells), density.dim)[:, None]
+        X = _in_cells(density, uniform)
+        p = np.exp(at(density.field, X))
+        return _folded(density, X), p / p.sum()
+    offsets = standing_for(density.kernel_code[0], density.dim, count)
+    X = points(density.mixture, offsets, slice(density.n_particles))  # images are seen, but carry nothing
+    return _folded(density, X), np.repeat(density.mass / count, count)
+
+
+def expectation(density, function, smooth=True):
+    """Expectation of function(X (M, n)) -> (M,)."""
+    X, w = states(density, smooth=smooth)
+    return float(w @ function(X))
+
+
+def sample(density, size, rng):
+    """Draw states, shape (size, n)."""
+    if density.read_out == "log_density" and density.field is not None:
+        X = _in_cells(density, rng.random((32, density.dim)))
+        p = np.exp(at(density.field, X))
+        return _folded(density, X[rng.choice(len(X), size=size, p=p / p.sum())])
+    chosen = rng.choice(density.n_particles, size=size, p=density.mass)
+    offsets = drawn(density.kernel_code[0], rng.random((size, density.dim + 1)))
+    return _folded(density, points(density.mixture, offsets, chosen))
+
+
+def moment(density, powers, centre=None):
+    """Expectation of prod_d (x_d - centre_d)^powers[d], the short way round a periodic axis."""
+    powers = np.asarray(powers)
+    if powers.shape != (density.dim,) or np.any(powers < 0) or np.any(powers != np.floor(powers)):
+        raise ModelError(f"powers must be {density.dim} whole numbers >= 0, one a state, got {powers!r}")
+    if powers.sum() <= 2 and density.domain is None:  # a lattice knows these beyond its cut too
+        return _low_moment(density, powers.astype(int), centre)
+    if density.read_out == "mixture" and density.domain is None:
+        return raw_moment(density.mixture, powers, np.zeros(density.dim) if centre is None else centre)
+
+    def product(X):
+        if centre is not None:
+            X = X - centre if density.domain is None else density.domain.nearest(X - centre)
+        return np.prod(X**powers, axis=1)
+
+    return expectation(density, product)
+
+
+def _low_moment(density, powers, centre):
+    """Moment of order two at most."""
+    axes = np.repeat(np.arange(density.dim), powers)
+    off = density.mean() if centre is None else density.mean() - centre
+    product = float(np.prod(off[axes]))
+    return product + float(density.cov()[tuple(axes)]) if len(axes) == 2 else product
+
+
+def quantile(density, axis, probability):
+    """Where one state's distribution function reaches `probability` (K,), counted from a domain's low end."""
+    checked_axes([axis], density.dim)
+    probability = _checked_part(probability)
+    if density.read_out == "points":
+        X, w = states(density)
+        order = np.argsort(X[:, axis])
+        y, w = X[order, axis], w[order]
+        F = np.cumsum(w) - 0.5 * w
+    else:
+        y, F = _distribution(density.marginal([axis]))
+    found = np.interp(probability, F, y)
+    return found if probability.ndim else float(found)
+
+
+def entropy(density):
+    """-E[log p], nats."""
+    X, w = states(density, _FEW_SUBPOINTS, smooth=True)
+    if density.read_out == "points" and density.log_density is not None:
+        return -float(w @ density.log_density)
+    log_p = density.logpdf(X)
+    inside = log_p > -np.inf  # not what kernels spread beyond a wall
+    return -float(w[inside] @ log_p[inside] / w[inside].sum())
+
+
+def highest_region(density, probability):
+    """The region of highest density that holds a probability."""
+    probability = _checked_part(probability)
+    X, w = states(density, _FEW_SUBPOINTS)
+    p = density.pdf(X)
+    order = np.argsort(-p, kind="stable")
+    p, w = p[order], w[order]
+    level = float(np.interp(probability, np.cumsum(w), p))
+    inside = p >= max(level, 1e-300)
+    return Region(density, level, float((w[inside] / p[inside]).sum()))
+
+
+def mode(density):
+    """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
+    best = density.x[np.argmax(density.pdf(density.x))]
+    simplex = np.vstack([best, best + 0.5 * np.median(density.h) * np.eye(density.dim)])
+    found = optimize.minimize(
+        lambda y: -density.pdf(y)[0], best, method="Nelder-Mead", options={"initial_simplex": simplex}
+    )
+    return found.x
+
+
+def checked_axes(axes, dim):
+    """Return axes as a list of different numbers below `dim`, or raise `ModelError`."""
+    axes = list(axes)
+    if not axes or len(set(axes)) < len(axes) or not set(axes) <= set(range(dim)):
+        raise ModelError(f"axes must be different numbers from 0 to {dim - 1}, got {axes}")
+    return axes
+
+
+def _checked_part(probability):
+    probability = np.asarray(probability, dtype=float)
+    if not np.all((probability > 0.0) & (probability < 1.0)):
+        raise ModelError(f"probability must lie between 0 and 1, got {probability}")
+    return probability
+
+
+def _folded(density, X):
+    """States X (M, n), those beyond an end of the domain where they are seen from inside."""
+    return X if density.domain is None else density.domain.fold(X)
+
+
+def _spread_evenly(count, n):
+    """Points (count, n) of the additive sequence of the root of x^(n+1) = x + 1, even over the unit cube."""
+    root = optimize.brentq(lambda x: x ** (n + 1) - x - 1.0, 1.0, 2.0)
+    return np.arange(count)[:, None] * root ** -np.arange(1.0, n + 1.0) % 1.0
+
+
+def _in_cells(density, uniform):
+    """Points (M k, n) in all cells of a density's lattice, at `uniform` (k, n) or (M, k, n) parts of them."""
+    offsets = (uniform % 1.0 - 0.5) @ density.field.A.T
+    return (density.cells[:, None] + offsets).reshape(-1, density.dim)
+
+
+def _distribution(one):
+    """Distribution function of a density of one state: places (K,) and its values there."""
+    if one.read_out == "log_density":
+        width = np.array([one.field.A[0, 0]])
+        low, high = one.cells.min() - width, one.cells.max() + width
+    else:
+        mix = one.mixture
+        width = mix.factor[0, 0] * mix.h
+        reach = kernels.RADIUS[mix.kernel[0]] * width
+        low, high = (mix.centre + mix.factor[0, 0] * mix.z[:, 0] + side * reach for side in (-1.0, 1.0))
+    low, high = low.min(), high.max()
+    if one.domain is not None:
+        domain = one.domain
+        low, high = (domain.low, domain.high) if domain.periodic[0] else domain.within(low, high, 0.0)
+        low, high = float(low[0]), float(high[0])
+    count = int(min(_FINE * (high - low) / np.median(width), _MOST_FINE))
+    y = np.linspace(low, high, max(count, _FINE) + 1)
+    F = integrate.cumulative_simpson(one.pdf(y[:, None]), x=y, initial=0.0)
+    F = np.maximum.accumulate(F)  # parabolas through nothing but zeros and a first value undershoot
+    return y, F / F[-1]
