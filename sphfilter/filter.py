@@ -27,7 +27,7 @@ class SPHFilter:
     Parameters
     ----------
     model : SDE
-    measurement : GaussianMeasurement or LikelihoodMeasurement
+    measurement : GaussianMeasurement, LikelihoodMeasurement or None
         The sensor `update` uses unless another is given.
     x0 : array_like, shape (n,)
         Initial mean.
@@ -78,7 +78,8 @@ class SPHFilter:
     ):
         if not isinstance(model, SDE):
             raise ModelError(f"model must be an SDE or LinearSDE, got {short(model)}")
-        self.model, self.measurement = model, _sensor(measurement, model)
+        self.model = model
+        self.measurement = None if measurement is None else _sensor(measurement, model)
         self.config = checked_filter_config(config)
         self._adapts = isinstance(n_particles, str)
         given = fewest(model.dim, n_particles) if self._adapts else n_particles
@@ -162,7 +163,7 @@ class SPHFilter:
 
     def update(self, z, measurement=None):
         """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo."""
-        measurement = self.measurement if measurement is None else _sensor(measurement, self.model)
+        measurement = _sensor(self.measurement if measurement is None else measurement, self.model)
         prior, density, info = update_repeating(
             self._prediction, self._density, self.model, measurement, z, self.config, self.n_particles
         )

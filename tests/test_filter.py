@@ -284,6 +284,13 @@ def test_parts_that_do_not_fit(model, measurement, message):
             sph(150).update([0.0], measurement=measurement)
 
 
+def test_a_filter_without_a_sensor_is_given_one_with_each_measurement():
+    flt = sf.SPHFilter(OSCILLATOR, None, X0, P0, n_particles=150)
+    assert flt.update([0.9], measurement=POSITION).accepted
+    with pytest.raises(sf.ModelError, match=r"measurement must be a GaussianMeasurement .* got None"):
+        flt.update([0.9])
+
+
 @pytest.mark.parametrize(
     ("times", "z", "message"),
     [
