@@ -51,7 +51,7 @@ def add_arguments(parser):
 
 
 def main(args):
-    """Run the command; prints to standard output."""
+    """Run the command; prints to standard output. Returns 1 if a filter stopped."""
     console = Console(highlight=False)
     console = console if console.is_terminal else Console(highlight=False, width=132)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -61,7 +61,8 @@ def main(args):
     if args.fit:
         scenario = _fitted(console, args.model, scenario, data, args.out / "sunspots.toml")
     names = None if args.filters is None else [name.strip() for name in args.filters.split(",")]
-    scores = _scores(console, factories(names, scenario), scenario, data, args.seed)
+    filters = factories(names, scenario)
+    scores = _scores(console, filters, scenario, data, args.seed)
     learnt, tested = _split(data)
     history = {h: score_history(learnt.z[:, 0], tested.times, tested.z[:, 0]) for h in HORIZONS}
     console.print(score_table(scores | {"history": history}, HORIZONS))
@@ -70,6 +71,7 @@ def main(args):
     write_scores(args.out / "forecasts.csv", scores)
     draw_forecasts(args.out / "forecasts.png", scores)
     console.print(f"\nForecasts are in {args.out}/forecasts.csv and forecasts.png.")
+    return int(len(scores) < len(filters))
 
 
 def roots(data):
