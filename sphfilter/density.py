@@ -206,7 +206,7 @@ class ParticleDensity:
 
     def cov(self, kind=None):
         """Covariance, shape (n, n)."""
-        kind = self._read(kind).read_out
+        kind = self._kind(kind)
         if kind == "log_density" and self.moments is not None and self.domain is None:
             return self.moments[1].copy()
         d = self._from(self.x, self.mean())
@@ -280,6 +280,8 @@ class ParticleDensity:
         same kernel with its variance (exact for the Gaussian up to its cut).
         """
         axes = statistics.checked_axes(axes, self.dim)
+        if axes == list(range(self.dim)):
+            return self
         domain = None if self.domain is None else Domain(*[self.domain.axes[axis] for axis in axes])
         if self.read_out == "log_density" and self.field is not None:
             laid = marginal.laid_marginal(self, axes)
@@ -313,9 +315,12 @@ class ParticleDensity:
             turns = [Y + k * shift for Y in turns for k in np.arange(first - 1, last + 2)]
         return turns
 
+    def _kind(self, kind):
+        return self.read_out if kind is None else choice("kind", kind, READ_OUTS)
+
     def _read(self, kind):
         """The density with another read-out, or itself."""
-        kind = self.read_out if kind is None else choice("kind", kind, READ_OUTS)
+        kind = self._kind(kind)
         return self if kind == self.read_out else replace(self, read_out=kind)
 
     def _between(self, kind):

@@ -63,37 +63,44 @@ def laid_marginal(density, axes):
     -------
     Laid
     """
-    field, x = density.field, density.x
-    n, k = len(field.mu), len(axes)
-    order = np.array([*axes, *(axis for axis in range(n) if axis not in axes)])
+    field, x, k = density.field, density.x, len(axes)
+    order = np.array([*axes, *(axis for axis in range(density.dim) if axis not in axes)])
     factor = np.linalg.cholesky((field.A @ field.A.T)[np.ix_(order, order)])
     z = np.linalg.solve(factor, (x - field.mu)[:, order].T).T
-    plane, spacing = _plane(z[:, k:])
-    log_cell = math.log(spacing) * (n - k) + np.log(np.diag(factor)[k:]).sum()
-
-    def log_p(Y):
-        here = np.linalg.solve(factor[:k, :k], (Y - field.mu[axes]).T).T
-        out = np.empty(len(Y))
-        step = max(1, _BLOCK // len(plane))
-        for first in range(0, len(Y), step):
-            some = here[first : first + step]
-            both = np.concatenate(
-                [np.repeat(some, len(plane), axis=0), np.tile(plane, (len(some), 1))], axis=1
-            )
-            X = np.empty_like(both)
-            X[:, order] = both @ factor.T
-            out[first : first + step] = logsumexp(at(field, field.mu + X).reshape(len(some), -1), axis=1)
-        return out + log_cell
-
     shadow = len(np.unique(np.floor(z[:, :k] + 0.5), axis=0))
     n_nodes = max(_FEWEST.get(k, _FEWEST[3]), math.ceil(_FINER**k * shadow))
     mean, own = (density.mass @ x)[axes], np.ascontiguousarray(factor[:k, :k])
     seeds, depth = np.unique(x[:, axes], axis=0), np.ptp(field.log_p)
-    laid = lay(log_p, mean, own, seeds, n_nodes, depth, float(shadow))
+    laid = lay(_summed(field, order, factor, z[:, k:]), mean, own, seeds, n_nodes, depth, float(shadow))
     if density.moments is None:
         return laid
     mean, cov = density.moments  # beyond the cut too
     return laid._replace(mean=mean[axes], cov=cov[np.ix_(axes, axes)])
+
+
+def _summed(field, order, factor, others):
+    """Return log of the integral of a field over its last axes in an order, given the first (M, k).
+
+    others : ndarray, shape (N, n - k)
+        Where its nodes lie along them, in units of a lattice with the lower `factor` (n, n).
+    """
+    plane, spacing = _plane(others)
+    k = len(order) - others.shape[1]
+    log_cell = np.log(spacing * np.diag(factor)[k:]).sum()
+
+    def log_p(Y):
+        here = np.linalg.solve(factor[:k, :k], (Y - field.mu[order[:k]]).T).T
+        out = np.empty(len(Y))
+        step = max(1, _BLOCK // len(plane))
+        for first in range(0, len(Y), step):
+            some = here[first : first + step]
+            rows = np.repeat(some, len(plane), axis=0), np.tile(plane, (len(some), 1))
+            X = np.empty((len(rows[0]), len(order)))
+            X[:, order] = np.concatenate(rows, axis=1) @ factor.T
+            out[first : first + step] = logsumexp(at(field, field.mu + X).reshape(len(some), -1), axis=1)
+        return out + log_cell
+
+    return log_p
 
 
 def projected_lengths(density, axes):
