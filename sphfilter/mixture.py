@@ -152,7 +152,20 @@ def shrunk(x, mass, h, kernel):
     z = np.linalg.solve(within, z.T).T + (1.0 - a) * slope @ within
     z -= mass @ z
     own = (z * mass[:, None]).T @ z + a**2 * variance * np.eye(n)
-    return mixture(z, mass, a * h, kernel, centre, whole @ np.linalg.inv(np.linalg.cholesky(own)))
+    wanted = np.linalg.inv(within)
+    return mixture(z, mass, a * h, kernel, centre, whole @ within @ _least_change(own, wanted @ wanted.T))
+
+
+def _least_change(have, wanted):
+    """The symmetric matrix that makes one covariance (n, n) another: the least change of the states."""
+    root = _root(have)
+    inverse = np.linalg.inv(root)
+    return inverse @ _root(root @ wanted @ root) @ inverse
+
+
+def _root(matrix):
+    values, axes = np.linalg.eigh(matrix)
+    return (axes * np.sqrt(values)) @ axes.T
 
 
 def _slope(z, mass):
