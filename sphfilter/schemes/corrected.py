@@ -18,7 +18,7 @@ __all__ = ["propagate"]
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _TIME_SLICES = 32  # steps at least over an interval, where drift or noise change with time
 _PARTICLES_A_FUNCTION = 10
-_MIXED = 0.45  # nats: where the two read-outs differ by more, root mean square, the kernels' is better
+_MIXED = 0.35  # nats: where the two read-outs differ by more, root mean square, the kernels' is better
 _TOLERANCE = 1e-5  # of the smoothing lengths that the log-density is computed from
 
 
