@@ -173,4 +173,17 @@ def load_problem(name, changes=None):
     if any(not 0 <= axis < n for axis in problem.settings.axes):
         raise ConfigError(f"axes = {list(problem.settings.axes)}: the states are numbered 0 to {n - 1}")
     _ = problem.quantities, problem.distribution  # what is wrong with them shows now
+    _check_reference(problem)
     return problem
+
+
+def _check_reference(problem):
+    """Refuse a reference that does not know the problem."""
+    kind, model, begins = problem.settings.reference.kind, problem.model, problem.settings.start.kind
+    if kind == "linear" and not (model.linear and begins == "gaussian"):
+        raise ConfigError('reference.kind = "linear" needs a linear model and a Gaussian start')
+    if kind == "grid" and (model.dim > 2 or model.state_dependent_noise or begins != "gaussian"):
+        needs = "one or two states, noise that does not depend on them, and a Gaussian start"
+        raise ConfigError(f'reference.kind = "grid" needs {needs}')
+    if kind == "drifted_uniform" and not (model.dim == 1 and begins == "uniform"):
+        raise ConfigError('reference.kind = "drifted_uniform" needs one state that starts uniform on a box')
