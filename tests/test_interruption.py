@@ -1,9 +1,20 @@
 """Ctrl-C ends a program with one line and exit code 130, wherever it comes."""
 
+import signal
 import subprocess
 import sys
+from functools import partial
 
 import pytest
+
+#: A program that a terminal could stop: one that a script starts in the background does not see Ctrl-C.
+run = partial(
+    subprocess.run,
+    capture_output=True,
+    text=True,
+    timeout=60,
+    preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
+)
 
 BEFORE = """
 import ctypes, os, signal, sys, time
@@ -129,9 +140,7 @@ for where, test in {
 
 @pytest.mark.parametrize("case", CASES)
 def test_one_line_and_an_exit_code(case):
-    done = subprocess.run(
-        [sys.executable, "-c", BEFORE + CASES[case]], capture_output=True, text=True, timeout=60
-    )
+    done = run([sys.executable, "-c", BEFORE + CASES[case]])
     assert (done.returncode, done.stderr) == (130, "Stopped.\n")
     assert ("done what" in done.stdout) is (" calls" in case or "slowly" in case)
 
@@ -143,13 +152,13 @@ class Thing:
         raise RuntimeError("no such luck")
 sys.exit(stoppable(lambda: None, lambda: Thing() and 3))
 """
-    done = subprocess.run([sys.executable, "-c", BEFORE + code], capture_output=True, text=True, timeout=60)
+    done = run([sys.executable, "-c", BEFORE + code])
     assert done.returncode == 3
     assert "no such luck" in done.stderr
 
 
 def test_the_command_line_is_stopped_while_it_starts():
-    done = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, timeout=60)
+    done = run([sys.executable, "-c", START])
     assert (done.returncode, done.stderr) == (130, "Stopped.\n")
 
 
