@@ -15,8 +15,9 @@ from sphfilter.errors import ConfigError
 
 from . import plots
 from .comparison import distances
+from .files import add_change_option, changes_of
 from .filters import factories, name_of
-from .scenario import add_change_option, load_scenario, parse_change
+from .scenario import load_scenario
 
 __all__ = ["add_arguments", "convergence", "main", "orders"]
 
@@ -92,7 +93,7 @@ def main(args):
         raise ConfigError(f"--counts takes numbers such as 100,200,400, not {args.counts!r}") from None
     if len(counts) < 2 or args.runs < 1:
         raise ConfigError("converge needs two different counts at least, and one run")
-    changes = dict(parse_change(text) for text in args.changes)
+    changes = changes_of(args)
     rows = _shown(console, args, counts, changes)
     dim = load_scenario(args.scenario).model.dim
     slopes = orders(rows, dim)

@@ -22,8 +22,9 @@ from sphfilter.report import report
 
 from . import pictures, plots
 from .comparison import distances, reference_name
+from .files import add_change_option, changes_of
 from .filters import FILTERS, factories, name_of
-from .scenario import add_change_option, load_scenario, parse_change
+from .scenario import load_scenario
 from .tables import distance_table, result_table, sentences
 
 __all__ = ["Interrupted", "add_arguments", "main", "status"]
@@ -61,7 +62,7 @@ def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter failed in every run, else 0."""
     console = Console(highlight=False)
     console = console if console.is_terminal else Console(highlight=False, width=132)
-    changes = dict(parse_change(text) for text in args.changes)
+    changes = changes_of(args)
     if args.n_particles is not None:
         changes |= {f"filters.{name}.n_particles": args.n_particles for name in ("sph", "sph_paper")}
     scenario = load_scenario(args.scenario, **changes)

@@ -1,7 +1,6 @@
 """Scenarios: read from TOML, changed key by key, and drawn from as simulated runs."""
 
 import json
-import tomllib
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -11,19 +10,17 @@ import numpy as np
 import sphfilter as sf
 from sphfilter.campaign import Case
 from sphfilter.config import from_table
-from sphfilter.errors import ConfigError, ModelError, SphfilterError, nearest
+from sphfilter.errors import ModelError, SphfilterError
 
 from . import start
+from .files import change, file_names, find_file, read_toml
 from .settings import ScenarioSettings
 
 __all__ = [
     "Scenario",
-    "add_change_option",
-    "change",
     "check_parts",
     "load_scenario",
     "model_of",
-    "parse_change",
     "read_settings",
     "scenario_names",
 ]
@@ -103,7 +100,7 @@ def _measurement(states, sensor):
 
 def scenario_names():
     """Names of the scenarios that come with the project."""
-    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
+    return file_names(_FOLDER)
 
 
 def read_settings(name, changes=None):
@@ -123,17 +120,8 @@ def read_settings(name, changes=None):
     ConfigError
         Unknown scenario or key (the nearest valid one is named), or a value that is not valid.
     """
-    own = str(name).endswith(".toml")
-    path = Path(name) if own else _FOLDER / f"{name}.toml"
-    if not path.is_file():
-        if own:
-            raise ConfigError(f"the file {name} does not exist (`list` names the scenarios of the project)")
-        known = scenario_names()
-        raise ConfigError(f"no scenario {name!r}{nearest(name, known)}; there are {', '.join(known)}")
-    try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
-        raise ConfigError(f"{path} is not valid TOML: {problem}") from None
+    path = find_file(name, _FOLDER, "scenario")
+    tree = read_toml(path)
     found = from_table(ScenarioSettings, tree, path)  # what is wrong with the file is not the changes' fault
     if not changes:
         return found
@@ -184,48 +172,9 @@ def check_parts(scenario, source):
         raise type(problem)(f"{source}: {problem}") from problem
 
 
-def add_change_option(parser):
-    """Add the option --set, whose values `parse_change` reads, to a command."""
-    parser.add_argument(
-        "--set",
-        dest="changes",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change a key of the scenario, e.g. times.interval=3, the scheme of the SPH filter, e.g. "
-        "scheme=corrected, or a key of the published one, e.g. scheme.kernel=gaussian; may be repeated",
-    )
-
-
-def parse_change(text):
-    """Split "key=value", the value in TOML's syntax or a bare word.
-
-    Returns
-    -------
-    key, value
-    """
-    key, equals, value = text.partition("=")
-    if not equals or not key.strip():
-        raise ConfigError(f"a change is key=value, not {text!r}; for instance scheme.kernel=gaussian")
-    try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        return key.strip(), value.strip()
-
-
 def _change(tree, key, value):
     """As `change`; the schemes of the two SPH filters may be given short."""
     parts = key.split(".")
     if parts[0] in ("scheme", "acceptance"):
         key = ".".join(["filters", "sph" if len(parts) == 1 else "sph_paper", "config", *parts])
     change(tree, key, value)
-
-
-def change(tree, key, value):
-    """Set a dotted key of a TOML tree; the settings check it later."""
-    parts = key.split(".")
-    for i, part in enumerate(parts[:-1]):
-        tree = tree.setdefault(part, {})
-        if not isinstance(tree, dict):
-            raise ConfigError(f"cannot set {key}: {'.'.join(parts[: i + 1])} is a value, not a table")
-    tree[parts[-1]] = value

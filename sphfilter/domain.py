@@ -98,8 +98,7 @@ class Domain:
     def wrap(self, X):
         """States X (M, n) with angles between their ends."""
         X = np.array(X, dtype=float)
-        d = self.periodic
-        X[:, d] = self.low[d] + (X[:, d] - self.low[d]) % self.period[d]
+        images.go_round(self.codes, X)
         return X
 
     def fold(self, X):

@@ -86,7 +86,7 @@ class SPHFilter:
         self.n_particles = count("n_particles", given)
         self.dt = None if dt is None else positive("dt", dt)
         self._density = self._start(x0, P0, t0, density)
-        self._prediction, self._origin = Prediction(), None
+        self._origin = None  # the Prediction or Update that the density comes from
         self._moments()
         self.x_prior, self.P_prior = self.x_post, self.P_post = self._x, self._P
         self.z = self.y = self.S = None
@@ -156,7 +156,7 @@ class SPHFilter:
             predicted, self.model, self._density, self._origin, self.config, self.n_particles
         )
         self._density, self.n_particles = density, n_particles
-        self._prediction = self._origin = Prediction(before, info.mass_error, self.model, density.t)
+        self._origin = Prediction(before, info.mass_error, self.model, density.t)
         self._moments()
         self.x_prior, self.P_prior = self._x, self._P
         return info
@@ -164,14 +164,15 @@ class SPHFilter:
     def update(self, z, measurement=None):
         """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo."""
         measurement = _sensor(self.measurement if measurement is None else measurement, self.model)
+        prediction = self._origin if isinstance(self._origin, Prediction) else Prediction()
         prior, density, info = update_repeating(
-            self._prediction, self._density, self.model, measurement, z, self.config, self.n_particles
+            prediction, self._density, self.model, measurement, z, self.config, self.n_particles
         )
         if prior is not self._density:
             self._density = prior
             self._moments()
         self.x_prior, self.P_prior = self._x, self._P
-        self._density, self._prediction = density, Prediction()
+        self._density = density
         self._origin = Update(prior, measurement, z) if density is not prior else None
         self._moments()
         self.x_post, self.P_post = self._x, self._P

@@ -91,11 +91,11 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0, domai
     smooth = not isinstance(distribution, Uniform) and (
         domain is None or (gaussian and not domain.walled.any())
     )
-    if smooth and not isinstance(scheme, PaperScheme):
-        return _on_level_set(distribution, box, n_particles, scheme, t, domain)
-    if not isinstance(scheme, PaperScheme) and domain is None:
-        return _for_corrected(distribution, box, n_particles, t)  # edges have no smooth logarithm
     if not isinstance(scheme, PaperScheme):
+        if smooth:
+            return _on_level_set(distribution, box, n_particles, scheme, t, domain)
+        if domain is None:
+            return _for_corrected(distribution, box, n_particles, t)  # edges have no smooth logarithm
         scheme = PaperScheme(kernel="wendland_c2")
     if gaussian and domain is None:
         return _from_gaussian(distribution, n_particles, scheme, t)
@@ -109,9 +109,8 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0, domai
 
 def _for_corrected(distribution, box, n_particles, t):
     """Particles of a uniform density with its variance, which cell centres alone have too little of."""
-    scheme = PaperScheme(
-        kernel="wendland_c2", support_steps=1
-    )  # moment-corrected SPH finds lengths of its own
+    # moment-corrected SPH finds lengths of its own
+    scheme = PaperScheme(kernel="wendland_c2", support_steps=1)
     density = _from_pdf(distribution.pdf, box, n_particles, scheme, t)
     centre, actual = box.mean(axis=1), np.diag(density.cov("points"))
     stretch = np.sqrt((box[:, 1] - box[:, 0]) ** 2 / 12.0 / actual)

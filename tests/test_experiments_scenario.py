@@ -8,8 +8,9 @@ from scipy.stats import chi2
 
 from experiments import scenario as scenarios
 from experiments import start
+from experiments.files import parse_change
 from experiments.filters import factories
-from experiments.scenario import Scenario, load_scenario, parse_change, read_settings, scenario_names
+from experiments.scenario import Scenario, load_scenario, read_settings, scenario_names
 from sphfilter import ConfigError, ExpressionError, FilterConfig, ModelError, SphfilterError
 
 

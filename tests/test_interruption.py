@@ -27,6 +27,15 @@ def interrupt():
 def wait():
     while True:
         time.sleep(0.01)
+
+def until_stopped(work):
+    def stopped():
+        try:
+            work()
+        except KeyboardInterrupt:
+            print("Stopped.", file=sys.stderr)
+            return 130
+    sys.exit(stoppable(lambda: None, stopped))
 """
 CASES = {
     "while importing": """
@@ -44,26 +53,18 @@ def _raw_object_cache_notify():
     print("done what was to be done")
 callback = ctypes.CFUNCTYPE(None)(_raw_object_cache_notify)
 def work():
-    try:
-        callback()
-        wait()
-    except KeyboardInterrupt:
-        print("Stopped.", file=sys.stderr)
-        return 130
-sys.exit(stoppable(lambda: None, work))
+    callback()
+    wait()
+until_stopped(work)
 """,
     "in a destructor": """
 class Thing:
     def __del__(self):
         interrupt()
 def work():
-    try:
-        Thing()
-        wait()
-    except KeyboardInterrupt:
-        print("Stopped.", file=sys.stderr)
-        return 130
-sys.exit(stoppable(lambda: None, work))
+    Thing()
+    wait()
+until_stopped(work)
 """,
     "while an object is made": """
 class Thing:
@@ -72,13 +73,7 @@ class Thing:
         self.part = 1
     def __del__(self):
         self.part
-def work():
-    try:
-        Thing()
-    except KeyboardInterrupt:
-        print("Stopped.", file=sys.stderr)
-        return 130
-sys.exit(stoppable(lambda: None, work))
+until_stopped(Thing)
 """,
     "in what catches everything": """
 def work():
@@ -123,13 +118,9 @@ def interrupt_there(frame, event, argument):
         interrupt()
 def work():
     sys.setprofile(interrupt_there)
-    try:
-        print("done what was to be done", pair(2.0))
-        wait()
-    except KeyboardInterrupt:
-        print("Stopped.", file=sys.stderr)
-        return 130
-sys.exit(stoppable(lambda: None, work))
+    print("done what was to be done", pair(2.0))
+    wait()
+until_stopped(work)
 """
 for where, test in {
     "in a function of numba that compiled code calls": "frame.f_code.co_name == '_numba_unpickle'",

@@ -17,8 +17,9 @@ import numba
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from experiments.files import add_change_option, changes_of
 from experiments.run import Interrupted
-from experiments.scenario import add_change_option, load_scenario, parse_change
+from experiments.scenario import load_scenario
 from sphfilter import __version__
 from sphfilter.campaign import draw_case
 from sphfilter.errors import ConfigError, SphfilterError
@@ -78,7 +79,7 @@ def main(args):
     """Run the command; prints to standard output."""
     console = Console(highlight=False)
     console = console if console.is_terminal else Console(highlight=False, width=140)
-    changes = dict(parse_change(text) for text in args.changes)
+    changes = changes_of(args)
     names = args.scenarios or [*SCENARIOS, _EXPENSIVE]
     scenarios = {name: load_scenario(name, **changes) for name in names if name != _EXPENSIVE}
     if _EXPENSIVE in names:

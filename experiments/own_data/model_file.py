@@ -1,15 +1,14 @@
 """A model with a sensor and a start, read from TOML: what filters need for measurements from outside."""
 
-import tomllib
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
 
+from experiments.files import read_toml
 from experiments.scenario import Scenario, check_parts
 from experiments.settings import Filters, ModelText, Sensor
 from sphfilter.config import from_table, settings
-from sphfilter.errors import ConfigError
 
 __all__ = ["Belief", "Columns", "ModelFile", "load_model"]
 
@@ -69,12 +68,6 @@ def load_model(path):
     ConfigError, ExpressionError, ModelError
     """
     path = Path(path)
-    try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as problem:
-        raise ConfigError(f"cannot read {path}: {problem.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
-        raise ConfigError(f"{path} is not valid TOML: {problem}") from None
-    scenario = Scenario(path.stem, from_table(ModelFile, tree, path))
+    scenario = Scenario(path.stem, from_table(ModelFile, read_toml(path), path))
     check_parts(scenario, path)
     return scenario

@@ -13,9 +13,10 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from experiments.files import add_change_option, changes_of
 from experiments.filters import FILTERS, factories
 from experiments.run import Interrupted
-from experiments.scenario import load_scenario, parse_change, read_settings
+from experiments.scenario import load_scenario, read_settings
 from sphfilter.campaign import run_campaign
 from sphfilter.report import report
 
@@ -66,10 +67,7 @@ def add_arguments(parser):
     parser.add_argument("--seed", type=int, help="seed of everything random")
     parser.add_argument("--out", type=Path, help="folder for results (default: results/sweep_NAME)")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    change = "change a key of the scenario or of the SPH filter; may be repeated"
-    parser.add_argument(
-        "--set", dest="changes", action="append", default=[], metavar="KEY=VALUE", help=change
-    )
+    add_change_option(parser, "change a key of the scenario or of the SPH filter; may be repeated")
 
 
 def _positive_list(text):
@@ -86,7 +84,7 @@ def main(args):
     """Run the command; prints to standard output."""
     console = Console(highlight=False)
     console = console if console.is_terminal else Console(highlight=False, width=132)
-    changes = dict(parse_change(text) for text in args.changes)
+    changes = changes_of(args)
     base = read_settings(args.scenario, changes)
     intervals = args.interval or [factor * base.times.interval for factor in _INTERVAL_FACTORS]
     cells = [Cell(*values) for values in product(intervals, args.q or _Q, args.r or _R)]

@@ -15,8 +15,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 import sphfilter as sf
+from experiments.files import add_change_option, changes_of
 from experiments.run import Interrupted, without_none
-from experiments.scenario import parse_change
 from sphfilter import __version__
 from sphfilter.errors import ConfigError, SphfilterError
 
@@ -40,14 +40,8 @@ def add_arguments(parser):
     parser.add_argument("--n-particles", type=int, help="particles, at most")
     parser.add_argument("--no-reference", action="store_true", help="do not compute the reference")
     parser.add_argument("--animate", metavar="FILE", help="write the densities as a GIF of this name")
-    parser.add_argument(
-        "--set",
-        dest="changes",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change a key of the file, e.g. solver.config.scheme=paper or times.end=10; may be repeated",
-    )
+    example = "e.g. solver.config.scheme=paper or times.end=10"
+    add_change_option(parser, f"change a key of the file, {example}; may be repeated")
 
 
 def main(args):
@@ -58,7 +52,7 @@ def main(args):
         raise ConfigError("transient takes a name from `list`, or --config FILE, one of them")
     if args.animate and not args.animate.endswith(".gif"):
         raise ConfigError(f"--animate writes GIF files: {args.animate} does not end in .gif")
-    changes = dict(parse_change(text) for text in args.changes)
+    changes = changes_of(args)
     if args.n_particles is not None:
         changes["solver.n_particles"] = args.n_particles
     if args.no_reference:

@@ -1,7 +1,6 @@
 """A transient problem: model, start, output times and the statistics that are asked of the densities."""
 
 import json
-import tomllib
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 import sphfilter as sf
-from experiments.scenario import change, model_of
+from experiments.files import change, file_names, find_file, read_toml
+from experiments.scenario import model_of
 from sphfilter._symbolic import symbolic_rows
 from sphfilter.config import from_table
-from sphfilter.errors import ConfigError, ModelError, nearest
+from sphfilter.errors import ConfigError, ModelError
 
 from .settings import TransientSettings
 
@@ -87,8 +87,9 @@ class Problem:
         if start.reach is not None and start.kind == "gaussian":
             config = replace(config, scheme=sf.LogDensityScheme(reach=start.reach))
         options = {"box": start.box if start.kind == "expression" else None, "t": start.time}
-        domain = None if self.model.domain.unbounded else self.model.domain
-        return sf.initialize(self.distribution, solver.n_particles, config, domain=domain, **options)
+        return sf.initialize(
+            self.distribution, solver.n_particles, config, domain=self.model.domain, **options
+        )
 
     @cached_property
     def quantities(self):
@@ -135,7 +136,7 @@ def _expression(states, text, name):
 
 def problem_names():
     """Names of the transient scenarios that come with the project."""
-    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
+    return file_names(_FOLDER)
 
 
 def load_problem(name, changes=None):
@@ -146,19 +147,8 @@ def load_problem(name, changes=None):
     ConfigError, ExpressionError, ModelError
         Each names the key.
     """
-    own = str(name).endswith(".toml")
-    path = Path(name) if own else _FOLDER / f"{name}.toml"
-    if not path.is_file():
-        if own:
-            raise ConfigError(f"the file {name} does not exist (`list` names the problems of the project)")
-        known = problem_names()
-        raise ConfigError(
-            f"no transient scenario {name!r}{nearest(name, known)}; there are {', '.join(known)}"
-        )
-    try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
-        raise ConfigError(f"{path} is not valid TOML: {problem}") from None
+    path = find_file(name, _FOLDER, "transient scenario")
+    tree = read_toml(path)
     for key, value in (changes or {}).items():
         change(tree, key, value)
     problem = Problem(path.stem, from_table(TransientSettings, tree, path))

@@ -19,10 +19,10 @@ __all__ = [
     "bounce",
     "go_round",
     "half_period",
-    "image_gap2",
     "left_at",
     "refresh",
     "unseen",
+    "velocities",
     "view_of",
     "with_images",
 ]
@@ -177,16 +177,19 @@ def with_images(view, values):
 
 
 @jit
-def image_gap2(view, v, i, j):
-    """Squared difference of the velocities v (N, n) of particle i and of what is seen as particle j."""
-    gap2 = 0.0
-    for d in range(v.shape[1]):
-        if j < v.shape[0]:
-            gap2 += (v[i, d] - v[j, d]) ** 2
-        else:
-            g = j - v.shape[0]
-            gap2 += (v[i, d] - view.sign[g, d] * v[view.owner[g], d]) ** 2
-    return gap2
+def velocities(view, v):
+    """Velocities v (N, n) of the particles, and of their images after them; v itself without images."""
+    if view.owner.size == 0:
+        return v
+    N, n = v.shape
+    out = np.empty((N + view.owner.size, n))
+    for i in range(N):
+        for d in range(n):
+            out[i, d] = v[i, d]
+    for g in range(view.owner.size):
+        for d in range(n):
+            out[N + g, d] = view.sign[g, d] * v[view.owner[g], d]
+    return out
 
 
 @jit

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ._jit import jit
-from .images import bounce, go_round, half_period, image_gap2, left_at, refresh, unseen, view_of, with_images
+from .images import bounce, go_round, half_period, left_at, refresh, unseen, velocities, view_of, with_images
 from .kernels import RADIUS
 from .neighbors import build_index, neighbor_lists
 from .smoothing import update_smoothing
@@ -123,8 +123,10 @@ def evaluate(model, coefficients, t, cloud, seen, lists, r, work, options, v):
 
 
 @jit
-def stable_step(cloud, seen, lists, r, work, coefficients, options):
+def stable_step(cloud, v, lists, r, work, coefficients, options):
     """Step size of 002 (18), absolute or relative to the nearest neighbour, within the diffusion limit.
+
+    v are the velocities of the particles and, after them, of their images.
 
     Returns (dt, the particle that limits it); dt is NaN where a velocity is not finite. The diffusion limit
     is that of an explicit step on kernels of variance c_K h^2 (unstable from about 2.7 c_K h^2 / D on).
@@ -138,10 +140,10 @@ def stable_step(cloud, seen, lists, r, work, coefficients, options):
         for s in range(start[i], start[i + 1]):
             if r[s] < nearest:
                 nearest, at = r[s], neighbors[s]
-        speed2, spread = image_gap2(seen, work.v, i, at) if options.relative_cfl and at >= 0 else 0.0, 0.0
+        speed2, spread = 0.0, 0.0
         for d in range(n):
-            if not options.relative_cfl or at < 0:
-                speed2 += work.v[i, d] ** 2
+            other = v[at, d] if options.relative_cfl and at >= 0 else 0.0
+            speed2 += (v[i, d] - other) ** 2
             spread += work.D[i if varies else 0, d * n + d]
         if not math.isfinite(speed2):
             return np.nan, i
@@ -156,15 +158,15 @@ def stable_step(cloud, seen, lists, r, work, coefficients, options):
 
 
 @jit
-def bypass_time(cloud, seen, h_old, dt_old, reach, lists, r, work, options):
-    """t_NNS of 002 (43) and the smallest number of buffer neighbours.
+def bypass_time(cloud, v, h_old, dt_old, reach, lists, r, options):
+    """t_NNS of 002 (43) and the smallest number of buffer neighbours; v as in `stable_step`.
 
     Corrected: the support is K h, so that its rate is K dh/dt, and the distance to cover is that from the
     support to the farthest particle listed within the reach of i (unseen ones were farther when the list was
     made), not the width of the buffer.
     """
     start, neighbors = lists
-    N = cloud.h.size
+    N, n = cloud.x.shape
     K = RADIUS[options.kernel]
     t_nns, fewest = np.inf, N
     for i in range(N):
@@ -173,7 +175,10 @@ def bypass_time(cloud, seen, h_old, dt_old, reach, lists, r, work, options):
             if r[s] > support:
                 buffer += 1
                 farthest = max(farthest, r[s])
-                fastest2 = max(fastest2, image_gap2(seen, work.v, i, neighbors[s]))
+                speed2 = 0.0
+                for d in range(n):
+                    speed2 += (v[i, d] - v[neighbors[s], d]) ** 2
+                fastest2 = max(fastest2, speed2)
         if start[i + 1] - start[i] < N - 1:
             fewest = min(fewest, buffer)
             rate = math.sqrt(fastest2) + K * (cloud.h[i] - h_old[i]) / dt_old
@@ -316,14 +321,15 @@ def march(drift, diffusion, divergence, coefficients, cloud, domain, options, ti
                 cloud.invariant[i] = cloud.rho[i] * cloud.h[i] ** n
             known = True
         dt_old = dt
-        dt, counters[CULPRIT] = stable_step(cloud, seen, lists, r, work, coefficients, options)
+        v = velocities(seen, work.v)
+        dt, counters[CULPRIT] = stable_step(cloud, v, lists, r, work, coefficients, options)
         if not math.isfinite(dt):
             return NOT_FINITE
         if dt < 1e-9 * span:
             return STALLED
         dt = min(dt, options.dt_max, times[1] - times[0])
         if options.bypass:
-            t_nns, fewest = bypass_time(cloud, seen, h_old, dt_old, reach, lists, r, work, options)
+            t_nns, fewest = bypass_time(cloud, v, h_old, dt_old, reach, lists, r, options)
             t_ref = t_nns if searched else t_ref
             must_search = elapsed + dt >= min(t_ref, t_nns)
             must_search |= fewest <= options.buffer_min or k_bypass >= options.k_bypass_max

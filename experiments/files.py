@@ -1,0 +1,103 @@
+"""The TOML files that commands read: found by name or path, and changed key by key with --set."""
+
+import tomllib
+from pathlib import Path
+
+from sphfilter.errors import ConfigError, nearest
+
+__all__ = [
+    "add_change_option",
+    "change",
+    "changes_of",
+    "file_names",
+    "find_file",
+    "parse_change",
+    "read_toml",
+]
+
+
+def file_names(folder):
+    """Names of the TOML files in a folder."""
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def find_file(name, folder, kind):
+    """Path of a TOML file: a name in the project's folder, or a path that ends in .toml.
+
+    Parameters
+    ----------
+    name : str or Path
+    folder : Path
+    kind : str
+        What the files are, for errors: "scenario".
+
+    Raises
+    ------
+    ConfigError
+        There is no such file; the nearest name is told.
+    """
+    own = str(name).endswith(".toml")
+    path = Path(name) if own else folder / f"{name}.toml"
+    if path.is_file():
+        return path
+    if own:
+        raise ConfigError(f"the file {name} does not exist (`list` names those of the project)")
+    known = file_names(folder)
+    raise ConfigError(f"no {kind} {name!r}{nearest(name, known)}; there are {', '.join(known)}")
+
+
+def read_toml(path):
+    """The tree of a TOML file.
+
+    Raises
+    ------
+    ConfigError
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise ConfigError(f"cannot read {path}: {problem.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise ConfigError(f"{path} is not valid TOML: {problem}") from None
+
+
+_HELP = (
+    "change a key of the scenario, e.g. times.interval=3, the scheme of the SPH filter, e.g. "
+    "scheme=corrected, or a key of the published one, e.g. scheme.kernel=gaussian; may be repeated"
+)
+
+
+def add_change_option(parser, help=_HELP):
+    """Add the option --set, whose values `changes_of` reads, to a command."""
+    parser.add_argument("--set", dest="changes", action="append", default=[], metavar="KEY=VALUE", help=help)
+
+
+def changes_of(args):
+    """What --set asks for, values by dotted key."""
+    return dict(parse_change(text) for text in args.changes)
+
+
+def parse_change(text):
+    """Split "key=value", the value in TOML's syntax or a bare word.
+
+    Returns
+    -------
+    key, value
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise ConfigError(f"a change is key=value, not {text!r}; for instance scheme.kernel=gaussian")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value.strip()
+
+
+def change(tree, key, value):
+    """Set a dotted key of a TOML tree; the settings check it later."""
+    parts = key.split(".")
+    for i, part in enumerate(parts[:-1]):
+        tree = tree.setdefault(part, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"cannot set {key}: {'.'.join(parts[: i + 1])} is a value, not a table")
+    tree[parts[-1]] = value
