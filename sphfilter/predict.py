@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from .affine import with_moments
 from .config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
 from .errors import LatticeError, ModelError, PropagationError, UnresolvedError
 from .exact import propagate_exactly
@@ -82,8 +83,9 @@ def _in_domain(density, domain):
 
 
 def _corrected(density, model, target, scheme, n_particles):
-    moved, info = corrected.propagate(density, model, target, scheme, n_particles)
-    return replace(moved, field=None, volume=None, moments=None, gaussian=False), info
+    if density.moments is not None:  # of the field, which are better than those of its nodes
+        density = with_moments(density, *density.moments)
+    return corrected.propagate(density, model, target, scheme, n_particles)
 
 
 def _best(density, model, target, n_particles, most):
