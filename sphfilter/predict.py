@@ -7,6 +7,7 @@ from .config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
 from .errors import LatticeError, ModelError, PropagationError, UnresolvedError
 from .exact import propagate_exactly
 from .info import PredictInfo
+from .level_set import at
 from .resample import bound
 from .schemes import corrected, log_density, paper
 from .schemes._shared import carried_off
@@ -83,8 +84,11 @@ def _in_domain(density, domain):
 
 
 def _corrected(density, model, target, scheme, n_particles):
-    if density.moments is not None:  # of the field, which are better than those of its nodes
-        density = with_moments(density, *density.moments)
+    if (
+        density.field is not None
+    ):  # it knows its moments and its logarithm better than nodes that end somewhere
+        field, density = density.field, with_moments(density, *density.moments)
+        density = replace(density, log_density=at(field, density.x))
     return corrected.propagate(density, model, target, scheme, n_particles)
 
 
