@@ -344,10 +344,15 @@ class SolverConfig(_Settings):
         on moment-corrected SPH where they do not or its health check fails; the info says which it was.
     exact_linear : bool
         Carry a Gaussian through a linear model in closed form.
+    remesh : "never", "health" or float
+        When `propagate` puts particles that sums over kernels have carried on a new lattice (002 5.3): never,
+        where `health` finds that they have mixed, clumped or gone astray, or so many seconds apart.
+        Log-densities are on a new lattice at every step anyway.
     """
 
     scheme: SchemeChoice = "auto"
     exact_linear: bool = False
+    remesh: Literal["never", "health"] | Positive = "never"
 
 
 @settings
