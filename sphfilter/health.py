@@ -14,11 +14,12 @@ __all__ = ["Health", "health"]
 #: Nats. A cloud in order has .002 to .05 however sheared (two to four states, 300 to 1300 particles), one
 #: that has mixed .2 to 1; at .1 neighbours contradict each other by a tenth of the density.
 _MIXED = 0.1
-#: The explicit step of 002 (18) is in proportion to the smallest distance: with a tenth of the typical one a
-#: second takes ten times the steps. Shear alone, which passes, leaves a quarter.
-_CLUMPED = 0.1
+#: Steps shorten with the smallest distance: from a twentieth of the typical one on they are five to ten times
+#: as many. Shear alone, which passes, leaves a quarter, and what spreads on a limit cycle a fifteenth.
+_CLUMPED = 0.05
 #: Share of the particles that moves without any neighbour. Those at the rim come first, and carry nothing.
 _ASTRAY = 0.05
+_FIT_REACH = 2.0  # supports, within which the neighbours of a polynomial lie
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +113,8 @@ def _as_kernels_see(density):
     K = RADIUS[density.kernel_code[0]]
     if density.read_out in ("points", "mixture"):
         if density.domain is not None:
-            x, mass, h = density.domain.seen(density.domain.fold(x), mass, h, K * h.max())
+            reach = _FIT_REACH * K * h.max()
+            x, mass, h = density.domain.seen(density.domain.fold(x), mass, h, reach)
         return np.ascontiguousarray(x), mass, K * h
     factor = np.linalg.cholesky(density.cov("points"))
     z = np.linalg.solve(factor, (x - density.mean()).T).T

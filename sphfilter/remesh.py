@@ -105,14 +105,16 @@ def _on_new_lattice(density, scheme, n_particles):
     # Kernels know more of a cloud in disorder than the log-densities that its particles carry.
     new, _ = regrid(replace(density, log_density=None), n_particles, scheme)
     # Moment-corrected SPH gets the moments of the points right: the new points have to have them too.
-    wanted, have = (np.linalg.cholesky(d.cov("points")) for d in (density, new))
-    change = wanted @ np.linalg.inv(have)
+    centred = new.x - new.mass @ new.x
+    have = np.linalg.cholesky((centred * new.mass[:, None]).T @ centred)
+    change = np.linalg.cholesky(density.cov("points")) @ np.linalg.inv(have)
     grown = np.prod(np.diag(change))
     return replace(
         density,
-        x=density.mean() + (new.x - new.mass @ new.x) @ change.T,
+        x=density.mean() + centred @ change.T,
         mass=new.mass,
         h=new.h * grown ** (1.0 / density.dim),
+        kernel=new.kernel,
         log_density=new.log_density - math.log(grown),
         capacity=new.capacity,
     )
