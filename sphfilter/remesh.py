@@ -15,7 +15,7 @@ from .schemes.log_density import fits
 __all__ = ["Remeshing"]
 
 _NUDGE = 1e-6  # standard deviations
-_MOST_LOOKS = 100  # in each e-th part of an interval
+_MOST_LOOKS = 100  # while the time that is left shrinks by a factor e
 _ON_TIME = 1e-9  # of the seconds between two lattices
 
 

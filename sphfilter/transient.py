@@ -121,7 +121,7 @@ def _piecewise(density, model, t, config, remeshing, origin):
         before, (density, info, _) = _carried(density, model, stop, config, remeshing.n_particles, origin)
         origin = Prediction(before, info.mass_error, model, density.t)
         if told:
-            status = told if info.status == "ok" else f"{told}; {info.status}"
+            status = told if info.status == "ok" else f"{told}; {info.status.removeprefix('ok; ')}"
             info = replace(info, status=status, n_regrids=info.n_regrids + regridded)
         infos.append(info)
     return density, PredictInfo.joined(infos), origin

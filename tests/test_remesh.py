@@ -130,14 +130,40 @@ def test_where_no_lattice_can_be_had_the_particles_go_on(monkeypatch):
     assert same(way.densities[1], never.densities[1])
 
 
-def test_a_lattice_that_is_no_better_is_not_taken():
+def test_a_lattice_that_is_no_better_is_not_taken(monkeypatch):
+    """Where particles are too few for the density a new lattice is as rough as the old one."""
     room = importlib.import_module("sphfilter.remesh")
-    before = carried("corrected", "never", [2.0], 320).densities[0]
+    before = carried("corrected", "never", [2.0]).densities[0]
     rough = replace(before, mass=np.random.default_rng(1).permutation(before.mass))
-    rule = room.Remeshing("health", SUMS["corrected"], 320)
+    rule = room.Remeshing("health", SUMS["corrected"], 200)
     after, told, changed = rule.renewed(rough, DUFFING, 3.0)
-    assert changed == (sf.health(after).severity < sf.health(rough).severity)
-    assert "particles have mixed" in told
+    assert changed and sf.health(after).severity < sf.health(rough).severity
+    monkeypatch.setattr(room, "_on_new_lattice", lambda density, *_: density)
+    after, told, changed = rule.renewed(rough, DUFFING, 3.0)
+    assert after is rough and not changed and told.endswith("of so few particles is no better")
+
+
+def test_sums_that_carry_what_a_lattice_cannot_are_renewed_too():
+    """Noise that depends on the state, which "auto" leaves to moment-corrected sums: E[x²] in closed form."""
+    noisy = sf.SDE.from_expressions(["x"], ["-x"], noise=[["0.5*x"]], spectral_density=[[1.0]])
+    start = sf.Gaussian([2.0], [[0.04]])
+    way = carried("auto", 0.2, [0.5, 1.0], 80, noisy, start)
+    assert [info.scheme for info in way.infos] == ["corrected"] * 2
+    assert sum(info.n_regrids for info in way.infos) == 4
+    second = 4.04 * np.exp((-2.0 + 0.25) * way.times)
+    assert way.moment([2]) == pytest.approx(second, rel=1e-3)
+
+
+def test_particles_on_a_circle_are_renewed_across_its_seam():
+    circle = sf.Domain(("periodic", -np.pi, np.pi))
+    model = sf.SDE.from_expressions(["a"], ["0.7"], [[1.0]], spectral_density=[[0.5]], domain=circle)
+    config = sf.SolverConfig(scheme=sf.PaperScheme(kernel="wendland_c2"), remesh=0.5)
+    start = sf.initialize(sf.Gaussian([2.5], [[0.25]]), 80, config, domain=circle)
+    way = sf.propagate(start, model, [2.0], config)
+    end = way.densities[0]
+    assert way.infos[0].n_regrids == 3 and circle.contains(end.x).all()
+    assert end.mean()[0] == pytest.approx(2.5 + 1.4 - 2 * np.pi, abs=0.01)
+    assert end.cov()[0, 0] == pytest.approx(1.25, rel=0.05)
 
 
 @pytest.mark.parametrize("remesh", ["helth", -1.0, 0.0])
