@@ -9,11 +9,11 @@ from .core.neighbors import build_index, choose_method, neighbor_lists
 from .errors import ModelError
 from .scattered import smoothed
 
-__all__ = ["Health", "health"]
+__all__ = ["MIXED", "Health", "health"]
 
 #: Nats. A cloud in order has .002 to .05 however sheared (two to four states, 300 to 1300 particles), one
 #: that has mixed .2 to 1; at .1 neighbours contradict each other by a tenth of the density.
-_MIXED = 0.1
+MIXED = 0.1
 #: Steps shorten with the smallest distance: from a twentieth of the typical one on they are five to ten times
 #: as many. Shear alone, which passes, leaves a quarter, and what spreads on a limit cycle a fifteenth.
 _CLUMPED = 0.05
@@ -64,7 +64,7 @@ class Health:
 
     def _severities(self):
         return {
-            "particles have mixed": self.mixing / _MIXED,
+            "particles have mixed": self.mixing / MIXED,
             "particles have clumped": _CLUMPED / max(self.spacing, 1e-300),
             "particles have gone astray": self.rogue / _ASTRAY,
         }

@@ -50,12 +50,13 @@ class PredictInfo:
         """One info of several predictions, one after the other; schemes and statuses without repetition."""
         if len(infos) == 1:
             return infos[0]
+        statuses = (info.status.removeprefix("ok").removeprefix("; ") for info in infos)
         totals = {f.name: sum(getattr(i, f.name) for i in infos) for f in fields(cls) if f.name not in _WORDS}
         return cls(
             **totals,
             skipped=tuple(dict.fromkeys(note for info in infos for note in info.skipped)),
             scheme=", ".join(dict.fromkeys(info.scheme for info in infos)),
-            status="; ".join(dict.fromkeys(i.status for i in infos if i.status != "ok")) or "ok",
+            status="; ".join(dict.fromkeys(filter(None, statuses))) or "ok",
         )
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 
 from .config import LogDensityScheme, PaperScheme
 from .errors import PropagationError
-from .health import health
+from .health import MIXED, health
 from .predict import SUMMED
 from .resample import regrid
 from .schemes.log_density import fits
@@ -104,6 +104,7 @@ def _on_new_lattice(density, scheme, n_particles):
         return regrid(density, n_particles, scheme if isinstance(scheme, PaperScheme) else SUMMED)[0]
     # Kernels know more of a cloud in disorder than the log-densities that its particles carry.
     new, _ = regrid(replace(density, log_density=None), n_particles, scheme)
+    _check_resolved(density, new)
     # Moment-corrected SPH gets the moments of the points right: the new points have to have them too.
     centred = new.x - new.mass @ new.x
     have = np.linalg.cholesky((centred * new.mass[:, None]).T @ centred)
@@ -118,3 +119,18 @@ def _on_new_lattice(density, scheme, n_particles):
         log_density=new.log_density - math.log(grown),
         capacity=new.capacity,
     )
+
+
+def _check_resolved(density, new):
+    """Refuse a lattice that sees another density than the particles do: one of thin, folded sheets.
+
+    Lattices that resolve the density change its logarithm by .002 to .04 nat, those that do not by .5 to 80.
+    """
+    known, seen = density.logpdf(density.x), new.logpdf(density.x)
+    change = np.where(np.isfinite(known), seen - known, 0.0)
+    off = math.sqrt(density.mass @ change**2)
+    if not off < MIXED:
+        raise PropagationError(
+            f"one of {new.n_particles} particles would change the logarithm of the density by {off:.2g}; use "
+            f"more particles"
+        )

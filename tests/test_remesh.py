@@ -130,6 +130,22 @@ def test_where_no_lattice_can_be_had_the_particles_go_on(monkeypatch):
     assert same(way.densities[1], never.densities[1])
 
 
+def test_a_lattice_too_coarse_for_a_folded_sheet_is_not_taken():
+    """A sheet thinner than the lattice's spacing, as chaos makes them: the lattice would fill the folds."""
+    flat = sf.initialize(sf.Gaussian([0.0, 0.0], np.eye(2)), 200, configuration("corrected", "never"))
+    z = flat.x.copy()
+    sheet = np.column_stack([z[:, 0], 4.0 * np.sin(4.0 * z[:, 0]) + 0.03 * z[:, 1]])
+    log_p = flat.log_density - np.log(0.03)
+    parts = {"field": None, "moments": None, "volume": None, "gaussian": False, "read_out": "shrunk"}
+    folded = replace(flat, x=sheet, h=0.17 * flat.h, log_density=log_p, t=1.0, **parts)
+    room = importlib.import_module("sphfilter.remesh")
+    rule = room.Remeshing(0.5, SUMS["corrected"], 200)
+    after, told, changed = rule.renewed(folded, SPIRAL, 2.0)
+    assert after is folded and not changed and "every 0.5 s, but no new lattice" in told
+    smooth = replace(flat, t=1.0, **parts)
+    assert rule.renewed(smooth, SPIRAL, 2.0)[2]
+
+
 def test_a_lattice_that_is_no_better_is_not_taken(monkeypatch):
     """Where particles are too few for the density a new lattice is as rough as the old one."""
     room = importlib.import_module("sphfilter.remesh")
