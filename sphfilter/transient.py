@@ -79,7 +79,7 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
     model : SDE
     times : array_like, shape (T,)
         Times at which the density is wanted, seconds, not decreasing.
-    config : SolverConfig, optional
+    config : SolverConfig or FilterConfig, optional
     n_particles : int, optional
         Upper bound of the number of particles at re-griddings; the density's own if not given.
     callback : callable, optional
@@ -101,7 +101,8 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
     if np.any(np.diff(times, prepend=density.t) < 0):
         raise ModelError(f"times must not decrease, nor begin before t = {density.t:g}, that of the density")
     n_particles = bound(density, n_particles)
-    remeshing = Remeshing(config.remesh, config.scheme, n_particles)
+    rule = getattr(config, "remesh", "never")  # filters have a new lattice at every measurement, and no rule
+    remeshing = Remeshing(rule, config.scheme, n_particles)
     densities, infos, origin = [], [], None
     for t in times:
         density, info, origin = _piecewise(density, model, float(t), config, remeshing, origin)

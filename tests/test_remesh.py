@@ -42,6 +42,13 @@ def test_never_is_prediction_after_prediction_to_the_last_bit(scheme):
         assert same(density, end) and info == expected
 
 
+def test_the_configuration_of_a_filter_never_asks_for_it():
+    config = sf.FilterConfig(scheme="corrected")
+    start = sf.initialize(FAST, 150, config)
+    way = sf.propagate(start, DUFFING, [0.5], config)
+    assert same(way.densities[0], carried("corrected", "never", [0.5], 150).densities[0])
+
+
 def test_log_densities_are_on_a_new_lattice_at_every_step_anyway():
     ends = [carried("auto", remesh, [1.0, 3.0]) for remesh in ("never", "health", 0.5)]
     assert all(same(ends[0].densities[-1], way.densities[-1]) for way in ends)
