@@ -103,7 +103,8 @@ def _on_new_lattice(density, scheme, n_particles):
     if density.read_out != "shrunk":
         return regrid(density, n_particles, scheme if isinstance(scheme, PaperScheme) else SUMMED)[0]
     # Kernels know more of a cloud in disorder than the log-densities that its particles carry.
-    new, _ = regrid(replace(density, log_density=None), n_particles, scheme)
+    enough = max(n_particles, density.n_particles)  # the nodes of a lattice that gave up may be more
+    new, _ = regrid(replace(density, log_density=None), enough, scheme)
     _check_resolved(density, new)
     # Moment-corrected SPH gets the moments of the points right: the new points have to have them too.
     centred = new.x - new.mass @ new.x
@@ -117,7 +118,6 @@ def _on_new_lattice(density, scheme, n_particles):
         h=new.h * grown ** (1.0 / density.dim),
         kernel=new.kernel,
         log_density=new.log_density - math.log(grown),
-        capacity=new.capacity,
     )
 
 
