@@ -333,6 +333,18 @@ def _named_scheme(value):
 SchemeChoice = Annotated[_Auto | _Scheme, BeforeValidator(_named_scheme)]
 
 
+_RULES = "never", "health"
+
+
+def _remesh_rule(value):
+    if value in _RULES or (isinstance(value, int | float) and value > 0):
+        return value
+    raise ValueError(f"{value!r} is none of never, health and seconds above zero{nearest(value, _RULES)}")
+
+
+RemeshRule = Annotated[Literal["never", "health"] | Positive, BeforeValidator(_remesh_rule)]
+
+
 @settings
 class SolverConfig(_Settings):
     """Settings of the transient solver.
@@ -352,7 +364,7 @@ class SolverConfig(_Settings):
 
     scheme: SchemeChoice = "auto"
     exact_linear: bool = False
-    remesh: Literal["never", "health"] | Positive = "never"
+    remesh: RemeshRule = "never"
 
 
 @settings

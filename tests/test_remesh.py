@@ -189,9 +189,9 @@ def test_particles_on_a_circle_are_renewed_across_its_seam():
     assert end.cov()[0, 0] == pytest.approx(1.25, rel=0.05)
 
 
-@pytest.mark.parametrize("remesh", ["helth", -1.0, 0.0])
+@pytest.mark.parametrize("remesh", ["helth", "often", -1.0, 0.0, None])
 def test_rules_that_are_none(remesh):
-    with pytest.raises(sf.ConfigError, match="remesh"):
+    with pytest.raises(sf.ConfigError, match=r"remesh: .* is none of never, health and seconds"):
         sf.SolverConfig(remesh=remesh)
 
 
