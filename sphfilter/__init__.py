@@ -15,6 +15,7 @@ from .density import ParticleDensity
 from .domain import Domain
 from .errors import ConfigError, ExpressionError, ModelError, PropagationError, SphfilterError
 from .filter import SPHFilter
+from .health import Health, health
 from .info import PredictInfo, ResampleInfo, UpdateInfo
 from .initial import Gaussian, Uniform, initialize
 from .measurements import GaussianMeasurement, LikelihoodMeasurement
@@ -40,6 +41,7 @@ __all__ = [
     "FilterResult",
     "Gaussian",
     "GaussianMeasurement",
+    "Health",
     "LikelihoodMeasurement",
     "LinearSDE",
     "LogDensityScheme",
@@ -58,6 +60,7 @@ __all__ = [
     "UpdateInfo",
     "__version__",
     "consistency",
+    "health",
     "initialize",
     "predict",
     "propagate",

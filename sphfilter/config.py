@@ -333,6 +333,18 @@ def _named_scheme(value):
 SchemeChoice = Annotated[_Auto | _Scheme, BeforeValidator(_named_scheme)]
 
 
+_RULES = "never", "health"
+
+
+def _remesh_rule(value):
+    if value in _RULES or (isinstance(value, int | float) and value > 0):
+        return value
+    raise ValueError(f"{value!r} is none of never, health and seconds above zero{nearest(value, _RULES)}")
+
+
+RemeshRule = Annotated[Literal["never", "health"] | Positive, BeforeValidator(_remesh_rule)]
+
+
 @settings
 class SolverConfig(_Settings):
     """Settings of the transient solver.
@@ -344,10 +356,15 @@ class SolverConfig(_Settings):
         on moment-corrected SPH where they do not or its health check fails; the info says which it was.
     exact_linear : bool
         Carry a Gaussian through a linear model in closed form.
+    remesh : "never", "health" or float
+        When `propagate` puts particles that sums over kernels have carried on a new lattice (002 5.3): never,
+        where `health` finds that they have mixed, clumped or gone astray, or so many seconds apart.
+        Log-densities are on a new lattice at every step anyway.
     """
 
     scheme: SchemeChoice = "auto"
     exact_linear: bool = False
+    remesh: RemeshRule = "never"
 
 
 @settings

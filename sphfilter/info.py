@@ -1,6 +1,6 @@
 """What a prediction, an update or a re-gridding did, as values."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -18,7 +18,8 @@ class PredictInfo:
     n_searches, n_bypassed : int
         Evaluations with neighbour lists found anew, and steps that did without.
     n_regrids : int
-        Times the particles were put on a new lattice inside the interval because steps had become too small.
+        Times the particles were put on a new lattice because steps had become too small, or because
+        `SolverConfig.remesh` says so.
     n_rejected : int
         Time steps repeated because the error control refused them.
     mass_error : float
@@ -44,10 +45,27 @@ class PredictInfo:
     scheme: str = "paper"
     status: str = "ok"
 
+    @classmethod
+    def joined(cls, infos):
+        """One info of several predictions, one after the other; schemes and statuses without repetition."""
+        if len(infos) == 1:
+            return infos[0]
+        statuses = (info.status.removeprefix("ok").removeprefix("; ") for info in infos)
+        totals = {f.name: sum(getattr(i, f.name) for i in infos) for f in fields(cls) if f.name not in _WORDS}
+        return cls(
+            **totals,
+            skipped=tuple(dict.fromkeys(note for info in infos for note in info.skipped)),
+            scheme=", ".join(dict.fromkeys(info.scheme for info in infos)),
+            status="; ".join(dict.fromkeys(filter(None, statuses))) or "ok",
+        )
+
     @property
     def bypass_ratio(self):
         """Bypassed steps per search (002 section 4.3)."""
         return self.n_bypassed / max(self.n_searches, 1)
+
+
+_WORDS = "skipped", "scheme", "status"
 
 
 @dataclass(frozen=True, kw_only=True)

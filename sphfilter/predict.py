@@ -13,7 +13,7 @@ from .schemes import corrected, log_density, paper
 from .schemes._shared import carried_off
 from .validate import real
 
-__all__ = ["FINEST", "MOST_FINER", "predict", "predict_within"]
+__all__ = ["FINEST", "MOST_FINER", "SUMMED", "predict", "predict_within"]
 
 
 def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
@@ -103,7 +103,7 @@ def _best(density, model, target, n_particles, most):
         except PropagationError as problem:
             reason = str(problem)
     if density.domain is not None:
-        moved, info = paper.propagate(density, model, target, _SUMMED, n_particles)
+        moved, info = paper.propagate(density, model, target, SUMMED, n_particles)
         return moved, replace(info, status=f"not log_density: {reason}")
     try:
         moved, info = _corrected(density, model, target, CorrectedScheme(), n_particles)
@@ -141,7 +141,7 @@ _FINER = 3, 9, 27
 FINEST = 3
 MOST_FINER = 30_000
 #: Plain sums over kernels, for domains whose ends other schemes do not know.
-_SUMMED = PaperScheme(kernel="wendland_c2")
+SUMMED = PaperScheme(kernel="wendland_c2")
 _SCHEMES = {
     LogDensityScheme: log_density.propagate,
     CorrectedScheme: _corrected,

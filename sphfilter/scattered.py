@@ -10,7 +10,7 @@ from .core.kernels import RADIUS
 from .core.neighbors import build_index, choose_method
 from .core.summation import sample_density
 
-__all__ = ["interpolant", "normalised"]
+__all__ = ["interpolant", "normalised", "smoothed"]
 
 _NEIGHBORS_A_TERM = 3
 _CUBIC_UP_TO = 2  # states; beyond, cubic polynomials have too many terms for the particles at hand
@@ -51,6 +51,25 @@ def interpolant(x, log_p, factor):
         return np.where(r[:, 0] <= _NEAR * nearest[j], inside, c[j, 0] + np.minimum(fall, 0.0))
 
     return log_density
+
+
+def smoothed(z, values):
+    """What quadratic polynomials through the neighbours of each point make of values there.
+
+    Parameters
+    ----------
+    z : ndarray, shape (N, n)
+        Two points at least.
+    values : ndarray, shape (N,)
+
+    Returns
+    -------
+    smooth, nearest : ndarray, shape (N,)
+        Values of the polynomials at their own points, and distances to the nearest point.
+    """
+    tree = cKDTree(z)
+    c, _, nearest = _fit(tree, z, values, _terms(z.shape[1], 2, len(z)))
+    return c[:, 0], nearest
 
 
 def _terms(n, degree, N):

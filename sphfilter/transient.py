@@ -9,6 +9,7 @@ from .config import CorrectedScheme, SolverConfig
 from .errors import LatticeError, ModelError, UnresolvedError
 from .info import PredictInfo
 from .predict import MOST_FINER, predict, predict_within
+from .remesh import Remeshing
 from .resample import bound
 from .storage import density_from, load_arrays, stored, write_arrays
 from .validate import array
@@ -72,7 +73,8 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
 
     Where a lattice proves too coarse for what comes, the interval before is repeated on 3 or 9 times the
     particles; where ``scheme="auto"`` finds no lattice of up to 10,000 nodes that holds the density,
-    moment-corrected SPH goes on with the nodes as its particles. The infos say so.
+    moment-corrected SPH goes on with the nodes as its particles. Particles are put on a new lattice on the
+    way where ``config.remesh`` asks for it. The infos say so.
 
     Parameters
     ----------
@@ -81,7 +83,7 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
     model : SDE
     times : array_like, shape (T,)
         Times at which the density is wanted, seconds, not decreasing.
-    config : SolverConfig, optional
+    config : SolverConfig or FilterConfig, optional
     n_particles : int, optional
         Upper bound of the number of particles at re-griddings; the density's own if not given.
     callback : callable, optional
@@ -103,15 +105,31 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
     if np.any(np.diff(times, prepend=density.t) < 0):
         raise ModelError(f"times must not decrease, nor begin before t = {density.t:g}, that of the density")
     n_particles = bound(density, n_particles)
+    rule = getattr(config, "remesh", "never")  # filters have a new lattice at every measurement, and no rule
+    remeshing = Remeshing(rule, config.scheme, n_particles)
     densities, infos, origin = [], [], None
     for t in times:
-        before, (density, info, _) = _carried(density, model, float(t), config, n_particles, origin)
-        origin = Prediction(before, info.mass_error, model, density.t)
+        density, info, origin = _piecewise(density, model, float(t), config, remeshing, origin)
         densities.append(density)
         infos.append(info)
         if callback is not None and callback(density, info):
             break
     return Trajectory(times[: len(densities)], tuple(densities), tuple(infos))
+
+
+def _piecewise(density, model, t, config, remeshing, origin):
+    """One interval, cut where a new lattice may be needed: its end, its info, and what led there."""
+    infos = []
+    while not infos or density.t < t:
+        density, told, regridded = remeshing.renewed(density, model, t)
+        stop = remeshing.stop(density, model, t)
+        before, (density, info, _) = _carried(density, model, stop, config, remeshing.n_particles, origin)
+        origin = Prediction(before, info.mass_error, model, density.t)
+        if told:
+            status = told if info.status == "ok" else f"{told}; {info.status.removeprefix('ok; ')}"
+            info = replace(info, status=status, n_regrids=info.n_regrids + regridded)
+        infos.append(info)
+    return density, PredictInfo.joined(infos), origin
 
 
 def _carried(density, model, t, config, n_particles, origin):

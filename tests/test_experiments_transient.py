@@ -126,6 +126,29 @@ def test_a_stopped_run_goes_on(tmp_path, monkeypatch, capsys, own):
     assert not folder.exists()
 
 
+def test_rules_for_new_lattices_side_by_side(tmp_path, capsys, own):
+    path = own(a=("n_particles = 60", 'n_particles = 60\nconfig = { scheme = "corrected" }'))
+    command = ["transient", "--config", str(path), "--out", str(tmp_path / "out"), "--remesh"]
+    assert main([*command, "never,0.5"]) == 0
+    told = capsys.readouterr().out
+    rows = {line.split("  ")[0]: line.split()[1:] for line in told.splitlines()}
+    assert rows["never"][0] == "0" and "every 0.5 s: 1 new lattices on the way" in told
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"remesh_clouds.png", "remesh_variances.png"}
+    assert main([*command, "never,oftne"]) == 1
+    assert "solver.config.remesh" in capsys.readouterr().err
+    assert main([*command, ","]) == 1
+    assert "never, health, or seconds" in capsys.readouterr().err
+
+
+def test_a_rule_for_new_lattices_is_a_setting(tmp_path, capsys, own):
+    out = tmp_path / "out"
+    command = ["transient", "--config", str(own()), "--out", str(out)]
+    change = ["--set", "solver.config.scheme=corrected", "--set", "solver.config.remesh=0.2"]
+    assert main([*command, *change]) == 0
+    assert "4 new lattices on the way" in capsys.readouterr().out
+    assert sum(info.n_regrids for info in sf.Trajectory.load(out / "trajectory.npz").infos) == 4
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

@@ -20,7 +20,7 @@ from experiments.run import Interrupted, without_none
 from sphfilter import __version__
 from sphfilter.errors import ConfigError, SphfilterError
 
-from . import plots
+from . import plots, remeshing
 from .problem import load_problem
 from .references import reference_of
 from .rivals import rivals_of
@@ -38,6 +38,11 @@ def add_arguments(parser):
     )
     parser.add_argument("--out", type=Path, help="folder for results (default: results/transient/NAME)")
     parser.add_argument("--n-particles", type=int, help="particles, at most")
+    parser.add_argument(
+        "--remesh",
+        metavar="RULES",
+        help="solve with each rule for new lattices on the way, e.g. never,health,2 (seconds), and compare",
+    )
     parser.add_argument("--no-reference", action="store_true", help="do not compute the reference")
     parser.add_argument("--animate", metavar="FILE", help="write the densities as a GIF of this name")
     example = "e.g. solver.config.scheme=paper or times.end=10"
@@ -57,11 +62,16 @@ def main(args):
         changes["solver.n_particles"] = args.n_particles
     if args.no_reference:
         changes["reference.kind"] = "none"
+    if args.remesh is None:
+        _solve(console, args, changes)
+    else:
+        _compare_remeshing(console, args, changes)
+
+
+def _solve(console, args, changes):
+    """Solve, compare with the reference, print, write and draw."""
     problem = load_problem(args.config or args.name, changes)
-    out = args.out or Path("results") / "transient" / problem.name
-    console.print(f"[bold]{problem.name}[/]: {problem.settings.description}")
-    console.print(f"{problem.settings.source}\n", style="dim")
-    _warm_up(console, problem)
+    out = _begin(console, args, problem)
     folder = folder_of(out, problem)
     solution = _followed(console, problem, folder)
     reference = _reference(console, problem)
@@ -82,6 +92,36 @@ def main(args):
         f"\nNumbers are in {out}/trajectory.npz, statistics.csv and run.json, the file in transient.toml."
     )
     console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
+
+
+def _begin(console, args, problem):
+    """Say what is solved, and compile; returns the folder for results."""
+    console.print(f"[bold]{problem.name}[/]: {problem.settings.description}")
+    console.print(f"{problem.settings.source}\n", style="dim")
+    _warm_up(console, problem)
+    return args.out or Path("results") / "transient" / problem.name
+
+
+def _compare_remeshing(console, args, changes):
+    """Solve with each rule of --remesh, print a row and draw a curve of each."""
+    asked = remeshing.rules_of(args.remesh)
+    problems = {name: load_problem(args.config or args.name, changes | own) for name, own in asked.items()}
+    first = next(iter(problems.values()))
+    out = _begin(console, args, first)
+    folders = {name: folder_of(out, problem) for name, problem in problems.items()}
+    rules = [
+        remeshing.Rule(name, problem, _followed(console, problem, folders[name]))
+        for name, problem in problems.items()
+    ]
+    reference = _reference(console, first)
+    console.print(remeshing.table(rules, reference))
+    for rule in rules:
+        for sentence in sentences(rule.problem, rule.solution, reference):
+            console.print(f"• {rule.name}: {escape(sentence)}")
+    drawn = remeshing.draw(out, rules, reference)
+    for folder in folders.values():
+        shutil.rmtree(folder)
+    console.print(f"\nPictures: {', '.join(str(path) for path in drawn)}")
 
 
 def _warm_up(console, problem):

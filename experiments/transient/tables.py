@@ -6,7 +6,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-__all__ = ["comparison", "sentences", "steady_table", "table", "write_csv"]
+__all__ = ["comparison", "moments", "sentences", "steady_table", "table", "write_csv"]
 
 _FAINT = 1e-7  # probability below which none is compared
 _MOST_ROWS = 12  # times in a printed table; files have all
@@ -21,8 +21,8 @@ def comparison(problem, solution, reference):
     n, T = problem.model.dim, len(problem.times)
     out = np.full((T, 2), np.nan)
     for k in range(T):
-        mean, cov = _moments(reference.values[k], n)
-        ours = _moments(solution.values[k], n)
+        mean, cov = moments(reference.values[k], n)
+        ours = moments(solution.values[k], n)
         scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
         out[k] = (
             np.abs((ours[0] - mean) / scale).max(),
@@ -31,7 +31,8 @@ def comparison(problem, solution, reference):
     return out
 
 
-def _moments(values, n):
+def moments(values, n):
+    """Mean (n,) and covariance (n, n) from the first and second moments at the head of a row of values."""
     mean, second = values[:n], np.empty((n, n))
     second[np.triu_indices(n)] = values[n : n + n * (n + 1) // 2]
     second = np.triu(second) + np.triu(second, 1).T
@@ -102,6 +103,9 @@ def sentences(problem, solution, reference):
         f"{schemes}, {min(sizes)} to {max(sizes)} particles, {steps} steps, {seconds:.2g} s from t = "
         f"{solution.start.t:g} to {problem.times[-1]:g}"
     )
+    regrids = sum(info.n_regrids for info in infos)
+    if regrids:
+        yield f"{regrids} new lattices on the way"
     for status in dict.fromkeys(info.status for info in infos if info.status != "ok"):
         yield f"at {sum(info.status == status for info in infos)} of {len(infos)} times: {status}"
     if reference is not None:

@@ -1,0 +1,127 @@
+"""Particles on a new lattice while a density is carried: when, and how (002 section 5.3)."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .affine import with_moments
+from .config import LogDensityScheme, PaperScheme
+from .errors import PropagationError
+from .health import MIXED, health
+from .predict import SUMMED
+from .resample import regrid
+from .schemes.log_density import fits
+
+__all__ = ["Remeshing"]
+
+_NUDGE = 1e-6  # standard deviations
+_MOST_LOOKS = 100  # while the time that is left shrinks by a factor e
+_ON_TIME = 1e-9  # of the seconds between two lattices
+
+
+@dataclass(frozen=True)
+class Remeshing:
+    """When the particles of a transient solution are put on a new lattice.
+
+    It follows from the density alone: a solution that was stopped goes on as it would have.
+
+    Attributes
+    ----------
+    when : str or float
+        `SolverConfig.remesh`.
+    scheme : "auto" or a scheme
+    n_particles : int
+        Upper bound of a new lattice's.
+    """
+
+    when: object
+    scheme: object
+    n_particles: int
+
+    def applies(self, density, model):
+        """Do sums over kernels carry the density from here? A log-density is on a lattice at every step."""
+        if self.when == "never" or isinstance(self.scheme, LogDensityScheme):
+            return False
+        return self.scheme != "auto" or bool(fits(model, density, self.n_particles))
+
+    def stop(self, density, model, t):
+        """Time at which to look again, at most t, seconds.
+
+        Neighbours part by about their distance in the time that the drift needs to turn or strain the density
+        by one: that is how often its health is looked at.
+        """
+        if not self.applies(density, model):
+            return t
+        if self.when == "health":
+            span, rate = t - density.t, _strain(density, model)
+            return density.t + max(1.0 / rate, span / _MOST_LOOKS) if rate * span > 1.0 else t
+        count = math.floor(density.t / self.when + _ON_TIME) + 1
+        return t if count * self.when > t - _ON_TIME * self.when else count * self.when
+
+    def renewed(self, density, model, t):
+        """The density on a new lattice if it is time for one, before it is carried to time t.
+
+        Returns
+        -------
+        ParticleDensity
+        str
+            Why it has one, or why not if it should; empty if nothing was to be done.
+        bool
+            Whether it has one.
+        """
+        reason = self._reason(density) if t > density.t and self.applies(density, model) else ""
+        if not reason:
+            return density, "", False
+        try:
+            new = _on_new_lattice(density, self.scheme, self.n_particles)
+        except PropagationError as problem:
+            return density, f"{reason}, but no new lattice: {problem}", False
+        if self.when == "health" and health(new).severity >= health(density).severity:
+            return density, f"{reason}, but a new lattice of so few particles is no better", False
+        return new, f"re-gridded: {reason}", True
+
+    def _reason(self, density):
+        if self.when == "health":
+            return health(density).complaint
+        carried = density.read_out == "shrunk" or density.invariant is not None
+        due = abs(math.remainder(density.t, self.when)) <= _ON_TIME * self.when
+        return f"every {self.when:g} s" if carried and due else ""
+
+
+def _strain(density, model):
+    """Gradient of the drift, states in standard deviations: rms over the mass and the states, 1/seconds."""
+    std = np.maximum(np.sqrt(np.diag(density.cov("points"))), 1e-300)
+    drift, total = model.drift(density.x, density.t), 0.0
+    for step in _NUDGE * np.diag(std):
+        change = (model.drift(density.x + step, density.t) - drift) / (_NUDGE * std)
+        total += density.mass @ (change**2).sum(axis=1)
+    return math.sqrt(total / density.dim)
+
+
+def _on_new_lattice(density, scheme, n_particles):
+    """The density on a lattice of its own: 002 4.7 for its scheme, else with mean and covariance kept."""
+    if density.read_out != "shrunk":
+        return regrid(density, n_particles, scheme if isinstance(scheme, PaperScheme) else SUMMED)[0]
+    # Kernels know more of a cloud in disorder than the log-densities that its particles carry.
+    enough = max(n_particles, density.n_particles)  # the nodes of a lattice that gave up may be more
+    new, _ = regrid(replace(density, log_density=None), enough, scheme)
+    _check_resolved(density, new)
+    # Moment-corrected SPH gets the moments of the points right: the new points have to have them too.
+    points = {name: getattr(new, name) for name in ("x", "mass", "h", "kernel", "log_density")}
+    return with_moments(replace(density, **points), density.mean(), density.cov("points"))
+
+
+def _check_resolved(density, new):
+    """Refuse a lattice that sees another density than the particles do: one of thin, folded sheets.
+
+    Lattices that resolve the density change its logarithm by .002 to .04 nat, those that do not by .5 to 80.
+    """
+    known, seen = density.logpdf(density.x), new.logpdf(density.x)
+    change = np.where(np.isfinite(known), seen - known, 0.0)
+    off = math.sqrt(density.mass @ change**2)
+    if not off < MIXED:
+        raise PropagationError(
+            f"one of {new.n_particles} particles would change the logarithm of the density by {off:.2g}; use "
+            f"more particles"
+        )
