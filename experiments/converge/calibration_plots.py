@@ -5,20 +5,32 @@ import numpy as np
 from experiments.pictures._style import INK, frame, plt, save
 from experiments.plots import plain_numbers
 
-__all__ = ["draw"]
+__all__ = ["PUBLISHED_BUFFER", "draw"]
+
+PUBLISHED_BUFFER = 8  # best M_B in 002 4.5
 
 _ERROR = {"l2": "density, relative L2 error", "cov": "error of the covariance"}
 _DASHES = "-", "--", ":"
 
 
-def draw(path, pairs, plan, truth, published_buffer):
-    """Draw error, run time, time saved and bypass ratio over C_CFL, C_NNS and M_B; returns the path."""
+def draw(path, pairs, plan, truth, measure):
+    """Draw error, run time, time saved and bypass ratio over C_CFL, C_NNS and M_B; returns the path.
+
+    Parameters
+    ----------
+    path : Path
+    pairs : list of Pair
+    plan : Plan
+    truth : str
+        What errors are against.
+    measure : str
+        The error drawn, "l2" or "cov".
+    """
     figure, axes = plt.subplots(2, 3, figsize=(13.5, 7.6), layout="constrained")
     n_last = len(plan.buffers)
     grid, buffers = pairs[:-n_last], pairs[-n_last:]
-    measure = "l2" if truth.nodes else "cov"
     _over_courant(axes[0, 0], axes[0, 1], grid, plan, measure)
-    _over_buffer(axes[0, 2], buffers, plan, published_buffer)
+    _over_buffer(axes[0, 2], buffers, plan)
     for ax, value, label in zip(axes[1], _values(measure), _LABELS, strict=True):
         _over_ratio(ax, grid, plan, value)
         frame(ax, "", "C_NNS", label)
@@ -26,9 +38,7 @@ def draw(path, pairs, plan, truth, published_buffer):
     axes[1, 2].set_ylim(bottom=-1e-17)
     handles = axes[1, 0].get_legend_handles_labels()
     figure.legend(*handles, loc="outside lower center", ncols=4, frameon=False)
-    figure.suptitle(
-        f"Published scheme, Gaussian kernel, against the {truth.name}, to {plan.end:g} s", fontsize=11
-    )
+    figure.suptitle(f"Published scheme, Gaussian kernel, against the {truth}, to {plan.end:g} s", fontsize=11)
     return save(figure, path)
 
 
@@ -75,14 +85,14 @@ def _over_courant(errors, seconds, pairs, plan, measure):
     errors.set_ylim(0.5 * low, 3.0 * high)  # nearly equal errors are to look so
 
 
-def _over_buffer(ax, pairs, plan, published):
+def _over_buffer(ax, pairs, plan):
     x = [0, *(pair.label["buffer"] for pair in pairs)]
     ax.plot(
         x, [0.0, *(pair.saved for pair in pairs)], color="C0", marker="o", label="processor time saved (%)"
     )
     ratios = [0.0, *(pair.on.bypass_ratio for pair in pairs)]
     ax.plot(x, ratios, color="C1", marker="s", ls="--", label="bypassed steps a search")
-    ax.axvline(published, color=INK, lw=0.8, ls=":", label="published optimum")
+    ax.axvline(PUBLISHED_BUFFER, color=INK, lw=0.8, ls=":", label="published optimum")
     ax.legend(frameon=False, fontsize=8)
     frame(ax, f"{plan.buffer_count} particles, C_CFL = {plan.buffer_cfl:g}, C_NNS = 1", "M_B", "")
 

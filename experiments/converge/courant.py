@@ -89,6 +89,7 @@ def study(args, console):
     usual = _QUICK_END if args.quick else _END
     end = usual if args.end is None else args.end
     settings = [setting_of(name, changes, end, args.limit) for name in _names(args.scenario)]
+    settings[0].with_changes(scheme_change("paper", _KEYS | keys)).check()
     truths = [told_truth(console, setting) for setting in settings]
     with progress(console, len(_KINDS) * len(settings)) as told:
         runs = [run for pair in zip(settings, truths, strict=True) for run in compare(*pair, keys, told)]

@@ -46,7 +46,8 @@ def draw_schemes(path, title, cells, truth, dim):
         ax.set_xlabel("particles")
         plain_numbers(ax.xaxis)
     axes[1, 1].set_xlabel("run time (s)")
-    figure.suptitle(title, fontsize=11)
+    dotted = "" if truth.doubt is None else "\ndotted: bound of the grid's own error"
+    figure.suptitle(f"{title}{dotted}", fontsize=11)
     return save(figure, path)
 
 

@@ -11,7 +11,7 @@ from sphfilter.errors import ConfigError
 
 from . import plots, tables
 from .cells import SCHEME, Setting, cut
-from .studies import INTEGRATORS, by_scheme, by_step, default_steps, variants
+from .studies import INTEGRATORS, by_scheme, by_step, default_steps, scheme_change, variants
 from .truth import truth_of
 
 __all__ = ["progress", "scheme_keys", "setting_of", "study_schemes", "study_steps", "told_truth"]
@@ -46,6 +46,7 @@ def study_steps(args, console, steps):
     changes["solver.n_particles"] = args.n_particles or _N_PARTICLES
     setting = setting_of(args.scenario, changes, _END if args.end is None else args.end, args.limit)
     steps = steps or default_steps(setting, keys)
+    setting.with_changes(scheme_change("paper", keys)).check()
     if len(steps) < 2:
         raise ConfigError("--steps needs two different steps at least")
     truth = told_truth(console, setting)
