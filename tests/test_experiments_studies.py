@@ -123,7 +123,7 @@ def test_orders_over_the_time_step():
     study = setting("oscillator_underdamped", 1.0, solver__n_particles=150)
     truth, steps = truth_of(study.problem), [0.1, 0.05, 0.025]
     for smoothing, rk4 in (("fixed", 4.0), ("proportional", 1.0)):
-        rows = by_step(study, truth, steps, {"smoothing": smoothing}, **QUIET)
+        rows = by_step(study, truth, "step", steps, {"smoothing": smoothing}, **QUIET)
         found = {
             name: orders_of(
                 [(c.label["step"], own) for c, own in rows if c.label["integrator"] == name], "step"
@@ -137,13 +137,23 @@ def test_orders_over_the_time_step():
         assert found["rk4"]["cov"].slope == pytest.approx(rk4, abs=0.4)
 
 
+def test_steps_by_their_courant_number_have_the_order_of_the_integrator():
+    study = setting("oscillator_underdamped", 0.5, solver__n_particles=100, times__interval=0.5)
+    rows = by_step(study, truth_of(study.problem), "c_cfl", [0.8, 0.4], {"smoothing": "fixed"}, **QUIET)
+    ratio = {c.label["integrator"]: [] for c, _ in rows}
+    for cell, own in rows:
+        ratio[cell.label["integrator"]].append(own.mean)
+    assert ratio["euler"][0] / ratio["euler"][1] == pytest.approx(2.0, rel=0.15)
+    assert ratio["midpoint"][0] / ratio["midpoint"][1] == pytest.approx(4.0, rel=0.2)
+
+
 def test_default_steps_are_stable_parts_of_an_interval():
     study = setting("van_der_pol", 1.0, solver__n_particles=150, reference__size=64)
     steps = default_steps(study, {})
     assert len(steps) == 4 and steps == sorted(steps, reverse=True)
     assert all((1.0 / step) == pytest.approx(round(1.0 / step)) for step in steps)
     truth = truth_of(study.problem)
-    assert not any(cell.failure for cell, _ in by_step(study, truth, steps[:2], {}, **QUIET))
+    assert not any(cell.failure for cell, _ in by_step(study, truth, "step", steps[:2], {}, **QUIET))
 
 
 def test_bypassing_the_search_changes_no_bit_and_saves_searches():
@@ -226,6 +236,7 @@ def test_commands_write_table_and_picture(arguments, file, n_rows, tmp_path, cap
         (["oscillator", "--counts", "0,100"], "above zero"),
         (["oscillator", "--over", "step", "--steps", "a"], "--steps takes numbers such as 0.1"),
         (["oscillator", "--over", "step", "--steps", ".1"], "two different steps"),
+        (["oscillator", "--over", "step", "--steps", ".1", "--c-cfl", ".2"], "two ways"),
         (["oscillator", "--over", "scheme", "--schemes", "papre"], "there is no scheme 'papre'"),
         (["oscillator", "--over", "step", "--set", "solver.config.scheme=corrected"],
          "sets solver.config.scheme itself"),

@@ -19,7 +19,7 @@ What is studied:
   NAME of a filter scenario       the SPH filter against its exact filter, over particles
   NAME --over particles           a density without measurements (`list`), over particles, as its file says
   NAME --over scheme              ... of every scheme, with run times
-  NAME --over step                ... of the published scheme, over fixed time steps and integrators
+  NAME --over step                ... of the published scheme, over time steps (or C_CFL) and integrators
   [NAME] --calibrate              C_CFL, C_NNS and M_B of the published scheme (002 4.4-4.5); van_der_pol
   [NAME] --cfl                    absolute against relative CFL (000 Table 4); five Duffing oscillators
 """
@@ -29,7 +29,7 @@ _TAKES = {
     _FILTER: {"filter", "counts", "runs", "seed"},
     "--over particles": {"counts", "end", "limit"},
     "--over scheme": {"counts", "schemes", "end", "limit"},
-    "--over step": {"n_particles", "steps", "end", "limit"},
+    "--over step": {"n_particles", "steps", "c_cfl", "end", "limit"},
     "--calibrate": {"counts", "end", "limit", "repeats", "quick"},
     "--cfl": {"n_particles", "end", "limit", "quick"},
 }
@@ -43,12 +43,13 @@ def add_arguments(parser):
         "scenario", nargs="?", metavar="NAME", help="default: linear_underdamped, or see below"
     )
     parser.add_argument("--over", choices=("particles", "scheme", "step"), help="study a transient density")
-    parser.add_argument("--calibrate", action="store_true", help="002 4.4-4.5")
-    parser.add_argument("--cfl", action="store_true", help="000 Table 4")
+    parser.add_argument("--calibrate", action="store_true", help="the search bypassed and not")
+    parser.add_argument("--cfl", action="store_true", help="absolute against relative CFL")
     parser.add_argument("--counts", help="particles at most, comma-separated")
     parser.add_argument("--n-particles", type=int, help="particles of --over step and --cfl, at most")
     parser.add_argument("--schemes", help="comma-separated (default: log_density,corrected,paper)")
-    parser.add_argument("--steps", help="time steps in seconds, comma-separated")
+    parser.add_argument("--steps", help="fixed time steps in seconds, comma-separated")
+    parser.add_argument("--c-cfl", help="or values of C_CFL, comma-separated")
     parser.add_argument("--end", type=float, help="time at which a density is left alone, seconds")
     parser.add_argument("--limit", type=float, help="seconds one solution may take (default: 300)")
     parser.add_argument("--repeats", type=int, help="runs that --calibrate takes the median of (default: 3)")
@@ -77,7 +78,7 @@ def main(args):
     elif study == "--cfl":
         courant.study(args, console)
     elif study == "--over step":
-        transient.study_steps(args, console, numbers("--steps", args.steps, float) if args.steps else None)
+        transient.study_steps(args, console, *_sizes(args))
     else:
         counts = numbers("--counts", args.counts or _COUNTS[study], int)
         if len(counts) < 2 or args.runs < 1:
@@ -86,6 +87,15 @@ def main(args):
             filters.study(args, console, args.scenario or "linear_underdamped", counts)
         else:
             transient.study_schemes(args, console, counts)
+
+
+def _sizes(args):
+    """The rule of `--over step` and its values, None if none are given."""
+    if args.steps and args.c_cfl:
+        raise ConfigError("--steps and --c-cfl are two ways to choose time steps: give one of them")
+    if args.c_cfl:
+        return "c_cfl", numbers("--c-cfl", args.c_cfl, float)
+    return "step", numbers("--steps", args.steps, float) if args.steps else None
 
 
 def _study(args):

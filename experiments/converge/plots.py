@@ -5,6 +5,7 @@ import numpy as np
 from experiments.pictures._style import INK, frame, plt, save
 from experiments.plots import COLOURS, plain_numbers
 
+from .studies import RULES
 from .tables import groups, orders_of
 
 __all__ = ["draw_schemes", "draw_steps"]
@@ -51,14 +52,14 @@ def draw_schemes(path, title, cells, truth, dim):
     return save(figure, path)
 
 
-def draw_steps(path, title, rows, truth):
+def draw_steps(path, title, rows, truth, rule):
     """Draw errors of every integrator against the time step; returns the path."""
     drawn = [m for m in _DRAWN if m != "l2" or truth.nodes]
     figure, axes = plt.subplots(1, len(drawn), figsize=(4.3 * len(drawn), 4.4), layout="constrained")
     for name, group in groups(rows, "integrator").items():
         group = [(cell, own) for cell, own in group if not cell.failure]
-        steps, colour = [cell.label["step"] for cell, _ in group], _STEPPERS[name]
-        found = orders_of([(cell.label["step"], own) for cell, own in group], "step")
+        steps, colour = [cell.label[rule] for cell, _ in group], _STEPPERS[name]
+        found = orders_of([(cell.label[rule], own) for cell, own in group], "step")
         for ax, m in zip(axes, drawn, strict=True):
             own = [getattr(errors, m) for _, errors in group]
             whole = [getattr(cell.errors, m) for cell, _ in group]
@@ -66,7 +67,7 @@ def draw_steps(path, title, rows, truth):
             ax.plot(steps, whole, color=colour, ls=":", lw=1.2)
     for ax, m in zip(axes, drawn, strict=True):
         _finish(ax, truth, m)
-        ax.set_xlabel("time step (s)")
+        ax.set_xlabel(RULES[rule][0])
         plain_numbers(ax.xaxis)
         _legend(ax)
     figure.suptitle(f"{title}\nsolid: error of the step alone; dotted: against the {truth.name}", fontsize=10)

@@ -10,10 +10,15 @@ from sphfilter.errors import ConfigError
 from .cells import SCHEME, UNKNOWN
 from .errors import errors_of
 
-__all__ = ["INTEGRATORS", "by_scheme", "by_step", "default_steps", "scheme_change", "variants"]
+__all__ = ["INTEGRATORS", "RULES", "by_scheme", "by_step", "default_steps", "scheme_change", "variants"]
 
-#: Orders that textbooks give the integrators of the published scheme.
-INTEGRATORS = {"euler": 1, "midpoint": 2, "rk4": 4}
+#: Of the published scheme; textbooks give them the orders 1, 2 and 4.
+INTEGRATORS = "euler", "midpoint", "rk4"
+#: Sizes of a time step by what they are, for people, and as settings of the published scheme.
+RULES = {
+    "step": ("time step (s)", lambda value: {"cfl": "fixed", "dt_max": value}),
+    "c_cfl": ("C_CFL", lambda value: {"c_cfl": value}),
+}
 _FINER = 4  # times smaller than the smallest the step is that stands for none
 _N_STEPS = 4
 
@@ -103,8 +108,7 @@ def default_steps(setting, keys):
     -------
     list of float
     """
-    changes = scheme_change("paper", _fixed(keys, "euler", 1.0))
-    problem = setting.with_changes(changes).problem
+    problem = setting.with_changes(scheme_change("paper", keys)).problem
     density = problem.begin()
     D = problem.model.diffusion(density.x[:1], density.t)[0]
     longest = density.kernel_variance * float(density.h.min()) ** 2 / max(float(np.trace(D)), 1e-300)
@@ -113,38 +117,52 @@ def default_steps(setting, keys):
     return [interval / 2 ** (halvings + k) for k in range(_N_STEPS)]
 
 
-def _fixed(keys, integrator, step):
-    return keys | {"integrator": integrator, "cfl": "fixed", "dt_max": step}
+def _stepping(keys, integrator, rule, value):
+    """Changes that solve with an integrator and steps of a size, by one of `RULES`."""
+    own = RULES[rule][1](value)
+    return scheme_change("paper", {"c_diffusion": None} | keys | {"integrator": integrator} | own)
 
 
-def by_step(setting, truth, steps, keys, told):
-    """Run the published scheme with every integrator and fixed time step.
+def by_step(setting, truth, rule, values, keys, told):
+    """Run the published scheme with every integrator and size of the time step.
 
     Its error against the truth has a floor, that of the particles. Against the same particles carried with
     much smaller steps it has none: this is the error of the time step alone.
 
+    Parameters
+    ----------
+    setting : Setting
+    truth : Truth
+    rule : str
+        What sizes are, of `RULES`.
+    values : list of float
+    keys : dict
+        Settings of the published scheme; the limit of diffusion is off unless they say so.
+    told : callable(label)
+        Called before every cell.
+
     Returns
     -------
     list of (Cell, Errors)
-        Labels have integrator and step; the errors are those of the time step alone.
+        Labels have integrator and the rule; the errors are those of the time step alone.
 
     Raises
     ------
     ConfigError
         The particles cannot be carried with the small steps.
     """
-    finest = min(steps) / _FINER
-    told({"integrator": "rk4", "step": finest})
-    fine = setting.run({}, scheme_change("paper", _fixed(keys, "rk4", finest)), truth)
+    finest = min(values) / _FINER
+    told({"integrator": "rk4", rule: finest})
+    fine = setting.run({}, _stepping(keys, "rk4", rule, finest), truth)
     if fine.failure:
-        raise ConfigError(f"no solution with steps of {finest:g} s to compare with: {fine.failure}")
+        raise ConfigError(f"no solution with {RULES[rule][0]} {finest:g} to compare with: {fine.failure}")
     still = truth.seen_by(fine.densities)
     rows = []
     for integrator in INTEGRATORS:
-        for step in sorted(steps, reverse=True):
-            label = {"integrator": integrator, "step": step}
+        for value in sorted(values, reverse=True):
+            label = {"integrator": integrator, rule: value}
             told(label)
-            cell = setting.run(label, scheme_change("paper", _fixed(keys, integrator, step)), truth)
+            cell = setting.run(label, _stepping(keys, integrator, rule, value), truth)
             rows.append((cell, _alone(cell, still)))
     return rows
 

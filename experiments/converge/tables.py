@@ -11,6 +11,7 @@ from sphfilter.errors import ConfigError
 from .cells import row_of
 from .errors import MEASURES
 from .fits import fitted_order
+from .studies import RULES
 
 __all__ = ["failures", "groups", "number", "numbers", "orders_of", "scheme_table", "step_table", "write_rows"]
 
@@ -48,18 +49,18 @@ def scheme_table(title, cells, dim):
     return made
 
 
-def step_table(title, rows):
+def step_table(title, rows, rule):
     """Errors of every integrator and step: against the truth, and of the step alone with its orders."""
     made = Table(title=escape(title))
     alone = [f"step's {MEASURES[m]}" for m in ("mean", "cov", "l2")]
-    for head in ("integrator", "step (s)", "covariance", "density, L2", *alone, "steps", "seconds"):
+    for head in ("integrator", RULES[rule][0], "covariance", "density, L2", *alone, "steps", "seconds"):
         made.add_column(head, justify="left" if head == "integrator" else "right")
     for name, group in groups(rows, "integrator").items():
         for cell, own in group:
             numbers = [cell.errors.cov, cell.errors.l2, own.mean, own.cov, own.l2]
             cost = ("", "failed") if cell.failure else _cost(cell)
-            made.add_row(name, f"{cell.label['step']:.4g}", *map(number, numbers), *cost)
-        found = orders_of([(cell.label["step"], own) for cell, own in group], "step")
+            made.add_row(name, f"{cell.label[rule]:.4g}", *map(number, numbers), *cost)
+        found = orders_of([(cell.label[rule], own) for cell, own in group], "step")
         slopes = (str(found[m]) for m in ("mean", "cov", "l2"))
         made.add_row("", "order", "", "", *slopes, "", "", style="bold", end_section=True)
     return made

@@ -40,26 +40,26 @@ def study_schemes(args, console, counts):
     _end(console, cells, out / "convergence.csv", drawn)
 
 
-def study_steps(args, console, steps):
-    """`--over step`; `steps` in seconds, or None."""
+def study_steps(args, console, rule, values):
+    """`--over step`; `values` of a rule of `RULES`, or None for fixed steps that suit the problem."""
     changes, keys = scheme_keys(changes_of(args))
     changes["solver.n_particles"] = args.n_particles or _N_PARTICLES
     setting = setting_of(args.scenario, changes, _END if args.end is None else args.end, args.limit)
-    steps = steps or default_steps(setting, keys)
     setting.with_changes(scheme_change("paper", keys)).check()
-    if len(steps) < 2:
-        raise ConfigError("--steps needs two different steps at least")
+    values = values or default_steps(setting, keys)
+    if len(values) < 2:
+        raise ConfigError("--over step needs two different steps at least")
     truth = told_truth(console, setting)
-    with progress(console, len(INTEGRATORS) * len(steps) + 1) as told:
-        rows = by_step(setting, truth, steps, keys, told)
+    with progress(console, len(INTEGRATORS) * len(values) + 1) as told:
+        rows = by_step(setting, truth, rule, values, keys, told)
     title = f"{_title(setting, truth)}, published scheme"
-    console.print(tables.step_table(title, rows))
+    console.print(tables.step_table(title, rows, rule))
     out, cells = _folder(args, setting), [cell for cell, _ in rows]
     written = [
         tables.row_of(cell) | {f"step_{m}": getattr(own, m) for m in tables.MEASURES} for cell, own in rows
     ]
     tables.write_rows(out / "steps.csv", written)
-    _end(console, cells, out / "steps.csv", plots.draw_steps(out / "steps.png", title, rows, truth))
+    _end(console, cells, out / "steps.csv", plots.draw_steps(out / "steps.png", title, rows, truth, rule))
 
 
 def setting_of(name, changes, end, limit):
