@@ -123,12 +123,12 @@ def _names(name):
 def _table(title, runs):
     made = Table(title=escape(title))
     for head in ("Duffing", "CFL", "particles", "covariance", "density, L2", "steady E[x²]",
-                 "steady E[v²]", "steps", "seconds", "published (s)"):  # fmt: skip
-        made.add_column(head, justify="left" if head in ("Duffing", "CFL") else "right")
+                 "steady E[v²]", "steps", "cpu s", "published, s"):  # fmt: skip
+        made.add_column(escape(head), justify="left" if head in ("Duffing", "CFL") else "right")
     for run in runs:
         cell, errors = run.cell, asdict(run.cell.errors)
         steady = (f"{100 * value:.2g} %" if np.isfinite(value) else "-" for value in run.steady)
-        cost = ("", "failed") if cell.failure else (str(cell.n_steps), f"{cell.seconds:.3g}")
+        cost = ("", "failed") if cell.failure else (str(cell.n_steps), f"{cell.cpu_seconds:.3g}")
         made.add_row(
             _short(cell.label["problem"]), cell.label["cfl"], f"{cell.n_particles:.0f}",
             *(tables.number(errors[m]) for m in ("cov", "l2")), *steady, *cost, _seconds(run.published),
@@ -153,12 +153,16 @@ def _draw(path, title, runs):
     for k, (kind, colour) in enumerate(zip(_KINDS, (COLOURS["ekf"], COLOURS["sph"]), strict=True)):
         chosen = [run for run in runs if run.cell.label["cfl"] == kind]
         at = place + 0.36 * (k - 0.5)
-        axes[0].bar(at, [run.cell.seconds for run in chosen], 0.34, color=colour, label=f"{kind}, ours")
+        axes[0].bar(at, [run.cell.cpu_seconds for run in chosen], 0.34, color=colour, label=f"{kind}, ours")
         published = [min(run.published, 1e4) for run in chosen]
-        axes[0].plot(at, published, "_", ms=14, mew=2, color=colour, label=f"{kind}, 000 Table 4")
+        axes[0].plot(at, published, "_", ms=14, mew=2, color=colour, label=f"{kind}, 000 Table 4 (run time)")
         axes[1].bar(at, [run.cell.errors.cov for run in chosen], 0.34, color=colour)
         axes[2].bar(at, [100 * run.steady[0] for run in chosen], 0.34, color=colour)
-    labels = "seconds (10⁴: more than that)", "covariance, rms over the times", "steady E[x²], error (%)"
+    labels = (
+        "processor time, s (10⁴: more than that)",
+        "covariance, rms over the times",
+        "steady E[x²], error (%)",
+    )
     for ax, label in zip(axes, labels, strict=True):
         frame(ax, "", "", label)
         ax.set_xticks(place, [_short(name).replace(" ", "\n") for name in names])

@@ -11,6 +11,7 @@ from ..core.kernels import KINDS, RADIUS, kernel_variance, normalisation
 from ..core.moment_correction import exponents
 from ..errors import PropagationError
 from ..info import PredictInfo
+from ..level_set import at
 from ._shared import blow_up, coefficients_of, skip_notes
 
 __all__ = ["propagate"]
@@ -55,6 +56,7 @@ def propagate(density, model, t1, scheme, n_particles=None):
         raise PropagationError(
             'moment-corrected SPH knows no periodic axes and no walls: use scheme = "paper"'
         )
+    density = _uncut(density)
     options = _options(density, model, t1, scheme)
     powers = exponents(density.dim, max(options.degree, 1))[: None if options.degree else 0]
     cloud = core.Cloud(density.x.copy(), density.mass.copy(), density.h.copy())
@@ -75,6 +77,20 @@ def propagate(density, model, t1, scheme, n_particles=None):
     log_density, mixed = _unmixed(moved.log_density, moved)
     moved = replace(moved, log_density=log_density)
     return moved, _info(model, scheme, counters, len(powers), mixed)
+
+
+def _uncut(density):
+    """Particles with the mean and covariance of the density that their lattice was cut out of.
+
+    A Gaussian cut at Z keeps F(Z²; n + 2) / F(Z²; n) of its covariance, F the distribution of chi square: in
+    four dimensions a hundredth is gone at Z = 4, and particles that obey the moment equations never find it.
+    """
+    if density.field is None or density.moments is None:
+        return density
+    mean, cov = density.moments
+    stretch = np.linalg.cholesky(cov) @ np.linalg.inv(np.linalg.cholesky(density.cov("points")))
+    x = mean + (density.x - density.mass @ density.x) @ stretch.T
+    return replace(density, x=x, log_density=at(density.field, x))
 
 
 def _march(cloud, model, options, powers, scheme, interval):
