@@ -7,6 +7,9 @@ import numpy as np
 __all__ = ["Order", "fitted_order"]
 
 
+_ROUNDING = 1e-12  # errors of which nothing can be said
+
+
 class Order(NamedTuple):
     """Slope of log(error) over log(size) and its standard error; NaN where too few errors are known."""
 
@@ -23,10 +26,10 @@ def fitted_order(sizes, errors):
     """Fit errors (K,) ~ sizes (K,) ** order by least squares of the logarithms.
 
     The spread is the standard error of the slope from the residuals; it takes three errors, and is large
-    where the errors bend, for instance towards a floor.
+    where the errors bend, for instance towards a floor. Rounding errors are left out.
     """
     sizes, errors = np.asarray(sizes, dtype=float), np.asarray(errors, dtype=float)
-    known = np.isfinite(errors) & (errors > 0) & (sizes > 0)
+    known = np.isfinite(errors) & (errors > _ROUNDING) & (sizes > 0)
     x, y = np.log(sizes[known]), np.log(errors[known])
     if len(np.unique(x)) < 2:
         return Order(np.nan, np.nan)
