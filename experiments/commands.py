@@ -5,7 +5,7 @@ import sys
 
 from sphfilter.errors import SphfilterError
 
-from . import listing, run
+from . import listing, run, scaling
 from .benchmark import command as benchmark
 from .converge import command as converge
 from .own_data import command as own_data
@@ -29,6 +29,7 @@ COMMANDS = {
     "benchmark": benchmark,
     "stress": stress,
     "skips": skips,
+    "scaling": scaling,
 }
 #: Names that `run` takes and that are no scenarios: measured data, with options of their own.
 MEASURED = {"sunspots": sunspots}

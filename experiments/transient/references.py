@@ -28,11 +28,14 @@ class ReferenceValues:
         What they are, for people.
     values, half_width : ndarray, shape (T, S)
         NaN where there is none; half widths of 95 % intervals, or bounds of the error.
+    sampled : bool
+        The half widths are those of intervals.
     """
 
     name: str
     values: np.ndarray
     half_width: np.ndarray
+    sampled: bool = False
 
 
 def reference_of(problem, progress=None):
@@ -130,7 +133,7 @@ def _monte_carlo(problem, progress):
         progress=progress,
     )
     low, high = found.interval(0.95)
-    return ReferenceValues(f"{found.n_paths:.2g} paths", found.mean, 0.5 * (high - low))
+    return ReferenceValues(f"{found.n_paths:.2g} paths", found.mean, 0.5 * (high - low), sampled=True)
 
 
 _KINDS = {"linear": _linear, "drifted_uniform": _uniform, "grid": _grid, "monte_carlo": _monte_carlo}
