@@ -5,8 +5,9 @@ import sys
 
 from sphfilter.errors import SphfilterError
 
-from . import converge, listing, run, scaling
+from . import listing, run, scaling
 from .benchmark import command as benchmark
+from .converge import command as converge
 from .own_data import command as own_data
 from .skips import command as skips
 from .stress import command as stress

@@ -328,6 +328,7 @@ def march(drift, diffusion, divergence, coefficients, cloud, domain, options, ti
         if dt < 1e-9 * span:
             return STALLED
         dt = min(dt, options.dt_max, times[1] - times[0])
+        must_search = not options.bypass
         if options.bypass:
             t_nns, fewest = bypass_time(cloud, v, h_old, dt_old, reach, lists, r, options)
             t_ref = t_nns if searched else t_ref

@@ -1,4 +1,4 @@
-"""`python -m experiments converge NAME`: error of the SPH filter against an exact one as particles grow."""
+"""The SPH filter against an exact filter as particles grow."""
 
 import csv
 from dataclasses import asdict
@@ -6,38 +6,20 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from experiments import plots
+from experiments.comparison import distances
+from experiments.files import changes_of
+from experiments.filters import factories, name_of
+from experiments.scenario import load_scenario
 from sphfilter.campaign import run_campaign
 from sphfilter.errors import ConfigError
 
-from . import plots
-from .comparison import distances
-from .files import add_change_option, changes_of
-from .filters import factories, name_of
-from .scenario import load_scenario
-
-__all__ = ["add_arguments", "convergence", "main", "orders"]
+__all__ = ["convergence", "orders", "study"]
 
 MEASURES = ("mean", "cov", "evidence")
-
-
-def add_arguments(parser):
-    """Add the options of `converge`."""
-    parser.add_argument(
-        "scenario",
-        nargs="?",
-        default="linear_underdamped",
-        help="a scenario with an exact filter: a linear one, or benes (default: linear_underdamped)",
-    )
-    parser.add_argument("--filter", choices=("sph", "sph_paper"), default="sph", help="default: sph")
-    parser.add_argument("--counts", default="100,200,400,800,1600", help="particles, comma-separated")
-    parser.add_argument("--runs", type=int, default=3, help="simulated runs for each count")
-    parser.add_argument("--seed", type=int, default=0, help="seed of everything random")
-    parser.add_argument("--out", type=Path, help="folder for table and picture (default: results/NAME)")
-    add_change_option(parser)
 
 
 def convergence(name, counts, n_runs, seed, which="sph", progress=lambda *numbers: None, **changes):
@@ -66,7 +48,10 @@ def convergence(name, counts, n_runs, seed, which="sph", progress=lambda *number
         scenario = load_scenario(name, **changes, **{f"filters.{which}.n_particles": count})
         exact = scenario.settings.exact
         if exact is None:
-            raise ConfigError(f"no exact filter is known for {name}: take a linear scenario or benes")
+            raise ConfigError(
+                f"no exact filter is known for {name}: take a linear scenario or benes, or look at a density "
+                f"without measurements with --over particles"
+            )
         filters = factories([exact, which], scenario)
         campaign = run_campaign(scenario, filters, n_runs, seed, progress=partial(progress, count))
         if campaign.failures:
@@ -84,27 +69,28 @@ def orders(rows, dim):
     return {m: float(-dim * np.polyfit(np.log(counts), np.log(e), 1)[0]) for m, e in errors.items()}
 
 
-def main(args):
-    """Run the command; prints to standard output."""
-    console = Console(highlight=False)
-    try:
-        counts = sorted({int(text) for text in args.counts.split(",")})
-    except ValueError:
-        raise ConfigError(f"--counts takes numbers such as 100,200,400, not {args.counts!r}") from None
-    if len(counts) < 2 or args.runs < 1:
-        raise ConfigError("converge needs two different counts at least, and one run")
-    changes = changes_of(args)
-    rows = _shown(console, args, counts, changes)
-    dim = load_scenario(args.scenario).model.dim
-    slopes = orders(rows, dim)
-    console.print(_table(args.scenario, name_of(args.filter), rows, slopes))
-    out = args.out or Path("results") / args.scenario
+def study(args, console, name, counts):
+    """Run the study of a filter scenario and print it.
+
+    Parameters
+    ----------
+    args : Namespace
+        With filter, runs, seed, changes, out.
+    console : rich.console.Console
+    name : str
+        Of the scenario.
+    counts : list of int
+    """
+    rows = _shown(console, args, name, counts)
+    slopes = orders(rows, load_scenario(name).model.dim)
+    console.print(_table(name, name_of(args.filter), rows, slopes))
+    out = args.out or Path("results") / name
     out.mkdir(parents=True, exist_ok=True)
     _write(out / "convergence.csv", rows)
     console.print(f"Table and picture: {out}/convergence.csv, {plots.draw_convergence(out, rows, slopes)}")
 
 
-def _shown(console, args, counts, changes):
+def _shown(console, args, name, counts):
     """Run `convergence` with a progress bar, or a line for each run where there is no terminal."""
     console.print("running (the first time compiles, for a minute)", style="dim")
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
@@ -117,7 +103,7 @@ def _shown(console, args, counts, changes):
                 console.print(f"{count} particles: run {done} of {n_runs} done", style="dim")
 
         return convergence(
-            args.scenario, counts, args.runs, args.seed, args.filter, progress=progress, **changes
+            name, counts, args.runs, args.seed, args.filter, progress=progress, **changes_of(args)
         )
 
 

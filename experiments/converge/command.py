@@ -1,0 +1,122 @@
+"""`python -m experiments converge NAME`: error over particles, time step and scheme, with fitted orders."""
+
+from pathlib import Path
+
+from rich.console import Console
+
+from experiments.files import add_change_option
+from experiments.scenario import scenario_names
+from experiments.transient.problem import problem_names
+from sphfilter.errors import ConfigError
+
+from . import calibration, courant, filters, transient
+from .tables import numbers
+
+__all__ = ["EPILOG", "add_arguments", "main"]
+
+EPILOG = """\
+What is studied:
+  NAME of a filter scenario       the SPH filter against its exact filter, over particles
+  NAME --over particles           a density without measurements (`list`), over particles, as its file says
+  NAME --over scheme              ... of every scheme, with run times
+  NAME --over step                ... of the published scheme, over time steps (or C_CFL) and integrators
+  [NAME] --calibrate              C_CFL, C_NNS and M_B of the published scheme (002 4.4-4.5); van_der_pol
+  [NAME] --cfl                    absolute against relative CFL (000 Table 4); five Duffing oscillators
+"""
+_FILTER, _DEFAULTS = "a filter scenario", {"filter": "sph", "runs": 3, "seed": 0, "limit": 300.0}
+#: Options that each study takes besides NAME, --out and --set; the others are refused.
+_TAKES = {
+    _FILTER: {"filter", "counts", "runs", "seed"},
+    "--over particles": {"counts", "end", "limit"},
+    "--over scheme": {"counts", "schemes", "end", "limit"},
+    "--over step": {"n_particles", "steps", "c_cfl", "end", "limit"},
+    "--calibrate": {"counts", "end", "limit", "repeats", "quick"},
+    "--cfl": {"n_particles", "end", "limit", "quick"},
+}
+_COUNTS = {_FILTER: "100,200,400,800,1600", "--over particles": "200,400,800,1600"}
+_COUNTS["--over scheme"] = _COUNTS["--over particles"]
+
+
+def add_arguments(parser):
+    """Add the options of `converge`."""
+    parser.add_argument(
+        "scenario", nargs="?", metavar="NAME", help="default: linear_underdamped, or see below"
+    )
+    parser.add_argument("--over", choices=("particles", "scheme", "step"), help="study a transient density")
+    parser.add_argument("--calibrate", action="store_true", help="the search bypassed and not")
+    parser.add_argument("--cfl", action="store_true", help="absolute against relative CFL")
+    parser.add_argument("--counts", help="particles at most, comma-separated")
+    parser.add_argument("--n-particles", type=int, help="particles of --over step and --cfl, at most")
+    parser.add_argument("--schemes", help="comma-separated (default: log_density,corrected,paper)")
+    parser.add_argument("--steps", help="fixed time steps in seconds, comma-separated")
+    parser.add_argument("--c-cfl", help="or values of C_CFL, comma-separated")
+    parser.add_argument("--end", type=float, help="time at which a density is left alone, seconds")
+    parser.add_argument("--limit", type=float, help="seconds one solution may take (default: 300)")
+    parser.add_argument("--repeats", type=int, help="runs that --calibrate takes the median of (default: 3)")
+    parser.add_argument("--quick", action="store_true", help="a small version of --calibrate or --cfl")
+    parser.add_argument("--filter", choices=("sph", "sph_paper"), help="of a filter scenario (default: sph)")
+    parser.add_argument("--runs", type=int, help="simulated runs of a filter for each count (default: 3)")
+    parser.add_argument("--seed", type=int, help="seed of everything random, of a filter scenario")
+    parser.add_argument("--out", type=Path, help="folder for table and picture (default: in results)")
+    example = (
+        "e.g. times.interval=3; scheme.kernel=gaussian of a filter, solver.config.scheme.kernel=gaussian"
+    )
+    add_change_option(parser, f"change a key of the scenario, {example} of a density; may be repeated")
+
+
+def main(args):
+    """Run the command; prints to standard output."""
+    console = Console(highlight=False)
+    console = console if console.is_terminal else Console(highlight=False, width=132)
+    study = _study(args)
+    _refuse_others(args, study)
+    for key, value in _DEFAULTS.items():
+        if getattr(args, key) is None:
+            setattr(args, key, value)
+    if study == "--calibrate":
+        calibration.study(args, console)
+    elif study == "--cfl":
+        courant.study(args, console)
+    elif study == "--over step":
+        transient.study_steps(args, console, *_sizes(args))
+    else:
+        counts = numbers("--counts", args.counts or _COUNTS[study], int)
+        if len(counts) < 2 or args.runs < 1:
+            raise ConfigError("converge needs two different counts at least, and one run")
+        if study == _FILTER:
+            filters.study(args, console, args.scenario or "linear_underdamped", counts)
+        else:
+            transient.study_schemes(args, console, counts)
+
+
+def _sizes(args):
+    """The rule of `--over step` and its values, None if none are given."""
+    if args.steps and args.c_cfl:
+        raise ConfigError("--steps and --c-cfl are two ways to choose time steps: give one of them")
+    if args.c_cfl:
+        return "c_cfl", numbers("--c-cfl", args.c_cfl, float)
+    return "step", numbers("--steps", args.steps, float) if args.steps else None
+
+
+def _study(args):
+    """Which of `_TAKES` is asked for; a name that filters do not know may be one of a density."""
+    asked = [f"--{name}" for name in ("calibrate", "cfl") if getattr(args, name)]
+    asked += [f"--over {args.over}"] if args.over else []
+    if len(asked) > 1:
+        raise ConfigError(f"{' and '.join(asked)} are different studies: ask for one of them")
+    if asked:
+        return asked[0]
+    return "--over particles" if args.scenario in _densities_only() else _FILTER
+
+
+def _densities_only():
+    return set(problem_names()) - set(scenario_names())
+
+
+def _refuse_others(args, study):
+    every = set().union(*_TAKES.values())
+    for name in sorted(every - _TAKES[study]):
+        if getattr(args, name):
+            option = "--" + name.replace("_", "-")
+            known = ", ".join("--" + key.replace("_", "-") for key in sorted(_TAKES[study]))
+            raise ConfigError(f"{option} has no meaning for {study}, which takes {known}, --out and --set")

@@ -1,0 +1,142 @@
+"""The exact density of a transient problem, or a grid's, as a `Truth`."""
+
+import numpy as np
+from scipy.stats import multivariate_normal, qmc
+
+from experiments.transient.references import reference_of
+from reference_filters.closed_forms import drifted_uniform, linear_moments
+from reference_filters.grid import GridFilter
+from sphfilter.errors import ConfigError
+
+from .errors import Truth, errors_of
+
+__all__ = ["quadrature", "truth_of"]
+
+_NODES = 121  # an axis of a quadrature, in one and two dimensions
+_REACH = 6.5  # standard deviations it spans
+_DRAWS = 2**13  # quasi-random nodes beyond two dimensions
+_WIDER = 1.3  # times the exact density's width: the density compared may be wider
+_TOL = 1e-4  # of the steps of the grid
+
+
+def truth_of(problem, progress=None):
+    """What a problem's solution is compared with, as its file asks for.
+
+    Parameters
+    ----------
+    problem : Problem
+    progress : callable(n_done, n_all), optional
+        For references that take long.
+
+    Returns
+    -------
+    Truth
+
+    Raises
+    ------
+    ConfigError
+        The problem has no reference.
+    """
+    kind = problem.settings.reference.kind
+    if kind == "none":
+        raise ConfigError(
+            f'{problem.name} has reference.kind = "none": an accuracy study needs one, "linear" for a linear '
+            f'model, "grid" for one or two states, "monte_carlo" for the moments alone'
+        )
+    if kind == "monte_carlo":
+        return _paths(problem, progress)
+    return {"linear": _linear, "drifted_uniform": _uniform, "grid": _grid}[kind](problem)
+
+
+def _linear(problem):
+    """Closed form: a Gaussian at all times."""
+    model, start = problem.model, problem.settings.start
+    exact = model.to_linear()
+    intensity = 2.0 * exact.diffusion(np.zeros((1, model.dim)), 0.0)[0]
+    means, covs, parts = [], [], []
+    for t in problem.times:
+        mean, cov = linear_moments(exact.A, exact.b, intensity, start.mean, start.cov, t - start.time)
+        X, w = quadrature(mean, cov)
+        means.append(mean)
+        covs.append(cov)
+        parts.append((X, multivariate_normal(mean, cov).pdf(X), w))
+    return Truth("closed form", np.array(means), np.array(covs), *zip(*parts, strict=True))
+
+
+def quadrature(mean, cov):
+    """Nodes (M, n) and weights (M,) for integrals of what lives where N(mean, cov) does."""
+    n, L = len(mean), np.linalg.cholesky(cov)
+    if n <= 2:
+        axis = np.linspace(-_REACH, _REACH, _NODES)
+        z = np.stack(np.meshgrid(*n * [axis], indexing="ij"), axis=-1).reshape(-1, n)
+        cell = (axis[1] - axis[0]) ** n * np.prod(np.diag(L))
+        return mean + z @ L.T, np.full(len(z), cell)
+    z = _WIDER * qmc.MultivariateNormalQMC(np.zeros(n), seed=1).random(_DRAWS)
+    density = multivariate_normal(np.zeros(n), _WIDER**2 * np.eye(n)).pdf(z) / np.prod(np.diag(L))
+    return mean + z @ L.T, 1.0 / (density * _DRAWS)
+
+
+def _uniform(problem):
+    """Closed form of drifted Brownian motion from a uniform start, 000 (58)."""
+    model, box = problem.model, problem.settings.start.box
+    origin = np.zeros((1, 1))
+    drift, D = model.drift(origin, 0.0)[0, 0], model.diffusion(origin, 0.0)[0, 0, 0]
+    half, times = 0.5 * np.ptp(box[0]), problem.times - problem.settings.start.time
+    means = np.mean(box[0]) + drift * times[:, None]
+    covs = (half**2 / 3.0 + 2.0 * D * times)[:, None, None]
+    parts = []
+    for t, mean in zip(times, means, strict=True):
+        width = half + _REACH * np.sqrt(2.0 * D * t)
+        x, step = np.linspace(-width, width, 40 * _NODES, retstep=True)
+        p = drifted_uniform(x, t, 0.0, D, half)
+        parts.append((mean + x[:, None], p, np.full(len(x), step)))
+    return Truth("closed form", means, covs, *zip(*parts, strict=True))
+
+
+def _grid(problem):
+    """A grid, and its distance from half as many nodes an axis as the bound of its error."""
+    size = problem.settings.reference.size
+    fine, coarse = (_on_grid(problem, s) for s in (size, max(size // 2, 32)))
+    parts = [
+        (d.box.nodes(), np.maximum(d.values.ravel(), 0.0), np.full(d.values.size, d.box.cell)) for d in fine
+    ]
+    means, covs = zip(*(density.moments() for density in fine), strict=True)
+    truth = Truth(f"grid of {size} nodes an axis", np.array(means), np.array(covs), *zip(*parts, strict=True))
+    doubt = errors_of([_Gridded(density) for density in coarse], truth)
+    return Truth(truth.name, truth.mean, truth.cov, truth.nodes, truth.values, truth.weights, doubt)
+
+
+class _Gridded:
+    """A grid's density under the names of a particle density's."""
+
+    def __init__(self, density):
+        self.pdf = density.pdf
+        self._mean, self._cov = density.moments()
+
+    def mean(self):
+        return self._mean
+
+    def cov(self):
+        return self._cov
+
+
+def _on_grid(problem, size):
+    start = problem.settings.start
+    grid = GridFilter(problem.model, None, start.mean, start.cov, t0=start.time, size=size, tol=_TOL)
+    densities = []
+    for t in problem.times:
+        if t > grid.t:
+            grid.predict(t=t)
+        densities.append(grid.density)
+    return densities
+
+
+def _paths(problem, progress):
+    """Moments over many paths; their density is not known."""
+    found, n = reference_of(problem, progress), problem.model.dim
+    means = found.values[:, :n]
+    covs = np.empty((len(means), n, n))
+    upper = np.triu_indices(n)
+    covs[:, upper[0], upper[1]] = found.values[:, n : n + len(upper[0])]
+    covs[:, upper[1], upper[0]] = covs[:, upper[0], upper[1]]
+    return Truth(found.name, means, covs - means[:, :, None] * means[:, None, :])
