@@ -93,7 +93,8 @@ def _explain(cls, error, name):
     if error["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
         return f"{where} is missing"
     if error["type"] == "value_error":
-        return f"{where}: {error['ctx']['error']}"
+        told = str(error["ctx"]["error"])
+        return f"{where}: {told}" if name or path else told
     said = error["msg"].replace("a valid tuple", "a list")
     return f"{where} = {error.get('input')!r} is not valid: {said[0].lower()}{said[1:]}"
 

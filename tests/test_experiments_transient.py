@@ -137,7 +137,7 @@ def test_a_stopped_run_goes_on(tmp_path, monkeypatch, capsys, own):
         (("mean = [1.0]", "mean = [1.0, 2.0]"), "mean"),
         (("mean = [1.0]\n", ""), 'kind = "gaussian" needs mean'),
         (("cov = [[0.2]]", "cov = [[-0.2]]"), "positive definite"),
-        (("moments = [[4]]", "moments = [[4, 0]]"), "needs 1 powers"),
+        (("moments = [[4]]", "moments = [[4, 0]]"), "needs 1 entries"),
         (('kind = "linear"', 'kind = "linaer"'), "reference.kind"),
         (('drift = ["-x"]', 'drift = ["-x**3"]'), "needs a linear model"),
         (("n_particles = 60", "n_particles = 0"), "solver.n_particles"),
@@ -157,5 +157,5 @@ def test_a_name_or_a_file(capsys):
     assert main(["transient", "oscilator"]) == 1
     message = capsys.readouterr().err
     assert "one of them" in message and "did you mean 'oscillator'" in message
-    assert main(["transient", "oscillator", "--animate", "a.mp4"]) == 1
+    assert main(["transient", "oscillator", "--animate", "a.avi"]) == 1
     assert "GIF" in capsys.readouterr().err

@@ -102,6 +102,12 @@ def sentences(problem, solution, reference):
         f"{schemes}, {min(sizes)} to {max(sizes)} particles, {steps} steps, {seconds:.2g} s from t = "
         f"{solution.start.t:g} to {problem.times[-1]:g}"
     )
+    if any(info.n_discarded for info in infos):
+        left = np.prod([1.0 - info.mass_discarded for info in infos])
+        yield (
+            f"{sum(info.n_discarded for info in infos)} particles whose smoothing lengths did not converge "
+            f"were dropped, and their probability, {1.0 - left:.2g}, given to the others"
+        )
     for status in dict.fromkeys(info.status for info in infos if info.status != "ok"):
         yield f"at {sum(info.status == status for info in infos)} of {len(infos)} times: {status}"
     if reference is not None:
