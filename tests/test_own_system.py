@@ -133,7 +133,7 @@ def test_the_thesis_own_input_in_our_words(own):
     problem = load_problem(own({"start": start, "solver": {"config": {"scheme": scheme}}}))
     begin = problem.begin()
     assert begin.n_particles == 1789 and begin.h == pytest.approx(0.06)
-    _, info = sf.predict(begin, problem.model, 0.048, problem.settings.solver.config)
+    _, info = sf.predict(begin, problem.model, 0.05, problem.settings.solver.config)
     assert info.n_steps == 10 and info.n_discarded == 0
     parameters = {"start.kind": "uniform", "start.pdf": None, "start.lattice.spacing": [0.5, 0.3]}
     even = load_problem(own({"start": start} | parameters)).begin()
@@ -341,3 +341,32 @@ def test_what_was_discarded_is_told(own, tmp_path, capsys):
 def test_the_example_names_every_table():
     about = {"description", "source", "published", "steady", "axes"}
     assert set(TransientSettings.__dataclass_fields__) - about == set(tomllib.loads(EXAMPLE))
+
+
+@pytest.mark.parametrize("line", ["# domain", "# box", "# n_particles", "# config.exact_linear"])
+def test_what_the_example_leaves_out_may_be_taken_in(own, line):
+    assert EXAMPLE.count(line) == 1
+    text = EXAMPLE.replace(line, line[2:])
+    if line == "# box":
+        text = "\n".join(row for row in text.splitlines() if not row.startswith("lattice"))
+    problem = load_problem(own(text=text))
+    assert problem.begin().n_particles <= (problem.n_particles or 437)
+    assert problem.model.domain.walled.any() == (line == "# domain")
+
+
+def test_a_probe_of_three_states_is_written_but_not_drawn(own, tmp_path):
+    eye = np.eye(3).tolist()
+    changes = {
+        "model": {"states": ["x", "y", "z"], "drift": ["-x", "-y", "-z"], "noise": eye},
+        "start": {"mean": [0.0] * 3, "cov": eye},
+        "times": {"at": [0.1]},
+        "probe": {"origin": [-1.0] * 3, "size": [2.0] * 3, "spacing": [1.0, 0.5, 2.0]},
+    }
+    out, gif = tmp_path / "out", tmp_path / "a.gif"
+    assert main(["transient", "--config", str(own(changes)), "--out", str(out), "--animate", str(gif)]) == 0
+    found = np.load(out / "probe" / "0001.npz")
+    X = np.stack(np.meshgrid([-1, 0, 1], [-1, -0.5, 0, 0.5, 1], [-1, 1], indexing="ij"), axis=-1)
+    variance = np.exp(-0.2) + 0.5 * (1 - np.exp(-0.2))
+    exact = stats.multivariate_normal(np.zeros(3), variance * np.eye(3)).pdf(X)
+    assert found["density"] == pytest.approx(exact, rel=5e-3)
+    assert not (out / "probe.png").exists() and gif.stat().st_size > 1000

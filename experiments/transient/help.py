@@ -15,15 +15,15 @@ parameters = { c = 0.4, k = 1.0, b = 0.1 }
 [start]                               # a density of the states at time = 0.0; zero outside the lattice
 kind = "expression"                   # or "gaussian" with mean and cov, or "uniform"
 pdf = "where(x**2 + v**2 < 1.44, exp(-(x**2 + v**2)/0.18), 0)"      # where it is zero lies no particle
-lattice = { origin = [-1.2, -1.2], size = [2.4, 2.4], spacing = 0.1 }
-# box = [[-1.2, 1.2], [-1.2, 1.2]]    # instead of a lattice: particles where the solver wants them
+lattice = { origin = [-1.2, -1.2], size = [2.4, 2.4], spacing = 0.1 }         # for "paper", "corrected"
+# box = [[-1.2, 1.2], [-1.2, 1.2]]    # instead of a lattice: particles where the scheme wants them
 
 [times]
 end = 2.0
 interval = 0.25                       # or, instead of both, at = [0.1, 0.5, 2.0]
 
 [solver]
-# n_particles = 400                   # at most; a lattice has its own number
+# n_particles = 500                   # at most; a lattice has its own number
 # config.exact_linear = true          # closed form of what is linear and Gaussian
 [solver.config.scheme]                # or config.scheme = "auto", "log_density" or "corrected"
 name = "paper"

@@ -46,8 +46,14 @@ class Views:
 
     def expect(self, densities):
         """Make room for the particles of densities that are going to be shown."""
-        ends = [(density.x.min(axis=0), density.x.max(axis=0)) for density in densities]
-        self.seen = np.concatenate(ends)
+        for density in densities:
+            self._see(density)
+
+    def _see(self, density):
+        """Widen what has been seen, lowest and highest of every state, by the particles of a density."""
+        x = density.x if density.domain is None else density.domain.fold(density.x)
+        both = x if self.seen is None else np.concatenate([x, self.seen])
+        self.seen = np.stack([both.min(axis=0), both.max(axis=0)])
 
     def show(self, figure, density):
         """Draw a density into a figure."""
@@ -62,9 +68,8 @@ class Views:
 
     def _cloud(self, ax, density):
         """The particles, or the curve of one state; the axes grow with what has been seen."""
-        x, shown = density.x, axes_of(self.problem)[:2]
-        both = x if self.seen is None else np.concatenate([x, self.seen])
-        self.seen = np.stack([both.min(axis=0), both.max(axis=0)])
+        shown = axes_of(self.problem)[:2]
+        self._see(density)
         limits = [ends(self.seen[:, axis]) for axis in shown]
         title, names = f"t = {density.t:g}", [label(self.problem, axis) for axis in shown]
         if len(shown) == 2:

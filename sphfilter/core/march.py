@@ -344,7 +344,8 @@ def march(drift, diffusion, divergence, coefficients, cloud, domain, options, ti
         counters[EVALUATIONS] += move(model, coefficients, times[0], dt, cloud, seen, lists, r, work, options)
         counters[STEPS] += 1
         elapsed += dt
-        times[0] = times[1] if times[1] - times[0] <= dt else times[0] + dt
+        # what rounding leaves of an interval is no step
+        times[0] = times[1] if times[1] - times[0] <= dt * (1.0 + 1e-12) else times[0] + dt
         bounce(domain, cloud.x)
         left = left_at(domain, cloud.x)
         if left >= 0:
