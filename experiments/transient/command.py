@@ -64,8 +64,8 @@ def main(args):
     problem = load_problem(args.config or args.name, changes)
     out = args.out or Path("results") / "transient" / problem.name
     window = Window(problem) if args.live else None
-    console.print(f"[bold]{problem.name}[/]: {problem.settings.description}")
-    console.print(f"{problem.settings.source}\n", style="dim")
+    console.print(escape(problem.title), style="bold")
+    console.print(f"{escape(problem.settings.source)}\n", style="dim")
     _warm_up(console, problem)
     folder = folder_of(out, problem)
     watches = [*_writers(problem, out), *([window] if window else [])]

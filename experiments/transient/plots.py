@@ -67,7 +67,7 @@ def _densities(problem, solution):
     bar = figure.colorbar(artist, ax=figure.axes, shrink=0.8, pad=0.02, extend="min")
     bar.set_ticks(range(-_DECADES, 1, 2), labels=[f"$10^{{{k}}}$" for k in range(-_DECADES, 1, 2)])
     bar.set_label("density, highest = 1")
-    figure.suptitle(f"{problem.name}: {problem.settings.description}", fontsize=11)
+    figure.suptitle(problem.title, fontsize=11)
     return figure
 
 
@@ -96,7 +96,7 @@ def _curves(problem, solution, axis):
         ax.plot(x, alone.pdf(x[:, None]), color=plt.cm.viridis(shade), label=f"t = {density.t:g}")
     ax.legend(frameon=False)
     ax.set_ylim(bottom=0)
-    frame(ax, f"{problem.name}: {problem.settings.description}", label(problem, axis), "density")
+    frame(ax, problem.title, label(problem, axis), "density")
     return figure
 
 

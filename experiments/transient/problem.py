@@ -63,6 +63,11 @@ class Problem:
         return model_of(json.dumps(asdict(self.settings.model), sort_keys=True))
 
     @property
+    def title(self):
+        """Name, and description if there is one."""
+        return ": ".join(filter(None, (self.name, self.settings.description)))
+
+    @property
     def labels(self):
         """Names of the states for people, length n."""
         return self.settings.model.labels or self.settings.model.states
