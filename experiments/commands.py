@@ -5,7 +5,7 @@ import sys
 
 from sphfilter.errors import SphfilterError
 
-from . import converge, listing, run
+from . import converge, listing, run, scaling
 from .benchmark import command as benchmark
 from .own_data import command as own_data
 from .skips import command as skips
@@ -28,6 +28,7 @@ COMMANDS = {
     "benchmark": benchmark,
     "stress": stress,
     "skips": skips,
+    "scaling": scaling,
 }
 #: Names that `run` takes and that are no scenarios: measured data, with options of their own.
 MEASURED = {"sunspots": sunspots}

@@ -2,16 +2,18 @@
 
 from dataclasses import replace
 
+from .affine import with_moments
 from .config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
 from .errors import LatticeError, ModelError, PropagationError, UnresolvedError
 from .exact import propagate_exactly
 from .info import PredictInfo
+from .level_set import at
 from .resample import bound
 from .schemes import corrected, log_density, paper
 from .schemes._shared import carried_off
 from .validate import real
 
-__all__ = ["FINEST", "predict"]
+__all__ = ["FINEST", "MOST_FINER", "predict", "predict_within"]
 
 
 def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
@@ -40,6 +42,11 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
     PropagationError
         The model blew up; says when, where and what to change.
     """
+    return predict_within(MOST_FINER, density, model, dt, config, t=t, n_particles=n_particles)
+
+
+def predict_within(most, density, model, dt=None, config=None, *, t=None, n_particles=None):
+    """As `predict`, where the automatic choice repeats what a lattice loses on `most` particles at most."""
     if (dt is None) == (t is None):
         raise ModelError("predict takes either dt or t=, one of them")
     if model.dim != density.dim:
@@ -59,7 +66,7 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
         if exact is not None:
             return exact
     if scheme == "auto":
-        return _best(density, model, target, n_particles)
+        return _best(density, model, target, n_particles, most)
     return _SCHEMES[type(scheme)](density, model, target, scheme, n_particles)
 
 
@@ -77,18 +84,22 @@ def _in_domain(density, domain):
 
 
 def _corrected(density, model, target, scheme, n_particles):
-    moved, info = corrected.propagate(density, model, target, scheme, n_particles)
-    return replace(moved, field=None, volume=None, moments=None, gaussian=False), info
+    if (
+        density.field is not None
+    ):  # it knows its moments and its logarithm better than nodes that end somewhere
+        field, density = density.field, with_moments(density, *density.moments)
+        density = replace(density, log_density=at(field, density.x))
+    return corrected.propagate(density, model, target, scheme, n_particles)
 
 
-def _best(density, model, target, n_particles):
+def _best(density, model, target, n_particles, most):
     """The log-density where it can be carried, if need be on more particles; else moment-corrected SPH."""
     reason = log_density.fits(model, density, n_particles)
     if not reason:
         try:
             return log_density.propagate(density, model, target, LogDensityScheme(), n_particles)
         except (LatticeError, UnresolvedError) as problem:
-            return _finer(density, model, target, n_particles, problem)
+            return _finer(density, model, target, n_particles, most, problem)
         except PropagationError as problem:
             reason = str(problem)
     if density.domain is not None:
@@ -102,7 +113,7 @@ def _best(density, model, target, n_particles):
     return moved, replace(info, status=f"not log_density: {reason}")
 
 
-def _finer(density, model, target, n_particles, problem):
+def _finer(density, model, target, n_particles, most, problem):
     """Carry a density on more particles than allowed; the next update has as many as are.
 
     Where a lattice loses probability, the density is finer than its particles for a while: between two wells,
@@ -112,7 +123,7 @@ def _finer(density, model, target, n_particles, problem):
     if blown:
         raise PropagationError(blown) from problem
     for times in _FINER:
-        if times > FINEST**model.dim or times * n_particles > _MOST_FINER:
+        if times > FINEST**model.dim or times * n_particles > most:
             break
         try:
             more = times * n_particles
@@ -128,7 +139,7 @@ _FINER = 3, 9, 27
 #: How many times finer a lattice may be along an axis than that of the density it starts from: beyond, it
 #: sees the borders between that one's polynomials.
 FINEST = 3
-_MOST_FINER = 30_000
+MOST_FINER = 30_000
 #: Plain sums over kernels, for domains whose ends other schemes do not know.
 _SUMMED = PaperScheme(kernel="wendland_c2")
 _SCHEMES = {

@@ -8,12 +8,16 @@ from .adapt import Prediction, predict_relaying
 from .config import CorrectedScheme, SolverConfig
 from .errors import LatticeError, ModelError, UnresolvedError
 from .info import PredictInfo
-from .predict import predict
+from .predict import MOST_FINER, predict, predict_within
 from .resample import bound
 from .storage import density_from, load_arrays, stored, write_arrays
 from .validate import array
 
 __all__ = ["Trajectory", "propagate"]
+
+#: Nodes of a lattice on which intervals are repeated, where moment-corrected SPH can go on instead: beyond,
+#: it follows the moments of a folding density at less cost.
+_MOST_NODES = 10_000
 
 
 @dataclass(frozen=True)
@@ -68,8 +72,8 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
     """Solve the transient FPK equation without measurements.
 
     Where a lattice proves too coarse for what comes, the interval before is repeated on 3 or 9 times the
-    particles; where ``scheme="auto"`` finds no lattice that holds the density, moment-corrected SPH goes on
-    with the particles. The infos say so.
+    particles; where ``scheme="auto"`` finds no lattice of up to 10,000 nodes that holds the density,
+    moment-corrected SPH goes on with the nodes as its particles. The infos say so.
 
     Parameters
     ----------
@@ -113,14 +117,16 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
 
 def _carried(density, model, t, config, n_particles, origin):
     """One interval, as `predict_relaying` returns it."""
+    corrects = config.scheme == "auto" and density.domain is None
+    most = _MOST_NODES if corrects else MOST_FINER
 
     def predicted(density):
-        return *predict(density, model, t=t, config=config, n_particles=n_particles), n_particles
+        return *predict_within(most, density, model, t=t, config=config, n_particles=n_particles), n_particles
 
     try:
         return predict_relaying(predicted, model, density, origin, config, n_particles)
     except (LatticeError, UnresolvedError) as problem:
-        if config.scheme != "auto" or density.domain is not None:
+        if not corrects:
             raise
         last = SolverConfig(scheme=CorrectedScheme())
         moved, info = predict(density, model, t=t, config=last, n_particles=n_particles)

@@ -102,14 +102,15 @@ def test_bypass_saves_searches_and_changes_nothing_that_matters():
     assert with_bypass.densities[0].x == pytest.approx(without.densities[0].x, abs=1e-6)
 
 
+@pytest.mark.parametrize("config", [sf.SolverConfig.paper(), sf.SolverConfig(scheme="corrected")])
 @pytest.mark.parametrize("n_particles", [200, 2500])
-def test_thread_count_changes_no_bit(n_particles):
-    results = []
+def test_thread_count_changes_no_bit(n_particles, config):
+    results, start = [], sf.initialize(START, n_particles, config)
     before = numba.get_num_threads()
     try:
         for threads in (1, 2):
             numba.set_num_threads(threads)
-            results.append(solve(n_particles, 0.2).densities[0])
+            results.append(sf.predict(start, OSCILLATOR, 0.2, config)[0])
     finally:
         numba.set_num_threads(before)
     np.testing.assert_array_equal(results[0].x, results[1].x)

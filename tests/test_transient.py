@@ -84,19 +84,34 @@ def test_moment_corrected_sums_are_the_last_resort(monkeypatch):
     """Where no lattice holds the density the particles of the last one go on."""
     transient = importlib.import_module("sphfilter.transient")
 
-    def no_lattice(density, model, *, t, config, n_particles):
-        if config.scheme == "auto" and t > 0.3 and density.field is not None:
+    def no_lattice(most, density, model, *, t, config, n_particles):
+        if t > 0.3 and density.field is not None:
             raise UnresolvedError("the density has edges")
-        return predict(density, model, t=t, config=config, n_particles=n_particles)
+        return predict_within(most, density, model, t=t, config=config, n_particles=n_particles)
 
-    predict = transient.predict
-    monkeypatch.setattr(transient, "predict", no_lattice)
+    predict_within = transient.predict_within
+    monkeypatch.setattr(transient, "predict_within", no_lattice)
     way = sf.propagate(start(), DUFFING, [0.3, 0.6, 0.9])
     monkeypatch.undo()
     usual = sf.propagate(start(), DUFFING, [0.3, 0.6, 0.9])
     assert [info.scheme for info in way.infos] == ["log_density", "corrected", "corrected"]
     assert way.infos[1].status == "not log_density: the density has edges"
     assert way.densities[-1].cov() == pytest.approx(usual.densities[-1].cov(), abs=0.01)
-    monkeypatch.setattr(transient, "predict", no_lattice)
+    monkeypatch.setattr(transient, "predict_within", no_lattice)
     with pytest.raises(UnresolvedError):  # those sums know no ends of a domain
         sf.propagate(start(domain=[("periodic", -9, 9), None]), DUFFING, [0.3, 0.6])
+
+
+@pytest.mark.slow
+def test_a_density_that_folds_three_dimensions():
+    """Lorenz's system from N(0, I): second moments of a million paths, standard errors below .4 per cent."""
+    drift = ["10*(y - x)", "28*x - x*z - y", "x*y - 8*z/3"]
+    lorenz = sf.SDE.from_expressions(["x", "y", "z"], drift, np.eye(3).tolist(), np.eye(3))
+    way = sf.propagate(
+        sf.initialize(sf.Gaussian(np.zeros(3), np.eye(3)), 2000), lorenz, np.linspace(0.1, 0.7, 7)
+    )
+    assert [info.scheme for info in way.infos] == 4 * ["log_density"] + 3 * ["corrected"]
+    second = [way.moment(powers) for powers in 2 * np.eye(3, dtype=int)]
+    paths = {2: (143.659, 393.79, 351.29), 4: (118.10, 146.03, 1366.7), 6: (46.602, 80.548, 781.26)}
+    for k, moments in paths.items():
+        assert [m[k] for m in second] == pytest.approx(moments, rel=0.02)

@@ -28,11 +28,14 @@ class ReferenceValues:
         What they are, for people.
     values, half_width : ndarray, shape (T, S)
         NaN where there is none; half widths of 95 % intervals, or bounds of the error.
+    sampled : bool
+        The half widths are those of intervals.
     """
 
     name: str
     values: np.ndarray
     half_width: np.ndarray
+    sampled: bool = False
 
 
 def reference_of(problem, progress=None):
@@ -139,7 +142,7 @@ def _monte_carlo(problem, progress):
         for k, name in enumerate(_names(quantity, problem.times)):
             at = found.names.index(name)
             values[k, j], half[k, j] = found.mean[k, at], 0.5 * (high - low)[k, at]
-    return ReferenceValues(f"{found.n_paths:.2g} paths", values, half)
+    return ReferenceValues(f"{found.n_paths:.2g} paths", values, half, sampled=True)
 
 
 def _names(quantity, times):

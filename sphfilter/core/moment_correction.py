@@ -11,8 +11,10 @@ The correction keeps to the range of a constant D by itself: D grad phi and u bo
 import math
 
 import numpy as np
+from numba import prange
 
-from ._jit import jit
+from ._jit import jit, parallel_jit
+from .blocks import BLOCKS, PARALLEL_FROM, even
 
 __all__ = ["basis", "correct", "exponents", "keep_affine"]
 
@@ -94,6 +96,31 @@ def _project(z, i, r2, scale, powers, phi, dphi):
 @jit
 def _assemble(z, m, inverse, D, rows, powers, u, phi, A, b):
     """Normal matrix A_kl = sum m phi_k phi_l and right-hand sides b_cl = sum m (D grad phi_l - phi_l u)_c."""
+    N, q = phi.shape
+    if N < PARALLEL_FROM:
+        _assemble_rows(z, m, inverse, D, rows, powers, u, phi, A, b)
+        return
+    parts = np.empty((BLOCKS, q, q)), np.empty((BLOCKS, rows.size, q))
+    _assemble_blocks(z, m, inverse, D, rows, powers, u, phi, even(N), *parts)
+    A[:] = 0.0
+    b[:] = 0.0
+    for k in range(BLOCKS):
+        A += parts[0][k]
+        b += parts[1][k]
+
+
+@parallel_jit
+def _assemble_blocks(z, m, inverse, D, rows, powers, u, phi, edges, A, b):
+    """As `_assemble_rows` for blocks of particles, each into sums of its own; spread over threads."""
+    for k in prange(edges.size - 1):
+        own = slice(edges[k], edges[k + 1])
+        D_own = D[own] if D.shape[0] > 1 else D
+        _assemble_rows(z[own], m[own], inverse, D_own, rows, powers, u[own], phi[own], A[k], b[k])
+
+
+@jit
+def _assemble_rows(z, m, inverse, D, rows, powers, u, phi, A, b):
+    """The sums of `_assemble` over particles, one after the other."""
     N, n = z.shape
     q = powers.shape[0]
     h = np.empty((2, n, max(2, powers[q - 1].sum() + 1)))

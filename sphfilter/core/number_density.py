@@ -8,14 +8,15 @@ exist and converge on clouds where light and heavy particles have mixed. The vol
 import math
 
 import numpy as np
+from numba import prange
 
-from ._jit import jit
+from ._jit import jit, parallel_jit
+from .blocks import BLOCKS, PARALLEL_FROM, even_pairs
 from .kernels import GAUSSIAN, RADIUS, shape, slope
 
 __all__ = [
     "cholesky",
     "density_sums",
-    "pair_lists",
     "solve_lengths",
     "transform",
     "whiten",
@@ -82,21 +83,37 @@ def density_sums(z, m, h, pairs, kernel, rho, grad, number):
     z : ndarray, shape (N, n)
     m, h : ndarray, shape (N,)
     pairs : (order, start, neighbors)
-        Every pair once, from `pair_lists`.
+        Every pair once, from `pairs.pair_lists`.
     kernel : (kind, C_n)
     rho, number : ndarray, shape (N,), written
     grad : ndarray, shape (N, n), written
     """
-    order, start, neighbors = pairs
-    kind, C = kernel
     N, n = z.shape
-    K = RADIUS[kind]
+    W0 = kernel[1] * shape(kernel[0], 0.0)
     for i in range(N):
-        number[i] = C * shape(kind, 0.0) / h[i] ** n
+        number[i] = W0 / h[i] ** n
         rho[i] = m[i] * number[i]
         for d in range(n):
             grad[i, d] = 0.0
-    for row in range(N):
+    if N < PARALLEL_FROM:
+        _add_rows(z, m, h, pairs, kernel, (0, N), rho, grad, number)
+        return
+    edges, (order, start, neighbors) = even_pairs(pairs[1]), pairs
+    parts = np.empty((BLOCKS, N)), np.empty((BLOCKS, N, n)), np.empty((BLOCKS, N))
+    _add_blocks(z, m, h, order, start, neighbors, kernel[0], kernel[1], edges, *parts)
+    for b in range(BLOCKS):
+        rho += parts[0][b]
+        grad += parts[1][b]
+        number += parts[2][b]
+
+
+@jit
+def _add_rows(z, m, h, pairs, kernel, rows, rho, grad, number):
+    """Add what the pairs of some rows give to both of their particles."""
+    order, start, neighbors = pairs
+    kind, C = kernel
+    n, K = z.shape[1], RADIUS[kind]
+    for row in range(rows[0], rows[1]):
         i = order[row]
         total, count = 0.0, 0.0
         for s in range(start[row], start[row + 1]):
@@ -129,6 +146,17 @@ def density_sums(z, m, h, pairs, kernel, rho, grad, number):
         number[i] += count
 
 
+@parallel_jit
+def _add_blocks(z, m, h, order, start, neighbors, kind, C, edges, rho, grad, number):
+    """As `_add_rows` for blocks of rows, each into sums of its own; spread over threads."""
+    for b in prange(edges.size - 1):
+        rho[b] = 0.0
+        grad[b] = 0.0
+        number[b] = 0.0
+        pairs, rows = (order, start, neighbors), (edges[b], edges[b + 1])
+        _add_rows(z, m, h, pairs, (kind, C), rows, rho[b], grad[b], number[b])
+
+
 @jit
 def _pair(kind, C, n, r2, reach, K):
     """Kernel W and pull, with pull (z_i - z_j) its gradient, of a pair whose mean support is `reach`."""
@@ -145,73 +173,32 @@ def _pair(kind, C, n, r2, reach, K):
 
 
 @jit
-def _squares(y, s, last, gap2):
-    """Squared distances of the points y[:, s+1:last] from y[:, s]; slices let the loops be vectorised."""
-    along = y[0, s + 1 : last]
-    for c in range(gap2.size):
-        gap2[c] = (along[c] - y[0, s]) ** 2
-    for d in range(1, y.shape[0]):
-        along = y[d, s + 1 : last]
-        for c in range(gap2.size):
-            gap2[c] += (along[c] - y[d, s]) ** 2
-
-
-@jit
-def pair_lists(z, reach):
-    """Every pair closer than the larger reach of the two, once; by sorting and sweeping along the first axis.
-
-    Returns (order, start, neighbors): row s holds partners of particle ``order[s]``; and the nearest
-    neighbour of each particle.
-    """
-    N, n = z.shape
-    order = np.argsort(z[:, 0])
-    y, R2 = np.empty((n, N)), np.empty(N)
-    for s in range(N):
-        R2[s] = reach[order[s]] ** 2
-        for d in range(n):
-            y[d, s] = z[order[s], d]
-    widest, last = reach.max(), 0
-    start, pairs, n_pairs = np.zeros(N + 1, np.int64), np.empty(32 * N, np.int32), 0
-    nearest, best, r2 = np.arange(N), np.full(N, np.inf), np.empty(N)
-    for s in range(N):
-        last = max(last, s + 1)
-        while last < N and y[0, last] - y[0, s] < widest:
-            last += 1
-        gap2, partner = r2[s + 1 : last], R2[s + 1 : last]
-        _squares(y, s, last, gap2)
-        if n_pairs + last - s > pairs.size:
-            more = np.empty(2 * pairs.size + N, np.int32)
-            more[:n_pairs] = pairs[:n_pairs]
-            pairs = more
-        first = n_pairs
-        for c in range(gap2.size):
-            pairs[n_pairs] = s + 1 + c  # the count is advanced only for a pair: no branch to mispredict
-            n_pairs += gap2[c] < max(R2[s], partner[c])
-        for k in range(first, n_pairs):
-            c = pairs[k]
-            pairs[k] = order[c]
-            if r2[c] < best[s]:
-                best[s], nearest[order[s]] = r2[c], order[c]
-            if r2[c] < best[c]:
-                best[c], nearest[order[c]] = r2[c], order[s]
-        start[s + 1] = n_pairs
-    return (order, start, pairs[:n_pairs].copy()), nearest
-
-
-@jit
-def _own_sums(z, h, pairs, kernel, total, steep):
+def _own_sums(z, h, pairs, kind, total, steep):
     """sum_j W1(r_ij / h_i) with each particle's own h, and its derivative in log h_i."""
-    order, start, neighbors = pairs
-    kind = kernel[0]
-    N, n = z.shape
+    N = h.size
     total[:] = shape(kind, 0.0)
     steep[:] = 0.0
-    for row in range(N):
+    if N < PARALLEL_FROM:
+        _own_rows(z, h, pairs, kind, (0, N), total, steep)
+        return
+    edges, (order, start, neighbors) = even_pairs(pairs[1]), pairs
+    parts = np.empty((BLOCKS, N)), np.empty((BLOCKS, N))
+    _own_blocks(z, h, order, start, neighbors, kind, edges, *parts)
+    for b in range(BLOCKS):
+        total += parts[0][b]
+        steep += parts[1][b]
+
+
+@jit
+def _own_rows(z, h, pairs, kind, rows, total, steep):
+    """Add what the pairs of some rows give to both of their particles."""
+    order, start, neighbors = pairs
+    for row in range(rows[0], rows[1]):
         i = order[row]
         for s in range(start[row], start[row + 1]):
             j = neighbors[s]
             r2 = 0.0
-            for d in range(n):
+            for d in range(z.shape[1]):
                 r2 += (z[i, d] - z[j, d]) ** 2
             r = math.sqrt(r2)
             q_i, q_j = r / h[i], r / h[j]
@@ -219,6 +206,16 @@ def _own_sums(z, h, pairs, kernel, total, steep):
             total[j] += shape(kind, q_j)
             steep[i] -= q_i * q_i * slope(kind, q_i)
             steep[j] -= q_j * q_j * slope(kind, q_j)
+
+
+@parallel_jit
+def _own_blocks(z, h, order, start, neighbors, kind, edges, total, steep):
+    """As `_own_rows` for blocks of rows, each into sums of its own; spread over threads."""
+    for b in prange(edges.size - 1):
+        total[b] = 0.0
+        steep[b] = 0.0
+        pairs, rows = (order, start, neighbors), (edges[b], edges[b + 1])
+        _own_rows(z, h, pairs, kind, rows, total[b], steep[b])
 
 
 @jit
@@ -234,7 +231,7 @@ def solve_lengths(z, h, eta, pairs, reach, kernel, tolerance):
     for i in range(N):
         h[i] = min(h[i], high[i])
     for _ in range(60):
-        _own_sums(z, h, pairs, kernel, total, steep)
+        _own_sums(z, h, pairs, kernel[0], total, steep)
         blind, unsettled = 0, 0
         for i in range(N):
             gap = target - math.log(total[i])

@@ -12,7 +12,8 @@ import numpy as np
 
 from ._jit import jit
 from .kernels import RADIUS
-from .number_density import cholesky, pair_lists, solve_lengths, whiten
+from .number_density import cholesky, solve_lengths, whiten
+from .pairs import pair_lists, pairs_expected
 
 __all__ = [
     "Cloud",
@@ -116,7 +117,8 @@ def search(frame, options):
     """New pair lists."""
     for i in range(frame.h.size):
         frame.reach[i] = _SKIN * RADIUS[options.kernel] * frame.h[i]
-    pairs, nearest = pair_lists(frame.z, frame.reach)
+    expected = pairs_expected(_SKIN * RADIUS[options.kernel] * options.eta, frame.z.shape[1])
+    pairs, nearest = pair_lists(frame.z, frame.reach, expected)
     frame.nearest[:] = nearest
     return pairs
 

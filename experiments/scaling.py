@@ -1,0 +1,152 @@
+"""`python -m experiments scaling`: cost of a particle and step, threads and memory, as particles grow."""
+
+import csv
+import multiprocessing
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import sphfilter as sf
+from sphfilter.errors import ConfigError
+
+from .benchmark.watch import resident, watch_peak
+from .run import status
+from .transient.problem import load_problem
+
+__all__ = ["add_arguments", "main"]
+
+SCHEMES = ("log_density", "corrected", "paper")
+_COUNTS = "500,1000,2000,5000,10000,20000"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What one scheme costs on one number of particles.
+
+    Attributes
+    ----------
+    scheme : str
+    n_particles, n_steps : int
+    seconds, threaded : float
+        Median wall time of the prediction on one thread and on two.
+    memory, own : float
+        Peak of the process, MB, and what the prediction added to it; NaN where the system does not tell.
+    """
+
+    scheme: str
+    n_particles: int
+    n_steps: int
+    seconds: float
+    threaded: float
+    memory: float
+    own: float
+
+    @property
+    def cost(self):
+        """Seconds a particle and step on one thread."""
+        return self.seconds / (self.n_particles * self.n_steps)
+
+
+def add_arguments(parser):
+    """Add the options of `scaling`."""
+    transient = "a transient scenario with a Gaussian start (default: van_der_pol)"
+    parser.add_argument("scenario", nargs="?", default="van_der_pol", help=transient)
+    parser.add_argument("--schemes", default=",".join(SCHEMES), help="comma-separated (default: all)")
+    parser.add_argument("--counts", default=_COUNTS, help=f"particles, comma-separated (default: {_COUNTS})")
+    parser.add_argument("--interval", type=float, default=0.2, help="seconds to predict (default: 0.2)")
+    parser.add_argument("--samples", type=int, default=3, help="samples a median is taken of (default: 3)")
+    parser.add_argument("--out", type=Path, default=Path("results/scaling"), help="folder for the table")
+
+
+def main(args):
+    """Run the command; prints to standard output."""
+    schemes, counts = args.schemes.split(","), _counts(args.counts)
+    unknown = [s for s in schemes if s not in SCHEMES]
+    if unknown:
+        raise ConfigError(f"no scheme {unknown[0]!r}; there are {', '.join(SCHEMES)}")
+    if not args.interval > 0.0 or args.samples < 1:
+        raise ConfigError("scaling needs an --interval above 0 and one sample at least")
+    if load_problem(args.scenario).settings.start.kind != "gaussian":
+        raise ConfigError(f"{args.scenario} does not start from a Gaussian, which all schemes can carry")
+    console, cells = Console(highlight=False), []
+    with status(console) as say:
+        for scheme in schemes:
+            for count in counts:
+                say(f"measuring {scheme} on {count} particles")
+                cells.append(_alone(measured, args.scenario, scheme, count, args.interval, args.samples))
+    console.print(_table(args, cells))
+    for sentence in _sentences(schemes, cells):
+        console.print(f"• {sentence}")
+    args.out.mkdir(parents=True, exist_ok=True)
+    with open(args.out / "scaling.csv", "w", newline="", encoding="utf-8") as file:
+        lines = csv.writer(file)
+        lines.writerow([f.name for f in fields(Cell)])
+        lines.writerows(asdict(cell).values() for cell in cells)
+    console.print(f"Table: {args.out}/scaling.csv")
+
+
+def _counts(text):
+    try:
+        return sorted({int(part) for part in text.split(",")})
+    except ValueError:
+        raise ConfigError(f"--counts takes numbers such as {_COUNTS}, not {text!r}") from None
+
+
+def _alone(function, *args):
+    """Call a function in a process of its own, so that memory is not that of what ran before."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(function, *args).result()
+
+
+def measured(scenario, scheme, count, interval, n_samples):
+    """Measure a `Cell`; one thread and two take turns."""
+    import numba  # only here: the command line does without
+
+    problem = load_problem(scenario, {"solver.n_particles": count, "solver.config.scheme": scheme})
+    start, config = problem.begin(), problem.settings.solver.config
+    most = min(2, numba.config.NUMBA_NUM_THREADS)
+    sf.predict(start, problem.model, 1e-3 * interval, config, n_particles=count)  # compiles
+    known, before, seconds = watch_peak(), resident(), {1: [], most: []}
+    for _ in range(n_samples):
+        for threads in seconds:
+            numba.set_num_threads(threads)
+            began = time.perf_counter()
+            _, info = sf.predict(start, problem.model, interval, config, n_particles=count)
+            seconds[threads].append(time.perf_counter() - began)
+    memory = resident(peak=True) if known else float("nan")
+    one, two = (float(np.median(seconds[threads])) for threads in (1, most))
+    return Cell(scheme, start.n_particles, info.n_steps, one, two, memory, memory - before)
+
+
+def _table(args, cells):
+    table = Table(title=f"{args.scenario}, {args.interval:g} s")
+    table.add_column("scheme")
+    for head in (
+        "particles",
+        "steps",
+        "seconds",
+        "µs / particle, step",
+        "2 threads, times",
+        "MB (own)",
+    ):
+        table.add_column(head, justify="right")
+    for c in cells:
+        row = (str(c.n_particles), str(c.n_steps), f"{c.seconds:.3g}", f"{1e6 * c.cost:.3g}")
+        speed, memory = f"{c.seconds / c.threaded:.2f}", f"{c.memory:.0f} ({c.own:.0f})"
+        table.add_row(c.scheme, *row, speed, memory)
+    return table
+
+
+def _sentences(schemes, cells):
+    for scheme in schemes:
+        own = [c for c in cells if c.scheme == scheme]
+        cost, sizes = [c.cost for c in own], [c.n_particles for c in own]
+        yield (
+            f"{scheme}: from {min(sizes)} to {max(sizes)} particles the cost of one and a step stays within "
+            f"a factor of {max(cost) / min(cost):.2f}"
+        )
