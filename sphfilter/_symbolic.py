@@ -47,20 +47,23 @@ def symbolic_model(states, drift, noise, diffusion, spectral_density, parameters
     return makers, Q, _flags(f, J, D if g is None else g, D, names)
 
 
-def symbolic_rows(states, texts, name):
+def symbolic_rows(states, texts, name, parameters=()):
     """Return the batch function of k expressions of the states and t: rows of states in, k columns out.
 
     Parameters
     ----------
     states, texts : sequence of str
-    name : str
-        What the expressions are, for messages.
+    name : str, or sequence of k str
+        What the expressions, or each of them, are, for messages.
+    parameters : sequence of str
+        Names whose values the function takes.
     """
     if isinstance(states, str) or isinstance(texts, str):
         raise ModelError(f'states and {name} are lists of text, for instance {name}=["x**2"].')
-    names = Names(states)
-    rows = sp.Matrix([parse(text, names, f"{name}[{i}]") for i, text in enumerate(texts)])
-    return _maker(name, rows, names)(None)
+    names = Names(states, parameters)
+    each = [f"{name}[{i}]" for i in range(len(texts))] if isinstance(name, str) else name
+    rows = sp.Matrix([parse(text, names, where) for text, where in zip(texts, each, strict=True)])
+    return _maker(name if isinstance(name, str) else name[0], rows, names)(None)
 
 
 def _noise(noise, diffusion, spectral_density, names, n):

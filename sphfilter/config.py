@@ -93,7 +93,8 @@ def _explain(cls, error, name):
     if error["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
         return f"{where} is missing"
     if error["type"] == "value_error":
-        return f"{where}: {error['ctx']['error']}"
+        told = str(error["ctx"]["error"])
+        return f"{where}: {told}" if name or path else told
     said = error["msg"].replace("a valid tuple", "a list")
     return f"{where} = {error.get('input')!r} is not valid: {said[0].lower()}{said[1:]}"
 
@@ -127,13 +128,19 @@ class PaperScheme:
     buffer_ratio : float
         k_R of (42): layers of buffer particles around the core, in support radii.
     support_range, support_steps
-        Values of the support Lambda = K h / dx swept for the best initial h (002 4.6.1).
+        Values of the support Lambda = K h / dx swept for the best initial h (002 4.6.1). The coupling
+        eta = h / dx of 000 is the range (K eta, K eta), with K = 3, 2, 1 for the Gaussian, the cubic and
+        Lucy's kernel: eta = 1.2 is (3.6, 3.6), (2.4, 2.4) and (1.2, 1.2).
     anisotropy : float
         A_max: largest ratio between the lattice spacings of two axes; 1 is 002's own.
     masses : str
         "riemann" (density times cell volume) or "collocation" (002 4.6.2: solved for, if non-negative).
     smoothing : str
         Smoothing length: "proportional" (002 (14), lagged a step), "fixed_point", "newton" or "fixed".
+    smoothing_tolerance, smoothing_iterations, discard_unconverged
+        A fixed point has converged where a sweep changes h by less than this part; Newton's rule to 1e-6.
+        Either stops after so many iterations. Particles that have not converged then stay, or are dropped
+        and the others share their mass (000 Algorithm 3), see `PredictInfo.n_discarded`.
     integrator, cfl, c_cfl, dt_max
         Time stepping: (17)-(18); "relative" compares with the nearest neighbour's velocity (000) and wants
         `dt_max` seconds, since it guards against collisions and does not control the error; "fixed" takes
@@ -161,6 +168,8 @@ class PaperScheme:
     masses: Literal["riemann", "collocation"] = "riemann"
     smoothing: Literal["fixed", "proportional", "fixed_point", "newton"] = "proportional"
     smoothing_tolerance: Positive = 1e-3
+    smoothing_iterations: Count = 30
+    discard_unconverged: bool = False
     integrator: Literal["euler", "midpoint", "rk4"] = "euler"
     cfl: Literal["absolute", "relative", "fixed"] = "absolute"
     c_cfl: Positive = 0.2
@@ -178,6 +187,8 @@ class PaperScheme:
     def _consistent(self):
         if self.support_range[0] > self.support_range[1]:
             raise ValueError("support_range must rise, e.g. [2.2, 3.0]")
+        if self.discard_unconverged and self.smoothing not in ("fixed_point", "newton"):
+            raise ValueError('discard_unconverged needs smoothing = "fixed_point" or "newton", which iterate')
         if self.cfl == "relative" and self.dt_max is None:
             raise ValueError('cfl = "relative" guards against collisions only: give dt_max as well')
         if self.cfl == "fixed" and self.dt_max is None:

@@ -196,6 +196,17 @@ class ParticleDensity:
         with np.errstate(divide="ignore"):
             return np.log(self.pdf(X))
 
+    def gradient(self, X):
+        """Gradient of `pdf` at the states X (M, n) or (n,), shape (M, n)."""
+        X = state_rows("X", X, self.dim)
+        if self.field is not None and self.read_out == "log_density":
+            turns, field = [X] if self.domain is None else self._turns(X), self.field
+            return sum(np.exp(level_set.at(field, Y))[:, None] * level_set.gradient(field, Y) for Y in turns)
+        out = mixture.gradient(self.mixture, self._within(X))
+        if self.domain is not None:
+            out[~self.domain.contains(X)] = 0.0
+        return out
+
     def mean(self):
         """Mean, shape (n,); points and mixture agree, kernels being symmetric."""
         if self.domain is not None:

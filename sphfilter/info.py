@@ -26,7 +26,11 @@ class PredictInfo:
         Probability the lattices lost or gained on the way, before it was put right (log-density scheme): a
         measure of what the resolution costs.
     n_smoothing_failed : int
-        Particle-steps whose smoothing-length equation had no root (the old length was kept).
+        Particle-steps whose smoothing-length equation had no root (the old length was kept), or whose
+        iteration had not converged when it was stopped.
+    n_discarded : int
+    mass_discarded : float
+        Particles dropped for that, and their probability, which the others share; zero unless asked for.
     skipped : tuple of str
         Work the scene made unnecessary.
     scheme, status : str
@@ -41,6 +45,8 @@ class PredictInfo:
     n_rejected: int = 0
     mass_error: float = 0.0
     n_smoothing_failed: int = 0
+    n_discarded: int = 0
+    mass_discarded: float = 0.0
     skipped: tuple = ()
     scheme: str = "paper"
     status: str = "ok"

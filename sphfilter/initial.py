@@ -1,67 +1,30 @@
 """Initial densities: a Gaussian, a uniform box, or any pdf with a box, put on particles."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
-from .config import PaperScheme, SolverConfig
+from .config import LogDensityScheme, PaperScheme, SolverConfig
+from .core.kernels import KINDS, RADIUS
 from .density import ParticleDensity
+from .distributions import Gaussian, Uniform, checked_box
 from .domain import Domain
 from .errors import ModelError, PropagationError
 from .exact import gaussian_log_pdf
-from .lattice import Lattice, heaviest, particles_on, place_gaussian
+from .lattice import Lattice, heaviest, particles_on, particles_with, place_gaussian
 from .level_set import fewest_particles, lay, reach
-from .validate import array, count, covariance
+from .validate import array, count, real, row
 
 __all__ = ["Gaussian", "Uniform", "initialize", "spread"]
 
 _FAR = 6.0  # standard deviations within which a Gaussian is put on a domain with ends
 _MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
 _COARSE = 2000  # particles a callable pdf is first looked at with
+#: For moment-corrected SPH, which finds smoothing lengths of its own.
+_FOR_CORRECTED = PaperScheme(kernel="wendland_c2", support_steps=1)
 
 
-@dataclass(frozen=True)
-class Gaussian:
-    """Normal distribution with mean (n,) and covariance (n, n), positive definite."""
-
-    mean: np.ndarray
-    cov: np.ndarray
-
-    def __post_init__(self):
-        mean = array("mean", self.mean, (None,))
-        object.__setattr__(self, "mean", mean)
-        object.__setattr__(self, "cov", covariance("cov", self.cov, dim=len(mean)))
-
-    def pdf(self, X):
-        """Density at the states X (M, n)."""
-        return np.atleast_1d(stats.multivariate_normal(self.mean, self.cov).pdf(X))
-
-
-@dataclass(frozen=True)
-class Uniform:
-    """Uniform distribution on a box (n, 2) of lower and upper bounds."""
-
-    box: np.ndarray
-
-    def __post_init__(self):
-        object.__setattr__(self, "box", checked_box(self.box))
-
-    def pdf(self, X):
-        """Density at the states X (M, n)."""
-        inside = np.all((self.box[:, 0] <= X) & (self.box[:, 1] >= X), axis=1)
-        return inside / np.prod(self.box[:, 1] - self.box[:, 0])
-
-
-def checked_box(box):
-    """Return `box` as an array (n, 2) whose bounds rise, or raise `ModelError`."""
-    box = array("box", box, (None, 2))
-    if np.any(box[:, 1] <= box[:, 0]):
-        raise ModelError(f"box must hold (low, high) with low < high for every state, got {box.tolist()}")
-    return box
-
-
-def initialize(distribution, n_particles, config=None, *, box=None, t=0.0, domain=None):
+def initialize(distribution, n_particles=None, config=None, *, box=None, spacing=None, t=0.0, domain=None):
     """Put a distribution on particles (002 sections 4.1, 4.2 and 4.6).
 
     Parameters
@@ -69,10 +32,14 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0, domai
     distribution : Gaussian, Uniform, or callable pdf(X (M, n)) -> (M,)
         A callable need not be normalised, and needs `box`.
     n_particles : int
-        Upper bound of the number of particles: a lattice cannot hit a number.
+        Upper bound of the number of particles: a lattice cannot hit a number. Not needed with a `spacing`.
     config : SolverConfig or FilterConfig, optional
     box : array_like, shape (n, 2), optional
-        Where a callable pdf is not negligible.
+        Where a callable pdf is not negligible; with a `spacing`, where a Gaussian is put on particles.
+    spacing : float or array_like, shape (n,), optional
+        Of a lattice with nodes at both ends of the box, or the next smaller one that fits: all nodes where
+        the pdf is not zero carry a particle, of the density times the volume of a cell (000 5.2.3). For the
+        schemes that take particles as they lie: "paper", "corrected", and "auto", which takes the latter.
     t : float
         Time of the density, seconds.
     domain : Domain, or sequence of its axes, optional
@@ -82,12 +49,19 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0, domai
     Returns
     -------
     ParticleDensity
+
+    Raises
+    ------
+    ModelError
+        Neither or too small a number of particles, a box or spacing that is none, a pdf that is negative, not
+        finite or zero everywhere.
     """
     scheme = (config or SolverConfig()).scheme
+    if spacing is not None:
+        return _spaced(distribution, n_particles, scheme, box, spacing, t, domain)
     n_particles = count("n_particles", n_particles)
     gaussian, box = isinstance(distribution, Gaussian), _box_of(distribution, box)
-    domain = None if domain is None else Domain.of(domain, len(box))
-    domain = None if domain is None or domain.unbounded else domain
+    domain = _bounds(domain, box)
     smooth = not isinstance(distribution, Uniform) and (
         domain is None or (gaussian and not domain.walled.any())
     )
@@ -99,19 +73,70 @@ def initialize(distribution, n_particles, config=None, *, box=None, t=0.0, domai
         scheme = PaperScheme(kernel="wendland_c2")
     if gaussian and domain is None:
         return _from_gaussian(distribution, n_particles, scheme, t)
+    pdf, box = _seen_from(distribution, box, domain)
+    return _from_pdf(pdf, box, n_particles, scheme, t, domain)
+
+
+def _bounds(domain, box):
+    """The domain of a density whose states are those of a box; None if it has no bounds."""
+    domain = None if domain is None else Domain.of(domain, len(box))
+    return None if domain is None or domain.unbounded else domain
+
+
+def _seen_from(distribution, box, domain):
+    """The pdf of a distribution inside a domain, and the part of its box there."""
     pdf = distribution.pdf if isinstance(distribution, Gaussian | Uniform) else distribution
     if domain is not None:
-        if gaussian:
+        if isinstance(distribution, Gaussian):
             pdf = _all_turns(pdf, domain, box)
         box = np.transpose(domain.within(*box.T, 0.0))
-    return _from_pdf(pdf, checked_box(box), n_particles, scheme, t, domain)
+    return pdf, checked_box(box)
+
+
+def _spaced(distribution, n_particles, scheme, box, spacing, t, domain):
+    """All nodes of a given lattice on which a distribution is not zero."""
+    if isinstance(scheme, LogDensityScheme):
+        raise ModelError(
+            'spacing is for schemes "paper" and "corrected": "log_density" lays lattices of its own'
+        )
+    box = _box_of(distribution, box) if box is None else checked_box(box)
+    domain = _bounds(domain, box)
+    pdf, box = _seen_from(distribution, box, domain)
+    lattice = Lattice.spaced(*box.T, _spacings(spacing, box), domain)
+    values = _values(pdf, lattice)
+    scale, kept = values.sum() * lattice.cell_volume, int(np.count_nonzero(values))
+    if n_particles is not None and kept > count("n_particles", n_particles):
+        raise ModelError(
+            f"spacing = {spacing} lays {kept} particles, more than n_particles = {n_particles}: leave one of "
+            f"the two out"
+        )
+    about = {"t": t, "capacity": kept if n_particles is None else n_particles, "domain": domain}
+    if not isinstance(scheme, PaperScheme):
+        scheme = _FOR_CORRECTED
+    first, last = scheme.support_range
+    if first == last or scheme.support_steps == 1:  # nothing to choose from
+        h = first * lattice.cell_volume ** (1.0 / len(box)) / RADIUS[KINDS.index(scheme.kernel)]
+        return particles_with(h, lattice, values / scale, scheme, about)
+    between = np.asarray(pdf(lattice.half_shifted().nodes), dtype=float) / scale
+    return particles_on(lattice, values / scale, between, values > 0, scheme, about)
+
+
+def _spacings(spacing, box):
+    """A spacing for each axis of a box, shape (n,)."""
+    n, sides = len(box), box[:, 1] - box[:, 0]
+    scalar = np.ndim(spacing) == 0
+    spacing = np.full(n, real("spacing", spacing)) if scalar else array("spacing", spacing, (n,))
+    if np.any(spacing <= 0.0) or np.any(spacing > sides * (1.0 + 1e-12)):
+        raise ModelError(
+            f"spacing must be positive and no longer than the sides of the box, {row(sides)}, "
+            f"got {row(spacing)}"
+        )
+    return spacing
 
 
 def _for_corrected(distribution, box, n_particles, t):
     """Particles of a uniform density with its variance, which cell centres alone have too little of."""
-    # moment-corrected SPH finds lengths of its own
-    scheme = PaperScheme(kernel="wendland_c2", support_steps=1)
-    density = _from_pdf(distribution.pdf, box, n_particles, scheme, t)
+    density = _from_pdf(distribution.pdf, box, n_particles, _FOR_CORRECTED, t)
     centre, actual = box.mean(axis=1), np.diag(density.cov("points"))
     stretch = np.sqrt((box[:, 1] - box[:, 0]) ** 2 / 12.0 / actual)
     return replace(density, x=centre + stretch * (density.x - centre))
@@ -187,6 +212,16 @@ def _from_gaussian(gaussian, n_particles, scheme, t):
     return particles_on(lattice, values, between, place.core, scheme, about)
 
 
+def _values(pdf, lattice):
+    """A pdf at the nodes of a lattice, shape (M,)."""
+    values = np.asarray(pdf(lattice.nodes), dtype=float)
+    if values.shape != (len(lattice.nodes),) or not np.all(np.isfinite(values)) or values.min() < 0:
+        raise ModelError("pdf must return one finite density >= 0 for each row of its argument")
+    if values.sum() <= 0:
+        raise ModelError("pdf is zero everywhere in its box")
+    return values
+
+
 def _from_pdf(pdf, box, n_particles, scheme, t, domain=None):
     """Cells of equal width over the box, particles at their centres, lowest masses dropped."""
     span = box[:, 1] - box[:, 0]
@@ -196,11 +231,7 @@ def _from_pdf(pdf, box, n_particles, scheme, t, domain=None):
         if np.prod(dims.astype(float)) > _MOST_TRIED * n_particles:
             continue
         lattice = Lattice(box[:, 0] + 0.5 * span / dims, span / dims, dims, domain)
-        values = np.asarray(pdf(lattice.nodes), dtype=float)
-        if values.shape != (len(lattice.nodes),) or not np.all(np.isfinite(values)) or values.min() < 0:
-            raise ModelError("pdf must return one finite density >= 0 for each row of its argument")
-        if values.sum() <= 0:
-            raise ModelError("pdf is zero everywhere in its box")
+        values = _values(pdf, lattice)
         kept = heaviest(values, scheme.represented_mass)
         if kept.sum() <= n_particles:
             scale = values.sum() * lattice.cell_volume

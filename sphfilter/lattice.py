@@ -13,6 +13,7 @@ from .core.summation import deposit
 from .density import ParticleDensity
 from .domain import Domain
 from .errors import ModelError
+from .validate import row
 
 __all__ = [
     "GaussianPlacement",
@@ -22,6 +23,7 @@ __all__ = [
     "fit_support",
     "heaviest",
     "particles_on",
+    "particles_with",
     "place_gaussian",
 ]
 
@@ -50,6 +52,19 @@ class Lattice:
         centred = domain.whole(low, high) | (domain.walled & ((low <= domain.low) | (high >= domain.high)))
         spacing = (high - low) / np.where(centred, dims, dims - 1)
         return cls(low + np.where(centred, 0.5 * spacing, 0.0), spacing, dims, domain)
+
+    @classmethod
+    def spaced(cls, low, high, spacing, domain=None):
+        """Lattice as `spanning` lays it, with the given spacing (n,), or the next smaller one that fits."""
+        cells = np.ceil(np.minimum((high - low) / spacing * (1.0 - 1e-12), _MOST_NODES)).astype(int)
+        ends = cls.spanning(low, high, cells + 1, domain)
+        lattice = ends if domain is None else cls.spanning(low, high, cells + (ends.origin == low), domain)
+        if np.prod(lattice.dims.astype(float)) > _MOST_NODES:
+            raise ModelError(
+                f"spacing = {row(spacing)} makes {np.prod(lattice.dims.astype(float)):.2g} nodes, more than "
+                f"{_MOST_NODES:g}: take a wider one or a smaller box"
+            )
+        return lattice
 
     @property
     def nodes(self):
@@ -244,16 +259,22 @@ def particles_on(lattice, values, between, core, scheme, density):
     mass = values * lattice.cell_volume
     interior_between = between >= values[core & kept].min(initial=np.inf)
     fit = fit_support(lattice, mass, values, between, core & kept, interior_between, scheme)
-    x, mass = lattice.nodes[kept], mass[kept]
+    return particles_with(fit.h, lattice, values, scheme, density)
+
+
+def particles_with(h, lattice, values, scheme, density):
+    """Make particles of one smoothing length h; other arguments as of `particles_on`."""
+    kept = values > 0
+    x, mass = lattice.nodes[kept], values[kept] * lattice.cell_volume
     if density.get("domain") is not None:
         x = density["domain"].wrap(x)
     if scheme.masses == "collocation":
-        solved = collocation_masses(x, fit.h, values[kept], scheme.kernel)
+        solved = collocation_masses(x, h, values[kept], scheme.kernel)
         mass = mass if solved is None else solved
     return ParticleDensity(
         x=x,
         mass=mass,
-        h=np.full(len(x), fit.h),
+        h=np.full(len(x), h),
         kernel=scheme.kernel,
         read_out=scheme.read_out,
         **density,

@@ -15,13 +15,14 @@ from .core import cells
 from .core.cells import UNKNOWN, frontier
 from .core.characteristics import LOCAL, local_shape
 from .core.field import Field, evaluate
+from .core.field import gradient as field_gradient
 from .core.fitting import build_field
 from .core.flood import MOST_ASKED, relaid
 from .core.stencils import stencils
 from .errors import ModelError, PropagationError
 
-__all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "lay", "local", "outside", "posterior",
-           "reach"]  # fmt: skip
+__all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "gradient", "lay", "local", "outside",
+           "posterior", "reach"]  # fmt: skip
 
 _TRIES = 24
 _STEP = 0.02  # of slopes, in standard deviations: far wider than jumps between polynomials can harm
@@ -52,6 +53,13 @@ def at(field, X):
     out = np.empty(len(X))
     evaluate(field, stencils(field.mu.size), np.ascontiguousarray(X, dtype=float), out)
     return out
+
+
+def gradient(field, X):
+    """Gradient of `at` at the states X (M, n), shape (M, n)."""
+    out = np.empty(X.shape)
+    field_gradient(field, stencils(field.mu.size), np.ascontiguousarray(X, dtype=float), out)
+    return out @ field.inverse
 
 
 def outside(field, x, mass):

@@ -12,9 +12,10 @@ from scipy.stats import qmc
 from .core import kernels
 from .core.moment_correction import correct, exponents
 from .core.neighbors import build_index, choose_method
-from .core.summation import sample_density, sample_density_parallel
+from .core.summation import sample_density, sample_density_parallel, sample_gradient
 
-__all__ = ["Mixture", "drawn", "mixture", "narrowed", "pdf", "points", "raw_moment", "shrunk", "standing_for"]
+__all__ = ["Mixture", "drawn", "gradient", "mixture", "narrowed", "pdf", "points", "raw_moment", "shrunk",
+           "standing_for"]  # fmt: skip
 
 _PARALLEL_FROM = 10_000_000  # distances of points and particles, about a second's work of one thread
 _POINTS_A_TERM = 2  # of the polynomial of slopes
@@ -50,6 +51,14 @@ def pdf(mix, X):
     """Density at the states X (M, n)."""
     z = np.linalg.solve(mix.factor, (X - mix.centre).T).T
     return _at(mix, np.ascontiguousarray(z)) / abs(np.linalg.det(mix.factor))
+
+
+def gradient(mix, X):
+    """Gradient of `pdf` at the states X (M, n), shape (M, n)."""
+    z = np.ascontiguousarray(np.linalg.solve(mix.factor, (X - mix.centre).T).T)
+    out = np.empty_like(z)
+    sample_gradient(z, mix.z, mix.mass, mix.h, mix.index, mix.kernel, out)
+    return np.linalg.solve(mix.factor.T, out.T).T / abs(np.linalg.det(mix.factor))
 
 
 def points(mix, offsets, which=slice(None)):

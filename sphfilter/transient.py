@@ -58,7 +58,8 @@ class Trajectory:
         arrays, steps = load_arrays(path), []
         for k in range(int(arrays["n_times"])):
             own = {name.partition(".")[2]: v for name, v in arrays.items() if name.startswith(f"{k}.")}
-            info = {f.name: _plain(own[f"info.{f.name}"]) for f in fields(PredictInfo)}
+            known = (f.name for f in fields(PredictInfo) if f"info.{f.name}" in own)  # an older file has less
+            info = {name: _plain(own[f"info.{name}"]) for name in known}
             steps.append((density_from(own), PredictInfo(**info)))
         densities, infos = zip(*steps, strict=True) if steps else ((), ())
         return cls(np.array([density.t for density in densities]), densities, infos)

@@ -104,10 +104,13 @@ def test_the_command_writes_numbers_and_pictures(tmp_path, capsys, own):
 
 
 def test_a_stopped_run_goes_on(tmp_path, monkeypatch, capsys, own):
-    def stopped(density, model, t, config, **options):
-        if t > 0.6:
-            raise KeyboardInterrupt
-        return propagate(density, model, t, config, **options)
+    def stopped(density, model, times, config, callback, **options):
+        def until(density, info):
+            if density.t > 0.6:
+                raise KeyboardInterrupt
+            callback(density, info)
+
+        return propagate(density, model, times, config, callback=until, **options)
 
     propagate = sf.propagate
     monkeypatch.setattr(solving.sf, "propagate", stopped)
@@ -117,9 +120,9 @@ def test_a_stopped_run_goes_on(tmp_path, monkeypatch, capsys, own):
     folder = folder_of(tmp_path / "out", load_problem(own()))
     assert (folder / "density_0000.npz").exists()
 
-    def late(density, model, t, config, **options):
-        assert t > 0.6
-        return propagate(density, model, t, config, **options)
+    def late(density, model, times, config, **options):
+        assert times[0] > 0.6
+        return propagate(density, model, times, config, **options)
 
     monkeypatch.setattr(solving.sf, "propagate", late)
     assert main(command) == 0
@@ -160,7 +163,7 @@ def test_a_rule_for_new_lattices_is_a_setting(tmp_path, capsys, own):
         (("mean = [1.0]", "mean = [1.0, 2.0]"), "mean"),
         (("mean = [1.0]\n", ""), 'kind = "gaussian" needs mean'),
         (("cov = [[0.2]]", "cov = [[-0.2]]"), "positive definite"),
-        (("moments = [[4]]", "moments = [[4, 0]]"), "needs 1 powers"),
+        (("moments = [[4]]", "moments = [[4, 0]]"), "needs 1 entries"),
         (('kind = "linear"', 'kind = "linaer"'), "reference.kind"),
         (('drift = ["-x"]', 'drift = ["-x**3"]'), "needs a linear model"),
         (("n_particles = 60", "n_particles = 0"), "solver.n_particles"),
@@ -180,5 +183,5 @@ def test_a_name_or_a_file(capsys):
     assert main(["transient", "oscilator"]) == 1
     message = capsys.readouterr().err
     assert "one of them" in message and "did you mean 'oscillator'" in message
-    assert main(["transient", "oscillator", "--animate", "a.mp4"]) == 1
+    assert main(["transient", "oscillator", "--animate", "a.avi"]) == 1
     assert "GIF" in capsys.readouterr().err

@@ -11,7 +11,7 @@ KIND = 1
 MODES = smoothing.SMOOTHING
 
 
-def squeezed(mode, sweeps=1, factor=0.8, kind=KIND, support=2.6):
+def squeezed(mode, sweeps=1, factor=0.8, kind=KIND, support=2.6, iterations=30):
     """A lattice in 2-D with equal masses, contracted by `factor`, and its h brought up to date."""
     x = np.indices((12, 12)).reshape(2, -1).T.astype(float)
     N = len(x)
@@ -25,12 +25,13 @@ def squeezed(mode, sweeps=1, factor=0.8, kind=KIND, support=2.6):
     cloud.invariant[:] = cloud.rho * h**2
     h0 = h.copy()
     x *= factor
-    failed = 0
+    failed, settled = 0, np.ones(N, bool)
     for _ in range(sweeps):
         summation.density_and_gradient(x, cloud.m, h, lists, kernel, cloud.rho, grad, r)
         seen = unseen(x, cloud.m, h)
-        mode_code = MODES.index(mode)
-        failed = smoothing.update_smoothing(mode_code, 1e-8, cloud, seen, reach, lists, kernel, grad, r)
+        rule = smoothing.Rule(MODES.index(mode), 1e-5, iterations)
+        failed = smoothing.update_smoothing(rule, cloud, seen, reach, lists, kernel, grad, r, settled)
+    assert failed == np.sum(~settled)
     return cloud, h0, failed
 
 
@@ -58,6 +59,24 @@ def test_newton_keeps_h_and_says_so_where_no_root_exists():
     cloud, h0, failed = squeezed("newton", 1, factor=20.0, support=1.05)
     assert failed == len(cloud.h)
     np.testing.assert_array_equal(cloud.h, h0)
+
+
+def test_one_sweep_of_the_fixed_point_goes_half_the_way():
+    """000 (112) damped: the geometric mean of h and (rho0 h0^n / rho)^(1/n)."""
+    cloud, h0, failed = squeezed("fixed_point", iterations=1)
+    before, _, _ = squeezed("fixed")  # whose density is that of the contracted lattice with the old h
+    assert cloud.h == pytest.approx(np.sqrt(h0 * np.sqrt(cloud.invariant / before.rho)), rel=1e-12)
+    assert failed == len(h0)
+
+
+@pytest.mark.parametrize(("mode", "few"), [("fixed_point", (1, 2, 4, 8)), ("newton", (1, 2))])
+def test_iterations_are_limited_and_come_nearer(mode, few):
+    errors = []
+    for iterations in (*few, 30):
+        cloud, h0, failed = squeezed(mode, iterations=iterations)
+        errors.append(np.abs(cloud.h / (0.8 * h0) - 1.0).max())
+        assert (failed == 0) == (iterations == 30)
+    assert errors == sorted(errors, reverse=True) and errors[0] > 1e-2 > 1e-5 > errors[-1]
 
 
 @pytest.mark.parametrize("kind", range(len(kernels.KINDS)))

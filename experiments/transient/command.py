@@ -21,13 +21,17 @@ from sphfilter import __version__
 from sphfilter.errors import ConfigError, SphfilterError
 
 from . import plots, remeshing
+from .film import Window, animate, check_film
+from .help import EPILOG
+from .probe import Probing, write_particles
 from .problem import load_problem
 from .references import reference_of
 from .rivals import rivals_of
 from .solution import folder_of, solve
 from .tables import sentences, steady_table, table, write_csv
+from .views import probe_picture
 
-__all__ = ["add_arguments", "main"]
+__all__ = ["EPILOG", "add_arguments", "main"]
 
 
 def add_arguments(parser):
@@ -44,7 +48,8 @@ def add_arguments(parser):
         help="solve with each rule for new lattices on the way, e.g. never,health,2 (seconds), and compare",
     )
     parser.add_argument("--no-reference", action="store_true", help="do not compute the reference")
-    parser.add_argument("--animate", metavar="FILE", help="write the densities as a GIF of this name")
+    parser.add_argument("--animate", metavar="FILE", help="write the densities as a film, .gif or .mp4")
+    parser.add_argument("--live", action="store_true", help="show the densities in a window as they come")
     example = "e.g. solver.config.scheme=paper or times.end=10"
     add_change_option(parser, f"change a key of the file, {example}; may be repeated")
 
@@ -55,25 +60,28 @@ def main(args):
     console = console if console.is_terminal else Console(highlight=False, width=132)
     if (args.name is None) == (args.config is None):
         raise ConfigError("transient takes a name from `list`, or --config FILE, one of them")
-    if args.animate and not args.animate.endswith(".gif"):
-        raise ConfigError(f"--animate writes GIF files: {args.animate} does not end in .gif")
+    if args.remesh and (args.animate or args.live):
+        raise ConfigError("--remesh compares several solutions: --animate and --live are for one")
+    film = check_film(args.animate) if args.animate else None
     changes = changes_of(args)
     if args.n_particles is not None:
         changes["solver.n_particles"] = args.n_particles
     if args.no_reference:
         changes["reference.kind"] = "none"
     if args.remesh is None:
-        _solve(console, args, changes)
+        _solve(console, args, changes, film)
     else:
         _compare_remeshing(console, args, changes)
 
 
-def _solve(console, args, changes):
+def _solve(console, args, changes, film):
     """Solve, compare with the reference, print, write and draw."""
     problem = load_problem(args.config or args.name, changes)
+    window = Window(problem) if args.live else None
     out = _begin(console, args, problem)
     folder = folder_of(out, problem)
-    solution = _followed(console, problem, folder)
+    watches = [*_writers(problem, out), *([window] if window else [])]
+    solution = _followed(console, problem, folder, watches)
     reference = _reference(console, problem)
     rivals = rivals_of(problem)
     console.print(table(problem, solution, reference))
@@ -85,19 +93,23 @@ def _solve(console, args, changes):
         console.print(f"• {escape(sentence)}")
     _write(out, problem, solution, reference)
     shutil.rmtree(folder)
-    drawn = plots.draw(out, problem, solution, reference, rivals)
-    if args.animate:
-        drawn.append(plots.animate(Path(args.animate), problem, solution))
+    drawn = plots.draw(out, problem, solution, reference, rivals) + _probed(out, problem, solution)
+    if film:
+        densities = solution.trajectory.densities
+        drawn.append(animate(film, problem, [solution.start, *(densities[k] for k in problem.kept)]))
     console.print(
         f"\nNumbers are in {out}/trajectory.npz, statistics.csv and run.json, the file in transient.toml."
     )
     console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
+    if window and window.open:
+        console.print("Close the window to end.")
+        window.wait()
 
 
 def _begin(console, args, problem):
     """Say what is solved, and compile; returns the folder for results."""
-    console.print(f"[bold]{problem.name}[/]: {problem.settings.description}")
-    console.print(f"{problem.settings.source}\n", style="dim")
+    console.print(escape(problem.title), style="bold")
+    console.print(f"{escape(problem.settings.source)}\n", style="dim")
     _warm_up(console, problem)
     return args.out or Path("results") / "transient" / problem.name
 
@@ -132,12 +144,35 @@ def _warm_up(console, problem):
         sf.predict(start, problem.model, 1e-6 * (problem.times[-1] - start.t), config)
 
 
-def _followed(console, problem, folder):
+def _writers(problem, out):
+    """What is to see every density that is kept, and write a file of it."""
+    if problem.settings.probe is not None:
+        yield Probing(problem, out / "probe")
+    if problem.settings.output.csv:
+        folder = out / "particles"
+        yield lambda number, density: write_particles(folder / f"{number:04d}.csv", problem, density)
+
+
+def _probed(out, problem, solution):
+    """Paths of the picture of what the probe sees, if there is one that can be drawn."""
+    probe = problem.settings.probe
+    if probe is None or len(probe.long) > 2:
+        return []
+    every = [*solution.trajectory.densities, solution.start]  # -1 is the start
+    return [probe_picture(out / "probe.png", problem, [every[k] for k in plots.drawn_of(problem, solution)])]
+
+
+def _followed(console, problem, folder, watches=()):
     columns = TextColumn("times"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("", total=len(problem.times))
+
+        def watch(number, density):
+            for each in watches:
+                each(number, density)
+
         try:
-            return solve(problem, folder, lambda done, total: bar.update(task, completed=done))
+            return solve(problem, folder, lambda done, total: bar.update(task, completed=done), watch)
         except KeyboardInterrupt:
             done = len(list(folder.glob("density_*.npz")))
             raise Interrupted(
@@ -158,7 +193,9 @@ def _reference(console, problem):
 def _write(out, problem, solution, reference):
     """Write densities, numbers, settings and versions."""
     out.mkdir(parents=True, exist_ok=True)
-    solution.trajectory.save(out / "trajectory.npz")
+    way, kept = solution.trajectory, problem.kept
+    chosen = [tuple(part[k] for k in kept) for part in (way.densities, way.infos)]
+    sf.Trajectory(way.times[kept], *chosen).save(out / "trajectory.npz")
     write_csv(out / "statistics.csv", problem, solution, reference)
     settings = asdict(problem.settings)
     (out / "transient.toml").write_text(tomli_w.dumps(_plain(settings)), encoding="utf-8")

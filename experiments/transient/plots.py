@@ -1,11 +1,10 @@
-"""Pictures of a transient solution: densities, moments with their reference, exceedances, an animation."""
+"""Pictures of a transient solution: densities, moments with their reference, exceedances."""
 
 import numpy as np
-from matplotlib.animation import PillowWriter
 
 from experiments.pictures._style import ACCENT, INK, frame, plt, save
 
-__all__ = ["animate", "draw"]
+__all__ = ["axes_of", "cloud", "draw", "drawn_of", "ends", "label"]
 
 _DECADES = 6
 _MOST_DRAWN = 6
@@ -27,16 +26,18 @@ def draw(out, problem, solution, reference, rivals=()):
     return [save(figure, out / f"{name}.png") for name, figure in figures.items()]
 
 
-def _label(problem, state):
+def label(problem, state):
+    """Axis label of a state."""
     unit = (problem.settings.model.units or ("",) * problem.model.dim)[state]
     return f"{problem.labels[state]} ({unit})" if unit else problem.labels[state]
 
 
-def _axes(problem):
+def axes_of(problem):
+    """States that are drawn against each other."""
     return problem.settings.axes or tuple(range(min(problem.model.dim, 2)))
 
 
-def _drawn(problem, solution):
+def drawn_of(problem, solution):
     """Numbers of the densities that are drawn; -1 is the start."""
     wanted = problem.settings.times.drawn
     if wanted:
@@ -48,10 +49,10 @@ def _drawn(problem, solution):
 
 
 def _densities(problem, solution):
-    axes = _axes(problem)
+    axes = axes_of(problem)
     if len(axes) == 1:
         return _curves(problem, solution, axes[0])
-    drawn = _drawn(problem, solution)
+    drawn = drawn_of(problem, solution)
     columns = min(len(drawn), 3)
     rows = -(-len(drawn) // columns)
     figure = plt.figure(figsize=(3.9 * columns, 3.4 * rows), layout="constrained")
@@ -59,20 +60,20 @@ def _densities(problem, solution):
         three = len(axes) == 3
         ax = figure.add_subplot(rows, columns, place, **({"projection": "3d"} if three else {}))
         density = solution.start if k < 0 else solution.trajectory.densities[k]
-        artist = _cloud(ax, density, axes, size=3.0 if three else 7.0)
+        artist = cloud(ax, density, axes, size=3.0 if three else 7.0)
         frame(
-            ax, f"t = {density.t:g}, {density.n_particles} particles", *(_label(problem, a) for a in axes[:2])
+            ax, f"t = {density.t:g}, {density.n_particles} particles", *(label(problem, a) for a in axes[:2])
         )
         if three:
-            ax.set_zlabel(_label(problem, axes[2]))
+            ax.set_zlabel(label(problem, axes[2]))
     bar = figure.colorbar(artist, ax=figure.axes, shrink=0.8, pad=0.02, extend="min")
     bar.set_ticks(range(-_DECADES, 1, 2), labels=[f"$10^{{{k}}}$" for k in range(-_DECADES, 1, 2)])
     bar.set_label("density, highest = 1")
-    figure.suptitle(f"{problem.name}: {problem.settings.description}", fontsize=11)
+    figure.suptitle(problem.title, fontsize=11)
     return figure
 
 
-def _cloud(ax, density, axes, size):
+def cloud(ax, density, axes, size):
     """Particles coloured by the logarithm of the density there, the highest on top."""
     with np.errstate(divide="ignore"):
         level = np.log10(density.pdf(density.x))
@@ -86,18 +87,18 @@ def _cloud(ax, density, axes, size):
 def _curves(problem, solution, axis):
     """Densities of one state."""
     figure, ax = plt.subplots(figsize=(8, 4.2), layout="constrained")
-    drawn = _drawn(problem, solution)
+    drawn = drawn_of(problem, solution)
     for shade, k in zip(np.linspace(0.0, 0.85, len(drawn)), drawn, strict=True):
         density = solution.start if k < 0 else solution.trajectory.densities[k]
         alone = density if density.dim == 1 else density.marginal([axis])
-        ends = _ends(density.x[:, axis], 0.25)
+        span = ends(density.x[:, axis], 0.25)
         if density.domain is not None and density.domain.periodic[axis]:
-            ends = density.domain.low[axis], density.domain.high[axis]
-        x = np.linspace(*ends, 400)
+            span = density.domain.low[axis], density.domain.high[axis]
+        x = np.linspace(*span, 400)
         ax.plot(x, alone.pdf(x[:, None]), color=plt.cm.viridis(shade), label=f"t = {density.t:g}")
     ax.legend(frameon=False)
     ax.set_ylim(bottom=0)
-    frame(ax, f"{problem.name}: {problem.settings.description}", _label(problem, axis), "density")
+    frame(ax, problem.title, label(problem, axis), "density")
     return figure
 
 
@@ -213,29 +214,7 @@ def _error_curve(ax, problem, value, exact, colour, label):
     ax.plot(problem.times, np.maximum(error, 1e-8), color=colour, lw=1.2, label=label)
 
 
-def animate(path, problem, solution, fps=10):
-    """Write the densities as a GIF, or as an MP4 where ffmpeg is installed; by the name's ending."""
-    axes = _axes(problem)[:2]
-    densities = [solution.start, *solution.trajectory.densities]
-    figure, ax = plt.subplots(figsize=(5.2, 4.6), layout="constrained")
-    writer = PillowWriter(fps=fps)
-    every = np.concatenate([d.x for d in densities])
-    with writer.saving(figure, path, dpi=90):
-        for density in densities:
-            ax.clear()
-            if len(axes) == 2:
-                _cloud(ax, density, axes, size=7.0)
-                ax.set(xlim=_ends(every[:, axes[0]]), ylim=_ends(every[:, axes[1]]))
-                frame(ax, f"t = {density.t:g}", *(_label(problem, a) for a in axes))
-            else:
-                x = np.linspace(*_ends(every[:, axes[0]]), 400)
-                ax.plot(x, density.pdf(x[:, None]), color=_OURS)
-                frame(ax, f"t = {density.t:g}", _label(problem, axes[0]), "density")
-            writer.grab_frame()
-    plt.close(figure)
-    return path
-
-
-def _ends(x, part=0.05):
+def ends(x, part=0.05):
+    """Ends of an axis that shows all of x."""
     room = part * (x.max() - x.min())
     return x.min() - room, x.max() + room

@@ -11,15 +11,16 @@ import numpy as np
 import sphfilter as sf
 from experiments.files import change, file_names, find_file, read_toml
 from experiments.scenario import model_of
-from sphfilter._symbolic import symbolic_rows
 from sphfilter.config import from_table
-from sphfilter.errors import ConfigError, ModelError
 
+from .checks import check, named
 from .settings import TransientSettings
+from .texts import Pdf, condition, expression, reads_time
 
 __all__ = ["Problem", "Quantity", "load_problem", "problem_names"]
 
 _FOLDER = Path(__file__).parents[1] / "scenarios" / "transient"
+_N_PARTICLES = 400
 
 
 class Quantity(NamedTuple):
@@ -27,19 +28,20 @@ class Quantity(NamedTuple):
 
     name: str
     powers: tuple | None
-    condition: object  # X (M, n) -> bool (M,), or None
+    condition: object  # (X (M, n), t) -> bool (M,), or None
+    timed: bool = False  # does the condition name the time?
 
     def of(self, density):
         """Its value for a `ParticleDensity`."""
         if self.powers is not None:
             return density.moment(self.powers)
-        return density.probability(self.condition)
+        return density.probability(lambda X: self.condition(X, density.t))
 
-    def at(self, X):
-        """What its mean is taken of, at states X (M, n), shape (M,)."""
+    def at(self, X, t=0.0):
+        """What its mean is taken of, at states X (M, n) and time t, shape (M,)."""
         if self.powers is not None:
             return np.prod(X ** np.array(self.powers), axis=1)
-        return self.condition(X).astype(float)
+        return self.condition(X, t).astype(float)
 
 
 @dataclass(frozen=True)
@@ -61,14 +63,30 @@ class Problem:
         return model_of(json.dumps(asdict(self.settings.model), sort_keys=True))
 
     @property
+    def title(self):
+        """Name, and description if there is one."""
+        return ": ".join(filter(None, (self.name, self.settings.description)))
+
+    @property
     def labels(self):
         """Names of the states for people, length n."""
         return self.settings.model.labels or self.settings.model.states
+
+    @property
+    def n_particles(self):
+        """Upper bound of the number of particles; None for that of the start's lattice."""
+        given, lattice = self.settings.solver.n_particles, self.settings.start.lattice
+        return _N_PARTICLES if given is None and lattice is None else given
 
     @cached_property
     def times(self):
         """Times of output, shape (T,)."""
         return self.settings.times.times(self.settings.start.time)
+
+    @cached_property
+    def kept(self):
+        """Numbers of the times whose densities are kept."""
+        return self.settings.output.kept(self.times, self.settings.start.time)
 
     @cached_property
     def distribution(self):
@@ -77,19 +95,20 @@ class Problem:
         if start.kind == "gaussian":
             return sf.Gaussian(start.mean, start.cov)
         if start.kind == "uniform":
-            return sf.Uniform(start.box)
-        return _expression(self.settings.model.states, start.pdf, "start.pdf")
+            return sf.Uniform(start.sides)
+        pdf = expression(self.model, start.pdf, "start.pdf")
+        return Pdf(lambda X: pdf(X, start.time), np.array(start.sides))
 
     def begin(self):
         """The density at the start on particles."""
-        start, solver = self.settings.start, self.settings.solver
-        config = solver.config
+        start, config = self.settings.start, self.settings.solver.config
+        options = {"box": start.sides, "t": start.time, "domain": self.model.domain}
+        if start.lattice is not None:
+            options["spacing"] = start.lattice.spacing
         if start.reach is not None and start.kind == "gaussian":
             config = replace(config, scheme=sf.LogDensityScheme(reach=start.reach))
-        options = {"box": start.box if start.kind == "expression" else None, "t": start.time}
-        return sf.initialize(
-            self.distribution, solver.n_particles, config, domain=self.model.domain, **options
-        )
+        with named("start", "pdf", "box", "lattice.spacing"):
+            return sf.initialize(self.distribution, self.n_particles, config, **options)
 
     @cached_property
     def quantities(self):
@@ -100,13 +119,14 @@ class Problem:
         powers = dict.fromkeys(
             [*first, *second, *asked.moments, *(row.powers for row in self.settings.steady)]
         )
-        wrong = [p for p in powers if len(p) != n]
-        if wrong:
-            raise ModelError(f"a moment needs {n} powers, one a state, not {list(wrong[0])}")
-        states = self.settings.model.states
-        moments = [Quantity(_moment_name(p, states), p, None) for p in powers]
+        moments = [Quantity(_moment_name(p, self.settings.model.states), p, None) for p in powers]
         return moments + [
-            Quantity(f"P({text})", None, _condition(states, text, f"statistics.exceedance[{k}]"))
+            Quantity(
+                f"P({text})",
+                None,
+                condition(self.model, text, f"statistics.exceedance[{k}]"),
+                reads_time(text),
+            )
             for k, text in enumerate(asked.exceedance)
         ]
 
@@ -114,24 +134,6 @@ class Problem:
 def _moment_name(powers, states):
     factors = [s if k == 1 else f"{s}^{k}" for s, k in zip(states, powers, strict=True) if k]
     return f"E[{' '.join(factors)}]"
-
-
-def _condition(states, text, name):
-    value = _expression(states, f"where({text}, 1, 0)", name)
-    return lambda X: value(X) > 0.5
-
-
-def _expression(states, text, name):
-    """A function of states X (M, n) -> (M,) from text."""
-    fill = symbolic_rows(states, (text,), name)
-
-    def function(X):
-        X = np.ascontiguousarray(X, dtype=float)
-        out = np.empty((len(X), 1))
-        fill(X, 0.0, np.empty(0), out)
-        return out[:, 0]
-
-    return function
 
 
 def problem_names():
@@ -152,28 +154,6 @@ def load_problem(name, changes=None):
     for key, value in (changes or {}).items():
         change(tree, key, value)
     problem = Problem(path.stem, from_table(TransientSettings, tree, path))
-    n, start = problem.model.dim, problem.settings.start
-    given = start.mean if start.kind == "gaussian" else start.box
-    if len(given) != n:
-        raise ModelError(
-            f"the model has {n} states, but start.{'mean' if start.mean else 'box'} {len(given)} rows"
-        )
-    if not len(problem.times):
-        raise ConfigError("times: no time of output after the start")
-    if any(not 0 <= axis < n for axis in problem.settings.axes):
-        raise ConfigError(f"axes = {list(problem.settings.axes)}: the states are numbered 0 to {n - 1}")
-    _ = problem.quantities, problem.distribution  # what is wrong with them shows now
-    _check_reference(problem)
+    with named(path):
+        check(problem)
     return problem
-
-
-def _check_reference(problem):
-    """Refuse a reference that does not know the problem."""
-    kind, model, begins = problem.settings.reference.kind, problem.model, problem.settings.start.kind
-    if kind == "linear" and not (model.linear and begins == "gaussian"):
-        raise ConfigError('reference.kind = "linear" needs a linear model and a Gaussian start')
-    if kind == "grid" and (model.dim > 2 or model.state_dependent_noise or begins != "gaussian"):
-        needs = "one or two states, noise that does not depend on them, and a Gaussian start"
-        raise ConfigError(f'reference.kind = "grid" needs {needs}')
-    if kind == "drifted_uniform" and not (model.dim == 1 and begins == "uniform"):
-        raise ConfigError('reference.kind = "drifted_uniform" needs one state that starts uniform on a box')

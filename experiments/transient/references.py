@@ -54,45 +54,46 @@ def _linear(problem, progress):
     rows = []
     for t in problem.times:
         mean, cov = linear_moments(exact.A, exact.b, intensity, start.mean, start.cov, t - start.time)
-        rows.append([_of_gaussian(q, mean, cov) for q in problem.quantities])
+        rows.append([_of_gaussian(q, t, mean, cov) for q in problem.quantities])
     return ReferenceValues("closed form", np.array(rows), np.zeros((len(rows), len(rows[0]))))
 
 
-def _of_gaussian(quantity, mean, cov):
-    """A quantity of a Gaussian: over the one or two states it reads, NaN where it reads more."""
+def _of_gaussian(quantity, t, mean, cov):
+    """A quantity of a Gaussian at time t: over the one or two states it reads, NaN where it reads more."""
     n = len(mean)
-    read = [d for d in range(n) if _reads(quantity, d, mean, cov)]
+    read = [d for d in range(n) if _reads(quantity, t, d, mean, cov)]
     if len(read) == 1:
         z = np.linspace(-_FAR, _FAR, _NODES)
         X = np.tile(mean, (_NODES, 1))
         X[:, read[0]] += z * np.sqrt(cov[read[0], read[0]])
-        return float(np.trapezoid(quantity.at(X) * stats.norm.pdf(z), z))
+        return float(np.trapezoid(quantity.at(X, t) * stats.norm.pdf(z), z))
     if quantity.powers is not None and sum(quantity.powers) == 2:
         i, j = read
         return float(cov[i, j] + mean[i] * mean[j])
     return np.nan
 
 
-def _reads(quantity, axis, mean, cov):
+def _reads(quantity, t, axis, mean, cov):
     if quantity.powers is not None:
         return quantity.powers[axis] > 0
     X = mean + np.sqrt(np.diag(cov)) * np.random.default_rng(axis).uniform(-6, 6, (4000, len(mean)))
     Y = X.copy()
     Y[:, axis] = Y[::-1, axis]
-    return np.any(quantity.at(X) != quantity.at(Y))
+    return np.any(quantity.at(X, t) != quantity.at(Y, t))
 
 
 def _uniform(problem, progress):
     """Closed form of drifted Brownian motion from a uniform start, 000 (58)."""
-    model, box = problem.model, problem.settings.start.box
+    model, box = problem.model, problem.settings.start.sides
     drift, D = model.drift(np.zeros((1, 1)), 0.0)[0, 0], model.diffusion(np.zeros((1, 1)), 0.0)[0, 0, 0]
     centre, half = np.mean(box[0]), 0.5 * np.ptp(box[0])
     rows = []
-    for t in problem.times - problem.settings.start.time:
+    for end in problem.times:
+        t = end - problem.settings.start.time
         width = half + _FAR * np.sqrt(2.0 * D * t)
         x = np.linspace(-width, width, _NODES) + drift * t
         p = drifted_uniform(x, t, drift, D, half)
-        rows.append([np.trapezoid(q.at(x[:, None] + centre) * p, x) for q in problem.quantities])
+        rows.append([np.trapezoid(q.at(x[:, None] + centre, end) * p, x) for q in problem.quantities])
     return ReferenceValues("closed form", np.array(rows), np.zeros((len(rows), len(rows[0]))))
 
 
@@ -111,14 +112,15 @@ def _on_grid(problem, size):
         if t > grid.t:
             grid.predict(t=t)
         X, p = grid.density.box.nodes(), grid.density.values.ravel()
-        rows.append([q.at(X) @ p / p.sum() for q in problem.quantities])
+        rows.append([q.at(X, t) @ p / p.sum() for q in problem.quantities])
     return np.array(rows)
 
 
 def _monte_carlo(problem, progress):
     """Means over paths with intervals of Student's t."""
     asked, quantities = problem.settings.reference, problem.quantities
-    indicators = {q.name: q.at for q in quantities if q.powers is None}
+    conditions = [q for q in quantities if q.powers is None]
+    indicators = {name: f for q in conditions for name, f in _indicators(q, problem.times).items()}
     found = simulate_statistics(
         problem.model,
         problem.distribution,
@@ -133,7 +135,26 @@ def _monte_carlo(problem, progress):
         progress=progress,
     )
     low, high = found.interval(0.95)
-    return ReferenceValues(f"{found.n_paths:.2g} paths", found.mean, 0.5 * (high - low), sampled=True)
+    values, half = np.empty((2, len(problem.times), len(quantities)))
+    first = len(quantities) - len(conditions)
+    values[:, :first], half[:, :first] = found.mean[:, :first], 0.5 * (high - low)[:, :first]
+    for j, quantity in enumerate(conditions, start=first):
+        for k, name in enumerate(_names(quantity, problem.times)):
+            at = found.names.index(name)
+            values[k, j], half[k, j] = found.mean[k, at], 0.5 * (high - low)[k, at]
+    return ReferenceValues(f"{found.n_paths:.2g} paths", values, half, sampled=True)
+
+
+def _names(quantity, times):
+    """Name of a condition's indicator at each time: one for all, unless it names the time."""
+    return [f"{quantity.name} at t = {t!r}" if quantity.timed else quantity.name for t in times.tolist()]
+
+
+def _indicators(quantity, times):
+    """Indicators of a condition by name; they know no time, so that one that does is many."""
+    return {
+        name: lambda X, t=t: quantity.at(X, t) for name, t in zip(_names(quantity, times), times, strict=True)
+    }
 
 
 _KINDS = {"linear": _linear, "drifted_uniform": _uniform, "grid": _grid, "monte_carlo": _monte_carlo}

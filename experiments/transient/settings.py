@@ -8,6 +8,8 @@ from pydantic import Field, model_validator
 from experiments.settings import Count, Matrix, ModelText, Positive, Row
 from sphfilter.config import SolverConfig, settings
 
+from .grids import Lattice, Probe, Written
+
 __all__ = ["Begin", "Output", "Reference", "Solver", "Statistics", "Steady", "TransientSettings"]
 
 
@@ -20,6 +22,8 @@ class Begin:
     kind : str
         "gaussian" with mean and cov, "uniform" on a box, or "expression" with a pdf of the states on a box
         (zero outside, normalised here; nodes where it is zero carry no particle).
+    lattice : Lattice or None
+        Nodes that carry a particle each where the density is not zero, instead of a box.
     reach : float or None
         Standard deviations out to which particles of a Gaussian lie; the scheme's own if None.
     """
@@ -29,17 +33,26 @@ class Begin:
     cov: Matrix | None = None
     box: tuple[tuple[float, float], ...] | None = None
     pdf: str | None = None
+    lattice: Lattice | None = None
     time: float = 0.0
     reach: Annotated[float, Field(ge=2.5, le=12)] | None = None
 
     @model_validator(mode="after")
     def _fits_its_kind(self):
-        needed = {"gaussian": ("mean", "cov"), "uniform": ("box",), "expression": ("box", "pdf")}[self.kind]
+        if self.lattice is not None and (self.box is not None or self.reach is not None):
+            raise ValueError("a lattice has a box of its own: leave out box and reach")
+        boxed = () if self.lattice is not None else ("box",)
+        needed = {"gaussian": ("mean", "cov"), "uniform": boxed, "expression": (*boxed, "pdf")}[self.kind]
         for key in ("mean", "cov", "box", "pdf"):
             if (getattr(self, key) is None) == (key in needed):
                 verb = "needs" if key in needed else "has no"
                 raise ValueError(f'kind = "{self.kind}" {verb} {key}')
         return self
+
+    @property
+    def sides(self):
+        """The box, shape (n, 2), also that of a lattice; None for a Gaussian that has neither."""
+        return self.box if self.lattice is None else self.lattice.box
 
 
 @settings
@@ -67,9 +80,9 @@ class Output:
 
 @settings
 class Solver:
-    """Upper bound of the number of particles, and the solver's configuration."""
+    """Upper bound of the number of particles (400, or as many as a lattice has), and the configuration."""
 
-    n_particles: Count = 400
+    n_particles: Count | None = None
     config: SolverConfig = Field(default_factory=SolverConfig)
 
 
@@ -111,7 +124,7 @@ class Reference:
 
     kind: Literal["linear", "drifted_uniform", "grid", "monte_carlo", "none"] = "none"
     size: Count = 128
-    n_paths: Count = 1_000_000
+    n_paths: Annotated[int, Field(ge=20)] = 1_000_000
     step: Positive | None = None
 
 
@@ -144,6 +157,8 @@ class TransientSettings:
     times: Output
     solver: Solver = Field(default_factory=Solver)
     statistics: Statistics = Field(default_factory=Statistics)
+    output: Written = Field(default_factory=Written)
+    probe: Probe | None = None
     reference: Reference = Field(default_factory=Reference)
     steady: tuple[Steady, ...] = ()
     published: tuple[str, ...] = ()

@@ -33,7 +33,7 @@ class Solution:
     seconds: np.ndarray
 
 
-def solve(problem, folder, progress=None):
+def solve(problem, folder, progress=None, watch=None):
     """Carry a problem's start through its times, going on from what a stopped run left in `folder`.
 
     Parameters
@@ -42,29 +42,47 @@ def solve(problem, folder, progress=None):
     folder : Path
         Of this problem with these settings only, see `folder_of`.
     progress : callable(n_done, n_times), optional
+    watch : callable(number, density), optional
+        Called with 0 and the start, and with the number of every density that is kept; also with those of a
+        stopped run.
 
     Returns
     -------
     Solution
     """
     start, config = problem.begin(), problem.settings.solver.config
-    n_particles = problem.settings.solver.n_particles
+    n_particles = problem.n_particles
     done, times = _finished(folder), problem.times
     density = done[-1][0].densities[0] if done else start
     folder.mkdir(parents=True, exist_ok=True)
-    for k in range(len(done), len(times)):
-        began = time.perf_counter()
-        way = sf.propagate(density, problem.model, times[k], config, n_particles=n_particles)
-        seconds = time.perf_counter() - began
+    show = _only({0, *(problem.kept + 1)}, watch)
+    for k, known in enumerate([start, *(way.densities[0] for way, _ in done)]):
+        show(k, known)
+    began = time.perf_counter()
+
+    def keep(density, info):
+        nonlocal began
+        k, seconds = len(done), time.perf_counter() - began
+        way = sf.Trajectory(times[k : k + 1], (density,), (info,))
         done.append((way, seconds))
         _keep(folder, k, way, seconds)
-        density = way.densities[0]
+        show(k + 1, density)
         if progress is not None:
             progress(k + 1, len(times))
+        began = time.perf_counter()
+
+    if len(done) < len(times):
+        left = times[len(done) :]
+        sf.propagate(density, problem.model, left, config, n_particles=n_particles, callback=keep)
     densities, infos = (sum((getattr(way, part) for way, _ in done), ()) for part in ("densities", "infos"))
     values = np.array([[q.of(density) for q in problem.quantities] for density in densities])
     trajectory = sf.Trajectory(times, densities, infos)
     return Solution(start, trajectory, values, np.array([seconds for _, seconds in done]))
+
+
+def _only(numbers, watch):
+    """`watch`, if there is one, for some of the numbers."""
+    return lambda number, density: watch(number, density) if watch and number in numbers else None
 
 
 def folder_of(out, problem):

@@ -106,6 +106,12 @@ def sentences(problem, solution, reference):
     regrids = sum(info.n_regrids for info in infos)
     if regrids:
         yield f"{regrids} new lattices on the way"
+    if any(info.n_discarded for info in infos):
+        left = np.prod([1.0 - info.mass_discarded for info in infos])
+        yield (
+            f"{sum(info.n_discarded for info in infos)} particles whose smoothing lengths did not converge "
+            f"were dropped, and their probability, {1.0 - left:.2g}, given to the others"
+        )
     for status in dict.fromkeys(info.status for info in infos if info.status != "ok"):
         yield f"at {sum(info.status == status for info in infos)} of {len(infos)} times: {status}"
     if reference is not None:

@@ -15,7 +15,7 @@ from numba import typeof
 from ._jit import jit
 from .cells import LOWEST, strides_of
 
-__all__ = ["FIELD", "Field", "evaluate", "slopes"]
+__all__ = ["FIELD", "Field", "evaluate", "gradient", "slopes"]
 
 _RIM = 4.5  # squared distance: the rim lies at sqrt 2 from a complete node, half a cell inside of this
 _LANES = 16  # states at a time
@@ -155,6 +155,32 @@ def _tail(field, j, d, lane):
         for c in range(d.shape[0]):
             v += 0.5 * d[a, lane] * field.tail[j, a, c] * d[c, lane]
     return v
+
+
+@jit
+def gradient(field, sten, Y, out):
+    """Gradient of log p (M, n), in units of the lattice, at states Y (M, n): of the polynomials themselves.
+
+    Beyond the rim of the lattice it is that of the quadratic part that goes on alone.
+    """
+    n, M = field.mu.size, sten.parent.size
+    lanes, strides, db = _lanes(n, M), strides_of(field.dims), np.zeros(M + 1)
+    for first in range(0, Y.shape[0], _LANES):
+        count = _located(field, strides, Y, first, lanes)
+        _monomials(sten, lanes.d, lanes.b)
+        for lane in range(count):
+            j, near = lanes.owner[lane], lanes.r2[lane] <= _RIM
+            for a in range(n):
+                slope = 0.0 if near else field.coefficient[j, a]
+                for c in range(0 if near else n):
+                    slope += field.tail[j, a, c] * lanes.d[c, lane]
+                for p in range(M if near else 0):
+                    axis, parent = sten.axis[p], sten.parent[p] + 1
+                    db[p + 1] = lanes.d[axis, lane] * db[parent] + (
+                        lanes.b[parent, lane] if axis == a else 0.0
+                    )
+                    slope += field.coefficient[j, p] * db[p + 1]
+                out[first + lane, a] = slope
 
 
 @jit

@@ -13,7 +13,7 @@ from ._jit import jit
 from .images import bounce, go_round, half_period, left_at, refresh, unseen, velocities, view_of, with_images
 from .kernels import RADIUS
 from .neighbors import build_index, neighbor_lists
-from .smoothing import update_smoothing
+from .smoothing import Rule, update_smoothing
 from .summation import density_and_gradient, density_and_gradient_parallel
 
 __all__ = [
@@ -28,8 +28,8 @@ __all__ = [
 
 INTEGRATORS = ("euler", "midpoint", "rk4")
 EULER, MIDPOINT, RK4 = range(3)
-STATUS = ("ok", "not finite", "paused", "stalled", "left")
-OK, NOT_FINITE, PAUSED, STALLED, LEFT = range(5)
+STATUS = ("ok", "not finite", "paused", "stalled", "left", "unsettled")
+OK, NOT_FINITE, PAUSED, STALLED, LEFT, UNSETTLED = range(6)
 #: What the loop counts; the last is the particle a failure was seen at.
 COUNTERS = ("steps", "evaluations", "searches", "bypassed", "smoothing_failed", "culprit")
 STEPS, EVALUATIONS, SEARCHES, BYPASSED, SMOOTHING_FAILED, CULPRIT = range(6)
@@ -62,8 +62,9 @@ class Options(NamedTuple):
     kernel: int
     normalisation: float
     kernel_variance: float
-    smoothing: int
-    smoothing_tolerance: float
+    smoothing: Rule
+    discards: bool  # particles whose smoothing lengths do not settle
+    up_to_date: bool  # are the smoothing lengths, at the first step
     integrator: int
     relative_cfl: bool
     c_cfl: float
@@ -263,11 +264,20 @@ def _cap(h, longest):
 
 
 @jit
+def _discard(cloud, settled):
+    """Take the mass of the particles that are not settled (000 Algorithm 3)."""
+    for i in range(settled.size):
+        if not settled[i]:
+            cloud.m[i] = 0.0
+
+
+@jit
 def march(drift, diffusion, divergence, coefficients, cloud, domain, options, times, counters):
     """Carry the cloud from times[0] to times[1]; times[0] and the counters are kept up to date.
 
-    Returns a code of `STATUS`. "paused" asks to be called again: between calls Python can be interrupted. On
-    failure the cloud is as far as it came, and counters[CULPRIT] the particle.
+    Returns a code of `STATUS`. "paused" asks to be called again: between calls Python can be interrupted.
+    "unsettled" asks so without the particles that it leaves without mass. On failure the cloud is as far as
+    it came, and counters[CULPRIT] the particle.
     """
     N, n = cloud.x.shape
     model, kernel = (drift, diffusion, divergence), (options.kernel, options.normalisation)
@@ -285,6 +295,7 @@ def march(drift, diffusion, divergence, coefficients, cloud, domain, options, ti
         unseen(cloud.x, cloud.m, cloud.h),
     )
     must_search, elapsed, k_bypass, t_ref, dt = True, 0.0, 0, np.inf, 1.0
+    settled, up_to_date = np.ones(N, np.bool_), options.up_to_date
     span, first = times[1] - times[0], counters[STEPS]
     known = cloud.invariant[0] > 0.0
     if known:  # h follows from the density here and now, however an interval is cut into calls
@@ -293,20 +304,17 @@ def march(drift, diffusion, divergence, coefficients, cloud, domain, options, ti
         density_and_gradient(seen.x, seen.m, seen.h, lists, kernel, cloud.rho, work.grad, r)
         counters[SEARCHES] += 1
     while times[0] < times[1]:
-        if known:
+        if known and not up_to_date:
             h_old[:] = cloud.h
-            counters[SMOOTHING_FAILED] += update_smoothing(
-                options.smoothing,
-                options.smoothing_tolerance,
-                cloud,
-                seen,
-                reach,
-                lists,
-                kernel,
-                work.grad,
-                r,
+            failed = update_smoothing(
+                options.smoothing, cloud, seen, reach, lists, kernel, work.grad, r, settled
             )
+            counters[SMOOTHING_FAILED] += failed
             _cap(cloud.h, longest)
+            if failed > 0 and options.discards:
+                _discard(cloud, settled)
+                return UNSETTLED
+        up_to_date = False
         searched = must_search or _outgrown(cloud, reach, K)
         if searched:
             seen, lists = _search(cloud, domain, support, reach, options)
@@ -323,7 +331,7 @@ def march(drift, diffusion, divergence, coefficients, cloud, domain, options, ti
         dt_old = dt
         v = velocities(seen, work.v)
         dt, counters[CULPRIT] = stable_step(cloud, v, lists, r, work, coefficients, options)
-        if not math.isfinite(dt):
+        if math.isnan(dt):
             return NOT_FINITE
         if dt < 1e-9 * span:
             return STALLED
@@ -337,7 +345,8 @@ def march(drift, diffusion, divergence, coefficients, cloud, domain, options, ti
         counters[EVALUATIONS] += move(model, coefficients, times[0], dt, cloud, seen, lists, r, work, options)
         counters[STEPS] += 1
         elapsed += dt
-        times[0] = times[1] if times[1] - times[0] <= dt else times[0] + dt
+        # what rounding leaves of an interval is no step
+        times[0] = times[1] if times[1] - times[0] <= dt * (1.0 + 1e-12) else times[0] + dt
         bounce(domain, cloud.x)
         left = left_at(domain, cloud.x)
         if left >= 0:

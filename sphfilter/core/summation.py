@@ -21,6 +21,7 @@ __all__ = [
     "own_density",
     "sample_density",
     "sample_density_parallel",
+    "sample_gradient",
 ]
 
 
@@ -114,6 +115,22 @@ def _sample_density(y, x, m, h, index, kernel, out):
 
 sample_density = jit(_sample_density)
 sample_density_parallel = parallel_jit(_sample_density)
+
+
+@jit
+def sample_gradient(y, x, m, h, index, kernel, out):
+    """Gradient (M, n) of `sample_density` at the points y (M, n)."""
+    kind, C = kernel
+    n = x.shape[1]
+    reach = RADIUS[kind] * h.max()
+    found, r2 = np.empty(x.shape[0], np.int64), np.empty(x.shape[0])
+    out[:] = 0.0
+    for k in range(y.shape[0]):
+        for s in range(query(index, x, y, k, reach, found, r2)):
+            j = found[s]
+            pull = m[j] * C / h[j] ** (n + 2) * slope(kind, math.sqrt(r2[s]) / h[j])
+            for d in range(n):
+                out[k, d] += pull * (y[k, d] - x[j, d])
 
 
 @jit

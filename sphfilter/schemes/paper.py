@@ -9,7 +9,7 @@ from ..config import BUFFER_NEIGHBORS
 from ..core import march as core
 from ..core._jit import call
 from ..core.neighbors import METHODS, choose_method
-from ..core.smoothing import SMOOTHING
+from ..core.smoothing import SMOOTHING, Rule
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ..initial import spread
@@ -44,16 +44,21 @@ def propagate(density, model, t1, scheme, n_particles):
         The state or its velocity is no longer finite, or re-gridding did not help; says when and where.
     """
     start, counters, n_regrids = density.t, np.zeros(len(core.COUNTERS), np.int64), 0
+    n_discarded, share_kept, status = 0, 1.0, ""
     if density.field is not None:
         density = spread(density, n_particles, scheme)
     # A step is chosen by what it sees at its start: it must not stride over a change in time.
     dt_max = math.inf if model.autonomous else (t1 - start) / _TIME_SLICES
     while density.t < t1:
-        density, status, culprit = _march(density, model, t1, scheme, counters, dt_max)
-        if status == "not finite" or (status == "stalled" and _runs_away(model, density, culprit, t1)):
-            raise PropagationError(blow_up(model, culprit, density.t, start, t1, "paper"))
+        up_to_date = status == "unsettled"  # a step discards once, however few iterations it may take
+        density, status, about = _march(density, model, t1, scheme, counters, dt_max, up_to_date)
+        if status == "not finite" or (status == "stalled" and _runs_away(model, density, about, t1)):
+            raise PropagationError(blow_up(model, about, density.t, start, t1, "paper"))
         if status == "paused" and counters[core.STEPS] >= scheme.max_steps:
             raise PropagationError(_given_up("too many steps", density.t, start, t1, scheme))
+        if status == "unsettled":
+            density, n, share = _without_unsettled(density, about, scheme)
+            n_discarded, share_kept = n_discarded + n, share_kept * (1.0 - share)
         if status == "stalled":
             n_regrids += 1
             if n_regrids > _MOST_REGRIDS:
@@ -68,20 +73,26 @@ def propagate(density, model, t1, scheme, n_particles):
         n_bypassed=bypassed,
         n_regrids=n_regrids,
         n_smoothing_failed=failed,
+        n_discarded=n_discarded,
+        mass_discarded=1.0 - share_kept,
         skipped=skip_notes(model, bypassed),
         scheme=scheme.name,
     )
     return density, info
 
 
-def _march(density, model, t1, scheme, counters, dt_max):
-    """One call of the compiled loop; returns the density as far as it came."""
+def _march(density, model, t1, scheme, counters, dt_max, up_to_date):
+    """One call of the compiled loop.
+
+    Returns the density as far as it came, a status, and what that is about: a state, or the masses left.
+    """
     invariant = np.zeros(density.n_particles) if density.invariant is None else density.invariant
     arrays = (density.x, density.mass, density.h, invariant, np.empty(density.n_particles))
     cloud = core.Cloud(*(a.copy() for a in arrays))
-    options = _options(scheme, density, dt_max, scheme.max_steps - int(counters[core.STEPS]))
+    options = _options(scheme, density, dt_max, up_to_date, scheme.max_steps - int(counters[core.STEPS]))
     times = np.array([density.t, t1])
     functions = (model.drift_batch, model.diffusion_batch, model.diffusion_divergence_batch)
+    counters[core.CULPRIT] = 0  # the one of the last call may be gone
     try:
         code = call(
             core.march,
@@ -106,7 +117,25 @@ def _march(density, model, t1, scheme, counters, dt_max):
     if status == "not finite":
         return replace(density, t=times[0]), status, culprit
     moved = replace(density, x=cloud.x, h=cloud.h, t=times[0], invariant=cloud.invariant)
-    return moved, status, culprit
+    return moved, status, cloud.m if status == "unsettled" else culprit
+
+
+def _without_unsettled(density, mass, scheme):
+    """A density without the particles that have no `mass` left (N,): the others share it (000 Algorithm 3).
+
+    Returns it with the number and the probability of those that were.
+    """
+    kept = mass > 0.0
+    share = float(density.mass[~kept].sum())
+    if kept.sum() <= density.dim:
+        raise PropagationError(
+            f"the smoothing lengths of {(~kept).sum()} of {len(kept)} particles did not converge at t = "
+            f"{density.t:.6g}, and none is left: raise smoothing_iterations (now "
+            f"{scheme.smoothing_iterations}) or smoothing_tolerance (now {scheme.smoothing_tolerance:g}), or "
+            f"leave discard_unconverged off"
+        )
+    # Lengths keep rho h^n: where all masses grow alike, they must not change.
+    return replace(density, mass=mass, invariant=density.invariant / (1.0 - share)), int((~kept).sum()), share
 
 
 def _runs_away(model, density, state, t1):
@@ -115,7 +144,7 @@ def _runs_away(model, density, state, t1):
     return np.linalg.norm(model.drift(state, density.t)) * (t1 - density.t) > _RUN_AWAY * extent
 
 
-def _options(scheme, density, dt_max, steps_left):
+def _options(scheme, density, dt_max, up_to_date, steps_left):
     kind, constant = density.kernel_code
     n, N = density.dim, density.n_particles
     buffer = scheme.buffer_neighbors or BUFFER_NEIGHBORS.get(n, 110)
@@ -126,8 +155,11 @@ def _options(scheme, density, dt_max, steps_left):
         kernel=kind,
         normalisation=constant,
         kernel_variance=density.kernel_variance,
-        smoothing=SMOOTHING.index(scheme.smoothing),
-        smoothing_tolerance=scheme.smoothing_tolerance,
+        smoothing=Rule(
+            SMOOTHING.index(scheme.smoothing), scheme.smoothing_tolerance, scheme.smoothing_iterations
+        ),
+        discards=scheme.discard_unconverged,
+        up_to_date=up_to_date,
         integrator=core.INTEGRATORS.index(scheme.integrator),
         relative_cfl=scheme.cfl == "relative",
         c_cfl=_NO_LIMIT if fixed else scheme.c_cfl,

@@ -1,0 +1,51 @@
+"""Distributions a density may start from: a Gaussian, or a uniform box."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from .errors import ModelError
+from .validate import array, covariance
+
+__all__ = ["Gaussian", "Uniform", "checked_box"]
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Normal distribution with mean (n,) and covariance (n, n), positive definite."""
+
+    mean: np.ndarray
+    cov: np.ndarray
+
+    def __post_init__(self):
+        mean = array("mean", self.mean, (None,))
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(self, "cov", covariance("cov", self.cov, dim=len(mean)))
+
+    def pdf(self, X):
+        """Density at the states X (M, n)."""
+        return np.atleast_1d(stats.multivariate_normal(self.mean, self.cov).pdf(X))
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Uniform distribution on a box (n, 2) of lower and upper bounds."""
+
+    box: np.ndarray
+
+    def __post_init__(self):
+        object.__setattr__(self, "box", checked_box(self.box))
+
+    def pdf(self, X):
+        """Density at the states X (M, n)."""
+        inside = np.all((self.box[:, 0] <= X) & (self.box[:, 1] >= X), axis=1)
+        return inside / np.prod(self.box[:, 1] - self.box[:, 0])
+
+
+def checked_box(box):
+    """Return `box` as an array (n, 2) whose bounds rise, or raise `ModelError`."""
+    box = array("box", box, (None, 2))
+    if np.any(box[:, 1] <= box[:, 0]):
+        raise ModelError(f"box must hold (low, high) with low < high for every state, got {box.tolist()}")
+    return box
