@@ -103,17 +103,8 @@ def test_the_command_writes_numbers_and_pictures(tmp_path, capsys, own):
     assert np.array_equal(again.densities[-1].x, way.densities[-1].x)
 
 
-def test_a_stopped_run_goes_on(tmp_path, monkeypatch, capsys, own):
-    def stopped(density, model, times, config, callback, **options):
-        def until(density, info):
-            if density.t > 0.6:
-                raise KeyboardInterrupt
-            callback(density, info)
-
-        return propagate(density, model, times, config, callback=until, **options)
-
-    propagate = sf.propagate
-    monkeypatch.setattr(solving.sf, "propagate", stopped)
+def test_a_stopped_run_goes_on(tmp_path, monkeypatch, capsys, own, ctrl_c_after):
+    propagate = ctrl_c_after(0.6)
     command = ["transient", "--config", str(own()), "--out", str(tmp_path / "out")]
     assert main(command) == 130
     assert "1 of 2 times" in capsys.readouterr().err

@@ -185,18 +185,9 @@ class TestProbe:
             shape = np.load(tmp_path / "out" / "probe" / "0001.npz")["velocity"].shape
             assert shape == (9, 1 if size[1] == 0 else 9, 2)
 
-    def test_a_stopped_run_probes_everything(self, own, tmp_path, monkeypatch):
-        def stopped(density, model, times, config, callback, **options):
-            def until(density, info):
-                if density.t > 0.6:
-                    raise KeyboardInterrupt
-                callback(density, info)
-
-            return propagate(density, model, times, config, callback=until, **options)
-
-        propagate, command = sf.propagate, ["transient", "--config", str(own({"probe": GRID}))]
+    def test_a_stopped_run_probes_everything(self, own, tmp_path, monkeypatch, ctrl_c_after):
+        propagate, command = ctrl_c_after(0.6), ["transient", "--config", str(own({"probe": GRID}))]
         command += ["--out", str(tmp_path / "out")]
-        monkeypatch.setattr(solution.sf, "propagate", stopped)
         assert main(command) == 130
         assert len(list((tmp_path / "out" / "probe").glob("*.npz"))) == 3
         monkeypatch.setattr(solution.sf, "propagate", propagate)
