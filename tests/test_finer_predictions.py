@@ -91,7 +91,7 @@ def test_a_scheme_asked_for_by_name_is_not_helped():
 
 def test_where_more_particles_would_be_too_many_the_first_refusal_stands(monkeypatch):
     """And no other scheme takes over: it would see no more on as few."""
-    monkeypatch.setattr(PREDICT, "_MOST_FINER", 299)
+    monkeypatch.setattr(PREDICT, "MOST_FINER", 299)
     with pytest.raises(UnresolvedError, match="lost or gained"):
         sf.predict(start(), DUFFING, 2.0)
 
