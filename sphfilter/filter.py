@@ -3,7 +3,8 @@
 import numpy as np
 
 from .adapt import Prediction, Update, fewest, predict_adapting, predict_relaying, update_repeating
-from .config import checked_filter_config
+from .checkpoint import origin_from, part, stored_origin, under
+from .config import FilterConfig, checked_filter_config
 from .density import ParticleDensity
 from .errors import ModelError
 from .initial import Gaussian, initialize
@@ -11,10 +12,14 @@ from .measurements import GaussianMeasurement
 from .models import SDE
 from .predict import predict
 from .results import run_filter
+from .storage import density_from, load_arrays, stored, write_arrays
 from .validate import array, count, covariance, positive, real, row, short
 
 __all__ = ["SPHFilter"]
 
+#: What a file holds besides the density and where it comes from.
+_MOMENTS = "x_prior", "P_prior", "x_post", "P_post"
+_STATE = ("n_particles", "dt", "z", "y", "S", "log_likelihood", "log_evidence", *_MOMENTS)
 _FIXED = (
     "the {} of a density filter cannot be overwritten (IMM mixing does that); "
     "make a new SPHFilter with x0 and P0"
@@ -181,6 +186,44 @@ class SPHFilter:
         self.log_likelihood = info.log_evidence
         self.log_evidence += info.log_evidence
         return info
+
+    def save(self, path):
+        """Write the filter as it stands to an npz file; model and sensor, which are code, are not in it."""
+        state = {name: getattr(self, name) for name in _STATE if getattr(self, name) is not None}
+        arrays = {name: np.asarray(value) for name, value in state.items()} | {
+            "config": np.array(self.config.to_toml()),
+            "adapts": np.array(self._adapts),
+        }
+        arrays |= under("density", stored(self._density))
+        write_arrays(path, arrays | under("origin", stored_origin(self._origin, self.measurement)))
+
+    @classmethod
+    def load(cls, path, model, measurement):
+        """Read a filter that `save` wrote, with the model and sensor it had: it goes on to the same bits.
+
+        Raises
+        ------
+        ModelError
+            The file cannot be read or holds no filter, or the model has other states.
+        """
+        arrays = load_arrays(path)
+        if "adapts" not in arrays:
+            raise ModelError(f"{path} holds no filter: SPHFilter.save writes such files")
+        filt = cls(
+            model,
+            measurement,
+            density=density_from(part("density", arrays)),
+            n_particles=int(arrays["n_particles"]),
+            config=FilterConfig.from_toml(str(arrays["config"])),
+        )
+        for name in _STATE:
+            value = arrays.get(name)
+            setattr(filt, name, value.item() if value is not None and value.ndim == 0 else value)
+        for name in _MOMENTS:
+            getattr(filt, name).flags.writeable = False
+        filt._adapts = bool(arrays["adapts"])
+        filt._origin = origin_from(part("origin", arrays), model, filt.measurement)
+        return filt
 
     def run(self, times, measurements):
         """Predict to each time and update with its measurement; returns a `FilterResult`."""

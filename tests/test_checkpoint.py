@@ -1,0 +1,99 @@
+"""A filter written to a file and read again goes on to the same bits."""
+
+import numpy as np
+import pytest
+
+import sphfilter as sf
+
+DUFFING = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[1.6]])
+POSITION = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])
+TIMES = np.arange(2.0, 17.0, 2.0)
+_, Z = sf.simulate(DUFFING, POSITION, x0=[3.0, 0.0], times=np.append(0.0, TIMES), rng=1)
+KEPT = (
+    "x",
+    "P",
+    "x_prior",
+    "P_prior",
+    "x_post",
+    "P_post",
+    "z",
+    "y",
+    "S",
+    "log_likelihood",
+    "log_evidence",
+    "t",
+)
+
+
+def made(**options):
+    return sf.SPHFilter(DUFFING, POSITION, x0=[3.0, 0.0], P0=np.diag([0.2, 1.0]), **options)
+
+
+def go_on(flt, steps):
+    """Predictions and updates with every kind of measurement; returns what was said."""
+    told = []
+    for k in steps:
+        told.append(flt.predict(t=TIMES[k]))
+        told.append(flt.update(None if k == 2 else Z[k + 1]))
+    return told
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"n_particles": 150},
+        {"n_particles": "auto", "dt": 2.0},
+        {"n_particles": 150, "config": sf.FilterConfig.paper()},
+        {"n_particles": 150, "config": sf.FilterConfig(scheme="corrected")},
+    ],
+)
+@pytest.mark.parametrize("predicted", [False, True])
+def test_the_same_bits(tmp_path, options, predicted):
+    flt = made(**options)
+    go_on(flt, range(3))
+    if predicted:
+        flt.predict(t=TIMES[3] - 0.5)
+    flt.save(tmp_path / "filter.npz")
+    again = sf.SPHFilter.load(tmp_path / "filter.npz", DUFFING, POSITION)
+    for name in KEPT:
+        assert np.array_equal(getattr(again, name), getattr(flt, name)), name
+    assert (again.n_particles, again.dt, again.config) == (flt.n_particles, flt.dt, flt.config)
+    told, retold = go_on(flt, range(3, 6)), go_on(again, range(3, 6))
+    assert [repr(info) for info in told] == [repr(info) for info in retold]
+    assert np.array_equal(flt.density.x, again.density.x)
+    assert np.array_equal(flt.density.mass, again.density.mass)
+    assert flt.log_evidence == again.log_evidence
+
+
+def test_what_was_before_can_be_repeated(tmp_path):
+    """A far reading makes `update` repeat the prediction, which the file has to know."""
+    flt = made(n_particles=100)
+    flt.predict(t=2.0)
+    flt.save(tmp_path / "filter.npz")
+    again = sf.SPHFilter.load(tmp_path / "filter.npz", DUFFING, POSITION)
+    far = flt.x[0] + 5.0 * flt.P[0, 0] ** 0.5
+    told, retold = flt.update(far), again.update(far)
+    assert told.status != "ok"
+    assert repr(told) == repr(retold)
+    assert np.array_equal(flt.density.x, again.density.x)
+
+
+def test_a_new_filter(tmp_path):
+    flt = made()
+    flt.save(tmp_path / "filter.npz")
+    again = sf.SPHFilter.load(tmp_path / "filter.npz", DUFFING, POSITION)
+    assert again.z is None and again.S is None and again.log_evidence == 0.0
+    assert np.array_equal(again.P, flt.P)
+
+
+def test_files_that_hold_no_filter(tmp_path):
+    path = tmp_path / "trajectory.npz"
+    sf.propagate(made().density, DUFFING, [0.1]).save(path)
+    with pytest.raises(sf.ModelError, match="holds no filter"):
+        sf.SPHFilter.load(path, DUFFING, POSITION)
+    (tmp_path / "text.npz").write_text("no arrays")
+    with pytest.raises(sf.ModelError, match="cannot read"):
+        sf.SPHFilter.load(tmp_path / "text.npz", DUFFING, POSITION)
+    made().save(path)
+    with pytest.raises(sf.ModelError, match="3 states"):
+        sf.SPHFilter.load(path, sf.LinearSDE(A=-np.eye(3), noise=np.eye(3)), None)
