@@ -56,7 +56,8 @@ class SPHFilter:
     t : float
     density : ParticleDensity
     z, y, S : ndarray or None
-        Last measurement, its innovation and innovation covariance.
+        Last measurement, its innovation and innovation covariance, NaN where no reading came; None before
+        the first, and y and S for sensors that are no `GaussianMeasurement`.
     log_likelihood : float
         Log-evidence of the last measurement, given all before; zero where none came.
     log_evidence : float
@@ -66,6 +67,11 @@ class SPHFilter:
     -----
     A predict or update that raises leaves the filter as it was. The filter draws no random numbers: the
     same input gives the same bits.
+
+    Of filterpy's filters it has ``predict()``, ``update(z)``, ``update(None)``, ``update(z, R, H)``; x, P, their
+    priors and posteriors, z, y, S, log_likelihood, likelihood, to be read; and it works in ``Saver`` and
+    ``MMAEFilterBank``. It has no F, Q, K or H to be set, no ``update(z, HJacobian, Hx)``, and no place in
+    ``IMMEstimator``, which overwrites x and P.
     """
 
     def __init__(
@@ -125,6 +131,9 @@ class SPHFilter:
 
     density = property(lambda self: self._density, doc="The density now.")
     t = property(lambda self: self._density.t, doc="Time of the density, seconds.")
+    likelihood = property(
+        lambda self: float(np.exp(self.log_likelihood)), doc="Evidence of the last measurement."
+    )
 
     @property
     def x(self):
@@ -145,8 +154,11 @@ class SPHFilter:
         raise ModelError(_FIXED.format("covariance"))
 
     def predict(self, dt=None, *, t=None):
-        """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo."""
-        if dt is None and t is None:
+        """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo.
+
+        filterpy's banks call ``predict(0)``, for no control: a filter with a dt of its own advances by it.
+        """
+        if t is None and (dt is None or (self.dt is not None and np.ndim(dt) == 0 and dt == 0)):
             if self.dt is None:
                 raise ModelError("predict needs dt or t=, or a filter made with dt=")
             dt = self.dt
@@ -166,9 +178,13 @@ class SPHFilter:
         self.x_prior, self.P_prior = self._x, self._P
         return info
 
-    def update(self, z, measurement=None):
-        """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo."""
-        measurement = _sensor(self.measurement if measurement is None else measurement, self.model)
+    def update(self, z, measurement=None, H=None):
+        """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo.
+
+        As in filterpy, a number or matrix in the place of the sensor is the noise covariance R of this
+        reading, and H its matrix or function h; the rest stays that of the filter's own sensor.
+        """
+        measurement = self._sensor_of(measurement, H)
         prediction = self._origin if isinstance(self._origin, Prediction) else Prediction()
         prior, density, info = update_repeating(
             prediction, self._density, self.model, measurement, z, self.config, self.n_particles
@@ -181,11 +197,18 @@ class SPHFilter:
         self._origin = Update(prior, measurement, z) if density is not prior else None
         self._moments()
         self.x_post, self.P_post = self._x, self._P
-        self.z = None if z is None else np.atleast_1d(np.array(z, dtype=float))
-        self.y, self.S = info.innovation, info.innovation_cov
+        self.z, self.y, self.S = _read(measurement, z, info)
         self.log_likelihood = info.log_evidence
         self.log_evidence += info.log_evidence
         return info
+
+    def _sensor_of(self, given, H):
+        """The sensor of a reading: the filter's own, the one given, or the own one with another R or h."""
+        if H is None and (given is None or hasattr(given, "log_likelihood") or not _numbers(given)):
+            return _sensor(self.measurement if given is None else given, self.model)
+        if not isinstance(self.measurement, GaussianMeasurement):
+            raise ModelError("R and H change a filter's own GaussianMeasurement, and this filter has none")
+        return _sensor(self.measurement.changed(given, H), self.model)
 
     def save(self, path):
         """Write the filter as it stands to an npz file; model and sensor, which are code, are not in it."""
@@ -228,6 +251,22 @@ class SPHFilter:
     def run(self, times, measurements):
         """Predict to each time and update with its measurement; returns a `FilterResult`."""
         return run_filter(self, times, measurements)
+
+
+def _read(measurement, z, info):
+    """Reading, innovation and its covariance in shapes of the sensor, NaN where nothing came."""
+    if not isinstance(measurement, GaussianMeasurement):
+        return None if z is None else np.atleast_1d(np.array(z, dtype=float)), None, None
+    k, seen = measurement.dim_z, measurement.observed(z)
+    reading, y, S = np.full(k, np.nan), np.full(k, np.nan), np.full((k, k), np.nan)
+    if info.innovation is not None:
+        reading[seen] = np.atleast_1d(np.array(z, dtype=float))[seen]
+        y[seen], S[np.ix_(seen, seen)] = info.innovation, info.innovation_cov
+    return reading, y, S
+
+
+def _numbers(given):
+    return np.asarray(given).dtype.kind in "iuf"
 
 
 def _sensor(measurement, model):

@@ -97,6 +97,17 @@ class GaussianMeasurement:
         """
         return cls(_Expressions(states, h), noise_cov, angles, vectorized=True)
 
+    def changed(self, noise_cov=None, h=None):
+        """The same sensor with another noise covariance, a number r for R = r I, or another h."""
+        own_h, own_cov, angles, vectorized = self._recipe
+        if noise_cov is None:
+            noise_cov = own_cov
+        elif np.ndim(noise_cov) == 0:
+            noise_cov = validate.positive("noise_cov", noise_cov) * np.eye(self.dim_z)
+        if h is None:
+            return GaussianMeasurement(own_h, noise_cov, angles, vectorized)
+        return GaussianMeasurement(h, noise_cov, angles)
+
     def __reduce__(self):
         return GaussianMeasurement, self._recipe
 

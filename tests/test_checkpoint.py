@@ -56,7 +56,7 @@ def test_the_same_bits(tmp_path, options, predicted):
     flt.save(tmp_path / "filter.npz")
     again = sf.SPHFilter.load(tmp_path / "filter.npz", DUFFING, POSITION)
     for name in KEPT:
-        assert np.array_equal(getattr(again, name), getattr(flt, name)), name
+        np.testing.assert_array_equal(getattr(again, name), getattr(flt, name), err_msg=name)
     assert (again.n_particles, again.dt, again.config) == (flt.n_particles, flt.dt, flt.config)
     told, retold = go_on(flt, range(3, 6)), go_on(again, range(3, 6))
     assert [repr(info) for info in told] == [repr(info) for info in retold]
