@@ -68,9 +68,9 @@ class SPHFilter:
     A predict or update that raises leaves the filter as it was. The filter draws no random numbers: the
     same input gives the same bits.
 
-    Of filterpy's filters it has ``predict()``, ``update(z)``, ``update(None)``, ``update(z, R, H)``; x, P, their
-    priors and posteriors, z, y, S, log_likelihood, likelihood, to be read; and it works in ``Saver`` and
-    ``MMAEFilterBank``. It has no F, Q, K or H to be set, no ``update(z, HJacobian, Hx)``, and no place in
+    Of filterpy's filters it has ``predict()``, ``update(z)``, ``update(None)``, ``update(z, R, H)``; x, P,
+    their priors and posteriors, z, y, S, log_likelihood and likelihood, to be read; and it works in ``Saver``
+    and ``MMAEFilterBank``. It has no F, Q, K or H to be set, no ``update(z, HJacobian, Hx)``, and no place in
     ``IMMEstimator``, which overwrites x and P.
     """
 
