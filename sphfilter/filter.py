@@ -8,9 +8,9 @@ from .config import FilterConfig, checked_filter_config
 from .density import ParticleDensity
 from .errors import ModelError
 from .initial import Gaussian, initialize
-from .measurements import GaussianMeasurement
 from .models import SDE
 from .predict import predict
+from .readings import checked_sensor, read, sensor_of
 from .results import run_filter
 from .storage import density_from, load_arrays, stored, write_arrays
 from .validate import array, count, covariance, positive, real, row, short
@@ -90,7 +90,7 @@ class SPHFilter:
         if not isinstance(model, SDE):
             raise ModelError(f"model must be an SDE or LinearSDE, got {short(model)}")
         self.model = model
-        self.measurement = None if measurement is None else _sensor(measurement, model)
+        self.measurement = None if measurement is None else checked_sensor(measurement, model)
         self.config = checked_filter_config(config)
         self._adapts = isinstance(n_particles, str)
         given = fewest(model.dim, n_particles) if self._adapts else n_particles
@@ -184,7 +184,7 @@ class SPHFilter:
         As in filterpy, a number or matrix in the place of the sensor is the noise covariance R of this
         reading, and H its matrix or function h; the rest stays that of the filter's own sensor.
         """
-        measurement = self._sensor_of(measurement, H)
+        measurement = sensor_of(self.measurement, measurement, H, self.model)
         prediction = self._origin if isinstance(self._origin, Prediction) else Prediction()
         prior, density, info = update_repeating(
             prediction, self._density, self.model, measurement, z, self.config, self.n_particles
@@ -197,18 +197,10 @@ class SPHFilter:
         self._origin = Update(prior, measurement, z) if density is not prior else None
         self._moments()
         self.x_post, self.P_post = self._x, self._P
-        self.z, self.y, self.S = _read(measurement, z, info)
+        self.z, self.y, self.S = read(measurement, z, info)
         self.log_likelihood = info.log_evidence
         self.log_evidence += info.log_evidence
         return info
-
-    def _sensor_of(self, given, H):
-        """The sensor of a reading: the filter's own, the one given, or the own one with another R or h."""
-        if H is None and (given is None or hasattr(given, "log_likelihood") or not _numbers(given)):
-            return _sensor(self.measurement if given is None else given, self.model)
-        if not isinstance(self.measurement, GaussianMeasurement):
-            raise ModelError("R and H change a filter's own GaussianMeasurement, and this filter has none")
-        return _sensor(self.measurement.changed(given, H), self.model)
 
     def save(self, path):
         """Write the filter as it stands to an npz file; model and sensor, which are code, are not in it."""
@@ -251,30 +243,3 @@ class SPHFilter:
     def run(self, times, measurements):
         """Predict to each time and update with its measurement; returns a `FilterResult`."""
         return run_filter(self, times, measurements)
-
-
-def _read(measurement, z, info):
-    """Reading, innovation and its covariance in shapes of the sensor, NaN where nothing came."""
-    if not isinstance(measurement, GaussianMeasurement):
-        return None if z is None else np.atleast_1d(np.array(z, dtype=float)), None, None
-    k, seen = measurement.dim_z, measurement.observed(z)
-    reading, y, S = np.full(k, np.nan), np.full(k, np.nan), np.full((k, k), np.nan)
-    if info.innovation is not None:
-        reading[seen] = np.atleast_1d(np.array(z, dtype=float))[seen]
-        y[seen], S[np.ix_(seen, seen)] = info.innovation, info.innovation_cov
-    return reading, y, S
-
-
-def _numbers(given):
-    return np.asarray(given).dtype.kind in "iuf"
-
-
-def _sensor(measurement, model):
-    """Return a measurement that fits the model, or raise `ModelError`."""
-    if not hasattr(measurement, "log_likelihood"):
-        raise ModelError(
-            f"measurement must be a GaussianMeasurement or LikelihoodMeasurement, got {short(measurement)}"
-        )
-    if isinstance(measurement, GaussianMeasurement):
-        measurement.check_dim(model.dim)
-    return measurement
