@@ -180,8 +180,7 @@ def _on_level_set(distribution, box, n_particles, scheme, t, domain):
         mean, cov = distribution.mean, distribution.cov
         log_p = gaussian_log_pdf(mean, cov)
         laid = _laid(log_p, mean, np.linalg.cholesky(cov), mean[None], n_particles, depth)
-        density = ParticleDensity.on_lattice(laid, t, n_particles, gaussian=True, domain=domain)
-        return replace(density, moments=(mean.copy(), cov.copy()))  # known better than its lattice does
+        return ParticleDensity.on_lattice(laid, t, n_particles, gaussian=True, domain=domain)
     coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), PaperScheme(), t)
 
     def log_p(X):
