@@ -24,14 +24,12 @@ def with_moments(density, mean, cov):
     -------
     ParticleDensity
     """
-    centred = density.x - density.mass @ density.x
-    have = np.linalg.cholesky((centred * density.mass[:, None]).T @ centred)
-    change = np.linalg.cholesky(cov) @ np.linalg.inv(have)
+    change = np.linalg.cholesky(cov) @ np.linalg.inv(np.linalg.cholesky(density.cov("points")))
     grown = math.log(np.prod(np.diag(change)))
     log_density = None if density.log_density is None else density.log_density - grown
     return replace(
         density,
-        x=mean + centred @ change.T,
+        x=mean + (density.x - density.mass @ density.x) @ change.T,
         h=density.h * math.exp(grown / density.dim),
         log_density=log_density,
         field=None,

@@ -3,19 +3,9 @@
 import numpy as np
 
 from .adapt import Prediction, Update
-from .storage import density_from, stored
+from .storage import density_from, part, stored, under
 
-__all__ = ["origin_from", "part", "stored_origin", "under"]
-
-
-def under(name, arrays):
-    """Arrays with the name of what they are part of."""
-    return {f"{name}.{key}": value for key, value in arrays.items()}
-
-
-def part(name, arrays):
-    """The arrays that `under` put below a name."""
-    return {key[len(name) + 1 :]: value for key, value in arrays.items() if key.startswith(f"{name}.")}
+__all__ = ["origin_from", "stored_origin"]
 
 
 def stored_origin(origin, measurement):

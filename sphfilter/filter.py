@@ -3,7 +3,7 @@
 import numpy as np
 
 from .adapt import Prediction, Update, fewest, predict_adapting, predict_relaying, update_repeating
-from .checkpoint import origin_from, part, stored_origin, under
+from .checkpoint import origin_from, stored_origin
 from .config import FilterConfig, checked_filter_config
 from .density import ParticleDensity
 from .errors import ModelError
@@ -12,7 +12,7 @@ from .models import SDE
 from .predict import predict
 from .readings import checked_sensor, read, sensor_of
 from .results import run_filter
-from .storage import density_from, load_arrays, stored, write_arrays
+from .storage import density_from, load_arrays, part, stored, under, write_arrays
 from .validate import array, count, covariance, positive, real, row, short
 
 __all__ = ["SPHFilter"]

@@ -12,7 +12,7 @@ from .density import ParticleDensity
 from .domain import Domain
 from .errors import ModelError
 
-__all__ = ["FORMAT", "density_from", "load_arrays", "stored", "write_arrays"]
+__all__ = ["FORMAT", "density_from", "load_arrays", "part", "stored", "under", "write_arrays"]
 
 FORMAT = 1
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
@@ -44,6 +44,16 @@ def density_from(arrays):
     if "moments.mean" in arrays:
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
     return ParticleDensity(**{name: arrays[name] for name in _ARRAYS if name in arrays}, **about)
+
+
+def under(name, arrays):
+    """Arrays with the name of what they are part of."""
+    return {f"{name}.{key}": value for key, value in arrays.items()}
+
+
+def part(name, arrays):
+    """The arrays that `under` put below a name."""
+    return {key[len(name) + 1 :]: value for key, value in arrays.items() if key.startswith(f"{name}.")}
 
 
 def write_arrays(path, arrays):

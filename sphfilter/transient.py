@@ -11,7 +11,7 @@ from .info import PredictInfo
 from .predict import MOST_FINER, predict, predict_within
 from .remesh import Remeshing
 from .resample import bound
-from .storage import density_from, load_arrays, stored, write_arrays
+from .storage import density_from, load_arrays, part, stored, under, write_arrays
 from .validate import array
 
 __all__ = ["Trajectory", "propagate"]
@@ -48,8 +48,8 @@ class Trajectory:
         """Write everything to one npz file, which `load` reads back to the last bit."""
         arrays = {"n_times": np.array(len(self.times))}
         for k, (density, info) in enumerate(zip(self.densities, self.infos, strict=True)):
-            parts = stored(density) | {f"info.{key}": np.array(v) for key, v in asdict(info).items()}
-            arrays |= {f"{k}.{name}": value for name, value in parts.items()}
+            said = {key: np.array(value) for key, value in asdict(info).items()}
+            arrays |= under(k, stored(density) | under("info", said))
         write_arrays(path, arrays)
 
     @classmethod
@@ -57,9 +57,10 @@ class Trajectory:
         """Read a trajectory that `save` wrote."""
         arrays, steps = load_arrays(path), []
         for k in range(int(arrays["n_times"])):
-            own = {name.partition(".")[2]: v for name, v in arrays.items() if name.startswith(f"{k}.")}
-            known = (f.name for f in fields(PredictInfo) if f"info.{f.name}" in own)  # an older file has less
-            info = {name: _plain(own[f"info.{name}"]) for name in known}
+            own = part(str(k), arrays)
+            said = part("info", own)
+            known = (f.name for f in fields(PredictInfo) if f.name in said)  # an older file has less
+            info = {name: _plain(said[name]) for name in known}
             steps.append((density_from(own), PredictInfo(**info)))
         densities, infos = zip(*steps, strict=True) if steps else ((), ())
         return cls(np.array([density.t for density in densities]), densities, infos)
