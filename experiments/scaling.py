@@ -15,6 +15,7 @@ import sphfilter as sf
 from sphfilter.errors import ConfigError
 
 from .benchmark.watch import resident, watch_peak
+from .converge.tables import numbers
 from .run import status
 from .transient.problem import load_problem
 
@@ -65,7 +66,7 @@ def add_arguments(parser):
 
 def main(args):
     """Run the command; prints to standard output."""
-    schemes, counts = args.schemes.split(","), _counts(args.counts)
+    schemes, counts = args.schemes.split(","), numbers("--counts", args.counts, int, _COUNTS)
     unknown = [s for s in schemes if s not in SCHEMES]
     if unknown:
         raise ConfigError(f"no scheme {unknown[0]!r}; there are {', '.join(SCHEMES)}")
@@ -88,13 +89,6 @@ def main(args):
         lines.writerow([f.name for f in fields(Cell)])
         lines.writerows(asdict(cell).values() for cell in cells)
     console.print(f"Table: {args.out}/scaling.csv")
-
-
-def _counts(text):
-    try:
-        return sorted({int(part) for part in text.split(",")})
-    except ValueError:
-        raise ConfigError(f"--counts takes numbers such as {_COUNTS}, not {text!r}") from None
 
 
 def _alone(function, *args):

@@ -104,12 +104,12 @@ def write_rows(path, rows):
         writer.writerows(rows)
 
 
-def numbers(option, text, kind):
-    """Different numbers from a comma-separated list, rising."""
+def numbers(option, text, kind, example=None):
+    """Different numbers from a comma-separated list, rising; errors show an `example`."""
     try:
         numbers = sorted({kind(part) for part in text.split(",")})
     except ValueError:
-        example = "100,200,400" if kind is int else "0.1,0.05,0.025"
+        example = example or ("100,200,400" if kind is int else "0.1,0.05,0.025")
         raise ConfigError(f"{option} takes numbers such as {example}, not {text!r}") from None
     if numbers[0] <= 0:
         raise ConfigError(f"{option} takes numbers above zero, not {numbers[0]:g}")

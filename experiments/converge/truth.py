@@ -3,9 +3,8 @@
 import numpy as np
 from scipy.stats import multivariate_normal, qmc
 
-from experiments.transient.references import reference_of
-from reference_filters.closed_forms import drifted_uniform, linear_moments
-from reference_filters.grid import GridFilter
+from experiments.transient.references import drifted, gaussians, grid_densities, reference_of
+from reference_filters.closed_forms import drifted_uniform
 from sphfilter.errors import ConfigError
 
 from .errors import Truth, errors_of
@@ -16,7 +15,6 @@ _NODES = 121  # an axis of a quadrature, in one and two dimensions
 _REACH = 6.5  # standard deviations it spans
 _DRAWS = 2**13  # quasi-random nodes beyond two dimensions
 _WIDER = 1.3  # times the exact density's width: the density compared may be wider
-_TOL = 1e-4  # of the steps of the grid
 
 
 def truth_of(problem, progress=None):
@@ -50,15 +48,10 @@ def truth_of(problem, progress=None):
 
 def _linear(problem):
     """Closed form: a Gaussian at all times."""
-    model, start = problem.model, problem.settings.start
-    exact = model.to_linear()
-    intensity = 2.0 * exact.diffusion(np.zeros((1, model.dim)), 0.0)[0]
-    means, covs, parts = [], [], []
-    for t in problem.times:
-        mean, cov = linear_moments(exact.A, exact.b, intensity, start.mean, start.cov, t - start.time)
+    means, covs = zip(*gaussians(problem), strict=True)
+    parts = []
+    for mean, cov in zip(means, covs, strict=True):
         X, w = quadrature(mean, cov)
-        means.append(mean)
-        covs.append(cov)
         parts.append((X, multivariate_normal(mean, cov).pdf(X), w))
     return Truth("closed form", np.array(means), np.array(covs), *zip(*parts, strict=True))
 
@@ -78,11 +71,9 @@ def quadrature(mean, cov):
 
 def _uniform(problem):
     """Closed form of drifted Brownian motion from a uniform start, 000 (58)."""
-    model, box = problem.model, problem.settings.start.box
-    origin = np.zeros((1, 1))
-    drift, D = model.drift(origin, 0.0)[0, 0], model.diffusion(origin, 0.0)[0, 0, 0]
-    half, times = 0.5 * np.ptp(box[0]), problem.times - problem.settings.start.time
-    means = np.mean(box[0]) + drift * times[:, None]
+    drift, D, centre, half = drifted(problem)
+    times = problem.times - problem.settings.start.time
+    means = centre + drift * times[:, None]
     covs = (half**2 / 3.0 + 2.0 * D * times)[:, None, None]
     parts = []
     for t, mean in zip(times, means, strict=True):
@@ -96,7 +87,7 @@ def _uniform(problem):
 def _grid(problem):
     """A grid, and its distance from half as many nodes an axis as the bound of its error."""
     size = problem.settings.reference.size
-    fine, coarse = (_on_grid(problem, s) for s in (size, max(size // 2, 32)))
+    fine, coarse = (list(grid_densities(problem, s)) for s in (size, max(size // 2, 32)))
     parts = [
         (d.box.nodes(), np.maximum(d.values.ravel(), 0.0), np.full(d.values.size, d.box.cell)) for d in fine
     ]
@@ -118,17 +109,6 @@ class _Gridded:
 
     def cov(self):
         return self._cov
-
-
-def _on_grid(problem, size):
-    start = problem.settings.start
-    grid = GridFilter(problem.model, None, start.mean, start.cov, t0=start.time, size=size, tol=_TOL)
-    densities = []
-    for t in problem.times:
-        if t > grid.t:
-            grid.predict(t=t)
-        densities.append(grid.density)
-    return densities
 
 
 def _paths(problem, progress):

@@ -10,7 +10,7 @@ from reference_filters.closed_forms import drifted_uniform, linear_moments
 from reference_filters.grid import GridFilter
 from reference_filters.monte_carlo import simulate_statistics
 
-__all__ = ["ReferenceValues", "reference_of"]
+__all__ = ["ReferenceValues", "drifted", "gaussians", "grid_densities", "reference_of"]
 
 #: Points of a quadrature over a Gaussian, and its standard deviations.
 _NODES, _FAR = 200_001, 12.0
@@ -48,14 +48,20 @@ def reference_of(problem, progress=None):
 
 def _linear(problem, progress):
     """Closed form of a linear model: Gaussian at all times."""
+    rows = [
+        [_of_gaussian(q, t, mean, cov) for q in problem.quantities]
+        for t, (mean, cov) in zip(problem.times, gaussians(problem), strict=True)
+    ]
+    return ReferenceValues("closed form", np.array(rows), np.zeros((len(rows), len(rows[0]))))
+
+
+def gaussians(problem):
+    """Mean (n,) and covariance (n, n) of a linear problem at each of its times."""
     model, start = problem.model, problem.settings.start
     exact, origin = model.to_linear(), np.zeros((1, model.dim))
     intensity = 2.0 * exact.diffusion(origin, 0.0)[0]
-    rows = []
-    for t in problem.times:
-        mean, cov = linear_moments(exact.A, exact.b, intensity, start.mean, start.cov, t - start.time)
-        rows.append([_of_gaussian(q, t, mean, cov) for q in problem.quantities])
-    return ReferenceValues("closed form", np.array(rows), np.zeros((len(rows), len(rows[0]))))
+    elapsed = problem.times - start.time
+    return [linear_moments(exact.A, exact.b, intensity, start.mean, start.cov, t) for t in elapsed]
 
 
 def _of_gaussian(quantity, t, mean, cov):
@@ -84,9 +90,7 @@ def _reads(quantity, t, axis, mean, cov):
 
 def _uniform(problem, progress):
     """Closed form of drifted Brownian motion from a uniform start, 000 (58)."""
-    model, box = problem.model, problem.settings.start.sides
-    drift, D = model.drift(np.zeros((1, 1)), 0.0)[0, 0], model.diffusion(np.zeros((1, 1)), 0.0)[0, 0, 0]
-    centre, half = np.mean(box[0]), 0.5 * np.ptp(box[0])
+    drift, D, centre, half = drifted(problem)
     rows = []
     for end in problem.times:
         t = end - problem.settings.start.time
@@ -97,6 +101,14 @@ def _uniform(problem, progress):
     return ReferenceValues("closed form", np.array(rows), np.zeros((len(rows), len(rows[0]))))
 
 
+def drifted(problem):
+    """Drift, D, and centre and half width of the start of a drifted Brownian motion."""
+    model, box = problem.model, problem.settings.start.sides
+    origin = np.zeros((1, 1))
+    drift, D = model.drift(origin, 0.0)[0, 0], model.diffusion(origin, 0.0)[0, 0, 0]
+    return drift, D, np.mean(box[0]), 0.5 * np.ptp(box[0])
+
+
 def _grid(problem, progress):
     """A grid, and the difference to half as many nodes as the bound of its error."""
     size = problem.settings.reference.size
@@ -105,15 +117,21 @@ def _grid(problem, progress):
 
 
 def _on_grid(problem, size):
+    rows = []
+    for t, density in zip(problem.times, grid_densities(problem, size), strict=True):
+        X, p = density.box.nodes(), density.values.ravel()
+        rows.append([q.at(X, t) @ p / p.sum() for q in problem.quantities])
+    return np.array(rows)
+
+
+def grid_densities(problem, size):
+    """A problem's densities at its times, as a grid of so many nodes an axis has them."""
     start = problem.settings.start
     grid = GridFilter(problem.model, None, start.mean, start.cov, t0=start.time, size=size, tol=1e-4)
-    rows = []
     for t in problem.times:
         if t > grid.t:
             grid.predict(t=t)
-        X, p = grid.density.box.nodes(), grid.density.values.ravel()
-        rows.append([q.at(X, t) @ p / p.sum() for q in problem.quantities])
-    return np.array(rows)
+        yield grid.density
 
 
 def _monte_carlo(problem, progress):
