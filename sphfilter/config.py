@@ -389,12 +389,16 @@ class FilterConfig(_Settings):
     acceptance : AcceptanceTest
     target_error : float
         What ``n_particles="auto"`` aims at: error of the posterior mean, in posterior standard deviations.
+    time_budget : float, optional
+        Wall-clock seconds that a predict of `SPHFilter` and the updates after it may take together. With it
+        results depend on the machine and its load.
     """
 
     scheme: SchemeChoice = "auto"
     exact_linear: bool = False
     acceptance: AcceptanceTest = Field(default_factory=AcceptanceTest)
     target_error: Positive = 0.01
+    time_budget: Positive | None = None
 
     @classmethod
     def _paper_parts(cls):

@@ -35,6 +35,8 @@ class PredictInfo:
         Work the scene made unnecessary.
     scheme, status : str
         What carried the density; "ok", or why another scheme than the first choice did.
+    seconds : float
+        Wall-clock time, measured under a time budget only.
     """
 
     n_steps: int = 0
@@ -50,6 +52,7 @@ class PredictInfo:
     skipped: tuple = ()
     scheme: str = "paper"
     status: str = "ok"
+    seconds: float = 0.0
 
     @classmethod
     def joined(cls, infos):
@@ -110,6 +113,8 @@ class UpdateInfo:
         rests on a guess about the prior's tails.
     status : str
         "ok", or that the prediction before was repeated (`SPHFilter` does that where much is extrapolated).
+    seconds : float
+        Wall-clock time, measured under a time budget only.
     kernel_ratio : float
         Variance of the kernels over the smallest variance of the posterior along any direction. Above about
         one the kernels are wider than the posterior somewhere: more particles, or states of like scale.
@@ -124,5 +129,6 @@ class UpdateInfo:
     n_particles: int = 0
     extrapolated: float = 0.0
     status: str = "ok"
+    seconds: float = 0.0
     kernel_ratio: float = 0.0
     resample: ResampleInfo | None = field(default=None, repr=False)
