@@ -39,7 +39,8 @@ class Budget:
 
     def __init__(self, seconds):
         self.seconds, self.prepared, self.spent = seconds, seconds is None, 0.0
-        self._began, self._costs = 0.0, {}
+        self._began, self._most, self._costs = 0.0, 0, {}
+        self._too_few = deque(maxlen=_MEMORY)  # particles of steps made again on more of them, else zero
         self.keep(0)
 
     def keep(self, n):
@@ -49,7 +50,7 @@ class Budget:
 
     def adopt(self, other):
         """Take over what particles have cost in a rehearsal."""
-        self._costs, self.prepared = other._costs, True
+        self._costs, self._too_few, self.prepared = other._costs, other._too_few, True
 
     def begin(self, step=False):
         """A call begins, and with a prediction a new step."""
@@ -60,6 +61,9 @@ class Budget:
     def bound(self, n_particles, least):
         """Particles that a step can afford: `n_particles` at most, and `least` if those are not fewer.
 
+        Where particles were too few of late, and predictions had to be made again on three times as many,
+        twice as many from the beginning take less time.
+
         Time is taken to be in proportion to particles. Part of it is the same for any number, so that more
         of them than were measured cost less than that: steps come near the budget from below.
         """
@@ -67,7 +71,9 @@ class Budget:
             return n_particles
         cost = self._dearest("predict") + self._dearest("update")
         affordable = min(self.seconds / cost, n_particles) if cost > 0.0 else 0.0  # NaN where none is known
-        return max(int(affordable), min(least, n_particles))
+        least = max(least, 2 * max(self._too_few, default=0))
+        self._most = max(int(affordable), min(least, n_particles))
+        return self._most
 
     def fits(self, n_particles):
         """Would another prediction on so many particles end in time, with an update after it?"""
@@ -93,6 +99,8 @@ class Budget:
             return info
         took = perf_counter() - self._began
         self.spent += took
+        if what == "predict":
+            self._too_few.append(self._most if repeated or n_particles > self._most else 0)
         if what and not repeated:
             self._costs[what].append(took / n_particles)
         elif what and len(self._costs[what]) > 1:
@@ -127,8 +135,6 @@ def rehearse(twin, budget, dt):
         Seconds that the last step took; NaN if it could not be made.
     """
     seconds = math.nan
-    with suppress(PropagationError):
-        _load_rest(twin, dt)
     with suppress(PropagationError):  # the filter itself will tell when it happens there
         for step in range(2 + _REHEARSED):
             twin.predict(dt)
@@ -136,6 +142,8 @@ def rehearse(twin, budget, dt):
             twin.update(z, sensor)
             seconds = budget.spent
             budget.keep(0 if step == 0 else _REHEARSED)
+    with suppress(PropagationError):
+        _load_rest(twin, dt)
     return seconds
 
 

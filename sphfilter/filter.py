@@ -74,6 +74,21 @@ class SPHFilter:
     their priors and posteriors, z, y, S, log_likelihood and likelihood, to be read; and it works in ``Saver``
     and ``MMAEFilterBank``. It has no F, Q, K or H to be set, no ``update(z, HJacobian, Hx)``, and no place in
     ``IMMEstimator``, which overwrites x and P.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> well = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
+    >>> sensor = sf.GaussianMeasurement([[1.0]], [[0.1]])
+    >>> flt = sf.SPHFilter(well, sensor, x0=[0.0], P0=[[0.5]], n_particles=100, dt=1.0)
+    >>> for z in (0.9, None, -1.1):
+    ...     predicted, updated = flt.predict(), flt.update(z)
+    ...     print(f"t = {flt.t:.0f}: {flt.x[0]:6.3f} ± {flt.P[0, 0] ** 0.5:.3f}")
+    t = 1:  0.873 ± 0.260
+    t = 2:  0.768 ± 0.517
+    t = 3: -0.951 ± 0.256
+    >>> print(f"{flt.log_evidence:.3f}, {flt.density.probability(lambda X: X[:, 0] > 0):.4f}")
+    -3.562, 0.0007
     """
 
     def __init__(
@@ -183,8 +198,8 @@ class SPHFilter:
         before, (density, info, n_particles) = predict_relaying(
             predicted, self.model, self._density, self._origin, self.config, most
         )
-        moved = "predict" if density.t > self.t else ""
-        repeated = rehearses or before is not self._density
+        moved = "predict" if density.t > self.t and not rehearses else ""
+        repeated = before is not self._density
         self._density, self.n_particles = density, n_particles
         self._origin = Prediction(before, info.mass_error, self.model, density.t)
         self._moments()

@@ -41,6 +41,15 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
         The interval is negative, or model and density differ in dimension.
     PropagationError
         The model blew up; says when, where and what to change.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> well = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
+    >>> start = sf.initialize(sf.Gaussian([0.0], [[0.1]]), n_particles=100)
+    >>> later, info = sf.predict(start, well, 2.0)
+    >>> print(f"t = {later.t}, {info.scheme}, {info.status}, variance {later.cov()[0, 0]:.3f}")
+    t = 2.0, log_density, ok, variance 0.788
     """
     return predict_within(MOST_FINER, density, model, dt, config, t=t, n_particles=n_particles)
 

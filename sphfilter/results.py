@@ -26,6 +26,15 @@ class FilterResult:
         log-evidence of the run.
     accepted : ndarray of bool, shape (T,)
         False where a measurement came and the filter rejected it.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> model, sensor = sf.LinearSDE([[-1.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[0.1]])
+    >>> flt = sf.SPHFilter(model, sensor, x0=[0.0], P0=[[1.0]])
+    >>> result = flt.run(times=[0.5, 1.0], measurements=[0.3, None])
+    >>> print(result.x.ravel().round(3), result.log_evidence.round(3), result.accepted)
+    [0.262 0.159] [-0.855  0.   ] [ True  True]
     """
 
     t: np.ndarray

@@ -94,11 +94,22 @@ def test_a_machine_that_becomes_slow(clock):
 
 
 def test_never_fewer_than_a_lattice_needs(clock):
+    """Sixty are tried first, in the rehearsal; they prove too few for two wells, so twice as many are."""
     flt = made(1e-4)
-    flt.prepare(2.0)
-    predicted, updated = steps(flt, 2)[0]
-    assert 40 < updated.n_particles <= 60
+    told = steps(flt, 4)
+    assert 60 < told[-1][1].n_particles <= 120
+    predicted, _ = told[-1]
     assert predicted.status.endswith("of 0.1 ms") and predicted.seconds > 1e-4
+
+
+def test_too_few_particles_are_remembered_for_a_while():
+    budget, info = Budget(1e-9), sf.PredictInfo()
+    numbers = []
+    for made in (180, *[50] * 21):  # the first on three times as many as were allowed
+        budget.begin(step=True)
+        numbers.append(budget.bound(1000, 60))
+        budget.end("predict", info, made, repeated=False)
+    assert numbers == [60] + [120] * 19 + [60] * 2
 
 
 def test_finer_predictions_need_time(clock):
