@@ -15,6 +15,8 @@ from .update import update
 
 __all__ = ["Budget", "rehearse"]
 
+#: What time is read from, seconds; `time.process_time` leaves out what other processes take.
+clock = perf_counter
 #: Steps that are remembered. The next one costs more than the dearest of nineteen alike once in twenty.
 _MEMORY = 19
 _REHEARSED = 2  # steps with costs that count, after one that compiles and one on few particles
@@ -55,7 +57,7 @@ class Budget:
     def begin(self, step=False):
         """A call begins, and with a prediction a new step."""
         if self.seconds is not None:
-            self._began = perf_counter()
+            self._began = clock()
             self.spent = 0.0 if step else self.spent
 
     def bound(self, n_particles, least):
@@ -79,7 +81,7 @@ class Budget:
         """Would another prediction on so many particles end in time, with an update after it?"""
         if self.seconds is None:
             return True
-        left = self.seconds - self.spent - (perf_counter() - self._began)
+        left = self.seconds - self.spent - (clock() - self._began)
         return n_particles * (self._dearest("predict") + self._dearest("update")) <= left
 
     def end(self, what, info, n_particles, repeated):
@@ -97,7 +99,7 @@ class Budget:
         """
         if self.seconds is None:
             return info
-        took = perf_counter() - self._began
+        took = clock() - self._began
         self.spent += took
         if what == "predict":
             self._too_few.append(self._most if repeated or n_particles > self._most else 0)
