@@ -42,7 +42,10 @@ class Budget:
     def __init__(self, seconds):
         self.seconds, self.prepared, self.spent = seconds, seconds is None, 0.0
         self._began, self._most, self._costs = 0.0, 0, {}
-        self._too_few = deque(maxlen=_MEMORY)  # particles of steps made again on more of them, else zero
+        self._again = False  # was the last prediction made again on more particles?
+        self._too_few = deque(
+            maxlen=_MEMORY
+        )  # particles of steps where that happened twice in a row, else zero
         self.keep(0)
 
     def keep(self, n):
@@ -63,8 +66,8 @@ class Budget:
     def bound(self, n_particles, least):
         """Particles that a step can afford: `n_particles` at most, and `least` if those are not fewer.
 
-        Where particles were too few of late, and predictions had to be made again on three times as many,
-        twice as many from the beginning take less time.
+        Where they were too few of late, so that two predictions in a row had to be made again on three times
+        as many, twice as many from the beginning take less time: more than they save if that is rare.
 
         Time is taken to be in proportion to particles. Part of it is the same for any number, so that more
         of them than were measured cost less than that: steps come near the budget from below.
@@ -102,7 +105,8 @@ class Budget:
         took = clock() - self._began
         self.spent += took
         if what == "predict":
-            self._too_few.append(self._most if repeated or n_particles > self._most else 0)
+            before, self._again = self._again, repeated or n_particles > self._most
+            self._too_few.append(self._most if before and self._again else 0)
         if what and not repeated:
             self._costs[what].append(took / n_particles)
         elif what and len(self._costs[what]) > 1:

@@ -105,11 +105,11 @@ def test_never_fewer_than_a_lattice_needs(clock):
 def test_too_few_particles_are_remembered_for_a_while():
     budget, info = Budget(1e-9), sf.PredictInfo()
     numbers = []
-    for made in (180, *[50] * 21):  # the first on three times as many as were allowed
+    for made in (180, 50, 180, 180, *[50] * 20):  # on three times as many as were allowed: once, then twice
         budget.begin(step=True)
         numbers.append(budget.bound(1000, 60))
         budget.end("predict", info, made, repeated=False)
-    assert numbers == [60] + [120] * 19 + [60] * 2
+    assert numbers == [60] * 4 + [120] * 19 + [60]
 
 
 def test_finer_predictions_need_time(clock):
