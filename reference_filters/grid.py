@@ -14,6 +14,7 @@ import numpy as np
 from sphfilter import validate
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.results import FilterResult
+from sphfilter.spread import Spread
 
 from ._base import ReferenceFilter, gaussian_start
 from ._characteristics import follow
@@ -62,6 +63,15 @@ class GridFilter(ReferenceFilter):
     def density(self):
         """The density now, a `GridDensity`."""
         return self._belief
+
+    def spread(self):
+        """The nodes as a `Spread`."""
+        p = self._belief
+        values = np.maximum(p.values.ravel(), 0.0)
+        with np.errstate(divide="ignore"):
+            return Spread(
+                p.box.nodes(), values / values.sum(), np.log(values / p.mass), lambda X: np.log(p.pdf(X))
+            )
 
     def _moments(self, belief):
         return belief.moments()

@@ -17,8 +17,9 @@ import numpy as np
 
 from . import campaign_store as store
 from . import validate
+from .calibration import Observer, gaussian_ranks
 from .errors import ModelError
-from .results import FilterResult
+from .results import FilterResult, run_filter
 
 __all__ = ["CampaignResult", "Case", "Failure", "draw_case", "run_campaign"]
 
@@ -59,6 +60,10 @@ class Case:
                 f"a case with x0 of length {n} needs truth (T, {n}) and P0 ({n}, {n}); "
                 f"got {np.shape(self.truth)} and {np.shape(self.P0)}"
             )
+
+
+#: What every filter has to tell.
+_MOMENTS = "x_prior", "P_prior", "x", "P", "log_evidence", "accepted"
 
 
 class Failure(NamedTuple):
@@ -215,22 +220,31 @@ def _outcome(make, case, rng):
     case = deepcopy(case)  # what one filter does to its case must not reach the next
     try:
         filt = make(case, rng)
+        observer = Observer(case.truth) if hasattr(filt, "spread") else None
         start = perf_counter()
-        result = filt.run(case.times, case.z)
-        seconds = perf_counter() - start
-        arrays = {name: np.asarray(getattr(result, name)) for name in blank}
-        wrong = [name for name in blank if arrays[name].shape != blank[name].shape]
+        result = run_filter(filt, case.times, case.z, observer) if observer else filt.run(case.times, case.z)
+        seconds = perf_counter() - start - (observer.seconds if observer else 0.0)
+        arrays = {name: np.asarray(getattr(result, name)) for name in _MOMENTS}
+        wrong = [name for name in _MOMENTS if arrays[name].shape != blank[name].shape]
         if wrong:
             shapes = f"{arrays[wrong[0]].shape}, not {blank[wrong[0]].shape}"
             raise ModelError(f"the filter's result has {wrong[0]} of shape {shapes}")
+        for name in blank.keys() - arrays.keys():  # what a filter of one's own need not tell
+            value = np.asarray(getattr(result, name, np.nan))
+            arrays[name] = value if value.shape == blank[name].shape else blank[name]
+        if observer is None:
+            moments = [arrays[name] for name in ("x", "P", "innovation", "innovation_cov")]
+            arrays |= gaussian_ranks(case.truth, *moments)
     except Exception as error:  # a filter under test may raise anything, and that is a finding
         return blank, np.nan, f"{type(error).__name__}: {error}"
     return arrays, seconds, ""
 
 
 def _blank(case):
-    T, n = np.shape(case.truth)
+    (T, n), k = np.shape(case.truth), np.size(case.z[0])
     shapes = {"x_prior": (T, n), "P_prior": (T, n, n), "x": (T, n), "P": (T, n, n), "log_evidence": (T,)}
+    shapes |= {"innovation": (T, k), "innovation_cov": (T, k, k)}
+    shapes |= {"pit": (T, k), "state_pit": (T, n), "hpd_rank": (T,)}
     return {name: np.full(shape, np.nan) for name, shape in shapes.items()} | {"accepted": np.zeros(T, bool)}
 
 

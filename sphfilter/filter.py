@@ -3,6 +3,7 @@
 import numpy as np
 
 from .adapt import Prediction, Update, fewest, predict_adapting, predict_relaying, update_repeating
+from .calibration import Observer
 from .checkpoint import origin_from, stored_origin
 from .config import FilterConfig, checked_filter_config
 from .density import ParticleDensity
@@ -240,6 +241,15 @@ class SPHFilter:
         filt._origin = origin_from(part("origin", arrays), model, filt.measurement)
         return filt
 
-    def run(self, times, measurements):
-        """Predict to each time and update with its measurement; returns a `FilterResult`."""
-        return run_filter(self, times, measurements)
+    def spread(self):
+        """The density now as states and weights, a `Spread`."""
+        return self._density.spread()
+
+    def run(self, times, measurements, truth=None):
+        """Predict to each time and update with its measurement; returns a `FilterResult`.
+
+        Told the true states of simulated data, `truth` (T, n), the result also holds their ranks in the
+        filter's densities (the filter does not see them); `sf.report` judges by them.
+        """
+        observer = None if truth is None else Observer(truth)
+        return run_filter(self, times, measurements, observer)
