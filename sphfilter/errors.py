@@ -3,6 +3,7 @@
 from difflib import get_close_matches
 
 __all__ = [
+    "CampaignError",
     "ConfigError",
     "ExpressionError",
     "ModelError",
@@ -31,6 +32,10 @@ class ModelError(SphfilterError, ValueError):
 
 class PropagationError(SphfilterError, RuntimeError):
     """A prediction or update that could not be completed; the filter is as it was before the call."""
+
+
+class CampaignError(SphfilterError, RuntimeError):
+    """A campaign that cannot go on; the runs that are finished are kept in its folder."""
 
 
 class LatticeError(PropagationError):
