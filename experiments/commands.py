@@ -7,6 +7,7 @@ from sphfilter.errors import SphfilterError
 
 from . import listing, run, scaling
 from .benchmark import command as benchmark
+from .campaign import command as campaign
 from .converge import command as converge
 from .own_data import command as own_data
 from .skips import command as skips
@@ -22,6 +23,7 @@ __all__ = ["COMMANDS", "main"]
 COMMANDS = {
     "list": listing,
     "run": run,
+    "campaign": campaign,
     "transient": transient,
     "sweep": sweep,
     "converge": converge,

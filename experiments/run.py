@@ -24,17 +24,17 @@ from .running import new_console, run_shown, status, warm_up
 from .scenario import load_scenario
 from .tables import distance_table, result_table, sentences
 
-__all__ = ["add_arguments", "main"]
+__all__ = ["add_arguments", "counted", "main", "without_nan", "without_none"]
 
 
 def add_arguments(parser):
     """Add the options of `run`."""
     parser.add_argument("scenario", help="a name from `list`, or the path of a scenario's TOML file")
     parser.add_argument("--filters", help=f"comma-separated, of {', '.join(FILTERS)}")
-    parser.add_argument("--runs", type=_count, help="number of simulated runs")
+    parser.add_argument("--runs", type=counted, help="number of simulated runs")
     parser.add_argument("--seed", type=int, help="seed of everything random")
     parser.add_argument("--out", type=Path, help="folder for results (default: results/NAME)")
-    parser.add_argument("--jobs", type=_count, default=1, help="processes")
+    parser.add_argument("--jobs", type=counted, default=1, help="processes")
     parser.add_argument("--n-particles", type=int, help="particles of the SPH filters, at most")
     parser.add_argument(
         "--pictures",
@@ -45,7 +45,7 @@ def add_arguments(parser):
     add_change_option(parser)
 
 
-def _count(text):
+def counted(text):
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"a whole number of at least 1 is needed, not {text!r}")
     return int(text)
@@ -143,7 +143,7 @@ def _write(out, scenario, campaign, numbers, distance):
         "failures": [failure._asdict() for failure in campaign.failures],
         "settings": asdict(settings),
     }
-    text = json.dumps(_without_nan(record), indent=1, allow_nan=False)
+    text = json.dumps(without_nan(record), indent=1, allow_nan=False)
     (out / "run.json").write_text(text, encoding="utf-8")
 
 
@@ -151,9 +151,9 @@ def without_none(tree):
     return {k: without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
 
 
-def _without_nan(tree):
+def without_nan(tree):
     if isinstance(tree, dict):
-        return {k: _without_nan(v) for k, v in tree.items()}
+        return {k: without_nan(v) for k, v in tree.items()}
     if isinstance(tree, list | tuple):
-        return [_without_nan(v) for v in tree]
+        return [without_nan(v) for v in tree]
     return None if isinstance(tree, float) and not np.isfinite(tree) else tree

@@ -7,14 +7,17 @@ from . import significance
 __all__ = ["verdict"]
 
 _LEVEL = 0.01
+#: Of epochs inside an interval that holds 95 %, where nobody tells whether the posterior is to blame.
+_FEW = 0.8
 
 
 def verdict(numbers, labels):
     """Say whether a filter is consistent, and if not in what.
 
     What is tested holds of every filter that is right, Gaussian or not: that ranks of measurements and truths
-    are uniform, that errors have no sign and successive innovations no correlation. All together such a
-    filter is faulted with a probability of one per cent.
+    are uniform, that errors have no sign and successive innovations no correlation; and that the NEES leaves
+    its interval no more often than a referee's, if there is one. All together such a filter is faulted with a
+    probability of one per cent.
 
     Parameters
     ----------
@@ -41,10 +44,15 @@ def _faults(numbers, labels):
     ranks, innovations = numbers.ranks, numbers.innovations
     n, k = len(labels), len(ranks.pit_p)
     tests = np.concatenate(
-        [ranks.state_pit_p, numbers.nmee_p, [ranks.hpd_p], ranks.pit_p, [innovations.whiteness_p]]
+        [
+            ranks.state_pit_p,
+            numbers.nmee_p,
+            ranks.pit_p,
+            [ranks.hpd_p, innovations.whiteness_p, numbers.exits_p],
+        ]
     )
-    parts = np.split(significance.refused(tests, _LEVEL), [n, 2 * n, 2 * n + 1, 2 * n + 1 + k])
-    wrong, biased, shape, predicted, coloured = parts
+    parts = np.split(significance.refused(tests, _LEVEL), np.cumsum([n, n, k]))
+    wrong, biased, predicted, (shape, coloured, outside) = parts
     faults = []
     for word, which in _widths(ranks.state_pit, wrong).items():
         above = "above" if word == "optimistic" else "below"
@@ -52,10 +60,12 @@ def _faults(numbers, labels):
         faults.append(
             f"{word} in {_listed(labels, which)}: NEES {above} its interval in {share:.0%} of epochs"
         )
+    if outside and not wrong.any():
+        faults.append(f"NEES outside its interval in {1 - numbers.nees_inside:.0%} of epochs")
     if biased.any():
         sizes = ", ".join(f"{m:+.2g} std" for m in numbers.nmee[biased])
         faults.append(f"biased in {_listed(labels, np.flatnonzero(biased))} by {sizes}")
-    if shape[0]:
+    if shape:
         faults.append(
             f"the truth lies outside the region of highest density that holds 95 % in {ranks.outside_95:.0%} "
             f"of epochs, and its ranks there are not uniform (p = {ranks.hpd_p:.0e})"
@@ -63,7 +73,7 @@ def _faults(numbers, labels):
     if predicted.any():
         worst = np.nanmin(ranks.pit_p)
         faults.append(f"measurements do not fall as predicted (ranks not uniform, p = {worst:.0e})")
-    if coloured[0]:
+    if coloured:
         faults.append(f"successive innovations are correlated ({innovations.whiteness:+.2f})")
     return faults
 
@@ -82,6 +92,8 @@ def _nothing_found(numbers):
     inside = f"NEES in its interval in {numbers.nees_inside:.0%} of epochs"
     if np.isnan(numbers.ranks.state_pit_p).all():
         return f"not judged, that takes {significance.FEWEST_RUNS} runs at least; {inside}"
+    if numbers.nees_inside < _FEW and np.isnan(numbers.exits_p):
+        return f"nothing found against it but {inside} only (if no Gaussian it may be right: ask a referee)"
     return f"consistent: nothing found against it, {inside}"
 
 
