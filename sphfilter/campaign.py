@@ -40,6 +40,14 @@ class Case:
         Start of the filters.
     t0 : float
         Time of the start, seconds.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> case = sf.Case(times=[1.0], truth=[[0.2]], z=[[0.3]], x0=np.zeros(1), P0=np.eye(1))
+    >>> print(case.t0)
+    0.0
     """
 
     times: np.ndarray
@@ -94,6 +102,21 @@ class CampaignResult:
     run_time : dict of str to ndarray, shape (R,)
         Wall-clock seconds spent in the filter's ``run``; NaN where it failed.
     failures : list of Failure
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> case = sf.Case([1.0], [[0.2]], [[0.3]], np.zeros(1), np.eye(1))
+    >>> class Once:
+    ...     name = "once"
+    ...     draw = staticmethod(lambda rng: case)
+    >>> def sph(case, rng):
+    ...     model, sensor = sf.LinearSDE([[-1.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[0.1]])
+    ...     return sf.SPHFilter(model, sensor, case.x0, case.P0, n_particles=60)
+    >>> campaign = sf.run_campaign(Once(), {"sph": sph}, n_runs=2, seed=1)
+    >>> print(campaign.results["sph"].x.ravel().round(3), campaign.z.ravel(), campaign.failures)
+    [0.255 0.255] [0.3 0.3] []
     """
 
     scenario: str
@@ -154,6 +177,24 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
         The folder holds another campaign: other scenario, seed, filters or versions.
     CampaignError
         A worker process died.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> model, sensor = sf.LinearSDE([[-1.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[0.1]])
+    >>> class Decay:
+    ...     name = "decay"
+    ...     def draw(self, rng):
+    ...         times, x0, P0 = np.arange(1.0, 6.0), np.zeros(1), np.eye(1)
+    ...         truth, z = sf.simulate(model, sensor, rng.normal(size=1), [0.0, *times], rng)
+    ...         return sf.Case(times, truth[1:], z[1:], x0, P0)
+    >>> sph = lambda case, rng: sf.SPHFilter(model, sensor, case.x0, case.P0, n_particles=60)
+    >>> campaign = sf.run_campaign(Decay(), {"sph": sph}, n_runs=3, seed=1)
+    >>> print(campaign.results["sph"].x.shape, len(campaign.failures))
+    (3, 5, 1) 0
+    >>> print(sf.report(campaign).filters["sph"].nees < 3.0)
+    True
     """
     n_runs, filters = validate.count("n_runs", n_runs), dict(filters)
     if not filters:

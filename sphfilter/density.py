@@ -63,6 +63,16 @@ class ParticleDensity:
         covariances those of the differences the short way round. A log-density may lie several times round.
 
     Arrays are read-only; particles without mass are left out.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> p = sf.initialize(sf.Gaussian([0.0, 0.0], [[1.0, 0.5], [0.5, 1.0]]), n_particles=300)
+    >>> print(p.pdf([0.0, 0.0]).round(4), f"{p.moment([1, 1]):.4f} {p.entropy():.3f}")
+    [0.1838] 0.4999 2.694
+    >>> print(p.hpd_region(0.95)([[0.0, 0.0], [2.0, -2.0]]), f"{p.marginal([0]).quantile(0, 0.975):.3f}")
+    [ True False] 1.960
     """
 
     x: np.ndarray
@@ -245,7 +255,10 @@ class ParticleDensity:
 
         Examples
         --------
-        >>> density.probability(lambda X: X[:, 0] > 3.0)    # doctest: +SKIP
+        >>> import sphfilter as sf
+        >>> density = sf.initialize(sf.Gaussian([0.0], [[1.0]]), n_particles=100)
+        >>> print(f"{density.probability(lambda X: X[:, 0] > 3.0):.5f}")  # 0.00135
+        0.00135
         """
         read = self._between(kind)
         return statistics.expectation(read, lambda X: np.asarray(region(X), dtype=float), smooth=False)

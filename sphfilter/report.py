@@ -58,6 +58,18 @@ class Report:
     dim, n_runs, n_epochs : int
         States, runs, measurement times in a run.
     filters : dict of str to FilterReport
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> result = sf.FilterResult(
+    ...     t=np.array([1.0]), x_prior=np.zeros((1, 1)), P_prior=np.ones((1, 1, 1)), x=np.array([[0.3]]),
+    ...     P=np.array([[[0.09]]]), log_evidence=np.zeros(1), accepted=np.ones(1, dtype=bool),
+    ... )
+    >>> numbers = sf.report(result, truth=[[0.0]])
+    >>> print(f"{numbers.n_epochs} epoch, NEES {numbers.filters['filter'].nees:.2f}")
+    1 epoch, NEES 1.00
     """
 
     scenario: str
@@ -121,6 +133,16 @@ def report(campaign_or_result, truth=None, *, referee=None, labels=None):
     ------
     ModelError
         A truth that is missing, superfluous or of another shape than the means; an unknown referee.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> model, sensor = sf.LinearSDE([[-1.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[0.1]])
+    >>> truth, z = sf.simulate(model, sensor, [0.0], np.arange(9.0), rng=1)
+    >>> result = sf.SPHFilter(model, sensor, [0.0], [[1.0]], n_particles=60).run(np.arange(1.0, 9.0), z[1:])
+    >>> print(sf.report(result, truth=truth[1:]).filters["filter"].rms_error.round(2))
+    [0.12]
     """
     if hasattr(campaign_or_result, "results"):
         if truth is not None:

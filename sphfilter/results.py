@@ -33,6 +33,15 @@ class FilterResult:
         Probability that the prediction gave to lower readings; probabilities that the posterior gave to lower
         values of each state than the truth, and to the region where it is higher than at the truth. All
         uniform for a filter that is right, see `calibration`. NaN unless the run was told a truth.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> model, sensor = sf.LinearSDE([[-1.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[0.1]])
+    >>> flt = sf.SPHFilter(model, sensor, x0=[0.0], P0=[[1.0]])
+    >>> result = flt.run(times=[0.5, 1.0], measurements=[0.3, None])
+    >>> print(result.x.ravel().round(3), result.log_evidence.round(3), result.accepted)
+    [0.262 0.159] [-0.855  0.   ] [ True  True]
     """
 
     t: np.ndarray
