@@ -24,6 +24,14 @@ _GROUPS = {
         ),
     },
     "Compare filters": {
+        "campaign": (
+            ("campaign duffing --runs 200 --jobs 2 --own-prior", "which filter can be believed?"),
+            (
+                "campaign van_der_pol --runs 50 --filters ekf,sph --set filters.sph.n_particles=400",
+                "some of them",
+            ),
+            ("campaign cart --runs 1000 --dask tcp://192.168.1.5:8786", "on many machines"),
+        ),
         "sweep": (
             ("sweep duffing", "over update interval and noise"),
             ("sweep duffing --interval 1,2 --q 1 --runs 10", "a smaller grid"),

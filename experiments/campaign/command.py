@@ -26,11 +26,6 @@ from . import page, plots
 __all__ = ["EPILOG", "add_arguments", "main"]
 
 EPILOG = """\
-Examples:
-  python -m experiments campaign duffing --runs 200 --jobs 2 --own-prior
-  python -m experiments campaign van_der_pol --runs 50 --filters ekf,sph --set filters.sph.n_particles=400
-  python -m experiments campaign cart --runs 1000 --dask tcp://192.168.1.5:8786
-
 Runs have seeds of their own: the figures are the same for any number of processes, and run 7 is the same run
 however many there are. Every filter sees the same measurements. Each finished run is kept in OUT/runs;
 stopped (Ctrl-C, or worse), the same command goes on, and with a larger --runs it adds to what is there.
