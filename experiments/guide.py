@@ -27,7 +27,7 @@ _GROUPS = {
         "campaign": (
             ("campaign duffing --runs 200 --jobs 2 --own-prior", "which filter can be believed?"),
             (
-                "campaign van_der_pol --runs 50 --filters ekf,sph --set filters.sph.n_particles=400",
+                "campaign van_der_pol --runs 50 --filters ekf,sph",
                 "some of them",
             ),
             ("campaign cart --runs 1000 --dask tcp://192.168.1.5:8786", "on many machines"),
