@@ -13,7 +13,15 @@ from .config import (
 )
 from .density import ParticleDensity
 from .domain import Domain
-from .errors import ConfigError, ExpressionError, ModelError, PropagationError, SphfilterError
+from .errors import (
+    ConfigError,
+    EstimationError,
+    ExpressionError,
+    ModelError,
+    PropagationError,
+    SphfilterError,
+)
+from .estimation import ParameterFit, fit_parameters, profile_evidence
 from .filter import SPHFilter
 from .health import Health, health
 from .info import PredictInfo, ResampleInfo, UpdateInfo
@@ -25,6 +33,7 @@ from .report import Report, report
 from .resample import resample
 from .results import FilterResult
 from .simulate import simulate
+from .smoother import SmoothedResult, smooth
 from .transient import Trajectory, propagate
 from .update import update
 
@@ -36,6 +45,7 @@ __all__ = [
     "ConfigError",
     "CorrectedScheme",
     "Domain",
+    "EstimationError",
     "ExpressionError",
     "FilterConfig",
     "FilterResult",
@@ -47,12 +57,14 @@ __all__ = [
     "LogDensityScheme",
     "ModelError",
     "PaperScheme",
+    "ParameterFit",
     "ParticleDensity",
     "PredictInfo",
     "PropagationError",
     "Report",
     "ResampleInfo",
     "SPHFilter",
+    "SmoothedResult",
     "SolverConfig",
     "SphfilterError",
     "Trajectory",
@@ -60,13 +72,16 @@ __all__ = [
     "UpdateInfo",
     "__version__",
     "consistency",
+    "fit_parameters",
     "health",
     "initialize",
     "predict",
+    "profile_evidence",
     "propagate",
     "report",
     "resample",
     "run_campaign",
     "simulate",
+    "smooth",
     "update",
 ]

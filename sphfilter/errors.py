@@ -4,6 +4,7 @@ from difflib import get_close_matches
 
 __all__ = [
     "ConfigError",
+    "EstimationError",
     "ExpressionError",
     "ModelError",
     "PropagationError",
@@ -27,6 +28,10 @@ class ExpressionError(SphfilterError, ValueError):
 
 class ModelError(SphfilterError, ValueError):
     """A model, measurement or state that does not fit: wrong length, shape, NaN, not positive definite."""
+
+
+class EstimationError(SphfilterError, RuntimeError):
+    """Parameters that the measurements do not determine, or whose evidence cannot be computed."""
 
 
 class PropagationError(SphfilterError, RuntimeError):
