@@ -3,14 +3,15 @@
 import numpy as np
 from scipy.optimize import minimize
 
-from .curvature import quadratic, scales
+from .curvature import quadratic, scales, slope_step_for, slopes
 
-__all__ = ["CLOSE", "ROUND", "climbed", "off_bounds", "ridge", "room", "searched"]
+__all__ = ["CLOSE", "ROUND", "climbed", "off_bounds", "polished", "ridge", "room", "searched"]
 
 _FIRST = 0.1  # of a guess, or of the width of its bounds: first step of the search
 _LOOSE = 0.3  # nats between the corners of a simplex at which the search leaves the rest to Newton
 _STEP = 0.6  # of differences on the way, in standard errors
 _NEWTON = 8
+_SLOPES, _POLISHED = 4, 1e-5  # times that the last slopes are taken; nats below the top that are enough
 CLOSE = 2e-3  # nats below the top of the quadratic at which a maximum is found: .06 standard errors
 _LONGEST = 2.0  # standard errors that Newton's method goes at once
 ROUND = 0.05  # least curvature, over one in round coordinates, that is a curvature
@@ -19,8 +20,7 @@ _AT_BOUND = 0.2  # standard errors from a bound, within which an estimate is on 
 
 def searched(evidence, theta, low, high, max_evaluations):
     """Simplex search from a guess; returns the best point and its log-evidence."""
-    width = np.where(np.isfinite(high - low), high - low, np.inf)
-    step = np.minimum(_FIRST * np.where(theta == 0.0, 1.0, np.abs(theta)), 0.5 * width)
+    step = _first_steps(theta, low, high)
     step = np.where(theta + step > high, -step, step)
     simplex = np.vstack([theta, theta + np.diag(step)])
     options = {"initial_simplex": simplex, "maxfev": max_evaluations, "fatol": _LOOSE, "xatol": np.inf}
@@ -29,12 +29,16 @@ def searched(evidence, theta, low, high, max_evaluations):
     return found.x, -float(found.fun)
 
 
+def _first_steps(theta, low, high):
+    """Steps (n,) to begin with: a part of the parameters, or of the width between their bounds."""
+    return np.minimum(_FIRST * np.where(theta == 0.0, 1.0, np.abs(theta)), 0.5 * (high - low))
+
+
 def off_bounds(evidence, theta, value, low, high):
     """Take parameters off bounds from which the log-evidence rises."""
     for k in np.flatnonzero((theta <= low) | (theta >= high)):
-        width = high[k] - low[k] if np.isfinite(high[k] - low[k]) else abs(theta[k]) or 1.0
         inwards = theta.copy()
-        inwards[k] += _FIRST**2 * width * (1.0 if theta[k] <= low[k] else -1.0)
+        inwards[k] += _FIRST * _first_steps(theta, low, high)[k] * (1.0 if theta[k] <= low[k] else -1.0)
         moved = evidence(inwards)
         if moved > value:
             theta, value = inwards, moved
@@ -47,13 +51,14 @@ def climbed(evidence, theta, value, low, high, max_evaluations):
     Parameters that come to a bound stay there.
     """
     free, root, local = (theta > low) & (theta < high), None, None
+    first = _first_steps(theta, low, high)
     for _ in range(_NEWTON):
         if not free.any() or evidence.n_evaluations > max_evaluations:
             break
         inside, centre = evidence.within(theta, free), theta[free]
         if root is None:
-            names = np.array(evidence.names)[free]
-            root = np.diag(scales(inside, centre, value, centre, low[free], high[free], names))
+            names = evidence.names_of(free)
+            root = np.diag(scales(inside, centre, value, first[free], low[free], high[free], names))
         near = np.minimum(theta - low, high - theta)[free] < _AT_BOUND * np.linalg.norm(root, axis=1)
         if near.any():
             k = np.flatnonzero(free)[near][0]
@@ -65,12 +70,32 @@ def climbed(evidence, theta, value, low, high, max_evaluations):
         local = quadratic(inside, centre, value, root, h)
         done = local.flattest[0] < -ROUND and local.rise < CLOSE
         step, root = _newton_step(local)
-        theta, value = _line(evidence, theta, value, free, step, low, high)
+        there, moved = _line(evidence, theta, value, free, step, low, high)
+        done |= moved == value  # as near as such differences come
+        theta, value = there, moved
         if done:
             break
     if local is not None:
         local = local._replace(root=root)
     return theta, value, free, local
+
+
+def polished(function, centre, value, local, rough, low, high):
+    """The rest of the way, with a known Hessian and slopes over shorter steps, which need them less long.
+
+    Returns the point, its value, and the rise to the top that is left by the last slopes.
+    """
+    h = min(slope_step_for(rough), room(centre, local.root, low, high))
+    for _ in range(_SLOPES):
+        local = local._replace(value=value, gradient=slopes(function, centre, local.root, h))
+        if local.rise < _POLISHED + rough:
+            break
+        there = np.clip(centre + local.shift, low, high)
+        moved = function(there)
+        if moved < value:
+            break
+        centre, value = there, moved
+    return centre, value, local.rise
 
 
 def _newton_step(local):
@@ -110,9 +135,7 @@ def ridge(evidence, theta, free, covariance, k):
     root = np.linalg.cholesky(held)
     for _ in range(_NEWTON):
         inside = evidence.within(theta, free)
-        steps = _STEP * root.T
-        ahead, behind = (np.array([inside(theta[free] + s * d) for d in steps]) for s in (1.0, -1.0))
-        gradient = (ahead - behind) / (2.0 * _STEP)
+        gradient = slopes(inside, theta[free], root, _STEP)
         if not np.isfinite(gradient).all() or 0.5 * gradient @ gradient < CLOSE:
             break
         there = theta.copy()

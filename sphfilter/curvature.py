@@ -10,10 +10,10 @@ import numpy as np
 
 from .errors import EstimationError
 
-__all__ = ["Quadratic", "quadratic", "roughness", "scales", "step_for"]
+__all__ = ["Quadratic", "quadratic", "roughness", "scales", "slope_step_for", "slopes", "step_for"]
 
 _FALL = 0.1, 2.0  # nats by which the function should fall over one of the scales found
-_DOUBLINGS = 20
+_TRIES = 12
 _NEAR = 0.01  # spacing of the points that roughness is seen on, in standard errors
 _STEPS = 0.03, 0.7  # in standard errors
 
@@ -71,14 +71,11 @@ def scales(function, centre, value, first, low, high, names):
     for k, name in enumerate(names):
         room = min(centre[k] - low[k], high[k] - centre[k])
         d, axis = min(first[k], room), np.eye(len(centre))[k]
-        for _ in range(_DOUBLINGS):
+        for _ in range(_TRIES):
             fall = value - 0.5 * (function(centre + d * axis) + function(centre - d * axis))
-            if fall > _FALL[1]:
-                d *= 0.5 if fall == np.inf else max(0.1, fall**-0.5)
-            elif fall < _FALL[0] and d < room:
-                d = min(room, 2.0 * d if fall < 0.25 * _FALL[0] else 1.5 * d)
-            else:
+            if _FALL[0] <= fall <= _FALL[1] or (fall < _FALL[0] and d == room):
                 break
+            d = min(room, d * np.clip(np.sqrt(0.5 / max(fall, 1e-9)), 0.2, 4.0))  # as if it were a parabola
         else:
             raise EstimationError(
                 f"the measurements do not determine {name!r}: from {centre[k] - d:.4g} to "
@@ -119,6 +116,12 @@ def quadratic(function, centre, value, root, h):
     return Quadratic(value, (above - below) / (2.0 * h), hessian, root)
 
 
+def slopes(function, centre, root, h):
+    """Gradient by differences over h columns of `root` (n, n)."""
+    ahead, behind = (np.array([function(centre + s * h * d) for d in root.T]) for s in (1.0, -1.0))
+    return (ahead - behind) / (2.0 * h)
+
+
 def roughness(function, centre, value, root):
     """Standard deviation of a function's values around a parabola through close points."""
     along = _NEAR * root.sum(axis=1) / np.sqrt(len(centre))
@@ -135,3 +138,8 @@ def step_for(rough):
     f h² / 12; here f is one, that of a log-evidence as far from quadratic as a standard error from its value.
     """
     return float(np.clip((12.0 * np.sqrt(6.0) * rough) ** 0.25, *_STEPS))
+
+
+def slope_step_for(rough):
+    """As `step_for`, of first differences, with a third derivative of one."""
+    return float(np.clip((3.0 / np.sqrt(2.0) * rough) ** (1.0 / 3.0), *_STEPS))

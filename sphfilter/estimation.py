@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from .ascent import CLOSE, ROUND, climbed, off_bounds, ridge, room, searched
+from .ascent import CLOSE, ROUND, climbed, off_bounds, polished, ridge, room, searched
 from .curvature import quadratic, roughness, step_for
 from .errors import EstimationError, ModelError, nearest
 from .evidence import Evidence, checked_guess
@@ -134,15 +134,17 @@ def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluat
     theta, value = searched(evidence, theta, low, high, max_evaluations)
     theta, value = off_bounds(evidence, theta, value, low, high)
     theta, value, free, local = climbed(evidence, theta, value, low, high, max_evaluations)
-    rough, covariance = 0.0, np.full((len(names), len(names)), np.nan)
+    rough, left, covariance = 0.0, 0.0, np.full((len(names), len(names)), np.nan)
     if local is not None:
         inside, centre = evidence.within(theta, free), theta[free]
         rough = roughness(inside, centre, value, local.root)
+        centre, value, left = polished(inside, centre, value, local, rough, low[free], high[free])
+        theta[free] = centre
         h = min(step_for(rough), room(centre, local.root, low[free], high[free]))
         local = quadratic(inside, centre, value, local.root, h)
-        _refuse_flat(local, rough / h**2, np.array(names)[free])
+        _refuse_flat(local, rough / h**2, evidence.names_of(free))
         covariance[np.ix_(free, free)] = local.covariance
-    converged = local is None or local.rise < CLOSE + 3.0 * rough
+    converged = left < CLOSE + rough
     return _told(evidence, theta, value, covariance, rough, free, converged)
 
 
@@ -200,7 +202,7 @@ def _refuse_flat(local, noise, names):
 
 def _told(evidence, theta, value, covariance, rough, free, converged):
     """The result, with a sentence about it."""
-    held = tuple(np.array(evidence.names)[~free])
+    held = tuple(evidence.names_of(~free))
     said = "the maximum was found" if converged else "the search was stopped before it had found the maximum"
     if held:
         said += f"; on a bound, without a standard error: {', '.join(held)}"

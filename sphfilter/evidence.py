@@ -67,6 +67,10 @@ class Evidence:
         """Parameters by name."""
         return dict(zip(self.names, map(float, theta), strict=True))
 
+    def names_of(self, which):
+        """Names of some parameters, bool (n,)."""
+        return [name for name, one in zip(self.names, which, strict=True) if one]
+
     def within(self, theta, free):
         """As a function of the free parameters, the others held."""
 
