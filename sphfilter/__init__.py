@@ -27,6 +27,7 @@ from .health import Health, health
 from .info import PredictInfo, ResampleInfo, UpdateInfo
 from .initial import Gaussian, Uniform, initialize
 from .measurements import GaussianMeasurement, LikelihoodMeasurement
+from .model_comparison import ModelComparison, compare_models
 from .models import SDE, LinearSDE
 from .predict import predict
 from .report import Report, report
@@ -55,6 +56,7 @@ __all__ = [
     "LikelihoodMeasurement",
     "LinearSDE",
     "LogDensityScheme",
+    "ModelComparison",
     "ModelError",
     "PaperScheme",
     "ParameterFit",
@@ -71,6 +73,7 @@ __all__ = [
     "Uniform",
     "UpdateInfo",
     "__version__",
+    "compare_models",
     "consistency",
     "fit_parameters",
     "health",

@@ -12,7 +12,8 @@ import numpy as np
 from .ascent import CLOSE, ROUND, climbed, off_bounds, polished, ridge, room, searched
 from .curvature import quadratic, roughness, step_for
 from .errors import EstimationError, ModelError, nearest
-from .evidence import Evidence, checked_guess
+from .evidence import Evidence, checked_guess, fingerprint
+from .results import FilterResult
 
 __all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
 
@@ -29,8 +30,12 @@ class ParameterFit:
         Inverse of the negative Hessian of the log-evidence; NaN for parameters on a bound.
     log_evidence : float
         At the estimate, nats.
+    result : FilterResult
+        Of the filter at the estimate.
     n_readings : int
         Measured numbers, NaN not counted.
+    data : str
+        Fingerprint of times and measurements.
     n_evaluations : int
         Runs of the filter.
     roughness : float
@@ -45,7 +50,9 @@ class ParameterFit:
     standard_error: MappingProxyType
     covariance: np.ndarray
     log_evidence: float
+    result: FilterResult
     n_readings: int
+    data: str
     n_evaluations: int
     roughness: float
     at_bound: tuple
@@ -211,7 +218,9 @@ def _told(evidence, theta, value, covariance, rough, free, converged):
         standard_error=MappingProxyType(evidence.named(np.sqrt(np.diag(covariance)))),
         covariance=covariance,
         log_evidence=value,
+        result=evidence.result(theta),
         n_readings=evidence.n_readings,
+        data=fingerprint(evidence.times, evidence.measurements),
         n_evaluations=evidence.n_evaluations,
         roughness=rough,
         at_bound=held,

@@ -1,12 +1,14 @@
 """The log-evidence of measurements as a function of parameters."""
 
+import hashlib
+
 import numpy as np
 
 from . import validate
 from .errors import EstimationError, ModelError, SphfilterError, nearest
 from .filter import SPHFilter
 
-__all__ = ["Evidence", "checked_guess"]
+__all__ = ["Evidence", "checked_guess", "fingerprint", "n_readings"]
 
 
 def checked_guess(guess, bounds):
@@ -34,7 +36,7 @@ class Evidence:
         self.build = _builder(filt, names) if isinstance(filt, SPHFilter) else filt
         self.times, self.measurements, self.names = np.asarray(times, dtype=float), measurements, names
         self.report, self.n_evaluations = report, 0
-        self.n_readings = sum(_n_numbers(z) for z in measurements)
+        self.n_readings = n_readings(measurements)
 
     def first(self, theta):
         """At the guess, where it has to be finite."""
@@ -55,10 +57,13 @@ class Evidence:
             return -np.inf
         return value if np.isfinite(value) else -np.inf
 
+    def result(self, theta):
+        """What the filter leaves behind."""
+        return self.build(self.named(theta)).run(self.times, self.measurements)
+
     def _run(self, theta):
         self.n_evaluations += 1
-        result = self.build(self.named(theta)).run(self.times, self.measurements)
-        value = float(np.sum(result.log_evidence))
+        value = float(np.sum(self.result(theta).log_evidence))
         if self.report is not None:
             self.report(self.n_evaluations, self.named(theta), value)
         return value
@@ -98,5 +103,15 @@ def _builder(filt, names):
     return build
 
 
-def _n_numbers(z):
-    return 0 if z is None else int(np.isfinite(np.asarray(z, dtype=float)).sum())
+def n_readings(measurements):
+    """How many numbers were measured, NaN not counted."""
+    return sum(0 if z is None else int(np.isfinite(np.asarray(z, dtype=float)).sum()) for z in measurements)
+
+
+def fingerprint(times, measurements):
+    """Short hash of times and measurements; None is what NaN is."""
+    known = hashlib.sha256(np.asarray(times, dtype=float).tobytes())
+    for z in measurements:
+        z = np.atleast_1d(np.asarray(np.nan if z is None else z, dtype=float))
+        known.update(b"missing" if np.isnan(z).all() else z.tobytes())
+    return known.hexdigest()[:12]
