@@ -8,6 +8,7 @@ from sphfilter.errors import SphfilterError
 from . import listing, run, scaling
 from .benchmark import command as benchmark
 from .converge import command as converge
+from .estimate import command as estimate
 from .own_data import command as own_data
 from .skips import command as skips
 from .stress import command as stress
@@ -25,6 +26,7 @@ COMMANDS = {
     "transient": transient,
     "sweep": sweep,
     "converge": converge,
+    "estimate": estimate,
     "filter": own_data,
     "benchmark": benchmark,
     "stress": stress,

@@ -15,6 +15,7 @@ _SLOPES, _POLISHED = 4, 1e-5  # times that the last slopes are taken; nats below
 CLOSE = 2e-3  # nats below the top of the quadratic at which a maximum is found: .06 standard errors
 _LONGEST = 2.0  # standard errors that Newton's method goes at once
 ROUND = 0.05  # least curvature, over one in round coordinates, that is a curvature
+_LEVEL = 0.02  # nats that a profile is below its top where the parabola is left to tell the rest
 _AT_BOUND = 0.2  # standard errors from a bound, within which an estimate is on it
 
 
@@ -136,8 +137,11 @@ def ridge(evidence, theta, free, covariance, k):
     for _ in range(_NEWTON):
         inside = evidence.within(theta, free)
         gradient = slopes(inside, theta[free], root, _STEP)
-        if not np.isfinite(gradient).all() or 0.5 * gradient @ gradient < CLOSE:
+        rise = 0.5 * gradient @ gradient
+        if not np.isfinite(rise):
             break
+        if rise < _LEVEL:
+            return value + rise
         there = theta.copy()
         there[free] += root @ (gradient * min(1.0, 1.5 / np.linalg.norm(gradient)))
         moved = evidence(there)
