@@ -21,7 +21,12 @@ _DATA = Path(__file__).parents[1] / "data"
 #: Name under which the variance of a sensor's noise is fitted, where it is one number on the diagonal.
 SENSOR = "R"
 #: Parameters that are fitted unless others are asked for, where not all can be: a common factor of others.
-_FITTED = {"duffing": ("xi", "gamma", "epsilon"), "sunspots": ("w", "mu", "b", "g", SENSOR)}
+_DUFFING = ("xi", "gamma", "epsilon")
+_FITTED = {
+    "duffing": _DUFFING,
+    "duffing_square": _DUFFING,
+    "sunspots": ("w", "mu", "b", "g", SENSOR),
+}
 #: Measurements that are simulated at least: fewer say little about a parameter.
 _MEASUREMENTS = 60
 _PARTICLES = 400, 250  # of scenarios, and of the sunspots, whose 249 years take seconds
