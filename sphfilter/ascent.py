@@ -5,14 +5,14 @@ from scipy.optimize import minimize
 
 from .curvature import quadratic, scales, slope_step_for, slopes
 
-__all__ = ["CLOSE", "ROUND", "climbed", "off_bounds", "polished", "ridge", "room", "searched"]
+__all__ = ["ROUND", "climbed", "off_bounds", "polished", "ridge", "room", "searched"]
 
 _FIRST = 0.1  # of a guess, or of the width of its bounds: first step of the search
 _LOOSE = 0.3  # nats between the corners of a simplex at which the search leaves the rest to Newton
 _STEP = 0.6  # of differences on the way, in standard errors
 _NEWTON = 8
 _SLOPES, _POLISHED = 4, 1e-5  # times that the last slopes are taken; nats below the top that are enough
-CLOSE = 2e-3  # nats below the top of the quadratic at which a maximum is found: .06 standard errors
+_CLOSE = 2e-3  # nats below the top of the quadratic at which a maximum is found: .06 standard errors
 _LONGEST = 2.0  # standard errors that Newton's method goes at once
 ROUND = 0.05  # least curvature, over one in round coordinates, that is a curvature
 _LEVEL = 0.02  # nats that a profile is below its top where the parabola is left to tell the rest
@@ -69,7 +69,7 @@ def climbed(evidence, theta, value, low, high, max_evaluations):
             continue
         h = min(_STEP, room(centre, root, low[free], high[free]))
         local = quadratic(inside, centre, value, root, h)
-        done = local.flattest[0] < -ROUND and local.rise < CLOSE
+        done = local.flattest[0] < -ROUND and local.rise < _CLOSE
         step, root = _newton_step(local)
         there, moved = _line(evidence, theta, value, free, step, low, high)
         done |= moved == value  # as near as such differences come

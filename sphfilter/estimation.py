@@ -9,13 +9,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from .ascent import CLOSE, ROUND, climbed, off_bounds, polished, ridge, room, searched
+from .ascent import ROUND, climbed, off_bounds, polished, ridge, room, searched
 from .curvature import quadratic, roughness, step_for
 from .errors import EstimationError, ModelError, nearest
 from .evidence import Evidence, checked_guess, fingerprint
 from .results import FilterResult
 
 __all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
+
+_NEAR = 0.25  # standard errors from the maximum, that count as found
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class ParameterFit:
     Attributes
     ----------
     estimate, standard_error : mapping of str to float
-        Standard errors are those of the others held at their bounds; NaN for a parameter on a bound.
+        The standard error of a parameter on a bound is NaN; it is held there for those of the others.
     covariance : ndarray, shape (n, n)
         Inverse of the negative Hessian of the log-evidence; NaN for parameters on a bound.
     log_evidence : float
@@ -42,6 +44,7 @@ class ParameterFit:
         Standard deviation of the log-evidence around a smooth function, nats, as seen at the estimate.
     at_bound : tuple of str
     converged : bool
+        The maximum is, by the slopes of the log-evidence, within a quarter of a standard error.
     status : str
         What happened, as a sentence.
     """
@@ -151,8 +154,7 @@ def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluat
         local = quadratic(inside, centre, value, local.root, h)
         _refuse_flat(local, rough / h**2, evidence.names_of(free))
         covariance[np.ix_(free, free)] = local.covariance
-    converged = left < CLOSE + rough
-    return _told(evidence, theta, value, covariance, rough, free, converged)
+    return _told(evidence, theta, value, covariance, rough, free, np.sqrt(2.0 * max(left, 0.0)))
 
 
 def profile_evidence(filt, times, measurements, fit, name, values):
@@ -207,10 +209,11 @@ def _refuse_flat(local, noise, names):
     )
 
 
-def _told(evidence, theta, value, covariance, rough, free, converged):
-    """The result, with a sentence about it."""
-    held = tuple(evidence.names_of(~free))
+def _told(evidence, theta, value, covariance, rough, free, off):
+    """The result, with a sentence about it; the last slopes say that the maximum is `off` standard errors."""
+    held, converged = tuple(evidence.names_of(~free)), off < _NEAR
     said = "the maximum was found" if converged else "the search was stopped before it had found the maximum"
+    said += f", by its slopes {off:.1g} standard errors away" if off > 0.01 else ""
     if held:
         said += f"; on a bound, without a standard error: {', '.join(held)}"
     return ParameterFit(
