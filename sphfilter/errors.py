@@ -5,6 +5,7 @@ from difflib import get_close_matches
 __all__ = [
     "CampaignError",
     "ConfigError",
+    "EstimationError",
     "ExpressionError",
     "ModelError",
     "PropagationError",
@@ -65,6 +66,10 @@ class ModelError(SphfilterError, ValueError):
         ...
     sphfilter.errors.ModelError: noise_cov is not positive definite: its smallest eigenvalue, ...
     """
+
+
+class EstimationError(SphfilterError, RuntimeError):
+    """Parameters that the measurements do not determine, or whose evidence cannot be computed."""
 
 
 class PropagationError(SphfilterError, RuntimeError):

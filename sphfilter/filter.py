@@ -149,6 +149,7 @@ class SPHFilter:
         )
 
     density = property(lambda self: self._density, doc="The density now.")
+    adapts = property(lambda self: self._adapts, doc='Made with ``n_particles="auto"``.')
     t = property(lambda self: self._density.t, doc="Time of the density, seconds.")
     likelihood = property(
         lambda self: float(np.exp(self.log_likelihood)), doc="Evidence of the last measurement."
