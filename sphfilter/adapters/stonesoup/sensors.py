@@ -68,12 +68,10 @@ class ModelMeasurement:
 
     def types(self, x):
         """Types of the components of a reading of one state (n,), such as Bearing."""
-        return [
-            type(value) for value in np.asarray(self._model.function(self._state(x[None]), noise=False)).flat
-        ]
+        return [type(value) for value in np.asarray(self._model.function(self._state(x), noise=False)).flat]
 
     def _state(self, X):
-        return State(StateVectors(np.asarray(X).T), timestamp=self._timestamp)
+        return State(StateVectors(np.atleast_2d(X).T), timestamp=self._timestamp)
 
 
 class Association:

@@ -1,5 +1,8 @@
 """Stone Soup's updater interface to the update: density times likelihood."""
 
+from dataclasses import replace
+
+import numpy as np
 from stonesoup.base import Property
 from stonesoup.models.measurement.base import MeasurementModel
 from stonesoup.types.array import CovarianceMatrix
@@ -12,7 +15,7 @@ from ...adapt import Prediction as PredictionOrigin
 from ...adapt import Update as UpdateOrigin
 from ...adapt import update_repeating
 from ...config import FilterConfig, checked_filter_config
-from ...errors import ModelError
+from ...errors import ModelError, PropagationError
 from ...info import UpdateInfo
 from ...resample import bound
 from ...update import predicted_reading
@@ -22,6 +25,8 @@ from .states import SPHState, current, density_of, origin_of, remember
 
 __all__ = ["SPHUpdater"]
 
+_FINER = 1, 3, 9  # times the particles that an association is tried on
+_RESOLVED = 0.01  # standard deviations that its mean may be off, and part of its mass
 _START = 200  # particles of a Gaussian state, unless n_particles says otherwise
 
 
@@ -107,30 +112,49 @@ class SPHUpdater(Updater):
         return self._posterior(prediction, hypothesis, found, (sensor, z), hypothesis.measurement.timestamp)
 
     def _associated(self, hypotheses):
-        missed, parts = 0.0, []
         prediction = _one_prediction(hypotheses)
+        density, missed, parts, posteriors = self._density(prediction), 0.0, [], []
         for hypothesis in hypotheses:
             weight = _probability(hypothesis)
-            info = self._updated(prediction, hypothesis.measurement)[2] if hypothesis and weight else None
-            if info is None or not info.accepted:  # a detection that would not be used alone is not used here
+            found = self._updated(prediction, hypothesis.measurement) if hypothesis and weight else None
+            if found is None or not found[2].accepted:  # what would not be used alone is not used here
                 missed += weight
             else:
                 sensor, z = self._asked(prediction, hypothesis.measurement)
-                parts.append((sensor, z, weight, info.log_evidence))
-        density = self._density(prediction)
+                parts.append((sensor, z, weight, found[2].log_evidence))
+                posteriors.append((weight, found[1]))
         if not parts:
             return self._posterior(prediction, hypotheses, (density, density, _nothing(density)), None)
         sensor, z = Association(missed, parts), tuple(part[1] for part in parts)
-        return self._posterior(prediction, hypotheses, self._multiplied(prediction, sensor, z), (sensor, z))
+        found = self._resolved(prediction, sensor, z, [(missed, density), *posteriors])
+        return self._posterior(prediction, hypotheses, found, (sensor, z))
+
+    def _resolved(self, prediction, sensor, z, parts):
+        """As `_multiplied`, on more particles where the posteriors' mixture needs them to have its mean."""
+        expected = _mixed_mean(parts)
+        for times in _FINER:
+            try:
+                prior, density, info = self._multiplied(prediction, sensor, z, times)
+            except PropagationError:
+                if times == _FINER[-1]:
+                    raise
+                continue
+            error = _error(density, expected, info.log_evidence)
+            if error < _RESOLVED:
+                break
+        if times > 1:
+            told = "" if error < _RESOLVED else f", and has its mean within {error:.2g} standard deviations"
+            info = replace(info, status=f"the association is on {times} times the particles{told}")
+        return prior, density, info
 
     def _updated(self, prediction, detection):
         """Prior as it was used, posterior and info of one detection."""
         return self._multiplied(prediction, *self._asked(prediction, detection))
 
-    def _multiplied(self, prediction, sensor, z):
+    def _multiplied(self, prediction, sensor, z, times=1):
         density, origin = self._density(prediction), origin_of(prediction)
         origin = origin if isinstance(origin, PredictionOrigin) else PredictionOrigin()
-        n_particles = bound(density, self.n_particles)
+        n_particles = times * bound(density, self.n_particles)
         config = checked_filter_config(self.config)
         return update_repeating(origin, density, origin.model, sensor, z, config, n_particles)
 
@@ -157,6 +181,20 @@ class SPHUpdater(Updater):
     def _density(self, state):
         n_particles = _START if self.n_particles is None else count("n_particles", self.n_particles)
         return density_of(state, n_particles, checked_filter_config(self.config))
+
+
+def _mixed_mean(parts):
+    """Mean of a mixture of densities with weights, shape (n,); None where means are those of angles."""
+    if any(density.domain is not None for _, density in parts):
+        return None
+    return np.sum([weight * density.mean() for weight, density in parts], axis=0) / sum(w for w, _ in parts)
+
+
+def _error(density, expected, log_mass):
+    """How far a posterior is off its mean, in standard deviations, or off the mass one."""
+    if expected is None:
+        return abs(log_mass)
+    return max(abs(log_mass), np.abs((density.mean() - expected) / np.sqrt(np.diag(density.cov()))).max())
 
 
 def _one_prediction(hypotheses):
