@@ -57,7 +57,7 @@ def test_evidence_is_the_integral(two_wells):
 @pytest.mark.parametrize("variance", [0.2, 0.05, 0.01])
 @pytest.mark.parametrize("prob_detect", [0.5, 0.95])
 def test_association_is_the_mixture_on_one_lattice(two_wells, variance, prob_detect):
-    """P_D l_i / lambda for each detection beside 1 - P_D for none, times the density: brute-force quadrature."""
+    """P_D l_i / lambda for each detection and 1 - P_D for none, times the density, summed over a grid."""
     predictor, updater, clutter = SPHPredictor(duffing()), SPHUpdater(position(variance)), 0.1
     hypothesiser = EvidenceHypothesiser(predictor, updater, clutter, prob_detect, prob_gate=1)
     detections = {seen(2.6, seconds=3), seen(-1.0, seconds=3)}
@@ -205,5 +205,5 @@ def test_any_likelihood_is_associated():
     laplace = [np.exp(-np.abs(z - GRID[:, 0]) / 0.3) / 0.6 for z in (2.5, 0.5)]
     density = predictor.predict(track, at(1)).density
     _, mean, cov = _posterior(density, 0.1 + 9.0 * sum(laplace))
-    assert posterior.timestamp == at(1) and START < at(1)
+    assert posterior.timestamp == at(1) and at(1) > START
     assert max(off(posterior, mean, cov)) < 0.02

@@ -63,7 +63,7 @@ def _component_from_yaml(constructor, tag_suffix, node):
     if not found:
         raise ConstructorError("while reading a component", node.start_mark, f"there is no {name}")
     constructor.deep_construct = True  # parts have to be complete before the whole is made
-    properties = next(iter(constructor.construct_yaml_omap(node)))
+    (properties,) = list(constructor.construct_yaml_omap(node))  # yielded empty, filled when asked on
     try:
         return found[0](**properties)
     except (SphfilterError, TypeError) as problem:
