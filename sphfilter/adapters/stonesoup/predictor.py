@@ -1,7 +1,5 @@
 """Stone Soup's predictor interface to the solver."""
 
-from collections import OrderedDict
-
 from stonesoup.base import Property
 from stonesoup.models.transition.base import TransitionModel
 from stonesoup.predictor.base import Predictor
@@ -13,6 +11,7 @@ from ...config import FilterConfig, checked_filter_config
 from ...errors import ModelError
 from ...predict import predict
 from ...validate import count
+from .recent import Recent
 from .states import SPHState, current, density_of, origin_of, remember, retimed
 from .transition import transition_of
 
@@ -51,7 +50,7 @@ class SPHPredictor(Predictor):
         if self.control_model is not None:
             raise ModelError(_NO_CONTROL.format("control_model"))
         self.transition_model = transition_of(self.transition_model)
-        self._kept = OrderedDict()
+        self._kept = Recent(_KEPT)
 
     def predict(self, prior, timestamp=None, *, control_input=None, **kwargs):
         """Predict to a timestamp.
@@ -97,21 +96,17 @@ class SPHPredictor(Predictor):
         transition = self.transition_model
         sde, start = transition.sde, retimed(density, transition, prior.timestamp)
         key = start, sde, sde.p.tobytes(), dt, config, n_particles
-        if key not in self._kept:
 
-            def predicted(start):
-                start = retimed(start, transition, prior.timestamp)
-                return *predict(start, sde, dt, config, n_particles=n_particles), n_particles
-
+        def carried():
             origin = origin_of(prior)
             before, (moved, info, _) = predict_relaying(predicted, sde, start, origin, config, n_particles)
-            self._kept[key] = retimed(before, transition, prior.timestamp), moved, info
-            if len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
-        return self._kept[key]
+            return retimed(before, transition, prior.timestamp), moved, info
 
-    def __getstate__(self):
-        return {**self.__dict__, "_kept": OrderedDict()}
+        def predicted(density):
+            density = retimed(density, transition, prior.timestamp)
+            return *predict(density, sde, dt, config, n_particles=n_particles), n_particles
+
+        return self._kept.result(key, carried)
 
 
 def _seconds(start, end):

@@ -1,7 +1,6 @@
 """Stone Soup's measurement models and detections as sensors of the filter."""
 
 import numpy as np
-from scipy.special import logsumexp
 from stonesoup.models.base import GaussianModel, LinearModel
 from stonesoup.models.measurement.base import MeasurementModel
 from stonesoup.types.array import StateVector, StateVectors
@@ -12,7 +11,7 @@ from ...errors import ModelError
 from ...measurements import GaussianMeasurement
 from ...validate import covariance, short
 
-__all__ = ["Association", "ModelMeasurement", "reading_of", "sensor_for", "typed"]
+__all__ = ["ModelMeasurement", "reading_of", "sensor_for", "typed"]
 
 _PROBED = 2.0, 4.0  # radians: a type that keeps both but for whole turns is an angle of the whole circle
 
@@ -72,39 +71,6 @@ class ModelMeasurement:
 
     def _state(self, X):
         return State(StateVectors(np.atleast_2d(X).T), timestamp=self._timestamp)
-
-
-class Association:
-    """The likelihood of detections of which one at most is the target's, whose probabilities are given.
-
-    p(x | all) = p(x) (b_0 + sum_i b_i p(z_i | x) / p(z_i)): each detection's posterior, and the prior for a
-    miss, weighted as data association has weighted them. No mixture is merged.
-
-    Parameters
-    ----------
-    missed : float
-        b_0, the probability that none is.
-    parts : sequence of (sensor, z, b_i, log p(z_i))
-    """
-
-    H = directly_observed = noise_cov = None
-    angles = ()
-
-    def __init__(self, missed, parts):
-        total = missed + sum(weight for _, _, weight, _ in parts)
-        self._missed = missed / total
-        self._parts = [(sensor, z, np.log(weight / total) - log_p) for sensor, z, weight, log_p in parts]
-
-    def observed(self, z):
-        """Something was."""
-        return np.ones(1, dtype=bool)
-
-    def log_likelihood(self, z, X, t=0.0):
-        """Logarithm of the sum above for each state X (N, n), shape (N,)."""
-        with np.errstate(divide="ignore"):
-            terms = [np.full(len(X), np.log(self._missed))]
-        terms += [scale + sensor.log_likelihood(z, X, t) for sensor, z, scale in self._parts]
-        return logsumexp(terms, axis=0)
 
 
 def sensor_for(model, timestamp):

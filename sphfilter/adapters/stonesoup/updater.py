@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 from stonesoup.base import Property
 from stonesoup.models.measurement.base import MeasurementModel
 from stonesoup.types.array import CovarianceMatrix
@@ -20,13 +19,15 @@ from ...info import UpdateInfo
 from ...resample import bound
 from ...update import predicted_reading
 from ...validate import count
-from .sensors import Association, reading_of, sensor_for, typed
+from .association import FINER, Association, alone, error_of, mixed_mean, one_prediction, probability_of
+from .recent import Recent
+from .sensors import reading_of, sensor_for, typed
 from .states import SPHState, current, density_of, origin_of, remember
 
 __all__ = ["SPHUpdater"]
 
-_FINER = 1, 3, 9  # times the particles that an association is tried on
 _RESOLVED = 0.01  # standard deviations that its mean may be off, and part of its mass
+_KEPT = 256  # detections of late
 _START = 200  # particles of a Gaussian state, unless n_particles says otherwise
 
 
@@ -47,6 +48,10 @@ class SPHUpdater(Updater):
     )
     n_particles: int = Property(default=None, doc="Upper bound of the number of particles.")
     config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self._kept = Recent(_KEPT)
 
     def predict_measurement(self, predicted_state, measurement_model=None, measurement_noise=True, **kwargs):
         """Mean and covariance of the next detection, and its covariance with the state.
@@ -78,8 +83,11 @@ class SPHUpdater(Updater):
         )
 
     def log_evidence(self, prediction, detection):
-        """Logarithm of the predicted density of a detection: of the integral of density times likelihood."""
-        return self._updated(prediction, detection)[2].log_evidence
+        """Logarithm of the predicted density of a detection: of the integral of density times likelihood.
+
+        Where no lattice holds the product, which is next to nothing there, it is a sum over the particles.
+        """
+        return self._alone(prediction, *self._asked(prediction, detection)).log_evidence
 
     def update(self, hypothesis, **kwargs):
         """The posterior of a hypothesis, or of an association of several (PDA, JPDA).
@@ -103,53 +111,60 @@ class SPHUpdater(Updater):
         """
         if isinstance(hypothesis, MultipleHypothesis):
             return self._associated(hypothesis)
-        prediction = hypothesis.prediction
+        prediction, detection = hypothesis.prediction, hypothesis.measurement
         if not hypothesis:
             density = self._density(prediction)
             return self._posterior(prediction, hypothesis, (density, density, _nothing(density)), None)
-        sensor, z = self._asked(prediction, hypothesis.measurement)
-        found = self._updated(prediction, hypothesis.measurement)
-        return self._posterior(prediction, hypothesis, found, (sensor, z), hypothesis.measurement.timestamp)
+        asked = self._asked(prediction, detection)
+        return self._posterior(
+            prediction, hypothesis, self._multiplied(prediction, *asked), asked, detection.timestamp
+        )
 
     def _associated(self, hypotheses):
-        prediction = _one_prediction(hypotheses)
-        density, missed, parts, posteriors = self._density(prediction), 0.0, [], []
+        prediction = one_prediction(hypotheses)
+        density, missed, parts, means = self._density(prediction), 0.0, [], []
         for hypothesis in hypotheses:
-            weight = _probability(hypothesis)
-            found = self._updated(prediction, hypothesis.measurement) if hypothesis and weight else None
-            if found is None or not found[2].accepted:  # what would not be used alone is not used here
+            weight, one = probability_of(hypothesis), None
+            if hypothesis and weight > 0.0:
+                sensor, z = self._asked(prediction, hypothesis.measurement)
+                one = self._alone(prediction, sensor, z)
+            if one is None or one.mean is None:  # what would not be used alone is not used here
                 missed += weight
             else:
-                sensor, z = self._asked(prediction, hypothesis.measurement)
-                parts.append((sensor, z, weight, found[2].log_evidence))
-                posteriors.append((weight, found[1]))
+                parts.append((sensor, z, weight, one.log_evidence))
+                means.append((weight, one.mean))
         if not parts:
             return self._posterior(prediction, hypotheses, (density, density, _nothing(density)), None)
         sensor, z = Association(missed, parts), tuple(part[1] for part in parts)
-        found = self._resolved(prediction, sensor, z, [(missed, density), *posteriors])
+        mixed = None if density.domain is not None else mixed_mean([(missed, density.mean()), *means])
+        found = self._resolved(prediction, sensor, z, mixed)
         return self._posterior(prediction, hypotheses, found, (sensor, z))
 
-    def _resolved(self, prediction, sensor, z, parts):
-        """As `_multiplied`, on more particles where the posteriors' mixture needs them to have its mean."""
-        expected = _mixed_mean(parts)
-        for times in _FINER:
+    def _alone(self, prediction, sensor, z):
+        """What a detection says alone; kept for data association, which scores it first and uses it then."""
+        density, config = self._density(prediction), checked_filter_config(self.config)
+        log_likelihood = sensor.log_likelihood(z, density.x, density.t)
+        key = density, log_likelihood.tobytes(), config, self.n_particles
+        return self._kept.result(
+            key, lambda: alone(density, sensor, z, config, self.n_particles, log_likelihood)
+        )
+
+    def _resolved(self, prediction, sensor, z, expected):
+        """As `_multiplied`, on more particles where it takes them to have the mean of its parts."""
+        for times in FINER:
             try:
                 prior, density, info = self._multiplied(prediction, sensor, z, times)
             except PropagationError:
-                if times == _FINER[-1]:
+                if times == FINER[-1]:
                     raise
                 continue
-            error = _error(density, expected, info.log_evidence)
+            error = error_of(density, expected, info.log_evidence)
             if error < _RESOLVED:
                 break
         if times > 1:
             told = "" if error < _RESOLVED else f", and has its mean within {error:.2g} standard deviations"
             info = replace(info, status=f"the association is on {times} times the particles{told}")
         return prior, density, info
-
-    def _updated(self, prediction, detection):
-        """Prior as it was used, posterior and info of one detection."""
-        return self._multiplied(prediction, *self._asked(prediction, detection))
 
     def _multiplied(self, prediction, sensor, z, times=1):
         density, origin = self._density(prediction), origin_of(prediction)
@@ -181,43 +196,6 @@ class SPHUpdater(Updater):
     def _density(self, state):
         n_particles = _START if self.n_particles is None else count("n_particles", self.n_particles)
         return density_of(state, n_particles, checked_filter_config(self.config))
-
-
-def _mixed_mean(parts):
-    """Mean of a mixture of densities with weights, shape (n,); None where means are those of angles."""
-    if any(density.domain is not None for _, density in parts):
-        return None
-    return np.sum([weight * density.mean() for weight, density in parts], axis=0) / sum(w for w, _ in parts)
-
-
-def _error(density, expected, log_mass):
-    """How far a posterior is off its mean, in standard deviations, or off the mass one."""
-    if expected is None:
-        return abs(log_mass)
-    return max(abs(log_mass), np.abs((density.mean() - expected) / np.sqrt(np.diag(density.cov()))).max())
-
-
-def _one_prediction(hypotheses):
-    """The prediction that hypotheses share."""
-    predictions = [hypothesis.prediction for hypothesis in hypotheses]
-    if not predictions:
-        raise ModelError("there is no hypothesis: data association keeps one at least, that of a miss")
-    times = {prediction.timestamp for prediction in predictions}
-    if len(times) > 1:
-        raise ModelError(
-            f"the detections of an association have {len(times)} timestamps: give those of one time to it, "
-            f"or associate each alone (NearestNeighbour)"
-        )
-    return predictions[0]
-
-
-def _probability(hypothesis):
-    if not hasattr(hypothesis, "probability"):
-        raise ModelError(
-            "an association needs hypotheses with probabilities (PDAHypothesiser, EvidenceHypothesiser), "
-            f"got a {type(hypothesis).__name__}"
-        )
-    return float(hypothesis.probability)
 
 
 def _nothing(density):
