@@ -3,6 +3,7 @@
 import numpy as np
 from stonesoup.models.base import GaussianModel, LinearModel
 from stonesoup.models.measurement.base import MeasurementModel
+from stonesoup.types.angle import Bearing
 from stonesoup.types.array import StateVector, StateVectors
 from stonesoup.types.detection import Detection
 from stonesoup.types.state import State
@@ -111,12 +112,11 @@ def reading_of(detection, sensor):
 
 def typed(reading, sensor, x):
     """A reading (k,) as a StateVector with the angle types of the sensor at a state x (n,)."""
-    if not isinstance(sensor, ModelMeasurement) or not sensor.angles:
+    angles = getattr(sensor, "angles", ())
+    if not angles:
         return StateVector(reading)
-    kinds = sensor.types(x)
-    return StateVector(
-        [kind(value) if _turns(kind(0.0)) else value for kind, value in zip(kinds, reading, strict=True)]
-    )
+    types = sensor.types(x) if isinstance(sensor, ModelMeasurement) else len(reading) * [Bearing]
+    return StateVector([types[i](v) if i in angles else float(v) for i, v in enumerate(reading)])
 
 
 def _turns(value):
