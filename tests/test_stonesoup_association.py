@@ -8,17 +8,20 @@ import sphfilter as sf
 
 pytest.importorskip("stonesoup")
 
+from stonesoup.base import Property
 from stonesoup.dataassociator.neighbour import GlobalNearestNeighbour, NearestNeighbour
 from stonesoup.dataassociator.probability import JPDA, PDA
 from stonesoup.gater.distance import DistanceGater
 from stonesoup.hypothesiser.distance import DistanceHypothesiser
 from stonesoup.hypothesiser.probability import PDAHypothesiser
 from stonesoup.measures import Mahalanobis
+from stonesoup.models.measurement.base import MeasurementModel
 from stonesoup.models.measurement.nonlinear import CartesianToBearingRange
 from stonesoup.models.transition.linear import ConstantVelocity
 from stonesoup.predictor.kalman import KalmanPredictor
-from stonesoup.types.hypothesis import SingleDistanceHypothesis
+from stonesoup.types.hypothesis import SingleDistanceHypothesis, SingleHypothesis
 from stonesoup.types.multihypothesis import MultipleHypothesis
+from stonesoup.types.state import GaussianState
 from stonesoup.types.track import Track
 from stonesoup.updater.kalman import KalmanUpdater
 
@@ -207,3 +210,56 @@ def test_any_likelihood_is_associated():
     _, mean, cov = _posterior(density, 0.1 + 9.0 * sum(laplace))
     assert posterior.timestamp == at(1) and at(1) > START
     assert max(off(posterior, mean, cov)) < 0.02
+
+
+class Exponential(MeasurementModel):
+    """A sensor of Stone Soup's that is not Gaussian: z - x_0 > 0 is exponential."""
+
+    scale: float = Property(doc="Mean of the error.")
+    ndim_meas = 1
+
+    def function(self, state, noise=False, **kwargs):
+        return state.state_vector[:1, :]
+
+    def logpdf(self, state1, state2, **kwargs):
+        error = float(state1.state_vector[0]) - np.asarray(state2.state_vector[0, :], dtype=float)
+        return np.where(error > 0, -error / self.scale - np.log(self.scale), -np.inf)
+
+    def pdf(self, state1, state2, **kwargs):
+        return np.exp(self.logpdf(state1, state2))
+
+    def rvs(self, num_samples=1, **kwargs):
+        raise NotImplementedError
+
+
+def test_a_sensor_that_is_not_gaussian_is_asked_for_its_logpdf():
+    predictor, updater = SPHPredictor(duffing(), n_particles=400), SPHUpdater()
+    prediction, sensor = predictor.predict(gaussian(), at(1)), Exponential(2, (0,), scale=3.0)
+    detection = seen(7.0, seconds=1, model=sensor)
+    posterior = updater.update(SingleHypothesis(prediction, detection))
+    likelihood = np.where(GRID[:, 0] < 7.0, np.exp((GRID[:, 0] - 7.0) / 3.0) / 3.0, 0.0)
+    evidence, mean, cov = _posterior(prediction.density, likelihood)
+    assert max(off(posterior, mean, cov)) < 0.01
+    assert posterior.info.log_evidence == pytest.approx(np.log(evidence), abs=5e-3)
+    with pytest.raises(sf.ModelError, match="noise covariance"):
+        updater.predict_measurement(prediction, sensor)
+
+
+def test_association_on_a_circle():
+    """A heading of unknown turns with two detections across its seam, against a sum over the circle."""
+    walk = sf.SDE.from_expressions(["a"], ["0.3"], noise=[["0.5"]], domain=[("periodic", -np.pi, np.pi)])
+    sensor = sf.GaussianMeasurement([[1.0]], [[0.1]], angles=[0])
+    predictor, updater = SPHPredictor(walk, n_particles=100), SPHUpdater(sensor)
+    track = Track([GaussianState([2.6], [[0.1]], timestamp=START)])
+    detections = {seen(3.1, seconds=1), seen(-2.2, seconds=1)}
+    hypothesiser = EvidenceHypothesiser(predictor, updater, 0.2, 0.8, 0.999)
+    posterior = updater.update(hypothesiser.hypothesise(track, detections, at(1)))
+    angles = np.linspace(-np.pi, np.pi, 2001)[1:, None]
+    weight = np.full(len(angles), 1.0 - 0.8 * 0.999)
+    for z in (3.1, -2.2):
+        error = np.angle(np.exp(1j * (z - angles[:, 0])))
+        weight += 0.8 / 0.2 * np.exp(-0.5 * error**2 / 0.1) / np.sqrt(2 * np.pi * 0.1)
+    p = predictor.predict(track, at(1)).density.pdf(angles) * weight
+    p /= p.sum() * (angles[1] - angles[0])
+    np.testing.assert_allclose(posterior.density.pdf(angles), p, atol=0.01 * p.max())
+    assert posterior.density.pdf([[np.pi - 0.01]]) > 0.2  # the seam lies in the middle of it

@@ -1,6 +1,7 @@
 """Predictor and updater in Stone Soup, against its own Kalman and particle filters."""
 
 import copy
+import doctest
 import subprocess
 import sys
 
@@ -94,6 +95,24 @@ def test_nonlinear_filter_is_that_of_a_large_particle_cloud():
         cloud = their_updater.update(SingleHypothesis(theirs.predict(cloud, at(k)), detection))
         state = our_updater.update(SingleHypothesis(ours.predict(state, at(k)), detection))
         assert max(off(state, np.asarray(cloud.mean, dtype=float).ravel(), np.asarray(cloud.covar))) < 0.03
+
+
+def test_a_run_has_the_bits_of_the_filter():
+    """With an outlier that makes it repeat a prediction, a miss, and an outlier twice."""
+    model, sensor = duffing(), sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
+    flt = sf.SPHFilter(model, sensor, [3.0, 0.0], np.diag([0.2, 1.0]), n_particles=200)
+    predictor, updater = SPHPredictor(model, n_particles=200), SPHUpdater(position())
+    state, said = gaussian(), []
+    for k, z in enumerate([3.2, -1.5, None, 5.5, -3.0, 6.5, 2.0], start=1):
+        flt.predict(t=float(k))
+        state = predictor.predict(state, at(k))
+        if z is not None:
+            said.append(flt.update([z]).status)
+            state = updater.update(SingleHypothesis(state, seen(z, seconds=k)))
+            assert state.info.status == said[-1] and state.info.log_evidence == flt.log_likelihood
+        np.testing.assert_array_equal(state.density.x, flt.density.x)
+        np.testing.assert_array_equal(state.density.mass, flt.density.mass)
+    assert any("prediction repeated" in status for status in said)
 
 
 def test_bearings_wrap():
@@ -206,3 +225,9 @@ def test_particle_state_has_the_moments():
 )
 def test_stone_soup_is_optional(code):
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_the_page_for_users_is_right():
+    import sphfilter.adapters.stonesoup as page
+
+    assert doctest.testmod(page) == doctest.TestResults(failed=0, attempted=17)

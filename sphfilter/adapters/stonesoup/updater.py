@@ -151,20 +151,25 @@ class SPHUpdater(Updater):
 
     def _resolved(self, prediction, sensor, z, expected):
         """As `_multiplied`, on more particles where it takes them to have the mean of its parts."""
+        best = None
         for times in FINER:
             try:
-                prior, density, info = self._multiplied(prediction, sensor, z, times)
-            except PropagationError:
-                if times == FINER[-1]:
-                    raise
+                found = self._multiplied(prediction, sensor, z, times)
+            except PropagationError as problem:
+                refused = problem  # more particles may hold it
                 continue
-            error = error_of(density, expected, info.log_evidence)
+            error = error_of(found[1], expected, found[2].log_evidence)
+            if best is None or error < best[0]:
+                best = error, times, found
             if error < _RESOLVED:
                 break
-        if times > 1:
-            told = "" if error < _RESOLVED else f", and has its mean within {error:.2g} standard deviations"
-            info = replace(info, status=f"the association is on {times} times the particles{told}")
-        return prior, density, info
+        if best is None:
+            raise refused
+        error, times, (prior, density, info) = best
+        if times == 1 and error < _RESOLVED:
+            return prior, density, info
+        told = "" if error < _RESOLVED else f", its mean within {error:.2g} standard deviations"
+        return prior, density, replace(info, status=f"association on {times} times the particles{told}")
 
     def _multiplied(self, prediction, sensor, z, times=1):
         density, origin = self._density(prediction), origin_of(prediction)
