@@ -152,7 +152,7 @@ def test_predictions_are_kept_by_value_not_by_state():
     state.state_vector[0] = -3.0
     second = predictor.predict(state, at(1))
     np.testing.assert_allclose(second.density.mean(), -first.density.mean(), atol=1e-3)
-    predictor.transition_model.sde = predictor.transition_model.sde.with_parameters(c=4.0)
+    predictor.transition_model = duffing().with_parameters(c=4.0)
     assert predictor.predict(state, at(1)).density.cov()[1, 1] < 0.5 * second.density.cov()[1, 1]
 
 
@@ -200,7 +200,11 @@ def test_failures_are_sentences_and_change_nothing():
             call()
     with pytest.raises(sf.PropagationError, match="blew up"):
         wild.predict(prior, at(50))
+    with pytest.raises(sf.ModelError, match="ParticleDensity"):
+        prior.density = None
     assert prior.density is before and prior.timestamp == START
+    prior.density = predictor.predict(prior, at(1)).density
+    np.testing.assert_array_equal(prior.mean[:, 0], prior.density.mean())
 
 
 def test_particle_state_has_the_moments():

@@ -45,11 +45,14 @@ class SPHPredictor(Predictor):
     n_particles: int = Property(default=200, doc="Upper bound of the number of particles.")
     config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
 
+    @transition_model.setter
+    def transition_model(self, model):
+        self._property_transition_model = transition_of(model)
+
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
         if self.control_model is not None:
             raise ModelError(_NO_CONTROL.format("control_model"))
-        self.transition_model = transition_of(self.transition_model)
         self._kept = Recent(_KEPT)
 
     def predict(self, prior, timestamp=None, *, control_input=None, **kwargs):

@@ -49,12 +49,13 @@ class SPHState(Type):
 
     from_state = staticmethod(State.from_state)
 
-    def __init__(self, *args, **kwargs):
-        super().__init__(*args, **kwargs)
-        if not isinstance(self.density, ParticleDensity):
+    @density.setter
+    def density(self, value):
+        if not isinstance(value, ParticleDensity):
             raise ModelError(
-                f"an SPHState takes a ParticleDensity such as sf.initialize makes, got {short(self.density)}"
+                f"an SPHState takes a ParticleDensity such as sf.initialize makes, got {short(value)}"
             )
+        self._property_density = value
 
     @clearable_cached_property("density")
     def state_vector(self):
