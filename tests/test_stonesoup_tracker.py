@@ -11,7 +11,7 @@ import sphfilter as sf
 pytest.importorskip("stonesoup")
 
 from stonesoup.dataassociator.neighbour import GNNWith2DAssignment, NearestNeighbour
-from stonesoup.dataassociator.probability import PDA
+from stonesoup.dataassociator.probability import JPDA, PDA
 from stonesoup.deleter.error import CovarianceBasedDeleter
 from stonesoup.deleter.time import UpdateTimeStepsDeleter
 from stonesoup.hypothesiser.distance import DistanceHypothesiser
@@ -21,7 +21,8 @@ from stonesoup.models.measurement.linear import LinearGaussian
 from stonesoup.models.transition.linear import ConstantVelocity
 from stonesoup.predictor.particle import ParticlePredictor
 from stonesoup.resampler.particle import SystematicResampler
-from stonesoup.tracker.simple import MultiTargetTracker, SingleTargetTracker
+from stonesoup.tracker.simple import MultiTargetMixtureTracker, MultiTargetTracker, SingleTargetTracker
+from stonesoup.types.track import Track
 from stonesoup.updater.particle import ParticleUpdater
 
 from sphfilter.adapters.stonesoup import EvidenceHypothesiser, SDETransitionModel, SPHPredictor, SPHUpdater
@@ -125,6 +126,28 @@ def test_multi_target_tracker_begins_and_ends_tracks():
     assert counts[:7] == 7 * [2] and counts[-1] == 1 and len(ends) == 2
     (last,) = tracks
     assert abs(last.state.mean[0] - 6.0) < 0.5 and abs(last.state.mean[1] - 1.0) < 0.3
+
+
+def test_trackers_that_merge_mixtures_themselves():
+    """The mixture tracker with JPDA merges posteriors into Gaussians; our predictor starts from them."""
+    rng, sensor = np.random.default_rng(7), LinearGaussian(2, [0], np.array([[0.1]]))
+    paths = [lambda k: -4.0 + 0.5 * k, lambda k: 4.0 - 0.5 * k]
+    predictor, updater = SPHPredictor(ConstantVelocity(0.02), n_particles=100), SPHUpdater()
+    associator = JPDA(EvidenceHypothesiser(predictor, updater, 0.01, PROB_DETECT))
+    tracks = {Track([gaussian(mean=(path(0), path(1) - path(0)), variances=(0.1, 0.1))]) for path in paths}
+    scans = [
+        (at(k), {seen(path(k) + 0.3 * rng.normal(), seconds=k, model=sensor) for path in paths})
+        for k in range(1, 7)
+    ]
+    initiator = SinglePointInitiator(gaussian(variances=(20.0, 2.0)), updater=updater)
+    tracker = MultiTargetMixtureTracker(
+        initiator, UpdateTimeStepsDeleter(3), Recorded(scans), associator, updater
+    )
+    tracker._tracks = tracks
+    for _, now in tracker:
+        assert tracks <= now
+    ends = sorted(float(track.state.mean[0]) for track in tracks)
+    np.testing.assert_allclose(ends, sorted(path(6) for path in paths), atol=0.5)
 
 
 def test_a_failed_update_leaves_tracker_and_track_as_they_were():

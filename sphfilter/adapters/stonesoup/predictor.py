@@ -1,5 +1,7 @@
 """Stone Soup's predictor interface to the solver."""
 
+from dataclasses import replace
+
 from stonesoup.base import Property
 from stonesoup.models.transition.base import TransitionModel
 from stonesoup.predictor.base import Predictor
@@ -103,6 +105,8 @@ class SPHPredictor(Predictor):
         def carried():
             origin = origin_of(prior)
             before, (moved, info, _) = predict_relaying(predicted, sde, start, origin, config, n_particles)
+            if moved.capacity != n_particles:  # more particles for once are not more ever after
+                moved = replace(moved, capacity=n_particles)
             return retimed(before, transition, prior.timestamp), moved, info
 
         def predicted(density):

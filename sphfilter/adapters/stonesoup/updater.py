@@ -13,9 +13,10 @@ from stonesoup.updater.base import Updater
 from ...adapt import Prediction as PredictionOrigin
 from ...adapt import Update as UpdateOrigin
 from ...adapt import update_repeating
-from ...config import FilterConfig, checked_filter_config
+from ...config import FilterConfig, LogDensityScheme, checked_filter_config
 from ...errors import ModelError, PropagationError
 from ...info import UpdateInfo
+from ...level_set import reach
 from ...resample import bound
 from ...update import predicted_reading
 from ...validate import count
@@ -26,6 +27,7 @@ from .states import SPHState, current, density_of, origin_of, remember
 
 __all__ = ["SPHUpdater"]
 
+_DEEPER = 0.7  # standard deviations that lattices reach further, each time
 _RESOLVED = 0.01  # standard deviations that its mean may be off, and part of its mass
 _KEPT = 256  # detections of late
 _START = 200  # particles of a Gaussian state, unless n_particles says otherwise
@@ -150,11 +152,14 @@ class SPHUpdater(Updater):
         )
 
     def _resolved(self, prediction, sensor, z, expected):
-        """As `_multiplied`, on more particles where it takes them to have the mean of its parts."""
+        """As `_multiplied`, finer and further out until the posterior has the mean of its parts.
+
+        A part of little weight may be wide and flat beside the others, and lie below where a lattice ends.
+        """
         best = None
-        for times in FINER:
+        for level, times in enumerate(FINER):
             try:
-                found = self._multiplied(prediction, sensor, z, times)
+                found = self._multiplied(prediction, sensor, z, times, level * _DEEPER)
             except PropagationError as problem:
                 refused = problem  # more particles may hold it
                 continue
@@ -171,12 +176,16 @@ class SPHUpdater(Updater):
         told = "" if error < _RESOLVED else f", its mean within {error:.2g} standard deviations"
         return prior, density, replace(info, status=f"association on {times} times the particles{told}")
 
-    def _multiplied(self, prediction, sensor, z, times=1):
+    def _multiplied(self, prediction, sensor, z, times=1, deeper=0.0):
         density, origin = self._density(prediction), origin_of(prediction)
         origin = origin if isinstance(origin, PredictionOrigin) else PredictionOrigin()
-        n_particles = times * bound(density, self.n_particles)
-        config = checked_filter_config(self.config)
-        return update_repeating(origin, density, origin.model, sensor, z, config, n_particles)
+        n_particles = bound(density, self.n_particles)
+        config = _reaching(checked_filter_config(self.config), density.dim, deeper)
+        found = update_repeating(origin, density, origin.model, sensor, z, config, times * n_particles)
+        if times == 1:
+            return found
+        prior, posterior, info = found  # on more particles now, not ever after
+        return prior, replace(posterior, capacity=n_particles), info
 
     def _posterior(self, prediction, hypothesis, found, asked, timestamp=None):
         prior, density, info = found
@@ -201,6 +210,14 @@ class SPHUpdater(Updater):
     def _density(self, state):
         n_particles = _START if self.n_particles is None else count("n_particles", self.n_particles)
         return density_of(state, n_particles, checked_filter_config(self.config))
+
+
+def _reaching(config, dim, deeper):
+    """Settings whose lattices reach `deeper` standard deviations further, where they follow a level set."""
+    scheme = LogDensityScheme() if config.scheme == "auto" else config.scheme
+    if not deeper or not isinstance(scheme, LogDensityScheme):
+        return config
+    return replace(config, scheme=replace(scheme, reach=reach(scheme, dim) + deeper))
 
 
 def _nothing(density):
