@@ -7,7 +7,9 @@ from sphfilter.errors import SphfilterError
 
 from . import guide, listing, realtime, run, scaling
 from .benchmark import command as benchmark
+from .campaign import command as campaign
 from .converge import command as converge
+from .estimate import command as estimate
 from .own_data import command as own_data
 from .skips import command as skips
 from .stress import command as stress
@@ -22,9 +24,11 @@ __all__ = ["COMMANDS", "main"]
 COMMANDS = {
     "list": listing,
     "run": run,
+    "campaign": campaign,
     "transient": transient,
     "sweep": sweep,
     "converge": converge,
+    "estimate": estimate,
     "filter": own_data,
     "benchmark": benchmark,
     "stress": stress,

@@ -23,7 +23,22 @@ _GROUPS = {
             ("transient --config my.toml --animate film.gif", "a system of your own, as a film"),
         ),
     },
+    "Beyond the state": {
+        "estimate": (
+            ("estimate duffing --compare", "parameters by maximum evidence, and a rival model; minutes"),
+            ("estimate duffing --parameters xi,R --guess xi=0.5", "others; R is the sensor's noise"),
+            ("estimate sunspots --jobs 2", "of the measured numbers; ten minutes"),
+        ),
+    },
     "Compare filters": {
+        "campaign": (
+            ("campaign duffing --runs 200 --jobs 2 --own-prior", "which filter can be believed?"),
+            (
+                "campaign van_der_pol --runs 50 --filters ekf,sph",
+                "some of them",
+            ),
+            ("campaign cart --runs 1000 --dask tcp://192.168.1.5:8786", "on many machines"),
+        ),
         "sweep": (
             ("sweep duffing", "over update interval and noise"),
             ("sweep duffing --interval 1,2 --q 1 --runs 10", "a smaller grid"),

@@ -13,18 +13,28 @@ from .config import (
 )
 from .density import ParticleDensity
 from .domain import Domain
-from .errors import ConfigError, ExpressionError, ModelError, PropagationError, SphfilterError
+from .errors import (
+    ConfigError,
+    EstimationError,
+    ExpressionError,
+    ModelError,
+    PropagationError,
+    SphfilterError,
+)
+from .estimation import ParameterFit, fit_parameters, profile_evidence
 from .filter import SPHFilter
 from .health import Health, health
 from .info import PredictInfo, ResampleInfo, UpdateInfo
 from .initial import Gaussian, Uniform, initialize
 from .measurements import GaussianMeasurement, LikelihoodMeasurement
+from .model_comparison import ModelComparison, compare_models
 from .models import SDE, LinearSDE
 from .predict import predict
 from .report import Report, report
 from .resample import resample
 from .results import FilterResult
 from .simulate import simulate
+from .smoother import SmoothedResult, smooth
 from .transient import Trajectory, propagate
 from .update import update
 
@@ -36,6 +46,7 @@ __all__ = [
     "ConfigError",
     "CorrectedScheme",
     "Domain",
+    "EstimationError",
     "ExpressionError",
     "FilterConfig",
     "FilterResult",
@@ -45,28 +56,35 @@ __all__ = [
     "LikelihoodMeasurement",
     "LinearSDE",
     "LogDensityScheme",
+    "ModelComparison",
     "ModelError",
     "PaperScheme",
+    "ParameterFit",
     "ParticleDensity",
     "PredictInfo",
     "PropagationError",
     "Report",
     "ResampleInfo",
     "SPHFilter",
+    "SmoothedResult",
     "SolverConfig",
     "SphfilterError",
     "Trajectory",
     "Uniform",
     "UpdateInfo",
     "__version__",
+    "compare_models",
     "consistency",
+    "fit_parameters",
     "health",
     "initialize",
     "predict",
+    "profile_evidence",
     "propagate",
     "report",
     "resample",
     "run_campaign",
     "simulate",
+    "smooth",
     "update",
 ]

@@ -11,8 +11,8 @@ from ._compile import batch
 
 __all__ = [
     "constant_diffusion", "constant_noise", "diffusion_from_noise", "jacobian_from", "linear_divergence",
-    "linear_drift", "linear_jacobian", "noise_from_diffusion", "row_divergence_from", "stratonovich_drift",
-    "symmetric_root", "trace_from", "zeros",
+    "linear_drift", "linear_jacobian", "noise_from_diffusion", "reversed_drift", "row_divergence_from",
+    "stratonovich_drift", "symmetric_root", "trace_from", "zeros",
 ]  # fmt: skip
 
 #: Relative step of central differences: balances rounding (eps/h) against truncation (h²).
@@ -130,6 +130,18 @@ def _difference(f, x, t, p, j, step, out):
         h = 2.0 * step * max(1.0, abs(x[i, j]))
         for k in range(out.shape[1]):
             out[i, k] = (out[i, k] - below[i, k]) / h
+
+
+def reversed_drift(f):
+    """Return the drift −f(x, −t) of reversed time."""
+
+    def fill(x, t, p, out):
+        f(x, -t, p, out)
+        for i in range(x.shape[0]):
+            for a in range(x.shape[1]):
+                out[i, a] = -out[i, a]
+
+    return batch(fill)
 
 
 def stratonovich_drift(f, g, Q):

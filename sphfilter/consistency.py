@@ -284,6 +284,7 @@ def whiteness(innovation, S, lag=1):
     Returns
     -------
     ndarray, shape (R,) or ()
+        NaN for a run without two successive innovations.
 
     Examples
     --------
@@ -296,9 +297,13 @@ def whiteness(innovation, S, lag=1):
     innovation = np.asarray(innovation, dtype=float)
     _, nu, S = _checked(np.zeros_like(innovation), innovation, S)
     known = np.isfinite(nu).all(axis=-1) & np.isfinite(S).all(axis=(-2, -1))
+    known[known] = (np.linalg.eigvalsh(S[known]) > 0).all(axis=-1)
     root = np.linalg.cholesky(np.where(known[..., None, None], S, np.eye(nu.shape[-1])))
     w = np.linalg.solve(root, np.where(known[..., None], nu, 0.0)[..., None])[..., 0]
     now, later = w[..., :-lag, :], w[..., lag:, :]
     both = (known[..., :-lag] & known[..., lag:])[..., None]
     power = [np.sum(np.where(both, v, 0.0) ** 2, axis=(-2, -1)) for v in (now, later)]
-    return np.sum(now * later, axis=(-2, -1)) / np.sqrt(power[0] * power[1])
+    size = np.sqrt(power[0] * power[1])
+    return np.divide(
+        np.sum(now * later, axis=(-2, -1)), size, out=np.full_like(size, np.nan), where=size > 0
+    )[()]

@@ -3,7 +3,9 @@
 from difflib import get_close_matches
 
 __all__ = [
+    "CampaignError",
     "ConfigError",
+    "EstimationError",
     "ExpressionError",
     "ModelError",
     "PropagationError",
@@ -66,6 +68,10 @@ class ModelError(SphfilterError, ValueError):
     """
 
 
+class EstimationError(SphfilterError, RuntimeError):
+    """Parameters that the measurements do not determine, or whose evidence cannot be computed."""
+
+
 class PropagationError(SphfilterError, RuntimeError):
     """A prediction or update that could not be completed; the filter is as it was before the call.
 
@@ -78,6 +84,10 @@ class PropagationError(SphfilterError, RuntimeError):
         ...
     sphfilter.errors.PropagationError: the model blew up at t = ... Check the drift ...
     """
+
+
+class CampaignError(SphfilterError, RuntimeError):
+    """A campaign that cannot go on; the runs that are finished are kept in its folder."""
 
 
 class LatticeError(PropagationError):

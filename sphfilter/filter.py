@@ -7,6 +7,7 @@ import numpy as np
 
 from .adapt import Prediction, Update, fewest, predict_adapting, predict_relaying, update_repeating
 from .budget import Budget, rehearse
+from .calibration import Observer
 from .checkpoint import restored, write
 from .config import checked_filter_config
 from .density import ParticleDensity
@@ -148,6 +149,7 @@ class SPHFilter:
         )
 
     density = property(lambda self: self._density, doc="The density now.")
+    adapts = property(lambda self: self._adapts, doc='Made with ``n_particles="auto"``.')
     t = property(lambda self: self._density.t, doc="Time of the density, seconds.")
     likelihood = property(
         lambda self: float(np.exp(self.log_likelihood)), doc="Evidence of the last measurement."
@@ -280,6 +282,15 @@ class SPHFilter:
         vars(filt).update(attributes)
         return filt
 
-    def run(self, times, measurements):
-        """Predict to each time and update with its measurement; returns a `FilterResult`."""
-        return run_filter(self, times, measurements)
+    def spread(self):
+        """The density now as states and weights, a `Spread`."""
+        return self._density.spread()
+
+    def run(self, times, measurements, truth=None):
+        """Predict to each time and update with its measurement; returns a `FilterResult`.
+
+        Told the true states of simulated data, `truth` (T, n), the result also holds their ranks in the
+        filter's densities (the filter does not see them); `sf.report` judges by them.
+        """
+        observer = None if truth is None else Observer(truth)
+        return run_filter(self, times, measurements, observer)

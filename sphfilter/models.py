@@ -219,6 +219,7 @@ class SDE:
     )
     jacobian_batch = property(lambda self: self._functions["jacobian"], doc="∂f_a/∂x_j, row-major, (N, n n).")
     divergence_batch = property(lambda self: self._functions["divergence"], doc="∇·f, (N, 1).")
+    reversed_drift_batch = property(lambda self: self._functions["reversed_drift"], doc="−f at −t, (N, n).")
 
     # --- evaluation from Python ---
 
@@ -351,6 +352,7 @@ class _Functions:
         self._makers = {
             "jacobian": lambda fs: derived.jacobian_from(fs["drift"], n),
             "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
+            "reversed_drift": lambda fs: derived.reversed_drift(fs["drift"]),
             **makers,
         }
 

@@ -65,7 +65,7 @@ def propagate(density, model, t1, scheme, n_particles):
         probability was lost on the way: says when, where, and what to change.
     """
     start, n = density.t, density.dim
-    G, slices = _noise_factor(model, start, t1)
+    G, slices = noise_factor(model, start, t1)
     noise = Noise(G, model.p, not model.constant_diffusion, model.linear)
     depth = 0.5 * reach(scheme, n) ** 2
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
@@ -145,7 +145,7 @@ _REASONS = {
 }
 
 
-def _noise_factor(model, t0, t1):
+def noise_factor(model, t0, t1):
     """G (n, m) with D = G Gᵀ / 2, as many columns as D ever has rank, and steps that see D change."""
     if not model.constant_diffusion:
         return _found_noise_factor(model, t0, t1)

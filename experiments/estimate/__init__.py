@@ -1,0 +1,1 @@
+"""`estimate`: parameters by maximum evidence, with standard errors, profiles and rivals."""

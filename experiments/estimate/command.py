@@ -1,0 +1,200 @@
+"""`python -m experiments estimate NAME`: fit parameters to a scenario's measurements by maximum evidence.
+
+The log-evidence of the SPH filter is maximised; standard errors are those of its second derivatives. Beside
+the fit its profiles are computed, the largest log-evidence for fixed values of each parameter, and a rival
+model is fitted to the same measurements.
+"""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+from rich import box
+from rich.table import Table
+
+import sphfilter as sf
+from experiments.files import add_change_option, changes_of
+from experiments.running import new_console, status
+from sphfilter.errors import ConfigError, SphfilterError
+
+from .plots import draw_profiles
+from .problems import SENSOR, guess_of, problem_of, rival_of
+
+__all__ = ["EPILOG", "add_arguments", "main"]
+
+EPILOG = f"""\
+Measurements are simulated with the parameters of the scenario's file, 60 unless times.end is set, and the
+search begins at three quarters of them. {SENSOR} is the variance of the sensor's noise. NAME may be
+sunspots: there the measurements are those of 1700 to 1948, and the search begins with the model's file.
+"""
+#: Where profiles are computed, in standard errors from the estimate.
+_FINE, _COARSE = (-2.5, -1.5, -0.75, 0.75, 1.5, 2.5), (-2.0, -1.0, 1.0, 2.0)
+_FEW = 3  # parameters, up to which profiles are fine
+
+
+def add_arguments(parser):
+    """Add the options of `estimate`."""
+    parser.add_argument("scenario", metavar="NAME", help="a scenario with parameters, or sunspots")
+    parser.add_argument(
+        "--parameters", metavar="NAMES", help=f"comma-separated; {SENSOR} is the sensor's noise"
+    )
+    parser.add_argument("--guess", action="append", default=[], metavar="NAME=VALUE", help="where to begin")
+    parser.add_argument("--n-particles", type=int, help="at most (default: 400; 250 for sunspots)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated measurements")
+    parser.add_argument("--jobs", type=int, default=1, help="processes, for the profiles")
+    parser.add_argument("--no-profile", action="store_true", help="no profiles, which take most of the time")
+    parser.add_argument("--compare", action="store_true", help="fit a rival model too (duffing, sunspots)")
+    parser.add_argument("--out", type=Path, help="folder for results (default: results/estimate_NAME)")
+    add_change_option(parser, "change a key of the scenario, e.g. times.end=100; may be repeated")
+
+
+def main(args):
+    """Run the command; prints to standard output."""
+    console = new_console()
+    names = None if args.parameters is None else [name.strip() for name in args.parameters.split(",")]
+    problem = problem_of(args.scenario, names, changes_of(args), args.seed, args.n_particles)
+    guess = guess_of(problem, _guesses(args.guess))
+    rival = rival_of(problem)
+    if args.compare and rival is None:
+        raise ConfigError(f"--compare knows no rival of {args.scenario}; of duffing and sunspots it does")
+    out = args.out or Path("results") / f"estimate_{args.scenario}"
+    out.mkdir(parents=True, exist_ok=True)
+
+    console.print(f"[bold]{args.scenario}[/]: {problem.build.scenario.settings.description}")
+    fit = _fitted(console, problem, guess)
+    truth = {name: problem.values[name] for name in fit.names} if problem.simulated else {}
+    console.print(_table(fit, truth))
+    console.print(f"• {_sentence(fit)}")
+    record = _record(args, fit, truth)
+    if args.compare:
+        record["comparison"] = _compared(console, problem, fit, *rival)
+    if not args.no_profile:
+        profiles = _profiles(console, problem, fit, args.jobs)
+        record["profiles"] = {
+            k: {"value": list(x), "log_evidence": list(y)} for k, (x, y) in profiles.items()
+        }
+        draw_profiles(out / "profiles.png", fit, profiles, truth, _title(args, fit))
+    (out / "fit.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+    console.print(
+        f"Numbers are in {out}/fit.json" + ("." if args.no_profile else ", profiles in profiles.png.")
+    )
+    return 0 if fit.converged else 1
+
+
+def _guesses(texts):
+    found = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        try:
+            found[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise ConfigError(f"a guess is NAME=VALUE, not {text!r}; for instance xi=0.3")
+    return found
+
+
+def _fitted(console, problem, guess):
+    """Fit, and tell how it goes."""
+    begin, best = time.perf_counter(), [-np.inf]
+    with status(console) as say:
+
+        def report(n, parameters, value):
+            best[0] = max(best[0], value)
+            if n % 10 == 1 or console.is_terminal:
+                at = ", ".join(f"{name} = {v:.4g}" for name, v in parameters.items())
+                seconds = time.perf_counter() - begin
+                say(f"run {n}, {seconds:.0f} s: best log-evidence {best[0]:.3f}, now at {at}")
+
+        say("preparing the filter (the first time compiles, for a minute)")
+        return sf.fit_parameters(
+            problem.build, problem.times, problem.z, guess, bounds=problem.bounds, report=report
+        )
+
+
+def _table(fit, truth):
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    table.add_column("parameter", style="bold")
+    columns = ["estimate", "standard error", *(["truth", "off (s.e.)"] if truth else [])]
+    for text in (*columns, *(f"corr. {name}" for name in fit.names)):
+        table.add_column(text, justify="right")
+    for k, name in enumerate(fit.names):
+        value, error = fit.estimate[name], fit.standard_error[name]
+        known = [f"{truth[name]:.5g}", f"{(value - truth[name]) / error:+.2f}"] if truth else []
+        table.add_row(
+            name, f"{value:.5g}", f"{error:.2g}", *known, *(f"{c:+.2f}" for c in fit.correlation[k])
+        )
+    return table
+
+
+def _sentence(fit):
+    return (
+        f"{fit.status}: log-evidence {fit.log_evidence:.3f} nat of {fit.n_readings} readings, AIC "
+        f"{fit.aic:.2f}, BIC {fit.bic:.2f}; {fit.n_evaluations} runs of the filter, log-evidence rough by "
+        f"{fit.roughness:.1g} nat"
+    )
+
+
+def _title(args, fit):
+    what = "measured" if args.scenario == "sunspots" else f"simulated, seed {args.seed}"
+    return (
+        f"{args.scenario} ({what}, {fit.n_readings} readings): profile log-evidence, parabola of the "
+        "standard error (band), 95 % level"
+    )
+
+
+def _record(args, fit, truth):
+    """What goes into fit.json."""
+    return {
+        "scenario": args.scenario,
+        "seed": args.seed if truth else None,
+        "estimate": dict(fit.estimate),
+        "standard_error": {k: v if np.isfinite(v) else None for k, v in fit.standard_error.items()},
+        "covariance": [[v if np.isfinite(v) else None for v in row] for row in fit.covariance.tolist()],
+        "truth": truth or None,
+        "log_evidence": fit.log_evidence,
+        "aic": fit.aic,
+        "bic": fit.bic,
+        "n_readings": fit.n_readings,
+        "n_evaluations": fit.n_evaluations,
+        "roughness": fit.roughness,
+        "status": fit.status,
+    }
+
+
+def _compared(console, problem, fit, name, rival):
+    """Fit a rival and compare."""
+    console.print(f"\nfitting a rival, {name}", style="dim")
+    try:
+        other = _fitted(console, rival, guess_of(rival, {}))
+    except SphfilterError as problem_of_rival:
+        console.print(f"{name}: {problem_of_rival}", style="red")
+        return {"failed": str(problem_of_rival)}
+    console.print(str(other), style="dim")
+    found = sf.compare_models({problem.name: fit, name: other}, problem.times, problem.z)
+    console.print(f"\n{found}\n")
+    return found.as_dict()
+
+
+def _profiles(console, problem, fit, jobs):
+    """Values and log-evidences (K,) by parameter."""
+    known = [name for name in fit.names if np.isfinite(fit.standard_error[name])]
+    steps = _FINE if len(known) <= _FEW else _COARSE
+    points = [(name, fit.estimate[name] + k * fit.standard_error[name]) for name in known for k in steps]
+    low = {name: bounds[0] for name, bounds in problem.bounds.items()}
+    points = [(name, value) for name, value in points if value > low.get(name, -np.inf)]
+    done, found = 0, {name: [(fit.estimate[name], fit.log_evidence)] for name in known}
+    with status(console) as say:
+        say(f"profiles: {len(points)} points")
+        runs = Parallel(n_jobs=jobs, return_as="generator")(delayed(_point)(problem, fit, *p) for p in points)
+        for (name, value), evidence in zip(points, runs, strict=True):
+            done += 1
+            found[name].append((value, evidence))
+            say(f"profiles: {done} of {len(points)} points")
+    return {name: tuple(np.array(sorted(rows)).T) for name, rows in found.items()}
+
+
+def _point(problem, fit, name, value):
+    return float(sf.profile_evidence(problem.build, problem.times, problem.z, fit, name, [value])[0])

@@ -1,0 +1,59 @@
+"""Pictures of profile log-evidences."""
+
+import matplotlib
+
+matplotlib.use("Agg")  # files only: no window system is asked for
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from experiments.plots import COLOURS
+
+__all__ = ["draw_profiles"]
+
+_DPI = 130
+
+
+def draw_profiles(path, fit, profiles, truth, title):
+    """Draw the profile of each parameter with the parabola of its standard error.
+
+    Parameters
+    ----------
+    path : Path
+    fit : ParameterFit
+    profiles : dict of str to (values (K,), log-evidence (K,))
+    truth : dict of str to float
+        Marked where known.
+    title : str
+    """
+    columns = min(3, len(profiles))
+    rows = -(-len(profiles) // columns)
+    size = (3.6 * columns + 0.6, 2.9 * rows + 0.7)
+    figure, axes = plt.subplots(rows, columns, figsize=size, sharey=True, squeeze=False, layout="constrained")
+    for ax, (name, (values, evidence)) in zip(axes.flat, profiles.items(), strict=False):
+        best, error = fit.estimate[name], fit.standard_error[name]
+        x = np.linspace(values.min(), values.max(), 200)
+        if np.isfinite(error):
+            ax.plot(x, -0.5 * ((x - best) / error) ** 2, color="0.55", lw=1.2, ls="--", label="parabola")
+            ax.axvspan(best - error, best + error, color=COLOURS["sph"], alpha=0.13, lw=0)
+        ax.plot(
+            values, evidence - fit.log_evidence, "o-", color=COLOURS["sph"], ms=4.5, lw=1.4, label="profile"
+        )
+        ax.axvline(best, color=COLOURS["sph"], lw=0.8)
+        if name in truth:
+            ax.axvline(truth[name], color="0.1", lw=1.2, ls=":", label="truth")
+        ax.axhline(-1.92, color="0.75", lw=0.8, zorder=0)  # half of chi square's 95 % point
+        ax.set_title(f"{name} = {best:.4g} ± {error:.2g}", loc="left", fontsize=10)
+        ax.set_xlabel(name)
+        ax.grid(alpha=0.25, lw=0.5)
+        for side in ("top", "right"):
+            ax.spines[side].set_visible(False)
+    for ax in axes.flat[len(profiles) :]:
+        ax.set_visible(False)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("log-evidence below its maximum (nat)")
+        ax.set_ylim(-5.0, 0.4)
+    axes[0, 0].legend(frameon=False, fontsize=8, loc="lower center")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10)
+    figure.savefig(path, dpi=_DPI)
+    plt.close(figure)

@@ -1,0 +1,208 @@
+"""What `estimate` fits: measurements, a filter of given parameters, where the search begins, a rival."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+import sphfilter as sf
+from experiments.own_data.command import case_of
+from experiments.own_data.csv_data import Measurements, read_measurements
+from experiments.own_data.model_file import load_model
+from experiments.scenario import Scenario, load_scenario
+from experiments.sunspots.command import FIRST, roots
+from experiments.sunspots.forecast import fold
+from sphfilter.campaign import Case
+from sphfilter.errors import ConfigError, nearest
+
+__all__ = ["SENSOR", "Build", "Problem", "guess_of", "problem_of", "rival_of"]
+
+_DATA = Path(__file__).parents[1] / "data"
+#: Name under which the variance of a sensor's noise is fitted, where it is one number on the diagonal.
+SENSOR = "R"
+#: Parameters that are fitted unless others are asked for, where not all can be: a common factor of others.
+_DUFFING = ("xi", "gamma", "epsilon")
+_FITTED = {
+    "duffing": _DUFFING,
+    "duffing_square": _DUFFING,
+    "sunspots": ("w", "mu", "b", "g", SENSOR),
+}
+#: Measurements that are simulated at least: fewer say little about a parameter.
+_MEASUREMENTS = 60
+_PARTICLES = 400, 250  # of scenarios, and of the sunspots, whose 249 years take seconds
+_OFF = 0.75  # times its true value a parameter's guess
+#: Other models of the same states and noise, by scenario: name, drift, parameters, and which of them are
+#: positive.
+_RIVALS = {
+    "duffing": ("linear oscillator", ("v", "-c*v - k*x"), {"c": 0.4, "k": 1.0}, ("c",)),
+    "sunspots": (
+        "linear oscillator", ("w*u", "-w*(c*u + x)"), {"w": 0.3, "c": 0.15, "g": 1.5}, ("w", "c", "g"),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Build:
+    """The SPH filter of given parameters; picklable.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    case : Case
+    n_particles : int
+    folded : bool
+        The sensor does not see the sign (sunspots).
+    """
+
+    scenario: Scenario
+    case: Case
+    n_particles: int
+    folded: bool = False
+
+    def __call__(self, parameters):
+        """Return the filter at the start of the measurements."""
+        others = dict(parameters)
+        sensor = self.scenario.measurement
+        variance = others.pop(SENSOR, None)
+        if self.folded:
+            sensor = fold(sensor.noise_cov[0, 0] if variance is None else _positive(variance))
+        elif variance is not None:
+            sensor = sensor.changed(noise_cov=variance)
+        case = self.case
+        shape = {"n_particles": self.n_particles, "config": self.scenario.settings.filters.sph.config}
+        model = self.scenario.model.with_parameters(**others)
+        return sf.SPHFilter(model, sensor, case.x0, case.P0, t0=case.t0, **shape)
+
+
+def _positive(variance):
+    if not variance > 0.0:
+        raise sf.ModelError(f"a variance must be positive, got {variance:g}")
+    return variance
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Measurements and the family of filters that is fitted to them.
+
+    Attributes
+    ----------
+    name : str
+    build : Build
+    names : tuple of str
+        Parameters that are fitted.
+    values : dict of str to float
+        All values of the scenario, by which measurements were simulated.
+    simulated : bool
+    positive : tuple of str
+        Parameters that are.
+    """
+
+    name: str
+    build: Build
+    names: tuple
+    values: dict
+    simulated: bool
+    positive: tuple
+
+    @property
+    def times(self):
+        """Of the measurements."""
+        return self.build.case.times
+
+    @property
+    def z(self):
+        """The measurements."""
+        return self.build.case.z
+
+    @property
+    def bounds(self):
+        """Bounds of the fitted parameters."""
+        return {name: (0.0, None) for name in self.names if name in self.positive}
+
+
+def problem_of(name, names, changes, seed, n_particles=None):
+    """The problem of a scenario, or of the sunspots.
+
+    Parameters
+    ----------
+    name : str
+    names : sequence of str, or None
+        Parameters to fit.
+    changes : dict of str
+        Values by dotted key, as for `load_scenario`.
+    seed : int
+    n_particles : int, optional
+
+    Raises
+    ------
+    ConfigError
+        Unknown scenario, key or parameter; nothing to fit.
+    """
+    if name == "sunspots":
+        if changes:
+            raise ConfigError("the sunspots' model takes no --set; change a copy of its file with `filter`")
+        scenario = load_model(_DATA / "sunspots.toml")
+        data = roots(read_measurements(_DATA / "sunspots.csv", 1))
+        learnt = data.times < FIRST
+        data = Measurements(data.time_name, data.names, data.times[learnt], data.z[learnt])
+        build = Build(scenario, case_of(scenario, data), n_particles or _PARTICLES[1], folded=True)
+    else:
+        scenario = _longer(load_scenario(name, **changes), changes)
+        if scenario.settings.start.kind == "benes":
+            raise ConfigError(f"{name} starts from a density of its own: there is nothing to fit in it")
+        build = Build(scenario, scenario.draw(np.random.default_rng(seed)), n_particles or _PARTICLES[0])
+    values = dict(scenario.model.parameters)
+    covariance = scenario.measurement.noise_cov
+    if np.array_equal(covariance, covariance[0, 0] * np.eye(len(covariance))):
+        values[SENSOR] = float(covariance[0, 0])
+    positive = (SENSOR, *(() if name != "sunspots" else ("w", "b", "g")))
+    chosen = _chosen(name, names, values)
+    return Problem(name, build, chosen, values, name != "sunspots", positive)
+
+
+def _longer(scenario, changes):
+    """The scenario with enough measurements, unless their number was asked for."""
+    times = scenario.settings.times
+    end = times.start + _MEASUREMENTS * times.interval
+    if "times.end" in changes or end <= times.end:
+        return scenario
+    return replace(scenario, settings=replace(scenario.settings, times=replace(times, end=end)))
+
+
+def _chosen(name, names, values):
+    names = names or _FITTED.get(name) or tuple(key for key in values if key != SENSOR)
+    for key in names:
+        if key not in values:
+            raise ConfigError(
+                f"{name} has no parameter {key!r}{nearest(key, values)}; it has {', '.join(values)}"
+            )
+    if not names:
+        raise ConfigError(
+            f"{name} has no parameters in its file; give --parameters {SENSOR}, or name some there"
+        )
+    return tuple(names)
+
+
+def guess_of(problem, given):
+    """First values: those given, else a part of the true ones; those of the file for measured data."""
+    for key in given:
+        if key not in problem.names:
+            raise ConfigError(
+                f"--guess names {key!r}{nearest(key, problem.names)}; fitted are {', '.join(problem.names)}"
+            )
+    part = _OFF if problem.simulated else 1.0
+    return {key: given.get(key, part * problem.values[key]) for key in problem.names}
+
+
+def rival_of(problem):
+    """Another model's name and problem on the same measurements, or None."""
+    if problem.name not in _RIVALS:
+        return None
+    name, drift, parameters, positive = _RIVALS[problem.name]
+    scenario = problem.build.scenario
+    model = replace(scenario.settings.model, drift=drift, parameters=parameters)
+    scenario = replace(scenario, settings=replace(scenario.settings, model=model))
+    names = (*parameters, *([SENSOR] if SENSOR in problem.names else []))
+    values = {**parameters, SENSOR: problem.values.get(SENSOR)}
+    build = replace(problem.build, scenario=scenario)
+    return name, Problem(problem.name, build, names, values, False, (*positive, SENSOR))

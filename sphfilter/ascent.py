@@ -1,0 +1,151 @@
+"""The search for parameters of largest log-evidence: a simplex, then Newton's method, within bounds."""
+
+import numpy as np
+from scipy.optimize import minimize
+
+from .curvature import quadratic, scales, slope_step_for, slopes
+
+__all__ = ["ROUND", "climbed", "off_bounds", "polished", "ridge", "room", "searched"]
+
+_FIRST = 0.1  # of a guess, or of the width of its bounds: first step of the search
+_LOOSE = 0.3  # nats between the corners of a simplex at which the search leaves the rest to Newton
+_STEP = 0.6  # of differences on the way, in standard errors
+_NEWTON = 8
+_SLOPES, _POLISHED = 4, 1e-5  # times that the last slopes are taken; nats below the top that are enough
+_CLOSE = 2e-3  # nats below the top of the quadratic at which a maximum is found: .06 standard errors
+_LONGEST = 2.0  # standard errors that Newton's method goes at once
+ROUND = 0.05  # least curvature, over one in round coordinates, that is a curvature
+_LEVEL = 0.02  # nats that a profile is below its top where the parabola is left to tell the rest
+_AT_BOUND = 0.2  # standard errors from a bound, within which an estimate is on it
+
+
+def searched(evidence, theta, low, high, max_evaluations):
+    """Simplex search from a guess; returns the best point and its log-evidence."""
+    step = _first_steps(theta, low, high)
+    step = np.where(theta + step > high, -step, step)
+    simplex = np.vstack([theta, theta + np.diag(step)])
+    options = {"initial_simplex": simplex, "maxfev": max_evaluations, "fatol": _LOOSE, "xatol": np.inf}
+    limits = list(zip(low, high, strict=True))
+    found = minimize(lambda v: -evidence(v), theta, method="Nelder-Mead", bounds=limits, options=options)
+    return found.x, -float(found.fun)
+
+
+def _first_steps(theta, low, high):
+    """Steps (n,) to begin with: a part of the parameters, or of the width between their bounds."""
+    return np.minimum(_FIRST * np.where(theta == 0.0, 1.0, np.abs(theta)), 0.5 * (high - low))
+
+
+def off_bounds(evidence, theta, value, low, high):
+    """Take parameters off bounds from which the log-evidence rises."""
+    for k in np.flatnonzero((theta <= low) | (theta >= high)):
+        inwards = theta.copy()
+        inwards[k] += _FIRST * _first_steps(theta, low, high)[k] * (1.0 if theta[k] <= low[k] else -1.0)
+        moved = evidence(inwards)
+        if moved > value:
+            theta, value = inwards, moved
+    return theta, value
+
+
+def climbed(evidence, theta, value, low, high, max_evaluations):
+    """Newton's method: the point, its log-evidence, which parameters are free, and the last quadratic.
+
+    Parameters that come to a bound stay there.
+    """
+    free, root, local = (theta > low) & (theta < high), None, None
+    first = _first_steps(theta, low, high)
+    for _ in range(_NEWTON):
+        if not free.any() or evidence.n_evaluations > max_evaluations:
+            break
+        inside, centre = evidence.within(theta, free), theta[free]
+        if root is None:
+            names = evidence.names_of(free)
+            root = np.diag(scales(inside, centre, value, first[free], low[free], high[free], names))
+        near = np.minimum(theta - low, high - theta)[free] < _AT_BOUND * np.linalg.norm(root, axis=1)
+        if near.any():
+            k = np.flatnonzero(free)[near][0]
+            theta, free = theta.copy(), free.copy()
+            theta[k], free[k] = (low[k] if theta[k] - low[k] < high[k] - theta[k] else high[k]), False
+            value, root, local = evidence(theta), None, None
+            continue
+        h = min(_STEP, room(centre, root, low[free], high[free]))
+        local = quadratic(inside, centre, value, root, h)
+        done = local.flattest[0] < -ROUND and local.rise < _CLOSE
+        step, root = _newton_step(local)
+        there, moved = _line(evidence, theta, value, free, step, low, high)
+        done |= moved == value  # as near as such differences come
+        theta, value = there, moved
+        if done:
+            break
+    if local is not None:
+        local = local._replace(root=root)
+    return theta, value, free, local
+
+
+def polished(function, centre, value, local, rough, low, high):
+    """The rest of the way, with a known Hessian and slopes over shorter steps, which need them less long.
+
+    Returns the point, its value, and the rise to the top that is left by the last slopes.
+    """
+    h = min(slope_step_for(rough), room(centre, local.root, low, high))
+    for _ in range(_SLOPES):
+        local = local._replace(value=value, gradient=slopes(function, centre, local.root, h))
+        if local.rise < _POLISHED + rough:
+            break
+        there = np.clip(centre + local.shift, low, high)
+        moved = function(there)
+        if moved < value:
+            break
+        centre, value = there, moved
+    return centre, value, local.rise
+
+
+def _newton_step(local):
+    """Step to the top of a quadratic, at most two standard errors, and coordinates in which it is round."""
+    values, axes = np.linalg.eigh(local.hessian)
+    bent = np.maximum(np.abs(values), ROUND)
+    step = axes @ (axes.T @ local.gradient / bent)
+    length = np.linalg.norm(np.sqrt(bent) * (axes.T @ step))
+    return local.root @ step * min(1.0, _LONGEST / max(length, 1e-300)), local.root @ (axes / np.sqrt(bent))
+
+
+def _line(evidence, theta, value, free, step, low, high):
+    """The best of a step and its halves, where one is better than none."""
+    for part in (1.0, 0.5, 0.25):
+        there = theta.copy()
+        there[free] = np.clip(theta[free] + part * step, low[free], high[free])
+        moved = evidence(there)
+        if moved > value:
+            return there, moved
+    return theta, value
+
+
+def room(centre, root, low, high):
+    """Longest step of `quadratic` within bounds."""
+    two = np.sort(np.abs(root), axis=1)[:, -2:].sum(axis=1)
+    return float(np.min(np.minimum(centre - low, high - centre) / two))
+
+
+def ridge(evidence, theta, free, covariance, k):
+    """Climb in the free parameters by Newton steps with the Hessian of the maximum."""
+    value = evidence(theta)
+    if not free.any() or not np.isfinite(value):
+        return value
+    held = covariance[np.ix_(free, free)]
+    if np.isfinite(covariance[k, k]):
+        held = held - np.outer(covariance[free, k], covariance[free, k]) / covariance[k, k]
+    root = np.linalg.cholesky(held)
+    for _ in range(_NEWTON):
+        inside = evidence.within(theta, free)
+        gradient = slopes(inside, theta[free], root, _STEP)
+        rise = 0.5 * gradient @ gradient
+        if not np.isfinite(rise):
+            break
+        if rise < _LEVEL:
+            return value + rise
+        there = theta.copy()
+        there[free] += root @ (gradient * min(1.0, 1.5 / np.linalg.norm(gradient)))
+        moved = evidence(there)
+        if moved <= value:
+            break
+        theta, value = there, moved
+    return value

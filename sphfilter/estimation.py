@@ -1,0 +1,232 @@
+"""Parameters by maximum evidence, with standard errors.
+
+The log-evidence of a filter that draws nothing is a smooth function of the parameters: it can be maximised,
+and its second derivatives at the maximum are the (observed) information.
+"""
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from .ascent import ROUND, climbed, off_bounds, polished, ridge, room, searched
+from .curvature import quadratic, roughness, step_for
+from .errors import EstimationError, ModelError, nearest
+from .evidence import Evidence, checked_guess, fingerprint
+from .results import FilterResult
+
+__all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
+
+_NEAR = 0.25  # standard errors from the maximum, that count as found
+
+
+@dataclass(frozen=True)
+class ParameterFit:
+    """Parameters of largest evidence.
+
+    Attributes
+    ----------
+    estimate, standard_error : mapping of str to float
+        The standard error of a parameter on a bound is NaN; it is held there for those of the others.
+    covariance : ndarray, shape (n, n)
+        Inverse of the negative Hessian of the log-evidence; NaN for parameters on a bound.
+    log_evidence : float
+        At the estimate, nats.
+    result : FilterResult
+        Of the filter at the estimate.
+    n_readings : int
+        Measured numbers, NaN not counted.
+    data : str
+        Fingerprint of times and measurements.
+    n_evaluations : int
+        Runs of the filter.
+    roughness : float
+        Standard deviation of the log-evidence around a smooth function, nats, as seen at the estimate.
+    at_bound : tuple of str
+    converged : bool
+        The maximum is, by the slopes of the log-evidence, within a quarter of a standard error.
+    status : str
+        What happened, as a sentence.
+    """
+
+    estimate: MappingProxyType
+    standard_error: MappingProxyType
+    covariance: np.ndarray
+    log_evidence: float
+    result: FilterResult
+    n_readings: int
+    data: str
+    n_evaluations: int
+    roughness: float
+    at_bound: tuple
+    converged: bool
+    status: str
+
+    @property
+    def names(self):
+        """Names of the n parameters, in the order of the covariance."""
+        return tuple(self.estimate)
+
+    @property
+    def correlation(self):
+        """Correlations of the estimates, shape (n, n)."""
+        s = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(s, s)
+
+    @property
+    def aic(self):
+        """Akaike's criterion: 2 n − 2 log-evidence."""
+        return 2.0 * len(self.estimate) - 2.0 * self.log_evidence
+
+    @property
+    def bic(self):
+        """Schwarz' criterion: n log(readings) − 2 log-evidence."""
+        return len(self.estimate) * float(np.log(self.n_readings)) - 2.0 * self.log_evidence
+
+    def __str__(self):
+        rows = [f"{k} = {v:.5g} ± {self.standard_error[k]:.2g}" for k, v in self.estimate.items()]
+        return "\n".join([*rows, f"log-evidence {self.log_evidence:.3f} nat; {self.status}"])
+
+
+def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluations=1000, report=None):
+    """Find the parameters under which the measurements have the largest evidence.
+
+    A simplex search (Nelder and Mead) finds the neighbourhood of the maximum, Newton's method the maximum,
+    with differences over parts of a standard error, in coordinates in which the log-evidence is round.
+
+    Parameters
+    ----------
+    filt : SPHFilter, or callable
+        A filter at the start of the measurements, whose model has the parameters; or, for anything else that
+        is to be fitted (noise of sensors or processes, the start), a function of a dict of parameters that
+        returns such a filter. Any object with ``run(times, measurements)`` will do, and with the
+        `FilterResult` that it returns.
+    times : array_like, shape (T,)
+        Seconds.
+    measurements : sequence of length T
+        None or NaN where none came.
+    guess : mapping of str to float
+        Where the search begins; these parameters are fitted, others stay.
+    bounds : mapping of str to (float or None, float or None), optional
+        Lowest and highest value.
+    max_evaluations : int
+        Runs of the filter, about.
+    report : callable, optional
+        Called after every run with their number, the parameters as a dict, and the log-evidence.
+
+    Returns
+    -------
+    ParameterFit
+
+    Raises
+    ------
+    ModelError
+        A parameter that the model does not have (the nearest is named), or bounds without the guess.
+    EstimationError
+        The filter refuses the guess, or the measurements do not determine the parameters: the log-evidence
+        falls in no direction, or not in the one that is named.
+
+    Notes
+    -----
+    A maximum is local: begin elsewhere to look for others. A filter that refuses some parameters is no
+    hindrance to the search. The log-evidence counts measurements that the filter rejected too.
+
+    Examples
+    --------
+    >>> fit = sf.fit_parameters(flt, times, z, guess={"c": 0.3, "g": -0.8})    # doctest: +SKIP
+    >>> def build(p):                                                          # doctest: +SKIP
+    ...     return sf.SPHFilter(model, sensor.changed(noise_cov=p["R"]), x0, P0, n_particles=400)
+    >>> sf.fit_parameters(build, times, z, guess={"R": 0.3}, bounds={"R": (1e-3, None)})  # doctest: +SKIP
+    """
+    names, theta, low, high = checked_guess(guess, bounds)
+    evidence = Evidence(filt, times, measurements, names, report)
+    value = evidence.first(theta)
+    theta, value = searched(evidence, theta, low, high, max_evaluations)
+    theta, value = off_bounds(evidence, theta, value, low, high)
+    theta, value, free, local = climbed(evidence, theta, value, low, high, max_evaluations)
+    rough, left, covariance = 0.0, 0.0, np.full((len(names), len(names)), np.nan)
+    if local is not None:
+        inside, centre = evidence.within(theta, free), theta[free]
+        rough = roughness(inside, centre, value, local.root)
+        centre, value, left = polished(inside, centre, value, local, rough, low[free], high[free])
+        theta[free] = centre
+        h = min(step_for(rough), room(centre, local.root, low[free], high[free]))
+        local = quadratic(inside, centre, value, local.root, h)
+        _refuse_flat(local, rough / h**2, evidence.names_of(free))
+        covariance[np.ix_(free, free)] = local.covariance
+    return _told(evidence, theta, value, covariance, rough, free, np.sqrt(2.0 * max(left, 0.0)))
+
+
+def profile_evidence(filt, times, measurements, fit, name, values):
+    """The largest log-evidence that the other parameters allow, for fixed values of one.
+
+    Parameters
+    ----------
+    filt, times, measurements
+        As for `fit_parameters`.
+    fit : ParameterFit
+        Its result.
+    name : str
+        One of its parameters.
+    values : array_like, shape (K,)
+
+    Returns
+    -------
+    ndarray, shape (K,)
+        Nats; minus infinity where the filter refuses.
+
+    Raises
+    ------
+    ModelError
+        The fit has no such parameter.
+    """
+    if name not in fit.names:
+        raise ModelError(f"the fit has no parameter {name!r}{nearest(name, fit.names)}; it has {fit.names}")
+    k, best = fit.names.index(name), np.array(list(fit.estimate.values()))
+    evidence = Evidence(filt, times, measurements, fit.names, None)
+    free = np.isfinite(np.diag(fit.covariance))
+    free[k] = False
+    out = np.empty(len(values))
+    for i, value in enumerate(np.asarray(values, dtype=float)):
+        theta = best.copy()
+        theta[k] = value
+        if np.isfinite(fit.covariance[k, k]):
+            theta[free] += fit.covariance[free, k] / fit.covariance[k, k] * (value - best[k])
+        out[i] = ridge(evidence, theta, free, fit.covariance, k)
+    return out
+
+
+def _refuse_flat(local, noise, names):
+    """Refuse a log-evidence that does not fall in some direction."""
+    value, direction = local.flattest
+    if value < -max(ROUND, 3.0 * noise):
+        return
+    direction = direction / np.abs(direction).max()
+    terms = " ".join(f"{c:+.3g} {name}" for c, name in zip(direction, names, strict=True) if abs(c) > 1e-3)
+    raise EstimationError(
+        f"the measurements do not determine the parameters: the log-evidence does not fall in the direction "
+        f"{terms.removeprefix('+')}; fix one of them by leaving it out of guess, or give more measurements"
+    )
+
+
+def _told(evidence, theta, value, covariance, rough, free, off):
+    """The result, with a sentence about it; the last slopes say that the maximum is `off` standard errors."""
+    held, converged = tuple(evidence.names_of(~free)), off < _NEAR
+    said = "the maximum was found" if converged else "the search was stopped before it had found the maximum"
+    said += f", by its slopes {off:.1g} standard errors away" if off > 0.01 else ""
+    if held:
+        said += f"; on a bound, without a standard error: {', '.join(held)}"
+    return ParameterFit(
+        estimate=MappingProxyType(evidence.named(theta)),
+        standard_error=MappingProxyType(evidence.named(np.sqrt(np.diag(covariance)))),
+        covariance=covariance,
+        log_evidence=value,
+        result=evidence.result(theta),
+        n_readings=evidence.n_readings,
+        data=fingerprint(evidence.times, evidence.measurements),
+        n_evaluations=evidence.n_evaluations,
+        roughness=rough,
+        at_bound=held,
+        converged=bool(converged),
+        status=said,
+    )

@@ -1,0 +1,117 @@
+"""The log-evidence of measurements as a function of parameters."""
+
+import hashlib
+
+import numpy as np
+
+from . import validate
+from .errors import EstimationError, ModelError, SphfilterError, nearest
+from .filter import SPHFilter
+
+__all__ = ["Evidence", "checked_guess", "fingerprint", "n_readings"]
+
+
+def checked_guess(guess, bounds):
+    """Names, guess, lowest and highest values (n,)."""
+    names = [str(name) for name in dict(guess)]
+    if not names:
+        raise ModelError("guess is empty; give the parameters to fit with a first value, such as {'c': 0.3}")
+    theta = np.array([validate.real(f"guess of {name}", value) for name, value in dict(guess).items()])
+    low, high = np.full(len(names), -np.inf), np.full(len(names), np.inf)
+    for name, pair in dict(bounds or {}).items():
+        if name not in names:
+            raise ModelError(f"bounds name {name!r}{nearest(name, names)}; guess has {', '.join(names)}")
+        k = names.index(name)
+        for limits, bound in zip((low, high), pair, strict=True):
+            limits[k] = limits[k] if bound is None else validate.real(f"bound of {name}", bound)
+        if not low[k] < high[k] or not low[k] <= theta[k] <= high[k]:
+            raise ModelError(f"the guess {theta[k]:g} of {name} is not within its bounds {tuple(pair)}")
+    return names, theta, low, high
+
+
+class Evidence:
+    """The log-evidence as a function of parameters (n,): minus infinity where the filter refuses."""
+
+    def __init__(self, filt, times, measurements, names, report):
+        self.build = _builder(filt, names) if isinstance(filt, SPHFilter) else filt
+        self.times, self.measurements, self.names = np.asarray(times, dtype=float), measurements, names
+        self.report, self.n_evaluations = report, 0
+        self.n_readings = n_readings(measurements)
+
+    def first(self, theta):
+        """At the guess, where it has to be finite."""
+        try:
+            value = self._run(theta)
+        except SphfilterError as problem:
+            raise EstimationError(
+                f"the filter refuses the guess {self.named(theta)}: {problem}; begin elsewhere"
+            ) from problem
+        if not np.isfinite(value):
+            raise EstimationError(f"the log-evidence of the guess {self.named(theta)} is {value}")
+        return value
+
+    def __call__(self, theta):
+        try:
+            value = self._run(theta)
+        except SphfilterError:
+            return -np.inf
+        return value if np.isfinite(value) else -np.inf
+
+    def result(self, theta):
+        """What the filter leaves behind."""
+        return self.build(self.named(theta)).run(self.times, self.measurements)
+
+    def _run(self, theta):
+        self.n_evaluations += 1
+        value = float(np.sum(self.result(theta).log_evidence))
+        if self.report is not None:
+            self.report(self.n_evaluations, self.named(theta), value)
+        return value
+
+    def named(self, theta):
+        """Parameters by name."""
+        return dict(zip(self.names, map(float, theta), strict=True))
+
+    def names_of(self, which):
+        """Names of some parameters, bool (n,)."""
+        return [name for name, one in zip(self.names, which, strict=True) if one]
+
+    def within(self, theta, free):
+        """As a function of the free parameters, the others held."""
+
+        def function(values):
+            point = theta.copy()
+            point[free] = values
+            return self(point)
+
+        return function
+
+
+def _builder(filt, names):
+    """Make filters like one at its start, with other parameters of its model."""
+    if filt.adapts:
+        raise ModelError(
+            'n_particles="auto" changes from run to run, which makes the log-evidence jump; give a number'
+        )
+    filt.model.with_parameters(**{name: filt.model.parameters.get(name, 0.0) for name in names})
+
+    def build(parameters):
+        model = filt.model.with_parameters(**parameters)
+        shape = {"n_particles": filt.n_particles, "config": filt.config}
+        return SPHFilter(model, filt.measurement, density=filt.density, **shape)
+
+    return build
+
+
+def n_readings(measurements):
+    """How many numbers were measured, NaN not counted."""
+    return sum(0 if z is None else int(np.isfinite(np.asarray(z, dtype=float)).sum()) for z in measurements)
+
+
+def fingerprint(times, measurements):
+    """Short hash of times and measurements; None is what NaN is."""
+    known = hashlib.sha256(np.asarray(times, dtype=float).tobytes())
+    for z in measurements:
+        z = np.atleast_1d(np.asarray(np.nan if z is None else z, dtype=float))
+        known.update(b"missing" if np.isnan(z).all() else z.tobytes())
+    return known.hexdigest()[:12]

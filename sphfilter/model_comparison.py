@@ -1,0 +1,169 @@
+"""Models compared by the evidence of the same measurements."""
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import ModelError
+from .estimation import ParameterFit
+from .evidence import fingerprint, n_readings
+from .validate import short
+
+__all__ = ["ModelComparison", "compare_models"]
+
+#: Kass and Raftery (1995), J. Am. Stat. Assoc. 90, section 3.2: twice the log of a Bayes factor, up to which
+#: the evidence against a model is called so.
+_WORDS = (2.0, "not worth more than a bare mention"), (6.0, "positive"), (10.0, "strong")
+
+
+@dataclass(frozen=True)
+class ModelComparison:
+    """Models in the order of their Bayes factors, the best first.
+
+    Attributes
+    ----------
+    names : tuple of str, length M
+    log_evidence : ndarray, shape (M,)
+        Nats; of fitted models the largest.
+    n_parameters : ndarray of int, shape (M,)
+        Fitted to these measurements.
+    n_rejected : ndarray of int, shape (M,)
+        Measurements that the model's filter did not use. They count in its log-evidence all the same.
+    n_readings : int
+        Measured numbers.
+    span : tuple of float
+        First and last time, seconds.
+    data : str
+        Fingerprint of times and measurements.
+    """
+
+    names: tuple
+    log_evidence: np.ndarray
+    n_parameters: np.ndarray
+    n_rejected: np.ndarray
+    n_readings: int
+    span: tuple
+    data: str
+
+    @property
+    def aic(self):
+        """Akaike's criterion, shape (M,): lower is better."""
+        return 2.0 * self.n_parameters - 2.0 * self.log_evidence
+
+    @property
+    def bic(self):
+        """Schwarz' criterion, shape (M,): lower is better."""
+        return self.n_parameters * np.log(self.n_readings) - 2.0 * self.log_evidence
+
+    @property
+    def log_bayes_factor(self):
+        """Log of the Bayes factor of each model against the best, nats, shape (M,), none above zero.
+
+        Without fitted parameters it is the difference of the log-evidences. Fitted ones would have to be
+        averaged over what was known of them before: Schwarz' criterion stands for that, −(BIC − BIC₀) / 2.
+        """
+        return 0.5 * (self.bic[0] - self.bic)
+
+    @property
+    def words(self):
+        """What Kass and Raftery call the evidence against each model, beside the best."""
+        return tuple(
+            "the best" if k == 0 else next((w for top, w in _WORDS if -2.0 * b <= top), "very strong")
+            for k, b in enumerate(self.log_bayes_factor)
+        )
+
+    def as_dict(self):
+        """Numbers and words by model, for files."""
+        columns = {
+            "log_evidence": self.log_evidence,
+            "n_parameters": self.n_parameters,
+            "n_rejected": self.n_rejected,
+            "aic": self.aic,
+            "bic": self.bic,
+            "log_bayes_factor": self.log_bayes_factor,
+        }
+        rows = {
+            name: {key: values[k].item() for key, values in columns.items()} | {"against": self.words[k]}
+            for k, name in enumerate(self.names)
+        }
+        return {"n_readings": self.n_readings, "span": list(self.span), "data": self.data, "models": rows}
+
+    def __str__(self):
+        width = max(len("model"), *map(len, self.names))
+        lines = [f"{'model':{width}}  log-evidence  fitted  rejected       AIC       BIC  log Bayes factor"]
+        rows = (self.log_evidence, self.n_parameters, self.n_rejected, self.aic, self.bic)
+        for name, value, k, rejected, aic, bic, factor, word in zip(
+            self.names, *rows, self.log_bayes_factor, self.words, strict=True
+        ):
+            lines.append(
+                f"{name:{width}}  {value:12.3f}  {k:6d}  {rejected:8d}  {aic:8.2f}  {bic:8.2f}  "
+                f"{factor:16.3f}  {word}"
+            )
+        first, last = self.span
+        return "\n".join([*lines, f"{self.n_readings} readings from {first:g} to {last:g} ({self.data})"])
+
+
+def compare_models(candidates, times, measurements):
+    """Compare models by the evidence of the same measurements.
+
+    Parameters
+    ----------
+    candidates : mapping of str to filter or ParameterFit
+        A filter at the start of the measurements, which stays there, is run; a fit has been made to them.
+    times : array_like, shape (T,)
+        Seconds.
+    measurements : sequence of length T
+        None or NaN where none came.
+
+    Returns
+    -------
+    ModelComparison
+
+    Raises
+    ------
+    ModelError
+        No candidates, one that is neither, or a fit to other measurements.
+    PropagationError
+        A filter cannot go on.
+
+    Examples
+    --------
+    >>> print(sf.compare_models({"Duffing": fit, "linear": other_fit}, times, z))    # doctest: +SKIP
+    """
+    candidates = dict(candidates)
+    if not candidates:
+        raise ModelError("there is no model to compare; give filters or fits by name")
+    data = fingerprint(times, measurements)
+    rows = [
+        (str(name), *_judged(name, candidate, times, measurements, data))
+        for name, candidate in candidates.items()
+    ]
+    readings = n_readings(measurements)
+    rows.sort(key=lambda row: row[2] * np.log(max(readings, 1)) - 2.0 * row[1])
+    names, evidence, n_parameters, n_rejected = zip(*rows, strict=True)
+    return ModelComparison(
+        names=names,
+        log_evidence=np.array(evidence),
+        n_parameters=np.array(n_parameters),
+        n_rejected=np.array(n_rejected),
+        n_readings=readings,
+        span=(float(times[0]), float(times[-1])),
+        data=data,
+    )
+
+
+def _judged(name, candidate, times, measurements, data):
+    """Log-evidence, number of fitted parameters, and measurements not used."""
+    if isinstance(candidate, ParameterFit):
+        if candidate.data != data:
+            raise ModelError(
+                f"{name!r} was fitted to other measurements ({candidate.data}) than those given ({data}); "
+                f"evidence is comparable on the same times and measurements only"
+            )
+        result, fitted = candidate.result, len(candidate.names)
+    elif hasattr(candidate, "run"):
+        result, fitted = copy.deepcopy(candidate).run(times, measurements), 0
+    else:
+        raise ModelError(f"{name!r} must be a filter or a ParameterFit, got {short(candidate)}")
+    return float(np.sum(result.log_evidence)), fitted, int(np.count_nonzero(~result.accepted))

@@ -1,0 +1,92 @@
+"""What later measurements say about a state: λ(x, t0) = log E[exp λ(X(t1), t1) | X(t0) = x].
+
+The backward Kolmogorov equation is the FPK equation without its divergence, in reversed time and with the
+drift reversed, so that the weighted noise paths of the log-density scheme solve it as they are. λ is no
+log-density: it may be flat, or rise towards the edge of the lattice that it is known on.
+"""
+
+import math
+
+import numpy as np
+
+from .._compile import shared
+from .._derived import zeros
+from ..core._first_class import address_of, function_at
+from ..core._jit import jit
+from ..core.expectation import AIMED, BACK, Step
+from ..core.fitting import build_field
+from ..core.noise_paths import Noise
+from ..core.stencils import stencils
+from .log_density import noise_factor, paths
+
+__all__ = ["expected", "information"]
+
+_FLAT = -1e-9  # largest second derivative of what goes on beyond a lattice, in its units
+_TURN = 0.2  # Runge-Kutta step times the largest rate of the drift's Jacobian
+_QUADRATURE = 7  # Gauss-Hermite points of one noise
+
+back_at, aim_at = BACK.at, AIMED.at
+
+
+def information(field, values):
+    """λ between the nodes of a lattice, as a `Field`: its values (N,) there, polynomials around them.
+
+    Beyond the lattice the quadratic part goes on, where it is concave, as a plane else. `field` is that of
+    a density on the same nodes.
+    """
+    n = field.mu.size
+    sten = stencils(n)
+    found = build_field(field.mu, field.A, field.node, np.ascontiguousarray(values), sten)
+    complete = np.flatnonzero(found.tail[:, 0, 0] != 0.0)
+    second = np.zeros((len(complete), n, n))
+    for k in range(n, n + n * (n + 1) // 2):
+        a, b = sten.axis[k], sten.axis[sten.parent[k]]
+        second[:, a, b] = second[:, b, a] = found.coefficient[complete, k] * (2.0 if a == b else 1.0)
+    w, V = np.linalg.eigh(second)
+    found.tail[complete] = np.einsum("iak,ik,ibk->iab", V, np.minimum(w, _FLAT), V)
+    return found._replace(cap=math.inf)
+
+
+def expected(model, found, t0, t1, around):
+    """Return λ at t0 as a function of states (M, n), from that at t1 as `information` made it.
+
+    Parameters
+    ----------
+    model : SDE
+        Its noise does not depend on the state.
+    found : Field
+    t0, t1 : float
+        Seconds, t1 > t0: one step of the noise.
+    around : ndarray, shape (N, n)
+        States at t0 that matter.
+    """
+    n, h = model.dim, t1 - t0
+    G, _ = noise_factor(model, t0, t1)
+    noise = Noise(G, model.p, not model.constant_diffusion, True)
+    rates = np.empty((len(around), n * n))
+    model.jacobian_batch(np.array(around), t0, model.p, rates)
+    rate = np.linalg.norm(rates[np.isfinite(rates).all(axis=1)].reshape(-1, n, n), axis=(1, 2)).max(initial=0)
+    parts = max(1, math.ceil(h * rate / _TURN))
+    functions = [address_of(f) for f in (model.reversed_drift_batch, shared(zeros))]
+    functions += [AIMED.address, BACK.address]
+    rule, centre = paths(G.shape[1], _QUADRATURE), around.mean(axis=0)
+
+    def log_expected(X):
+        out = np.empty(len(X))
+        _ahead(
+            tuple(functions), noise, found, stencils(n), rule, centre, (-t0, h), (parts, not model.linear),
+            np.array(X), out,
+        )  # fmt: skip
+        return out
+
+    return log_expected
+
+
+@jit
+def _ahead(functions, noise, field, sten, paths, centre, times, ways, X, out):
+    """λ at the states X (M, n) before a step of the noise, into out (M,); times are reversed: (-t0, h)."""
+    drift, divergence = function_at(functions[0]), function_at(functions[1])
+    aim, back = aim_at(functions[2]), back_at(functions[3])
+    response = aim(drift, noise, field, centre, times[0], times[1], ways[0])
+    step = Step(drift, divergence, noise, field, sten, paths, response, times[0], times[1], ways[0], ways[1])
+    back(step, X, -np.inf, out)

@@ -1,0 +1,226 @@
+"""Fixed-interval smoothing: the density of the state at each time, given all measurements.
+
+p(x_k | z_1..T) is the filter's p(x_k | z_1..k) times β_k(x) = p(z_k+1..T | x_k = x). log β is carried back
+from measurement to measurement on lattices that follow the smoothed density, and so is only asked for where
+that is: by itself it need not have an end.
+"""
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .config import LogDensityScheme
+from .errors import ModelError, PropagationError
+from .filter import SPHFilter
+from .level_set import outside, reach
+from .readings import checked_sensor
+from .resample import product
+from .results import FilterResult
+from .schemes.backward import expected, information
+from .schemes.log_density import fits
+from .validate import short
+from .validate import times as checked_times
+
+__all__ = ["SmoothedResult", "smooth"]
+
+#: Standard deviations that lattices of the smoother reach further than those of the filter: what β is beyond
+#: their edge is a guess, and cannot be put right by the next measurement.
+_FURTHER = 0.8
+
+
+@dataclass(frozen=True)
+class SmoothedResult:
+    """Densities given all measurements; the first axis is the measurement epoch.
+
+    Attributes
+    ----------
+    t : ndarray, shape (T,)
+        Seconds.
+    x : ndarray, shape (T, n)
+        Smoothed means.
+    P : ndarray, shape (T, n, n)
+        Smoothed covariances.
+    densities : tuple of ParticleDensity, length T
+    filtered : FilterResult
+        The filter's own run.
+    log_evidence : ndarray, shape (T,)
+        Log-evidence of all measurements, nats, put together at each epoch from what the filter says of those
+        before and the backward pass of those after: how far they are apart measures what both lose.
+    extrapolated : ndarray, shape (T,)
+        Probability of each smoothed density where the filter's had no particles, which rests on a guess.
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    P: np.ndarray
+    densities: tuple
+    filtered: FilterResult
+    log_evidence: np.ndarray
+    extrapolated: np.ndarray
+
+
+def smooth(filt, times, measurements, *, sensors=None):
+    """Smooth over a fixed interval: filter forward, then carry back what later measurements say.
+
+    Parameters
+    ----------
+    filt : SPHFilter
+        At the start of the measurements; it stays there. Its model has one or two states and noise that does
+        not depend on them, its scheme is the default.
+    times : array_like, shape (T,)
+        Not decreasing, seconds, none before the filter's own. Times may repeat.
+    measurements : sequence of length T
+        None or NaN where none came.
+    sensors : sequence of length T, optional
+        The sensor of each measurement, where they are of several; None for the filter's own.
+
+    Returns
+    -------
+    SmoothedResult
+
+    Raises
+    ------
+    ModelError
+        What is not supported: says what.
+    PropagationError
+        The filter cannot go on, or no lattice holds a smoothed density: says when.
+
+    Notes
+    -----
+    A measurement that the filter refused is not used on the way back either.
+
+    Examples
+    --------
+    >>> smoothed = sf.smooth(flt, times, z)         # doctest: +SKIP
+    >>> smoothed.densities[3].hpd_region(0.9)       # doctest: +SKIP
+    """
+    times = checked_times("times", times)
+    sensors = _checked(filt, times, measurements, sensors)
+    epochs, filtered = _forward(filt, times, measurements, sensors)
+    smoothed = _backward(epochs)
+    of = np.repeat(np.arange(len(epochs)), [epoch.rows for epoch in epochs])
+    densities, total, extrapolated = zip(*smoothed, strict=True)
+    return SmoothedResult(
+        t=times,
+        x=np.array([densities[k].mean() for k in of]),
+        P=np.array([densities[k].cov() for k in of]),
+        densities=tuple(densities[k] for k in of),
+        filtered=filtered,
+        log_evidence=np.array(total)[of],
+        extrapolated=np.array(extrapolated)[of],
+    )
+
+
+def _checked(filt, times, measurements, sensors):
+    """The sensor of every measurement, where all that is given can be smoothed."""
+    if not isinstance(filt, SPHFilter):
+        raise ModelError(f"smooth needs an SPHFilter, got {short(filt)}; it makes its own run of it")
+    sensors = [None] * len(times) if sensors is None else list(sensors)
+    if not len(times) == len(measurements) == len(sensors):
+        raise ModelError(
+            f"smooth needs a measurement, and a sensor if any are given, for each time; got {len(times)} "
+            f"times, {len(measurements)} measurements and {len(sensors)} sensors"
+        )
+    if times[0] < filt.t:
+        raise ModelError(f"the first time {times[0]:g} is before the filter's own time {filt.t:g}")
+    if filt.model.dim > 2:
+        raise ModelError(f"smooth takes 1 or 2 states, the model has {filt.model.dim}")
+    if not filt.model.domain.unbounded:
+        raise ModelError("smooth takes no model with a domain: states have to be on the whole line")
+    scheme = filt.config.scheme
+    reason = fits(filt.model, filt.density, filt.n_particles)
+    if scheme != "auto" and not isinstance(scheme, LogDensityScheme):
+        reason = f"the filter's scheme is {scheme.name!r}; leave it to the default"
+    if reason:
+        raise ModelError(f"smooth needs densities that the log_density scheme carries: {reason}")
+    return [checked_sensor(filt.measurement if s is None else s, filt.model) for s in sensors]
+
+
+@dataclass
+class _Epoch:
+    """What the filter did up to one of the distinct times."""
+
+    filt: SPHFilter  # after the updates
+    n_steps: int  # of the prediction
+    seen: list  # (sensor, z) that were used
+    rows: int  # measurements at that time, used or not
+
+    def log_likelihood(self, X):
+        """Of the measurements used, at states X (N, n)."""
+        t = self.filt.t
+        return sum((sensor.log_likelihood(z, X, t) for sensor, z in self.seen), np.zeros(len(X)))
+
+
+def _forward(filt, times, measurements, sensors):
+    """Run a copy of the filter; its epochs, and their `FilterResult`."""
+    filt = copy.copy(filt)
+    filt.config = replace(filt.config, exact_linear=False)  # its steps are those of the way back
+    epochs, rows, log_evidence, accepted = [], [], [], []
+    for t, z, sensor in zip(times, measurements, sensors, strict=True):
+        steps = 0
+        if t > filt.t:
+            info = filt.predict(t=t)
+            steps = info.n_steps
+            if info.scheme != "log_density":
+                raise ModelError(
+                    f"smooth needs densities that the log_density scheme carries; to t = {t:g} it was "
+                    f"{info.scheme}: {info.status}"
+                )
+        info = filt.update(z, sensor)
+        if not epochs or t > epochs[-1].filt.t:
+            epochs.append(_Epoch(None, steps, [], 0))
+        epochs[-1].rows += 1
+        if info.accepted and sensor.observed(z).any():
+            epochs[-1].seen.append((sensor, z))
+        epochs[-1].filt = copy.copy(filt)
+        rows.append((filt.x_prior, filt.P_prior, filt.x, filt.P))
+        log_evidence.append(info.log_evidence)
+        accepted.append(info.accepted)
+    x_prior, P_prior, x, P = (np.array(column) for column in zip(*rows, strict=True))
+    return epochs, FilterResult(times, x_prior, P_prior, x, P, np.array(log_evidence), np.array(accepted))
+
+
+def _backward(epochs):
+    """Density, log-evidence of all measurements, and extrapolated probability at every epoch."""
+    last = epochs[-1].filt
+    scheme = LogDensityScheme(reach=reach(last.config.scheme, last.model.dim) + _FURTHER)
+    laid, _ = product(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
+    found = information(laid.field, epochs[-1].log_likelihood(laid.x))
+    out = [(last.density, last.log_evidence, 0.0)]
+    for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
+        try:
+            smoothed, found, future = _one_back(before, after, found, scheme)
+        except PropagationError as problem:
+            raise PropagationError(
+                f"smoothing back from t = {after.filt.t:g} to {before.filt.t:g}: {problem}"
+            ) from problem
+        past = before.filt
+        guessed = outside(past.density.field, smoothed.x, smoothed.mass)
+        out.append((smoothed, past.log_evidence + future, guessed))
+    return out[::-1]
+
+
+def _one_back(before, after, found, scheme):
+    """From one epoch to the one before: the smoothed density there, λ with its measurements, and log ∫ p β.
+
+    `found` is λ at the later epoch, measurements there included.
+    """
+    priors = _between(before.filt, after.filt.t, max(after.n_steps, 1))
+    for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
+        log_beta = expected(before.filt.model, found, prior.t, t, prior.x)
+        smoothed, future = product(prior, log_beta, before.filt.n_particles, scheme)
+        values = log_beta(smoothed.x)
+        if prior is not priors[0]:
+            found = information(smoothed.field, values)
+    return smoothed, information(smoothed.field, values + before.log_likelihood(smoothed.x)), future
+
+
+def _between(filt, t, n_steps):
+    """The filter's densities at the beginnings of equal steps up to time t."""
+    filt, start = copy.copy(filt), filt.t
+    densities = [filt.density]
+    for k in range(1, n_steps):
+        filt.predict(t=start + k / n_steps * (t - start))
+        densities.append(filt.density)
+    return densities
