@@ -69,7 +69,19 @@ class ModelError(SphfilterError, ValueError):
 
 
 class EstimationError(SphfilterError, RuntimeError):
-    """Parameters that the measurements do not determine, or whose evidence cannot be computed."""
+    """Parameters that the measurements do not determine, or whose evidence cannot be computed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> model = sf.SDE.from_expressions(["x"], ["-x"], [["1"]], parameters={"unused": 1.0})
+    >>> flt = sf.SPHFilter(model, sf.GaussianMeasurement([[1.0]], [[0.1]]), [0.0], [[1.0]], n_particles=60)
+    >>> sf.fit_parameters(flt, [0.5, 1.0], [0.3, 0.1], guess={"unused": 2.0})
+    Traceback (most recent call last):
+        ...
+    sphfilter.errors.EstimationError: the measurements do not determine 'unused': ...
+    """
 
 
 class PropagationError(SphfilterError, RuntimeError):
