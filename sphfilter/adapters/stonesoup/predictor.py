@@ -128,7 +128,12 @@ class SPHPredictor(Predictor):
             except PropagationError:
                 with suppress(PropagationError):
                     return start, predicted_apart(origin, predicted, config, n_particles)
-        return predict_relaying(predicted, sde, start, origin, config, n_particles)
+
+        def bounded(density):
+            return *predicted(density), n_particles
+
+        before, (moved, info, _) = predict_relaying(bounded, sde, start, origin, config, n_particles)
+        return before, (moved, info)
 
 
 def _seconds(start, end):
