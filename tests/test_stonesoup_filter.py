@@ -82,7 +82,7 @@ def test_types_are_registered_and_hold_what_stone_soup_asks_for():
 
 def test_nonlinear_filter_is_that_of_a_large_particle_cloud():
     """Two wells: Stone Soup's particle filter on the same equation and detections."""
-    model, n_paths = duffing(), 50_000
+    model, n_paths = duffing(), 25_000
     transition = SDETransitionModel(model, seed=5)
     sensor, times = position(), np.arange(0.0, 6.0)
     _, z = sf.simulate(model, sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]]), [3.0, 0.0], times, rng=4)
