@@ -5,8 +5,9 @@ import sys
 
 from sphfilter.errors import SphfilterError
 
-from . import listing, run, scaling
+from . import guide, listing, realtime, run, scaling
 from .benchmark import command as benchmark
+from .campaign import command as campaign
 from .converge import command as converge
 from .estimate import command as estimate
 from .own_data import command as own_data
@@ -23,6 +24,7 @@ __all__ = ["COMMANDS", "main"]
 COMMANDS = {
     "list": listing,
     "run": run,
+    "campaign": campaign,
     "transient": transient,
     "sweep": sweep,
     "converge": converge,
@@ -32,6 +34,7 @@ COMMANDS = {
     "stress": stress,
     "skips": skips,
     "scaling": scaling,
+    "realtime": realtime,
 }
 #: Names that `run` takes and that are no scenarios: measured data, with options of their own.
 MEASURED = {"sunspots": sunspots}
@@ -39,26 +42,42 @@ MEASURED = {"sunspots": sunspots}
 
 def parser():
     """The command line."""
-    top = argparse.ArgumentParser(prog="python -m experiments", description="Experiments with the filters.")
-    commands = top.add_subparsers(dest="command", required=True)
+    summaries = {
+        name: module.__doc__.partition("`: ")[2].splitlines()[0] for name, module in COMMANDS.items()
+    }
+    top = argparse.ArgumentParser(
+        prog="python -m experiments",
+        usage="python -m experiments COMMAND [options]",
+        description="Experiments with the filters. COMMAND --help tells more of each.",
+        epilog=guide.overview(summaries),
+        formatter_class=argparse.RawDescriptionHelpFormatter,  # examples keep their lines
+    )
+    commands = top.add_subparsers(
+        dest="command", required=True, metavar="COMMAND", help=argparse.SUPPRESS, prog="python -m experiments"
+    )
     for name, module in COMMANDS.items():
-        summary = module.__doc__.partition("`: ")[2].splitlines()[0]
-        command = commands.add_parser(name, help=summary, description=summary, epilog=_epilog(module))
-        command.formatter_class = argparse.RawDescriptionHelpFormatter  # examples keep their lines
+        command = commands.add_parser(name, description=summaries[name], epilog=_epilog(name, module))
+        command.formatter_class = argparse.RawDescriptionHelpFormatter
         module.add_arguments(command)
         command.set_defaults(main=module.main)
     return top
 
 
-def _epilog(module):
-    return getattr(module, "EPILOG", None)
+def _epilog(name, module):
+    return "\n\n".join(filter(None, [guide.examples(name), getattr(module, "EPILOG", "")])) or None
 
 
 def _measured_parser(name):
     """The command line of `run` with a name of `MEASURED`."""
     module = MEASURED[name]
     description = module.__doc__.partition("`: ")[2].splitlines()[0]
-    made = argparse.ArgumentParser(prog=f"python -m experiments run {name}", description=description)
+    example = f"Example:\n  python -m experiments run {name} --out results/{name}"
+    made = argparse.ArgumentParser(
+        prog=f"python -m experiments run {name}",
+        description=description,
+        epilog=example,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     module.add_arguments(made)
     made.set_defaults(main=module.main)
     return made

@@ -5,18 +5,14 @@ import hashlib
 import json
 import platform
 import shutil
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import tomli_w
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from sphfilter import __version__
-from sphfilter.campaign import run_campaign
 from sphfilter.errors import SphfilterError
 from sphfilter.report import report
 
@@ -24,24 +20,21 @@ from . import pictures, plots
 from .comparison import distances, reference_name
 from .files import add_change_option, changes_of
 from .filters import FILTERS, factories, name_of
+from .running import new_console, run_shown, status, warm_up
 from .scenario import load_scenario
 from .tables import distance_table, result_table, sentences
 
-__all__ = ["Interrupted", "add_arguments", "main", "status"]
-
-
-class Interrupted(KeyboardInterrupt):
-    """The user stopped a campaign; the message says how to go on."""
+__all__ = ["add_arguments", "counted", "main", "without_nan", "without_none"]
 
 
 def add_arguments(parser):
     """Add the options of `run`."""
     parser.add_argument("scenario", help="a name from `list`, or the path of a scenario's TOML file")
     parser.add_argument("--filters", help=f"comma-separated, of {', '.join(FILTERS)}")
-    parser.add_argument("--runs", type=_count, help="number of simulated runs")
+    parser.add_argument("--runs", type=counted, help="number of simulated runs")
     parser.add_argument("--seed", type=int, help="seed of everything random")
     parser.add_argument("--out", type=Path, help="folder for results (default: results/NAME)")
-    parser.add_argument("--jobs", type=_count, default=1, help="processes")
+    parser.add_argument("--jobs", type=counted, default=1, help="processes")
     parser.add_argument("--n-particles", type=int, help="particles of the SPH filters, at most")
     parser.add_argument(
         "--pictures",
@@ -52,7 +45,7 @@ def add_arguments(parser):
     add_change_option(parser)
 
 
-def _count(text):
+def counted(text):
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"a whole number of at least 1 is needed, not {text!r}")
     return int(text)
@@ -60,8 +53,7 @@ def _count(text):
 
 def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter failed in every run, else 0."""
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=132)
+    console = new_console()
     changes = changes_of(args)
     if args.n_particles is not None:
         changes |= {f"filters.{name}.n_particles": args.n_particles for name in ("sph", "sph_paper")}
@@ -75,7 +67,7 @@ def main(args):
 
     console.print(f"[bold]{scenario.name}[/]: {scenario.settings.description}")
     console.print(f"{scenario.settings.source}\n", style="dim")
-    _warm_up(console, scenario, filters)
+    warm_up(console, scenario, filters)
     campaign = _campaign(console, scenario, filters, n_runs, seed, args.jobs, out)
     numbers = report(campaign)
     reference = reference_name(scenario, filters)
@@ -110,53 +102,11 @@ def _picture(console, name, scenario, out, seed, n_runs):
             return []
 
 
-def _warm_up(console, scenario, filters):
-    """Let every filter take one measurement, so that compiling neither surprises nor counts as run time."""
-    case = scenario.draw(np.random.default_rng(0))
-    with status(console) as say:
-        for name, make in filters.items():
-            say(f"preparing {name_of(name)} (the first time compiles, for a minute)")
-            try:
-                make(case, np.random.default_rng(0)).run(case.times[:1], case.z[:1])
-            except Exception as problem:  # the campaign records it, run by run
-                say(f"{name_of(name)}: {problem}")
-
-
-@contextmanager
-def status(console):
-    """Yield a function that shows what goes on: a line that changes, or lines where there is no terminal."""
-    if not console.is_terminal:
-        yield lambda text: console.print(text, style="dim")
-        return
-    with console.status("") as line:
-        yield line.update
-
-
 def _campaign(console, scenario, filters, n_runs, seed, n_jobs, out):
     """Run the campaign with a progress bar. Finished runs wait in a folder of its own until all are done."""
     which = hashlib.sha256(f"{scenario} {filters} {seed}".encode()).hexdigest()[:8]
     folder = out / f"unfinished-{which}"
-    if any(folder.glob("run_*.npz")):
-        console.print(f"going on from the runs that an interrupted command left in {folder}")
-    columns = TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=n_runs)
-
-        def progress(done, total):
-            bar.update(task, completed=done)
-            if not console.is_terminal:
-                console.print(f"run {done} of {total} done", style="dim")
-
-        try:
-            campaign = run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, progress)
-        except KeyboardInterrupt:
-            done = len(list(folder.glob("run_*.npz")))
-            if not done:
-                shutil.rmtree(folder, ignore_errors=True)
-                raise
-            raise Interrupted(
-                f"Stopped; {done} of {n_runs} runs are kept in {folder}. The same command goes on from there."
-            ) from None
+    campaign = run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder)
     shutil.rmtree(folder)
     return campaign
 
@@ -193,7 +143,7 @@ def _write(out, scenario, campaign, numbers, distance):
         "failures": [failure._asdict() for failure in campaign.failures],
         "settings": asdict(settings),
     }
-    text = json.dumps(_without_nan(record), indent=1, allow_nan=False)
+    text = json.dumps(without_nan(record), indent=1, allow_nan=False)
     (out / "run.json").write_text(text, encoding="utf-8")
 
 
@@ -201,9 +151,9 @@ def without_none(tree):
     return {k: without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
 
 
-def _without_nan(tree):
+def without_nan(tree):
     if isinstance(tree, dict):
-        return {k: _without_nan(v) for k, v in tree.items()}
+        return {k: without_nan(v) for k, v in tree.items()}
     if isinstance(tree, list | tuple):
-        return [_without_nan(v) for v in tree]
+        return [without_nan(v) for v in tree]
     return None if isinstance(tree, float) and not np.isfinite(tree) else tree

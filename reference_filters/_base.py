@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from sphfilter import validate
+from sphfilter.calibration import Observer
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.info import PredictInfo, UpdateInfo
 from sphfilter.results import run_filter
@@ -107,9 +108,10 @@ class ReferenceFilter(ABC):
         self.log_evidence += info.log_evidence
         return info
 
-    def run(self, times, measurements):
+    def run(self, times, measurements, truth=None):
         """Predict to each time and update; see `sphfilter.results.run_filter`."""
-        return run_filter(self, times, measurements)
+        observer = None if truth is None else Observer(truth)
+        return run_filter(self, times, measurements, observer)
 
     def _end_of_step(self, dt, t):
         if dt is not None and t is not None:

@@ -9,6 +9,7 @@ from scipy.special import erf, expit, logsumexp
 from scipy.stats import multivariate_normal
 
 from sphfilter.errors import ModelError
+from sphfilter.spread import Spread
 
 from ._base import ReferenceFilter
 
@@ -163,6 +164,12 @@ class BenesFilter(ReferenceFilter):
     def pdf(self, x):
         """Density at x, shape (N,), for s > 0."""
         return np.exp(self.logpdf(x))
+
+    def spread(self):
+        """Points of the density, evenly over twelve standard deviations, as a `Spread`."""
+        X = self.x + np.sqrt(self.P[0, 0]) * np.linspace(-12.0, 12.0, 4001)[:, None]
+        w = self.pdf(X[:, 0])
+        return Spread(X, w / w.sum(), self.logpdf(X[:, 0]), lambda Y: self.logpdf(Y[:, 0]))
 
     def _predicted(self, belief, t0, t1):
         m, s = belief

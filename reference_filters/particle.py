@@ -6,6 +6,7 @@ import numpy as np
 
 from sphfilter import validate
 from sphfilter.errors import ModelError
+from sphfilter.spread import Spread
 
 from ._base import ReferenceFilter, gaussian_start
 from ._paths import Paths
@@ -91,6 +92,10 @@ class ParticleFilter(ReferenceFilter):
     def effective_size(self):
         """Effective number of particles, 1 / Σ w²."""
         return 1.0 / np.sum(self.weights**2)
+
+    def spread(self):
+        """The cloud as a `Spread`: it has no density."""
+        return Spread(self.particles, self.weights)
 
     def _moments(self, belief):
         n = self.model.dim

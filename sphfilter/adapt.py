@@ -61,8 +61,17 @@ def fewest(dim, n_particles):
     return max(60, 3 * fewest_particles(dim))
 
 
-def predict_adapting(density, model, dt, config, *, t, n_particles):
+def _always(n_particles):
+    return True
+
+
+def predict_adapting(density, model, dt, config, *, t, n_particles, fits=_always):
     """Predict, again with more particles where the error seen is above the target.
+
+    Parameters
+    ----------
+    fits : callable
+        fits(n_particles) says whether there is time for one more prediction on so many.
 
     Returns
     -------
@@ -86,8 +95,12 @@ def predict_adapting(density, model, dt, config, *, t, n_particles):
         ratio = _ERROR_PER_MASS * info.mass_error / config.target_error
         if ratio <= 1.0 or n_particles >= _MOST:
             break
-        more = n_particles * min(max(ratio ** (1.0 / _ORDER), 1.2), 3.0)
-        n_particles = min(math.ceil(more), _MOST)
+        more = min(math.ceil(n_particles * min(max(ratio ** (1.0 / _ORDER), 1.2), 3.0)), _MOST)
+        if not fits(more):
+            late = f"the prediction on {more} particles that the target asks for: no time for it"
+            best = moved, replace(info, skipped=(*info.skipped, late)), n_particles
+            break
+        n_particles = more
     moved, info, n_particles = best
     if ratio < 1.0 / _SLACK:
         n_particles = max(fewest(model.dim, "auto"), int(0.8 * n_particles))
@@ -130,7 +143,7 @@ def predict_relaying(predicted, model, density, origin, config, n_particles):
         raise
 
 
-def update_repeating(prediction, prior, model, measurement, z, config, n_particles):
+def update_repeating(prediction, prior, model, measurement, z, config, n_particles, fits=_always):
     """Update; if the posterior hangs on what the prediction lost, predict again, finer and further.
 
     A prediction cuts off what lies below a level of the density, and loses some of what is near. There a
@@ -140,6 +153,8 @@ def update_repeating(prediction, prior, model, measurement, z, config, n_particl
     ----------
     prediction : Prediction
         What led to the prior.
+    fits : callable
+        fits(n_particles) says whether there is time for one more prediction on so many.
 
     Returns
     -------
@@ -158,6 +173,11 @@ def update_repeating(prediction, prior, model, measurement, z, config, n_particl
         times = min(times, FINEST**model.dim)
         sure = info.extrapolated * min(1.0, lost / beyond) < _GUESSED
         if sure or not info.accepted or times * n_particles > _MOST:
+            break
+        if not fits(times * n_particles):
+            late = f"no time to repeat the prediction on {times} times the particles"
+            done = "" if info.status == "ok" else f"{info.status}; "
+            info = replace(info, status=f"{done}{late}")
             break
         further = replace(config, scheme=replace(scheme, reach=Z + level * _DEEPER))
         try:

@@ -7,6 +7,7 @@ interruption change nothing in the runs and filters that stay.
 
 import hashlib
 import numbers
+from concurrent.futures import BrokenExecutor
 from copy import deepcopy
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,8 +18,9 @@ import numpy as np
 
 from . import campaign_store as store
 from . import validate
-from .errors import ModelError
-from .results import FilterResult
+from .calibration import Observer, gaussian_ranks
+from .errors import CampaignError, ModelError, SphfilterError
+from .results import FilterResult, run_filter
 
 __all__ = ["CampaignResult", "Case", "Failure", "draw_case", "run_campaign"]
 
@@ -38,6 +40,14 @@ class Case:
         Start of the filters.
     t0 : float
         Time of the start, seconds.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> case = sf.Case(times=[1.0], truth=[[0.2]], z=[[0.3]], x0=np.zeros(1), P0=np.eye(1))
+    >>> print(case.t0)
+    0.0
     """
 
     times: np.ndarray
@@ -61,8 +71,12 @@ class Case:
             )
 
 
+#: What every filter has to tell.
+_MOMENTS = "x_prior", "P_prior", "x", "P", "log_evidence", "accepted"
+
+
 class Failure(NamedTuple):
-    """A filter that raised in a run."""
+    """A filter that raised in a run, or the "simulation" that did before any filter was asked."""
 
     run: int
     filter: str
@@ -88,6 +102,21 @@ class CampaignResult:
     run_time : dict of str to ndarray, shape (R,)
         Wall-clock seconds spent in the filter's ``run``; NaN where it failed.
     failures : list of Failure
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> case = sf.Case([1.0], [[0.2]], [[0.3]], np.zeros(1), np.eye(1))
+    >>> class Once:
+    ...     name = "once"
+    ...     draw = staticmethod(lambda rng: case)
+    >>> def sph(case, rng):
+    ...     model, sensor = sf.LinearSDE([[-1.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[0.1]])
+    ...     return sf.SPHFilter(model, sensor, case.x0, case.P0, n_particles=60)
+    >>> campaign = sf.run_campaign(Once(), {"sph": sph}, n_runs=2, seed=1)
+    >>> print(campaign.results["sph"].x.ravel().round(3), campaign.z.ravel(), campaign.failures)
+    [0.255 0.255] [0.3 0.3] []
     """
 
     scenario: str
@@ -131,8 +160,8 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
         Worker processes of joblib; scenario and factories must be picklable if more than one. None takes
         the surrounding ``joblib.parallel_config``, with which other backends (dask) come in.
     folder : path, optional
-        Each finished run is written there at once. Called again with the same folder, finished runs are read
-        instead of redone, also if `n_runs` has changed.
+        Each finished run is written there at once, and not kept in memory. Called again with the same folder,
+        finished runs are read instead of redone, also if `n_runs` has changed.
     progress : callable, optional
         Called with (runs done, runs in all), first with the number found in `folder`.
 
@@ -146,6 +175,26 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
         Nothing to run, or cases that differ in shape or times.
     ConfigError
         The folder holds another campaign: other scenario, seed, filters or versions.
+    CampaignError
+        A worker process died.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> model, sensor = sf.LinearSDE([[-1.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[0.1]])
+    >>> class Decay:
+    ...     name = "decay"
+    ...     def draw(self, rng):
+    ...         times, x0, P0 = np.arange(1.0, 6.0), np.zeros(1), np.eye(1)
+    ...         truth, z = sf.simulate(model, sensor, rng.normal(size=1), [0.0, *times], rng)
+    ...         return sf.Case(times, truth[1:], z[1:], x0, P0)
+    >>> sph = lambda case, rng: sf.SPHFilter(model, sensor, case.x0, case.P0, n_particles=60)
+    >>> campaign = sf.run_campaign(Decay(), {"sph": sph}, n_runs=3, seed=1)
+    >>> print(campaign.results["sph"].x.shape, len(campaign.failures))
+    (3, 5, 1) 0
+    >>> print(sf.report(campaign).filters["sph"].nees < 3.0)
+    True
     """
     n_runs, filters = validate.count("n_runs", n_runs), dict(filters)
     if not filters:
@@ -153,18 +202,22 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
     if not isinstance(seed, numbers.Integral) or seed < 0:
         raise ModelError(f"seed must be an integer of zero or more, got {seed!r}")
     seeds = np.random.SeedSequence(int(seed)).spawn(n_runs)
-    records = {}
+    records, finished = {}, {}
     if folder is not None:
         folder = Path(folder)
         first = store.case_digest(_draw(scenario, seeds[0]))
         store.claim(folder, store.manifest(scenario, filters, int(seed), first))
-        records = {r: store.read_run(path) for r, path in store.finished(folder, n_runs).items()}
-    todo = [(r, scenario, filters, seeds[r], folder) for r in range(n_runs) if r not in records]
-    for done, (r, record) in enumerate(_in_parallel(_run, todo, n_jobs, progress, n_runs), len(records) + 1):
-        records[r] = record
+        finished = store.finished(folder, n_runs)
+    todo = [(r, scenario, filters, seeds[r]) for r in range(n_runs) if r not in finished]
+    for done, (r, record) in enumerate(_in_parallel(_run, todo, n_jobs, progress, n_runs), len(finished) + 1):
+        if folder is None:
+            records[r] = record
+        else:  # here and not where it was run, which may be another machine
+            finished[r] = store.write_run(folder, r, record)
         if progress is not None:
             progress(done, n_runs)
-    return _gather(scenario.name, int(seed), [records[r] for r in range(n_runs)], list(filters))
+    read = records.pop if folder is None else lambda r: store.read_run(finished[r])
+    return _gather(scenario.name, int(seed), read, n_runs, list(filters))
 
 
 def _in_parallel(task, todo, n_jobs, progress, n_runs):
@@ -174,7 +227,13 @@ def _in_parallel(task, todo, n_jobs, progress, n_runs):
     if progress is not None:
         progress(n_runs - len(todo), n_runs)
     workers = Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
-    yield from workers(delayed(task)(*row) for row in todo)
+    try:
+        yield from workers(delayed(task)(*row) for row in todo)
+    except BrokenExecutor as problem:
+        raise CampaignError(
+            "a worker process died, for lack of memory perhaps: try fewer of them (n_jobs). Runs that were "
+            "finished are kept if there is a folder, and the same call goes on from them."
+        ) from problem
 
 
 def draw_case(scenario, seed, run):
@@ -194,19 +253,19 @@ def _filter_rng(seed, name):
     return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
 
 
-def _run(r, scenario, filters, seed, folder):
-    """Draw run r, put all filters through it, and write the record if there is a folder."""
-    case = _draw(scenario, seed)
+def _run(r, scenario, filters, seed):
+    """Draw run r and put all filters through it."""
+    try:
+        case = _draw(scenario, seed)
+    except SphfilterError as problem:  # a truth that blows up costs its run and no other
+        return r, {"failures": [(r, "simulation", f"{type(problem).__name__}: {problem}")]}
     outcomes = {name: _outcome(make, case, _filter_rng(seed, name)) for name, make in filters.items()}
-    record = {
+    return r, {
         "case": {f.name: np.asarray(getattr(case, f.name), dtype=float) for f in fields(case)},
         "results": {name: arrays for name, (arrays, _, _) in outcomes.items()},
         "run_time": {name: seconds for name, (_, seconds, _) in outcomes.items()},
         "failures": [(r, name, message) for name, (_, _, message) in outcomes.items() if message],
     }
-    if folder is not None:
-        store.write_run(folder, r, record)
-    return r, record
 
 
 def _outcome(make, case, rng):
@@ -215,44 +274,72 @@ def _outcome(make, case, rng):
     case = deepcopy(case)  # what one filter does to its case must not reach the next
     try:
         filt = make(case, rng)
+        observer = Observer(case.truth) if hasattr(filt, "spread") else None
         start = perf_counter()
-        result = filt.run(case.times, case.z)
-        seconds = perf_counter() - start
-        arrays = {name: np.asarray(getattr(result, name)) for name in blank}
-        wrong = [name for name in blank if arrays[name].shape != blank[name].shape]
+        result = run_filter(filt, case.times, case.z, observer) if observer else filt.run(case.times, case.z)
+        seconds = perf_counter() - start - (observer.seconds if observer else 0.0)
+        arrays = {name: np.asarray(getattr(result, name)) for name in _MOMENTS}
+        wrong = [name for name in _MOMENTS if arrays[name].shape != blank[name].shape]
         if wrong:
             shapes = f"{arrays[wrong[0]].shape}, not {blank[wrong[0]].shape}"
             raise ModelError(f"the filter's result has {wrong[0]} of shape {shapes}")
+        for name in blank.keys() - arrays.keys():  # what a filter of one's own need not tell
+            value = np.asarray(getattr(result, name, np.nan))
+            arrays[name] = value if value.shape == blank[name].shape else blank[name]
+        if observer is None:
+            moments = [arrays[name] for name in ("x", "P", "innovation", "innovation_cov")]
+            arrays |= gaussian_ranks(case.truth, *moments)
     except Exception as error:  # a filter under test may raise anything, and that is a finding
         return blank, np.nan, f"{type(error).__name__}: {error}"
     return arrays, seconds, ""
 
 
 def _blank(case):
-    T, n = np.shape(case.truth)
+    (T, n), k = np.shape(case.truth), np.size(case.z[0])
     shapes = {"x_prior": (T, n), "P_prior": (T, n, n), "x": (T, n), "P": (T, n, n), "log_evidence": (T,)}
+    shapes |= {"innovation": (T, k), "innovation_cov": (T, k, k)}
+    shapes |= {"pit": (T, k), "state_pit": (T, n), "hpd_rank": (T,)}
     return {name: np.full(shape, np.nan) for name, shape in shapes.items()} | {"accepted": np.zeros(T, bool)}
 
 
-def _gather(scenario, seed, records, names):
-    """Stack the records of all runs."""
-    first = records[0]["case"]
-    for r, record in enumerate(records):
+def _gather(scenario, seed, read, n_runs, names):
+    """Put the records of all runs, one after the other, into arrays that have them as first axis."""
+    failures, first, histories = [], None, None
+    for r in range(n_runs):
+        record = read(r)
+        failures += [Failure(*failure) for failure in record.pop("failures")]
+        if not record:  # nothing was simulated
+            continue
+        if first is None:
+            first, histories = record["case"], _room(record, n_runs)
         for key in ("times", "t0"):
             if not np.array_equal(record["case"][key], first[key]):
-                raise ModelError(f"the cases of scenario {scenario!r} differ in {key} (runs 0 and {r})")
-
-    histories = _stacked([{k: v for k, v in record.items() if k != "failures"} for record in records])
+                raise ModelError(f"the cases of scenario {scenario!r} differ in {key} (as in run {r})")
+        _put(histories, r, record, scenario)
+    if first is None:
+        raise CampaignError(f"no run of scenario {scenario!r} could be simulated: {failures[0].message}")
     cases = {key: histories["case"][key] for key in ("truth", "z", "x0", "P0")}
     results = {name: FilterResult(t=first["times"], **histories["results"][name]) for name in names}
     run_time = {name: histories["run_time"][name] for name in names}
-    failures = [Failure(*failure) for record in records for failure in record["failures"]]
     return CampaignResult(scenario=scenario, seed=seed, times=first["times"], t0=float(first["t0"]), **cases,
                           results=results, run_time=run_time, failures=failures)  # fmt: skip
 
 
-def _stacked(trees):
-    """Stack the arrays of equal trees of dictionaries."""
-    if isinstance(trees[0], dict):
-        return {key: _stacked([tree[key] for tree in trees]) for key in trees[0]}
-    return np.stack(trees)
+def _room(tree, n_runs):
+    """Arrays for many trees of dictionaries like this one, NaN and False until they are filled."""
+    if isinstance(tree, dict):
+        return {key: _room(child, n_runs) for key, child in tree.items()}
+    tree = np.asarray(tree)
+    return np.full((n_runs, *tree.shape), False if tree.dtype == bool else np.nan)
+
+
+def _put(room, r, tree, scenario):
+    """Put a tree of dictionaries into row r of what `_room` made."""
+    for key, child in tree.items():
+        if isinstance(child, dict):
+            _put(room[key], r, child, scenario)
+            continue
+        if np.shape(child) != room[key].shape[1:]:
+            shapes = f"{room[key].shape[1:]} and {np.shape(child)}"
+            raise ModelError(f"the cases of scenario {scenario!r} differ in shape: {shapes} (as in run {r})")
+        room[key][r] = child

@@ -95,8 +95,10 @@ def finished(folder, n_runs):
 
 
 def write_run(folder, r, record):
-    """Write one run: nested dictionaries of arrays, and its failures."""
-    _save(_path(folder, r), record, plain=("failures",))
+    """Write one run: nested dictionaries of arrays, and its failures. Returns the file."""
+    path = _path(folder, r)
+    _save(path, record, plain=("failures",))
+    return path
 
 
 def read_run(path):

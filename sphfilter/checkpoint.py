@@ -1,14 +1,62 @@
-"""Where a density of a filter comes from and what it said last, as arrays that go into a file."""
+"""A filter in a file: its density, where that comes from, and what it said last, as arrays."""
 
 import numpy as np
 
 from .adapt import Prediction, Update
-from .storage import density_from, part, stored, under
+from .config import FilterConfig
+from .errors import ModelError
+from .storage import density_from, load_arrays, part, stored, under, write_arrays
 
-__all__ = ["origin_from", "stored_origin"]
+__all__ = ["restored", "write"]
+
+#: What a file holds besides the density and where it comes from.
+_MOMENTS = "x_prior", "P_prior", "x_post", "P_post"
+_STATE = ("n_particles", "dt", "z", "y", "S", "log_likelihood", "log_evidence", *_MOMENTS)
 
 
-def stored_origin(origin, measurement):
+def write(path, attributes):
+    """Write a filter, given as its attributes by name, to an npz file."""
+    state = {name: attributes[name] for name in _STATE if attributes[name] is not None}
+    arrays = {name: np.asarray(value) for name, value in state.items()} | {
+        "config": np.array(attributes["config"].to_toml()),
+        "adapts": np.array(attributes["_adapts"]),
+    }
+    arrays |= under("density", stored(attributes["_density"]))
+    origin = _stored_origin(attributes["_origin"], attributes["measurement"])
+    write_arrays(path, arrays | under("origin", origin))
+
+
+def restored(path, model, measurement):
+    """Read what `write` wrote.
+
+    Returns
+    -------
+    dict, dict
+        Arguments that make a filter of the model and the measurement, and its attributes from then on.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read or holds no filter.
+    """
+    arrays = load_arrays(path)
+    if "adapts" not in arrays:
+        raise ModelError(f"{path} holds no filter: SPHFilter.save writes such files")
+    options = {
+        "density": density_from(part("density", arrays)),
+        "n_particles": int(arrays["n_particles"]),
+        "config": FilterConfig.from_toml(str(arrays["config"])),
+    }
+    state = {name: arrays.get(name) for name in _STATE}
+    for name in _MOMENTS:
+        state[name].flags.writeable = False
+    attributes = {k: v.item() if v is not None and v.ndim == 0 else v for k, v in state.items()}
+    attributes["_adapts"] = bool(arrays["adapts"])
+    attributes["_origin"] = _origin(part("origin", arrays), model, measurement)
+    return options, attributes
+
+
+def _stored_origin(origin, measurement):
     """The last prediction or update of a filter, which it may have to repeat, as arrays.
 
     An update with another sensor than the filter's own is left out: sensors are code, not data.
@@ -21,8 +69,8 @@ def stored_origin(origin, measurement):
     return {}
 
 
-def origin_from(arrays, model, measurement):
-    """The origin of arrays that `stored_origin` made; None if there are none."""
+def _origin(arrays, model, measurement):
+    """The origin of arrays that `_stored_origin` made; None if there are none."""
     if not arrays:
         return None
     before = density_from(part("before", arrays))

@@ -155,6 +155,12 @@ class PaperScheme:
         Steps of one prediction, re-griddings included, after which it is given up with an error.
     read_out : str
         What mean and covariance are computed from: "points" or the "mixture" of kernels.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> print(sf.PaperScheme(kernel="gaussian", support_range=(3.6, 3.6), integrator="midpoint").c_cfl)
+    0.2
     """
 
     name: Literal["paper"] = "paper"
@@ -218,6 +224,12 @@ class LogDensityScheme:
     most_lost : float
         Probability that the lattices of one prediction may lose or gain in all before it is given up.
     max_steps : int
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> print(sf.FilterConfig(scheme=sf.LogDensityScheme(reach=5.0)).scheme.noise_share)
+    2.0
     """
 
     name: Literal["log_density"] = "log_density"
@@ -245,6 +257,12 @@ class CorrectedScheme:
         Error allowed in a time step: root mean square over the mass, in standard deviations of the cloud.
     max_steps : int
         Steps of one prediction after which it is given up with an error.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> print(sf.FilterConfig(scheme=sf.CorrectedScheme(degree=2)).scheme.kernel)
+    wendland_c2
     """
 
     name: Literal["corrected"] = "corrected"
@@ -268,6 +286,12 @@ class AcceptanceTest:
         Largest part of the expected posterior that may lie in the kernels' overhang (62).
     on_reject : str
         "keep" the prior's particles, or "resample" them.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> print(sf.FilterConfig(acceptance=sf.AcceptanceTest(enabled=True, f_edge=0.6)).acceptance.z_pi)
+    2.576
     """
 
     enabled: bool = False
@@ -297,6 +321,7 @@ class _Settings:
 
         Examples
         --------
+        >>> from sphfilter import FilterConfig
         >>> FilterConfig.paper(kernel="gaussian", z_pi=3.0).scheme.kernel
         'gaussian'
         """
@@ -371,6 +396,12 @@ class SolverConfig(_Settings):
         When `propagate` puts particles that sums over kernels have carried on a new lattice (002 5.3): never,
         where `health` finds that they have mixed, clumped or gone astray, or so many seconds apart.
         Log-densities are on a new lattice at every step anyway.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> print(sf.SolverConfig(scheme="corrected", remesh=2.0).scheme.degree)
+    4
     """
 
     scheme: SchemeChoice = "auto"
@@ -389,12 +420,25 @@ class FilterConfig(_Settings):
     acceptance : AcceptanceTest
     target_error : float
         What ``n_particles="auto"`` aims at: error of the posterior mean, in posterior standard deviations.
+    time_budget : float, optional
+        Wall-clock seconds that a predict of `SPHFilter` and the updates after it may take together. With it
+        results depend on the machine and its load.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> config = sf.FilterConfig(target_error=0.003)
+    >>> print(sf.FilterConfig.from_toml(config.to_toml()) == config)
+    True
+    >>> print(sf.FilterConfig(scheme="paper").scheme.kernel, sf.FilterConfig.paper().acceptance.enabled)
+    lucy True
     """
 
     scheme: SchemeChoice = "auto"
     exact_linear: bool = False
     acceptance: AcceptanceTest = Field(default_factory=AcceptanceTest)
     target_error: Positive = 0.01
+    time_budget: Positive | None = None
 
     @classmethod
     def _paper_parts(cls):

@@ -31,6 +31,12 @@ def nees(truth, mean, cov):
     ------
     ModelError
         Shapes that do not fit.
+
+    Examples
+    --------
+    >>> from sphfilter import consistency
+    >>> print(consistency.nees([[1.0, 2.0]], [[1.5, 2.0]], [[[0.25, 0.0], [0.0, 1.0]]]))
+    [1.]
     """
     truth, mean, cov = _checked(truth, mean, cov)
     return _normalised_square(mean - truth, cov)
@@ -50,6 +56,12 @@ def nis(innovation, S):
     -------
     ndarray, shape (R, T) or (T,)
         NaN and infinite as in `nees`.
+
+    Examples
+    --------
+    >>> from sphfilter import consistency
+    >>> print(consistency.nis([[2.0], [0.0]], [[[4.0]], [[4.0]]]))
+    [1. 0.]
     """
     innovation = np.asarray(innovation, dtype=float)
     _, innovation, S = _checked(np.zeros_like(innovation), innovation, S)
@@ -64,6 +76,12 @@ def nmee(truth, mean, cov):
     ndarray, shape (R, T, n) or (T, n)
         (mean − truth) / standard deviation for each state; NaN where an argument is, infinite where the
         variance is not positive. `run_average` of it is 002 (67).
+
+    Examples
+    --------
+    >>> from sphfilter import consistency
+    >>> print(consistency.nmee([[1.0, 2.0]], [[1.5, 2.0]], [[[0.25, 0.0], [0.0, 1.0]]]))
+    [[1. 0.]]
     """
     truth, mean, cov = _checked(truth, mean, cov)
     sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
@@ -108,6 +126,14 @@ def run_average(values):
         NaN where no run is left.
     n_runs : ndarray of int, shape (T, ...)
         Runs in it; those that are NaN are left out.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sphfilter import consistency
+    >>> average, n_runs = consistency.run_average([[1.0, 2.0], [3.0, np.nan]])
+    >>> print(average, n_runs)
+    [2. 2.] [2 1]
     """
     values = np.asarray(values, dtype=float)
     known = ~np.isnan(values)
@@ -136,6 +162,12 @@ def nees_bounds(dim, n_runs, alpha=0.05, sided=2):
     Returns
     -------
     lower, upper : float or ndarray
+
+    Examples
+    --------
+    >>> from sphfilter import consistency
+    >>> print("{:.3f} {:.3f}".format(*consistency.nees_bounds(dim=2, n_runs=25)))
+    1.294 2.857
     """
     alpha = _probability(alpha)
     if sided not in (1, 2):
@@ -152,6 +184,12 @@ def nmee_bounds(n_runs, alpha=0.05):
     Returns
     -------
     lower, upper : float or ndarray
+
+    Examples
+    --------
+    >>> from sphfilter import consistency
+    >>> print("{:.3f} {:.3f}".format(*consistency.nmee_bounds(n_runs=25)))
+    -0.392 0.392
     """
     upper = -ndtri(_probability(alpha) / 2.0) / np.sqrt(np.asarray(n_runs, dtype=float))
     return -upper[()], upper[()]
@@ -181,6 +219,12 @@ def fraction_inside(values, bounds):
     -------
     float or ndarray, shape (...)
         NaN where nothing is left.
+
+    Examples
+    --------
+    >>> from sphfilter import consistency
+    >>> print(consistency.fraction_inside([0.5, 1.2, 9.0, 2.0], (0.1, 5.0)))
+    0.75
     """
     values = np.asarray(values, dtype=float)
     known = ~np.isnan(values)
@@ -208,6 +252,13 @@ def diverged(nees_values, dim, window=5, level=0.9999):
     -------
     ndarray of bool, shape (R,) or ()
         NaN does not exceed anything: a run that failed has not diverged by this criterion.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sphfilter import consistency
+    >>> print(consistency.diverged([np.ones(10), np.linspace(1.0, 90.0, 10)], dim=2))
+    [False  True]
     """
     values = np.asarray(nees_values, dtype=float)
     window = min(window, values.shape[-1])
@@ -233,13 +284,26 @@ def whiteness(innovation, S, lag=1):
     Returns
     -------
     ndarray, shape (R,) or ()
+        NaN for a run without two successive innovations.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sphfilter import consistency
+    >>> drawn = np.random.default_rng(1).normal(size=(20, 50, 1))
+    >>> print(abs(consistency.whiteness(drawn, np.ones((20, 50, 1, 1)))).max().round(1))
+    0.3
     """
     innovation = np.asarray(innovation, dtype=float)
     _, nu, S = _checked(np.zeros_like(innovation), innovation, S)
     known = np.isfinite(nu).all(axis=-1) & np.isfinite(S).all(axis=(-2, -1))
+    known[known] = (np.linalg.eigvalsh(S[known]) > 0).all(axis=-1)
     root = np.linalg.cholesky(np.where(known[..., None, None], S, np.eye(nu.shape[-1])))
     w = np.linalg.solve(root, np.where(known[..., None], nu, 0.0)[..., None])[..., 0]
     now, later = w[..., :-lag, :], w[..., lag:, :]
     both = (known[..., :-lag] & known[..., lag:])[..., None]
     power = [np.sum(np.where(both, v, 0.0) ** 2, axis=(-2, -1)) for v in (now, later)]
-    return np.sum(now * later, axis=(-2, -1)) / np.sqrt(power[0] * power[1])
+    size = np.sqrt(power[0] * power[1])
+    return np.divide(
+        np.sum(now * later, axis=(-2, -1)), size, out=np.full_like(size, np.nan), where=size > 0
+    )[()]

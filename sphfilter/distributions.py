@@ -13,7 +13,14 @@ __all__ = ["Gaussian", "Uniform", "checked_box"]
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Normal distribution with mean (n,) and covariance (n, n), positive definite."""
+    """Normal distribution with mean (n,) and covariance (n, n), positive definite.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> print(sf.Gaussian([0.0], [[4.0]]).pdf([[0.0], [2.0]]).round(4))
+    [0.1995 0.121 ]
+    """
 
     mean: np.ndarray
     cov: np.ndarray
@@ -30,7 +37,14 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Uniform:
-    """Uniform distribution on a box (n, 2) of lower and upper bounds."""
+    """Uniform distribution on a box (n, 2) of lower and upper bounds.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> print(sf.Uniform([[0.0, 2.0]]).pdf([[1.0], [3.0]]))
+    [0.5 0. ]
+    """
 
     box: np.ndarray
 

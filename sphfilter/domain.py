@@ -29,8 +29,10 @@ class Domain:
 
     Examples
     --------
-    >>> Domain(("periodic", -np.pi, np.pi), None).wrap([[4.0, 7.0]])
-    array([[-2.28318531,  7.        ]])
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> print(sf.Domain(("periodic", -np.pi, np.pi), None).wrap([[4.0, 7.0]]).round(4))
+    [[-2.2832  7.    ]]
     """
 
     def __init__(self, *axes):

@@ -3,6 +3,7 @@
 from difflib import get_close_matches
 
 __all__ = [
+    "CampaignError",
     "ConfigError",
     "EstimationError",
     "ExpressionError",
@@ -15,19 +16,56 @@ __all__ = [
 
 
 class SphfilterError(Exception):
-    """Base of every error this package raises on purpose."""
+    """Base of every error this package raises on purpose.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> try:
+    ...     sf.LikelihoodMeasurement(3)
+    ... except sf.SphfilterError as problem:
+    ...     print(problem)
+    loglik must be a function (z, X, t) -> (N,), got 3.
+    """
 
 
 class ConfigError(SphfilterError, ValueError):
-    """A configuration that cannot be used: unknown key, wrong type or value out of range."""
+    """A configuration that cannot be used: unknown key, wrong type or value out of range.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> sf.FilterConfig(target_eror=0.01)
+    Traceback (most recent call last):
+        ...
+    sphfilter.errors.ConfigError: unknown key FilterConfig.target_eror (did you mean ...
+    """
 
 
 class ExpressionError(SphfilterError, ValueError):
-    """A text expression with an unknown name or a syntax that is not allowed."""
+    """A text expression with an unknown name or a syntax that is not allowed.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> sf.SDE.from_expressions(["x"], ["-k*x"], [["1"]])
+    Traceback (most recent call last):
+        ...
+    sphfilter.errors.ExpressionError: drift[0] '-k*x': unknown name 'k'. The names here are x, t, ...
+    """
 
 
 class ModelError(SphfilterError, ValueError):
-    """A model, measurement or state that does not fit: wrong length, shape, NaN, not positive definite."""
+    """A model, measurement or state that does not fit: wrong length, shape, NaN, not positive definite.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[-0.1]])
+    Traceback (most recent call last):
+        ...
+    sphfilter.errors.ModelError: noise_cov is not positive definite: its smallest eigenvalue, ...
+    """
 
 
 class EstimationError(SphfilterError, RuntimeError):
@@ -35,7 +73,21 @@ class EstimationError(SphfilterError, RuntimeError):
 
 
 class PropagationError(SphfilterError, RuntimeError):
-    """A prediction or update that could not be completed; the filter is as it was before the call."""
+    """A prediction or update that could not be completed; the filter is as it was before the call.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> start = sf.initialize(sf.Gaussian([0.0], [[1.0]]), n_particles=60)
+    >>> sf.predict(start, sf.SDE.from_expressions(["x"], ["x**3"], [["1"]]), 1.0)
+    Traceback (most recent call last):
+        ...
+    sphfilter.errors.PropagationError: the model blew up at t = ... Check the drift ...
+    """
+
+
+class CampaignError(SphfilterError, RuntimeError):
+    """A campaign that cannot go on; the runs that are finished are kept in its folder."""
 
 
 class LatticeError(PropagationError):

@@ -1,10 +1,15 @@
 """`SPHFilter`: predict and update with state, in the shape filterpy users know."""
 
+import math
+from copy import copy
+
 import numpy as np
 
 from .adapt import Prediction, Update, fewest, predict_adapting, predict_relaying, update_repeating
-from .checkpoint import origin_from, stored_origin
-from .config import FilterConfig, checked_filter_config
+from .budget import Budget, rehearse
+from .calibration import Observer
+from .checkpoint import restored, write
+from .config import checked_filter_config
 from .density import ParticleDensity
 from .errors import ModelError
 from .initial import Gaussian, initialize
@@ -12,14 +17,10 @@ from .models import SDE
 from .predict import predict
 from .readings import checked_sensor, read, sensor_of
 from .results import run_filter
-from .storage import density_from, load_arrays, part, stored, under, write_arrays
 from .validate import array, count, covariance, positive, real, row, short
 
 __all__ = ["SPHFilter"]
 
-#: What a file holds besides the density and where it comes from.
-_MOMENTS = "x_prior", "P_prior", "x_post", "P_post"
-_STATE = ("n_particles", "dt", "z", "y", "S", "log_likelihood", "log_evidence", *_MOMENTS)
 _FIXED = (
     "the {} of a density filter cannot be overwritten (IMM mixing does that); "
     "make a new SPHFilter with x0 and P0"
@@ -44,6 +45,8 @@ class SPHFilter:
         Upper bound of the number of particles at every re-gridding. "auto" lets it follow the error that the
         log-density scheme sees in itself towards the configuration's `target_error`.
     config : FilterConfig, optional
+        With `time_budget`, n_particles is what steps may have at most: they have as many as are expected to
+        end in time, 60 in two states at least. See `prepare`.
     density : ParticleDensity, optional
         Initial density instead of x0, P0 and t0.
     dt : float, optional
@@ -66,12 +69,27 @@ class SPHFilter:
     Notes
     -----
     A predict or update that raises leaves the filter as it was. The filter draws no random numbers: the
-    same input gives the same bits.
+    same input gives the same bits, unless it has a `time_budget`: then its particles hang on the clock.
 
     Of filterpy's filters it has ``predict()``, ``update(z)``, ``update(None)``, ``update(z, R, H)``; x, P,
     their priors and posteriors, z, y, S, log_likelihood and likelihood, to be read; and it works in ``Saver``
     and ``MMAEFilterBank``. It has no F, Q, K or H to be set, no ``update(z, HJacobian, Hx)``, and no place in
     ``IMMEstimator``, which overwrites x and P.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> well = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
+    >>> sensor = sf.GaussianMeasurement([[1.0]], [[0.1]])
+    >>> flt = sf.SPHFilter(well, sensor, x0=[0.0], P0=[[0.5]], n_particles=100, dt=1.0)
+    >>> for z in (0.9, None, -1.1):
+    ...     predicted, updated = flt.predict(), flt.update(z)
+    ...     print(f"t = {flt.t:.0f}: {flt.x[0]:6.3f} ± {flt.P[0, 0] ** 0.5:.3f}")
+    t = 1:  0.873 ± 0.260
+    t = 2:  0.768 ± 0.517
+    t = 3: -0.951 ± 0.256
+    >>> print(f"{flt.log_evidence:.3f}, {flt.density.probability(lambda X: X[:, 0] > 0):.4f}")
+    -3.562, 0.0007
     """
 
     def __init__(
@@ -96,6 +114,7 @@ class SPHFilter:
         given = fewest(model.dim, n_particles) if self._adapts else n_particles
         self.n_particles = count("n_particles", given)
         self.dt = None if dt is None else positive("dt", dt)
+        self._budget = Budget(self.config.time_budget)
         self._density = self._start(x0, P0, t0, density)
         self._origin = None  # the Prediction or Update that the density comes from
         self._moments()
@@ -159,25 +178,63 @@ class SPHFilter:
 
         filterpy's banks call ``predict(0)``, for no control: a filter with a dt of its own advances by it.
         """
+        self._budget.begin(step=True)
         if t is None and (dt is None or (self.dt is not None and np.ndim(dt) == 0 and dt == 0)):
             if self.dt is None:
                 raise ModelError("predict needs dt or t=, or a filter made with dt=")
             dt = self.dt
+        rehearses = not self._budget.prepared
+        if rehearses:
+            interval = real("dt", dt) if t is None else real("t", t) - self.t
+            if interval > 0.0:
+                self.prepare(interval)
+        most = self._most()
 
         def predicted(density):
-            options = {"t": t, "n_particles": self.n_particles}
+            options = {"t": t, "n_particles": most}
             if self._adapts:
+                options["fits"] = self._budget.fits
                 return predict_adapting(density, self.model, dt, self.config, **options)
             return *predict(density, self.model, dt, self.config, **options), self.n_particles
 
         before, (density, info, n_particles) = predict_relaying(
-            predicted, self.model, self._density, self._origin, self.config, self.n_particles
+            predicted, self.model, self._density, self._origin, self.config, most
         )
+        moved = "predict" if density.t > self.t and not rehearses else ""
+        repeated = before is not self._density
         self._density, self.n_particles = density, n_particles
         self._origin = Prediction(before, info.mass_error, self.model, density.t)
         self._moments()
         self.x_prior, self.P_prior = self._x, self._P
-        return info
+        return self._budget.end(moved, info, density.n_particles, repeated)
+
+    def _most(self):
+        """Particles that a call may have."""
+        return self._budget.bound(self.n_particles, fewest(self.model.dim, "auto"))
+
+    def prepare(self, dt=None):
+        """Compile all that predictions and updates call, before a loop in real time.
+
+        Predictions and updates are rehearsed on a twin: the filter stays where it is. Under a `time_budget`
+        it learns from them what its particles cost. Without this, it does so in its first predict.
+
+        Parameters
+        ----------
+        dt : float, optional
+            Interval between measurements, seconds; the filter's own dt if it has one.
+
+        Returns
+        -------
+        float
+            Seconds that a predict and an update take; NaN if they could not be made.
+        """
+        if dt is None and self.dt is None:
+            raise ModelError("prepare needs dt, the interval between measurements, or a filter made with dt=")
+        twin, budget = copy(self), Budget(self.config.time_budget or math.inf)
+        budget.prepared, twin._budget = True, budget
+        seconds = rehearse(twin, budget, positive("dt", self.dt if dt is None else dt))
+        self._budget.adopt(budget)
+        return seconds
 
     def update(self, z, measurement=None, H=None):
         """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo.
@@ -187,10 +244,13 @@ class SPHFilter:
         """
         measurement = sensor_of(self.measurement, measurement, H, self.model)
         prediction = self._origin if isinstance(self._origin, Prediction) else Prediction()
+        self._budget.begin()
+        options = {"n_particles": self._most(), "fits": self._budget.fits}
         prior, density, info = update_repeating(
-            prediction, self._density, self.model, measurement, z, self.config, self.n_particles
+            prediction, self._density, self.model, measurement, z, self.config, **options
         )
-        if prior is not self._density:
+        repeated = prior is not self._density
+        if repeated:
             self._density = prior
             self._moments()
         self.x_prior, self.P_prior = self._x, self._P
@@ -201,17 +261,12 @@ class SPHFilter:
         self.z, self.y, self.S = read(measurement, z, info)
         self.log_likelihood = info.log_evidence
         self.log_evidence += info.log_evidence
-        return info
+        seen = "update" if measurement.observed(z).any() else ""
+        return self._budget.end(seen, info, density.n_particles, repeated)
 
     def save(self, path):
         """Write the filter as it stands to an npz file; model and sensor, which are code, are not in it."""
-        state = {name: getattr(self, name) for name in _STATE if getattr(self, name) is not None}
-        arrays = {name: np.asarray(value) for name, value in state.items()} | {
-            "config": np.array(self.config.to_toml()),
-            "adapts": np.array(self._adapts),
-        }
-        arrays |= under("density", stored(self._density))
-        write_arrays(path, arrays | under("origin", stored_origin(self._origin, self.measurement)))
+        write(path, vars(self))
 
     @classmethod
     def load(cls, path, model, measurement):
@@ -222,25 +277,20 @@ class SPHFilter:
         ModelError
             The file cannot be read or holds no filter, or the model has other states.
         """
-        arrays = load_arrays(path)
-        if "adapts" not in arrays:
-            raise ModelError(f"{path} holds no filter: SPHFilter.save writes such files")
-        filt = cls(
-            model,
-            measurement,
-            density=density_from(part("density", arrays)),
-            n_particles=int(arrays["n_particles"]),
-            config=FilterConfig.from_toml(str(arrays["config"])),
-        )
-        for name in _STATE:
-            value = arrays.get(name)
-            setattr(filt, name, value.item() if value is not None and value.ndim == 0 else value)
-        for name in _MOMENTS:
-            getattr(filt, name).flags.writeable = False
-        filt._adapts = bool(arrays["adapts"])
-        filt._origin = origin_from(part("origin", arrays), model, filt.measurement)
+        options, attributes = restored(path, model, measurement)
+        filt = cls(model, measurement, **options)
+        vars(filt).update(attributes)
         return filt
 
-    def run(self, times, measurements):
-        """Predict to each time and update with its measurement; returns a `FilterResult`."""
-        return run_filter(self, times, measurements)
+    def spread(self):
+        """The density now as states and weights, a `Spread`."""
+        return self._density.spread()
+
+    def run(self, times, measurements, truth=None):
+        """Predict to each time and update with its measurement; returns a `FilterResult`.
+
+        Told the true states of simulated data, `truth` (T, n), the result also holds their ranks in the
+        filter's densities (the filter does not see them); `sf.report` judges by them.
+        """
+        observer = None if truth is None else Observer(truth)
+        return run_filter(self, times, measurements, observer)

@@ -41,6 +41,13 @@ class Health:
         Probability that these carry.
     effective : float
         Effective number of particles, 1 / sum m². Only a new lattice changes it.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> order = sf.health(sf.initialize(sf.Gaussian([0.0], [[1.0]]), n_particles=60))
+    >>> print(f"{order.mixing:.3f}, {order.rogue}, {order.effective:.1f}")
+    0.000, 0.0, 17.8
     """
 
     mixing: float
@@ -88,6 +95,14 @@ def health(density):
     ------
     ModelError
         The density has a single particle.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> cloud = sf.initialize(sf.Gaussian([0.0, 0.0], np.eye(2)), 200, sf.SolverConfig(scheme="paper"))
+    >>> print(f"{sf.health(cloud).severity:.2f}, {sf.health(cloud).complaint!r}")
+    0.05, ''
     """
     N = density.n_particles
     if N < 2:

@@ -35,6 +35,16 @@ class PredictInfo:
         Work the scene made unnecessary.
     scheme, status : str
         What carried the density; "ok", or why another scheme than the first choice did.
+    seconds : float
+        Wall-clock time, measured under a time budget only.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> start = sf.initialize(sf.Gaussian([0.0], [[0.5]]), n_particles=60)
+    >>> _, info = sf.predict(start, sf.LinearSDE([[-1.0]], noise=[[1.0]]), 1.0)
+    >>> print(info.scheme, info.status, info.n_steps, info.mass_error < 1e-3)
+    log_density ok 4 True
     """
 
     n_steps: int = 0
@@ -50,6 +60,7 @@ class PredictInfo:
     skipped: tuple = ()
     scheme: str = "paper"
     status: str = "ok"
+    seconds: float = 0.0
 
     @classmethod
     def joined(cls, infos):
@@ -76,7 +87,15 @@ _WORDS = "skipped", "scheme", "status"
 
 @dataclass(frozen=True, kw_only=True)
 class ResampleInfo:
-    """One re-gridding (002 4.7): lattice, tried candidates, and how well the chosen one fits."""
+    """One re-gridding (002 4.7): lattice, tried candidates, and how well the chosen one fits.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> _, info = sf.resample(sf.initialize(sf.Gaussian([0.0], [[1.0]]), n_particles=60), 40)
+    >>> print(info.n_particles <= 40, info.n_candidates)
+    True 1
+    """
 
     n_particles: int
     lattice_dims: tuple
@@ -110,10 +129,20 @@ class UpdateInfo:
         rests on a guess about the prior's tails.
     status : str
         "ok", or that the prediction before was repeated (`SPHFilter` does that where much is extrapolated).
+    seconds : float
+        Wall-clock time, measured under a time budget only.
     kernel_ratio : float
         Variance of the kernels over the smallest variance of the posterior along any direction. Above about
         one the kernels are wider than the posterior somewhere: more particles, or states of like scale.
     resample : ResampleInfo or None
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> prior = sf.initialize(sf.Gaussian([0.0], [[1.0]]), n_particles=60)
+    >>> _, info = sf.update(prior, sf.GaussianMeasurement([[1.0]], [[1.0]]), [9.0])
+    >>> print(info.accepted, info.reason)
+    True outlying measurement: 6.4 sigma from its prediction
     """
 
     accepted: bool
@@ -124,5 +153,6 @@ class UpdateInfo:
     n_particles: int = 0
     extrapolated: float = 0.0
     status: str = "ok"
+    seconds: float = 0.0
     kernel_ratio: float = 0.0
     resample: ResampleInfo | None = field(default=None, repr=False)

@@ -55,6 +55,17 @@ def initialize(distribution, n_particles=None, config=None, *, box=None, spacing
     ModelError
         Neither or too small a number of particles, a box or spacing that is none, a pdf that is negative, not
         finite or zero everywhere.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> normal = sf.initialize(sf.Gaussian([1.0, 0.0], np.eye(2)), n_particles=200)
+    >>> print(normal.n_particles <= 200, normal.cov().round(3).tolist())
+    True [[1.0, 0.0], [0.0, 1.0]]
+    >>> two = sf.initialize(lambda X: np.exp(-((X[:, 0] ** 2 - 4) ** 2)), n_particles=100, box=[[-4, 4]])
+    >>> print(two.cov().round(2))
+    [[3.93]]
     """
     scheme = (config or SolverConfig()).scheme
     if spacing is not None:

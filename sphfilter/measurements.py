@@ -50,6 +50,16 @@ class GaussianMeasurement:
     ------
     ModelError
         Shapes that do not fit, R not positive definite, or an `h` that cannot be compiled.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> position = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])
+    >>> print(position.predict([[3.0, 1.0], [4.0, 0.0]]).ravel())
+    [3. 4.]
+    >>> distance = sf.GaussianMeasurement(h=lambda x: (x[0] ** 2 + x[1] ** 2,), noise_cov=[[0.1]])
+    >>> print(distance.log_likelihood([25.0], [[3.0, 4.0]]).round(4))
+    [0.2324]
     """
 
     def __init__(self, h, noise_cov, angles=(), vectorized=False):
@@ -243,6 +253,14 @@ class LikelihoodMeasurement:
         Length of z; not checked when None.
     sample : callable, optional
         sample(X, t, rng) → (N, k), for simulation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sphfilter as sf
+    >>> counter = sf.LikelihoodMeasurement(lambda z, X, t: z[0] * X[:, 0] - np.exp(X[:, 0]))  # a Poisson rate
+    >>> print(counter.log_likelihood([3.0], np.log([[1.0], [3.0]])).round(3))
+    [-1.     0.296]
     """
 
     H = None

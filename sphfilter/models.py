@@ -74,6 +74,18 @@ class SDE:
     ------
     ModelError
         Wrong arity, shapes, NaN, Q not positive semidefinite, or a callable numba cannot compile.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> def oscillator(x, t, p):
+    ...     return x[1], -p[0] * x[1] - x[0]
+    >>> model = sf.SDE(oscillator, dim=2, noise=[[0.0], [1.0]], parameters={"damping": 0.5})
+    >>> print(model.drift([[1.0, 0.0], [0.0, 2.0]], t=0.0))
+    [[ 0. -1.]
+     [ 2. -1.]]
+    >>> print(model.with_parameters(damping=1.0).drift([[0.0, 2.0]], t=0.0))
+    [[ 2. -2.]]
     """
 
     def __init__(self, drift, dim, noise=None, spectral_density=None, *, diffusion=None, parameters=None,
@@ -126,6 +138,13 @@ class SDE:
         -----
         Allowed: states, t, parameters, numbers, pi, ``+ - * / **``, sin cos tan asin acos atan atan2 sinh
         cosh tanh exp log sqrt abs sign min max, and where(condition, a, b) with comparisons, ``and``, ``or``.
+
+        Examples
+        --------
+        >>> import sphfilter as sf
+        >>> model = sf.SDE.from_expressions(["x"], ["x - x**3"], noise=[["s"]], parameters={"s": 0.5})
+        >>> print(model.drift([[2.0]], t=0.0), model.jacobian([2.0], t=0.0))
+        [[-6.]] [[-11.]]
         """
         from ._symbolic import symbolic_model  # imports sympy, which takes a second
 
@@ -261,6 +280,13 @@ class LinearSDE(SDE):
     noise : array_like, shape (n, m), optional
     spectral_density : array_like, shape (m, m), optional
         Identity if not given.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> model = sf.LinearSDE(A=[[0.0, 1.0], [-1.0, -0.5]], noise=[[0.0], [1.0]])
+    >>> print(model.linear, model.drift([[1.0, 0.0]], t=0.0))
+    True [[ 0. -1.]]
     """
 
     def __init__(self, A, b=None, noise=None, spectral_density=None):

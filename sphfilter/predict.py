@@ -13,7 +13,7 @@ from .schemes import corrected, log_density, paper
 from .schemes._shared import carried_off
 from .validate import real
 
-__all__ = ["FINEST", "MOST_FINER", "SUMMED", "predict", "predict_within"]
+__all__ = ["FINEST", "MOST_FINER", "SUMMED", "load", "predict", "predict_within"]
 
 
 def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
@@ -41,6 +41,15 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
         The interval is negative, or model and density differ in dimension.
     PropagationError
         The model blew up; says when, where and what to change.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> well = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
+    >>> start = sf.initialize(sf.Gaussian([0.0], [[0.1]]), n_particles=100)
+    >>> later, info = sf.predict(start, well, 2.0)
+    >>> print(f"t = {later.t}, {info.scheme}, {info.status}, variance {later.cov()[0, 0]:.3f}")
+    t = 2.0, log_density, ok, variance 0.788
     """
     return predict_within(MOST_FINER, density, model, dt, config, t=t, n_particles=n_particles)
 
@@ -68,6 +77,17 @@ def predict_within(most, density, model, dt=None, config=None, *, t=None, n_part
     if scheme == "auto":
         return _best(density, model, target, n_particles, most)
     return _SCHEMES[type(scheme)](density, model, target, scheme, n_particles)
+
+
+def load(model, density, config):
+    """Compile what predictions call only now and then; returns the scheme they may fall back on, or None."""
+    if isinstance(config.scheme, PaperScheme | CorrectedScheme):
+        return None
+    if not log_density.fits(model, density, density.n_particles):
+        log_density.load(model)
+    if config.scheme != "auto":
+        return None
+    return CorrectedScheme() if model.domain.unbounded else SUMMED
 
 
 def _in_domain(density, domain):

@@ -61,6 +61,14 @@ def resample(density, n_particles=None, config=None):
     Returns
     -------
     ParticleDensity, ResampleInfo
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> coarse = sf.initialize(sf.Gaussian([0.0], [[1.0]]), n_particles=50)
+    >>> fine, info = sf.resample(coarse, n_particles=200)
+    >>> print(coarse.n_particles <= 50 < fine.n_particles == info.n_particles <= 200)
+    True
     """
     scheme = (config or SolverConfig()).scheme
     return regrid(density, bound(density, n_particles), scheme)

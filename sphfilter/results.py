@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from .calibration import gaussian_ranks
 from .errors import ModelError
 
 __all__ = ["FilterResult", "run_filter"]
@@ -26,6 +27,21 @@ class FilterResult:
         log-evidence of the run.
     accepted : ndarray of bool, shape (T,)
         False where a measurement came and the filter rejected it.
+    innovation, innovation_cov : ndarray, shapes (T, k), (T, k, k)
+        z minus its prediction and the covariance of that; NaN where nothing came or the filter does not say.
+    pit, state_pit, hpd_rank : ndarray, shapes (T, k), (T, n), (T,)
+        Probability that the prediction gave to lower readings; probabilities that the posterior gave to lower
+        values of each state than the truth, and to the region where it is higher than at the truth. All
+        uniform for a filter that is right, see `calibration`. NaN unless the run was told a truth.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> model, sensor = sf.LinearSDE([[-1.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[0.1]])
+    >>> flt = sf.SPHFilter(model, sensor, x0=[0.0], P0=[[1.0]])
+    >>> result = flt.run(times=[0.5, 1.0], measurements=[0.3, None])
+    >>> print(result.x.ravel().round(3), result.log_evidence.round(3), result.accepted)
+    [0.262 0.159] [-0.855  0.   ] [ True  True]
     """
 
     t: np.ndarray
@@ -35,6 +51,25 @@ class FilterResult:
     P: np.ndarray
     log_evidence: np.ndarray
     accepted: np.ndarray
+    innovation: np.ndarray | None = None
+    innovation_cov: np.ndarray | None = None
+    pit: np.ndarray | None = None
+    state_pit: np.ndarray | None = None
+    hpd_rank: np.ndarray | None = None
+
+    def __post_init__(self):
+        lead, n = np.shape(self.x)[:-1], np.shape(self.x)[-1]
+        k = 1 if self.innovation is None else np.shape(self.innovation)[-1]
+        shapes = {
+            "innovation": (k,),
+            "innovation_cov": (k, k),
+            "pit": (k,),
+            "state_pit": (n,),
+            "hpd_rank": (),
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full((*lead, *shape), np.nan))
 
     def save(self, path):
         """Write the arrays to a ``.npz`` file."""
@@ -44,10 +79,10 @@ class FilterResult:
     def load(cls, path):
         """Read what `save` wrote."""
         with np.load(path) as data:
-            return cls(**{f.name: data[f.name] for f in fields(cls)})
+            return cls(**{f.name: data[f.name] for f in fields(cls) if f.name in data})
 
 
-def run_filter(filt, times, measurements):
+def run_filter(filt, times, measurements, observer=None):
     """Predict to each time and update with its measurement.
 
     Parameters
@@ -58,6 +93,9 @@ def run_filter(filt, times, measurements):
         own is not predicted to, so repeated times and ``times[0] == t0`` are updates only.
     measurements : sequence of length T
         One measurement a time; None or NaN where none came.
+    observer : Observer, optional
+        Ranks the measurements and the truth that it knows in the densities of a filter with ``spread()``;
+        a filter without it is taken for Gaussian.
 
     Returns
     -------
@@ -73,22 +111,52 @@ def run_filter(filt, times, measurements):
         raise ModelError(
             f"times must be finite, not decreasing and not before the filter's own time {filt.t:g}"
         )
-    rows = [_epoch(filt, t, z) for t, z in zip(times, measurements, strict=True)]
+    if observer is not None and np.shape(observer.truth) != (len(times), len(filt.x)):
+        expected = f"{(len(times), len(filt.x))}, a state a time"
+        raise ModelError(f"truth must have shape {expected}; got {np.shape(observer.truth)}")
+    k = max((np.size(z) for z in measurements if z is not None), default=1)
+    looks = observer is not None and hasattr(filt, "spread")
+    rows = [
+        _epoch(filt, t, z, k, epoch, observer if looks else None)
+        for epoch, (t, z) in enumerate(zip(times, measurements, strict=True))
+    ]
     n = len(filt.x)
-    empty = {"x_prior": (0, n), "P_prior": (0, n, n), "x": (0, n), "P": (0, n, n)}
-    names = ("x_prior", "P_prior", "x", "P", "log_evidence", "accepted")
-    columns = (
-        {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
-        if rows
-        else {name: np.empty(empty.get(name, (0,))) for name in names}
-    )
-    columns["accepted"] = columns["accepted"].astype(bool)
+    shapes = {"x_prior": (n,), "P_prior": (n, n), "x": (n,), "P": (n, n), "log_evidence": (), "accepted": ()}
+    shapes |= {"innovation": (k,), "innovation_cov": (k, k)}
+    if looks:
+        shapes |= {"pit": (k,), "state_pit": (n,), "hpd_rank": ()}
+    columns = {
+        name: np.array([row[name] for row in rows], dtype=bool if name == "accepted" else float).reshape(
+            -1, *shape
+        )
+        for name, shape in shapes.items()
+    }
+    if observer is not None and not looks:
+        moments = (columns[name] for name in ("x", "P", "innovation", "innovation_cov"))
+        columns |= gaussian_ranks(observer.truth, *moments)
     return FilterResult(t=times, **columns)
 
 
-def _epoch(filt, t, z):
+def _epoch(filt, t, z, k, epoch, observer):
+    """Predict to t, update with z, and return what the result keeps of it."""
     if t > filt.t:
         filt.predict(t=t)
-    x_prior, P_prior = filt.x.copy(), filt.P.copy()
+    row = {"x_prior": filt.x.copy(), "P_prior": filt.P.copy()}
+    if observer is not None:
+        pit, *predicted = observer.before(filt, z, k)
     info = filt.update(z)
-    return x_prior, P_prior, filt.x.copy(), filt.P.copy(), filt.log_likelihood, info.accepted
+    y, S = _innovation(info, z, k)
+    if observer is not None:
+        row["pit"], (row["state_pit"], row["hpd_rank"]) = pit, observer.after(filt, epoch)
+        y, S = predicted if info.innovation is None else (y, S)
+    row |= {"x": filt.x.copy(), "P": filt.P.copy(), "log_evidence": filt.log_likelihood}
+    return row | {"accepted": info.accepted, "innovation": y, "innovation_cov": S}
+
+
+def _innovation(info, z, k):
+    """Innovation (k,) and its covariance as an update tells them, NaN for components that did not come."""
+    y, S = np.full(k, np.nan), np.full((k, k), np.nan)
+    if info.innovation is not None:
+        seen = np.isfinite(np.atleast_1d(np.asarray(z, dtype=float)))
+        y[seen], S[np.ix_(seen, seen)] = info.innovation, info.innovation_cov
+    return y, S

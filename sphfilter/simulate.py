@@ -49,6 +49,18 @@ def simulate(model, measurement, x0, times, rng=None, n_paths=None, max_step=Non
         Wrong shapes, or times that run backwards.
     PropagationError
         A path left the range of finite numbers.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> model = sf.LinearSDE(A=[[-1.0]], noise=[[1.0]])
+    >>> sensor = sf.GaussianMeasurement([[1.0]], [[0.1]])
+    >>> truth, z = sf.simulate(model, sensor, x0=[2.0], times=[0, 1, 2], rng=1)
+    >>> print(truth.shape, z.shape)
+    (3, 1) (3, 1)
+    >>> many, _ = sf.simulate(model, None, x0=[2.0], times=[0, 1], rng=1, n_paths=20_000)
+    >>> print(f"{many[:, 1].mean():.2f}")  # 2 / e = 0.736
+    0.73
     """
     rng, times = validate.generator(rng), validate.times("times", times)
     max_step = None if max_step is None else validate.positive("max_step", max_step)

@@ -14,6 +14,8 @@ from .core import kernels
 from .errors import ModelError
 from .level_set import at
 from .mixture import drawn, points, raw_moment, standing_for
+from .spread import Spread, higher
+from .validate import state_rows
 
 __all__ = [
     "Region",
@@ -21,10 +23,12 @@ __all__ = [
     "entropy",
     "expectation",
     "highest_region",
+    "hpd_rank",
     "mode",
     "moment",
     "quantile",
     "sample",
+    "spread",
     "states",
 ]
 
@@ -162,6 +166,17 @@ def highest_region(density, probability):
     level = float(np.interp(probability, np.cumsum(w), p))
     inside = p >= max(level, 1e-300)
     return Region(density, level, float((w[inside] / p[inside]).sum()))
+
+
+def spread(density):
+    """A density as a `Spread`: points in its cells or kernels, and the density as it is read between them."""
+    X, w = states(density, _FEW_SUBPOINTS)
+    return Spread(X, w, density.logpdf(X), density.logpdf)
+
+
+def hpd_rank(density, X):
+    """Probability of the region where the density is higher than at each state of X (M, n), shape (M,)."""
+    return higher(spread(density), state_rows("X", X, density.dim))
 
 
 def mode(density):

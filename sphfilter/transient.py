@@ -30,6 +30,14 @@ class Trajectory:
     times : ndarray, shape (T,)
     densities : tuple of ParticleDensity
     infos : tuple of PredictInfo
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> start = sf.initialize(sf.Gaussian([2.0], [[0.1]]), n_particles=60)
+    >>> path = sf.propagate(start, sf.LinearSDE([[-1.0]], noise=[[1.0]]), times=[0.5, 1.0])
+    >>> print(path.moment([1]).round(4), path.probability(lambda X: X[:, 0] > 1.0).round(3))
+    [1.2131 0.7358] [0.64  0.346]
     """
 
     times: np.ndarray
@@ -102,6 +110,15 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
         Times that decrease, or lie before the density's.
     PropagationError
         The model blew up, or no scheme could go on; says when, where and what to change.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> well = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
+    >>> start = sf.initialize(sf.Gaussian([0.0], [[0.1]]), n_particles=100)
+    >>> path = sf.propagate(start, well, times=[1.0, 2.0, 4.0])
+    >>> print([f"{p.cov()[0, 0]:.3f}" for p in path.densities])
+    ['0.632', '0.788', '0.830']
     """
     times, config = array("times", np.atleast_1d(times), (None,)), config or SolverConfig()
     if np.any(np.diff(times, prepend=density.t) < 0):

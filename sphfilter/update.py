@@ -42,6 +42,14 @@ def update(density, measurement, z, config=None, *, n_particles=None):
     PropagationError
         The likelihood is zero wherever the prior has particles, or no lattice holds the posterior of a
         measurement that is not outlying.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> prior = sf.initialize(sf.Gaussian([0.0], [[1.0]]), n_particles=100)
+    >>> posterior, info = sf.update(prior, sf.GaussianMeasurement([[1.0]], [[1.0]]), [2.0])
+    >>> print(f"{posterior.mean()[0]:.4f} {posterior.cov()[0, 0]:.4f} {info.log_evidence:.4f}")
+    1.0000 0.5000 -2.2655
     """
     config = checked_filter_config(config)
     n_particles = bound(density, n_particles)

@@ -22,10 +22,12 @@ def arguments(*words):
 
 def filter_report(rms, n_diverged=0, n_failed=0):
     rms, nan = np.array(rms), np.nan
+    unknown = {"innovations": None, "ranks": None, "nmee": rms, "nmee_p": rms}
+    unknown |= {"nees_above": nan, "nees_below": nan, "exits": 0}
     return FilterReport(n_runs=10, n_failed=n_failed, max_peak_error=rms, mean_peak_error=rms, rms_error=rms,
                         rms_error_std=rms, run_time=1.0, nees=2.0, nees_inside=0.9, nees_inside_one_sided=0.9,
                         nmee_inside=rms, n_rejected=0, n_diverged=n_diverged, log_evidence=nan,
-                        log_evidence_std=nan)  # fmt: skip
+                        log_evidence_std=nan, **unknown)  # fmt: skip
 
 
 def rows(with_pf=True):

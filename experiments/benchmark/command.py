@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from experiments.files import add_change_option, changes_of
-from experiments.run import Interrupted
+from experiments.running import Interrupted
 from experiments.scenario import load_scenario
 from sphfilter import __version__
 from sphfilter.campaign import draw_case

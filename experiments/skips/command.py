@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from experiments.run import status
+from experiments.running import status
 from sphfilter.errors import ConfigError
 
 from .cases import cases

@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from experiments.run import Interrupted
+from experiments.running import Interrupted
 from sphfilter.errors import ConfigError, nearest
 
 from . import plots, tables

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from experiments.files import add_change_option, changes_of
 from experiments.filters import FILTERS, factories
-from experiments.run import Interrupted
+from experiments.running import Interrupted
 from experiments.scenario import load_scenario, read_settings
 from sphfilter.campaign import run_campaign
 from sphfilter.report import report

@@ -16,7 +16,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import sphfilter as sf
 from experiments.files import add_change_option, changes_of
-from experiments.run import Interrupted, without_none
+from experiments.run import without_none
+from experiments.running import Interrupted
 from sphfilter import __version__
 from sphfilter.errors import ConfigError, SphfilterError
 

@@ -22,7 +22,7 @@ from ..info import PredictInfo
 from ..level_set import Laid, fewest_particles, gaussian_volume, reach
 from ._shared import blow_up, defect, skip_notes
 
-__all__ = ["fits", "propagate"]
+__all__ = ["fits", "load", "propagate"]
 
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
@@ -121,6 +121,12 @@ def propagate(density, model, t1, scheme, n_particles):
     gaussian = density.gaussian and model.linear
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain)
     return moved, _info(model, scheme, counters, float(state[LOST_MASS]), threads)
+
+
+def load(model):
+    """Compile or load the march on few particles and on many, which has threads."""
+    for threads in (False, True):
+        _entries(model, threads)
 
 
 def _entries(model, threads):

@@ -1,0 +1,153 @@
+"""The consistency report as a page: markdown beside its pictures, and one HTML file that holds everything."""
+
+import base64
+import html
+from operator import attrgetter
+
+import numpy as np
+from markdown_it import MarkdownIt
+
+from experiments.filters import name_of
+
+__all__ = ["write"]
+
+#: Rows of the tables: heading, field of the report, format, and what it has one of for each.
+_ERRORS = (
+    ("RMS error, {}", "rms_error", "number", "state"),
+    ("± sampling error, {}", "rms_error_std", "number", "state"),
+    ("largest error of a run on average, {}", "mean_peak_error", "number", "state"),
+    ("largest error of all, {}", "max_peak_error", "number", "state"),
+    ("run time, median (s)", "run_time", "number", ""),
+    ("runs diverged", "n_diverged", "count", ""),
+    ("runs failed", "n_failed", "count", ""),
+)
+_CONSISTENCY = (
+    ("NEES, average ({dim} is right)", "nees", "number", ""),
+    ("NEES in its 95 % interval, of epochs", "nees_inside", "percent", ""),
+    ("… above it", "nees_above", "percent", ""),
+    ("… below it", "nees_below", "percent", ""),
+    ("p of so many epochs outside, at the referee's rate", "exits_p", "p", ""),
+    ("NMEE, average, {} (0 is right)", "nmee", "number", "state"),
+    ("NMEE in its 95 % interval, {}", "nmee_inside", "percent", "state"),
+    ("truth outside the 95 % region of highest density", "ranks.outside_95", "percent", ""),
+    ("p of uniform HPD ranks of the truth", "ranks.hpd_p", "p", ""),
+    ("p of uniform ranks of the truth, {}", "ranks.state_pit_p", "p", "state"),
+)
+_MEASUREMENTS = (
+    ("NIS per degree of freedom (1 is right)", "innovations.nis", "number", ""),
+    ("NIS in its 95 % interval, of epochs", "innovations.nis_inside", "percent", ""),
+    ("correlation of successive innovations (0 is right)", "innovations.whiteness", "number", ""),
+    ("p of white innovations", "innovations.whiteness_p", "p", ""),
+    ("p of uniform PIT, reading {}", "ranks.pit_p", "p", "reading"),
+    ("measurements that came", "innovations.n_measurements", "count", ""),
+    ("… used", "innovations.acceptance", "percent", ""),
+    ("NIS per degree of freedom of those", "innovations.nis_accepted", "number", ""),
+    ("log-evidence of a run", "log_evidence", "number", ""),
+    ("± sampling error of it", "log_evidence_std", "number", ""),
+)
+_READING = """\
+**How to read it.** A filter is consistent if the truth lies where its densities say. *NEES* and *NIS* are
+squared errors of the estimate and of the predicted measurement, in units of what the filter believes them
+to be; *NMEE* is the error with its sign. Shaded bands and "95 % interval" say where the average over the
+runs lies 95 times of 100 if the filter is right and its density Gaussian. *PIT* ranks each measurement in
+its predicted density, *HPD* ranks the truth by the probability of the region where the posterior is higher:
+both are uniform if the filter is right, whatever the shape of its densities, and EKF and UKF are taken at
+their word that theirs are Gaussian. A particle cloud has no density, so no HPD rank. p is the probability
+of a figure at least as far off by chance; verdicts fault a filter that is right with a probability of one
+per cent."""
+_STYLE = """\
+body{font:16px/1.5 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;color:#222}
+table{border-collapse:collapse;margin:1rem 0;font-size:.9rem}
+th,td{padding:.2rem .7rem;border-bottom:1px solid #ddd;text-align:right}
+th:first-child,td:first-child{text-align:left}
+img{max-width:100%}code{background:#f4f4f4;padding:.1rem .3rem}h1,h2{line-height:1.2}"""
+
+
+def write(out, scenario, numbers, facts, failures, pictures):
+    """Write report.md and report.html into the folder `out`; returns the path of the latter.
+
+    Parameters
+    ----------
+    out : Path
+    scenario : Scenario
+    numbers : sphfilter.report.Report
+    facts : dict
+        Seed, filters, referee, command and versions.
+    failures : list of Failure
+    pictures : dict of str to Path
+        By what they show; they lie in `out`.
+    """
+    text = _markdown(scenario, numbers, facts, failures, pictures)
+    (out / "report.md").write_text(text, encoding="utf-8")
+    body = MarkdownIt("commonmark").enable("table").render(text)
+    for path in pictures.values():
+        data = base64.b64encode(path.read_bytes()).decode()
+        body = body.replace(f'src="{path.name}"', f'src="data:image/png;base64,{data}"')
+    title = html.escape(f"Consistency of {scenario.name}")
+    head = f'<meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
+    page = f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>'
+    (out / "report.html").write_text(page, encoding="utf-8")
+    return out / "report.html"
+
+
+def _markdown(scenario, numbers, facts, failures, pictures):
+    lines = [f"# Consistency of {scenario.name}", "", f"{scenario.settings.description}.", ""]
+    lines += [
+        f"{numbers.n_runs} runs of {numbers.n_epochs} measurements, seed {facts['seed']}; "
+        f"every filter saw the same. `{facts['command']}`",
+        "",
+        "## Verdicts",
+        "",
+    ]
+    lines += [f"- **{name_of(name)}**: {f.verdict}." for name, f in numbers.filters.items()]
+    if facts["referee"]:
+        lines += ["", _refereed(numbers, facts["referee"])]
+    for heading, rows in (("Errors", _ERRORS), ("Truth", _CONSISTENCY), ("Measurements", _MEASUREMENTS)):
+        lines += ["", f"## {heading}", "", *_table(numbers, scenario, rows)]
+    lines += ["", _READING, ""]
+    for shows, path in pictures.items():
+        lines += [f"## {shows}", "", f"![{shows}]({path.name})", ""]
+    if failures:
+        lines += ["## Failures", ""]
+        lines += [f"- run {run}, {name_of(name)}: {message}" for run, name, message in failures]
+    versions = ", ".join(f"{name} {number}" for name, number in facts["versions"].items())
+    return "\n".join([*lines, f"Versions: {versions}.", ""])
+
+
+def _refereed(numbers, referee):
+    """Which filters leave the interval of the NEES no more often than the one that is right."""
+    n, exits = numbers.n_epochs, numbers.filters[referee].exits
+    worse = [name_of(k) for k, f in numbers.filters.items() if f.exits_p < 0.01]
+    who = f"{name_of(referee)} is the referee"
+    said = f"{who}: its run-averaged NEES leaves the interval in {exits} of {n} epochs. "
+    return said + (
+        f"Significantly more often do {', '.join(worse)}." if worse else "No filter does so more often."
+    )
+
+
+def _table(numbers, scenario, rows):
+    table = [["", *map(name_of, numbers.filters)], ["---", *["---:"] * len(numbers.filters)]]
+    for heading, field, form, each in rows:
+        values = [attrgetter(field)(f) for f in numbers.filters.values()]
+        if not each:
+            table.append([heading.format(dim=numbers.dim), *(_cell(v, form) for v in values)])
+            continue
+        for d in range(len(values[0])):
+            label = _quantity(scenario, d, form) if each == "state" else str(d + 1)
+            table.append([heading.format(label), *(_cell(v[d], form) for v in values)])
+    return ["| " + " | ".join(row) + " |" for row in table]
+
+
+def _quantity(scenario, d, form):
+    unit = scenario.units[d] if form == "number" else ""
+    return f"{scenario.labels[d]} ({unit})" if unit else scenario.labels[d]
+
+
+def _cell(value, form):
+    if not np.isfinite(value):
+        return "–"
+    if form == "p":
+        return f"{value:.2f}" if value >= 0.01 else f"**{value:.0e}**"
+    if form == "percent":
+        return f"{value:.0%}"
+    return str(int(value)) if form == "count" else f"{value:.3g}"

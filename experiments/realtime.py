@@ -1,0 +1,145 @@
+"""`python -m experiments realtime`: steps within a time budget, and the error that is left."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+import sphfilter as sf
+from sphfilter.campaign import draw_case
+from sphfilter.errors import SphfilterError
+
+from .benchmark import reference
+from .benchmark.errors import errors, root_mean_square
+from .benchmark.watch import Watched
+from .converge.tables import numbers
+from .run import status
+from .scenario import load_scenario
+
+__all__ = ["EPILOG", "add_arguments", "main"]
+
+SCENARIOS = "van_der_pol,duffing,cart,lorenz"
+_BUDGETS = "5,10,20,50"
+_MOST = 20_000  # particles
+_HEADINGS = (
+    "scenario",
+    "budget",
+    "steps within",
+    "median step",
+    "particles",
+    "error of the mean",
+    "steps repeated",
+    "runs refused",
+)
+EPILOG = """\
+Times are of a machine and its load. On one that does other things, steps are late that would not have been.
+"""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Runs of a scenario under one budget.
+
+    Attributes
+    ----------
+    seconds : ndarray, shape (K,)
+        Of each step: a prediction and the update after it.
+    n_particles : ndarray, shape (K,)
+        After each update.
+    error : float
+        Of the posterior mean against the reference, posterior standard deviations, rms over the runs.
+    repeated : int
+        Steps that had to be repeated on more particles.
+    failures : list of str
+        Sentences of the runs that ended early.
+    """
+
+    seconds: np.ndarray
+    n_particles: np.ndarray
+    error: float
+    repeated: int
+    failures: list
+
+    def within(self, budget):
+        """Share of the steps that ended within a budget, seconds."""
+        return float(np.mean(self.seconds <= budget)) if len(self.seconds) else np.nan
+
+
+def add_arguments(parser):
+    """Add the options of `realtime`."""
+    names = f"names from `list`, comma-separated (default: {SCENARIOS})"
+    parser.add_argument("scenarios", nargs="?", default=SCENARIOS, metavar="NAME,NAME", help=names)
+    budgets = f"milliseconds a predict and update may take, comma-separated (default: {_BUDGETS})"
+    parser.add_argument("--budgets", default=_BUDGETS, help=budgets)
+    parser.add_argument("--runs", type=int, default=3, help="simulated runs (default: 3)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the runs (default: 1)")
+    folder = "folder of the references, which are the benchmark's (default: results/benchmark)"
+    parser.add_argument("--out", type=Path, default=Path("results/benchmark"), help=folder)
+
+
+def main(args):
+    """Run the command; prints to standard output."""
+    console = Console(highlight=False)
+    console = console if console.is_terminal else Console(highlight=False, width=132)
+    budgets = numbers("--budgets", args.budgets, float, _BUDGETS)
+    scenarios = [load_scenario(name.strip()) for name in args.scenarios.split(",")]
+    table = Table(*_HEADINGS, box=box.SIMPLE, pad_edge=False)
+    told = []
+    with status(console) as say:
+        for scenario in scenarios:
+            say(f"{scenario.name}: references")
+            pairs = _cases(scenario, args)
+            for budget in budgets:
+                say(f"{scenario.name}: {budget:g} ms")
+                outcome = _outcome(scenario, pairs, 1e-3 * budget)
+                table.add_row(scenario.name, f"{budget:g} ms", *_cells(outcome, 1e-3 * budget, args.runs))
+                told += [f"{scenario.name}, {budget:g} ms: {text}" for text in outcome.failures]
+    console.print(table)
+    for text in told:
+        console.print(f"• {text}")
+
+
+def _cases(scenario, args):
+    cases = [draw_case(scenario, args.seed, run) for run in range(args.runs)]
+    folder = args.out / "references"
+    return [(case, reference.find(scenario, case, reference.Effort(), folder).result) for case in cases]
+
+
+def _outcome(scenario, pairs, budget):
+    """All runs under one budget."""
+    seconds, particles, found, failures, repeated = [], [], [], [], 0
+    for case, exact in pairs:
+        watched = Watched(_prepared(scenario, case, budget))
+        try:
+            found.append(errors(watched.run(case.times, case.z), exact).mean)
+        except SphfilterError as problem:
+            failures.append(str(problem))
+        steps = list(zip(watched.predictions, watched.updates, strict=False))
+        seconds += [p.seconds + u.seconds for p, u in steps]
+        particles += [u.n_particles for _, u in steps]
+        repeated += sum("times the particles" in p.status for p, _ in steps)
+    return Outcome(np.array(seconds), np.array(particles), root_mean_square(found), repeated, failures)
+
+
+def _prepared(scenario, case, budget):
+    config = sf.FilterConfig(time_budget=budget)
+    shape = {"n_particles": _MOST, "config": config}
+    flt = sf.SPHFilter(scenario.model, scenario.measurement, case.x0, case.P0, t0=case.t0, **shape)
+    flt.prepare(case.times[0] - case.t0)
+    return flt
+
+
+def _cells(outcome, budget, n_runs):
+    if not len(outcome.seconds):
+        return ["", "", "", "", "", f"{len(outcome.failures)} of {n_runs}"]
+    return [
+        f"{100 * outcome.within(budget):.0f} % of {len(outcome.seconds)}",
+        f"{1e3 * np.median(outcome.seconds):.1f} ms",
+        f"{np.median(outcome.n_particles):.0f}",
+        f"{outcome.error:.2g}" if np.isfinite(outcome.error) else "",
+        str(outcome.repeated),
+        f"{len(outcome.failures)} of {n_runs}",
+    ]

@@ -1,0 +1,112 @@
+"""What commands of many runs share: a console, compiling ahead, progress with the time left, stopping."""
+
+import shutil
+from contextlib import contextmanager
+from time import perf_counter
+
+import numpy as np
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from sphfilter.campaign import run_campaign
+
+from .filters import name_of
+
+__all__ = ["Interrupted", "duration", "new_console", "run_shown", "status", "warm_up"]
+
+
+class Interrupted(KeyboardInterrupt):
+    """The user stopped a campaign; the message says how to go on."""
+
+
+def new_console():
+    """A console of the terminal's width, or of a table's where the output goes to a file."""
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=132)
+
+
+def duration(seconds):
+    """Seconds in words that are short."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def warm_up(console, scenario, filters):
+    """Let every filter take one measurement, so that compiling neither surprises nor counts as run time."""
+    case = scenario.draw(np.random.default_rng(0))
+    with status(console) as say:
+        for name, make in filters.items():
+            say(f"preparing {name_of(name)} (the first time compiles, for a minute)")
+            try:
+                make(case, np.random.default_rng(0)).run(case.times[:1], case.z[:1])
+            except Exception as problem:  # the campaign records it, run by run
+                say(f"{name_of(name)}: {problem}")
+
+
+@contextmanager
+def status(console):
+    """Yield a function that shows what goes on: a line that changes, or lines where there is no terminal."""
+    if not console.is_terminal:
+        yield lambda text: console.print(text, style="dim")
+        return
+    with console.status("") as line:
+        yield line.update
+
+
+def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):
+    """Run a campaign with a progress bar, as `run_campaign`; stopped, it says how to go on.
+
+    Raises
+    ------
+    Interrupted
+    """
+    if any(folder.glob("run_*.npz")):
+        console.print(f"going on from the runs that an interrupted command left in {folder}")
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(TextColumn("runs"), *columns, console=console, transient=True) as bar:
+        progress = _Progress(console, bar)
+        try:
+            return run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, progress)
+        except KeyboardInterrupt:
+            done = len(list(folder.glob("run_*.npz")))
+            if not done:
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
+            raise Interrupted(
+                f"Stopped; {done} of {n_runs} runs are kept in {folder}. The same command goes on from there."
+            ) from None
+
+
+class _Progress:
+    """Moves a bar, or prints lines where there is no terminal; runs that were found took no time."""
+
+    def __init__(self, console, bar):
+        self._console, self._bar, self._task = console, bar, bar.add_task("", total=None)
+        self._found, self._start = None, perf_counter()
+
+    def __call__(self, done, total):
+        if self._found is None:
+            self._found = done
+            self._bar.reset(self._task, total=total, completed=done)
+        self._bar.update(self._task, completed=done)
+        if self._console.is_terminal:
+            return
+        left = ""
+        if done > self._found:
+            seconds = (perf_counter() - self._start) / (done - self._found) * (total - done)
+            left = f", about {duration(seconds)} left"
+        self._console.print(f"run {done} of {total} done{left}", style="dim")

@@ -1,0 +1,164 @@
+"""A time budget: how many particles a predict and the updates after it may have, going by what they cost."""
+
+import math
+from collections import deque
+from contextlib import suppress
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from .errors import PropagationError
+from .measurements import GaussianMeasurement, LikelihoodMeasurement
+from .predict import load, predict
+from .update import update
+
+__all__ = ["Budget", "rehearse"]
+
+#: Steps that are remembered. The next one costs more than the dearest of nineteen alike once in twenty.
+_MEMORY = 19
+_REHEARSED = 2  # steps with costs that count, after one that compiles and one on few particles
+_SHORT = 1e-3  # of the interval: a prediction that compiles and does little else
+
+
+class Budget:
+    """Wall-clock time of a step: a predict, and the updates before the next one.
+
+    Parameters
+    ----------
+    seconds : float or None
+        What a step may take; None for no budget, which never looks at a clock.
+
+    Attributes
+    ----------
+    prepared : bool
+        Whether everything is compiled, so that what steps take is what they cost.
+    spent : float
+        Seconds of this step so far.
+    """
+
+    def __init__(self, seconds):
+        self.seconds, self.prepared, self.spent = seconds, seconds is None, 0.0
+        self._began, self._most, self._costs = 0.0, 0, {}
+        self._too_few = deque(maxlen=_MEMORY)  # particles of steps made again on more of them, else zero
+        self.keep(0)
+
+    def keep(self, n):
+        """Forget what steps have cost but for the last n."""
+        kept = {what: list(self._costs.get(what, [])) for what in ("predict", "update")}
+        self._costs = {what: deque(c[max(len(c) - n, 0) :], _MEMORY) for what, c in kept.items()}
+
+    def adopt(self, other):
+        """Take over what particles have cost in a rehearsal."""
+        self._costs, self._too_few, self.prepared = other._costs, other._too_few, True
+
+    def begin(self, step=False):
+        """A call begins, and with a prediction a new step."""
+        if self.seconds is not None:
+            self._began = perf_counter()
+            self.spent = 0.0 if step else self.spent
+
+    def bound(self, n_particles, least):
+        """Particles that a step can afford: `n_particles` at most, and `least` if those are not fewer.
+
+        Where particles were too few of late, and predictions had to be made again on three times as many,
+        twice as many from the beginning take less time.
+
+        Time is taken to be in proportion to particles. Part of it is the same for any number, so that more
+        of them than were measured cost less than that: steps come near the budget from below.
+        """
+        if self.seconds is None:
+            return n_particles
+        cost = self._dearest("predict") + self._dearest("update")
+        affordable = min(self.seconds / cost, n_particles) if cost > 0.0 else 0.0  # NaN where none is known
+        least = max(least, 2 * max(self._too_few, default=0))
+        self._most = max(int(affordable), min(least, n_particles))
+        return self._most
+
+    def fits(self, n_particles):
+        """Would another prediction on so many particles end in time, with an update after it?"""
+        if self.seconds is None:
+            return True
+        left = self.seconds - self.spent - (perf_counter() - self._began)
+        return n_particles * (self._dearest("predict") + self._dearest("update")) <= left
+
+    def end(self, what, info, n_particles, repeated):
+        """A call has ended: note what a particle has cost, and say what the step has taken.
+
+        Parameters
+        ----------
+        what : "predict", "update" or ""
+            Whose cost is to be noted; a call that had nothing to do has none.
+        info : PredictInfo or UpdateInfo
+        n_particles : int
+            Of the density that came out.
+        repeated : bool
+            Whether the call made other predictions or updates again, so that it says nothing of a particle.
+        """
+        if self.seconds is None:
+            return info
+        took = perf_counter() - self._began
+        self.spent += took
+        if what == "predict":
+            self._too_few.append(self._most if repeated or n_particles > self._most else 0)
+        if what and not repeated:
+            self._costs[what].append(took / n_particles)
+        elif what and len(self._costs[what]) > 1:
+            self._costs[what].popleft()  # time passes: a busy spell of the machine must not last for ever
+        return replace(info, seconds=took, status=self._status(info.status))
+
+    def _status(self, status):
+        if self.spent <= self.seconds:
+            return status
+        late = f"time budget exceeded: {1e3 * self.spent:.3g} of {1e3 * self.seconds:.3g} ms"
+        return late if status == "ok" else f"{status}; {late}"
+
+    def _dearest(self, what):
+        return max(self._costs[what], default=math.nan)
+
+
+def rehearse(twin, budget, dt):
+    """Predict and update a twin of a filter until all is compiled and the cost of a step is known.
+
+    Parameters
+    ----------
+    twin : SPHFilter
+        Stands where the filter to be prepared stands, and lives on its own.
+    budget : Budget
+        The twin's, which takes the costs.
+    dt : float
+        Interval, seconds.
+
+    Returns
+    -------
+    float
+        Seconds that the last step took; NaN if it could not be made.
+    """
+    seconds = math.nan
+    with suppress(PropagationError):  # the filter itself will tell when it happens there
+        for step in range(2 + _REHEARSED):
+            twin.predict(dt)
+            sensor, z = _expected(twin)
+            twin.update(z, sensor)
+            seconds = budget.spent
+            budget.keep(0 if step == 0 else _REHEARSED)
+    with suppress(PropagationError):
+        _load_rest(twin, dt)
+    return seconds
+
+
+def _load_rest(filt, dt):
+    """Compile what a prediction may fall back on, and an update after that."""
+    scheme = load(filt.model, filt.density, filt.config)
+    if scheme is not None:
+        config = replace(filt.config, scheme=scheme)
+        moved, _ = predict(filt.density, filt.model, _SHORT * dt, config)
+        update(moved, *_expected(filt), filt.config)
+
+
+def _expected(filt):
+    """A sensor, and a reading of it that changes little."""
+    sensor = filt.measurement
+    if isinstance(sensor, GaussianMeasurement):
+        return sensor, sensor.predict(filt.x, filt.t)[0]
+    return LikelihoodMeasurement(lambda z, X, t: np.zeros(len(X))), 0.0

@@ -1,0 +1,110 @@
+"""Are the densities themselves right? Ranks of measurements and truths in them, which must be uniform.
+
+NEES and NMEE ask for mean and covariance only, and their intervals hold for Gaussian posteriors. The ranks
+here ask for the whole density and are exact whatever its shape: the probability integral transform (PIT) of
+a measurement under its prediction (Dawid, J. R. Stat. Soc. A 147, 1984; Diebold, Gunther & Tay, Int. Econ.
+Rev. 39, 1998), and the probability of the region where the posterior is higher than at the truth.
+"""
+
+from time import perf_counter
+
+import numpy as np
+from scipy.special import gammainc, ndtr
+
+from . import consistency
+from .measurements import GaussianMeasurement
+from .spread import below, higher
+
+__all__ = ["Observer", "gaussian_ranks", "predicted_reading"]
+
+
+class Observer:
+    """Ranks measurements and truths in a filter's densities while it runs; the filter sees no truth.
+
+    Parameters
+    ----------
+    truth : array_like, shape (T, n)
+        True states at the measurement times.
+
+    Attributes
+    ----------
+    seconds : float
+        Time spent on it, which is not the filter's.
+    """
+
+    def __init__(self, truth):
+        self.truth, self.seconds = np.asarray(truth, dtype=float), 0.0
+
+    def before(self, filt, z, k):
+        """Return what `predicted_reading` tells of the next measurement, k numbers, in the prediction."""
+        start, sensor = perf_counter(), filt.measurement
+        if isinstance(sensor, GaussianMeasurement) and np.any(sensor.observed(z)):
+            found = predicted_reading(filt.spread(), sensor, z, filt.t)
+        else:
+            found = np.full(k, np.nan), np.full(k, np.nan), np.full((k, k), np.nan)
+        self.seconds += perf_counter() - start
+        return found
+
+    def after(self, filt, epoch):
+        """Return the ranks of the truth in the posterior, of each state (n,) and of its density."""
+        start, spread, x = perf_counter(), filt.spread(), self.truth[epoch]
+        found = below(spread, x), higher(spread, x)[0]
+        self.seconds += perf_counter() - start
+        return found
+
+
+def predicted_reading(spread, sensor, z, t):
+    """Rank a measurement in its predictive density, and tell its innovation.
+
+    Parameters
+    ----------
+    spread : Spread
+        The prediction.
+    sensor : GaussianMeasurement
+    z : array_like, shape (k,)
+        NaN where a component is missing.
+    t : float
+        Seconds.
+
+    Returns
+    -------
+    pit : ndarray, shape (k,)
+        Probability that the prediction gave to a lower reading, each component alone; of an angle, counted
+        from the far side of the predicted direction. NaN where it is missing.
+    innovation, innovation_cov : ndarray, shapes (k,), (k, k)
+        z minus its expectation, and the covariance of the prediction plus R.
+    """
+    z = np.atleast_1d(np.asarray(z, dtype=float))
+    h = sensor.predict(spread.X, t)
+    known = np.isfinite(h).all(axis=1)  # where h is undefined the likelihood is zero
+    h, w = h[known], spread.w[known] / spread.w[known].sum()
+    anchor = h[np.argmax(w)]
+    centre = sensor.residual(anchor + w @ sensor.residual(h, anchor), 0.0)
+    off = sensor.residual(h, centre)
+    y = sensor.residual(z, centre)
+    pit = w @ ndtr((y - off) / np.sqrt(np.diag(sensor.noise_cov)))
+    pit[np.isnan(z)] = np.nan
+    return pit, y, (off * w[:, None]).T @ off + sensor.noise_cov
+
+
+def gaussian_ranks(truth, mean, cov, innovation, innovation_cov):
+    """The ranks of a filter that has a mean and a covariance only, taken at its word: Gaussian.
+
+    Parameters
+    ----------
+    truth, mean : ndarray, shape (T, n)
+    cov : ndarray, shape (T, n, n)
+    innovation, innovation_cov : ndarray, shapes (T, k), (T, k, k)
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``pit``, ``state_pit`` and ``hpd_rank``, as in `FilterResult`.
+    """
+    variance = np.diagonal(innovation_cov, axis1=-2, axis2=-1)
+    square = consistency.nees(truth, mean, cov)
+    return {
+        "pit": ndtr(innovation / np.sqrt(np.where(variance > 0, variance, np.nan))),
+        "state_pit": ndtr(-consistency.nmee(truth, mean, cov)),
+        "hpd_rank": gammainc(truth.shape[-1] / 2.0, square / 2.0),
+    }

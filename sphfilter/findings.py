@@ -1,0 +1,112 @@
+"""What the innovations and the ranks of a campaign's runs say of a filter, as numbers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import consistency, significance
+
+__all__ = ["Innovations", "Ranks", "innovations_of", "ranks_of"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Innovations:
+    """Measurements against their predictions.
+
+    Attributes
+    ----------
+    n_measurements : int
+        Measurements that came, over all runs; of them `acceptance` were used, a fraction.
+    nis : float
+        Normalised innovation squared per degree of freedom, over all that came; one is right. Rejected ones
+        count: a filter must not look better for what it would not look at.
+    nis_accepted : float
+        The same over those that were used, with their own degrees of freedom: below one where a test of
+        acceptance cuts tails off.
+    nis_inside : float
+        Fraction of the epochs whose sum over the runs lies in the 95 % interval of χ² with as many degrees of
+        freedom as components came there.
+    whiteness : float
+        Correlation of successive innovations, averaged over the runs; zero is right.
+    whiteness_p : float
+        p-value of its being zero.
+    """
+
+    n_measurements: int
+    acceptance: float
+    nis: float
+    nis_accepted: float
+    nis_inside: float
+    whiteness: float
+    whiteness_p: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranks:
+    """Ranks of measurements in predictions and of truths in posteriors, all uniform if the filter is right.
+
+    Attributes
+    ----------
+    pit, state_pit : ndarray, shapes (k, 10), (n, 10)
+        Histograms, as fractions: .1 each is right.
+    hpd : ndarray, shape (10,)
+        NaN for samples, which have no density.
+    pit_p, state_pit_p, hpd_p : ndarray, shapes (k,), (n,), and float
+        p-values of their being uniform; NaN where not tested (fewer than ten runs).
+    outside_95 : float
+        How often the truth lies outside the region of highest density that holds 95 %; .05 is right.
+    """
+
+    pit: np.ndarray
+    state_pit: np.ndarray
+    hpd: np.ndarray
+    pit_p: np.ndarray
+    state_pit_p: np.ndarray
+    hpd_p: float
+    outside_95: float
+
+
+def innovations_of(innovation, cov, accepted):
+    """Reduce innovations (R, T, k), their covariances and what was accepted (R, T) to `Innovations`."""
+    seen = np.isfinite(innovation)
+    came = seen.any(axis=2)
+    used = came & accepted
+    y = np.where(seen, innovation, 0.0)
+    S = np.where(seen[..., None] & seen[..., None, :], cov, np.eye(y.shape[2]))  # missing ones add nothing
+    square, dof = consistency.nis(y, S), seen.sum(axis=2)
+    white = consistency.whiteness(np.where(seen.all(axis=2)[..., None], innovation, np.nan), S)
+    bounds = consistency.nees_bounds(1, np.maximum(dof.sum(axis=0), 1))
+    return Innovations(
+        n_measurements=int(came.sum()),
+        acceptance=_ratio(used.sum(), came.sum()),
+        nis=_ratio(square[came].sum(), dof[came].sum()),
+        nis_accepted=_ratio(square[used].sum(), dof[used].sum()),
+        nis_inside=float(consistency.fraction_inside(_ratios(square * came, dof), bounds)),
+        whiteness=float(np.nanmean(white)) if np.isfinite(white).any() else np.nan,
+        whiteness_p=significance.same_mean(white[:, None], 0.0),
+    )
+
+
+def ranks_of(pit, state_pit, hpd_rank):
+    """Reduce ranks (R, T, k), (R, T, n) and (R, T) to `Ranks`."""
+    each = significance.histogram
+    known = np.isfinite(hpd_rank)
+    return Ranks(
+        pit=np.array([each(p) for p in np.moveaxis(pit, 2, 0)]),
+        state_pit=np.array([each(p) for p in np.moveaxis(state_pit, 2, 0)]),
+        hpd=each(hpd_rank) if known.any() else np.full(10, np.nan),
+        pit_p=np.array([significance.uniform_epochs(p) for p in np.moveaxis(pit, 2, 0)]),
+        state_pit_p=np.array([significance.uniform_runs(p) for p in np.moveaxis(state_pit, 2, 0)]),
+        hpd_p=significance.uniform_runs(hpd_rank),
+        outside_95=_ratio(np.sum(hpd_rank[known] > 0.95), known.sum()),
+    )
+
+
+def _ratio(part, whole):
+    return float(part / whole) if whole else np.nan
+
+
+def _ratios(square, dof):
+    """Sums over the runs per degree of freedom, shape (T,); NaN where nothing came."""
+    total = dof.sum(axis=0)
+    return np.where(total > 0, square.sum(axis=0) / np.maximum(total, 1), np.nan)

@@ -1,0 +1,106 @@
+"""How surprising a campaign's figures would be of a filter that is right: p-values over independent runs.
+
+Epochs of a run are correlated, runs are not: what varies between runs says how far an average may stray.
+"""
+
+import numpy as np
+from scipy import stats
+
+from .errors import ModelError
+
+__all__ = ["FEWEST_RUNS", "histogram", "no_worse", "refused", "same_mean", "uniform_epochs", "uniform_runs"]
+
+#: Runs from which on the variation between them is known well enough.
+FEWEST_RUNS = 10
+
+
+def histogram(ranks, bins=10):
+    """Fraction of the ranks (...) in each of `bins` equal parts of (0, 1), shape (bins,); NaN left out."""
+    ranks = np.asarray(ranks, dtype=float)
+    ranks = ranks[np.isfinite(ranks)]
+    return np.histogram(ranks, bins, (0.0, 1.0))[0] / max(len(ranks), 1)
+
+
+def uniform_epochs(ranks):
+    """p-value of the ranks (...) being uniform and all independent: Kolmogorov and Smirnov's test.
+
+    Predictions' ranks of scalar measurements are, of a filter that is right, whatever its model (Diebold et
+    al. 1998). NaN left out; NaN for fewer than eight.
+    """
+    ranks = np.asarray(ranks, dtype=float)
+    ranks = ranks[np.isfinite(ranks)]
+    return float(stats.kstest(ranks, "uniform").pvalue) if len(ranks) >= 8 else np.nan
+
+
+def uniform_runs(ranks, bins=10):
+    """p-value of the ranks (R, T) being uniform, correlated within a run and independent between runs.
+
+    Pearson's statistic, with the correction of second order for clusters (J. N. K. Rao & A. J. Scott, J. Am.
+    Stat. Assoc. 76, 1981): what the fractions of the runs vary by says how it is distributed. Runs that are
+    NaN somewhere are left out; NaN for fewer than `FEWEST_RUNS`.
+    """
+    ranks = np.asarray(ranks, dtype=float)
+    if ranks.ndim != 2:
+        raise ModelError(f"ranks must be (runs, epochs), got shape {ranks.shape}")
+    ranks = ranks[np.isfinite(ranks).all(axis=1)]
+    R, T = ranks.shape
+    if R < FEWEST_RUNS or T == 0:
+        return np.nan
+    fractions = np.array([histogram(run, bins) for run in ranks])
+    off = fractions.mean(axis=0) - 1.0 / bins
+    # the statistic is a sum of squares of normals with these variances
+    effects = bins * np.cov(fractions, rowvar=False) / R
+    total, square = np.trace(effects), np.sum(effects**2)
+    statistic = bins * np.sum(off**2)
+    if total == 0.0:
+        return float(statistic == 0.0)
+    return float(stats.chi2.sf(statistic * total / square, total**2 / square))
+
+
+def same_mean(values, expected):
+    """p-value of the runs' averages of values (R, T) having the expected mean: Student's t.
+
+    NaN left out; NaN for fewer than `FEWEST_RUNS` runs.
+    """
+    values = np.asarray(values, dtype=float)
+    known = np.isfinite(values)
+    n = known.sum(axis=1)
+    averages = (np.where(known, values, 0.0).sum(axis=1) / np.maximum(n, 1))[n > 0]
+    if len(averages) < FEWEST_RUNS:
+        return np.nan
+    spread = averages.std(ddof=1) / np.sqrt(len(averages))
+    off = averages.mean() - expected
+    return float(2.0 * stats.t.sf(abs(off) / spread, len(averages) - 1)) if spread > 0 else float(off == 0.0)
+
+
+def no_worse(count, of_referee, total, least=0.05):
+    """p-value of `count` epochs of `total` lying outside, if a referee's fraction is the rate: binomial.
+
+    The rate is `least`, which is right of a Gaussian, where the referee's is lower: its luck is not asked
+    for.
+    """
+    rate = max(of_referee / total, least)
+    return float(stats.binom.sf(count - 1, total, rate))
+
+
+def refused(p_values, level=0.01):
+    """Which hypotheses are refused, all of them right with probability 1 − level at least: Holm's method.
+
+    Parameters
+    ----------
+    p_values : array_like, shape (K,)
+        NaN: not tested.
+
+    Returns
+    -------
+    ndarray of bool, shape (K,)
+    """
+    p = np.asarray(p_values, dtype=float)
+    out = np.zeros(len(p), dtype=bool)
+    order = np.argsort(p)
+    left = int(np.isfinite(p).sum())
+    for i in order[:left]:
+        if p[i] > level / left:
+            break
+        out[i], left = True, left - 1
+    return out

@@ -1,0 +1,101 @@
+"""A filter's figures in one plain sentence."""
+
+import numpy as np
+
+from . import significance
+
+__all__ = ["verdict"]
+
+_LEVEL = 0.01
+#: Of epochs inside an interval that holds 95 %, where nobody tells whether the posterior is to blame.
+_FEW = 0.8
+
+
+def verdict(numbers, labels):
+    """Say whether a filter is consistent, and if not in what.
+
+    What is tested holds of every filter that is right, Gaussian or not: that ranks of measurements and truths
+    are uniform, that errors have no sign and successive innovations no correlation; and that the NEES leaves
+    its interval no more often than a referee's, if there is one. All together such a filter is faulted with a
+    probability of one per cent.
+
+    Parameters
+    ----------
+    numbers : FilterReport
+    labels : sequence of str, length n
+        Names of the states.
+
+    Returns
+    -------
+    str
+    """
+    if numbers.n_failed == numbers.n_runs:
+        return f"failed in all of {numbers.n_runs} runs"
+    faults = _faults(numbers, labels)
+    said = faults or [_nothing_found(numbers)]
+    if numbers.n_failed:
+        said.append(f"failed in {numbers.n_failed} of {numbers.n_runs} runs")
+    if numbers.n_diverged:
+        said.append(f"lost the truth in {numbers.n_diverged} of {numbers.n_runs} runs")
+    return "; ".join(said)
+
+
+def _faults(numbers, labels):
+    ranks, innovations = numbers.ranks, numbers.innovations
+    n, k = len(labels), len(ranks.pit_p)
+    tests = np.concatenate(
+        [
+            ranks.state_pit_p,
+            numbers.nmee_p,
+            ranks.pit_p,
+            [ranks.hpd_p, innovations.whiteness_p, numbers.exits_p],
+        ]
+    )
+    parts = np.split(significance.refused(tests, _LEVEL), np.cumsum([n, n, k]))
+    wrong, biased, predicted, (shape, coloured, outside) = parts
+    faults = []
+    for word, which in _widths(ranks.state_pit, wrong).items():
+        above = "above" if word == "optimistic" else "below"
+        share = numbers.nees_above if word == "optimistic" else numbers.nees_below
+        faults.append(
+            f"{word} in {_listed(labels, which)}: NEES {above} its interval in {share:.0%} of epochs"
+        )
+    if outside and not wrong.any():
+        faults.append(f"NEES outside its interval in {1 - numbers.nees_inside:.0%} of epochs")
+    if biased.any():
+        sizes = ", ".join(f"{m:+.2g} std" for m in numbers.nmee[biased])
+        faults.append(f"biased in {_listed(labels, np.flatnonzero(biased))} by {sizes}")
+    if shape:
+        faults.append(
+            f"the truth lies outside the region of highest density that holds 95 % in {ranks.outside_95:.0%} "
+            f"of epochs, and its ranks there are not uniform (p = {ranks.hpd_p:.0e})"
+        )
+    if predicted.any():
+        worst = np.nanmin(ranks.pit_p)
+        faults.append(f"measurements do not fall as predicted (ranks not uniform, p = {worst:.0e})")
+    if coloured:
+        faults.append(f"successive innovations are correlated ({innovations.whiteness:+.2f})")
+    return faults
+
+
+def _widths(histograms, wrong):
+    """Sort states whose ranks are not uniform by what their histograms look like."""
+    found = {}
+    for state in np.flatnonzero(wrong):
+        ends, middle = histograms[state][[0, 1, 8, 9]].sum(), histograms[state][3:7].sum()
+        word = "optimistic" if ends > middle else "pessimistic"
+        found.setdefault(word, []).append(state)
+    return found
+
+
+def _nothing_found(numbers):
+    inside = f"NEES in its interval in {numbers.nees_inside:.0%} of epochs"
+    if np.isnan(numbers.ranks.state_pit_p).all():
+        return f"not judged, that takes {significance.FEWEST_RUNS} runs at least; {inside}"
+    if numbers.nees_inside < _FEW and np.isnan(numbers.exits_p):
+        return f"nothing found against it but {inside} only (if no Gaussian it may be right: ask a referee)"
+    return f"consistent: nothing found against it, {inside}"
+
+
+def _listed(labels, which):
+    return " and ".join(labels[i] for i in which)

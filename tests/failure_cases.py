@@ -1,0 +1,147 @@
+"""Ways to make every failure of `sphfilter/FAILURES.md` happen: what the library and commands say then."""
+
+import numpy as np
+
+import sphfilter as sf
+import sphfilter.budget
+from experiments.scenario import load_scenario
+from sphfilter.campaign import draw_case
+
+UNIT, ROUND = sf.Gaussian([0.0], [[1.0]]), sf.Gaussian([0.0, 0.0], np.eye(2))
+POSITION = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
+HEIGHT = sf.GaussianMeasurement([[1.0]], [[0.1]])
+SQUARE = sf.GaussianMeasurement(lambda x: (x[0] ** 2,), [[0.01]])
+ROOT = sf.GaussianMeasurement(lambda x: (np.sqrt(x[0]),), [[0.01]])
+START = [3.0, 0.0], np.diag([0.2, 1.0])
+
+
+def line(drift, noise="1", **options):
+    """dx = drift dt + noise dW."""
+    return sf.SDE.from_expressions(["x"], [drift], [[noise]], **options)
+
+
+def wells():
+    drift = ["v", "-0.4*v - x*(-1 + 0.1*x**2)"]
+    return sf.SDE.from_expressions(["x", "v"], drift, [["0"], ["1"]], [[1.6]])
+
+
+def laid(distribution=UNIT, n_particles=60, scheme="auto", **options):
+    return sf.initialize(distribution, n_particles, sf.SolverConfig(scheme=scheme), **options)
+
+
+def predicted(model, dt=1.0, scheme="auto", start=UNIT, **options):
+    """The status of a prediction."""
+    density = laid(start, scheme=scheme, **options)
+    return sf.predict(density, model, dt, sf.SolverConfig(scheme=scheme))[1].status
+
+
+def updated(sensor, z, **options):
+    """The reason of an update of a normal density."""
+    return sf.update(laid(), sensor, z, sf.FilterConfig(**options))[1].reason
+
+
+def filtering(n_particles=150, **options):
+    return sf.SPHFilter(wells(), POSITION, *START, n_particles=n_particles, config=sf.FilterConfig(**options))
+
+
+def surprised(deviations=5.5, **options):
+    """Status and reason of an update far out in the tail of a prediction."""
+    flt = filtering(**options)
+    flt.predict(2.0)
+    info = flt.update(flt.x[:1] + deviations * np.sqrt(flt.P[0, 0]))
+    return f"{info.status}; {info.reason}"
+
+
+def lost(n_times):
+    """A prediction after an update whose posterior was too coarse for it."""
+    scene = load_scenario("duffing_square")
+    case = draw_case(scene, 1, 1)
+    flt = sf.SPHFilter(scene.model, scene.measurement, case.x0, case.P0, t0=case.t0, n_particles=100)
+    flt.run(case.times[:n_times], case.z[:n_times])
+    return flt.predict(t=case.times[n_times]).status
+
+
+def fails(X, t):
+    raise RuntimeError("no coefficients there")
+
+
+def silent(x, t):
+    x[0] + t
+
+
+def beyond(x, t):
+    return (x[1],)
+
+
+def unknown(x, t):
+    return np.linalg.no_such_function(x)
+
+
+WALLS = [("bounded", -6.0, 6.0)]
+FLAT = sf.SDE.from_expressions(["x", "y"], ["-40*x", "-y"], [["0"], ["1"]])
+STEEP = sf.LogDensityScheme(max_steps=1)
+TESTED = {"acceptance": sf.AcceptanceTest(enabled=True)}
+NOWHERE = sf.LikelihoodMeasurement(lambda z, X, t: np.full(len(X), -np.inf))
+NEGATIVE = sf.LikelihoodMeasurement(lambda z, X, t: np.where(X[:, 0] > 0, 0.0, np.nan))
+
+SAID = [
+    lambda: predicted(line("x**3")),
+    lambda: predicted(line("sqrt(x + 3)"), scheme="log_density"),
+    lambda: predicted(line("-6*sign(x)", "0.1"), scheme="log_density"),
+    lambda: sf.predict(laid(ROUND), wells(), 1.0, sf.SolverConfig(scheme="log_density"), n_particles=6),
+    lambda: predicted(line("-x - x**3"), 400.0, STEEP),
+    lambda: predicted(line("-x"), scheme=sf.PaperScheme(max_steps=1)),
+    lambda: predicted(sf.SDE(fails, 1, [[1.0]], vectorized=True)),
+    lambda: predicted(line("-x", domain=[("periodic", -9.0, 9.0)]), scheme="corrected"),
+    lambda: predicted(line("4*x", domain=WALLS), 2.0, "paper", domain=WALLS),
+    lambda: predicted(line("-x"), -1.0),
+    lambda: predicted(wells()),
+    lambda: filtering().predict(),
+    lambda: sf.simulate(line("x**3"), None, [2.0], [0.0, 5.0], rng=1),
+    lambda: filtering(60).predict(2.0).status,
+    lambda: predicted(line("-x", "0.5*x + 1")),
+    lambda: lost(3),
+    lambda: predicted(FLAT, scheme="corrected", start=ROUND, n_particles=200),
+    lambda: updated(HEIGHT, None),
+    lambda: updated(HEIGHT, [9.0]),
+    lambda: updated(HEIGHT, [300.0]),
+    lambda: updated(HEIGHT, [120.0]),
+    lambda: updated(HEIGHT, [9.0], **TESTED),
+    lambda: updated(SQUARE, [1.0], **TESTED),
+    lambda: surprised(),
+    lambda: updated(NOWHERE, [1.0]),
+    lambda: updated(ROOT, [1.0]),
+    lambda: updated(NEGATIVE, [1.0]),
+    lambda: updated(HEIGHT, [1.0, 2.0]),
+    lambda: updated(HEIGHT, [np.inf]),
+    lambda: sf.SPHFilter(wells(), POSITION, [3.0], np.eye(2)),
+    lambda: sf.SPHFilter(wells(), POSITION, [3.0, 0.0], [1.0, 1.0]),
+    lambda: sf.GaussianMeasurement([[1.0]], [[-1.0]]),
+    lambda: sf.GaussianMeasurement([[1.0]], [[1.0, 0.2], [0.1, 1.0]]),
+    lambda: sf.GaussianMeasurement([[1.0]], [[np.nan]]),
+    lambda: laid(ROUND, 4),
+    lambda: sf.SDE(unknown, 1, [[1.0]]),
+    lambda: sf.SDE(silent, 1, [[1.0]]),
+    lambda: sf.SDE(beyond, 1, [[1.0]]),
+    lambda: line("y"),
+    lambda: line("x^2"),
+    lambda: setattr(filtering(), "x", [0.0, 0.0]),
+    lambda: sf.SPHFilter(wells(), POSITION),
+    lambda: sf.SPHFilter.load("no_such_file.npz", wells(), POSITION),
+    lambda: sf.simulate(line("-x"), None, [0.0], [0.0, 1.0], rng="seed"),
+    lambda: sf.propagate(laid(), line("-x"), [2.0, 1.0]),
+    lambda: sf.FilterConfig(target_eror=1.0),
+    lambda: sf.FilterConfig(target_error=-1.0),
+    lambda: sf.FilterConfig(scheme="papr"),
+]
+
+COMMANDS = [
+    "run dufing",
+    "run duffing --filters ekff",
+    "run duffing --set kernel",
+    "run duffing --set model.drfit=3",
+    "run cart --filters grid",
+    "run duffing --filters kf",
+    "filter --model nothing.toml --data nothing.csv",
+    "transient duffing --animate film.txt",
+]
