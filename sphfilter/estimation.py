@@ -144,7 +144,7 @@ def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluat
     theta, value = searched(evidence, theta, low, high, max_evaluations)
     theta, value = off_bounds(evidence, theta, value, low, high)
     theta, value, free, local = climbed(evidence, theta, value, low, high, max_evaluations)
-    rough, left, covariance = 0.0, 0.0, np.full((len(names), len(names)), np.nan)
+    rough, left, covariance = 0.0, np.inf if free.any() else 0.0, np.full((len(names), len(names)), np.nan)
     if local is not None:
         inside, centre = evidence.within(theta, free), theta[free]
         rough = roughness(inside, centre, value, local.root)
@@ -152,7 +152,7 @@ def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluat
         theta[free] = centre
         h = min(step_for(rough), room(centre, local.root, low[free], high[free]))
         local = quadratic(inside, centre, value, local.root, h)
-        _refuse_flat(local, rough / h**2, evidence.names_of(free))
+        _refuse_flat(local, rough, h, evidence.names_of(free))
         covariance[np.ix_(free, free)] = local.covariance
     return _told(evidence, theta, value, covariance, rough, free, np.sqrt(2.0 * max(left, 0.0)))
 
@@ -196,16 +196,23 @@ def profile_evidence(filt, times, measurements, fit, name, values):
     return out
 
 
-def _refuse_flat(local, noise, names):
-    """Refuse a log-evidence that does not fall in some direction."""
+def _refuse_flat(local, rough, h, names):
+    """Refuse a log-evidence that does not fall in some direction, or not so that it can be seen."""
     value, direction = local.flattest
-    if value < -max(ROUND, 3.0 * noise):
+    seen = 3.0 * rough / h**2
+    if value < -max(ROUND, seen):
         return
     direction = direction / np.abs(direction).max()
     terms = " ".join(f"{c:+.3g} {name}" for c, name in zip(direction, names, strict=True) if abs(c) > 1e-3)
+    terms = terms.removeprefix("+")
+    if seen > ROUND:
+        raise EstimationError(
+            f"the log-evidence is rough by {rough:.1g} nat, too much to see how it falls in the direction "
+            f"{terms}; use more particles"
+        )
     raise EstimationError(
         f"the measurements do not determine the parameters: the log-evidence does not fall in the direction "
-        f"{terms.removeprefix('+')}; fix one of them by leaving it out of guess, or give more measurements"
+        f"{terms}; fix one of them by leaving it out of guess, or give more measurements"
     )
 
 
@@ -213,9 +220,9 @@ def _told(evidence, theta, value, covariance, rough, free, off):
     """The result, with a sentence about it; the last slopes say that the maximum is `off` standard errors."""
     held, converged = tuple(evidence.names_of(~free)), off < _NEAR
     said = "the maximum was found" if converged else "the search was stopped before it had found the maximum"
-    said += f", by its slopes {off:.1g} standard errors away" if off > 0.01 else ""
+    said += f", by its slopes {off:.1g} standard errors away" if 0.01 < off < np.inf else ""
     if held:
-        said += f"; on a bound, without a standard error: {', '.join(held)}"
+        said += f"; on a bound or very near it, without a standard error: {', '.join(held)}"
     return ParameterFit(
         estimate=MappingProxyType(evidence.named(theta)),
         standard_error=MappingProxyType(evidence.named(np.sqrt(np.diag(covariance)))),
