@@ -23,6 +23,13 @@ _GROUPS = {
             ("transient --config my.toml --animate film.gif", "a system of your own, as a film"),
         ),
     },
+    "Beyond the state": {
+        "estimate": (
+            ("estimate duffing --compare", "parameters by maximum evidence, and a rival model; minutes"),
+            ("estimate duffing --parameters xi,R --guess xi=0.5", "others; R is the sensor's noise"),
+            ("estimate sunspots --jobs 2", "of the measured numbers; ten minutes"),
+        ),
+    },
     "Compare filters": {
         "campaign": (
             ("campaign duffing --runs 200 --jobs 2 --own-prior", "which filter can be believed?"),

@@ -226,6 +226,7 @@ def consistency_figure(scenario, campaign):
     n_runs = len(campaign.truth)
     for name, result in campaign.results.items():
         style = {"color": COLOURS[name], "lw": 1.4, "marker": "o", "ms": 2.6, "label": name_of(name)}
+        style["zorder"] = 1.5 if name in ("kf", "grid", "benes") else 2.0  # beneath those that reach them
         top.plot(campaign.times, _average(consistency.nees(campaign.truth, result.x, result.P)), **style)
         nmee = _average(consistency.nmee(campaign.truth, result.x, result.P))
         rms = np.sqrt(_average((result.x - campaign.truth) ** 2))

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 import sphfilter as sf
+from experiments.running import new_console
 from sphfilter.campaign import draw_case
 from sphfilter.errors import SphfilterError
 
@@ -82,8 +82,7 @@ def add_arguments(parser):
 
 def main(args):
     """Run the command; prints to standard output."""
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=132)
+    console = new_console()
     budgets = numbers("--budgets", args.budgets, float, _BUDGETS)
     scenarios = [load_scenario(name.strip()) for name in args.scenarios.split(",")]
     table = Table(*_HEADINGS, box=box.SIMPLE, pad_edge=False)

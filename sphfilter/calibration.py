@@ -15,7 +15,7 @@ from . import consistency
 from .measurements import GaussianMeasurement
 from .spread import below, higher
 
-__all__ = ["Observer", "gaussian_ranks", "predicted_reading"]
+__all__ = ["Observer", "gaussian_ranks", "ranked_reading"]
 
 
 class Observer:
@@ -36,10 +36,10 @@ class Observer:
         self.truth, self.seconds = np.asarray(truth, dtype=float), 0.0
 
     def before(self, filt, z, k):
-        """Return what `predicted_reading` tells of the next measurement, k numbers, in the prediction."""
+        """Return what `ranked_reading` tells of the next measurement, k numbers, in the prediction."""
         start, sensor = perf_counter(), filt.measurement
         if isinstance(sensor, GaussianMeasurement) and np.any(sensor.observed(z)):
-            found = predicted_reading(filt.spread(), sensor, z, filt.t)
+            found = ranked_reading(filt.spread(), sensor, z, filt.t)
         else:
             found = np.full(k, np.nan), np.full(k, np.nan), np.full((k, k), np.nan)
         self.seconds += perf_counter() - start
@@ -53,7 +53,7 @@ class Observer:
         return found
 
 
-def predicted_reading(spread, sensor, z, t):
+def ranked_reading(spread, sensor, z, t):
     """Rank a measurement in its predictive density, and tell its innovation.
 
     Parameters

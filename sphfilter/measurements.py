@@ -222,21 +222,20 @@ class _Expressions:
     def __init__(self, states, texts):
         from ._symbolic import symbolic_rows  # imports sympy, which takes a second
 
-        self._text = tuple(states), tuple(texts)
+        self.states, self.expressions = tuple(states), tuple(texts)
         self._fill = symbolic_rows(states, texts, "h")
 
     def __reduce__(self):
-        return _Expressions, self._text
+        return _Expressions, (self.states, self.expressions)
 
     def __repr__(self):
-        return validate.short(list(self._text[1]))
+        return validate.short(list(self.expressions))
 
     def __call__(self, X, t):
         """Return the readings (N, k) in the states X (N, n)."""
-        states, texts = self._text
-        if X.shape[1] != len(states):
-            raise ModelError(_DIFFERENT.format(len(states), X.shape[1]))
-        out = np.empty((len(X), len(texts)))
+        if X.shape[1] != len(self.states):
+            raise ModelError(_DIFFERENT.format(len(self.states), X.shape[1]))
+        out = np.empty((len(X), len(self.expressions)))
         self._fill(X, t, _NO_PARAMETERS, out)
         return out
 

@@ -169,9 +169,10 @@ def _report(scenario, truth, filters, referee, labels):
         raise ModelError(f"labels must name {dim} states, got {labels}")
     if referee is not None and referee not in filters:
         raise ModelError(f"no filter {referee!r}{nearest(referee, filters)} to be the referee")
+    right = filters.get(referee)
     for name, numbers in filters.items():
-        if referee is not None:
-            p = significance.no_worse(numbers.exits, filters[referee].exits, n_epochs)
+        if right is not None:
+            p = significance.no_worse(numbers.exits, right.exits, n_epochs)
             numbers = replace(numbers, exits_p=p)
-        filters[name] = replace(numbers, verdict=verdict(numbers, labels))
+        filters[name] = replace(numbers, verdict=verdict(numbers, labels, right))
     return Report(scenario=scenario, dim=dim, n_runs=n_runs, n_epochs=n_epochs, filters=filters)

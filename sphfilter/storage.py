@@ -1,5 +1,6 @@
 """Densities on disk: numpy arrays with a version, nothing that could run."""
 
+import io
 import json
 from dataclasses import fields
 
@@ -12,7 +13,17 @@ from .density import ParticleDensity
 from .domain import Domain
 from .errors import ModelError
 
-__all__ = ["FORMAT", "density_from", "load_arrays", "part", "stored", "under", "write_arrays"]
+__all__ = [
+    "FORMAT",
+    "density_from",
+    "from_bytes",
+    "load_arrays",
+    "part",
+    "stored",
+    "to_bytes",
+    "under",
+    "write_arrays",
+]
 
 FORMAT = 1
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
@@ -58,9 +69,25 @@ def part(name, arrays):
 
 def write_arrays(path, arrays):
     """Write arrays by name to a compressed npz file, with the version of the format."""
-    version = {"format": np.array(FORMAT), "sphfilter": np.array(__version__)}
     with open(path, "wb") as file:  # an open file, or numpy would add a suffix
-        np.savez_compressed(file, **version, **arrays)
+        _write(file, arrays)
+
+
+def _write(file, arrays):
+    version = {"format": np.array(FORMAT), "sphfilter": np.array(__version__)}
+    np.savez_compressed(file, **version, **arrays)
+
+
+def to_bytes(density):
+    """A density as the bytes of such a file."""
+    file = io.BytesIO()
+    _write(file, stored(density))
+    return file.getvalue()
+
+
+def from_bytes(content):
+    """The density of bytes that `to_bytes` made; raises `ModelError` for others."""
+    return density_from(load_arrays(io.BytesIO(content)))
 
 
 def load_arrays(path):

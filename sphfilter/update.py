@@ -10,7 +10,7 @@ from .info import UpdateInfo
 from .level_set import outside
 from .resample import bound, product, regrid
 
-__all__ = ["update"]
+__all__ = ["predicted_reading", "update"]
 
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
@@ -166,14 +166,25 @@ def _innovation(density, measurement, z, seen):
     """z minus its predicted mean, and the predicted covariance plus R; None for a general likelihood."""
     if measurement.noise_cov is None:
         return None, None
-    reference = measurement.predict(density.mean(), density.t)[0]
-    if measurement.H is not None and not measurement.angles:
-        mean, spread = 0.0, measurement.H @ density.cov() @ measurement.H.T
-    else:
-        readings = measurement.predict(density.x, density.t)
-        around = measurement.residual(readings, reference)  # angles are averaged around the mean's reading
-        mean = density.mass @ around
-        spread = ((around - mean) * density.mass[:, None]).T @ (around - mean)
+    reading, spread, _ = predicted_reading(density, measurement)
     z = np.atleast_1d(np.asarray(z, dtype=float))
     both = np.ix_(seen, seen)
-    return measurement.residual(z, reference + mean)[seen], spread[both] + measurement.noise_cov[both]
+    return measurement.residual(z, reading)[seen], spread[both] + measurement.noise_cov[both]
+
+
+def predicted_reading(density, measurement):
+    """Mean (k,) and covariance (k, k) of the noise-free reading, and its covariance with the state (n, k).
+
+    Angles are averaged around the reading of the mean.
+    """
+    reference = measurement.predict(density.mean(), density.t)[0]
+    if measurement.H is not None and not measurement.angles:
+        H, cov = measurement.H, density.cov()
+        return reference, H @ cov @ H.T, cov @ H.T
+    around = measurement.residual(measurement.predict(density.x, density.t), reference)
+    mean = density.mass @ around
+    weighted = (around - mean) * density.mass[:, None]
+    from_mean = density.x - density.mean()
+    if density.domain is not None:
+        from_mean = density.domain.nearest(from_mean)
+    return reference + mean, weighted.T @ (around - mean), from_mean.T @ weighted

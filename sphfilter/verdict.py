@@ -9,9 +9,11 @@ __all__ = ["verdict"]
 _LEVEL = 0.01
 #: Of epochs inside an interval that holds 95 %, where nobody tells whether the posterior is to blame.
 _FEW = 0.8
+#: Epochs outside an interval, as a fraction, that are more than chance.
+_SEEN = 0.15
 
 
-def verdict(numbers, labels):
+def verdict(numbers, labels, referee=None):
     """Say whether a filter is consistent, and if not in what.
 
     What is tested holds of every filter that is right, Gaussian or not: that ranks of measurements and truths
@@ -24,6 +26,8 @@ def verdict(numbers, labels):
     numbers : FilterReport
     labels : sequence of str, length n
         Names of the states.
+    referee : FilterReport, optional
+        Of the filter that is right: runs that it lost too were bad luck.
 
     Returns
     -------
@@ -35,7 +39,8 @@ def verdict(numbers, labels):
     said = faults or [_nothing_found(numbers)]
     if numbers.n_failed:
         said.append(f"failed in {numbers.n_failed} of {numbers.n_runs} runs")
-    if numbers.n_diverged:
+    unlucky = 0 if referee is None else referee.n_diverged
+    if significance.no_worse(numbers.n_diverged, unlucky, numbers.n_runs) < _LEVEL:
         said.append(f"lost the truth in {numbers.n_diverged} of {numbers.n_runs} runs")
     return "; ".join(said)
 
@@ -55,11 +60,8 @@ def _faults(numbers, labels):
     wrong, biased, predicted, (shape, coloured, outside) = parts
     faults = []
     for word, which in _widths(ranks.state_pit, wrong).items():
-        above = "above" if word == "optimistic" else "below"
-        share = numbers.nees_above if word == "optimistic" else numbers.nees_below
-        faults.append(
-            f"{word} in {_listed(labels, which)}: NEES {above} its interval in {share:.0%} of epochs"
-        )
+        p = np.min(ranks.state_pit_p[which])
+        faults.append(f"{word} in {_listed(labels, which)}: {_how(word, numbers, p)}")
     if outside and not wrong.any():
         faults.append(f"NEES outside its interval in {1 - numbers.nees_inside:.0%} of epochs")
     if biased.any():
@@ -76,6 +78,16 @@ def _faults(numbers, labels):
     if coloured:
         faults.append(f"successive innovations are correlated ({innovations.whiteness:+.2f})")
     return faults
+
+
+def _how(word, numbers, p):
+    """What shows that a filter is too sure, or too careful: the NEES, or only the finer test of the ranks."""
+    sure = word == "optimistic"
+    share, side = (numbers.nees_above, "above") if sure else (numbers.nees_below, "below")
+    if share > _SEEN:
+        return f"NEES {side} its interval in {share:.0%} of epochs"
+    where = "at the ends" if sure else "in the middle"
+    return f"ranks of the truth crowd {where} of its density (p = {p:.0e})"
 
 
 def _widths(histograms, wrong):

@@ -10,7 +10,7 @@ from reference_filters.grid import GridFilter
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter import significance
-from sphfilter.calibration import predicted_reading
+from sphfilter.calibration import ranked_reading
 from sphfilter.errors import ModelError
 from sphfilter.spread import Spread, below, higher
 
@@ -50,7 +50,7 @@ def test_a_reading_in_its_prediction():
     X = X0 + rng.standard_normal((200_000, 2)) @ np.linalg.cholesky(P0).T
     spread = Spread(X, np.full(len(X), 1 / len(X)))
     both = sf.GaussianMeasurement(h=np.eye(2), noise_cov=[[0.3, 0.1], [0.1, 0.2]])
-    pit, y, S = predicted_reading(spread, both, [1.7, np.nan], 0.0)
+    pit, y, S = ranked_reading(spread, both, [1.7, np.nan], 0.0)
     np.testing.assert_allclose(S, P0 + both.noise_cov, atol=0.01)
     np.testing.assert_allclose(y, [0.7, np.nan], atol=0.01)
     np.testing.assert_allclose(pit, [stats.norm.cdf(0.7, scale=np.sqrt(0.8)), np.nan], atol=0.005)
@@ -61,7 +61,7 @@ def test_the_rank_of_an_angle_is_counted_from_the_far_side():
     phi = np.pi + 0.2 * np.random.default_rng(2).standard_normal(100_000)
     spread = Spread(np.stack([np.cos(phi), np.sin(phi)], axis=1), np.full(len(phi), 1 / len(phi)))
     for z in (np.pi - 0.1, -np.pi + 0.1):
-        pit, y, S = predicted_reading(spread, bearing, z, 0.0)
+        pit, y, S = ranked_reading(spread, bearing, z, 0.0)
         off = (z % (2 * np.pi)) - np.pi
         assert y[0] == pytest.approx(off, abs=3e-3) and S[0, 0] == pytest.approx(0.05, rel=0.02)
         assert pit[0] == pytest.approx(stats.norm.cdf(off / np.sqrt(0.05)), abs=5e-3)

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from rich.console import Console
-
 from experiments.files import add_change_option
+from experiments.running import new_console
 from experiments.scenario import scenario_names
 from experiments.transient.problem import problem_names
 from sphfilter.errors import ConfigError
@@ -66,8 +65,7 @@ def add_arguments(parser):
 
 def main(args):
     """Run the command; prints to standard output."""
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=132)
+    console = new_console()
     study = _study(args)
     _refuse_others(args, study)
     for key, value in _DEFAULTS.items():

@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 import sphfilter as sf
 from experiments.files import add_change_option, changes_of
-from experiments.run import status
+from experiments.running import new_console, status
 from sphfilter.errors import ConfigError, SphfilterError
 
 from .plots import draw_profiles
@@ -29,11 +28,6 @@ EPILOG = f"""\
 Measurements are simulated with the parameters of the scenario's file, 60 unless times.end is set, and the
 search begins at three quarters of them. {SENSOR} is the variance of the sensor's noise. NAME may be
 sunspots: there the measurements are those of 1700 to 1948, and the search begins with the model's file.
-
-  estimate duffing                                      xi, gamma and epsilon; a minute or two
-  estimate van_der_pol --seed 3 --no-profile            all parameters in the scenario's file
-  estimate duffing --parameters xi,R --guess xi=0.5     others
-  estimate sunspots --jobs 2 --compare                  the Van der Pol and a linear oscillator; 10 minutes
 """
 #: Where profiles are computed, in standard errors from the estimate.
 _FINE, _COARSE = (-2.5, -1.5, -0.75, 0.75, 1.5, 2.5), (-2.0, -1.0, 1.0, 2.0)
@@ -58,8 +52,7 @@ def add_arguments(parser):
 
 def main(args):
     """Run the command; prints to standard output."""
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=132)
+    console = new_console()
     names = None if args.parameters is None else [name.strip() for name in args.parameters.split(",")]
     problem = problem_of(args.scenario, names, changes_of(args), args.seed, args.n_particles)
     guess = guess_of(problem, _guesses(args.guess))

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from experiments.filters import FILTERS, factories, name_of
+from experiments.running import new_console
 from sphfilter.campaign import Case
 from sphfilter.errors import SphfilterError
 
@@ -73,8 +73,7 @@ def add_arguments(parser):
 
 def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter did not come to the end, else 0."""
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=132)
+    console = new_console()
     scenario = load_model(args.model)
     columns = scenario.settings.data
     data = read_measurements(args.data, scenario.measurement.dim_z, columns.time, columns.columns)

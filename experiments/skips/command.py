@@ -6,10 +6,9 @@ Every shortcut is run with and without on a scene that can use it. Times are pro
 import csv
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
-from experiments.running import status
+from experiments.running import new_console, status
 from sphfilter.errors import ConfigError
 
 from .cases import cases
@@ -41,8 +40,7 @@ def main(args):
     chosen = [case for case in cases() if args.only.lower() in f"{case.name} {case.scene}".lower()]
     if not chosen:
         raise ConfigError(f"no shortcut has {args.only!r} in its name: {', '.join(c.name for c in cases())}")
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=132)
+    console = new_console()
     with status(console) as say:
         rows = []
         for case in chosen:

@@ -8,10 +8,9 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from experiments.running import Interrupted
+from experiments.running import Interrupted, new_console
 from sphfilter.errors import ConfigError, nearest
 
 from . import plots, tables
@@ -55,8 +54,7 @@ def _seconds(text):
 
 def main(args):
     """Run the command; prints to standard output."""
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=132)
+    console = new_console()
     grid = chosen(args.only, args.quick)
     if args.list:
         for cell in grid:

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from rich.console import Console
 from scipy.optimize import minimize
 
 from experiments.filters import FILTERS, factories, name_of
@@ -23,6 +22,7 @@ from experiments.own_data.command import case_of
 from experiments.own_data.csv_data import Measurements, read_measurements
 from experiments.own_data.model_file import load_model
 from experiments.own_data.plots import draw_forecasts
+from experiments.running import new_console
 from reference_filters.grid import GridFilter
 from sphfilter.errors import ConfigError, SphfilterError
 
@@ -52,8 +52,7 @@ def add_arguments(parser):
 
 def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter stopped."""
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=132)
+    console = new_console()
     args.out.mkdir(parents=True, exist_ok=True)
     data = roots(read_measurements(_DATA / "sunspots.csv", 1))
     scenario = load_model(args.model)

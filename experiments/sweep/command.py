@@ -10,12 +10,11 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from experiments.files import add_change_option, changes_of
 from experiments.filters import FILTERS, factories
-from experiments.running import Interrupted
+from experiments.running import Interrupted, new_console
 from experiments.scenario import load_scenario, read_settings
 from sphfilter.campaign import run_campaign
 from sphfilter.report import report
@@ -82,8 +81,7 @@ def _positive_list(text):
 
 def main(args):
     """Run the command; prints to standard output."""
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=132)
+    console = new_console()
     changes = changes_of(args)
     base = read_settings(args.scenario, changes)
     intervals = args.interval or [factor * base.times.interval for factor in _INTERVAL_FACTORS]

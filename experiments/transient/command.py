@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 import sphfilter as sf
 from experiments.files import add_change_option, changes_of
 from experiments.run import without_none
-from experiments.running import Interrupted
+from experiments.running import Interrupted, new_console
 from sphfilter import __version__
 from sphfilter.errors import ConfigError, SphfilterError
 
@@ -57,8 +56,7 @@ def add_arguments(parser):
 
 def main(args):
     """Run the command; prints to standard output."""
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=132)
+    console = new_console()
     if (args.name is None) == (args.config is None):
         raise ConfigError("transient takes a name from `list`, or --config FILE, one of them")
     if args.remesh and (args.animate or args.live):

@@ -1,0 +1,98 @@
+"""Probabilities of detections from the predicted density itself."""
+
+import numpy as np
+from scipy.stats import chi2
+from stonesoup.base import Property
+from stonesoup.hypothesiser.base import Hypothesiser
+from stonesoup.measures import SquaredMahalanobis
+from stonesoup.types.detection import MissedDetection
+from stonesoup.types.hypothesis import SingleProbabilityHypothesis
+from stonesoup.types.multihypothesis import MultipleHypothesis
+from stonesoup.types.numeric import Probability
+
+from ...errors import ModelError
+from ...validate import positive, real
+from .predictor import SPHPredictor
+from .updater import SPHUpdater
+
+__all__ = ["EvidenceHypothesiser"]
+
+
+class EvidenceHypothesiser(Hypothesiser):
+    """Scores detections by their evidence, the integral of predicted density times likelihood.
+
+    As Stone Soup's PDAHypothesiser, with the predicted density of the detection where that has a Gaussian
+    of its mean and covariance: P_D p(z_i) / lambda for a detection, 1 - P_D P_G for a miss. For
+    NearestNeighbour, GNN, PDA and JPDA.
+
+    Parameters
+    ----------
+    predictor : SPHPredictor
+    updater : SPHUpdater
+    clutter_spatial_density : float
+        lambda, false detections in a unit of the measurement space and a scan.
+    prob_detect : Probability
+        P_D.
+    prob_gate : Probability
+        P_G: detections outside of the ellipse that would hold it, were the prediction Gaussian, are left out
+        to save the work. 1 leaves out none, and asks nothing of the sensor but a likelihood.
+    normalise : bool
+        Probabilities add up to one.
+    """
+
+    predictor: SPHPredictor = Property(doc="Predicts tracks to detection times.")
+    updater: SPHUpdater = Property(doc="Knows the evidence of detections.")
+    clutter_spatial_density: float = Property(doc="False detections in a unit of the measurement space.")
+    prob_detect: Probability = Property(default=Probability(0.85), doc="Probability that the target is seen.")
+    prob_gate: Probability = Property(
+        default=Probability(0.999), doc="Probability that its detection lies in the gate."
+    )
+    normalise: bool = Property(default=True, doc="Whether probabilities add up to one.")
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        positive("clutter_spatial_density", self.clutter_spatial_density)
+        for name in ("prob_detect", "prob_gate"):
+            value = real(name, float(getattr(self, name)))
+            if not 0.0 < value <= 1.0:
+                raise ModelError(f"{name} must be above 0 and at most 1, got {value:g}")
+
+    def hypothesise(self, track, detections, timestamp, **kwargs):
+        """Score a miss and every detection inside the gate.
+
+        Parameters
+        ----------
+        track : Track
+        detections : set of Detection
+        timestamp : datetime.datetime
+
+        Returns
+        -------
+        MultipleHypothesis
+            Of `SingleProbabilityHypothesis`, the miss first.
+        """
+        prediction = self.predictor.predict(track, timestamp=timestamp, **kwargs)
+        missed = Probability(1.0 - float(self.prob_detect) * float(self.prob_gate))
+        hypotheses = [SingleProbabilityHypothesis(prediction, MissedDetection(timestamp=timestamp), missed)]
+        for detection in sorted(detections, key=_place):  # a set's order changes from run to run
+            scored = self._scored(track, detection, **kwargs)
+            if scored is not None:
+                hypotheses.append(scored)
+        return MultipleHypothesis(hypotheses, normalise=self.normalise)
+
+    def _scored(self, track, detection, **kwargs):
+        """The hypothesis of a detection, or None outside of the gate."""
+        prediction = self.predictor.predict(track, timestamp=detection.timestamp, **kwargs)
+        reading = None
+        if self.prob_gate < 1:
+            reading = self.updater.predict_measurement(prediction, detection.measurement_model, **kwargs)
+            limit = chi2.ppf(float(self.prob_gate), reading.ndim)
+            if SquaredMahalanobis(state_covar_inv_cache_size=0)(reading, detection) > limit:
+                return None
+        log_p = self.updater.log_evidence(prediction, detection)
+        score = log_p + np.log(float(self.prob_detect)) - np.log(self.clutter_spatial_density)
+        return SingleProbabilityHypothesis(prediction, detection, Probability(score, log_value=True), reading)
+
+
+def _place(detection):
+    return tuple(float(value) for value in detection.state_vector)

@@ -1,0 +1,124 @@
+"""Stone Soup's predictor interface to the solver."""
+
+from dataclasses import replace
+
+from stonesoup.base import Property
+from stonesoup.models.transition.base import TransitionModel
+from stonesoup.predictor.base import Predictor
+from stonesoup.types.prediction import Prediction
+
+from ...adapt import Prediction as Origin
+from ...adapt import predict_relaying
+from ...config import FilterConfig, checked_filter_config
+from ...errors import ModelError
+from ...predict import predict
+from ...validate import count
+from .recent import Recent
+from .states import SPHState, current, density_of, origin_of, remember, retimed
+from .transition import transition_of
+
+__all__ = ["SPHPredictor"]
+
+_KEPT = 64  # predictions of late, which hypothesisers ask for once a detection
+_NO_CONTROL = "SPHPredictor takes no {}: write the control into the drift of the SDE"
+
+
+class SPHPredictor(Predictor):
+    """Carries the density of a state through the Fokker-Planck-Kolmogorov equation.
+
+    Parameters
+    ----------
+    transition_model : SDETransitionModel, SDE, or linear Gaussian model
+        Stone Soup's ConstantVelocity, OrnsteinUhlenbeck, Singer and combinations of them are turned into the
+        linear equations whose transitions they are; others have to be given as an equation.
+    n_particles : int
+        Upper bound of the number of particles.
+    config : FilterConfig, optional
+
+    Notes
+    -----
+    Predictions are deterministic. Those of late are kept by what went into them (density, model, parameters,
+    interval), never by state objects, so that a state that is changed is predicted anew.
+    """
+
+    transition_model: TransitionModel = Property(
+        doc="An SDETransitionModel, an SDE or a linear Gaussian model."
+    )
+    n_particles: int = Property(default=200, doc="Upper bound of the number of particles.")
+    config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
+
+    @transition_model.setter
+    def transition_model(self, model):
+        self._property_transition_model = transition_of(model)
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        if self.control_model is not None:
+            raise ModelError(_NO_CONTROL.format("control_model"))
+        self._kept = Recent(_KEPT)
+
+    def predict(self, prior, timestamp=None, *, control_input=None, **kwargs):
+        """Predict to a timestamp.
+
+        Parameters
+        ----------
+        prior : SPHState, GaussianState, or a Track that ends in one
+        timestamp : datetime.datetime
+        **kwargs
+            Of other predictors (such as measurement=); nothing here depends on them.
+
+        Returns
+        -------
+        SPHStatePrediction
+
+        Raises
+        ------
+        ModelError
+            Timestamps that are missing or run backwards, or a state that is no density.
+        PropagationError
+            The model blew up, or no lattice holds the density; says what to change. The prior is as it was.
+        """
+        if control_input is not None:
+            raise ModelError(_NO_CONTROL.format("control_input"))
+        prior = current(prior)
+        sde, config = self.transition_model.sde, checked_filter_config(self.config)
+        n_particles = count("n_particles", self.n_particles)
+        density = density_of(prior, n_particles, config, sde.domain)
+        dt = _seconds(prior.timestamp, timestamp)
+        before, moved, info = self._carried(prior, density, dt, config, n_particles)
+        prediction = Prediction.from_state(
+            prior if isinstance(prior, SPHState) else SPHState(density, prior.timestamp),
+            density=moved,
+            timestamp=timestamp,
+            transition_model=self.transition_model,
+            prior=prior,
+            info=info,
+        )
+        return remember(prediction, Origin(before, info.mass_error, sde, moved.t))
+
+    def _carried(self, prior, density, dt, config, n_particles):
+        """The density it began with, the one after dt seconds, and what was done; kept a while."""
+        transition = self.transition_model
+        sde, start = transition.sde, retimed(density, transition, prior.timestamp)
+        key = start, sde, sde.p.tobytes(), dt, config, n_particles
+
+        def carried():
+            origin = origin_of(prior)
+            before, (moved, info, _) = predict_relaying(predicted, sde, start, origin, config, n_particles)
+            if moved.capacity != n_particles:  # more particles for once are not more ever after
+                moved = replace(moved, capacity=n_particles)
+            return retimed(before, transition, prior.timestamp), moved, info
+
+        def predicted(density):
+            density = retimed(density, transition, prior.timestamp)
+            return *predict(density, sde, dt, config, n_particles=n_particles), n_particles
+
+        return self._kept.result(key, carried)
+
+
+def _seconds(start, end):
+    if start is None or end is None:
+        raise ModelError(
+            f"a prediction needs the timestamp of the state and one to predict to, got {start} and {end}"
+        )
+    return (end - start).total_seconds()

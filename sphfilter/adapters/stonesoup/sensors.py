@@ -1,0 +1,137 @@
+"""Stone Soup's measurement models and detections as sensors of the filter."""
+
+import numpy as np
+from stonesoup.models.base import GaussianModel, LinearModel
+from stonesoup.models.measurement.base import MeasurementModel
+from stonesoup.types.angle import Bearing
+from stonesoup.types.array import StateVector, StateVectors
+from stonesoup.types.detection import Detection
+from stonesoup.types.state import State
+
+from ...errors import ModelError
+from ...measurements import GaussianMeasurement
+from ...validate import covariance, short
+
+__all__ = ["ModelMeasurement", "reading_of", "sensor_for", "typed"]
+
+_PROBED = 2.0, 4.0  # radians: a type that keeps both but for whole turns is an angle of the whole circle
+
+
+class ModelMeasurement:
+    """A Stone Soup measurement model as a sensor: its `function` and `covar`, and its own `logpdf`.
+
+    Parameters
+    ----------
+    model : stonesoup.models.measurement.MeasurementModel
+    timestamp : datetime.datetime or None
+        That of the states it is asked about.
+
+    Attributes
+    ----------
+    dim_z : int
+    noise_cov : ndarray, shape (k, k), or None
+        None for models that are not Gaussian.
+    angles : tuple of int
+        Components that are angles of the whole circle; their differences are wrapped to (−π, π].
+    """
+
+    H = directly_observed = None
+
+    def __init__(self, model, timestamp):
+        self._model, self._timestamp = model, timestamp
+        self.dim_z = model.ndim_meas
+        self.noise_cov = _noise_cov(model)
+        self.angles = ()
+
+    def predict(self, X, t=0.0):
+        """Noise-free reading in each state X (N, n), shape (N, k)."""
+        Z = self._model.function(self._state(X), noise=False)
+        self.angles = tuple(i for i, value in enumerate(Z[:, 0]) if _turns(value))
+        return np.asarray(Z, dtype=float).T
+
+    def residual(self, z, zhat):
+        """z − zhat (..., k), angles wrapped."""
+        r = np.asarray(z, dtype=float) - np.asarray(zhat, dtype=float)
+        for a in self.angles:
+            r[..., a] -= 2 * np.pi * np.ceil((r[..., a] - np.pi) / (2 * np.pi))
+        return r
+
+    def observed(self, z):
+        """All components: detections are whole."""
+        return np.ones(self.dim_z, dtype=bool)
+
+    def log_likelihood(self, z, X, t=0.0):
+        """log p(z | x) for each state X (N, n), shape (N,)."""
+        detection = Detection(StateVector(z), timestamp=self._timestamp)
+        values = self._model.logpdf(detection, self._state(X))
+        return np.asarray(np.atleast_1d(values), dtype=float)
+
+    def types(self, x):
+        """Types of the components of a reading of one state (n,), such as Bearing."""
+        return [type(value) for value in np.asarray(self._model.function(self._state(x), noise=False)).flat]
+
+    def _state(self, X):
+        return State(StateVectors(np.atleast_2d(X).T), timestamp=self._timestamp)
+
+
+def sensor_for(model, timestamp):
+    """The sensor of a measurement model: Stone Soup's, or one of the filter's own.
+
+    Raises
+    ------
+    ModelError
+        It is none, or has no noise covariance.
+    """
+    if hasattr(model, "log_likelihood"):
+        return model
+    if not isinstance(model, MeasurementModel):
+        raise ModelError(
+            "a detection or the updater needs a measurement_model, one of Stone Soup's or a "
+            f"GaussianMeasurement, got {short(model)}"
+        )
+    if isinstance(model, LinearModel) and isinstance(model, GaussianModel):
+        return GaussianMeasurement(h=np.asarray(model.matrix(), dtype=float), noise_cov=_noise_cov(model))
+    return ModelMeasurement(model, timestamp)
+
+
+def reading_of(detection, sensor):
+    """The numbers of a detection, shape (k,).
+
+    Raises
+    ------
+    ModelError
+        They are not finite, or not as many as the sensor gives.
+    """
+    z = np.asarray(detection.state_vector, dtype=float).ravel()
+    if not np.isfinite(z).all() or len(z) != (sensor.dim_z or len(z)):
+        raise ModelError(
+            f"a detection must hold {sensor.dim_z} finite numbers, got {z}; take a MissedDetection for none"
+        )
+    return z
+
+
+def typed(reading, sensor, x):
+    """A reading (k,) as a StateVector with the angle types of the sensor at a state x (n,)."""
+    angles = getattr(sensor, "angles", ())
+    if not angles:
+        return StateVector(reading)
+    types = sensor.types(x) if isinstance(sensor, ModelMeasurement) else len(reading) * [Bearing]
+    return StateVector([types[i](v) if i in angles else float(v) for i, v in enumerate(reading)])
+
+
+def _turns(value):
+    """Is it an angle of the whole circle? Elevations and the like are not: their differences do not wrap."""
+    mod = getattr(type(value), "mod_angle", None)
+    return mod is not None and all(np.isclose(np.exp(1j * mod(a)), np.exp(1j * a)) for a in _PROBED)
+
+
+def _noise_cov(model):
+    if not isinstance(model, GaussianModel):
+        return None
+    try:
+        R = model.covar()
+    except NotImplementedError:  # Gaussian by its ancestors only
+        return None
+    if R is None or None in np.asarray(R, dtype=object):
+        raise ModelError(f"the {type(model).__name__} has no noise covariance; give it one (noise_covar=)")
+    return covariance("the measurement model's covar", np.asarray(R, dtype=float))

@@ -1,0 +1,152 @@
+"""Densities, models and settings in Stone Soup's YAML: arrays, numbers and text, nothing that could run."""
+
+import base64
+import json
+from dataclasses import asdict
+
+import numpy as np
+from ruamel.yaml.constructor import ConstructorError
+from stonesoup.base import Base
+
+from ...config import FilterConfig
+from ...density import ParticleDensity
+from ...domain import Domain
+from ...errors import ModelError, SphfilterError
+from ...info import PredictInfo, ResampleInfo, UpdateInfo
+from ...measurements import GaussianMeasurement, LikelihoodMeasurement
+from ...models import SDE, LinearSDE
+from ...storage import from_bytes, to_bytes
+
+__all__ = ["extend"]
+
+_OURS = "sphfilter.adapters.stonesoup."
+_CODE = (
+    "{} is a Python function, which YAML cannot hold: write the model as text (from_expressions), or keep it "
+    "with pickle"
+)
+
+
+def extend(yaml):
+    """Teach a `stonesoup.serialise.YAML` the classes of this package.
+
+    Installed, the package has this done by its entry point in the group stonesoup.serialise.yaml.
+    """
+    for kind, (write, read) in _FORMS.items():
+        tag = f"!sphfilter.{kind.__name__}"
+        yaml.representer.add_representer(kind, _representer(tag, write))
+        yaml.constructor.add_constructor(tag, _constructor(read))
+    yaml.constructor.add_multi_constructor(f"!{_OURS}", _component_from_yaml)
+
+
+def _representer(tag, write):
+    def represent(representer, value):
+        text = write(value)
+        return representer.represent_scalar(tag, text, style="|" if "\n" in text else None)
+
+    return represent
+
+
+def _constructor(read):
+    def construct(constructor, node):
+        try:
+            return read(str(constructor.construct_scalar(node)))
+        except (SphfilterError, ValueError, TypeError, KeyError) as problem:
+            raise ConstructorError(f"while reading a {node.tag}", node.start_mark, str(problem)) from problem
+
+    return construct
+
+
+def _component_from_yaml(constructor, tag_suffix, node):
+    """As Stone Soup makes its own components, of the classes of this package."""
+    name = _OURS + tag_suffix
+    found = [kind for kind in Base.subclasses if f"{kind.__module__}.{kind.__qualname__}" == name]
+    if not found:
+        raise ConstructorError("while reading a component", node.start_mark, f"there is no {name}")
+    constructor.deep_construct = True  # parts have to be complete before the whole is made
+    (properties,) = list(constructor.construct_yaml_omap(node))  # yielded empty, filled when asked on
+    try:
+        return found[0](**properties)
+    except (SphfilterError, TypeError) as problem:
+        raise ConstructorError("while reading a component", node.start_mark, str(problem)) from problem
+
+
+def _density_text(density):
+    return base64.encodebytes(to_bytes(density)).decode()
+
+
+def _density_from(text):
+    return from_bytes(base64.decodebytes(text.encode()))
+
+
+def _model_text(model):
+    _, (constructor, arguments) = model.__reduce__()
+    if constructor == SDE:
+        raise ModelError(_CODE.format("the drift of this SDE"))
+    return json.dumps({name: _plain(name, value) for name, value in arguments.items() if value is not None})
+
+
+def _sensor_text(sensor):
+    _, (h, noise_cov, angles, _) = sensor.__reduce__()
+    parts = {"noise_cov": noise_cov, "angles": angles}
+    if hasattr(h, "expressions"):
+        parts |= {"states": h.states, "h": h.expressions}
+    else:
+        parts["h"] = h
+    return json.dumps({name: _plain(name, value) for name, value in parts.items()})
+
+
+def _sensor_from(text):
+    parts = json.loads(text)
+    return (
+        GaussianMeasurement.from_expressions(**parts) if "states" in parts else GaussianMeasurement(**parts)
+    )
+
+
+def _refused(sensor):
+    raise ModelError(_CODE.format("the likelihood of a LikelihoodMeasurement"))
+
+
+def _info_text(info):
+    return json.dumps(_plain("info", asdict(info)))
+
+
+def _prediction_from(text):
+    parts = json.loads(text)
+    return PredictInfo(**parts | {"skipped": tuple(parts["skipped"])})
+
+
+def _update_from(text):
+    parts = json.loads(text)
+    for name in ("innovation", "innovation_cov"):
+        if parts[name] is not None:
+            parts[name] = np.array(parts[name])
+    if parts["resample"] is not None:
+        whole = {k: tuple(v) if isinstance(v, list) else v for k, v in parts["resample"].items()}
+        parts["resample"] = ResampleInfo(**whole)
+    return UpdateInfo(**parts)
+
+
+def _plain(name, value):
+    """Numbers, text, lists and mappings of a value."""
+    if callable(value):
+        raise ModelError(_CODE.format(f"the {name} of this model"))
+    if isinstance(value, Domain):
+        value = value.axes
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {key: _plain(key, part) for key, part in value.items()}
+    return [_plain(name, part) for part in value] if isinstance(value, list | tuple) else value
+
+
+#: Class: how it becomes text, and is made of it.
+_FORMS = {
+    ParticleDensity: (_density_text, _density_from),
+    SDE: (_model_text, lambda text: SDE.from_expressions(**json.loads(text))),
+    LinearSDE: (_model_text, lambda text: LinearSDE(**json.loads(text))),
+    GaussianMeasurement: (_sensor_text, _sensor_from),
+    LikelihoodMeasurement: (_refused, None),
+    FilterConfig: (FilterConfig.to_toml, FilterConfig.from_toml),
+    PredictInfo: (_info_text, _prediction_from),
+    UpdateInfo: (_info_text, _update_from),
+}

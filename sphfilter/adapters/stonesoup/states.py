@@ -1,0 +1,170 @@
+"""States of a Stone Soup track that carry a density."""
+
+import datetime
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from stonesoup.base import Property, clearable_cached_property
+from stonesoup.types.array import CovarianceMatrix, StateVector, StateVectors
+from stonesoup.types.base import Type
+from stonesoup.types.prediction import Prediction
+from stonesoup.types.state import ParticleState, State, StateMutableSequence
+from stonesoup.types.update import Update
+
+from ...density import ParticleDensity
+from ...errors import ModelError
+from ...info import PredictInfo, UpdateInfo
+from ...initial import Gaussian, initialize
+from ...validate import count, covariance, generator, short
+
+__all__ = ["SPHState", "SPHStatePrediction", "SPHStateUpdate", "current", "density_of", "origin_of",
+           "remember", "retimed"]  # fmt: skip
+
+
+class SPHState(Type):
+    """A state known by its probability density.
+
+    Parameters
+    ----------
+    density : ParticleDensity
+    timestamp : datetime.datetime, optional
+        What counts is the timestamp: `density.t` is set from it where a model depends on time.
+
+    Attributes
+    ----------
+    state_vector, mean : StateVector, shape (n, 1)
+        The mean; read-only.
+    covar : CovarianceMatrix, shape (n, n)
+    ndim : int
+
+    Raises
+    ------
+    ModelError
+        The density is none.
+    """
+
+    density: ParticleDensity = Property(doc="Probability density of the state.")
+    timestamp: datetime.datetime = Property(default=None, doc="Timestamp of the state. Default None.")
+
+    from_state = staticmethod(State.from_state)
+
+    @density.setter
+    def density(self, value):
+        if not isinstance(value, ParticleDensity):
+            raise ModelError(
+                f"an SPHState takes a ParticleDensity such as sf.initialize makes, got {short(value)}"
+            )
+        self._property_density = value
+
+    @clearable_cached_property("density")
+    def state_vector(self):
+        """The mean, shape (n, 1)."""
+        return _frozen(self.density.mean()[:, None]).view(StateVector)
+
+    @property
+    def mean(self):
+        """The mean, shape (n, 1)."""
+        return self.state_vector
+
+    @clearable_cached_property("density")
+    def covar(self):
+        """The covariance, shape (n, n)."""
+        return _frozen(self.density.cov()).view(CovarianceMatrix)
+
+    @property
+    def ndim(self):
+        """Number of states n."""
+        return self.density.dim
+
+    def to_particle_state(self, n_particles, rng=None):
+        """Draw equally weighted particles from the density.
+
+        Parameters
+        ----------
+        n_particles : int
+        rng : numpy Generator or seed, optional
+
+        Returns
+        -------
+        stonesoup.types.state.ParticleState
+        """
+        n_particles = count("n_particles", n_particles)
+        X = self.density.sample(n_particles, generator(rng))
+        log_weight = np.full(n_particles, -np.log(n_particles))
+        return ParticleState(StateVectors(X.T), log_weight=log_weight, timestamp=self.timestamp)
+
+
+State.register(SPHState)  # as Stone Soup registers its own states whose vector is computed
+
+
+class SPHStatePrediction(Prediction, SPHState):
+    """A predicted density; `info` says how it was carried (`PredictInfo`)."""
+
+    info: PredictInfo = Property(default=None, doc="What the prediction did.")
+
+
+class SPHStateUpdate(Update, SPHState):
+    """A posterior density; `info` says what was done with the detection (`UpdateInfo`).
+
+    After one detection `info.log_evidence` is the logarithm of its predicted density. After an association of
+    several it is that of the integral of a posterior whose weights were given, zero but for what the lattice
+    does not resolve.
+    """
+
+    info: UpdateInfo = Property(default=None, doc="What the update did.")
+
+
+def current(state):
+    """The last state of a track, or the state itself."""
+    if isinstance(state, StateMutableSequence) and not isinstance(state, State):
+        return state.state
+    return state
+
+
+def density_of(state, n_particles, config, domain=None):
+    """The density of a state; that of a Gaussian state is put on particles, always the same for the same."""
+    if isinstance(state, SPHState):
+        return state.density
+    if isinstance(state, ParticleState) or not hasattr(state, "covar"):
+        raise ModelError(
+            f"a density starts from an SPHState or a GaussianState, got a {type(state).__name__}; of others "
+            f"take GaussianState(state.mean, state.covar, timestamp=state.timestamp)"
+        )
+    mean = np.asarray(state.state_vector, dtype=float)
+    cov = covariance("covar of the state", np.asarray(state.covar, dtype=float), dim=len(mean))
+    return _on_particles(mean.tobytes(), cov.tobytes(), len(mean), n_particles, config, domain)
+
+
+@lru_cache(maxsize=64)  # by value: what a state is changed to later is another key
+def _on_particles(mean, cov, n, n_particles, config, domain):
+    mean, cov = np.frombuffer(mean), np.frombuffer(cov).reshape(n, n)
+    return initialize(Gaussian(mean, cov), n_particles, config, domain=domain)
+
+
+@lru_cache(maxsize=64)  # the same density once more is the same object once more
+def _at(density, t):
+    return replace(density, t=t)
+
+
+def retimed(density, transition, timestamp):
+    """The density with the time that a timestamp is for the model."""
+    t = density.t if transition.epoch is None else transition.time_of(timestamp)
+    return density if density.t == t else _at(density, t)
+
+
+def remember(state, origin):
+    """Note where the density of a state comes from, should it have to be made again more finely."""
+    state._origin = state.density, origin
+    return state
+
+
+def origin_of(state):
+    """What `remember` noted, unless the density is another by now; None if there is nothing."""
+    density, origin = getattr(state, "_origin", (None, None))
+    return origin if density is getattr(state, "density", None) else None
+
+
+def _frozen(array):
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,207 @@
+"""Stochastic differential equations as Stone Soup's transition models, and the way back for linear ones."""
+
+import datetime
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm, logm
+from scipy.stats import multivariate_normal
+from stonesoup.base import Property
+from stonesoup.models.base import GaussianModel, LinearModel
+from stonesoup.models.transition.base import TransitionModel
+from stonesoup.types.array import CovarianceMatrix, StateVector, StateVectors
+from stonesoup.types.numeric import Probability
+
+from ...errors import ModelError
+from ...models import SDE, LinearSDE
+from ...simulate import advance
+from ...validate import generator, short
+
+__all__ = ["SDETransitionModel", "linear_sde", "transition_of"]
+
+#: Intervals, seconds, that a linear model is read at, and those at which the equation has to agree: none so
+#: short that Stone Soup's covariances, integrated numerically, are mostly rounding.
+_READ_AT = 1.0, 0.1, 0.01
+_CHECKED_AT = 0.3, 0.7, 5.0
+_SAME = 1e-8
+_FLOW_TOLERANCE = 1e-10
+
+
+class SDETransitionModel(TransitionModel):
+    """A stochastic differential equation as a transition model, for Stone Soup's simulators and filters too.
+
+    Parameters
+    ----------
+    sde : SDE
+    epoch : datetime.datetime, optional
+        Where the model's time is zero; needed if drift or noise depend on time.
+    seed : int, optional
+        Of the noise that `function` draws.
+
+    Notes
+    -----
+    `function` moves states (n, N) over `time_interval` along paths whose error in distribution is far below
+    that of a filter (`sphfilter.simulate`), or without noise along the drift. Covariances, `rvs` and `pdf`
+    of the transition are known for linear models only.
+    """
+
+    sde: SDE = Property(doc="The stochastic differential equation.")
+    epoch: datetime.datetime = Property(
+        default=None, doc="Where the model's time is zero; needed if drift or noise depend on time."
+    )
+    seed: int = Property(default=None, doc="Seed of the noise that `function` draws.")
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        if not isinstance(self.sde, SDE):
+            raise ModelError(f"sde must be an SDE or LinearSDE, got {short(self.sde)}")
+        if self.epoch is None and not self.sde.autonomous:
+            raise ModelError(
+                "drift or noise may depend on time: give epoch=, the datetime of the model's t = 0"
+            )
+        self._rng = generator(self.seed)
+
+    @property
+    def ndim_state(self):
+        """Number of states n."""
+        return self.sde.dim
+
+    def time_of(self, timestamp):
+        """The model's time at a timestamp, seconds; zero for all where it does not depend on it."""
+        if self.epoch is None:
+            return 0.0
+        if timestamp is None:
+            raise ModelError("the model depends on time: states need a timestamp")
+        return (timestamp - self.epoch).total_seconds()
+
+    def function(self, state, noise=False, *, time_interval, **kwargs):
+        """Move states (n, N) over `time_interval`, with noise of their own if `noise`."""
+        X = np.asarray(state.state_vector, dtype=float).T
+        t, dt = self.time_of(state.timestamp), time_interval.total_seconds()
+        if noise is None or isinstance(noise, bool | np.bool_):
+            moved = advance(self.sde, X, t, t + dt, self._rng) if noise and dt else self._flow(X, t, dt)
+        else:
+            self._gaussian(dt)
+            moved = self._flow(X, t, dt) + np.asarray(noise, dtype=float).T
+        moved = self.sde.domain.wrap(moved)
+        return moved.T.view(StateVector if len(moved) == 1 else StateVectors)
+
+    def _flow(self, X, t, dt):
+        """States (N, n) moved along the drift alone."""
+        if self.sde.linear:
+            Phi, offset, _ = self.sde.to_linear().discretize(dt)
+            return X @ Phi.T + offset
+
+        def rate(s, flat):
+            return self.sde.drift(flat.reshape(X.shape), s).ravel()
+
+        path = solve_ivp(rate, (t, t + dt), X.ravel(), rtol=_FLOW_TOLERANCE, atol=_FLOW_TOLERANCE)
+        return path.y[:, -1].reshape(X.shape)
+
+    def _gaussian(self, dt):
+        if not self.sde.linear:
+            raise ModelError(
+                "the transition density of this model is not Gaussian: function(noise=True) draws from it"
+            )
+        return self.sde.to_linear().discretize(dt)
+
+    def jacobian(self, state, *, time_interval, **kwargs):
+        """Derivative (n, n) of where a state goes without noise."""
+        if self.sde.linear:
+            return self._gaussian(time_interval.total_seconds())[0]
+        return super().jacobian(state, time_interval=time_interval, **kwargs)
+
+    def covar(self, *, time_interval, **kwargs):
+        """Covariance (n, n) of the noise over an interval, of linear models."""
+        return self._gaussian(time_interval.total_seconds())[2].view(CovarianceMatrix)
+
+    def rvs(self, num_samples=1, *, time_interval, **kwargs):
+        """Draw noise (n, num_samples) of an interval, of linear models."""
+        Q = self._gaussian(time_interval.total_seconds())[2]
+        drawn = self._rng.multivariate_normal(np.zeros(len(Q)), Q, num_samples, method="eigh").T
+        return drawn.view(StateVector if num_samples == 1 else StateVectors)
+
+    def pdf(self, state1, state2, *, time_interval, **kwargs):
+        """Density of state1 where state2 goes, of linear models."""
+        expected = self.function(state2, time_interval=time_interval)
+        off = np.asarray(state1.state_vector - expected, dtype=float)
+        Q = self._gaussian(time_interval.total_seconds())[2]
+        log_p = np.atleast_1d(multivariate_normal.logpdf(off.T, cov=Q, allow_singular=True))
+        p = Probability.from_log_ufunc(log_p)
+        return p[0] if len(p) == 1 else p
+
+
+def transition_of(model):
+    """A transition model as `SDETransitionModel`: as it is, from an SDE, or from a linear Gaussian model."""
+    if isinstance(model, SDETransitionModel):
+        return model
+    return SDETransitionModel(model if isinstance(model, SDE) else linear_sde(model))
+
+
+def linear_sde(model):
+    """The equation dX = A X dt + g dW whose transitions are those of one of Stone Soup's linear models.
+
+    Parameters
+    ----------
+    model : LinearModel and GaussianModel
+        Such as ConstantVelocity, OrnsteinUhlenbeck or a combination of them.
+
+    Returns
+    -------
+    LinearSDE
+
+    Raises
+    ------
+    ModelError
+        There is none: the model is of another kind, of discrete time, or its noise is no white noise's.
+    """
+    if not (isinstance(model, LinearModel) and isinstance(model, GaussianModel)):
+        raise ModelError(
+            f"transition_model must be an SDE, an SDETransitionModel or a linear Gaussian model, got a "
+            f"{type(model).__name__}; write the equation behind it as SDE.from_expressions"
+        )
+    for tau in _READ_AT:
+        sde = _read(*_transition(model, tau), tau)
+        if sde is not None and all(_same(sde, model, dt) for dt in _CHECKED_AT):
+            return sde
+    raise ModelError(
+        f"no linear equation with white noise has the transitions of this {type(model).__name__} over "
+        f"{_CHECKED_AT} seconds; write the equation itself as LinearSDE(A, noise=..., spectral_density=...)"
+    )
+
+
+def _transition(model, dt):
+    step = {"time_interval": datetime.timedelta(seconds=dt)}
+    return np.asarray(model.matrix(**step), dtype=float), np.asarray(model.covar(**step), dtype=float)
+
+
+def _read(F, Q, tau):
+    """The equation with transition matrix F and covariance Q over tau seconds, or None.
+
+    F = exp(A tau), and Q is linear in the intensity q of the noise: vec Q = int_0^tau exp(K s) ds vec q with
+    K = A x I + I x A.
+    """
+    n = len(F)
+    A = logm(F) / tau
+    if np.iscomplexobj(A) or not np.isfinite(A).all():
+        return None
+    A[np.abs(A) < 1e-12 * np.abs(A).max(initial=0.0)] = 0.0
+    K = np.kron(A, np.eye(n)) + np.kron(np.eye(n), A)
+    zero, one = np.zeros_like(K), np.eye(n * n)
+    integral = expm(np.block([[K, one], [zero, zero]]) * tau)[: n * n, n * n :]
+    q = np.linalg.solve(integral, Q.ravel()).reshape(n, n)
+    q[np.abs(q) < 1e-12 * np.abs(q).max(initial=0.0)] = 0.0
+    values, vectors = np.linalg.eigh(0.5 * (q + q.T))
+    if values[0] < -_SAME * values[-1]:
+        return None
+    kept = values > _SAME * values[-1]
+    return LinearSDE(A, noise=vectors[:, kept] * np.sqrt(values[kept])) if kept.any() else None
+
+
+def _same(sde, model, dt):
+    """Do the transitions over dt agree, in the units of their own noise?"""
+    F, Q = _transition(model, dt)
+    Phi, _, Qd = sde.discretize(dt)
+    scale = np.sqrt(np.diag(Q))
+    unit = np.outer(scale, scale)
+    return np.allclose(Phi, F, rtol=_SAME, atol=_SAME) and np.all(np.abs(Qd - Q) <= _SAME * unit)

@@ -1,0 +1,226 @@
+"""Stone Soup's updater interface to the update: density times likelihood."""
+
+from dataclasses import replace
+
+from stonesoup.base import Property
+from stonesoup.models.measurement.base import MeasurementModel
+from stonesoup.types.array import CovarianceMatrix
+from stonesoup.types.multihypothesis import MultipleHypothesis
+from stonesoup.types.prediction import GaussianMeasurementPrediction
+from stonesoup.types.update import Update
+from stonesoup.updater.base import Updater
+
+from ...adapt import Prediction as PredictionOrigin
+from ...adapt import Update as UpdateOrigin
+from ...adapt import update_repeating
+from ...config import FilterConfig, LogDensityScheme, checked_filter_config
+from ...errors import ModelError, PropagationError
+from ...info import UpdateInfo
+from ...level_set import reach
+from ...resample import bound
+from ...update import predicted_reading
+from ...validate import count
+from .association import FINER, Association, alone, error_of, mixed_mean, one_prediction, probability_of
+from .recent import Recent
+from .sensors import reading_of, sensor_for, typed
+from .states import SPHState, current, density_of, origin_of, remember
+
+__all__ = ["SPHUpdater"]
+
+_DEEPER = 0.7  # standard deviations that lattices reach further, each time
+_RESOLVED = 0.01  # standard deviations that its mean may be off, and part of its mass
+_KEPT = 256  # detections of late
+_START = 200  # particles of a Gaussian state, unless n_particles says otherwise
+
+
+class SPHUpdater(Updater):
+    """Multiplies densities with likelihoods, of one detection or of an association of several.
+
+    Parameters
+    ----------
+    measurement_model : MeasurementModel, GaussianMeasurement or LikelihoodMeasurement, optional
+        For detections without one of their own.
+    n_particles : int, optional
+        Upper bound of the number of particles; by default that of the prediction.
+    config : FilterConfig, optional
+    """
+
+    measurement_model: MeasurementModel = Property(
+        default=None, doc="For detections without a measurement model of their own."
+    )
+    n_particles: int = Property(default=None, doc="Upper bound of the number of particles.")
+    config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self._kept = Recent(_KEPT)
+
+    def predict_measurement(self, predicted_state, measurement_model=None, measurement_noise=True, **kwargs):
+        """Mean and covariance of the next detection, and its covariance with the state.
+
+        Returns
+        -------
+        GaussianMeasurementPrediction
+
+        Raises
+        ------
+        ModelError
+            The sensor is not Gaussian.
+        """
+        state = current(predicted_state)
+        density = self._density(state)
+        sensor = self._sensor(measurement_model, state.timestamp)
+        if sensor.noise_cov is None:
+            raise ModelError(
+                "a measurement prediction needs a sensor with a noise covariance; associate detections of "
+                "others by EvidenceHypothesiser(prob_gate=1)"
+            )
+        reading, spread, cross = predicted_reading(density, sensor)
+        covar = spread + sensor.noise_cov if measurement_noise else spread
+        return GaussianMeasurementPrediction(
+            typed(sensor.residual(reading, 0.0), sensor, density.mean()),
+            CovarianceMatrix(covar),
+            timestamp=state.timestamp,
+            cross_covar=CovarianceMatrix(cross),
+        )
+
+    def log_evidence(self, prediction, detection):
+        """Logarithm of the predicted density of a detection: of the integral of density times likelihood.
+
+        Where no lattice holds the product, which is next to nothing there, it is a sum over the particles.
+        """
+        return self._alone(prediction, *self._asked(prediction, detection)).log_evidence
+
+    def update(self, hypothesis, **kwargs):
+        """The posterior of a hypothesis, or of an association of several (PDA, JPDA).
+
+        Parameters
+        ----------
+        hypothesis : SingleHypothesis or MultipleHypothesis
+            Several have probabilities, and one prediction: the posterior is the mixture of theirs, of the
+            prior for a miss, itself and not merged into one Gaussian.
+
+        Returns
+        -------
+        SPHStateUpdate
+
+        Raises
+        ------
+        ModelError
+            A detection or model that does not fit, or hypotheses of different times.
+        PropagationError
+            No lattice holds the posterior. The prediction is as it was.
+        """
+        if isinstance(hypothesis, MultipleHypothesis):
+            return self._associated(hypothesis)
+        prediction, detection = hypothesis.prediction, hypothesis.measurement
+        if not hypothesis:
+            density = self._density(prediction)
+            return self._posterior(prediction, hypothesis, (density, density, _nothing(density)), None)
+        asked = self._asked(prediction, detection)
+        return self._posterior(
+            prediction, hypothesis, self._multiplied(prediction, *asked), asked, detection.timestamp
+        )
+
+    def _associated(self, hypotheses):
+        prediction = one_prediction(hypotheses)
+        density, missed, parts, means = self._density(prediction), 0.0, [], []
+        for hypothesis in hypotheses:
+            weight, one = probability_of(hypothesis), None
+            if hypothesis and weight > 0.0:
+                sensor, z = self._asked(prediction, hypothesis.measurement)
+                one = self._alone(prediction, sensor, z)
+            if one is None or one.mean is None:  # what would not be used alone is not used here
+                missed += weight
+            else:
+                parts.append((sensor, z, weight, one.log_evidence))
+                means.append((weight, one.mean))
+        if not parts:
+            return self._posterior(prediction, hypotheses, (density, density, _nothing(density)), None)
+        sensor, z = Association(missed, parts), tuple(part[1] for part in parts)
+        mixed = None if density.domain is not None else mixed_mean([(missed, density.mean()), *means])
+        found = self._resolved(prediction, sensor, z, mixed)
+        return self._posterior(prediction, hypotheses, found, (sensor, z))
+
+    def _alone(self, prediction, sensor, z):
+        """What a detection says alone; kept for data association, which scores it first and uses it then."""
+        density, config = self._density(prediction), checked_filter_config(self.config)
+        log_likelihood = sensor.log_likelihood(z, density.x, density.t)
+        key = density, log_likelihood.tobytes(), config, self.n_particles
+        return self._kept.result(
+            key, lambda: alone(density, sensor, z, config, self.n_particles, log_likelihood)
+        )
+
+    def _resolved(self, prediction, sensor, z, expected):
+        """As `_multiplied`, finer and further out until the posterior has the mean of its parts.
+
+        A part of little weight may be wide and flat beside the others, and lie below where a lattice ends.
+        """
+        best = None
+        for level, times in enumerate(FINER):
+            try:
+                found = self._multiplied(prediction, sensor, z, times, level * _DEEPER)
+            except PropagationError as problem:
+                refused = problem  # more particles may hold it
+                continue
+            error = error_of(found[1], expected, found[2].log_evidence)
+            if best is None or error < best[0]:
+                best = error, times, found
+            if error < _RESOLVED:
+                break
+        if best is None:
+            raise refused
+        error, times, (prior, density, info) = best
+        if times == 1 and error < _RESOLVED:
+            return prior, density, info
+        told = "" if error < _RESOLVED else f", its mean within {error:.2g} standard deviations"
+        return prior, density, replace(info, status=f"association on {times} times the particles{told}")
+
+    def _multiplied(self, prediction, sensor, z, times=1, deeper=0.0):
+        density, origin = self._density(prediction), origin_of(prediction)
+        origin = origin if isinstance(origin, PredictionOrigin) else PredictionOrigin()
+        n_particles = bound(density, self.n_particles)
+        config = _reaching(checked_filter_config(self.config), density.dim, deeper)
+        found = update_repeating(origin, density, origin.model, sensor, z, config, times * n_particles)
+        if times == 1:
+            return found
+        prior, posterior, info = found  # on more particles now, not ever after
+        return prior, replace(posterior, capacity=n_particles), info
+
+    def _posterior(self, prediction, hypothesis, found, asked, timestamp=None):
+        prior, density, info = found
+        timestamp = prediction.timestamp if timestamp is None else timestamp
+        state = prediction if isinstance(prediction, SPHState) else SPHState(prior, timestamp)
+        posterior = Update.from_state(
+            state, density=density, timestamp=timestamp, hypothesis=hypothesis, info=info
+        )
+        if density is not prior:
+            return remember(posterior, UpdateOrigin(prior, *asked))
+        return remember(posterior, origin_of(prediction)) if density is state.density else posterior
+
+    def _asked(self, prediction, detection):
+        sensor = self._sensor(detection.measurement_model, prediction.timestamp)
+        return sensor, reading_of(detection, sensor)
+
+    def _sensor(self, measurement_model, timestamp):
+        return sensor_for(
+            self.measurement_model if measurement_model is None else measurement_model, timestamp
+        )
+
+    def _density(self, state):
+        n_particles = _START if self.n_particles is None else count("n_particles", self.n_particles)
+        return density_of(state, n_particles, checked_filter_config(self.config))
+
+
+def _reaching(config, dim, deeper):
+    """Settings whose lattices reach `deeper` standard deviations further, where they follow a level set."""
+    scheme = LogDensityScheme() if config.scheme == "auto" else config.scheme
+    if not deeper or not isinstance(scheme, LogDensityScheme):
+        return config
+    return replace(config, scheme=replace(scheme, reach=reach(scheme, dim) + deeper))
+
+
+def _nothing(density):
+    return UpdateInfo(
+        accepted=True, log_evidence=0.0, reason="no detection was used", n_particles=density.n_particles
+    )
