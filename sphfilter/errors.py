@@ -69,7 +69,19 @@ class ModelError(SphfilterError, ValueError):
 
 
 class EstimationError(SphfilterError, RuntimeError):
-    """Parameters that the measurements do not determine, or whose evidence cannot be computed."""
+    """Parameters that the measurements do not determine, or whose evidence cannot be computed.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> model = sf.SDE.from_expressions(["x"], ["-x + 0*a"], [["1"]], parameters={"a": 1.0})
+    >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> sf.fit_parameters(flt, [1.0, 2.0], [0.3, -0.2], {"a": 1.0})
+    Traceback (most recent call last):
+    ...
+    sphfilter.errors.EstimationError: the measurements do not determine 'a': from ...
+    """
 
 
 class PropagationError(SphfilterError, RuntimeError):
