@@ -9,7 +9,6 @@ from rich import box
 from rich.table import Table
 
 import sphfilter as sf
-from experiments.running import new_console
 from sphfilter import budget as timing
 from sphfilter.campaign import draw_case
 from sphfilter.errors import SphfilterError
@@ -18,7 +17,7 @@ from .benchmark import reference
 from .benchmark.errors import errors, root_mean_square
 from .benchmark.watch import Watched
 from .converge.tables import numbers
-from .run import status
+from .running import new_console, status
 from .scenario import load_scenario
 
 __all__ = ["EPILOG", "add_arguments", "main"]

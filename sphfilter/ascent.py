@@ -49,7 +49,8 @@ def off_bounds(evidence, theta, value, low, high):
 def climbed(evidence, theta, value, low, high, max_evaluations):
     """Newton's method: the point, its log-evidence, which parameters are free, and the last quadratic.
 
-    Parameters that come to a bound stay there.
+    Parameters that come to a bound stay there. The quadratic is None if no parameter is free, or if the
+    search was stopped before there was one.
     """
     free, root, local = (theta > low) & (theta < high), None, None
     first = _first_steps(theta, low, high)
@@ -60,12 +61,11 @@ def climbed(evidence, theta, value, low, high, max_evaluations):
         if root is None:
             names = evidence.names_of(free)
             root = np.diag(scales(inside, centre, value, first[free], low[free], high[free], names))
-        near = np.minimum(theta - low, high - theta)[free] < _AT_BOUND * np.linalg.norm(root, axis=1)
+        near = _near_bounds(theta, root, free, low, high)
         if near.any():
             k = np.flatnonzero(free)[near][0]
-            theta, free = theta.copy(), free.copy()
-            theta[k], free[k] = (low[k] if theta[k] - low[k] < high[k] - theta[k] else high[k]), False
-            value, root, local = evidence(theta), None, None
+            theta, value = _at_bound(evidence, theta, value, k, low, high)
+            free, root, local = free & (np.arange(len(free)) != k), None, None
             continue
         h = min(_STEP, room(centre, root, low[free], high[free]))
         local = quadratic(inside, centre, value, root, h)
@@ -74,11 +74,26 @@ def climbed(evidence, theta, value, low, high, max_evaluations):
         there, moved = _line(evidence, theta, value, free, step, low, high)
         done |= moved == value  # as near as such differences come
         theta, value = there, moved
-        if done:
+        if done and not _near_bounds(theta, root, free, low, high).any():
             break
-    if local is not None:
-        local = local._replace(root=root)
+    if local is not None and _near_bounds(theta, root, free, low, high).any():
+        local = None
+    if local is not None:  # in the last coordinates, in which it is round
+        local = local._replace(root=root, hessian=-np.eye(free.sum()))
     return theta, value, free, local
+
+
+def _at_bound(evidence, theta, value, k, low, high):
+    """A parameter on the bound that it is near, or left where it is if there is less evidence there."""
+    held = theta.copy()
+    held[k] = low[k] if theta[k] - low[k] < high[k] - theta[k] else high[k]
+    moved = evidence(held)
+    return (held, moved) if moved >= value else (theta, value)
+
+
+def _near_bounds(theta, root, free, low, high):
+    """Which free parameters are on a bound, or too near it for differences."""
+    return np.minimum(theta - low, high - theta)[free] < _AT_BOUND * np.linalg.norm(root, axis=1)
 
 
 def polished(function, centre, value, local, rough, low, high):
@@ -120,9 +135,9 @@ def _line(evidence, theta, value, free, step, low, high):
 
 
 def room(centre, root, low, high):
-    """Longest step of `quadratic` within bounds."""
+    """Longest step of `quadratic` that stays off bounds: the filter may refuse what is on one."""
     two = np.sort(np.abs(root), axis=1)[:, -2:].sum(axis=1)
-    return float(np.min(np.minimum(centre - low, high - centre) / two))
+    return 0.9 * float(np.min(np.minimum(centre - low, high - centre) / two))
 
 
 def ridge(evidence, theta, free, covariance, k):

@@ -69,7 +69,7 @@ def scales(function, centre, value, first, low, high, names):
     """
     found = np.empty(len(centre))
     for k, name in enumerate(names):
-        room = min(centre[k] - low[k], high[k] - centre[k])
+        room = 0.9 * min(centre[k] - low[k], high[k] - centre[k])  # the filter may refuse what is on a bound
         d, axis = min(first[k], room), np.eye(len(centre))[k]
         for _ in range(_TRIES):
             fall = value - 0.5 * (function(centre + d * axis) + function(centre - d * axis))

@@ -73,14 +73,14 @@ class EstimationError(SphfilterError, RuntimeError):
 
     Examples
     --------
-    >>> import numpy as np
     >>> import sphfilter as sf
-    >>> model = sf.SDE.from_expressions(["x"], ["-x"], [["1"]], parameters={"unused": 1.0})
-    >>> flt = sf.SPHFilter(model, sf.GaussianMeasurement([[1.0]], [[0.1]]), [0.0], [[1.0]], n_particles=60)
-    >>> sf.fit_parameters(flt, [0.5, 1.0], [0.3, 0.1], guess={"unused": 2.0})
+    >>> model = sf.SDE.from_expressions(["x"], ["-x + 0*a"], [["1"]], parameters={"a": 1.0})
+    >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> sf.fit_parameters(flt, [1.0, 2.0], [0.3, -0.2], {"a": 1.0})
     Traceback (most recent call last):
-        ...
-    sphfilter.errors.EstimationError: the measurements do not determine 'unused': ...
+    ...
+    sphfilter.errors.EstimationError: the measurements do not determine 'a': from ...
     """
 
 

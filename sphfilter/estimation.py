@@ -52,14 +52,14 @@ class ParameterFit:
     --------
     >>> import numpy as np
     >>> import sphfilter as sf
-    >>> model = sf.SDE.from_expressions(["x"], ["-k*x"], [["1"]], parameters={"k": 1.0})
-    >>> sensor, times = sf.GaussianMeasurement([[1.0]], [[0.1]]), np.arange(0.5, 4.0, 0.5)
-    >>> _, z = sf.simulate(model, sensor, [9.0], [0.0, *times], rng=1)
-    >>> config = sf.FilterConfig(exact_linear=True)
-    >>> flt = sf.SPHFilter(model, sensor, [9.0], [[0.1]], n_particles=60, config=config)
-    >>> fit = sf.fit_parameters(flt, times, z[1:], guess={"k": 0.8})
-    >>> print(fit.names, f"{fit.aic - 2 + 2 * fit.log_evidence:.3f}")
-    ('k',) 0.000
+    >>> model = sf.SDE.from_expressions(["x"], ["-a*x"], [["1"]], parameters={"a": 0.6})
+    >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
+    >>> times = 0.4 * np.arange(1, 31)
+    >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> fit = sf.fit_parameters(flt, times, z, guess={"a": 0.5})
+    >>> print(f"{fit.estimate['a']:.2f} ± {fit.standard_error['a']:.2f}, AIC {fit.aic:.1f}")
+    0.85 ± 0.41, AIC 70.1
     """
 
     estimate: MappingProxyType
@@ -148,14 +148,23 @@ def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluat
     --------
     >>> import numpy as np
     >>> import sphfilter as sf
-    >>> model = sf.SDE.from_expressions(["x"], ["-k*x"], [["1"]], parameters={"k": 1.0})
-    >>> sensor, times = sf.GaussianMeasurement([[1.0]], [[0.1]]), np.arange(0.5, 4.0, 0.5)
-    >>> _, z = sf.simulate(model, sensor, [9.0], [0.0, *times], rng=1)
-    >>> config = sf.FilterConfig(exact_linear=True)
-    >>> flt = sf.SPHFilter(model, sensor, [9.0], [[0.1]], n_particles=60, config=config)
-    >>> fit = sf.fit_parameters(flt, times, z[1:], guess={"k": 0.8})
-    >>> print(f"k = {fit.estimate['k']:.2f} ± {fit.standard_error['k']:.2f}, {fit.converged}")
-    k = 0.92 ± 0.16, True
+    >>> model = sf.SDE.from_expressions(["x"], ["-a*x"], [["1"]], parameters={"a": 0.6})
+    >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
+    >>> times = 0.4 * np.arange(1, 31)
+    >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> print(sf.fit_parameters(flt, times, z, guess={"a": 0.5}))
+    a = 0.84... ± 0.41
+    log-evidence -34.05... nat; the maximum was found...
+
+    The noise of the sensor, by a function that makes filters:
+
+    >>> def build(p):
+    ...     sensor = level.changed(noise_cov=p["R"])
+    ...     return sf.SPHFilter(model, sensor, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> fit = sf.fit_parameters(build, times, z, guess={"R": 0.2}, bounds={"R": (0.0, None)})
+    >>> print(fit.status)
+    the maximum was found...
     """
     names, theta, low, high = checked_guess(guess, bounds)
     evidence = Evidence(filt, times, measurements, names, report)
@@ -163,7 +172,7 @@ def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluat
     theta, value = searched(evidence, theta, low, high, max_evaluations)
     theta, value = off_bounds(evidence, theta, value, low, high)
     theta, value, free, local = climbed(evidence, theta, value, low, high, max_evaluations)
-    rough, left, covariance = 0.0, 0.0, np.full((len(names), len(names)), np.nan)
+    rough, left, covariance = 0.0, np.inf if free.any() else 0.0, np.full((len(names), len(names)), np.nan)
     if local is not None:
         inside, centre = evidence.within(theta, free), theta[free]
         rough = roughness(inside, centre, value, local.root)
@@ -171,7 +180,7 @@ def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluat
         theta[free] = centre
         h = min(step_for(rough), room(centre, local.root, low[free], high[free]))
         local = quadratic(inside, centre, value, local.root, h)
-        _refuse_flat(local, rough / h**2, evidence.names_of(free))
+        _refuse_flat(local, rough, h, evidence.names_of(free))
         covariance[np.ix_(free, free)] = local.covariance
     return _told(evidence, theta, value, covariance, rough, free, np.sqrt(2.0 * max(left, 0.0)))
 
@@ -203,15 +212,16 @@ def profile_evidence(filt, times, measurements, fit, name, values):
     --------
     >>> import numpy as np
     >>> import sphfilter as sf
-    >>> model = sf.SDE.from_expressions(["x"], ["-k*x"], [["1"]], parameters={"k": 1.0})
-    >>> sensor, times = sf.GaussianMeasurement([[1.0]], [[0.1]]), np.arange(0.5, 4.0, 0.5)
-    >>> _, z = sf.simulate(model, sensor, [9.0], [0.0, *times], rng=1)
-    >>> config = sf.FilterConfig(exact_linear=True)
-    >>> flt = sf.SPHFilter(model, sensor, [9.0], [[0.1]], n_particles=60, config=config)
-    >>> fit = sf.fit_parameters(flt, times, z[1:], guess={"k": 0.8})
-    >>> profile = sf.profile_evidence(flt, times, z[1:], fit, "k", [0.6, fit.estimate["k"], 1.4])
-    >>> print(int(np.argmax(profile)))
-    1
+    >>> model = sf.SDE.from_expressions(["x"], ["-a*x"], [["1"]], parameters={"a": 0.6})
+    >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
+    >>> times = 0.4 * np.arange(1, 31)
+    >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> fit = sf.fit_parameters(flt, times, z, guess={"a": 0.5})
+    >>> sides = fit.estimate["a"] + fit.standard_error["a"] * np.array([-1.0, 0.0, 1.0])
+    >>> profile = sf.profile_evidence(flt, times, z, fit, "a", sides)
+    >>> print((profile - fit.log_evidence).round(2) + 0.0)  # -0.5 were the log-evidence a parabola
+    [-0.53  0.   -0.47]
     """
     if name not in fit.names:
         raise ModelError(f"the fit has no parameter {name!r}{nearest(name, fit.names)}; it has {fit.names}")
@@ -229,16 +239,23 @@ def profile_evidence(filt, times, measurements, fit, name, values):
     return out
 
 
-def _refuse_flat(local, noise, names):
-    """Refuse a log-evidence that does not fall in some direction."""
+def _refuse_flat(local, rough, h, names):
+    """Refuse a log-evidence that does not fall in some direction, or not so that it can be seen."""
     value, direction = local.flattest
-    if value < -max(ROUND, 3.0 * noise):
+    seen = 3.0 * rough / h**2
+    if value < -max(ROUND, seen):
         return
     direction = direction / np.abs(direction).max()
     terms = " ".join(f"{c:+.3g} {name}" for c, name in zip(direction, names, strict=True) if abs(c) > 1e-3)
+    terms = terms.removeprefix("+")
+    if seen > ROUND:
+        raise EstimationError(
+            f"the log-evidence is rough by {rough:.1g} nat, too much to see how it falls in the direction "
+            f"{terms}; use more particles"
+        )
     raise EstimationError(
         f"the measurements do not determine the parameters: the log-evidence does not fall in the direction "
-        f"{terms.removeprefix('+')}; fix one of them by leaving it out of guess, or give more measurements"
+        f"{terms}; fix one of them by leaving it out of guess, or give more measurements"
     )
 
 
@@ -246,9 +263,9 @@ def _told(evidence, theta, value, covariance, rough, free, off):
     """The result, with a sentence about it; the last slopes say that the maximum is `off` standard errors."""
     held, converged = tuple(evidence.names_of(~free)), off < _NEAR
     said = "the maximum was found" if converged else "the search was stopped before it had found the maximum"
-    said += f", by its slopes {off:.1g} standard errors away" if off > 0.01 else ""
+    said += f", by its slopes {off:.1g} standard errors away" if 0.01 < off < np.inf else ""
     if held:
-        said += f"; on a bound, without a standard error: {', '.join(held)}"
+        said += f"; on a bound or very near it, without a standard error: {', '.join(held)}"
     return ParameterFit(
         estimate=MappingProxyType(evidence.named(theta)),
         standard_error=MappingProxyType(evidence.named(np.sqrt(np.diag(covariance)))),

@@ -1,5 +1,7 @@
 """Ways to make every failure of `sphfilter/FAILURES.md` happen: what the library and commands say then."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
 import sphfilter as sf
@@ -84,7 +86,39 @@ TESTED = {"acceptance": sf.AcceptanceTest(enabled=True)}
 NOWHERE = sf.LikelihoodMeasurement(lambda z, X, t: np.full(len(X), -np.inf))
 NEGATIVE = sf.LikelihoodMeasurement(lambda z, X, t: np.where(X[:, 0] > 0, 0.0, np.nan))
 
+
+def fitted(log_evidence, *names, times=(1.0,), z=((0.0,),)):
+    """A fit of a filter that has nothing but a log-evidence."""
+
+    class Filter:
+        def __init__(self, p):
+            self.value = log_evidence(**p)
+
+        def run(self, times, z):
+            return SimpleNamespace(log_evidence=np.array([self.value]), accepted=np.array([True]))
+
+    return sf.fit_parameters(Filter, times, z, dict.fromkeys(names, 0.01))
+
+
+def refused(*arguments, **named):
+    raise sf.ModelError("no such filter")
+
+
+NOISE = np.random.default_rng(1)
+SAID_OF_FITS = [
+    lambda: fitted(lambda a, b: -(a**2), "a", "b"),
+    lambda: fitted(lambda a, b: -((a + b) ** 2) - 1e-9 * (a - b) ** 2, "a", "b"),
+    lambda: fitted(lambda a, b: -(a**2) - 0.05 * b**2 + 0.5 * NOISE.standard_normal(), "a", "b"),
+    lambda: fitted(lambda a, b: -100 * (a**2 + b**2) if a + b < 0.06 else -np.inf, "a", "b"),
+    lambda: fitted(refused, "a"),
+    lambda: sf.fit_parameters(filtering("auto"), [1.0], [[0.1]], {"a": 1.0}),
+    lambda: sf.compare_models({"a": fitted(lambda a: -(a**2), "a")}, [2.0], [[0.0]]),
+    lambda: sf.smooth(filtering(scheme="corrected"), [1.0], [[0.1]]),
+    lambda: sf.smooth(sf.SPHFilter(line("-x", domain=WALLS), HEIGHT, [0.0], [[1.0]]), [1.0], [[0.1]]),
+]
+
 SAID = [
+    *SAID_OF_FITS,
     lambda: predicted(line("x**3")),
     lambda: predicted(line("sqrt(x + 3)"), scheme="log_density"),
     lambda: predicted(line("-6*sign(x)", "0.1"), scheme="log_density"),

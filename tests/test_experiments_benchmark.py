@@ -24,6 +24,7 @@ from experiments.settings import Particle
 from reference_filters.grid_density import GridDensity, fitted_box
 from reference_filters.kalman import KalmanFilter
 from sphfilter import ConfigError
+from sphfilter.campaign import draw_case
 from sphfilter.errors import PropagationError
 from sphfilter.results import FilterResult
 
@@ -378,3 +379,16 @@ def test_a_scenario_without_reference_is_told(tmp_path, capsys, monkeypatch):
 def test_unknown_competitor_is_one_sentence(tmp_path, capsys):
     assert commands.main(["benchmark", "duffing", "--filters", "ekff", "--out", str(tmp_path)]) == 1
     assert "did you mean 'ekf'" in capsys.readouterr().err
+
+
+def test_a_reference_older_than_some_fields_of_a_result_is_read(tmp_path):
+    scenario = load_scenario("linear_underdamped", **{"times.end": 2.0})
+    case = draw_case(scenario, 1, 0)
+    found = reference.find(scenario, case, reference.Effort(), tmp_path)
+    (path,) = tmp_path.iterdir()
+    with np.load(path) as data:
+        older = {name: data[name] for name in data if name != "result_pit"}
+    np.savez_compressed(path, **older)
+    again = reference.find(scenario, case, reference.Effort(), tmp_path)
+    np.testing.assert_array_equal(again.result.x, found.result.x)
+    assert np.isnan(again.result.pit).all()

@@ -26,6 +26,7 @@ from stonesoup.types.track import Track
 from stonesoup.updater.kalman import KalmanUpdater
 
 from sphfilter.adapters.stonesoup import EvidenceHypothesiser, SPHPredictor, SPHUpdater
+from sphfilter.simulate import advance
 
 GRID = np.stack(np.meshgrid(*2 * [np.linspace(-9.0, 9.0, 601)], indexing="ij"), axis=-1).reshape(-1, 2)
 CELL = (18.0 / 600) ** 2
@@ -107,6 +108,32 @@ def test_what_is_left_of_a_miss_is_not_cut_off():
     track.append(posterior)
     _, again = scored.hypothesise(track, {seen(3.0, seconds=4)}, at(4))
     assert updater.update(again).density.n_particles <= 200
+
+
+@pytest.mark.parametrize("seconds", [0.25, 1.0])
+def test_sharp_and_broad_at_once_is_predicted_part_by_part(seconds):
+    """A posterior that no lattice carries on 200 particles: the sum of its parts', against 100,000 paths."""
+    predictor, updater = SPHPredictor(duffing(), n_particles=200), SPHUpdater(position(0.005))
+    track, model = Track([gaussian(mean=(0.0, 0.0))]), predictor.transition_model.sde
+    scored = EvidenceHypothesiser(predictor, updater, 0.1, 0.8, 1)
+    posterior = updater.update(scored.hypothesise(track, {seen(2.6, seconds=3)}, at(3)))
+    moved = predictor.predict(posterior, at(3 + seconds))
+    X = advance(model, posterior.density.sample(100_000, 1), 0.0, seconds, np.random.default_rng(2))
+    assert max(off(moved, X.mean(axis=0), np.cov(X.T))) < 0.03
+    assert "predicted apart" in moved.info.status and moved.density.n_particles <= 200
+    right, here = (X[:, 0] > 3.0).mean(), moved.density.probability(lambda X: X[:, 0] > 3.0)
+    assert here == pytest.approx(right, abs=0.01)
+
+
+def test_what_one_lattice_cannot_hold_is_refused():
+    """A sensor 400 times sharper than the prediction, and as likely clutter as not: no guess is returned."""
+    predictor, updater = SPHPredictor(duffing(), n_particles=100), SPHUpdater(position(5e-5))
+    track = Track([gaussian(mean=(0.0, 0.0))])
+    hypotheses = EvidenceHypothesiser(predictor, updater, 0.1, 0.5, 1).hypothesise(
+        track, {seen(2.6, seconds=3), seen(-3.1, seconds=3), seen(0.4, seconds=3)}, at(3)
+    )
+    with pytest.raises(sf.PropagationError, match="use more particles"):
+        updater.update(hypotheses)
 
 
 def test_stone_soups_pda_weights_are_taken_as_given(two_wells):

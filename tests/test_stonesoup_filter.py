@@ -10,6 +10,8 @@ import pytest
 from stonesoup_cases import START, at, duffing, gaussian, off, position, seen
 
 import sphfilter as sf
+from experiments.scenario import load_scenario
+from sphfilter.campaign import draw_case
 
 pytest.importorskip("stonesoup")
 
@@ -80,7 +82,7 @@ def test_types_are_registered_and_hold_what_stone_soup_asks_for():
 
 def test_nonlinear_filter_is_that_of_a_large_particle_cloud():
     """Two wells: Stone Soup's particle filter on the same equation and detections."""
-    model, n_paths = duffing(), 50_000
+    model, n_paths = duffing(), 25_000
     transition = SDETransitionModel(model, seed=5)
     sensor, times = position(), np.arange(0.0, 6.0)
     _, z = sf.simulate(model, sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]]), [3.0, 0.0], times, rng=4)
@@ -113,6 +115,24 @@ def test_a_run_has_the_bits_of_the_filter():
         np.testing.assert_array_equal(state.density.x, flt.density.x)
         np.testing.assert_array_equal(state.density.mass, flt.density.mass)
     assert any("prediction repeated" in status for status in said)
+
+
+def test_a_posterior_too_coarse_to_be_predicted_is_made_again():
+    """The oscillator seen through its square, on few particles: as the filter does it (clocks round)."""
+    scenario = load_scenario("duffing_square")
+    case = draw_case(scenario, 1, 1)
+    flt = sf.SPHFilter(scenario.model, scenario.measurement, case.x0, case.P0, t0=case.t0, n_particles=100)
+    predictor, updater = SPHPredictor(scenario.model, n_particles=100), SPHUpdater(scenario.measurement)
+    state, said = GaussianState(list(case.x0), case.P0, timestamp=at(case.t0)), []
+    for t, z in zip(case.times[:4], case.z[:4], strict=True):
+        if t > flt.t:
+            said.append(flt.predict(t=t).status)
+            state = predictor.predict(state, at(t))
+            assert state.info.status == said[-1]
+        flt.update(z)
+        state = updater.update(SingleHypothesis(state, seen(*z, seconds=t)))
+        np.testing.assert_allclose(state.density.mass, flt.density.mass, rtol=1e-9)
+    assert any("update before repeated" in status for status in said)
 
 
 def test_bearings_wrap():

@@ -195,7 +195,9 @@ def _save(path, reference):
 def _load(path):
     with np.load(path) as data:
         text = json.loads(str(data["text"]))
-        result = FilterResult(**{f.name: data[f"result_{f.name}"] for f in fields(FilterResult)})
+        # files may be older than fields that have a default; what they hold was expensive
+        kept = {f.name: f"result_{f.name}" for f in fields(FilterResult) if f"result_{f.name}" in data}
+        result = FilterResult(**{name: data[key] for name, key in kept.items()})
         densities = {}
         for i in text["epochs"]:
             values = data[f"p{i}_values"]

@@ -41,7 +41,7 @@ def add_arguments(parser):
         "--parameters", metavar="NAMES", help=f"comma-separated; {SENSOR} is the sensor's noise"
     )
     parser.add_argument("--guess", action="append", default=[], metavar="NAME=VALUE", help="where to begin")
-    parser.add_argument("--n-particles", type=int, help="at most (default: 400; 250 for sunspots)")
+    parser.add_argument("--n-particles", type=int, help="of the filter, at most (default: 400)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated measurements")
     parser.add_argument("--jobs", type=int, default=1, help="processes, for the profiles")
     parser.add_argument("--no-profile", action="store_true", help="no profiles, which take most of the time")

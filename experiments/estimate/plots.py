@@ -6,12 +6,14 @@ matplotlib.use("Agg")  # files only: no window system is asked for
 
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from experiments.plots import COLOURS
 
 __all__ = ["draw_profiles"]
 
 _DPI = 130
+_OURS = COLOURS["sph"]
 
 
 def draw_profiles(path, fit, profiles, truth, title):
@@ -35,11 +37,12 @@ def draw_profiles(path, fit, profiles, truth, title):
         x = np.linspace(values.min(), values.max(), 200)
         if np.isfinite(error):
             ax.plot(x, -0.5 * ((x - best) / error) ** 2, color="0.55", lw=1.2, ls="--", label="parabola")
-            ax.axvspan(best - error, best + error, color=COLOURS["sph"], alpha=0.13, lw=0)
-        ax.plot(
-            values, evidence - fit.log_evidence, "o-", color=COLOURS["sph"], ms=4.5, lw=1.4, label="profile"
-        )
-        ax.axvline(best, color=COLOURS["sph"], lw=0.8)
+            ax.axvspan(best - error, best + error, color=_OURS, alpha=0.13, lw=0)
+        below = evidence - fit.log_evidence
+        known = np.isfinite(below)
+        ax.plot(x, PchipInterpolator(values[known], below[known], extrapolate=False)(x), color=_OURS, lw=1.4)
+        ax.plot(values[known], below[known], "o", color=_OURS, ms=4.5, label="profile")
+        ax.axvline(best, color=_OURS, lw=0.8)
         if name in truth:
             ax.axvline(truth[name], color="0.1", lw=1.2, ls=":", label="truth")
         ax.axhline(-1.92, color="0.75", lw=0.8, zorder=0)  # half of chi square's 95 % point
@@ -51,9 +54,10 @@ def draw_profiles(path, fit, profiles, truth, title):
     for ax in axes.flat[len(profiles) :]:
         ax.set_visible(False)
     for ax in axes[:, 0]:
-        ax.set_ylabel("log-evidence below its maximum (nat)")
+        ax.set_ylabel("below the maximum (nat)")
         ax.set_ylim(-5.0, 0.4)
-    axes[0, 0].legend(frameon=False, fontsize=8, loc="lower center")
+    lines, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(lines, labels, frameon=False, loc="outside lower center", ncols=3)
     figure.suptitle(title, x=0.01, ha="left", fontsize=10)
     figure.savefig(path, dpi=_DPI)
     plt.close(figure)

@@ -29,7 +29,8 @@ _FITTED = {
 }
 #: Measurements that are simulated at least: fewer say little about a parameter.
 _MEASUREMENTS = 60
-_PARTICLES = 400, 250  # of scenarios, and of the sunspots, whose 249 years take seconds
+_PARTICLES = 400
+_FINER = 2  # times the particles a rival gets: both signs of a linear oscillator are more, thinner pieces
 _OFF = 0.75  # times its true value a parameter's guess
 #: Other models of the same states and noise, by scenario: name, drift, parameters, and which of them are
 #: positive.
@@ -145,12 +146,12 @@ def problem_of(name, names, changes, seed, n_particles=None):
         data = roots(read_measurements(_DATA / "sunspots.csv", 1))
         learnt = data.times < FIRST
         data = Measurements(data.time_name, data.names, data.times[learnt], data.z[learnt])
-        build = Build(scenario, case_of(scenario, data), n_particles or _PARTICLES[1], folded=True)
+        build = Build(scenario, case_of(scenario, data), n_particles or _PARTICLES, folded=True)
     else:
         scenario = _longer(load_scenario(name, **changes), changes)
         if scenario.settings.start.kind == "benes":
             raise ConfigError(f"{name} starts from a density of its own: there is nothing to fit in it")
-        build = Build(scenario, scenario.draw(np.random.default_rng(seed)), n_particles or _PARTICLES[0])
+        build = Build(scenario, scenario.draw(np.random.default_rng(seed)), n_particles or _PARTICLES)
     values = dict(scenario.model.parameters)
     covariance = scenario.measurement.noise_cov
     if np.array_equal(covariance, covariance[0, 0] * np.eye(len(covariance))):
@@ -204,5 +205,5 @@ def rival_of(problem):
     scenario = replace(scenario, settings=replace(scenario.settings, model=model))
     names = (*parameters, *([SENSOR] if SENSOR in problem.names else []))
     values = {**parameters, SENSOR: problem.values.get(SENSOR)}
-    build = replace(problem.build, scenario=scenario)
+    build = replace(problem.build, scenario=scenario, n_particles=_FINER * problem.build.n_particles)
     return name, Problem(problem.name, build, names, values, False, (*positive, SENSOR))
