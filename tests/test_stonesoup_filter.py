@@ -1,9 +1,6 @@
 """Predictor and updater in Stone Soup, against its own Kalman and particle filters."""
 
 import copy
-import doctest
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -82,7 +79,7 @@ def test_types_are_registered_and_hold_what_stone_soup_asks_for():
 
 def test_nonlinear_filter_is_that_of_a_large_particle_cloud():
     """Two wells: Stone Soup's particle filter on the same equation and detections."""
-    model, n_paths = duffing(), 25_000
+    model, n_paths = duffing(), 50_000
     transition = SDETransitionModel(model, seed=5)
     sensor, times = position(), np.arange(0.0, 6.0)
     _, z = sf.simulate(model, sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]]), [3.0, 0.0], times, rng=4)
@@ -92,6 +89,7 @@ def test_nonlinear_filter_is_that_of_a_large_particle_cloud():
     ours, theirs = SPHPredictor(transition, n_particles=400), ParticlePredictor(transition)
     our_updater = SPHUpdater(sensor)
     their_updater = ParticleUpdater(sensor, resampler=SystematicResampler())
+    np.random.seed(1)  # noqa: NPY002 - the resampler draws from the global generator
     for k in range(1, len(times)):
         detection = seen(float(z[k, 0]), seconds=k)
         cloud = their_updater.update(SingleHypothesis(theirs.predict(cloud, at(k)), detection))
@@ -235,23 +233,3 @@ def test_particle_state_has_the_moments():
     )
     again = state.to_particle_state(50_000, rng=1)
     np.testing.assert_array_equal(particles.state_vector, again.state_vector)
-
-
-@pytest.mark.parametrize(
-    "code",
-    [
-        "import sys, sphfilter; assert not any(m.split('.')[0] == 'stonesoup' for m in sys.modules)",
-        "import sys; sys.modules['stonesoup'] = None\n"
-        "try: import sphfilter.adapters.stonesoup\n"
-        "except ImportError as error: assert 'sphfilter[stonesoup]' in str(error)\n"
-        "else: raise AssertionError",
-    ],
-)
-def test_stone_soup_is_optional(code):
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
-
-
-def test_the_page_for_users_is_right():
-    import sphfilter.adapters.stonesoup as page
-
-    assert doctest.testmod(page) == doctest.TestResults(failed=0, attempted=17)
