@@ -1,6 +1,5 @@
 """What commands of many runs share: a console, compiling ahead, progress with the time left, stopping."""
 
-import shutil
 from contextlib import contextmanager
 from time import perf_counter
 
@@ -69,7 +68,7 @@ def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):
     Interrupted
     """
     if any(folder.glob("run_*.npz")):
-        console.print(f"going on from the runs that an interrupted command left in {folder}")
+        console.print(f"going on from the runs that are in {folder}")
     columns = (
         BarColumn(),
         MofNCompleteColumn(),
@@ -84,11 +83,20 @@ def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):
         except KeyboardInterrupt:
             done = len(list(folder.glob("run_*.npz")))
             if not done:
-                shutil.rmtree(folder, ignore_errors=True)
+                _clear(folder)
                 raise
             raise Interrupted(
-                f"Stopped; {done} of {n_runs} runs are kept in {folder}. The same command goes on from there."
+                f"Stopped; {min(done, n_runs)} of {n_runs} runs are kept in {folder}. "
+                "The same command goes on from there."
             ) from None
+
+
+def _clear(folder):
+    """Take away what a campaign without a finished run left, and nothing of anybody else's."""
+    for path in (*folder.glob("manifest.json"), *folder.glob("*.part")):
+        path.unlink()
+    if folder.exists() and not any(folder.iterdir()):
+        folder.rmdir()
 
 
 class _Progress:

@@ -110,8 +110,7 @@ class ReferenceFilter(ABC):
 
     def run(self, times, measurements, truth=None):
         """Predict to each time and update; see `sphfilter.results.run_filter`."""
-        observer = None if truth is None else Observer(truth)
-        return run_filter(self, times, measurements, observer)
+        return run_filter(self, times, measurements, Observer.of(truth))
 
     def _end_of_step(self, dt, t):
         if dt is not None and t is not None:

@@ -169,7 +169,7 @@ class BenesFilter(ReferenceFilter):
         """Points of the density, evenly over twelve standard deviations, as a `Spread`."""
         X = self.x + np.sqrt(self.P[0, 0]) * np.linspace(-12.0, 12.0, 4001)[:, None]
         w = self.pdf(X[:, 0])
-        return Spread(X, w / w.sum(), self.logpdf(X[:, 0]), lambda Y: self.logpdf(Y[:, 0]))
+        return Spread(X, w / w.sum(), lambda Y: self.logpdf(Y[:, 0]))
 
     def _predicted(self, belief, t0, t1):
         m, s = belief

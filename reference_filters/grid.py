@@ -77,9 +77,11 @@ class GridFilter(ReferenceFilter):
         values = p.pdf(X)
         some = values > FLOOR * values.max()
         X, values = X[some], values[some]
-        return Spread(
-            X, values / values.sum(), np.log(values), lambda Y: np.log(np.maximum(p.pdf(Y), 1e-300))
-        )
+
+        def logpdf(Y):
+            return np.log(np.maximum(p.pdf(Y), 1e-300))
+
+        return Spread(X, values / values.sum(), logpdf, np.log(values))
 
     def _moments(self, belief):
         return belief.moments()

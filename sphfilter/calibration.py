@@ -35,6 +35,11 @@ class Observer:
     def __init__(self, truth):
         self.truth, self.seconds = np.asarray(truth, dtype=float), 0.0
 
+    @classmethod
+    def of(cls, truth):
+        """An observer of this truth, an observer itself, or None for none."""
+        return truth if truth is None or isinstance(truth, cls) else cls(truth)
+
     def before(self, filt, z, k):
         """Return what `ranked_reading` tells of the next measurement, k numbers, in the prediction."""
         start, sensor = perf_counter(), filt.measurement
@@ -79,12 +84,12 @@ def ranked_reading(spread, sensor, z, t):
     known = np.isfinite(h).all(axis=1)  # where h is undefined the likelihood is zero
     h, w = h[known], spread.w[known] / spread.w[known].sum()
     anchor = h[np.argmax(w)]
-    centre = sensor.residual(anchor + w @ sensor.residual(h, anchor), 0.0)
+    # einsum, as sums of matrix products depend on the number of threads in their last bits
+    centre = sensor.residual(anchor + np.einsum("i,ij->j", w, sensor.residual(h, anchor)), 0.0)
     off = sensor.residual(h, centre)
     y = sensor.residual(z, centre)
-    pit = w @ ndtr((y - off) / np.sqrt(np.diag(sensor.noise_cov)))
-    pit[np.isnan(z)] = np.nan
-    return pit, y, (off * w[:, None]).T @ off + sensor.noise_cov
+    pit = np.einsum("i,ij->j", w, ndtr((y - off) / np.sqrt(np.diag(sensor.noise_cov))))
+    return np.clip(pit, 0.0, 1.0), y, np.einsum("i,ij,ik->jk", w, off, off) + sensor.noise_cov
 
 
 def gaussian_ranks(truth, mean, cov, innovation, innovation_cov):
@@ -101,6 +106,7 @@ def gaussian_ranks(truth, mean, cov, innovation, innovation_cov):
     dict of str to ndarray
         ``pit``, ``state_pit`` and ``hpd_rank``, as in `FilterResult`.
     """
+    truth = np.asarray(truth, dtype=float)
     variance = np.diagonal(innovation_cov, axis1=-2, axis2=-1)
     square = consistency.nees(truth, mean, cov)
     return {

@@ -6,6 +6,7 @@ interruption change nothing in the runs and filters that stay.
 """
 
 import hashlib
+import inspect
 import numbers
 from concurrent.futures import BrokenExecutor
 from copy import deepcopy
@@ -19,8 +20,8 @@ import numpy as np
 from . import campaign_store as store
 from . import validate
 from .calibration import Observer, gaussian_ranks
-from .errors import CampaignError, ModelError, SphfilterError
-from .results import FilterResult, run_filter
+from .errors import CampaignError, ModelError
+from .results import FilterResult
 
 __all__ = ["CampaignResult", "Case", "Failure", "draw_case", "run_campaign"]
 
@@ -58,6 +59,9 @@ class Case:
     t0: float = 0.0
 
     def __post_init__(self):
+        for f in fields(self):
+            if f.name != "t0":
+                object.__setattr__(self, f.name, np.asarray(getattr(self, f.name), dtype=float))
         n = np.shape(self.x0)[0]
         if not len(self.times) == len(self.truth) == len(self.z):
             raise ModelError(
@@ -144,7 +148,7 @@ class CampaignResult:
         return cls(**values)
 
 
-def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progress=None):
+def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progress=None, ranks=True):
     """Run every filter on `n_runs` cases of a scenario.
 
     Parameters
@@ -164,6 +168,9 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
         finished runs are read instead of redone, also if `n_runs` has changed.
     progress : callable, optional
         Called with (runs done, runs in all), first with the number found in `folder`.
+    ranks : bool
+        Rank measurements and truths in the densities of filters that have one. It takes longer than some
+        filters do.
 
     Returns
     -------
@@ -176,7 +183,12 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
     ConfigError
         The folder holds another campaign: other scenario, seed, filters or versions.
     CampaignError
-        A worker process died.
+        A worker process died, or a run could not be written.
+
+    Notes
+    -----
+    A folder knows scenario and filters by their text, functions by their code and what they refer to
+    directly: what deeper functions do may change unnoticed.
 
     Examples
     --------
@@ -202,14 +214,15 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
     if not isinstance(seed, numbers.Integral) or seed < 0:
         raise ModelError(f"seed must be an integer of zero or more, got {seed!r}")
     seeds = np.random.SeedSequence(int(seed)).spawn(n_runs)
-    records, finished = {}, {}
+    records, finished, first_case = {}, {}, None
     if folder is not None:
         folder = Path(folder)
-        first = store.case_digest(_draw(scenario, seeds[0]))
+        first = _digest(scenario, seeds[0])
         store.claim(folder, store.manifest(scenario, filters, int(seed), first))
         finished = store.finished(folder, n_runs)
-    todo = [(r, scenario, filters, seeds[r]) for r in range(n_runs) if r not in finished]
+    todo = [(r, scenario, filters, seeds[r], ranks) for r in range(n_runs) if r not in finished]
     for done, (r, record) in enumerate(_in_parallel(_run, todo, n_jobs, progress, n_runs), len(finished) + 1):
+        first_case = _same_times(scenario.name, record, first_case, r)
         if folder is None:
             records[r] = record
         else:  # here and not where it was run, which may be another machine
@@ -229,7 +242,9 @@ def _in_parallel(task, todo, n_jobs, progress, n_runs):
     workers = Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
     try:
         yield from workers(delayed(task)(*row) for row in todo)
-    except BrokenExecutor as problem:
+    except Exception as problem:
+        if not isinstance(problem, BrokenExecutor | MemoryError) and type(problem).__name__ != "KilledWorker":
+            raise  # the last is dask's word for it
         raise CampaignError(
             "a worker process died, for lack of memory perhaps: try fewer of them (n_jobs). Runs that were "
             "finished are kept if there is a folder, and the same call goes on from them."
@@ -246,6 +261,14 @@ def _draw(scenario, seed):
     return scenario.draw(np.random.default_rng(truth_seed))
 
 
+def _digest(scenario, seed):
+    """Digest of a case, or of the words with which it could not be drawn."""
+    try:
+        return store.case_digest(_draw(scenario, seed))
+    except Exception as problem:
+        return f"{type(problem).__name__}: {problem}"
+
+
 def _filter_rng(seed, name):
     """Return the generator of one filter in one run: by its name, so that no other filter matters to it."""
     words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype="<u4")
@@ -253,13 +276,13 @@ def _filter_rng(seed, name):
     return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
 
 
-def _run(r, scenario, filters, seed):
+def _run(r, scenario, filters, seed, ranks):
     """Draw run r and put all filters through it."""
     try:
         case = _draw(scenario, seed)
-    except SphfilterError as problem:  # a truth that blows up costs its run and no other
+    except Exception as problem:  # a truth that blows up costs its run and no other
         return r, {"failures": [(r, "simulation", f"{type(problem).__name__}: {problem}")]}
-    outcomes = {name: _outcome(make, case, _filter_rng(seed, name)) for name, make in filters.items()}
+    outcomes = {name: _outcome(make, case, _filter_rng(seed, name), ranks) for name, make in filters.items()}
     return r, {
         "case": {f.name: np.asarray(getattr(case, f.name), dtype=float) for f in fields(case)},
         "results": {name: arrays for name, (arrays, _, _) in outcomes.items()},
@@ -268,27 +291,34 @@ def _run(r, scenario, filters, seed):
     }
 
 
-def _outcome(make, case, rng):
+def _can_be_observed(filt):
+    """Whether a filter has the densities of `spread`, and a run that takes who looks at them."""
+    return callable(getattr(filt, "spread", None)) and "truth" in inspect.signature(filt.run).parameters
+
+
+def _outcome(make, case, rng, ranks):
     """Return the arrays of a filter's run, its seconds, and what it raised (empty if nothing)."""
     blank = _blank(case)
     case = deepcopy(case)  # what one filter does to its case must not reach the next
     try:
         filt = make(case, rng)
-        observer = Observer(case.truth) if hasattr(filt, "spread") else None
+        observer = Observer(case.truth) if ranks and _can_be_observed(filt) else None
         start = perf_counter()
-        result = run_filter(filt, case.times, case.z, observer) if observer else filt.run(case.times, case.z)
+        result = filt.run(case.times, case.z, **({"truth": observer} if observer else {}))
         seconds = perf_counter() - start - (observer.seconds if observer else 0.0)
-        arrays = {name: np.asarray(getattr(result, name)) for name in _MOMENTS}
+        arrays = {name: np.asarray(getattr(result, name), blank[name].dtype) for name in _MOMENTS}
         wrong = [name for name in _MOMENTS if arrays[name].shape != blank[name].shape]
         if wrong:
             shapes = f"{arrays[wrong[0]].shape}, not {blank[wrong[0]].shape}"
             raise ModelError(f"the filter's result has {wrong[0]} of shape {shapes}")
         for name in blank.keys() - arrays.keys():  # what a filter of one's own need not tell
             value = np.asarray(getattr(result, name, np.nan))
-            arrays[name] = value if value.shape == blank[name].shape else blank[name]
-        if observer is None:
+            arrays[name] = value.reshape(blank[name].shape) if value.size == blank[name].size else blank[name]
+        if ranks and observer is None:
             moments = [arrays[name] for name in ("x", "P", "innovation", "innovation_cov")]
             arrays |= gaussian_ranks(case.truth, *moments)
+    except (MemoryError, ImportError):
+        raise  # the machine's fault, which another call may do without
     except Exception as error:  # a filter under test may raise anything, and that is a finding
         return blank, np.nan, f"{type(error).__name__}: {error}"
     return arrays, seconds, ""
@@ -310,11 +340,8 @@ def _gather(scenario, seed, read, n_runs, names):
         failures += [Failure(*failure) for failure in record.pop("failures")]
         if not record:  # nothing was simulated
             continue
-        if first is None:
-            first, histories = record["case"], _room(record, n_runs)
-        for key in ("times", "t0"):
-            if not np.array_equal(record["case"][key], first[key]):
-                raise ModelError(f"the cases of scenario {scenario!r} differ in {key} (as in run {r})")
+        histories = histories or _room(record, n_runs)
+        first = _same_times(scenario, record, first, r)
         _put(histories, r, record, scenario)
     if first is None:
         raise CampaignError(f"no run of scenario {scenario!r} could be simulated: {failures[0].message}")
@@ -323,6 +350,17 @@ def _gather(scenario, seed, read, n_runs, names):
     run_time = {name: histories["run_time"][name] for name in names}
     return CampaignResult(scenario=scenario, seed=seed, times=first["times"], t0=float(first["t0"]), **cases,
                           results=results, run_time=run_time, failures=failures)  # fmt: skip
+
+
+def _same_times(scenario, record, first, r):
+    """Raise `ModelError` if the times of a record's case are not those of the first; returns the first."""
+    case = record.get("case")
+    if case is None or first is None:
+        return first or case
+    for key in ("times", "t0"):
+        if not np.array_equal(case[key], first[key]):
+            raise ModelError(f"the cases of scenario {scenario!r} differ in {key} (as in run {r})")
+    return first
 
 
 def _room(tree, n_runs):

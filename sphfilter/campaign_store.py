@@ -9,6 +9,7 @@ import json
 import os
 import platform
 import re
+import zipfile
 from dataclasses import fields, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ._version import __version__
-from .errors import ConfigError
+from .errors import CampaignError, ConfigError
 
 __all__ = ["case_digest", "claim", "finished", "load_result", "manifest", "read_run", "save_result",
            "write_run"]  # fmt: skip
@@ -27,9 +28,9 @@ _MANIFEST = "manifest.json"
 def manifest(scenario, filters, seed, first_case):
     """Describe a campaign, so that its runs are never mixed with those of another.
 
-    A scenario and a factory are known by their text (``repr``, addresses in memory left out); a factory that
-    is a plain function by its name only. `first_case` is the digest of run 0, which tells scenarios apart
-    whose text does not.
+    A scenario and a factory are known by their text (``repr``, addresses in memory left out), functions by
+    their code, constants, defaults and what they close over. `first_case` is the digest of run 0, which tells
+    scenarios apart whose text does not.
     """
     return {
         "seed": seed,
@@ -42,7 +43,17 @@ def manifest(scenario, filters, seed, first_case):
 
 
 def _text(thing):
-    return re.sub(r" at 0x[0-9a-fA-F]+", "", repr(thing))
+    known = [repr(thing)]
+    if hasattr(thing, "__code__"):
+        cells = [cell.cell_contents for cell in thing.__closure__ or ()]
+        known += [thing.__code__.co_code.hex(), repr(thing.__code__.co_consts), repr(thing.__code__.co_names)]
+        known += [repr(thing.__defaults__), repr(cells)]
+    elif type(thing).__repr__ is object.__repr__:
+        known.append(repr(sorted(vars(thing).items())) if hasattr(thing, "__dict__") else "")
+    text = re.sub(r" at 0x[0-9a-fA-F]+", "", " ".join(known))
+    return (
+        text if len(known) == 1 else f"{text.split(' ')[0]} {hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    )
 
 
 def case_digest(case):
@@ -60,7 +71,10 @@ def claim(folder, wanted):
         path.parent.mkdir(parents=True, exist_ok=True)
         _replace(path, lambda part: part.write_text(json.dumps(wanted, indent=1)))
         return
-    found = json.loads(path.read_text())
+    try:
+        found = json.loads(path.read_text())
+    except ValueError:
+        raise ConfigError(f"{path} cannot be read. Give another folder, or delete it.") from None
     other = [key for key in wanted if found.get(key) != wanted[key]]
     if other:
         key = other[0]
@@ -91,7 +105,12 @@ def _path(folder, r):
 
 def finished(folder, n_runs):
     """Return the files of the runs below `n_runs` that are done, by run."""
-    return {r: _path(folder, r) for r in range(n_runs) if _path(folder, r).exists()}
+    return {r: _path(folder, r) for r in range(n_runs) if _whole(_path(folder, r))}
+
+
+def _whole(path):
+    """Whether a run's file can be read: one that a full disk or a power cut spoilt is made again."""
+    return path.exists() and zipfile.is_zipfile(path)
 
 
 def write_run(folder, r, record):
@@ -155,5 +174,11 @@ def _load(path):
 def _replace(path, write):
     """Let `write` fill a file beside `path`, then put it in place in one move."""
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    write(part)
-    os.replace(part, path)
+    try:
+        write(part)
+        os.replace(part, path)
+    except OSError as problem:
+        part.unlink(missing_ok=True)
+        raise CampaignError(
+            f"{path} could not be written ({problem}); what was finished before is kept"
+        ) from problem

@@ -10,8 +10,8 @@ from scipy.special import gammaincinv, ndtri
 
 from .errors import ModelError
 
-__all__ = ["diverged", "fraction_inside", "nees", "nees_bounds", "nis", "nmee", "nmee_bounds", "run_average",
-           "whiteness"]  # fmt: skip
+__all__ = ["diverged", "fraction_inside", "lagged_products", "nees", "nees_bounds", "nis", "nmee",
+           "nmee_bounds", "run_average", "whiteness"]  # fmt: skip
 
 
 def nees(truth, mean, cov):
@@ -294,16 +294,42 @@ def whiteness(innovation, S, lag=1):
     >>> print(abs(consistency.whiteness(drawn, np.ones((20, 50, 1, 1)))).max().round(1))
     0.3
     """
+    now, later = _pairs(innovation, S, lag)
+    size = np.sqrt(np.sum(now**2, axis=(-2, -1)) * np.sum(later**2, axis=(-2, -1)))
+    return np.divide(
+        np.sum(now * later, axis=(-2, -1)), size, out=np.full_like(size, np.nan), where=size > 0
+    )[()]
+
+
+def lagged_products(innovation, S, lag=1):
+    """Sum over time of the products of normalised innovations `lag` epochs apart, one number a run.
+
+    Of a filter that is right it is zero on average, whatever its densities; see `whiteness`.
+
+    Returns
+    -------
+    ndarray, shape (R,) or ()
+        NaN for a run without two such innovations.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sphfilter import consistency
+    >>> print(consistency.lagged_products([[1.0], [2.0], [-1.0]], np.ones((3, 1, 1))))
+    0.0
+    """
+    now, later = _pairs(innovation, S, lag)
+    total = np.sum(now * later, axis=(-2, -1))
+    return np.where(np.any((now != 0) & (later != 0), axis=(-2, -1)), total, np.nan)[()]
+
+
+def _pairs(innovation, S, lag):
+    """Normalised innovations and those `lag` epochs later; zero where one of the two is not known."""
     innovation = np.asarray(innovation, dtype=float)
     _, nu, S = _checked(np.zeros_like(innovation), innovation, S)
     known = np.isfinite(nu).all(axis=-1) & np.isfinite(S).all(axis=(-2, -1))
     known[known] = (np.linalg.eigvalsh(S[known]) > 0).all(axis=-1)
     root = np.linalg.cholesky(np.where(known[..., None, None], S, np.eye(nu.shape[-1])))
     w = np.linalg.solve(root, np.where(known[..., None], nu, 0.0)[..., None])[..., 0]
-    now, later = w[..., :-lag, :], w[..., lag:, :]
     both = (known[..., :-lag] & known[..., lag:])[..., None]
-    power = [np.sum(np.where(both, v, 0.0) ** 2, axis=(-2, -1)) for v in (now, later)]
-    size = np.sqrt(power[0] * power[1])
-    return np.divide(
-        np.sum(now * later, axis=(-2, -1)), size, out=np.full_like(size, np.nan), where=size > 0
-    )[()]
+    return np.where(both, w[..., :-lag, :], 0.0), np.where(both, w[..., lag:, :], 0.0)

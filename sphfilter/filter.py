@@ -292,5 +292,4 @@ class SPHFilter:
         Told the true states of simulated data, `truth` (T, n), the result also holds their ranks in the
         filter's densities (the filter does not see them); `sf.report` judges by them.
         """
-        observer = None if truth is None else Observer(truth)
-        return run_filter(self, times, measurements, observer)
+        return run_filter(self, times, measurements, Observer.of(truth))

@@ -80,8 +80,11 @@ class FilterReport:
     verdict: str = ""
 
 
-def filter_report(result, truth, run_time):
-    """Reduce the histories of a filter, runs first, to its numbers."""
+def filter_report(result, truth, run_time, came=None):
+    """Reduce the histories of a filter, runs first, to its numbers.
+
+    `came` (R, T) says when there was a measurement, if innovations need not say it.
+    """
     x, P, log_evidence, accepted = (
         np.asarray(a) for a in (result.x, result.P, result.log_evidence, result.accepted)
     )
@@ -95,7 +98,12 @@ def filter_report(result, truth, run_time):
         run_time=_over_runs(np.median, run_time[done]),
         log_evidence=_over_runs(np.mean, run_evidence),
         log_evidence_std=_standard_error(run_evidence),
-        innovations=innovations_of(result.innovation[done], result.innovation_cov[done], accepted[done]),
+        innovations=innovations_of(
+            result.innovation[done],
+            result.innovation_cov[done],
+            accepted[done],
+            None if came is None else came[done],
+        ),
         ranks=ranks_of(result.pit[done], result.state_pit[done], result.hpd_rank[done]),
     )
 

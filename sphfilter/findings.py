@@ -29,7 +29,8 @@ class Innovations:
     whiteness : float
         Correlation of successive innovations, averaged over the runs; zero is right.
     whiteness_p : float
-        p-value of its being zero.
+        p-value of its being zero, from the products themselves, whose average is zero for every shape of the
+        innovations; that of correlations is not, for skewed ones.
     """
 
     n_measurements: int
@@ -52,7 +53,7 @@ class Ranks:
     hpd : ndarray, shape (10,)
         NaN for samples, which have no density.
     pit_p, state_pit_p, hpd_p : ndarray, shapes (k,), (n,), and float
-        p-values of their being uniform; NaN where not tested (fewer than ten runs).
+        p-values of their being uniform; NaN where not tested (fewer than ten runs, or eight readings).
     outside_95 : float
         How often the truth lies outside the region of highest density that holds 95 %; .05 is right.
     """
@@ -66,24 +67,26 @@ class Ranks:
     outside_95: float
 
 
-def innovations_of(innovation, cov, accepted):
-    """Reduce innovations (R, T, k), their covariances and what was accepted (R, T) to `Innovations`."""
+def innovations_of(innovation, cov, accepted, came=None):
+    """Reduce innovations (R, T, k), their covariances, what was accepted and what came (R, T)."""
     seen = np.isfinite(innovation)
-    came = seen.any(axis=2)
-    used = came & accepted
+    told = seen.any(axis=2)
+    came = told if came is None else came
+    used = told & accepted
     y = np.where(seen, innovation, 0.0)
     S = np.where(seen[..., None] & seen[..., None, :], cov, np.eye(y.shape[2]))  # missing ones add nothing
     square, dof = consistency.nis(y, S), seen.sum(axis=2)
-    white = consistency.whiteness(np.where(seen.all(axis=2)[..., None], innovation, np.nan), S)
+    whole = np.where(seen.all(axis=2)[..., None], innovation, np.nan)
+    white, products = consistency.whiteness(whole, S), consistency.lagged_products(whole, S)
     bounds = consistency.nees_bounds(1, np.maximum(dof.sum(axis=0), 1))
     return Innovations(
         n_measurements=int(came.sum()),
-        acceptance=_ratio(used.sum(), came.sum()),
-        nis=_ratio(square[came].sum(), dof[came].sum()),
+        acceptance=_ratio(np.sum(came & accepted), came.sum()),
+        nis=_ratio(square[told].sum(), dof[told].sum()),
         nis_accepted=_ratio(square[used].sum(), dof[used].sum()),
-        nis_inside=float(consistency.fraction_inside(_ratios(square * came, dof), bounds)),
+        nis_inside=float(consistency.fraction_inside(_ratios(square * told, dof), bounds)),
         whiteness=float(np.nanmean(white)) if np.isfinite(white).any() else np.nan,
-        whiteness_p=significance.same_mean(white[:, None], 0.0),
+        whiteness_p=significance.same_mean(products[:, None], 0.0),
     )
 
 

@@ -148,7 +148,8 @@ def report(campaign_or_result, truth=None, *, referee=None, labels=None):
         if truth is not None:
             raise ModelError("a campaign carries its truth: leave truth= out")
         c = campaign_or_result
-        filters = {name: filter_report(r, c.truth, c.run_time[name]) for name, r in c.results.items()}
+        came = np.isfinite(np.reshape(c.z, (*c.truth.shape[:2], -1))).any(axis=2)
+        filters = {name: filter_report(r, c.truth, c.run_time[name], came) for name, r in c.results.items()}
         return _report(c.scenario, c.truth, filters, referee, labels)
     if truth is None:
         raise ModelError("report of a filter's result needs truth=, shape (T, n)")
@@ -171,7 +172,7 @@ def _report(scenario, truth, filters, referee, labels):
         raise ModelError(f"no filter {referee!r}{nearest(referee, filters)} to be the referee")
     right = filters.get(referee)
     for name, numbers in filters.items():
-        if right is not None:
+        if right is not None and right.n_failed < right.n_runs:
             p = significance.no_worse(numbers.exits, right.exits, n_epochs)
             numbers = replace(numbers, exits_p=p)
         filters[name] = replace(numbers, verdict=verdict(numbers, labels, right))

@@ -8,7 +8,16 @@ from scipy import stats
 
 from .errors import ModelError
 
-__all__ = ["FEWEST_RUNS", "histogram", "no_worse", "refused", "same_mean", "uniform_epochs", "uniform_runs"]
+__all__ = [
+    "FEWEST_RUNS",
+    "histogram",
+    "more",
+    "no_worse",
+    "refused",
+    "same_mean",
+    "uniform_epochs",
+    "uniform_runs",
+]
 
 #: Runs from which on the variation between them is known well enough.
 FEWEST_RUNS = 10
@@ -81,6 +90,12 @@ def no_worse(count, of_referee, total, least=0.05):
     """
     rate = max(of_referee / total, least)
     return float(stats.binom.sf(count - 1, total, rate))
+
+
+def more(count, of_referee, total):
+    """p-value of `count` of `total` runs being no more than the referee's, by Fisher's exact test."""
+    table = [[count, total - count], [of_referee, total - of_referee]]
+    return float(stats.fisher_exact(table, alternative="greater").pvalue)
 
 
 def refused(p_values, level=0.01):

@@ -9,20 +9,22 @@ __all__ = ["Spread", "below", "higher"]
 
 
 class Spread(NamedTuple):
-    """States X (M, n) with weights w (M,) that sum to one; the log-density there, if there is a density.
+    """States X (M, n) with weights w (M,) that sum to one; None for a cloud of samples, which has no density.
 
-    `logpdf` takes states (K, n); it and `log_p` (M,) are None for a cloud of samples.
+    `logpdf` takes states (K, n); `log_p` (M,) is what it gives at X, where that is known already.
     """
 
     X: np.ndarray
     w: np.ndarray
-    log_p: np.ndarray | None = None
     logpdf: Callable | None = None
+    log_p: np.ndarray | None = None
 
 
 def below(spread, x):
     """Probability that each state lies below its value in x (n,), shape (n,): uniform if x is drawn."""
-    return 0.5 * (spread.w @ (x > spread.X) + spread.w @ (x >= spread.X))
+    # plain sums: those of matrix products depend on the number of threads, in their last bits
+    halves = [np.sum(spread.w[:, None] * side, axis=0) for side in (x > spread.X, x >= spread.X)]
+    return np.clip(0.5 * (halves[0] + halves[1]), 0.0, 1.0)
 
 
 def higher(spread, X):
@@ -34,6 +36,7 @@ def higher(spread, X):
     X = np.atleast_2d(X)
     if spread.logpdf is None:
         return np.full(len(X), np.nan)
-    order = np.argsort(-spread.log_p, kind="stable")
+    log_p = spread.logpdf(spread.X) if spread.log_p is None else spread.log_p
+    order = np.argsort(-log_p, kind="stable")
     total = np.concatenate([[0.0], np.cumsum(spread.w[order])])
-    return np.minimum(total[np.searchsorted(-spread.log_p[order], -spread.logpdf(X))], 1.0)
+    return np.minimum(total[np.searchsorted(-log_p[order], -spread.logpdf(X))], 1.0)

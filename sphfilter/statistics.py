@@ -171,7 +171,7 @@ def highest_region(density, probability):
 def spread(density):
     """A density as a `Spread`: points in its cells or kernels, and the density as it is read between them."""
     X, w = states(density, _FEW_SUBPOINTS)
-    return Spread(X, w, density.logpdf(X), density.logpdf)
+    return Spread(X, w, density.logpdf)
 
 
 def hpd_rank(density, X):

@@ -36,13 +36,18 @@ def verdict(numbers, labels, referee=None):
     if numbers.n_failed == numbers.n_runs:
         return f"failed in all of {numbers.n_runs} runs"
     faults = _faults(numbers, labels)
-    said = faults or [_nothing_found(numbers)]
     if numbers.n_failed:
-        said.append(f"failed in {numbers.n_failed} of {numbers.n_runs} runs")
-    unlucky = 0 if referee is None else referee.n_diverged
-    if significance.no_worse(numbers.n_diverged, unlucky, numbers.n_runs) < _LEVEL:
-        said.append(f"lost the truth in {numbers.n_diverged} of {numbers.n_runs} runs")
-    return "; ".join(said)
+        faults.append(f"failed in {numbers.n_failed} of {numbers.n_runs} runs")
+    if _lost_more(numbers, referee):
+        faults.append(f"lost the truth in {numbers.n_diverged} of {numbers.n_runs} runs")
+    return "; ".join(faults or [_nothing_found(numbers)])
+
+
+def _lost_more(numbers, referee):
+    """Whether more runs were lost than chance takes: one in twenty, or the referee's number."""
+    if referee is None:
+        return significance.no_worse(numbers.n_diverged, 0, numbers.n_runs) < _LEVEL
+    return significance.more(numbers.n_diverged, referee.n_diverged, numbers.n_runs) < _LEVEL
 
 
 def _faults(numbers, labels):
@@ -59,9 +64,11 @@ def _faults(numbers, labels):
     parts = np.split(significance.refused(tests, _LEVEL), np.cumsum([n, n, k]))
     wrong, biased, predicted, (shape, coloured, outside) = parts
     faults = []
-    for word, which in _widths(ranks.state_pit, wrong).items():
-        p = np.min(ranks.state_pit_p[which])
-        faults.append(f"{word} in {_listed(labels, which)}: {_how(word, numbers, p)}")
+    for word, which in _shapes(ranks.state_pit, wrong).items():
+        which = [d for d in which if word != "lopsided" or not biased[d]]
+        if which:
+            p = np.min(ranks.state_pit_p[which])
+            faults.append(f"{word} in {_listed(labels, which)}: {_how(word, numbers, p)}")
     if outside and not wrong.any():
         faults.append(f"NEES outside its interval in {1 - numbers.nees_inside:.0%} of epochs")
     if biased.any():
@@ -81,7 +88,9 @@ def _faults(numbers, labels):
 
 
 def _how(word, numbers, p):
-    """What shows that a filter is too sure, or too careful: the NEES, or only the finer test of the ranks."""
+    """What shows it: the NEES, or only the finer test of the ranks."""
+    if word == "lopsided":
+        return f"the truth lies on one side of its density too often (p = {p:.0e})"
     sure = word == "optimistic"
     share, side = (numbers.nees_above, "above") if sure else (numbers.nees_below, "below")
     if share > _SEEN:
@@ -90,18 +99,21 @@ def _how(word, numbers, p):
     return f"ranks of the truth crowd {where} of its density (p = {p:.0e})"
 
 
-def _widths(histograms, wrong):
+def _shapes(histograms, wrong):
     """Sort states whose ranks are not uniform by what their histograms look like."""
     found = {}
     for state in np.flatnonzero(wrong):
-        ends, middle = histograms[state][[0, 1, 8, 9]].sum(), histograms[state][3:7].sum()
-        word = "optimistic" if ends > middle else "pessimistic"
-        found.setdefault(word, []).append(state)
+        ranks = histograms[state]
+        width, lean = ranks[[0, 1, 8, 9]].sum() - ranks[3:7].sum(), ranks[5:].sum() - ranks[:5].sum()
+        word = "optimistic" if width > 0 else "pessimistic"
+        found.setdefault("lopsided" if abs(lean) > abs(width) else word, []).append(state)
     return found
 
 
 def _nothing_found(numbers):
     inside = f"NEES in its interval in {numbers.nees_inside:.0%} of epochs"
+    if not numbers.ranks.state_pit.any():
+        return f"not judged, the ranks of the truth are not known (run takes truth=); {inside}"
     if np.isnan(numbers.ranks.state_pit_p).all():
         return f"not judged, that takes {significance.FEWEST_RUNS} runs at least; {inside}"
     if numbers.nees_inside < _FEW and np.isnan(numbers.exits_p):

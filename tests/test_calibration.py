@@ -37,9 +37,8 @@ def test_ranks_in_a_gaussian_density():
 
 def test_ranks_count_the_probability_of_what_is_higher():
     log_p = np.log([0.5, 0.3, 0.2])
-    spread = Spread(
-        np.array([[0.0], [1.0], [2.0]]), np.exp(log_p), log_p, lambda X: np.interp(X[:, 0], [0, 1, 2], log_p)
-    )
+    X = np.array([[0.0], [1.0], [2.0]])
+    spread = Spread(X, np.exp(log_p), lambda Y: np.interp(Y[:, 0], [0, 1, 2], log_p))
     np.testing.assert_allclose(higher(spread, [[0.0], [1.0], [2.0]]), [0.0, 0.5, 0.8])
     np.testing.assert_allclose(below(spread, np.array([1.0])), [0.65])  # half of what is at the state itself
     assert np.isnan(higher(Spread(spread.X, spread.w), [[0.0]])).all()

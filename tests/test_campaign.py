@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sphfilter.campaign import CampaignResult, Case, Failure, run_campaign
-from sphfilter.errors import ConfigError, ModelError, PropagationError
+from sphfilter.errors import CampaignError, ConfigError, ModelError, PropagationError
+from sphfilter.report import report
 from sphfilter.results import FilterResult
 
 TIMES = np.arange(1.0, 6.0)
@@ -217,3 +218,76 @@ def test_bad_arguments():
         run_campaign(Walk(), {"echo": Echo()}, 2, seed=1.5)
     with pytest.raises(ModelError, match="n_runs"):
         run_campaign(Walk(), {"echo": Echo()}, 0, seed=0)
+
+
+def test_spoilt_files_are_made_again_and_a_spoilt_manifest_is_named(tmp_path):
+    whole = run_campaign(Walk(), {"echo": Echo()}, 4, seed=3, folder=tmp_path)
+    (tmp_path / "run_00001.npz").write_bytes(b"")
+    (tmp_path / "run_00002.npz").write_bytes((tmp_path / "run_00002.npz").read_bytes()[:200])
+    same(run_campaign(Walk(), {"echo": Echo()}, 4, seed=3, folder=tmp_path), whole)
+    (tmp_path / "manifest.json").write_text("")
+    with pytest.raises(ConfigError, match=r"manifest.json cannot be read"):
+        run_campaign(Walk(), {"echo": Echo()}, 4, seed=3, folder=tmp_path)
+
+
+def test_functions_are_known_by_their_code_and_what_they_close_over(tmp_path):
+    def scaled(gain):
+        return lambda case, rng: _Echo(gain, case, rng)
+
+    run_campaign(Walk(), {"f": scaled(1.0)}, 2, seed=3, folder=tmp_path)
+    run_campaign(Walk(), {"f": scaled(1.0)}, 3, seed=3, folder=tmp_path)
+    for other in (scaled(2.0), lambda case, rng: _Echo(1.0, case, np.random.default_rng(0))):
+        with pytest.raises(ConfigError, match="holds another campaign"):
+            run_campaign(Walk(), {"f": other}, 3, seed=3, folder=tmp_path)
+
+
+def test_a_truth_that_blows_up_costs_its_run_alone(tmp_path):
+    class Explosive(Walk):
+        def draw(self, rng):
+            case = super().draw(rng)
+            if case.truth[-1, 0] > 0:
+                raise ValueError("a path ran away")
+            return case
+
+    calm = run_campaign(Walk(), {"echo": Echo()}, 6, seed=3)
+    lost = calm.truth[:, -1, 0] > 0
+    assert 0 < lost.sum() < 6
+    found = run_campaign(Explosive(), {"echo": Echo()}, 6, seed=3, folder=tmp_path)
+    np.testing.assert_array_equal(np.isnan(found.truth).all(axis=(1, 2)), lost)
+    np.testing.assert_array_equal(found.results["echo"].x[~lost], calm.results["echo"].x[~lost])
+    message = "ValueError: a path ran away"
+    assert found.failures == [Failure(r, "simulation", message) for r in np.flatnonzero(lost)]
+
+
+def test_a_full_disk_is_a_sentence_and_leaves_no_part(tmp_path, monkeypatch):
+    def full(*arguments, **arrays):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(CampaignError, match=r"run_00000.npz could not be written .*No space left"):
+        run_campaign(Walk(), {"echo": Echo()}, 2, seed=3, folder=tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
+
+
+def test_filters_of_ones_own_may_tell_less_and_in_lists():
+    class Plain:
+        spread = 2.0  # their own affair
+
+        def __init__(self, case, rng):
+            self.x, self.P = np.zeros((5, 2)), np.repeat(np.eye(2)[None], 5, axis=0)
+
+        def run(self, times, z):
+            return FilterResult(t=times, x_prior=self.x.tolist(), P_prior=self.P, x=self.x, P=self.P,
+                                log_evidence=[0] * 5, accepted=[1, 0, 1, 1, 1])  # fmt: skip
+
+    class Listed(Walk):
+        def draw(self, rng):
+            case = super().draw(rng)
+            return Case(
+                case.times.tolist(), case.truth.tolist(), case.z.tolist(), [0.0, 0.0], np.eye(2).tolist()
+            )
+
+    whole = run_campaign(Listed(), {"plain": Plain}, 12, seed=3)
+    f = report(whole).filters["plain"]
+    assert whole.failures == [] and np.isfinite(whole.results["plain"].hpd_rank).all()
+    assert f.innovations.n_measurements == 60 and f.innovations.acceptance == 0.8

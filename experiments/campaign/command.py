@@ -80,10 +80,11 @@ def main(args):
         jobs = None if args.dask else args.jobs
         campaign = run_shown(console, scenario, filters, args.runs, seed, jobs, out / "runs")
     numbers = report(campaign, referee=referee, labels=scenario.labels)
+    facts = _write(out, scenario, campaign, numbers, referee)
     with status(console) as say:
         say("drawing")
         pictures = plots.draw(out, scenario, campaign, numbers)
-    written = _write(out, scenario, campaign, numbers, referee, pictures)
+    written = page.write(out, scenario, numbers, facts, campaign.failures, pictures)
     for name, f in numbers.filters.items():
         console.print(f"[bold]{name_of(name)}[/]: {f.verdict}")
     for run, name, message in campaign.failures[:5]:
@@ -131,8 +132,8 @@ def _workers(address):
         yield
 
 
-def _write(out, scenario, campaign, numbers, referee, pictures):
-    """Write numbers, settings, versions and the page; returns the path of the page."""
+def _write(out, scenario, campaign, numbers, referee):
+    """Write numbers, settings and versions; returns the facts that the page tells too."""
     campaign.save(out / "campaign.npz")
     settings = without_none(asdict(scenario.settings))
     (out / "scenario.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
@@ -154,4 +155,4 @@ def _write(out, scenario, campaign, numbers, referee, pictures):
     }
     text = json.dumps(without_nan(record), indent=1, allow_nan=False)
     (out / "report.json").write_text(text, encoding="utf-8")
-    return page.write(out, scenario, numbers, facts, campaign.failures, pictures)
+    return facts

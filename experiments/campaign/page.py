@@ -2,6 +2,7 @@
 
 import base64
 import html
+import re
 from operator import attrgetter
 
 import numpy as np
@@ -45,6 +46,8 @@ _MEASUREMENTS = (
     ("log-evidence of a run", "log_evidence", "number", ""),
     ("± sampling error of it", "log_evidence_std", "number", ""),
 )
+#: Failures that are told one by one.
+_MOST = 20
 _READING = """\
 **How to read it.** A filter is consistent if the truth lies where its densities say. *NEES* and *NIS* are
 squared errors of the estimate and of the predicted measurement, in units of what the filter believes them
@@ -109,7 +112,10 @@ def _markdown(scenario, numbers, facts, failures, pictures):
         lines += [f"## {shows}", "", f"![{shows}]({path.name})", ""]
     if failures:
         lines += ["## Failures", ""]
-        lines += [f"- run {run}, {name_of(name)}: {message}" for run, name, message in failures]
+        lines += [f"- run {f.run}, {name_of(f.filter)}: {_escaped(f.message)}" for f in failures[:_MOST]]
+        if len(failures) > _MOST:
+            lines.append(f"- and {len(failures) - _MOST} more, in report.json")
+        lines.append("")
     versions = ", ".join(f"{name} {number}" for name, number in facts["versions"].items())
     return "\n".join([*lines, f"Versions: {versions}.", ""])
 
@@ -121,7 +127,9 @@ def _refereed(numbers, referee):
     who = f"{name_of(referee)} is the referee"
     said = f"{who}: its run-averaged NEES leaves the interval in {exits} of {n} epochs. "
     return said + (
-        f"Significantly more often do {', '.join(worse)}." if worse else "No filter does so more often."
+        f"Significantly more often do {', '.join(worse)}."
+        if worse
+        else "No filter does so significantly more often."
     )
 
 
@@ -143,11 +151,17 @@ def _quantity(scenario, d, form):
     return f"{scenario.labels[d]} ({unit})" if unit else scenario.labels[d]
 
 
+def _escaped(message):
+    """The first line of a message, with nothing that markdown or HTML would take for its own."""
+    first = html.escape(message.splitlines()[0] if message else "", quote=False)
+    return re.sub(r"([\\`*_\[\]|])", r"\\\1", first)
+
+
 def _cell(value, form):
     if not np.isfinite(value):
         return "–"
     if form == "p":
-        return f"{value:.2f}" if value >= 0.01 else f"**{value:.0e}**"
+        return f"{value:.2f}" if value >= 0.01 else f"**{max(value, 1e-99):.0e}**"
     if form == "percent":
         return f"{value:.0%}"
     return str(int(value)) if form == "count" else f"{value:.3g}"

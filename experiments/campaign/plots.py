@@ -97,7 +97,7 @@ def _histogram(ax, fractions, name, p, n_counts):
     ax.set_xticks([0, 0.5, 1], ["0", ".5", "1"])
     ax.spines[["top", "right", "left"]].set_visible(False)
     if not np.isfinite(fractions).any() or not fractions.any():
-        ax.text(0.5, 0.5, "no density", ha="center", transform=ax.transAxes, color="0.5", fontsize=9)
+        ax.text(0.5, 0.5, "not known", ha="center", transform=ax.transAxes, color="0.5", fontsize=9)
         return
     height = _BINS * fractions
     ax.bar((np.arange(_BINS) + 0.5) / _BINS, height, 0.9 / _BINS, color=COLOURS[name], alpha=0.8)

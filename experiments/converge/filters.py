@@ -53,7 +53,9 @@ def convergence(name, counts, n_runs, seed, which="sph", progress=lambda *number
                 f"without measurements with --over particles"
             )
         filters = factories([exact, which], scenario)
-        campaign = run_campaign(scenario, filters, n_runs, seed, progress=partial(progress, count))
+        campaign = run_campaign(
+            scenario, filters, n_runs, seed, progress=partial(progress, count), ranks=False
+        )
         if campaign.failures:
             raise ConfigError(f"{count} particles: {campaign.failures[0].message}")
         seconds = float(np.median(campaign.run_time[which]))

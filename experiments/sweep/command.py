@@ -117,7 +117,7 @@ def _sweep(console, work, n_runs, seed, n_jobs, out):
 
             try:
                 campaign = run_campaign(
-                    scenario, filters, n_runs, seed, n_jobs, out / "runs" / cell.name, progress
+                    scenario, filters, n_runs, seed, n_jobs, out / "runs" / cell.name, progress, ranks=False
                 )
             except KeyboardInterrupt:
                 raise Interrupted(
