@@ -15,6 +15,8 @@ from .update import update
 
 __all__ = ["Budget", "rehearse"]
 
+#: What time is read from, seconds; `time.process_time` leaves out what other processes take.
+clock = perf_counter
 #: Steps that are remembered. The next one costs more than the dearest of nineteen alike once in twenty.
 _MEMORY = 19
 _REHEARSED = 2  # steps with costs that count, after one that compiles and one on few particles
@@ -40,7 +42,10 @@ class Budget:
     def __init__(self, seconds):
         self.seconds, self.prepared, self.spent = seconds, seconds is None, 0.0
         self._began, self._most, self._costs = 0.0, 0, {}
-        self._too_few = deque(maxlen=_MEMORY)  # particles of steps made again on more of them, else zero
+        self._again = False  # was the last prediction made again on more particles?
+        self._too_few = deque(
+            maxlen=_MEMORY
+        )  # particles of steps where that happened twice in a row, else zero
         self.keep(0)
 
     def keep(self, n):
@@ -55,14 +60,14 @@ class Budget:
     def begin(self, step=False):
         """A call begins, and with a prediction a new step."""
         if self.seconds is not None:
-            self._began = perf_counter()
+            self._began = clock()
             self.spent = 0.0 if step else self.spent
 
     def bound(self, n_particles, least):
         """Particles that a step can afford: `n_particles` at most, and `least` if those are not fewer.
 
-        Where particles were too few of late, and predictions had to be made again on three times as many,
-        twice as many from the beginning take less time.
+        Where they were too few of late, so that two predictions in a row had to be made again on three times
+        as many, twice as many from the beginning take less time: more than they save if that is rare.
 
         Time is taken to be in proportion to particles. Part of it is the same for any number, so that more
         of them than were measured cost less than that: steps come near the budget from below.
@@ -79,7 +84,7 @@ class Budget:
         """Would another prediction on so many particles end in time, with an update after it?"""
         if self.seconds is None:
             return True
-        left = self.seconds - self.spent - (perf_counter() - self._began)
+        left = self.seconds - self.spent - (clock() - self._began)
         return n_particles * (self._dearest("predict") + self._dearest("update")) <= left
 
     def end(self, what, info, n_particles, repeated):
@@ -97,10 +102,11 @@ class Budget:
         """
         if self.seconds is None:
             return info
-        took = perf_counter() - self._began
+        took = clock() - self._began
         self.spent += took
         if what == "predict":
-            self._too_few.append(self._most if repeated or n_particles > self._most else 0)
+            before, self._again = self._again, repeated or n_particles > self._most
+            self._too_few.append(self._most if before and self._again else 0)
         if what and not repeated:
             self._costs[what].append(took / n_particles)
         elif what and len(self._costs[what]) > 1:

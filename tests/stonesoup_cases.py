@@ -19,6 +19,8 @@ from stonesoup.types.state import GaussianState, State
 
 from sphfilter.adapters.stonesoup import SDETransitionModel
 
+GRID = np.stack(np.meshgrid(*2 * [np.linspace(-9.0, 9.0, 601)], indexing="ij"), axis=-1).reshape(-1, 2)
+CELL = (18.0 / 600) ** 2
 START = datetime.datetime(2026, 1, 1)
 
 
@@ -58,6 +60,14 @@ def off(state, mean, cov):
     d_mean = (np.asarray(state.mean, dtype=float).ravel() - mean) / scale
     d_cov = (np.asarray(state.covar, dtype=float) - cov) / np.outer(scale, scale)
     return np.abs(d_mean).max(), np.abs(d_cov).max()
+
+
+def on_grid(density, likelihood):
+    """Evidence, mean and covariance of density times likelihood, summed over a grid."""
+    p = density.pdf(GRID) * CELL * likelihood
+    mean = p @ GRID / p.sum()
+    d = GRID - mean
+    return p.sum(), mean, (d * p[:, None]).T @ d / p.sum()
 
 
 class Recorded(DetectionReader):

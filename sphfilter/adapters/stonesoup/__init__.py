@@ -23,17 +23,16 @@ that its gates, data associators, initiators, deleters and trackers work on dens
 >>> track.state.density.probability(lambda X: X[:, 0] < 0) < 0.02
 True
 
-`SDETransitionModel` is the way of an equation to Stone Soup's simulators and other filters; of its own models
-`linear_sde` turns ConstantVelocity, OrnsteinUhlenbeck, Singer and their combinations into equations, and refuses
-those that are none. Detections bring their measurement_model along or take the updater's.
+`SDETransitionModel` is the way of an equation to Stone Soup's simulators and other filters; of its own
+models `linear_sde` turns ConstantVelocity, OrnsteinUhlenbeck, Singer and their combinations into equations,
+and refuses those that are none. Detections bring their measurement_model along or take the updater's.
 
-`SingleTargetTracker` keeps densities through PDA and JPDA: the posterior of several detections is one density,
-not a Gaussian of its moments. Stone Soup's mixture trackers merge into Gaussians themselves, and the predictor
-goes on from those. Detections associated together need one timestamp. Where a detection that may be false is
-some thirty times sharper than the prediction, give more particles: sharp and broad part share a lattice.
+`SingleTargetTracker` keeps densities through PDA and JPDA: the posterior of several detections is one
+density, not a Gaussian of its moments. Stone Soup's mixture trackers merge into Gaussians themselves, and the
+predictor goes on from those. Detections associated together need one timestamp.
 
-A call that fails raises `ModelError` or `PropagationError` with a sentence, and leaves track and states as they
-were. `info` of predictions and updates says how they went. `notebooks/stone_soup.ipynb` shows a tracker.
+A call that fails raises `ModelError` or `PropagationError` with a sentence, and leaves track and states as
+they were. `info` of predictions and updates says how they went. `notebooks/stone_soup.ipynb` shows a tracker.
 
 Objects pickle. `stonesoup.serialise.YAML` writes and reads states, predictors and updaters, densities as
 arrays and models as their text; a model that is a Python function is refused with a sentence. Where the

@@ -1,18 +1,25 @@
 """Several detections, one at most the target's: what each says alone, and all of them together."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
+from ...config import LogDensityScheme
 from ...errors import ModelError, PropagationError
-from ...resample import bound
+from ...level_set import reach
+from ...resample import bound, logarithm
 from ...update import update
 
-__all__ = ["FINER", "Alone", "Association", "alone", "error_of", "mixed_mean", "one_prediction",
-           "probability_of"]  # fmt: skip
+__all__ = ["Alone", "Association", "alone", "mixed_mean", "one_prediction", "predicted_apart",
+           "probability_of", "resolved"]  # fmt: skip
 
-FINER = 1, 3, 9  # times the particles that a product of density and likelihood is tried on
+_FINER = 1, 3, 9  # times the particles that a product of density and likelihood is tried on
+_NEGLIGIBLE = 1e-6  # probability of a part
+_DEEPER = 0.7  # standard deviations that lattices reach further, each time
+#: Standard deviations that a mean may be off, and part of the mass: not tried again, and refused above.
+_RESOLVED, _LOST = 0.01, 0.1
 
 
 class Association:
@@ -47,6 +54,32 @@ class Association:
         terms += [scale + sensor.log_likelihood(z, X, t) for sensor, z, scale in self._parts]
         return logsumexp(terms, axis=0)
 
+    def posteriors(self, prior, config, n_particles):
+        """What the sum is of: weights, and the prior or each detection's posterior."""
+        found = [(self._missed, prior)]
+        for sensor, z, scale in self._parts:
+            posterior, info = update(prior, sensor, z, config, n_particles=n_particles)
+            found.append((np.exp(scale + info.log_evidence), posterior))
+        return [(weight, density) for weight, density in found if weight > _NEGLIGIBLE]
+
+
+class Total:
+    """The likelihood that makes a weighted sum of densities of one of them."""
+
+    H = directly_observed = noise_cov = None
+    angles = ()
+
+    def __init__(self, first, parts):
+        self._first, self._parts = logarithm(first), [(np.log(w), logarithm(p)) for w, p in parts]
+
+    def observed(self, z):
+        """Something is there."""
+        return np.ones(1, dtype=bool)
+
+    def log_likelihood(self, z, X, t=0.0):
+        """Logarithm of the sum over the first density, for each state X (N, n), shape (N,)."""
+        return logsumexp([scale + log_p(X) for scale, log_p in self._parts], axis=0) - self._first(X)
+
 
 class Alone(NamedTuple):
     """The log-evidence of a detection, and the mean of its posterior; None where it would not be used."""
@@ -57,7 +90,7 @@ class Alone(NamedTuple):
 
 def alone(density, sensor, z, config, n_particles, log_likelihood):
     """What a detection says alone, given its log-likelihood at the particles (N,)."""
-    for times in FINER:
+    for times in _FINER:
         try:
             posterior, info = update(
                 density, sensor, z, config, n_particles=times * bound(density, n_particles)
@@ -74,11 +107,100 @@ def mixed_mean(parts):
     return np.average(means, axis=0, weights=weights)
 
 
-def error_of(density, expected, log_mass):
+def resolved(multiplied, config, dim, expected):
+    """A product, finer and further out until it has its mass and the mean of its parts.
+
+    A part of little weight may be wide and flat beside the others, and lie below where a lattice ends.
+
+    Parameters
+    ----------
+    multiplied : callable
+        (times the particles, configuration) to (prior, density, info).
+    config : FilterConfig
+    dim : int
+    expected : ndarray, shape (n,), or None
+        Its mean; None where means are those of angles.
+
+    Returns
+    -------
+    prior, density, info
+
+    Raises
+    ------
+    PropagationError
+        No number of particles that is tried holds it.
+    """
+    best = None
+    for level, times in enumerate(_FINER):
+        try:
+            found = multiplied(times, _reaching(config, dim, level * _DEEPER))
+        except PropagationError as problem:
+            refused = problem  # more particles may hold it
+            continue
+        error = _error(found[1], expected, found[2].log_evidence)
+        if best is None or error < best[0]:
+            best = error, times, found
+        if error < _RESOLVED:
+            break
+    if best is None:
+        raise refused
+    error, times, (prior, density, info) = best
+    if error > _LOST:
+        raise PropagationError(
+            f"detections much sharper than the prediction leave a density too sharp and too broad for one "
+            f"lattice: its mean would be {error:.2g} standard deviations off; use more particles"
+        )
+    if times == 1 and error < _RESOLVED:
+        return prior, density, info
+    told = "" if error < _RESOLVED else f", its mean within {error:.2g} standard deviations"
+    return prior, density, replace(info, status=f"association on {times} times the particles{told}")
+
+
+def _reaching(config, dim, deeper):
+    """Settings whose lattices reach `deeper` standard deviations further, where they follow a level set."""
+    scheme = LogDensityScheme() if config.scheme == "auto" else config.scheme
+    if not deeper or not isinstance(scheme, LogDensityScheme):
+        return config
+    return replace(config, scheme=replace(scheme, reach=reach(scheme, dim) + deeper))
+
+
+def _error(density, expected, log_mass):
     """How far a posterior is off its mean, in standard deviations, or off the mass one."""
     if expected is None:
         return abs(log_mass)
     return max(abs(log_mass), np.abs((density.mean() - expected) / np.sqrt(np.diag(density.cov()))).max())
+
+
+def predicted_apart(origin, predicted, config, n_particles):
+    """Predict an association part by part: the equation is linear, and sums of solutions solve it.
+
+    For posteriors that are sharp and broad at once, which no lattice carries on as few particles.
+
+    Parameters
+    ----------
+    origin : adapt.Update
+        The update with an `Association`.
+    predicted : callable
+        A density to what `predict` returns.
+
+    Returns
+    -------
+    ParticleDensity, PredictInfo
+    """
+    posteriors = origin.measurement.posteriors(origin.before, config, n_particles)
+    moved = [(weight, *predicted(posterior)) for weight, posterior in posteriors]
+    parts = [(weight, density) for weight, density, _ in moved]
+    widest = max((density for _, density in parts), key=lambda density: np.linalg.det(density.cov()))
+    total = Total(widest, parts)
+
+    def summed(times, config):
+        return widest, *update(widest, total, None, config, n_particles=times * n_particles)
+
+    mean = None if widest.domain is not None else mixed_mean([(w, p.mean()) for w, p in parts])
+    _, density, sum_info = resolved(summed, config, widest.dim, mean)
+    info = max((info for _, _, info in moved), key=lambda info: info.mass_error)
+    told = "" if sum_info.status == "ok" else f"; {sum_info.status}"
+    return density, replace(info, status=f"{len(parts)} parts of the association predicted apart{told}")
 
 
 def one_prediction(hypotheses):

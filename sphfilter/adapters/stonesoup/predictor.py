@@ -1,5 +1,6 @@
 """Stone Soup's predictor interface to the solver."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 from stonesoup.base import Property
@@ -10,9 +11,10 @@ from stonesoup.types.prediction import Prediction
 from ...adapt import Prediction as Origin
 from ...adapt import predict_relaying
 from ...config import FilterConfig, checked_filter_config
-from ...errors import ModelError
-from ...predict import predict
+from ...errors import ModelError, PropagationError
+from ...predict import MOST_FINER, predict_within
 from ...validate import count
+from .association import Association, predicted_apart
 from .recent import Recent
 from .states import SPHState, current, density_of, origin_of, remember, retimed
 from .transition import transition_of
@@ -103,17 +105,35 @@ class SPHPredictor(Predictor):
         key = start, sde, sde.p.tobytes(), dt, config, n_particles
 
         def carried():
-            origin = origin_of(prior)
-            before, (moved, info, _) = predict_relaying(predicted, sde, start, origin, config, n_particles)
+            before, (moved, info) = self._predicted(start, origin_of(prior), predicted, n_particles)
             if moved.capacity != n_particles:  # more particles for once are not more ever after
                 moved = replace(moved, capacity=n_particles)
             return retimed(before, transition, prior.timestamp), moved, info
 
-        def predicted(density):
+        def predicted(density, most=MOST_FINER):
             density = retimed(density, transition, prior.timestamp)
-            return *predict(density, sde, dt, config, n_particles=n_particles), n_particles
+            return predict_within(most, density, sde, dt, config, n_particles=n_particles)
 
         return self._kept.result(key, carried)
+
+    def _predicted(self, start, origin, predicted, n_particles):
+        """The density it began with, and what `predicted` makes of it.
+
+        Associations that are sharp and broad at once are predicted part by part.
+        """
+        sde, config = self.transition_model.sde, checked_filter_config(self.config)
+        if isinstance(getattr(origin, "measurement", None), Association):
+            try:
+                return start, predicted(start, most=0)
+            except PropagationError:
+                with suppress(PropagationError):
+                    return start, predicted_apart(origin, predicted, config, n_particles)
+
+        def bounded(density):
+            return *predicted(density), n_particles
+
+        before, (moved, info, _) = predict_relaying(bounded, sde, start, origin, config, n_particles)
+        return before, (moved, info)
 
 
 def _seconds(start, end):

@@ -13,22 +13,19 @@ from stonesoup.updater.base import Updater
 from ...adapt import Prediction as PredictionOrigin
 from ...adapt import Update as UpdateOrigin
 from ...adapt import update_repeating
-from ...config import FilterConfig, LogDensityScheme, checked_filter_config
-from ...errors import ModelError, PropagationError
+from ...config import FilterConfig, checked_filter_config
+from ...errors import ModelError
 from ...info import UpdateInfo
-from ...level_set import reach
 from ...resample import bound
 from ...update import predicted_reading
 from ...validate import count
-from .association import FINER, Association, alone, error_of, mixed_mean, one_prediction, probability_of
+from .association import Association, alone, mixed_mean, one_prediction, probability_of, resolved
 from .recent import Recent
 from .sensors import reading_of, sensor_for, typed
 from .states import SPHState, current, density_of, origin_of, remember
 
 __all__ = ["SPHUpdater"]
 
-_DEEPER = 0.7  # standard deviations that lattices reach further, each time
-_RESOLVED = 0.01  # standard deviations that its mean may be off, and part of its mass
 _KEPT = 256  # detections of late
 _START = 200  # particles of a Gaussian state, unless n_particles says otherwise
 
@@ -139,7 +136,11 @@ class SPHUpdater(Updater):
             return self._posterior(prediction, hypotheses, (density, density, _nothing(density)), None)
         sensor, z = Association(missed, parts), tuple(part[1] for part in parts)
         mixed = None if density.domain is not None else mixed_mean([(missed, density.mean()), *means])
-        found = self._resolved(prediction, sensor, z, mixed)
+
+        def multiplied(times, config):
+            return self._multiplied(prediction, sensor, z, times, config)
+
+        found = resolved(multiplied, checked_filter_config(self.config), density.dim, mixed)
         return self._posterior(prediction, hypotheses, found, (sensor, z))
 
     def _alone(self, prediction, sensor, z):
@@ -151,36 +152,11 @@ class SPHUpdater(Updater):
             key, lambda: alone(density, sensor, z, config, self.n_particles, log_likelihood)
         )
 
-    def _resolved(self, prediction, sensor, z, expected):
-        """As `_multiplied`, finer and further out until the posterior has the mean of its parts.
-
-        A part of little weight may be wide and flat beside the others, and lie below where a lattice ends.
-        """
-        best = None
-        for level, times in enumerate(FINER):
-            try:
-                found = self._multiplied(prediction, sensor, z, times, level * _DEEPER)
-            except PropagationError as problem:
-                refused = problem  # more particles may hold it
-                continue
-            error = error_of(found[1], expected, found[2].log_evidence)
-            if best is None or error < best[0]:
-                best = error, times, found
-            if error < _RESOLVED:
-                break
-        if best is None:
-            raise refused
-        error, times, (prior, density, info) = best
-        if times == 1 and error < _RESOLVED:
-            return prior, density, info
-        told = "" if error < _RESOLVED else f", its mean within {error:.2g} standard deviations"
-        return prior, density, replace(info, status=f"association on {times} times the particles{told}")
-
-    def _multiplied(self, prediction, sensor, z, times=1, deeper=0.0):
+    def _multiplied(self, prediction, sensor, z, times=1, config=None):
         density, origin = self._density(prediction), origin_of(prediction)
         origin = origin if isinstance(origin, PredictionOrigin) else PredictionOrigin()
         n_particles = bound(density, self.n_particles)
-        config = _reaching(checked_filter_config(self.config), density.dim, deeper)
+        config = checked_filter_config(self.config) if config is None else config
         found = update_repeating(origin, density, origin.model, sensor, z, config, times * n_particles)
         if times == 1:
             return found
@@ -210,14 +186,6 @@ class SPHUpdater(Updater):
     def _density(self, state):
         n_particles = _START if self.n_particles is None else count("n_particles", self.n_particles)
         return density_of(state, n_particles, checked_filter_config(self.config))
-
-
-def _reaching(config, dim, deeper):
-    """Settings whose lattices reach `deeper` standard deviations further, where they follow a level set."""
-    scheme = LogDensityScheme() if config.scheme == "auto" else config.scheme
-    if not deeper or not isinstance(scheme, LogDensityScheme):
-        return config
-    return replace(config, scheme=replace(scheme, reach=reach(scheme, dim) + deeper))
 
 
 def _nothing(density):
