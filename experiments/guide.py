@@ -25,7 +25,7 @@ _GROUPS = {
     },
     "Beyond the state": {
         "estimate": (
-            ("estimate duffing --compare", "and a rival model; takes minutes"),
+            ("estimate duffing --compare", "parameters by evidence, a rival"),
             ("estimate duffing --parameters xi,R --guess xi=0.5", "others; R is the sensor's noise"),
             ("estimate sunspots --jobs 2", "of the measured numbers; ten minutes"),
         ),

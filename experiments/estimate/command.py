@@ -45,7 +45,11 @@ def add_arguments(parser):
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated measurements")
     parser.add_argument("--jobs", type=int, default=1, help="processes, for the profiles")
     parser.add_argument("--no-profile", action="store_true", help="no profiles, which take most of the time")
-    parser.add_argument("--compare", action="store_true", help="fit a rival model too (duffing, sunspots)")
+    parser.add_argument(
+        "--compare",
+        action="store_true",
+        help="fit a rival model too (duffing; sunspots, where it takes half an hour and more)",
+    )
     parser.add_argument("--out", type=Path, help="folder for results (default: results/estimate_NAME)")
     add_change_option(parser, "change a key of the scenario, e.g. times.end=100; may be repeated")
 

@@ -37,7 +37,7 @@ _OFF = 0.75  # times its true value a parameter's guess
 _RIVALS = {
     "duffing": ("linear oscillator", ("v", "-c*v - k*x"), {"c": 0.4, "k": 1.0}, ("c",)),
     "sunspots": (
-        "linear oscillator", ("w*u", "-w*(c*u + x)"), {"w": 0.3, "c": 0.15, "g": 1.5}, ("w", "c", "g"),
+        "linear oscillator", ("w*u", "-w*(c*u + x)"), {"w": 0.29, "c": 0.5, "g": 5.0}, ("w", "c", "g"),
     ),
 }  # fmt: skip
 
