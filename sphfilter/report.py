@@ -118,7 +118,8 @@ def report(campaign_or_result, truth=None, *, referee=None, labels=None):
     campaign_or_result : CampaignResult or FilterResult
         A FilterResult may be that of one run, or stacked with the runs first.
     truth : array_like, shape (T, n) or (R, T, n)
-        True states at the measurement times; for a FilterResult only, a campaign carries its own.
+        True states at the measurement times; for a FilterResult only, a campaign carries its own. Errors are
+        plain differences: angles have to be on the same turn as the means.
     referee : str, optional
         Name of a filter of the campaign that is right: the NEES of a posterior that is no Gaussian is only
         nearly χ², so that the right filter leaves its interval too, and others need be no better than it.

@@ -16,7 +16,7 @@ from experiments.files import add_change_option, changes_of
 from experiments.filters import FILTERS, factories, name_of
 from experiments.run import counted, without_nan, without_none
 from experiments.running import new_console, run_shown, status, warm_up
-from experiments.scenario import load_scenario
+from experiments.scenario import load_scenario, read_settings
 from sphfilter import __version__
 from sphfilter.errors import ConfigError
 from sphfilter.report import report
@@ -65,7 +65,7 @@ def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter failed in every run, else 0."""
     console = new_console()
     changes = changes_of(args)
-    if args.own_prior:
+    if args.own_prior and read_settings(args.scenario, changes).start.kind == "tpd":
         changes |= {"start.kind": "gaussian", "start.pairs": (), "start.burn_in": 0.0}
     scenario = load_scenario(args.scenario, **changes)
     filters = factories(_names(args.filters, scenario), scenario)

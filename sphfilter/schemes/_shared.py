@@ -51,7 +51,11 @@ _OUT_OF_THE_TAIL = {
 def blow_up(model, state, t, start, t1, scheme="log_density"):
     """Sentence for a model that left the finite numbers at a state (n,), between `start` and `t1`."""
     velocity = model.drift(state, t)
-    what = "grows without bound" if np.isfinite(velocity).all() else "is NaN or infinite"
+    what = (
+        "grows without bound, or faster than steps can follow"
+        if np.isfinite(velocity).all()
+        else "is NaN or infinite"
+    )
     values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(model.states, state, strict=True))
     return (
         f"the model blew up at t = {t:.6g} (prediction from {start:g} to {t1:g}), at the particle {values}: "
