@@ -5,78 +5,21 @@ filter's is derived by the filter's name: more runs, other filters, another numb
 interruption change nothing in the runs and filters that stay.
 """
 
-import hashlib
-import inspect
 import numbers
 from concurrent.futures import BrokenExecutor
-from copy import deepcopy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 
+from . import campaign_run, validate
 from . import campaign_store as store
-from . import validate
-from .calibration import Observer, gaussian_ranks
+from .campaign_run import Case
 from .errors import CampaignError, ModelError
 from .results import FilterResult
 
 __all__ = ["CampaignResult", "Case", "Failure", "draw_case", "run_campaign"]
-
-
-@dataclass(frozen=True)
-class Case:
-    """One simulated run, as a scenario draws it.
-
-    Attributes
-    ----------
-    times : ndarray, shape (T,)
-        Measurement times, seconds.
-    truth : ndarray, shape (T, n)
-    z : ndarray, shape (T, k)
-        Measurements; NaN where none came.
-    x0, P0 : ndarray, shapes (n,), (n, n)
-        Start of the filters.
-    t0 : float
-        Time of the start, seconds.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import sphfilter as sf
-    >>> case = sf.Case(times=[1.0], truth=[[0.2]], z=[[0.3]], x0=np.zeros(1), P0=np.eye(1))
-    >>> print(case.t0)
-    0.0
-    """
-
-    times: np.ndarray
-    truth: np.ndarray
-    z: np.ndarray
-    x0: np.ndarray
-    P0: np.ndarray
-    t0: float = 0.0
-
-    def __post_init__(self):
-        for f in fields(self):
-            if f.name != "t0":
-                object.__setattr__(self, f.name, np.asarray(getattr(self, f.name), dtype=float))
-        n = np.shape(self.x0)[0]
-        if not len(self.times) == len(self.truth) == len(self.z):
-            raise ModelError(
-                f"a case needs as many truths and measurements as times; got {len(self.times)} times, "
-                f"{len(self.truth)} truths and {len(self.z)} measurements"
-            )
-        if np.shape(self.truth)[1:] != (n,) or np.shape(self.P0) != (n, n):
-            raise ModelError(
-                f"a case with x0 of length {n} needs truth (T, {n}) and P0 ({n}, {n}); "
-                f"got {np.shape(self.truth)} and {np.shape(self.P0)}"
-            )
-
-
-#: What every filter has to tell.
-_MOMENTS = "x_prior", "P_prior", "x", "P", "log_evidence", "accepted"
 
 
 class Failure(NamedTuple):
@@ -221,7 +164,9 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
         store.claim(folder, store.manifest(scenario, filters, int(seed), first))
         finished = store.finished(folder, n_runs)
     todo = [(r, scenario, filters, seeds[r], ranks) for r in range(n_runs) if r not in finished]
-    for done, (r, record) in enumerate(_in_parallel(_run, todo, n_jobs, progress, n_runs), len(finished) + 1):
+    for done, (r, record) in enumerate(
+        _in_parallel(campaign_run.run, todo, n_jobs, progress, n_runs), len(finished) + 1
+    ):
         first_case = _same_times(scenario.name, record, first_case, r)
         if folder is None:
             records[r] = record
@@ -253,83 +198,15 @@ def _in_parallel(task, todo, n_jobs, progress, n_runs):
 
 def draw_case(scenario, seed, run):
     """Draw one run of the campaign with this seed again, counted from zero."""
-    return _draw(scenario, np.random.SeedSequence(int(seed)).spawn(run + 1)[run])
-
-
-def _draw(scenario, seed):
-    truth_seed = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, 0))
-    return scenario.draw(np.random.default_rng(truth_seed))
+    return campaign_run.draw(scenario, np.random.SeedSequence(int(seed)).spawn(run + 1)[run])
 
 
 def _digest(scenario, seed):
     """Digest of a case, or of the words with which it could not be drawn."""
     try:
-        return store.case_digest(_draw(scenario, seed))
+        return store.case_digest(campaign_run.draw(scenario, seed))
     except Exception as problem:
         return f"{type(problem).__name__}: {problem}"
-
-
-def _filter_rng(seed, name):
-    """Return the generator of one filter in one run: by its name, so that no other filter matters to it."""
-    words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype="<u4")
-    key = (*seed.spawn_key, *map(int, words))
-    return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
-
-
-def _run(r, scenario, filters, seed, ranks):
-    """Draw run r and put all filters through it."""
-    try:
-        case = _draw(scenario, seed)
-    except Exception as problem:  # a truth that blows up costs its run and no other
-        return r, {"failures": [(r, "simulation", f"{type(problem).__name__}: {problem}")]}
-    outcomes = {name: _outcome(make, case, _filter_rng(seed, name), ranks) for name, make in filters.items()}
-    return r, {
-        "case": {f.name: np.asarray(getattr(case, f.name), dtype=float) for f in fields(case)},
-        "results": {name: arrays for name, (arrays, _, _) in outcomes.items()},
-        "run_time": {name: seconds for name, (_, seconds, _) in outcomes.items()},
-        "failures": [(r, name, message) for name, (_, _, message) in outcomes.items() if message],
-    }
-
-
-def _can_be_observed(filt):
-    """Whether a filter has the densities of `spread`, and a run that takes who looks at them."""
-    return callable(getattr(filt, "spread", None)) and "truth" in inspect.signature(filt.run).parameters
-
-
-def _outcome(make, case, rng, ranks):
-    """Return the arrays of a filter's run, its seconds, and what it raised (empty if nothing)."""
-    blank = _blank(case)
-    case = deepcopy(case)  # what one filter does to its case must not reach the next
-    try:
-        filt = make(case, rng)
-        observer = Observer(case.truth) if ranks and _can_be_observed(filt) else None
-        start = perf_counter()
-        result = filt.run(case.times, case.z, **({"truth": observer} if observer else {}))
-        seconds = perf_counter() - start - (observer.seconds if observer else 0.0)
-        arrays = {name: np.asarray(getattr(result, name), blank[name].dtype) for name in _MOMENTS}
-        wrong = [name for name in _MOMENTS if arrays[name].shape != blank[name].shape]
-        if wrong:
-            shapes = f"{arrays[wrong[0]].shape}, not {blank[wrong[0]].shape}"
-            raise ModelError(f"the filter's result has {wrong[0]} of shape {shapes}")
-        for name in blank.keys() - arrays.keys():  # what a filter of one's own need not tell
-            value = np.asarray(getattr(result, name, np.nan))
-            arrays[name] = value.reshape(blank[name].shape) if value.size == blank[name].size else blank[name]
-        if ranks and observer is None:
-            moments = [arrays[name] for name in ("x", "P", "innovation", "innovation_cov")]
-            arrays |= gaussian_ranks(case.truth, *moments)
-    except (MemoryError, ImportError):
-        raise  # the machine's fault, which another call may do without
-    except Exception as error:  # a filter under test may raise anything, and that is a finding
-        return blank, np.nan, f"{type(error).__name__}: {error}"
-    return arrays, seconds, ""
-
-
-def _blank(case):
-    (T, n), k = np.shape(case.truth), np.size(case.z[0])
-    shapes = {"x_prior": (T, n), "P_prior": (T, n, n), "x": (T, n), "P": (T, n, n), "log_evidence": (T,)}
-    shapes |= {"innovation": (T, k), "innovation_cov": (T, k, k)}
-    shapes |= {"pit": (T, k), "state_pit": (T, n), "hpd_rank": (T,)}
-    return {name: np.full(shape, np.nan) for name, shape in shapes.items()} | {"accepted": np.zeros(T, bool)}
 
 
 def _gather(scenario, seed, read, n_runs, names):
