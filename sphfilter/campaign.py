@@ -164,9 +164,8 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
         store.claim(folder, store.manifest(scenario, filters, int(seed), first))
         finished = store.finished(folder, n_runs)
     todo = [(r, scenario, filters, seeds[r], ranks) for r in range(n_runs) if r not in finished]
-    for done, (r, record) in enumerate(
-        _in_parallel(campaign_run.run, todo, n_jobs, progress, n_runs), len(finished) + 1
-    ):
+    coming = _in_parallel(campaign_run.run, todo, n_jobs, progress, n_runs)
+    for done, (r, record) in enumerate(coming, len(finished) + 1):
         first_case = _same_times(scenario.name, record, first_case, r)
         if folder is None:
             records[r] = record
