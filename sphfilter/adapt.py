@@ -3,8 +3,6 @@
 import math
 from dataclasses import dataclass, replace
 
-from scipy.stats import chi2
-
 from .config import LogDensityScheme
 from .errors import LatticeError, ModelError, PropagationError, UnresolvedError
 from .level_set import fewest_particles, reach
@@ -161,6 +159,8 @@ def update_repeating(prediction, prior, model, measurement, z, config, n_particl
     ParticleDensity, ParticleDensity, UpdateInfo
         The prior that was used, the posterior, and what was done.
     """
+    from scipy.stats import chi2  # on use: import time
+
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
     known = before is None or before.field is None or prior.field is None or prior.gaussian

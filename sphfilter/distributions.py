@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from .errors import ModelError
 from .validate import array, covariance
@@ -32,6 +31,8 @@ class Gaussian:
 
     def pdf(self, X):
         """Density at the states X (M, n)."""
+        from scipy import stats  # on use: import time
+
         return np.atleast_1d(stats.multivariate_normal(self.mean, self.cov).pdf(X))
 
 

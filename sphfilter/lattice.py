@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize, sparse, stats
+from scipy import optimize, sparse
 
 from .core.kernels import KINDS, RADIUS, normalisation, shape
 from .core.neighbors import build_index, choose_method, neighbor_lists
@@ -121,6 +121,8 @@ def place_gaussian(mean, cov, n_particles, scheme):
     ModelError
         `n_particles` is too small for a lattice of this dimension.
     """
+    from scipy import stats  # on use: import time
+
     n = len(mean)
     z_core = math.sqrt(stats.chi2.ppf(scheme.represented_mass, n))
     layers = round(float(np.mean(scheme.support_range)) * scheme.buffer_ratio)

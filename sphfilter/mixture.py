@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import special
-from scipy.stats import qmc
 
 from .core import kernels
 from .core.moment_correction import correct, exponents
@@ -83,6 +82,8 @@ def narrowed(mix, axes):
 @cache
 def standing_for(code, n, count):
     """Points (count, n) that stand for the kernel with h = 1: evenly spread, with its mean and covariance."""
+    from scipy.stats import qmc  # on use: import time
+
     uniform = qmc.Sobol(n + 1, scramble=False).random(count)
     X = drawn(code, np.clip(uniform, 0.5 / count, 1 - 0.5 / count))
     X -= X.mean(axis=0)

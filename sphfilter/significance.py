@@ -4,7 +4,7 @@ Epochs of a run are correlated, runs are not: what varies between runs says how 
 """
 
 import numpy as np
-from scipy import stats
+from scipy.special import bdtrc, chdtrc, stdtr
 
 from .errors import ModelError
 
@@ -36,6 +36,8 @@ def uniform_epochs(ranks):
     Predictions' ranks of scalar measurements are, of a filter that is right, whatever its model (Diebold et
     al. 1998). NaN left out; NaN for fewer than eight.
     """
+    from scipy import stats  # on use: import time
+
     ranks = np.asarray(ranks, dtype=float)
     ranks = ranks[np.isfinite(ranks)]
     return float(stats.kstest(ranks, "uniform").pvalue) if len(ranks) >= 8 else np.nan
@@ -63,7 +65,7 @@ def uniform_runs(ranks, bins=10):
     statistic = bins * np.sum(off**2)
     if total == 0.0:
         return float(statistic == 0.0)
-    return float(stats.chi2.sf(statistic * total / square, total**2 / square))
+    return float(chdtrc(total**2 / square, statistic * total / square))
 
 
 def same_mean(values, expected):
@@ -79,7 +81,7 @@ def same_mean(values, expected):
         return np.nan
     spread = averages.std(ddof=1) / np.sqrt(len(averages))
     off = averages.mean() - expected
-    return float(2.0 * stats.t.sf(abs(off) / spread, len(averages) - 1)) if spread > 0 else float(off == 0.0)
+    return float(2.0 * stdtr(len(averages) - 1, -abs(off) / spread)) if spread > 0 else float(off == 0.0)
 
 
 def no_worse(count, of_referee, total, least=0.05):
@@ -89,11 +91,13 @@ def no_worse(count, of_referee, total, least=0.05):
     for.
     """
     rate = max(of_referee / total, least)
-    return float(stats.binom.sf(count - 1, total, rate))
+    return float(bdtrc(count - 1, total, rate) if count else 1.0)
 
 
 def more(count, of_referee, total):
     """p-value of `count` of `total` runs being no more than the referee's, by Fisher's exact test."""
+    from scipy import stats  # on use: import time
+
     table = [[count, total - count], [of_referee, total - of_referee]]
     return float(stats.fisher_exact(table, alternative="greater").pvalue)
 

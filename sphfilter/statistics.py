@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import integrate, optimize
-from scipy.stats import qmc
 
 from .core import kernels
 from .errors import ModelError
@@ -73,6 +72,8 @@ def states(density, count=_SUBPOINTS, smooth=False):
     all cells lie in rows: sums of `smooth` functions are spectrally accurate then, while an edge along the
     rows would be known to the distance between two of them only; so else each cell has its own.
     """
+    from scipy.stats import qmc  # on use: import time
+
     if density.read_out == "points" or (density.read_out == "log_density" and density.field is None):
         return _folded(density, density.x), density.mass
     if density.read_out == "log_density":

@@ -1,7 +1,6 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
 import numpy as np
-from scipy.stats import multivariate_normal
 
 from .acceptance import test_measurement
 from .config import PaperScheme, checked_filter_config
@@ -117,6 +116,8 @@ def update(density, measurement, z, config=None, *, n_particles=None):
 
 def _gaussian_evidence(innovation, spread):
     """Log-evidence where the particles end and a sum over them knows nothing: by the prior's moments."""
+    from scipy.stats import multivariate_normal  # on use: import time
+
     return float(multivariate_normal.logpdf(innovation, cov=spread))
 
 
