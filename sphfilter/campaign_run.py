@@ -2,8 +2,11 @@
 
 import hashlib
 import inspect
+import signal
 from copy import deepcopy
 from dataclasses import dataclass, fields
+from multiprocessing import parent_process
+from threading import current_thread, main_thread
 from time import perf_counter
 
 import numpy as np
@@ -80,6 +83,8 @@ def _filter_rng(seed, name):
 
 def run(r, scenario, filters, seed, ranks):
     """Draw run r and put all filters through it."""
+    if parent_process() is not None and current_thread() is main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
     try:
         case = draw(scenario, seed)
     except Exception as problem:  # a truth that blows up costs its run and no other

@@ -78,10 +78,16 @@ def claim(folder, wanted):
     other = [key for key in wanted if found.get(key) != wanted[key]]
     if other:
         key = other[0]
-        was, now = _difference(*(_leaves(side.get(key)) for side in (found, wanted)))
+        sides = found.get(key), wanted[key]
+        names = [list(side) if isinstance(side, dict) else None for side in sides]
+        if names[0] != names[1]:
+            was, now = (", ".join(side or ["none"]) for side in names)
+            difference = f"{key} are {was}, now they are {now}"
+        else:
+            was, now = _difference(*(_leaves(side) for side in sides))
+            difference = f"{key} is {was}, now it is {now}"
         raise ConfigError(
-            f"{folder} holds another campaign: its {key} is {was}, now it is {now}. "
-            "Give another folder, or delete this one."
+            f"{folder} holds another campaign: its {difference}. Give another folder, or delete this one."
         )
 
 

@@ -236,13 +236,16 @@ class SPHFilter:
         self._budget.adopt(budget)
         return seconds
 
-    def update(self, z, measurement=None, H=None):
+    def update(self, z, measurement=None, H=None, *, R=None):
         """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo.
 
         As in filterpy, a number or matrix in the place of the sensor is the noise covariance R of this
-        reading, and H its matrix or function h; the rest stays that of the filter's own sensor.
+        reading, also given as R=, and H its matrix or function h; the rest stays that of the filter's own
+        sensor.
         """
-        measurement = sensor_of(self.measurement, measurement, H, self.model)
+        if R is not None and measurement is not None:
+            raise ModelError("give R= or another sensor, not both")
+        measurement = sensor_of(self.measurement, measurement if R is None else R, H, self.model)
         prediction = self._origin if isinstance(self._origin, Prediction) else Prediction()
         self._budget.begin()
         options = {"n_particles": self._most(), "fits": self._budget.fits}

@@ -58,6 +58,8 @@ class Report:
     dim, n_runs, n_epochs : int
         States, runs, measurement times in a run.
     filters : dict of str to FilterReport
+    labels : tuple of str, length dim or empty
+        Names of the states.
 
     Examples
     --------
@@ -77,9 +79,13 @@ class Report:
     n_runs: int
     n_epochs: int
     filters: dict
+    labels: tuple = ()
 
     def rows(self):
-        """Return the table as a list of (label, {filter: number}); states are counted from 1, as in 002."""
+        """Return the table as a list of (label, {filter: number}).
+
+        States have the names that `report` was given, or are counted from 1, as in 002.
+        """
         table = []
         for label, field, each in _ROWS:
             values = {name: attrgetter(field)(f) for name, f in self.filters.items()}
@@ -88,7 +94,8 @@ class Report:
                 continue
             for d in range(len(next(iter(values.values())))):
                 cells = {name: float(v[d]) for name, v in values.items()}
-                table.append((f"{label} ({each} {d + 1})", cells))
+                named = each == "state" and self.labels
+                table.append((f"{label} ({self.labels[d] if named else f'{each} {d + 1}'})", cells))
         return table
 
     def as_dict(self):
@@ -98,7 +105,8 @@ class Report:
     def __str__(self):
         rows = [("", {name: name for name in self.filters}), *self.rows()]
         width = max(len(label) for label, _ in rows)
-        lines = [f"{self.scenario}: {self.n_runs} runs of {self.n_epochs} updates".lstrip(": ")]
+        runs = "1 run" if self.n_runs == 1 else f"{self.n_runs} runs"
+        lines = [f"{self.scenario}: {runs} of {self.n_epochs} updates".lstrip(": ")]
         for label, values in rows:
             cells = (v if isinstance(v, str) else f"{v:.4g}" for v in values.values())
             lines.append(f"{label:{width}}" + "".join(f"  {cell:>12}" for cell in cells))
@@ -124,7 +132,7 @@ def report(campaign_or_result, truth=None, *, referee=None, labels=None):
         Name of a filter of the campaign that is right: the NEES of a posterior that is no Gaussian is only
         nearly χ², so that the right filter leaves its interval too, and others need be no better than it.
     labels : sequence of str, length n, optional
-        Names of the states, for the verdicts.
+        Names of the states, for table and verdicts.
 
     Returns
     -------
@@ -166,7 +174,8 @@ def report(campaign_or_result, truth=None, *, referee=None, labels=None):
 
 def _report(scenario, truth, filters, referee, labels):
     n_runs, n_epochs, dim = truth.shape
-    labels = [f"state {d + 1}" for d in range(dim)] if labels is None else list(labels)
+    given = () if labels is None else tuple(labels)
+    labels = given or [f"state {d + 1}" for d in range(dim)]
     if len(labels) != dim:
         raise ModelError(f"labels must name {dim} states, got {labels}")
     if referee is not None and referee not in filters:
@@ -177,4 +186,4 @@ def _report(scenario, truth, filters, referee, labels):
             p = significance.no_worse(numbers.exits, right.exits, n_epochs)
             numbers = replace(numbers, exits_p=p)
         filters[name] = replace(numbers, verdict=verdict(numbers, labels, right))
-    return Report(scenario=scenario, dim=dim, n_runs=n_runs, n_epochs=n_epochs, filters=filters)
+    return Report(scenario=scenario, dim=dim, n_runs=n_runs, n_epochs=n_epochs, filters=filters, labels=given)

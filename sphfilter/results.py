@@ -71,6 +71,11 @@ class FilterResult:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full((*lead, *shape), np.nan))
 
+    def __repr__(self):
+        *lead, n = np.shape(self.x)
+        names = ", ".join(f.name for f in fields(self))
+        return f"FilterResult({' x '.join(map(str, lead))} epochs of {n} states: {names})"
+
     def save(self, path):
         """Write the arrays to a ``.npz`` file."""
         np.savez_compressed(path, **{f.name: getattr(self, f.name) for f in fields(self)})

@@ -2,6 +2,7 @@
 
 import io
 import json
+import zipfile
 from dataclasses import fields
 
 import numpy as np
@@ -101,8 +102,10 @@ def load_arrays(path):
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
-    except (OSError, ValueError) as problem:
+    except OSError as problem:
         raise ModelError(f"cannot read {path}: {problem}") from None
+    except (ValueError, EOFError, zipfile.BadZipFile):
+        raise ModelError(f"cannot read {path}: it is no npz file, or not a whole one") from None
     if int(arrays.get("format", -1)) != FORMAT:
         found = arrays.get("format", "none")
         raise ModelError(f"{path} has format {found}, this version reads {FORMAT}; write it again")

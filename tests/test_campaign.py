@@ -172,7 +172,7 @@ class Renamed(Walk):
         ({"scenario": Renamed(step=2.0)}, "digest of run 0 is "),
         ({"seed": 4}, "seed is 3, now it is 4"),
         ({"filters": {"echo": Echo(2.0)}}, r"filters is .*gain=1.0.*now it is .*gain=2.0"),
-        ({"filters": {"echo": Echo(), "b": Echo()}}, "filters is .*now it is .*, b Echo"),
+        ({"filters": {"echo": Echo(), "b": Echo()}}, "filters are echo, now they are echo, b"),
         (
             {"scenario": Walk("walk" * 99), "filters": {"echo": Echo()}},
             "scenario is .{4,70}, now it is .{4,70}",

@@ -81,6 +81,8 @@ def _measurement_figure(campaign, numbers):
         for reading in range(k):
             ax = figure.add_subplot(grid[1 + reading, column])
             _histogram(ax, f.ranks.pit[reading], name, f.ranks.pit_p[reading], n_counts)
+            if reading == 0:
+                ax.set_title(name_of(name), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
             ax.set_ylabel("" if column else f"PIT, reading {reading + 1}" if k > 1 else "PIT")
     return figure
 
