@@ -14,7 +14,7 @@ from sphfilter.errors import ConfigError, nearest
 
 from .scenario import Scenario
 
-__all__ = ["FILTERS", "Factory", "factories", "name_of"]
+__all__ = ["FILTERS", "Factory", "factories", "name_of", "takes_grid"]
 
 
 @dataclass(frozen=True)
@@ -148,11 +148,16 @@ def factories(names, scenario):
     return made
 
 
+def takes_grid(model):
+    """Whether a grid can carry the density of a model."""
+    return model.dim <= 2 and not model.state_dependent_noise
+
+
 def _check_fit(name, scenario):
     model, start = scenario.model, scenario.settings.start
     if name == "kf" and not model.linear:
         raise ConfigError(f"kf needs a linear model, {scenario.name} is not: take ekf or ukf")
-    if name == "grid" and (model.dim > 2 or model.state_dependent_noise):
+    if name == "grid" and not takes_grid(model):
         raise ConfigError(f"grid takes 1 or 2 states with additive noise, not {scenario.name}: take pf")
     if name == "benes" and start.kind != "benes":
         raise ConfigError(f"benes is the closed form of one problem, not of {scenario.name}")

@@ -3,16 +3,14 @@
 import argparse
 import hashlib
 import json
-import platform
 import shutil
 from dataclasses import asdict, replace
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import tomli_w
 
-from sphfilter import __version__
+from sphfilter.campaign_store import versions
 from sphfilter.errors import SphfilterError
 from sphfilter.report import report
 
@@ -136,8 +134,7 @@ def _write(out, scenario, campaign, numbers, distance):
         "seed": campaign.seed,
         "n_runs": numbers.n_runs,
         "filters": list(campaign.results),
-        "versions": {"sphfilter": __version__, "python": platform.python_version()}
-        | {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")},
+        "versions": versions(),
         "report": numbers.as_dict(),
         "distance": {name: asdict(d) for name, d in distance.items()},
         "failures": [failure._asdict() for failure in campaign.failures],

@@ -43,9 +43,8 @@ class Budget:
         self.seconds, self.prepared, self.spent = seconds, seconds is None, 0.0
         self._began, self._most, self._costs = 0.0, 0, {}
         self._again = False  # was the last prediction made again on more particles?
-        self._too_few = deque(
-            maxlen=_MEMORY
-        )  # particles of steps where that happened twice in a row, else zero
+        # particles of steps where that happened twice in a row, else zero
+        self._too_few = deque(maxlen=_MEMORY)
         self.keep(0)
 
     def keep(self, n):

@@ -13,6 +13,7 @@ import numpy as np
 
 from .calibration import Observer, gaussian_ranks
 from .errors import ModelError
+from .results import shapes
 
 __all__ = ["Case", "draw", "run"]
 
@@ -70,6 +71,7 @@ class Case:
 
 
 def draw(scenario, seed):
+    """Draw the case of a run with this seed."""
     truth_seed = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, 0))
     return scenario.draw(np.random.default_rng(truth_seed))
 
@@ -132,8 +134,7 @@ def _outcome(make, case, rng, ranks):
 
 
 def _blank(case):
-    (T, n), k = np.shape(case.truth), np.size(case.z[0])
-    shapes = {"x_prior": (T, n), "P_prior": (T, n, n), "x": (T, n), "P": (T, n, n), "log_evidence": (T,)}
-    shapes |= {"innovation": (T, k), "innovation_cov": (T, k, k)}
-    shapes |= {"pit": (T, k), "state_pit": (T, n), "hpd_rank": (T,)}
-    return {name: np.full(shape, np.nan) for name, shape in shapes.items()} | {"accepted": np.zeros(T, bool)}
+    """What a result of this case would hold, not known yet."""
+    T, n = np.shape(case.truth)
+    empty = {name: np.full((T, *shape), np.nan) for name, shape in shapes(n, np.size(case.z[0])).items()}
+    return empty | {"accepted": np.zeros(T, bool)}

@@ -20,7 +20,7 @@ from ._version import __version__
 from .errors import CampaignError, ConfigError
 
 __all__ = ["case_digest", "claim", "finished", "load_result", "manifest", "read_run", "save_result",
-           "write_run"]  # fmt: skip
+           "versions", "write_run"]  # fmt: skip
 
 _MANIFEST = "manifest.json"
 
@@ -36,10 +36,15 @@ def manifest(scenario, filters, seed, first_case):
         "seed": seed,
         "scenario": {"name": scenario.name, "text": _text(scenario)},
         "filters": {name: _text(make) for name, make in filters.items()},
-        "versions": {"sphfilter": __version__, "python": platform.python_version()}
-        | {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")},
+        "versions": versions(),
         "digest of run 0": first_case,
     }
+
+
+def versions():
+    """Versions of what results come from, by name."""
+    others = {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")}
+    return {"sphfilter": __version__, "python": platform.python_version(), **others}
 
 
 def _text(thing):

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-__all__ = ["PredictInfo", "ResampleInfo", "UpdateInfo"]
+__all__ = ["PredictInfo", "ResampleInfo", "UpdateInfo", "innovation_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,3 +156,14 @@ class UpdateInfo:
     seconds: float = 0.0
     kernel_ratio: float = 0.0
     resample: ResampleInfo | None = field(default=None, repr=False)
+
+
+def innovation_of(info, seen, k):
+    """Innovation (k,) and covariance (k, k) of an update in the shapes of its sensor.
+
+    `seen`, bool (k,), says which components came; the others are NaN, as all are if the update told none.
+    """
+    y, S = np.full(k, np.nan), np.full((k, k), np.nan)
+    if info.innovation is not None:
+        y[seen], S[np.ix_(seen, seen)] = info.innovation, info.innovation_cov
+    return y, S

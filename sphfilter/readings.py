@@ -3,6 +3,7 @@
 import numpy as np
 
 from .errors import ModelError
+from .info import innovation_of
 from .measurements import GaussianMeasurement
 from .validate import short
 
@@ -22,13 +23,11 @@ def read(measurement, z, info):
     """Reading, innovation and its covariance in shapes of the sensor, NaN where nothing came."""
     if not isinstance(measurement, GaussianMeasurement):
         return None if z is None else np.atleast_1d(np.array(z, dtype=float)), None, None
-    k, seen = measurement.dim_z, measurement.observed(z)
-    reading, y, S = np.full(k, np.nan), np.full(k, np.nan), np.full((k, k), np.nan)
+    seen = measurement.observed(z)
+    reading = np.full(measurement.dim_z, np.nan)
     if z is not None:
         reading[seen] = np.atleast_1d(np.array(z, dtype=float))[seen]
-    if info.innovation is not None:
-        y[seen], S[np.ix_(seen, seen)] = info.innovation, info.innovation_cov
-    return reading, y, S
+    return reading, *innovation_of(info, seen, measurement.dim_z)
 
 
 def _numbers(given):

@@ -6,8 +6,12 @@ import numpy as np
 
 from .calibration import gaussian_ranks
 from .errors import ModelError
+from .info import innovation_of
 
-__all__ = ["FilterResult", "run_filter"]
+__all__ = ["FilterResult", "run_filter", "shapes"]
+
+#: What a run keeps only if it was told a truth.
+RANKS = "pit", "state_pit", "hpd_rank"
 
 
 @dataclass(frozen=True)
@@ -60,14 +64,7 @@ class FilterResult:
     def __post_init__(self):
         lead, n = np.shape(self.x)[:-1], np.shape(self.x)[-1]
         k = 1 if self.innovation is None else np.shape(self.innovation)[-1]
-        shapes = {
-            "innovation": (k,),
-            "innovation_cov": (k, k),
-            "pit": (k,),
-            "state_pit": (n,),
-            "hpd_rank": (),
-        }
-        for name, shape in shapes.items():
+        for name, shape in shapes(n, k).items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full((*lead, *shape), np.nan))
 
@@ -85,6 +82,23 @@ class FilterResult:
         """Read what `save` wrote."""
         with np.load(path) as data:
             return cls(**{f.name: data[f.name] for f in fields(cls) if f.name in data})
+
+
+def shapes(n, k):
+    """Shapes of what a run of n states and k readings keeps of an epoch, by name."""
+    return {
+        "x_prior": (n,),
+        "P_prior": (n, n),
+        "x": (n,),
+        "P": (n, n),
+        "log_evidence": (),
+        "accepted": (),
+        "innovation": (k,),
+        "innovation_cov": (k, k),
+        "pit": (k,),
+        "state_pit": (n,),
+        "hpd_rank": (),
+    }
 
 
 def run_filter(filt, times, measurements, observer=None):
@@ -125,16 +139,10 @@ def run_filter(filt, times, measurements, observer=None):
         _epoch(filt, t, z, k, epoch, observer if looks else None)
         for epoch, (t, z) in enumerate(zip(times, measurements, strict=True))
     ]
-    n = len(filt.x)
-    shapes = {"x_prior": (n,), "P_prior": (n, n), "x": (n,), "P": (n, n), "log_evidence": (), "accepted": ()}
-    shapes |= {"innovation": (k,), "innovation_cov": (k, k)}
-    if looks:
-        shapes |= {"pit": (k,), "state_pit": (n,), "hpd_rank": ()}
+    kept = {name: shape for name, shape in shapes(len(filt.x), k).items() if looks or name not in RANKS}
     columns = {
-        name: np.array([row[name] for row in rows], dtype=bool if name == "accepted" else float).reshape(
-            -1, *shape
-        )
-        for name, shape in shapes.items()
+        name: np.array([row[name] for row in rows], bool if name == "accepted" else float).reshape(-1, *shape)
+        for name, shape in kept.items()
     }
     if observer is not None and not looks:
         moments = (columns[name] for name in ("x", "P", "innovation", "innovation_cov"))
@@ -150,18 +158,10 @@ def _epoch(filt, t, z, k, epoch, observer):
     if observer is not None:
         pit, *predicted = observer.before(filt, z, k)
     info = filt.update(z)
-    y, S = _innovation(info, z, k)
+    seen = np.isfinite(np.atleast_1d(np.asarray(np.nan if z is None else z, dtype=float)))
+    y, S = innovation_of(info, seen, k)
     if observer is not None:
         row["pit"], (row["state_pit"], row["hpd_rank"]) = pit, observer.after(filt, epoch)
         y, S = predicted if info.innovation is None else (y, S)
     row |= {"x": filt.x.copy(), "P": filt.P.copy(), "log_evidence": filt.log_likelihood}
     return row | {"accepted": info.accepted, "innovation": y, "innovation_cov": S}
-
-
-def _innovation(info, z, k):
-    """Innovation (k,) and its covariance as an update tells them, NaN for components that did not come."""
-    y, S = np.full(k, np.nan), np.full((k, k), np.nan)
-    if info.innovation is not None:
-        seen = np.isfinite(np.atleast_1d(np.asarray(z, dtype=float)))
-        y[seen], S[np.ix_(seen, seen)] = info.innovation, info.innovation_cov
-    return y, S

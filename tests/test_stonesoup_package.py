@@ -20,7 +20,7 @@ pytest.importorskip("stonesoup")
     ],
 )
 def test_stone_soup_is_optional(code):
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
 
 
 def test_the_page_for_users_is_right():

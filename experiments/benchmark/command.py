@@ -10,7 +10,6 @@ import platform
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 
 import numba
@@ -20,8 +19,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from experiments.files import add_change_option, changes_of
 from experiments.running import Interrupted
 from experiments.scenario import load_scenario
-from sphfilter import __version__
 from sphfilter.campaign import draw_case
+from sphfilter.campaign_store import versions
 from sphfilter.errors import ConfigError, SphfilterError
 
 from . import expensive, plots, tables
@@ -180,8 +179,7 @@ def _write(args, plan, outcomes, machine, work):
         "arguments": {key: str(value) for key, value in vars(args).items() if key != "main"},
         "plan": {key: str(value) for key, value in asdict(plan).items()},
         "code": code_digest(),
-        "versions": {"sphfilter": __version__, "python": platform.python_version()}
-        | {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")},
+        "versions": versions(),
         "machine": machine,
         "scenarios": {scenario.name: repr(scenario.settings) for scenario, _ in work},
         "competitors": {s.name: {m.key: repr(m.factory.settings) for m in made} for s, made in work},

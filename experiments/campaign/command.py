@@ -1,23 +1,21 @@
 """`python -m experiments campaign NAME`: many runs of all filters, and a page on which can be believed."""
 
 import json
-import platform
 import shlex
 import sys
 from contextlib import contextmanager
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 
 import joblib
 import tomli_w
 
 from experiments.files import add_change_option, changes_of
-from experiments.filters import FILTERS, factories, name_of
+from experiments.filters import FILTERS, factories, name_of, takes_grid
 from experiments.run import counted, without_nan, without_none
 from experiments.running import new_console, run_shown, status, warm_up
 from experiments.scenario import load_scenario, read_settings
-from sphfilter import __version__
+from sphfilter.campaign_store import versions
 from sphfilter.errors import ConfigError
 from sphfilter.report import report
 
@@ -98,8 +96,7 @@ def _names(given, scenario):
     if given is not None:
         return [name.strip() for name in given.split(",")]
     names = list(scenario.settings.filters.default)
-    takes_grid = scenario.model.dim <= 2 and not scenario.model.state_dependent_noise
-    wanted = takes_grid and not scenario.settings.exact and "grid" not in names
+    wanted = takes_grid(scenario.model) and not scenario.settings.exact and "grid" not in names
     return [*names, "grid"] if wanted else names
 
 
@@ -144,8 +141,7 @@ def _write(out, scenario, campaign, numbers, referee):
         "filters": list(campaign.results),
         "referee": referee,
         "command": shlex.join(["python", "-m", "experiments", *sys.argv[1:]]),
-        "versions": {"sphfilter": __version__, "python": platform.python_version()}
-        | {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")},
+        "versions": versions(),
     }
     failures = [failure._asdict() for failure in campaign.failures]
     record = facts | {
