@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from numba import types
 
-from sphfilter.core._first_class import ADDRESS, address_of, function_at
+from sphfilter.core._addresses import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit_for
 
 __all__ = ["follow"]

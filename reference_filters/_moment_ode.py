@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from numba import types
 
-from sphfilter.core._first_class import ADDRESS, address_of, function_at
+from sphfilter.core._addresses import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit, jit_for
 from sphfilter.core.dormand_prince import A as _A
 from sphfilter.core.dormand_prince import C as _C

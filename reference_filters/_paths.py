@@ -11,13 +11,14 @@ from functools import cache
 import numpy as np
 from numba import types
 
-from sphfilter.core._first_class import ADDRESS, address_of, function_at
+from sphfilter.core._addresses import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit, jit_for
-from sphfilter.core.normals import LANES, fill_normals, seed_lanes
 from sphfilter.core.sde_steps import platen_steps, shifted_path_steps, split_steps
-from sphfilter.core.step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH, SPLIT, step_length
 from sphfilter.errors import PropagationError
 from sphfilter.simulate import noise_root, rate_of_time
+
+from ._normals import LANES, fill_normals, seed_lanes
+from ._step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH, SPLIT, step_length
 
 __all__ = ["Paths", "standard_normals"]
 

@@ -7,8 +7,8 @@ import numpy as np
 from scipy import special
 
 from . import level_set, marginal, mixture, statistics
-from .core import kernels
-from .core.field import Field
+from .core.field.field import Field
+from .core.sph import kernels
 from .domain import Domain
 from .errors import ModelError
 from .validate import array, choice, generator, row, state_rows

@@ -5,8 +5,8 @@ from functools import cached_property
 import numpy as np
 
 from . import validate
-from .core import images
-from .core.images import KINDS
+from .core import domain as core
+from .core.domain import KINDS
 from .errors import ModelError
 
 __all__ = ["Domain"]
@@ -85,7 +85,7 @@ class Domain:
     def codes(self):
         """The domain as compiled functions take it."""
         kind = np.array([KINDS.index(kind) for kind in self.kinds], dtype=np.int64)
-        return images.Domain(kind, self.low, self.high)
+        return core.Domain(kind, self.low, self.high)
 
     def whole(self, low, high):
         """Periodic axes that low to high (n,) go round whole."""
@@ -100,13 +100,13 @@ class Domain:
     def wrap(self, X):
         """States X (M, n) with angles between their ends."""
         X = np.array(X, dtype=float)
-        images.go_round(self.codes, X)
+        core.go_round(self.codes, X)
         return X
 
     def fold(self, X):
         """States X (M, n) with angles between their ends, and what passed a mirror mirrored."""
         X = self.wrap(X)
-        images.bounce(self.codes, X)
+        core.bounce(self.codes, X)
         return X
 
     def nearest(self, differences):
@@ -137,7 +137,7 @@ class Domain:
         """Particles with the images of those within `reach` of an end: (x, mass, h)."""
         if self.unbounded:
             return x, mass, h
-        view = images.view_of(self.codes, *(np.array(a) for a in (x, mass, h)), float(reach))
+        view = core.view_of(self.codes, *(np.array(a) for a in (x, mass, h)), float(reach))
         return view.x, view.m, view.h
 
 

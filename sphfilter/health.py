@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .core.kernels import RADIUS
-from .core.neighbors import build_index, choose_method, neighbor_lists
+from .core.sph.kernels import RADIUS
+from .core.sph.neighbors import build_index, choose_method, neighbor_lists
 from .errors import ModelError
 from .scattered import smoothed
 

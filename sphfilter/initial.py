@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from .config import LogDensityScheme, PaperScheme, SolverConfig
-from .core.kernels import KINDS, RADIUS
+from .core.sph.kernels import KINDS, RADIUS
 from .density import ParticleDensity
 from .distributions import Gaussian, Uniform, checked_box
 from .domain import Domain

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, sparse
 
-from .core.kernels import KINDS, RADIUS, normalisation, shape
-from .core.neighbors import build_index, choose_method, neighbor_lists
-from .core.summation import deposit
+from .core.sph.kernels import KINDS, RADIUS, normalisation, shape
+from .core.sph.neighbors import build_index, choose_method, neighbor_lists
+from .core.sph.summation import deposit
 from .density import ParticleDensity
 from .domain import Domain
 from .errors import ModelError

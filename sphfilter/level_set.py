@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .core import cells
-from .core.cells import UNKNOWN, frontier
-from .core.characteristics import LOCAL, local_shape
-from .core.field import Field, evaluate
-from .core.field import gradient as field_gradient
-from .core.fitting import build_field
-from .core.flood import MOST_ASKED, relaid
-from .core.stencils import stencils
+from .core.field import cells
+from .core.field.cells import UNKNOWN, frontier
+from .core.field.field import Field, evaluate
+from .core.field.field import gradient as field_gradient
+from .core.field.fitting import build_field
+from .core.field.nodes import MOST_ASKED, relaid
+from .core.field.shape import LOCAL, local_shape
+from .core.field.stencils import stencils
 from .errors import ModelError, PropagationError
 
 __all__ = ["Laid", "at", "fewest_particles", "gaussian_volume", "gradient", "lay", "local", "outside",

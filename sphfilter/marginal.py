@@ -6,8 +6,9 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import logsumexp
 
-from .core import cells, kernels
-from .core.stencils import stencils
+from .core.field import cells
+from .core.field.stencils import stencils
+from .core.sph import kernels
 from .level_set import at, lay
 from .mixture import narrowed
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from . import validate
-from .core.images import bounce
+from .core.domain import bounce
 from .core.sde_steps import normals_per_step, steps
 from .errors import ModelError, PropagationError
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import integrate, optimize
 
-from .core import kernels
+from .core.sph import kernels
 from .errors import ModelError
 from .level_set import at
 from .mixture import drawn, points, raw_moment, standing_for

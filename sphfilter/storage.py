@@ -8,8 +8,8 @@ from dataclasses import fields
 import numpy as np
 
 from ._version import __version__
-from .core.fitting import build_field
-from .core.stencils import stencils
+from .core.field.fitting import build_field
+from .core.field.stencils import stencils
 from .density import ParticleDensity
 from .domain import Domain
 from .errors import ModelError

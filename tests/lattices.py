@@ -4,9 +4,9 @@ import itertools
 
 import numpy as np
 
-from sphfilter.core.field import evaluate
-from sphfilter.core.fitting import build_field
-from sphfilter.core.stencils import stencils
+from sphfilter.core.field.field import evaluate
+from sphfilter.core.field.fitting import build_field
+from sphfilter.core.field.stencils import stencils
 
 
 def exponents_of(sten):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from sphfilter.core import images, kernels, neighbors
-from sphfilter.core.summation import density_and_gradient
+from sphfilter.core.domain import view_of
+from sphfilter.core.sph import kernels, neighbors
+from sphfilter.core.sph.summation import density_and_gradient
 
 PERIOD = 2.0 * np.pi
 CIRCLE = sf.Domain(("periodic", -np.pi, np.pi))
@@ -98,7 +99,7 @@ def test_images_are_the_particles_of_an_unrolled_copy():
     copies = copies[order]
     own = np.concatenate([np.flatnonzero((copies[:40] == row).all(axis=1)) for row in x])
     found = []
-    view = images.view_of(domain.codes, x, m, h, 0.2)
+    view = view_of(domain.codes, x, m, h, 0.2)
     for y, mass, length in (
         (view.x, view.m, view.h),
         (copies, np.full(len(copies), 1 / 40), np.full(len(copies), 0.05)),

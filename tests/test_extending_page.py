@@ -12,7 +12,7 @@ import pytest
 import sphfilter as sf
 from experiments.scenario import load_scenario
 from reference_filters.closed_forms import linear_moments
-from sphfilter.core import kernels
+from sphfilter.core.sph import kernels
 
 PAGE = (Path(sf.__file__).parent / "EXTENDING.md").read_text(encoding="utf-8")
 

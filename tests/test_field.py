@@ -7,11 +7,11 @@ import pytest
 from lattices import ask, complete, disc, exponents_of, field_of, lower, monomials
 from scipy import ndimage
 
-from sphfilter.core.cells import LOWEST, UNKNOWN, frontier, opened
-from sphfilter.core.field import evaluate
-from sphfilter.core.fitting import build_field
+from sphfilter.core.field.cells import LOWEST, UNKNOWN, frontier, opened
+from sphfilter.core.field.field import evaluate
+from sphfilter.core.field.fitting import build_field
+from sphfilter.core.field.stencils import stencils
 from sphfilter.core.small_matrices import eigen, invert_lower
-from sphfilter.core.stencils import stencils
 
 #: By dimension, the degree of each neighbourhood's polynomial and whether it has terms x_a x_b x_c.
 LEVELS = {

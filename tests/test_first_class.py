@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import types
 
-from sphfilter.core._first_class import ADDRESS, address_of, function_at
+from sphfilter.core._addresses import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit_for
 from sphfilter.models import SDE
 

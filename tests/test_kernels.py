@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, special
 
-from sphfilter.core import kernels
+from sphfilter.core.sph import kernels
 
 KINDS = range(len(kernels.KINDS))
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sphfilter.core import blocks, corrected_march, kernels, moment_correction, number_density, pairs
+from sphfilter.core.corrected import blocks, march, moment_correction, number_density, pairs
+from sphfilter.core.sph import kernels
 
 # --- the correction ---
 
@@ -150,10 +151,10 @@ def test_smoothing_lengths_solve_their_equation(guess, N):
     """sum_j W(r_ij, h_i) h_i^n = eta^n, from any start and on clouds of any units."""
     rng = np.random.default_rng(3)
     x = rng.normal(size=(N, 2)) * [1.0, 50.0]
-    cloud = corrected_march.Cloud(x, np.full(N, 1 / N), np.full(N, guess))
+    cloud = march.Cloud(x, np.full(N, 1 / N), np.full(N, guess))
     C = kernels.normalisation(3, 2)
-    options = corrected_march.Options(3, C, 3.5, 1, 0.07, 1e-4, np.inf, 10)
-    assert corrected_march.settle(cloud, options, 1e-8)
+    options = march.Options(3, C, 3.5, 1, 0.07, 1e-4, np.inf, 10)
+    assert march.settle(cloud, options, 1e-8)
     L = np.linalg.cholesky(np.cov(x.T, bias=True))
     z, h = x @ np.linalg.inv(L).T, cloud.h / np.sqrt(np.linalg.det(L))
     r = np.linalg.norm(z[:, None] - z[None], axis=2) / h[:, None]

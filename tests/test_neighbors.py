@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from sphfilter.core import neighbors
+from sphfilter.core.sph import neighbors
 
 
 def cloud(N, n, seed=0):

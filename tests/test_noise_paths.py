@@ -7,12 +7,12 @@ from scipy.integrate import solve_ivp
 from scipy.stats import multivariate_normal
 
 import sphfilter as sf
-from sphfilter.core._first_class import address_of, function_at
+from sphfilter.core._addresses import address_of, function_at
 from sphfilter.core._jit import jit, start_threads
-from sphfilter.core.expectation import Step, aimed, back, back_in_blocks
-from sphfilter.core.fitting import build_field
-from sphfilter.core.noise_paths import Noise, Pull, along, noise_factor_at, unblurred
-from sphfilter.core.stencils import stencils
+from sphfilter.core.characteristics.expectation import Step, aimed, back, back_in_blocks
+from sphfilter.core.characteristics.noise_paths import Noise, Pull, along, noise_factor_at, unblurred
+from sphfilter.core.field.fitting import build_field
+from sphfilter.core.field.stencils import stencils
 from sphfilter.schemes.log_density import paths
 
 SWING = sf.SDE.from_expressions(

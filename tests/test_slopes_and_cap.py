@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from lattices import ask, disc, field_of
 
-from sphfilter.core.field import slopes
-from sphfilter.core.stencils import stencils
+from sphfilter.core.field.field import slopes
+from sphfilter.core.field.stencils import stencils
 
 SIZES = [(1, 7), (2, 5.0), (3, 3.5), (4, 3.0)]
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sphfilter.core import kernels, neighbors, smoothing, summation
-from sphfilter.core.images import unseen
-from sphfilter.core.march import Cloud
+from sphfilter.core.domain import unseen
+from sphfilter.core.sph import kernels, neighbors, smoothing, summation
+from sphfilter.core.sph.march import Cloud
 
 KIND = 1
 MODES = smoothing.SMOOTHING

@@ -11,7 +11,7 @@ from density_cases import duffing, linear, start
 from scipy import integrate, optimize, stats
 
 import sphfilter as sf
-from sphfilter.core import kernels
+from sphfilter.core.sph import kernels
 
 MEAN, COV = np.array([1.0, -2.0]), np.array([[2.0, 0.6], [0.6, 1.0]])
 PARTS = 0.4, 0.6

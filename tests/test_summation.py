@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sphfilter.core import kernels, neighbors, summation
+from sphfilter.core.sph import kernels, neighbors, summation
 
 KIND_NAMES = kernels.KINDS
 

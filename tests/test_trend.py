@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from lattices import ask, complete, disc, exponents_of, field_of, monomials
 
-from sphfilter.core.stencils import stencils
-from sphfilter.core.trend import recentred, trend, value_at
+from sphfilter.core.field.stencils import stencils
+from sphfilter.core.field.trend import recentred, trend, value_at
 
 #: Degree of the trend by dimension.
 DEGREE = {3: 4, 4: 4, 5: 3, 6: 3}

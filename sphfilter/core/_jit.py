@@ -5,6 +5,8 @@ No blanket ``fastmath``: it lets the compiler assume that NaN and infinity never
 order instead, and results are the same bits whatever the number of threads.
 """
 
+import sys
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from threading import Lock
@@ -28,13 +30,15 @@ BATCH_FUNCTION = types.FunctionType(BATCH)
 VECTOR, MATRIX = types.float64[::1], types.float64[:, ::1]
 
 
-def _fingerprint():
-    """Short hash of the sources of the core."""
-    sources = (path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
+@cache
+def _fingerprint(package):
+    """Short hash of the sources that a function of a package may call: the core's, and the package's own."""
+    core, own = Path(__file__).parent, getattr(sys.modules.get(package), "__path__", ())
+    folders = [core, *(Path(folder) for folder in own if Path(folder) != core.parent)]
+    sources = (path.read_bytes() for folder in folders for path in sorted(folder.rglob("*.py")))
     return sha256(b"".join(sources)).hexdigest()[:10]
 
 
-_SOURCES = _fingerprint()
 _COMPILING = Lock()
 
 
@@ -51,7 +55,7 @@ def _named_for_the_cache(function):
     Numba notices when the file of a function changes, not when a file it calls into does: after an update
     of the package it would run old code, and crash where the layout of the arguments has changed.
     """
-    function.__qualname__ += f"_{_SOURCES}"
+    function.__qualname__ += f"_{_fingerprint(function.__module__.partition('.')[0])}"
     return function
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from ..core.march import Coefficients
+from ..core.sph.march import Coefficients
 
 __all__ = ["blow_up", "carried_off", "coefficients_of", "defect", "skip_notes"]
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from .._compile import shared
 from .._derived import zeros
-from ..core._first_class import address_of, function_at
+from ..core._addresses import address_of, function_at
 from ..core._jit import jit
-from ..core.expectation import AIMED, BACK, Step
-from ..core.fitting import build_field
-from ..core.noise_paths import Noise
-from ..core.stencils import stencils
+from ..core.characteristics.expectation import AIMED, BACK, Step
+from ..core.characteristics.noise_paths import Noise
+from ..core.field.fitting import build_field
+from ..core.field.stencils import stencils
 from .log_density import noise_factor, paths
 
 __all__ = ["expected", "information"]

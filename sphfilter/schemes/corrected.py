@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..core import corrected_march as core
 from ..core._jit import call
-from ..core.kernels import KINDS, RADIUS, kernel_variance, normalisation
-from ..core.moment_correction import exponents
+from ..core.corrected import march as core
+from ..core.corrected.moment_correction import exponents
+from ..core.sph.kernels import KINDS, RADIUS, kernel_variance, normalisation
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ._shared import blow_up, coefficients_of, skip_notes

@@ -6,16 +6,16 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ..core._first_class import address_of
+from ..core._addresses import address_of
 from ..core._jit import start_threads
-from ..core.characteristics import Entries, march
-from ..core.control import COUNTERS, LOST_MASS, STATUS, STEPS, VOLUME, Control
-from ..core.expectation import AIMED, BACK, BACK_IN_BLOCKS
-from ..core.fitting import BUILD
-from ..core.flood import LAY
-from ..core.noise_paths import Noise, Paths
-from ..core.stencils import stencils
-from ..core.step_choice import CHOOSE
+from ..core.characteristics.control import COUNTERS, LOST_MASS, STATUS, STEPS, VOLUME, Control
+from ..core.characteristics.expectation import AIMED, BACK, BACK_IN_BLOCKS
+from ..core.characteristics.flood import LAY
+from ..core.characteristics.march import Entries, march
+from ..core.characteristics.noise_paths import Noise, Paths
+from ..core.characteristics.step_choice import CHOOSE
+from ..core.field.fitting import BUILD
+from ..core.field.stencils import stencils
 from ..density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import PredictInfo

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..config import BUFFER_NEIGHBORS
-from ..core import march as core
 from ..core._jit import call
-from ..core.neighbors import METHODS, choose_method
-from ..core.smoothing import SMOOTHING, Rule
+from ..core.sph import march as core
+from ..core.sph.neighbors import METHODS, choose_method
+from ..core.sph.smoothing import SMOOTHING, Rule
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ..initial import spread

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ._jit import jit
+from .._jit import jit
 
 __all__ = ["BLOCKS", "PARALLEL_FROM", "even", "even_pairs"]
 

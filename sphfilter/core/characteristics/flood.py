@@ -1,34 +1,31 @@
 """A density's new lattice: values wherever they lie above a level, found from seeds outwards."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from ._first_class import Entry
-from ._jit import MATRIX, VECTOR, jit
-from .cells import (
+from .._addresses import Entry
+from .._jit import MATRIX, VECTOR, jit
+from ..field.cells import (
     MOST_CELLS,
     UNKNOWN,
     filled,
     frontier,
     furthest,
     joined,
-    marked,
-    opened,
     product,
     seeded,
     seeds_in_box,
     states_of,
     widen,
 )
+from ..field.nodes import MOST_ASKED, relaid
+from ..small_matrices import invert_lower
 from .control import CONTROL, COUNTS, EVALUATIONS, OK, OUTGROWN, RELAID, STATE, TOO_FEW, VOLUME
 from .expectation import BACK, STEP
-from .small_matrices import invert_lower, moments
 
-__all__ = ["LAY", "MOST_ASKED", "Lattice", "flooded", "lattice_after", "relaid"]
+__all__ = ["LAY", "Lattice", "flooded", "lattice_after"]
 
-MOST_ASKED = 12  # cells asked for, over the number of particles wanted
 _TRIES = 6
 _FILL = 0.85  # nodes aimed at, over those allowed
 
@@ -119,46 +116,6 @@ def flooded(back, step, mu, A, points, control, counters):
                 break
             found, beyond = frontier(value, asked, highest - control.depth, dims, ball)
     return value, low, dims, highest, asked
-
-
-@jit
-def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
-    """The nodes of a flooded box above the depth, normalised.
-
-    Mean, covariance and the integral are sums over all cells that were asked for, the ring just below the
-    depth included: what the cut would take away from them is below rounding of what the lattice resolves.
-
-    Returns
-    -------
-    node (N, n), x (N, n), log_p (N,), m (N,), log of the integral, mean (n,), covariance (n, n)
-    """
-    n = mu.size
-    found = opened(value, cells, highest - depth, dims, sten.offsets[: sten.size[0]])
-    node, x = states_of(found, mu, A, low, dims)
-    known = np.empty(value.size, np.bool_)
-    for flat in range(value.size):
-        known[flat] = value[flat] != UNKNOWN
-    asked = marked(known)  # sums do not depend on the order in which the cells were found
-    _, everywhere = states_of(asked, mu, A, low, dims)
-    weight, total, cell = np.empty(asked.size), 0.0, 1.0
-    for k in range(asked.size):
-        weight[k] = math.exp(value[asked[k]] - highest)
-        total += weight[k]
-    for k in range(asked.size):
-        weight[k] /= total
-    for a in range(n):
-        cell *= A[a, a]
-    log_mass = highest + math.log(total * cell)
-    mean, cov = np.empty(n), np.empty((n, n))
-    moments(everywhere, weight, mean, cov)
-    log_p, m, inside = np.empty(found.size), np.empty(found.size), 0.0
-    for k in range(found.size):
-        log_p[k] = value[found[k]] - log_mass
-        m[k] = math.exp(value[found[k]] - highest)
-        inside += m[k]
-    for k in range(found.size):
-        m[k] /= inside
-    return node, x, log_p, m, log_mass, mean, cov
 
 
 #: `lattice_after` by its address.

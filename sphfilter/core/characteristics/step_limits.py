@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from ._jit import jit
+from .._jit import jit
+from ..small_matrices import moments, whiten
 from .noise_paths import along, averaged, displace, pushes, unblurred
-from .small_matrices import moments, whiten
 
 __all__ = ["bentness", "blur_share", "noise_limit", "path_error", "predicted", "sheared"]
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import prange
 
-from ._jit import jit, parallel_jit
+from .._jit import jit, parallel_jit
 from .kernels import GAUSSIAN, RADIUS, shape, slope
 from .neighbors import query
 

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from ._first_class import Entry
-from ._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit
+from .._addresses import Entry
+from .._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit
+from ..small_matrices import cholesky, times_lower
 from .control import (
     CONTROL,
     COUNTS,
@@ -22,7 +23,6 @@ from .control import (
     STATE,
 )
 from .noise_paths import NOISE, along, noise_factor_at, unblurred
-from .small_matrices import cholesky, times_lower
 from .step_limits import bentness, blur_share, noise_limit, path_error, predicted, sheared
 
 __all__ = ["CHOOSE", "Choice", "chosen"]

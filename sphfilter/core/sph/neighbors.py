@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._jit import jit
+from .._jit import jit
 
 __all__ = ["METHODS", "Index", "build_index", "choose_method", "neighbor_lists", "query"]
 

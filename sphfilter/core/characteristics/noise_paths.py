@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import typeof
 
-from ._jit import jit
-from .small_matrices import eigen
+from .._jit import jit
+from ..small_matrices import eigen
 
 __all__ = [
     "NOISE",

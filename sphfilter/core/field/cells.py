@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ._jit import jit
+from .._jit import jit
 
 __all__ = [
     "LOWEST",

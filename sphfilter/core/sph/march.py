@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._jit import jit
-from .images import bounce, go_round, half_period, left_at, refresh, unseen, velocities, view_of, with_images
+from .._jit import jit
+from ..domain import bounce, go_round, half_period, left_at, refresh, unseen, velocities, view_of, with_images
 from .kernels import RADIUS
 from .neighbors import build_index, neighbor_lists
 from .smoothing import Rule, update_smoothing

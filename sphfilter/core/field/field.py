@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import typeof
 
-from ._jit import jit
+from .._jit import jit
 from .cells import LOWEST, strides_of
 
 __all__ = ["FIELD", "Field", "evaluate", "gradient", "slopes"]

@@ -10,9 +10,9 @@ import math
 import numpy as np
 from numba import prange
 
-from ._jit import jit, parallel_jit
+from .._jit import jit, parallel_jit
+from ..sph.kernels import GAUSSIAN, RADIUS, shape, slope
 from .blocks import BLOCKS, PARALLEL_FROM, even_pairs
-from .kernels import GAUSSIAN, RADIUS, shape, slope
 
 __all__ = [
     "cholesky",

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import prange
 
-from ._jit import jit, parallel_jit
+from .._jit import jit, parallel_jit
 from .blocks import PARALLEL_FROM, even
 
 __all__ = ["pair_lists", "pairs_expected"]

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from ._jit import jit
+from .._jit import jit
+from ..small_matrices import extremes
 from .cells import filled
-from .small_matrices import extremes
 
 __all__ = ["recentred", "trend", "value_at"]
 

@@ -11,14 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._jit import jit
-from .dormand_prince import A as _A
-from .dormand_prince import C as _C
-from .dormand_prince import E as _E
-from .kernels import RADIUS
-from .moment_correction import correct, keep_affine
-from .number_density import density_sums, transform, whiten
-from .whitened_frame import (
+from .._jit import jit
+from ..dormand_prince import A as _A
+from ..dormand_prince import C as _C
+from ..dormand_prince import E as _E
+from ..sph.kernels import RADIUS
+from .frame import (
     Cloud,
     Options,
     crosses,
@@ -30,6 +28,8 @@ from .whitened_frame import (
     still_valid,
     whiten_frame,
 )
+from .moment_correction import correct, keep_affine
+from .number_density import density_sums, transform, whiten
 
 __all__ = ["COUNTERS", "STATUS", "Cloud", "Options", "march", "settle"]
 

@@ -12,11 +12,11 @@ import math
 import numpy as np
 from numba import types
 
-from ._first_class import Entry
-from ._jit import MATRIX, VECTOR, jit
+from .._addresses import Entry
+from .._jit import MATRIX, VECTOR, jit
+from ..small_matrices import eigen, extremes, invert_lower
 from .cells import box_of, product, strides_of, unravel
 from .field import Field
-from .small_matrices import eigen, extremes, invert_lower
 from .stencils import STENCILS
 from .trend import recentred, trend, value_at
 

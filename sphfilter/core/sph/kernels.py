@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from ._jit import jit
+from .._jit import jit
 
 __all__ = ["KINDS", "RADIUS", "kernel_variance", "normalisation", "shape", "slope"]
 

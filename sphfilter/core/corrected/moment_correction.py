@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import prange
 
-from ._jit import jit, parallel_jit
+from .._jit import jit, parallel_jit
 from .blocks import BLOCKS, PARALLEL_FROM, even
 
 __all__ = ["basis", "correct", "exponents", "keep_affine"]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._jit import jit
-from .kernels import RADIUS
+from .._jit import jit
+from ..sph.kernels import RADIUS
 from .number_density import cholesky, solve_lengths, whiten
 from .pairs import pair_lists, pairs_expected
 

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange, typeof, types
 
-from ._first_class import Entry
-from ._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit, parallel_jit
-from .cells import LOWEST, filled
-from .field import FIELD, Field, evaluate, slopes
+from .._addresses import Entry
+from .._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit, parallel_jit
+from ..field.cells import LOWEST, filled
+from ..field.field import FIELD, Field, evaluate, slopes
+from ..field.stencils import STENCILS, Stencils
+from ..small_matrices import cholesky, invert_lower
 from .noise_paths import NOISE, PATHS, Noise, Paths, Pull, along, blurring, displace, pushes, unblurred
-from .small_matrices import cholesky, invert_lower
-from .stencils import STENCILS, Stencils
 
 __all__ = ["AIMED", "BACK", "BACK_IN_BLOCKS", "STEP", "Aim", "Step", "aimed", "back", "back_in_blocks"]
 

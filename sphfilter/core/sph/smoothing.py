@@ -7,8 +7,8 @@ differ in the density they use.
 import math
 from typing import NamedTuple
 
-from ._jit import jit
-from .images import refresh
+from .._jit import jit
+from ..domain import refresh
 from .kernels import RADIUS
 from .summation import density_and_gradient, own_density
 

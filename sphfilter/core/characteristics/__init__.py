@@ -1,0 +1,1 @@
+"""The log-density carried from lattice to lattice along weighted, backward characteristics."""

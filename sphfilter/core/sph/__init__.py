@@ -1,0 +1,1 @@
+"""Smoothed particle hydrodynamics as published: kernels, neighbours, sums over them, the march (002, 001)."""
