@@ -9,9 +9,9 @@ from rich import box
 from rich.table import Table
 
 import sphfilter as sf
-from sphfilter import budget as timing
 from sphfilter.campaign import draw_case
 from sphfilter.errors import SphfilterError
+from sphfilter.filter import budget as timing
 
 from .benchmark import reference
 from .benchmark.errors import errors, root_mean_square

@@ -11,8 +11,8 @@ import numpy as np
 from sphfilter import validate
 from sphfilter.calibration import Observer
 from sphfilter.errors import ModelError, PropagationError
+from sphfilter.filter.results import run_filter
 from sphfilter.info import PredictInfo, UpdateInfo
-from sphfilter.results import run_filter
 
 __all__ = ["ReferenceFilter", "gaussian_start"]
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from sphfilter import validate
+from sphfilter.density.initialize import Gaussian, Uniform
 from sphfilter.errors import ModelError
-from sphfilter.initial import Gaussian, Uniform
 
 __all__ = ["draw"]
 

@@ -8,8 +8,8 @@ from scipy.linalg import expm
 from scipy.special import erf, expit, logsumexp
 from scipy.stats import multivariate_normal
 
+from sphfilter.density.weighted import Spread
 from sphfilter.errors import ModelError
-from sphfilter.spread import Spread
 
 from ._base import ReferenceFilter
 

@@ -12,8 +12,8 @@ from scipy.special import bernoulli
 
 from sphfilter import validate
 from sphfilter.core.dormand_prince import A, C, E
+from sphfilter.density.initialize import Gaussian, Uniform
 from sphfilter.errors import ModelError
-from sphfilter.initial import Gaussian, Uniform
 
 from ._cumulant_rates import CumulantRates, central_recursion
 from ._monomials import recentred

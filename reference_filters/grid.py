@@ -13,9 +13,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from sphfilter import validate
+from sphfilter.density.weighted import Spread
 from sphfilter.errors import ModelError, PropagationError
-from sphfilter.results import FilterResult
-from sphfilter.spread import Spread
+from sphfilter.filter.results import FilterResult
 
 from ._base import ReferenceFilter, gaussian_start
 from ._characteristics import follow

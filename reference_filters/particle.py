@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sphfilter import validate
+from sphfilter.density.weighted import Spread
 from sphfilter.errors import ModelError
-from sphfilter.spread import Spread
 
 from ._base import ReferenceFilter, gaussian_start
 from ._paths import Paths

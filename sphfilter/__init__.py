@@ -11,7 +11,10 @@ from .config import (
     PaperScheme,
     SolverConfig,
 )
-from .density import ParticleDensity
+from .density.health import Health, health
+from .density.initialize import Gaussian, Uniform, initialize
+from .density.particle_density import ParticleDensity
+from .density.resample import resample
 from .domain import Domain
 from .errors import (
     ConfigError,
@@ -22,21 +25,18 @@ from .errors import (
     SphfilterError,
 )
 from .estimation import ParameterFit, fit_parameters, profile_evidence
-from .filter import SPHFilter
-from .health import Health, health
+from .filter.results import FilterResult
+from .filter.sph_filter import SPHFilter
+from .filter.update import update
 from .info import PredictInfo, ResampleInfo, UpdateInfo
-from .initial import Gaussian, Uniform, initialize
 from .measurements import GaussianMeasurement, LikelihoodMeasurement
 from .model_comparison import ModelComparison, compare_models
 from .models import SDE, LinearSDE
-from .predict import predict
+from .prediction.predict import predict
+from .prediction.propagate import Trajectory, propagate
 from .report import Report, report
-from .resample import resample
-from .results import FilterResult
 from .simulate import simulate
 from .smoother import SmoothedResult, smooth
-from .transient import Trajectory, propagate
-from .update import update
 
 __all__ = [
     "SDE",

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.special import gammainc, ndtr
 
 from . import consistency
+from .density.weighted import below, higher
 from .measurements import GaussianMeasurement
-from .spread import below, higher
 
 __all__ = ["Observer", "gaussian_ranks", "ranked_reading"]
 

@@ -17,7 +17,7 @@ from . import campaign_run, validate
 from . import campaign_store as store
 from .campaign_run import Case
 from .errors import CampaignError, ModelError
-from .results import FilterResult
+from .filter.results import FilterResult
 
 __all__ = ["CampaignResult", "Case", "Failure", "draw_case", "run_campaign"]
 

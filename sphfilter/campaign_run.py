@@ -13,7 +13,7 @@ import numpy as np
 
 from .calibration import Observer, gaussian_ranks
 from .errors import ModelError
-from .results import shapes
+from .filter.results import shapes
 
 __all__ = ["Case", "draw", "run"]
 

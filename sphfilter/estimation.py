@@ -13,7 +13,7 @@ from .ascent import ROUND, climbed, off_bounds, polished, ridge, room, searched
 from .curvature import quadratic, roughness, step_for
 from .errors import EstimationError, ModelError, nearest
 from .evidence import Evidence, checked_guess, fingerprint
-from .results import FilterResult
+from .filter.results import FilterResult
 
 __all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
 

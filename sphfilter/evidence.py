@@ -6,7 +6,7 @@ import numpy as np
 
 from . import validate
 from .errors import EstimationError, ModelError, SphfilterError, nearest
-from .filter import SPHFilter
+from .filter.sph_filter import SPHFilter
 
 __all__ = ["Evidence", "checked_guess", "fingerprint", "n_readings"]
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from . import significance
 from .errors import ModelError, nearest
+from .filter.results import FilterResult
 from .filter_report import FilterReport, filter_report
-from .results import FilterResult
 from .verdict import verdict
 
 __all__ = ["FilterReport", "Report", "report"]

@@ -11,14 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .config import LogDensityScheme
+from .density.resample import product
 from .errors import ModelError, PropagationError
-from .filter import SPHFilter
-from .level_set import outside, reach
-from .readings import checked_sensor
-from .resample import product
-from .results import FilterResult
-from .schemes.backward import expected, information
-from .schemes.log_density import fits
+from .filter.readings import checked_sensor
+from .filter.results import FilterResult
+from .filter.sph_filter import SPHFilter
+from .lattice.field import outside
+from .lattice.level_set import reach
+from .prediction.backward import expected, information
+from .prediction.log_density import fits
 from .validate import short
 from .validate import times as checked_times
 

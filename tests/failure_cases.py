@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 
 import sphfilter as sf
-import sphfilter.budget
 from experiments.scenario import load_scenario
 from sphfilter.campaign import draw_case
 

@@ -18,6 +18,8 @@ import traceback
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # threads sum in an order of their own
+
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -191,10 +193,8 @@ def filters_other():
     yield from told("strato", strato, position(1), [1.0], 0.3 * np.eye(1), every, n_particles=100)
     forced = text(["x", "v"], ["v", "-x**3 - .3*v + cos(2*t)"], [["0"], ["1 + .5*sin(t)"]])
     yield from told("forced", forced, position(), [1.0, 0.0], 0.3 * np.eye(2), every)
-    circle = text(["a", "w"], ["w", "-sin(a) - .5*w"], domain=["periodic", "unbounded"])
-    bearing = sf.GaussianMeasurement.from_expressions(
-        ["sin(a)", "cos(a)"], 0.1 * np.eye(2), states=["a", "w"]
-    )
+    circle = text(["a", "w"], ["w", "-sin(a) - .5*w"], domain=[["periodic", -np.pi, np.pi], "unbounded"])
+    bearing = sf.GaussianMeasurement.from_expressions(["a", "w"], ["sin(a)", "cos(a)"], 0.1 * np.eye(2))
     yield from told("circle", circle, bearing, [3.0, 0.5], 0.3 * np.eye(2), every)
     yield from told(
         "lorenz", lorenz(), position(3, 1.0), [1.0, 1.0, 20.0], np.eye(3), 0.1 * np.arange(5), n_particles=600
@@ -454,7 +454,7 @@ def record(folder, names):
             for key, value in CASES[name]():
                 numbers[key] = np.asarray(value)
         except Exception:
-            numbers["exception"] = np.asarray(traceback.format_exc(limit=-1))
+            numbers["exception"] = np.asarray(traceback.format_exc(limit=0))
             traceback.print_exc()
         np.savez_compressed(folder / f"{name}.npz", **numbers)
         print(f"{name}: {len(numbers)} values, {time.perf_counter() - began:.0f} s", flush=True)

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import sphfilter as sf
-from sphfilter.affine import with_moments
+from sphfilter.density.affine import with_moments
 
 MEAN, COV = np.array([1.0, -2.0, 0.5]), np.array([[2.0, 0.3, 0.1], [0.3, 0.5, -0.2], [0.1, -0.2, 1.0]])
 

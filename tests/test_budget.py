@@ -7,10 +7,10 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 import sphfilter as sf
-import sphfilter.adapt
-import sphfilter.budget
-import sphfilter.filter
-from sphfilter.budget import Budget
+from sphfilter.filter import budget as budget_room
+from sphfilter.filter import sph_filter, update_again
+from sphfilter.filter.budget import Budget
+from sphfilter.prediction import again
 
 TEXT = ["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[1.6]]
 DUFFING = sf.SDE.from_expressions(*TEXT)
@@ -26,10 +26,10 @@ class Clock:
 
     def __init__(self, monkeypatch):
         self.now, self.slower, self.predicted = 0.0, 1.0, []
-        monkeypatch.setattr(sphfilter.budget, "clock", lambda: self.now)
-        for room in (sphfilter.filter, sphfilter.adapt):
+        monkeypatch.setattr(budget_room, "clock", lambda: self.now)
+        for room in (sph_filter, update_again, again):
             monkeypatch.setattr(room, "predict", self._taking(sf.predict, PREDICT, self.predicted))
-        monkeypatch.setattr(sphfilter.adapt, "update", self._taking(sf.update, UPDATE, []))
+        monkeypatch.setattr(update_again, "update", self._taking(sf.update, UPDATE, []))
 
     def _taking(self, verb, cost, numbers):
         def timed(*args, **options):
@@ -144,7 +144,7 @@ def test_no_budget_no_clock(monkeypatch):
     def clock():
         raise AssertionError("a filter without a budget looked at the clock")
 
-    monkeypatch.setattr(sphfilter.budget, "clock", clock)
+    monkeypatch.setattr(budget_room, "clock", clock)
     flt = made(None, n_particles=100)
     predicted, updated = steps(flt, 2)[0]
     assert predicted.seconds == updated.seconds == 0.0

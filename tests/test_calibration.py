@@ -11,8 +11,8 @@ from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter import significance
 from sphfilter.calibration import ranked_reading
+from sphfilter.density.weighted import Spread, below, higher
 from sphfilter.errors import ModelError
-from sphfilter.spread import Spread, below, higher
 
 MODEL = sf.SDE.from_expressions(
     states=["x", "v"], drift=["v", "-x - 0.4*v"], noise=[["0"], ["1"]], spectral_density=[[0.5]]

@@ -7,8 +7,8 @@ import pytest
 
 from sphfilter.campaign import CampaignResult, Case, Failure, run_campaign
 from sphfilter.errors import CampaignError, ConfigError, ModelError, PropagationError
+from sphfilter.filter.results import FilterResult
 from sphfilter.report import report
-from sphfilter.results import FilterResult
 
 TIMES = np.arange(1.0, 6.0)
 

@@ -6,7 +6,7 @@ from scipy import stats
 
 import sphfilter as sf
 from sphfilter.config import CorrectedScheme
-from sphfilter.schemes.corrected import propagate
+from sphfilter.prediction.corrected import propagate
 
 OSCILLATOR = sf.LinearSDE(A=[[0.0, 1.0], [-1.0, -0.1]], noise=[[0.0], [1.0]], spectral_density=[[0.2]])
 DUFFING = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[0.8]])

@@ -6,7 +6,7 @@ from scipy.stats import multivariate_normal
 
 import sphfilter as sf
 from reference_filters.kalman import KalmanFilter
-from sphfilter.exact import gaussian_log_pdf
+from sphfilter.density.distributions import gaussian_log_pdf
 
 A = [[0.0, 1.0], [-1.0, -0.1]]
 MODEL = sf.LinearSDE(A=A, b=[0.2, 0.0], noise=[[0.0], [1.0]], spectral_density=[[0.4]])

@@ -26,7 +26,7 @@ from reference_filters.kalman import KalmanFilter
 from sphfilter import ConfigError
 from sphfilter.campaign import draw_case
 from sphfilter.errors import PropagationError
-from sphfilter.results import FilterResult
+from sphfilter.filter.results import FilterResult
 
 _QUICK = ["--quick", "--runs", "2", "--set", "times.end=4"]
 

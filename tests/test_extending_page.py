@@ -49,7 +49,7 @@ def test_the_kernel_and_its_slope_fit():
 def test_the_scheme_has_the_moments_of_a_linear_model(tmp_path):
     source = tmp_path / "linearised.py"
     source.write_text(block("python", '"""Particles moved'), encoding="utf-8")
-    spec = importlib.util.spec_from_file_location("sphfilter.schemes.linearised", source)
+    spec = importlib.util.spec_from_file_location("sphfilter.prediction.linearised", source)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     A, g = np.array([[0.0, 1.0], [-1.0, -0.5]]), np.array([[0.0], [1.0]])

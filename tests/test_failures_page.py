@@ -7,8 +7,8 @@ import pytest
 from failure_cases import COMMANDS, SAID, surprised
 
 import sphfilter as sf
-import sphfilter.budget
 from experiments.commands import main
+from sphfilter.filter import budget
 
 PAGE = (Path(sf.__file__).parent / "FAILURES.md").read_text(encoding="utf-8")
 #: First cells of the rows of tables that begin with a sentence.
@@ -31,7 +31,7 @@ def without_time(monkeypatch):
     """What a filter says that has half a second for a step, on a clock that ticks by seconds."""
     ticks = iter(range(10**6))
     with monkeypatch.context() as patched:
-        patched.setattr(sphfilter.budget, "clock", lambda: float(next(ticks)))
+        patched.setattr(budget, "clock", lambda: float(next(ticks)))
         return surprised(time_budget=0.5)
 
 

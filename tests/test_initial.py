@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import sphfilter as sf
-from sphfilter.lattice import Lattice, collocation_masses, fit_support, heaviest, place_gaussian
+from sphfilter.lattice.regular import Lattice, collocation_masses, fit_support, heaviest, place_gaussian
 
 PAPER = sf.SolverConfig.paper()
 

@@ -6,9 +6,10 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 import sphfilter as sf
+from sphfilter.density.distributions import gaussian_log_pdf
 from sphfilter.errors import PropagationError
-from sphfilter.exact import gaussian_log_pdf
-from sphfilter.level_set import at, fewest_particles, gaussian_volume, lay
+from sphfilter.lattice.field import at
+from sphfilter.lattice.level_set import fewest_particles, gaussian_volume, lay
 
 COV = {
     1: np.array([[0.3]]),

@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 import sphfilter as sf
 from sphfilter.errors import PropagationError, SphfilterError
-from sphfilter.schemes import log_density
+from sphfilter.prediction import log_density
 
 # refusals
 

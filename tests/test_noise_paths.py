@@ -13,7 +13,7 @@ from sphfilter.core.characteristics.expectation import Step, aimed, back, back_i
 from sphfilter.core.characteristics.noise_paths import Noise, Pull, along, noise_factor_at, unblurred
 from sphfilter.core.field.fitting import build_field
 from sphfilter.core.field.stencils import stencils
-from sphfilter.schemes.log_density import paths
+from sphfilter.prediction.log_density import paths
 
 SWING = sf.SDE.from_expressions(
     ["x", "v"], ["v + 0.1*sin(x*v)", "-(1 + 0.5*sin(2*t))*x - 0.2*x**2 - 0.3*v"], [["0"], ["1"]], [[0.5]]

@@ -1,6 +1,5 @@
 """New lattices on the way of a transient solution: when they come, what they keep, what they are worth."""
 
-import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 import sphfilter as sf
 from reference_filters.grid import GridFilter
 from sphfilter.errors import PropagationError
+from sphfilter.prediction import remesh
 
 DUFFING = sf.SDE.from_expressions(
     ["x", "v"], ["v", "-0.4*v + x - 0.1*x**3"], noise=[[0], [1]], spectral_density=[[0.8]]
@@ -79,8 +79,7 @@ def test_a_solution_from_a_file_goes_on_to_the_last_bit(remesh, tmp_path):
 
 def test_moment_corrected_particles_keep_mean_and_covariance():
     before = carried("corrected", "never", [2.5]).densities[0]
-    room = importlib.import_module("sphfilter.remesh")
-    after, told, changed = room.Remeshing(2.5, SUMS["corrected"], 200).renewed(before, DUFFING, 3.0)
+    after, told, changed = remesh.Remeshing(2.5, SUMS["corrected"], 200).renewed(before, DUFFING, 3.0)
     assert changed and told == "re-gridded: every 2.5 s" and after.t == before.t
     assert after.mean() == pytest.approx(before.mean(), abs=1e-12)
     assert after.cov() == pytest.approx(before.cov(), abs=1e-12)
@@ -130,8 +129,7 @@ def test_where_no_lattice_can_be_had_the_particles_go_on(monkeypatch):
     def no_lattice(*args):
         raise PropagationError("too few particles")
 
-    room = importlib.import_module("sphfilter.remesh")
-    monkeypatch.setattr(room, "regrid", no_lattice)
+    monkeypatch.setattr(remesh, "regrid", no_lattice)
     way, never = (carried("corrected", remesh, [1.0, 2.0]) for remesh in (1.0, "never"))
     assert "no new lattice: too few particles" in way.infos[1].status and way.infos[1].n_regrids == 0
     assert same(way.densities[1], never.densities[1])
@@ -145,8 +143,7 @@ def test_a_lattice_too_coarse_for_a_folded_sheet_is_not_taken():
     log_p = flat.log_density - np.log(0.03)
     parts = {"field": None, "moments": None, "volume": None, "gaussian": False, "read_out": "shrunk"}
     folded = replace(flat, x=sheet, h=0.17 * flat.h, log_density=log_p, t=1.0, **parts)
-    room = importlib.import_module("sphfilter.remesh")
-    rule = room.Remeshing(0.5, SUMS["corrected"], 200)
+    rule = remesh.Remeshing(0.5, SUMS["corrected"], 200)
     after, told, changed = rule.renewed(folded, SPIRAL, 2.0)
     assert after is folded and not changed and "every 0.5 s, but no new lattice" in told
     smooth = replace(flat, t=1.0, **parts)
@@ -155,13 +152,12 @@ def test_a_lattice_too_coarse_for_a_folded_sheet_is_not_taken():
 
 def test_a_lattice_that_is_no_better_is_not_taken(monkeypatch):
     """Where particles are too few for the density a new lattice is as rough as the old one."""
-    room = importlib.import_module("sphfilter.remesh")
     before = carried("corrected", "never", [2.0]).densities[0]
     rough = replace(before, mass=np.random.default_rng(1).permutation(before.mass))
-    rule = room.Remeshing("health", SUMS["corrected"], 200)
+    rule = remesh.Remeshing("health", SUMS["corrected"], 200)
     after, told, changed = rule.renewed(rough, DUFFING, 3.0)
     assert changed and sf.health(after).severity < sf.health(rough).severity
-    monkeypatch.setattr(room, "_on_new_lattice", lambda density, *_: density)
+    monkeypatch.setattr(remesh, "_on_new_lattice", lambda density, *_: density)
     after, told, changed = rule.renewed(rough, DUFFING, 3.0)
     assert after is rough and not changed and told.endswith("of so few particles is no better")
 

@@ -9,8 +9,8 @@ import pytest
 import sphfilter.consistency as consistency
 from sphfilter.campaign import CampaignResult, Failure
 from sphfilter.errors import ModelError
+from sphfilter.filter.results import FilterResult
 from sphfilter.report import report
-from sphfilter.results import FilterResult
 
 
 def histories(error, variance=1.0):

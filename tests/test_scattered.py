@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import sphfilter as sf
-from sphfilter.scattered import interpolant, normalised
+from sphfilter.density.interpolant import interpolant, normalised
 
 
 def cloud(N, n, seed=0):

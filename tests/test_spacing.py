@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from sphfilter.lattice import Lattice
+from sphfilter.lattice.regular import Lattice
 
 THESIS = sf.SolverConfig(scheme=sf.PaperScheme(kernel="gaussian", support_range=(3.6, 3.6)))
 SQUARE = [[-1.2, 1.2], [-1.2, 1.2]]

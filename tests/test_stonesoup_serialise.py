@@ -25,7 +25,7 @@ from sphfilter.adapters.stonesoup import (
     SPHUpdater,
     extend,
 )
-from sphfilter.storage import stored
+from sphfilter.density.storage import stored
 
 
 def _through_yaml(value):

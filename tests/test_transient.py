@@ -1,13 +1,12 @@
 """Transient solutions: output times, callbacks, files that continue to the last bit, the last resort."""
 
-import importlib
-
 import numpy as np
 import pytest
 
 import sphfilter as sf
+from sphfilter.density.storage import load_arrays, write_arrays
 from sphfilter.errors import UnresolvedError
-from sphfilter.storage import load_arrays, write_arrays
+from sphfilter.prediction import propagate
 
 DUFFING = sf.SDE.from_expressions(
     ["x", "v"], ["v", "-0.4*v + x - 0.1*x**3"], noise=[[0], [1]], spectral_density=[[0.8]]
@@ -82,22 +81,21 @@ def test_times_that_cannot_be(times):
 
 def test_moment_corrected_sums_are_the_last_resort(monkeypatch):
     """Where no lattice holds the density the particles of the last one go on."""
-    transient = importlib.import_module("sphfilter.transient")
 
     def no_lattice(most, density, model, *, t, config, n_particles):
         if t > 0.3 and density.field is not None:
             raise UnresolvedError("the density has edges")
         return predict_within(most, density, model, t=t, config=config, n_particles=n_particles)
 
-    predict_within = transient.predict_within
-    monkeypatch.setattr(transient, "predict_within", no_lattice)
+    predict_within = propagate.predict_within
+    monkeypatch.setattr(propagate, "predict_within", no_lattice)
     way = sf.propagate(start(), DUFFING, [0.3, 0.6, 0.9])
     monkeypatch.undo()
     usual = sf.propagate(start(), DUFFING, [0.3, 0.6, 0.9])
     assert [info.scheme for info in way.infos] == ["log_density", "corrected", "corrected"]
     assert way.infos[1].status == "not log_density: the density has edges"
     assert way.densities[-1].cov() == pytest.approx(usual.densities[-1].cov(), abs=0.01)
-    monkeypatch.setattr(transient, "predict_within", no_lattice)
+    monkeypatch.setattr(propagate, "predict_within", no_lattice)
     with pytest.raises(UnresolvedError):  # those sums know no ends of a domain
         sf.propagate(start(domain=[("periodic", -9, 9), None]), DUFFING, [0.3, 0.6])
 

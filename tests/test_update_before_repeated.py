@@ -1,6 +1,5 @@
 """Posteriors too coarse for the prediction that follows; ``n_particles="auto"`` where more do not help."""
 
-import importlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,8 +9,9 @@ import sphfilter as sf
 from experiments.scenario import load_scenario
 from sphfilter.campaign import draw_case
 from sphfilter.errors import PropagationError, UnresolvedError
+from sphfilter.filter import sph_filter
+from sphfilter.prediction import again
 
-ADAPT = importlib.import_module("sphfilter.adapt")
 SQUARE = load_scenario("duffing_square")
 CASE = draw_case(SQUARE, 1, 1)
 
@@ -49,7 +49,7 @@ def test_the_prediction_before_is_repeated_on_more_particles(monkeypatch):
             raise UnresolvedError("too coarse")
         return predict(density, *args, **options)
 
-    monkeypatch.setattr(importlib.import_module("sphfilter.filter"), "predict", picky)
+    monkeypatch.setattr(sph_filter, "predict", picky)
     info = flt.predict(0.5)
     assert info.status == "the prediction before repeated on 3 times the particles"
     assert sizes[0] <= 50 < sizes[1] <= 150 and flt.t == 1.0
@@ -62,7 +62,7 @@ def test_a_density_that_comes_from_no_update_is_refused_and_left_alone(monkeypat
     def refuse(*args, **options):
         raise UnresolvedError("too coarse")
 
-    monkeypatch.setattr(importlib.import_module("sphfilter.filter"), "predict", refuse)
+    monkeypatch.setattr(sph_filter, "predict", refuse)
     with pytest.raises(UnresolvedError, match="too coarse"):
         flt.predict(1.0)
     assert flt.density is before
@@ -94,9 +94,9 @@ class Predictions:
 )
 def test_auto_stops_where_more_particles_do_not_help(monkeypatch, lost, called, kept):
     predictions = Predictions(*lost)
-    monkeypatch.setattr(ADAPT, "predict", predictions)
+    monkeypatch.setattr(again, "predict", predictions)
     model, config = SimpleNamespace(dim=2), sf.FilterConfig(target_error=0.01)
-    moved, info, n_particles = ADAPT.predict_adapting(None, model, 1.0, config, t=None, n_particles=200)
+    moved, info, n_particles = again.predict_adapting(None, model, 1.0, config, t=None, n_particles=200)
     assert len(predictions.sizes) == called
     assert predictions.sizes == sorted(set(predictions.sizes))
     assert (moved, info.mass_error) == (kept, lost[kept - 1])
@@ -104,6 +104,6 @@ def test_auto_stops_where_more_particles_do_not_help(monkeypatch, lost, called, 
 
 
 def test_auto_refuses_what_the_first_prediction_refuses(monkeypatch):
-    monkeypatch.setattr(ADAPT, "predict", Predictions(None))
+    monkeypatch.setattr(again, "predict", Predictions(None))
     with pytest.raises(PropagationError):
-        ADAPT.predict_adapting(None, SimpleNamespace(dim=2), 1.0, sf.FilterConfig(), t=None, n_particles=200)
+        again.predict_adapting(None, SimpleNamespace(dim=2), 1.0, sf.FilterConfig(), t=None, n_particles=200)

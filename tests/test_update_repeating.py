@@ -1,7 +1,5 @@
 """Measurements that find the state where a prediction has no particles: the prediction is repeated."""
 
-import importlib
-
 import numpy as np
 import pytest
 from density_cases import duffing, position, text
@@ -9,8 +7,8 @@ from density_cases import duffing, position, text
 import sphfilter as sf
 from reference_filters.grid import GridFilter
 from sphfilter.errors import PropagationError
+from sphfilter.filter import update_again
 
-ADAPT = importlib.import_module("sphfilter.adapt")
 DUFFING = duffing(1.6)
 SADDLE, SIDE = ([0.5, 0.0], np.eye(2)), ([3.0, 0.0], np.diag([0.2, 1.0]))
 
@@ -69,7 +67,7 @@ def test_measurements_near_the_prediction_and_known_tails_repeat_nothing(monkeyp
     def refuse(*args, **options):
         raise AssertionError("predicted again")
 
-    monkeypatch.setattr(ADAPT, "predict", refuse)
+    monkeypatch.setattr(update_again, "predict", refuse)
     assert flt.update([flt.x[0]]).status == "ok"
     assert straight.update([6.0]).extrapolated > 0.5
 
@@ -89,7 +87,7 @@ def test_where_repeating_fails_the_first_answer_stands(monkeypatch):
     def refuse(*args, **options):
         raise PropagationError("no")
 
-    monkeypatch.setattr(ADAPT, "predict", refuse)
+    monkeypatch.setattr(update_again, "predict", refuse)
     info = flt.update([7.0])
     assert np.array_equal(flt.x, once.mean())
     assert info.extrapolated == told.extrapolated

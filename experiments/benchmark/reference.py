@@ -17,7 +17,7 @@ from reference_filters.big_particle import converged
 from reference_filters.grid_density import Box, GridDensity, fitted_box
 from sphfilter.campaign_store import case_digest
 from sphfilter.errors import PropagationError
-from sphfilter.results import FilterResult
+from sphfilter.filter.results import FilterResult
 
 from .errors import errors, root_mean_square
 from .watch import Watched

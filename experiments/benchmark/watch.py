@@ -5,7 +5,7 @@ from time import perf_counter
 import numpy as np
 
 from sphfilter.errors import SphfilterError
-from sphfilter.results import run_filter
+from sphfilter.filter.results import run_filter
 
 from .densities import snapshot
 

@@ -10,7 +10,7 @@ import sphfilter as sf
 from experiments.plots import plain_numbers
 from reference_filters.closed_forms import linear_moments
 from reference_filters.grid import GridFilter
-from sphfilter.lattice import fit_support, place_gaussian
+from sphfilter.lattice.regular import fit_support, place_gaussian
 
 from ._style import ACCENT, Picture, frame
 from .transient import KERNEL, start_of, transient_model

@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import sphfilter as sf
-from sphfilter.lattice import heaviest
+from sphfilter.lattice.regular import heaviest
 
 from ._style import ACCENT, INK, Picture, frame, mass_bar, mass_field, quantity
 from .transient import KERNEL, start_of, transient_model

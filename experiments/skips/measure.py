@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphfilter import initialize
-from sphfilter.initial import Gaussian
+from sphfilter.density.initialize import Gaussian
 
 __all__ = ["Measured", "lattice_against_box", "measured"]
 

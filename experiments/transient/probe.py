@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphfilter import mixture
-from sphfilter.storage import write_arrays
+from sphfilter.density import mixture
+from sphfilter.density.storage import write_arrays
 
 __all__ = ["Probing", "points_of", "probed", "velocity", "write_particles"]
 

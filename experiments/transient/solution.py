@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import sphfilter as sf
-from sphfilter.storage import load_arrays, write_arrays
+from sphfilter.density.storage import load_arrays, write_arrays
 
 __all__ = ["Solution", "folder_of", "solve"]
 

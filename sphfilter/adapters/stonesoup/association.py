@@ -7,10 +7,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ...config import LogDensityScheme
+from ...density.resample import bound, logarithm
 from ...errors import ModelError, PropagationError
-from ...level_set import reach
-from ...resample import bound, logarithm
-from ...update import update
+from ...filter.update import update
+from ...lattice.level_set import reach
 
 __all__ = ["Alone", "Association", "alone", "mixed_mean", "one_prediction", "predicted_apart",
            "probability_of", "resolved"]  # fmt: skip

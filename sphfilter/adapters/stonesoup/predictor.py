@@ -8,11 +8,12 @@ from stonesoup.models.transition.base import TransitionModel
 from stonesoup.predictor.base import Predictor
 from stonesoup.types.prediction import Prediction
 
-from ...adapt import Prediction as Origin
-from ...adapt import predict_relaying
 from ...config import FilterConfig, checked_filter_config
 from ...errors import ModelError, PropagationError
-from ...predict import MOST_FINER, predict_within
+from ...prediction.again import Prediction as Origin
+from ...prediction.again import predict_relaying
+from ...prediction.automatic import MOST_FINER
+from ...prediction.predict import predict_within
 from ...validate import count
 from .association import Association, predicted_apart
 from .recent import Recent

@@ -9,13 +9,13 @@ from ruamel.yaml.constructor import ConstructorError
 from stonesoup.base import Base
 
 from ...config import FilterConfig
-from ...density import ParticleDensity
+from ...density.particle_density import ParticleDensity
+from ...density.storage import from_bytes, to_bytes
 from ...domain import Domain
 from ...errors import ModelError, SphfilterError
 from ...info import PredictInfo, ResampleInfo, UpdateInfo
 from ...measurements import GaussianMeasurement, LikelihoodMeasurement
 from ...models import SDE, LinearSDE
-from ...storage import from_bytes, to_bytes
 
 __all__ = ["extend"]
 

@@ -12,10 +12,10 @@ from stonesoup.types.prediction import Prediction
 from stonesoup.types.state import ParticleState, State, StateMutableSequence
 from stonesoup.types.update import Update
 
-from ...density import ParticleDensity
+from ...density.initialize import Gaussian, initialize
+from ...density.particle_density import ParticleDensity
 from ...errors import ModelError
 from ...info import PredictInfo, UpdateInfo
-from ...initial import Gaussian, initialize
 from ...validate import count, covariance, generator, short
 
 __all__ = ["SPHState", "SPHStatePrediction", "SPHStateUpdate", "current", "density_of", "origin_of",

@@ -10,14 +10,14 @@ from stonesoup.types.prediction import GaussianMeasurementPrediction
 from stonesoup.types.update import Update
 from stonesoup.updater.base import Updater
 
-from ...adapt import Prediction as PredictionOrigin
-from ...adapt import Update as UpdateOrigin
-from ...adapt import update_repeating
 from ...config import FilterConfig, checked_filter_config
+from ...density.resample import bound
 from ...errors import ModelError
+from ...filter.update import predicted_reading
+from ...filter.update_again import Update as UpdateOrigin
+from ...filter.update_again import update_repeating
 from ...info import UpdateInfo
-from ...resample import bound
-from ...update import predicted_reading
+from ...prediction.again import Prediction as PredictionOrigin
 from ...validate import count
 from .association import Association, alone, mixed_mean, one_prediction, probability_of, resolved
 from .recent import Recent

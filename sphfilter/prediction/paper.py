@@ -10,10 +10,10 @@ from ..core._jit import call
 from ..core.sph import march as core
 from ..core.sph.neighbors import METHODS, choose_method
 from ..core.sph.smoothing import SMOOTHING, Rule
+from ..density.initialize import spread
+from ..density.resample import regrid
 from ..errors import PropagationError
 from ..info import PredictInfo
-from ..initial import spread
-from ..resample import regrid
 from ._shared import blow_up, coefficients_of, skip_notes
 
 __all__ = ["propagate"]

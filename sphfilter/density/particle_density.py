@@ -6,12 +6,13 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from . import level_set, marginal, mixture, statistics
-from .core.field.field import Field
-from .core.sph import kernels
-from .domain import Domain
-from .errors import ModelError
-from .validate import array, choice, generator, row, state_rows
+from ..core.field.field import Field
+from ..core.sph import kernels
+from ..domain import Domain
+from ..errors import ModelError
+from ..lattice import field
+from ..validate import array, choice, generator, row, state_rows
+from . import marginal, mixture, statistics
 
 __all__ = ["LATTICE_SUPPORT", "ParticleDensity"]
 
@@ -201,8 +202,8 @@ class ParticleDensity:
         if self.field is not None and self.read_out == "log_density":
             X = state_rows("X", X, self.dim)
             if self.domain is None:
-                return level_set.at(self.field, X)
-            return special.logsumexp([level_set.at(self.field, X) for X in self._turns(X)], axis=0)
+                return field.at(self.field, X)
+            return special.logsumexp([field.at(self.field, X) for X in self._turns(X)], axis=0)
         with np.errstate(divide="ignore"):
             return np.log(self.pdf(X))
 
@@ -211,7 +212,7 @@ class ParticleDensity:
         X = state_rows("X", X, self.dim)
         if self.field is not None and self.read_out == "log_density":
             turns, field = [X] if self.domain is None else self._turns(X), self.field
-            return sum(np.exp(level_set.at(field, Y))[:, None] * level_set.gradient(field, Y) for Y in turns)
+            return sum(np.exp(field.at(field, Y))[:, None] * field.gradient(field, Y) for Y in turns)
         out = mixture.gradient(self.mixture, self._within(X))
         if self.domain is not None:
             out[~self.domain.contains(X)] = 0.0

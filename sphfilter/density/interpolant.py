@@ -6,9 +6,9 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .core.sph.kernels import RADIUS
-from .core.sph.neighbors import build_index, choose_method
-from .core.sph.summation import sample_density
+from ..core.sph.kernels import RADIUS
+from ..core.sph.neighbors import build_index, choose_method
+from ..core.sph.summation import sample_density
 
 __all__ = ["interpolant", "normalised", "smoothed"]
 

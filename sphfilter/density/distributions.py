@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import ModelError
-from .validate import array, covariance
+from ..errors import ModelError
+from ..validate import array, covariance
 
-__all__ = ["Gaussian", "Uniform", "checked_box"]
+__all__ = ["Gaussian", "Uniform", "checked_box", "gaussian_log_pdf"]
 
 
 @dataclass(frozen=True)
@@ -64,3 +64,16 @@ def checked_box(box):
     if np.any(box[:, 1] <= box[:, 0]):
         raise ModelError(f"box must hold (low, high) with low < high for every state, got {box.tolist()}")
     return box
+
+
+def gaussian_log_pdf(mean, cov):
+    """Return log N(X; mean, cov) as a function of states X (M, n)."""
+    factor = np.linalg.cholesky(cov)
+    whiten = np.linalg.inv(factor).T
+    constant = -np.log(np.diag(factor)).sum() - 0.5 * len(mean) * np.log(2 * np.pi)
+
+    def log_p(X):
+        z = (X - mean) @ whiten
+        return constant - 0.5 * np.einsum("ia,ia->i", z, z)
+
+    return log_p

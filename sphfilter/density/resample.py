@@ -6,16 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .config import PaperScheme, SolverConfig
-from .density import ParticleDensity
-from .domain import Domain
-from .errors import PropagationError
-from .exact import gaussian_log_pdf
-from .info import ResampleInfo
-from .lattice import Lattice, heaviest, particles_on
-from .level_set import at, posterior, reach
-from .scattered import normalised
-from .validate import count
+from ..config import PaperScheme, SolverConfig
+from ..domain import Domain
+from ..errors import PropagationError
+from ..info import ResampleInfo
+from ..lattice.field import at
+from ..lattice.level_set import reach
+from ..lattice.posterior import posterior
+from ..lattice.regular import Lattice, heaviest
+from ..validate import count
+from .distributions import gaussian_log_pdf
+from .interpolant import normalised
+from .particle_density import ParticleDensity
+from .particles import particles_on
 
 __all__ = ["bound", "logarithm", "product", "regrid", "resample"]
 

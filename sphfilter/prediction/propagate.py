@@ -4,15 +4,16 @@ from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
-from .adapt import Prediction, predict_relaying
-from .config import CorrectedScheme, SolverConfig
-from .errors import LatticeError, ModelError, UnresolvedError
-from .info import PredictInfo
-from .predict import MOST_FINER, predict, predict_within
+from ..config import CorrectedScheme, SolverConfig
+from ..density.resample import bound
+from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
+from ..errors import LatticeError, ModelError, UnresolvedError
+from ..info import PredictInfo
+from ..validate import array
+from .again import Prediction, predict_relaying
+from .automatic import MOST_FINER
+from .predict import predict, predict_within
 from .remesh import Remeshing
-from .resample import bound
-from .storage import density_from, load_arrays, part, stored, under, write_arrays
-from .validate import array
 
 __all__ = ["Trajectory", "propagate"]
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import integrate, optimize
 
-from .core.sph import kernels
-from .errors import ModelError
-from .level_set import at
+from ..core.sph import kernels
+from ..errors import ModelError
+from ..lattice.field import at
+from ..validate import state_rows
 from .mixture import drawn, points, raw_moment, standing_for
-from .spread import Spread, higher
-from .validate import state_rows
+from .weighted import Spread, higher
 
 __all__ = [
     "Region",

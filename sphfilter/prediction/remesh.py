@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .affine import with_moments
-from .config import LogDensityScheme, PaperScheme
-from .errors import PropagationError
-from .health import MIXED, health
-from .predict import SUMMED
-from .resample import regrid
-from .schemes.log_density import fits
+from ..config import LogDensityScheme, PaperScheme
+from ..density.affine import with_moments
+from ..density.health import MIXED, health
+from ..density.resample import regrid
+from ..errors import PropagationError
+from .automatic import SUMMED
+from .log_density import fits
 
 __all__ = ["Remeshing"]
 

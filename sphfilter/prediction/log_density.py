@@ -16,10 +16,10 @@ from ..core.characteristics.noise_paths import Noise, Paths
 from ..core.characteristics.step_choice import CHOOSE
 from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
-from ..density import ParticleDensity
+from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import PredictInfo
-from ..level_set import Laid, fewest_particles, gaussian_volume, reach
+from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, reach
 from ._shared import blow_up, defect, skip_notes
 
 __all__ = ["fits", "load", "propagate"]

@@ -6,10 +6,11 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import logsumexp
 
-from .core.field import cells
-from .core.field.stencils import stencils
-from .core.sph import kernels
-from .level_set import at, lay
+from ..core.field import cells
+from ..core.field.stencils import stencils
+from ..core.sph import kernels
+from ..lattice.field import at
+from ..lattice.level_set import lay
 from .mixture import narrowed
 
 __all__ = ["around", "laid_marginal", "projected_lengths"]

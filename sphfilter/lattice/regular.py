@@ -7,13 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, sparse
 
-from .core.sph.kernels import KINDS, RADIUS, normalisation, shape
-from .core.sph.neighbors import build_index, choose_method, neighbor_lists
-from .core.sph.summation import deposit
-from .density import ParticleDensity
-from .domain import Domain
-from .errors import ModelError
-from .validate import row
+from ..core.sph.kernels import KINDS, RADIUS, normalisation, shape
+from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
+from ..core.sph.summation import deposit
+from ..domain import Domain
+from ..errors import ModelError
+from ..validate import row
 
 __all__ = [
     "GaussianPlacement",
@@ -22,8 +21,6 @@ __all__ = [
     "collocation_masses",
     "fit_support",
     "heaviest",
-    "particles_on",
-    "particles_with",
     "place_gaussian",
 ]
 
@@ -239,48 +236,6 @@ def fit_support(lattice, mass, target, target_between, interior, interior_betwee
     both = np.sqrt(squares.sum(axis=0) / counts.sum())
     best = supports[np.argmin(both)]
     return SupportFit(best * dx / RADIUS[kind], supports, *np.sqrt(squares / counts[:, None]), both)
-
-
-def particles_on(lattice, values, between, core, scheme, density):
-    """Make particles of density values on a lattice: masses, and the initial h that fits them best.
-
-    Parameters
-    ----------
-    lattice : Lattice
-    values : ndarray, shape (M,)
-        Density at the nodes; zero where no particle is to be.
-    between : ndarray
-        Density at the nodes of ``lattice.half_shifted()``.
-    core : ndarray of bool, shape (M,)
-        Nodes whose fit counts; interstitial nodes count from the lowest density of the core up.
-    scheme : PaperScheme
-    density : dict
-        The other attributes of the density: t, represented_mass, capacity, domain.
-    """
-    kept = values > 0
-    mass = values * lattice.cell_volume
-    interior_between = between >= values[core & kept].min(initial=np.inf)
-    fit = fit_support(lattice, mass, values, between, core & kept, interior_between, scheme)
-    return particles_with(fit.h, lattice, values, scheme, density)
-
-
-def particles_with(h, lattice, values, scheme, density):
-    """Make particles of one smoothing length h; other arguments as of `particles_on`."""
-    kept = values > 0
-    x, mass = lattice.nodes[kept], values[kept] * lattice.cell_volume
-    if density.get("domain") is not None:
-        x = density["domain"].wrap(x)
-    if scheme.masses == "collocation":
-        solved = collocation_masses(x, h, values[kept], scheme.kernel)
-        mass = mass if solved is None else solved
-    return ParticleDensity(
-        x=x,
-        mass=mass,
-        h=np.full(len(x), h),
-        kernel=scheme.kernel,
-        read_out=scheme.read_out,
-        **density,
-    )
 
 
 def heaviest(values, share):

@@ -4,9 +4,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from .calibration import gaussian_ranks
-from .errors import ModelError
-from .info import innovation_of
+from ..calibration import gaussian_ranks
+from ..errors import ModelError
+from ..info import innovation_of
 
 __all__ = ["FilterResult", "run_filter", "shapes"]
 

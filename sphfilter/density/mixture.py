@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from .core.corrected.moment_correction import correct, exponents
-from .core.sph import kernels
-from .core.sph.neighbors import build_index, choose_method
-from .core.sph.summation import sample_density, sample_density_parallel, sample_gradient
+from ..core.corrected.moment_correction import correct, exponents
+from ..core.sph import kernels
+from ..core.sph.neighbors import build_index, choose_method
+from ..core.sph.summation import sample_density, sample_density_parallel, sample_gradient
 
 __all__ = ["Mixture", "drawn", "gradient", "mixture", "narrowed", "pdf", "points", "raw_moment", "shrunk",
            "standing_for"]  # fmt: skip

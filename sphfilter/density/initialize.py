@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from .config import LogDensityScheme, PaperScheme, SolverConfig
-from .core.sph.kernels import KINDS, RADIUS
-from .density import ParticleDensity
-from .distributions import Gaussian, Uniform, checked_box
-from .domain import Domain
-from .errors import ModelError, PropagationError
-from .exact import gaussian_log_pdf
-from .lattice import Lattice, heaviest, particles_on, particles_with, place_gaussian
-from .level_set import fewest_particles, lay, reach
-from .validate import array, count, real, row
+from ..config import LogDensityScheme, PaperScheme, SolverConfig
+from ..core.sph.kernels import KINDS, RADIUS
+from ..domain import Domain
+from ..errors import ModelError, PropagationError
+from ..lattice.level_set import fewest_particles, lay, reach
+from ..lattice.regular import Lattice, heaviest, place_gaussian
+from ..validate import array, count, real, row
+from .distributions import Gaussian, Uniform, checked_box, gaussian_log_pdf
+from .particle_density import ParticleDensity
+from .particles import particles_on, particles_with
 
 __all__ = ["Gaussian", "Uniform", "initialize", "spread"]
 

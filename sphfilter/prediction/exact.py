@@ -2,26 +2,14 @@
 
 import numpy as np
 
-from .density import ParticleDensity
-from .info import PredictInfo
-from .level_set import lay, reach
+from ..density.distributions import gaussian_log_pdf
+from ..density.particle_density import ParticleDensity
+from ..info import PredictInfo
+from ..lattice.level_set import lay, reach
 
-__all__ = ["gaussian_log_pdf", "propagate_exactly"]
+__all__ = ["propagate_exactly"]
 
 _GAUSSIAN = 1e-2  # largest distance of log p from a quadratic
-
-
-def gaussian_log_pdf(mean, cov):
-    """Return log N(X; mean, cov) as a function of states X (M, n)."""
-    factor = np.linalg.cholesky(cov)
-    whiten = np.linalg.inv(factor).T
-    constant = -np.log(np.diag(factor)).sum() - 0.5 * len(mean) * np.log(2 * np.pi)
-
-    def log_p(X):
-        z = (X - mean) @ whiten
-        return constant - 0.5 * np.einsum("ia,ia->i", z, z)
-
-    return log_p
 
 
 def propagate_exactly(density, model, t1, n_particles):

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from ..config import PaperScheme, checked_filter_config
+from ..density.resample import bound, product, regrid
+from ..errors import ModelError, PropagationError
+from ..info import UpdateInfo
+from ..lattice.field import outside
 from .acceptance import test_measurement
-from .config import PaperScheme, checked_filter_config
-from .errors import ModelError, PropagationError
-from .info import UpdateInfo
-from .level_set import outside
-from .resample import bound, product, regrid
 
 __all__ = ["predicted_reading", "update"]
 

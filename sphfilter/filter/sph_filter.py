@@ -5,19 +5,20 @@ from copy import copy
 
 import numpy as np
 
-from .adapt import Prediction, Update, fewest, predict_adapting, predict_relaying, update_repeating
+from ..calibration import Observer
+from ..config import checked_filter_config
+from ..density.initialize import Gaussian, initialize
+from ..density.particle_density import ParticleDensity
+from ..errors import ModelError
+from ..models import SDE
+from ..prediction.again import Prediction, fewest, predict_adapting, predict_relaying
+from ..prediction.predict import predict
+from ..validate import array, count, covariance, positive, real, row, short
 from .budget import Budget, rehearse
-from .calibration import Observer
 from .checkpoint import restored, write
-from .config import checked_filter_config
-from .density import ParticleDensity
-from .errors import ModelError
-from .initial import Gaussian, initialize
-from .models import SDE
-from .predict import predict
 from .readings import checked_sensor, read, sensor_of
 from .results import run_filter
-from .validate import array, count, covariance, positive, real, row, short
+from .update_again import Update, update_repeating
 
 __all__ = ["SPHFilter"]
 

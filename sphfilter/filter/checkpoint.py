@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from .adapt import Prediction, Update
-from .config import FilterConfig
-from .errors import ModelError
-from .storage import density_from, load_arrays, part, stored, under, write_arrays
+from ..config import FilterConfig
+from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
+from ..errors import ModelError
+from ..prediction.again import Prediction
+from .update_again import Update
 
 __all__ = ["restored", "write"]
 

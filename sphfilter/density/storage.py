@@ -7,12 +7,12 @@ from dataclasses import fields
 
 import numpy as np
 
-from ._version import __version__
-from .core.field.fitting import build_field
-from .core.field.stencils import stencils
-from .density import ParticleDensity
-from .domain import Domain
-from .errors import ModelError
+from .._version import __version__
+from ..core.field.fitting import build_field
+from ..core.field.stencils import stencils
+from ..domain import Domain
+from ..errors import ModelError
+from .particle_density import ParticleDensity
 
 __all__ = [
     "FORMAT",

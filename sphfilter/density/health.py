@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .core.sph.kernels import RADIUS
-from .core.sph.neighbors import build_index, choose_method, neighbor_lists
-from .errors import ModelError
-from .scattered import smoothed
+from ..core.sph.kernels import RADIUS
+from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
+from ..errors import ModelError
+from .interpolant import smoothed
 
 __all__ = ["MIXED", "Health", "health"]
 

@@ -8,9 +8,9 @@ from time import perf_counter
 
 import numpy as np
 
-from .errors import PropagationError
-from .measurements import GaussianMeasurement, LikelihoodMeasurement
-from .predict import load, predict
+from ..errors import PropagationError
+from ..measurements import GaussianMeasurement, LikelihoodMeasurement
+from ..prediction.predict import load, predict
 from .update import update
 
 __all__ = ["Budget", "rehearse"]

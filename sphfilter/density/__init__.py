@@ -1,0 +1,1 @@
+"""What a filter carries: a density, its answers, its start, its lattices, its storage, its health."""

@@ -1,0 +1,50 @@
+"""Particles of density values on a regular lattice."""
+
+import numpy as np
+
+from ..lattice.regular import collocation_masses, fit_support
+from .particle_density import ParticleDensity
+
+__all__ = ["particles_on", "particles_with"]
+
+
+def particles_on(lattice, values, between, core, scheme, density):
+    """Make particles of density values on a lattice: masses, and the initial h that fits them best.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    values : ndarray, shape (M,)
+        Density at the nodes; zero where no particle is to be.
+    between : ndarray
+        Density at the nodes of ``lattice.half_shifted()``.
+    core : ndarray of bool, shape (M,)
+        Nodes whose fit counts; interstitial nodes count from the lowest density of the core up.
+    scheme : PaperScheme
+    density : dict
+        The other attributes of the density: t, represented_mass, capacity, domain.
+    """
+    kept = values > 0
+    mass = values * lattice.cell_volume
+    interior_between = between >= values[core & kept].min(initial=np.inf)
+    fit = fit_support(lattice, mass, values, between, core & kept, interior_between, scheme)
+    return particles_with(fit.h, lattice, values, scheme, density)
+
+
+def particles_with(h, lattice, values, scheme, density):
+    """Make particles of one smoothing length h; other arguments as of `particles_on`."""
+    kept = values > 0
+    x, mass = lattice.nodes[kept], values[kept] * lattice.cell_volume
+    if density.get("domain") is not None:
+        x = density["domain"].wrap(x)
+    if scheme.masses == "collocation":
+        solved = collocation_masses(x, h, values[kept], scheme.kernel)
+        mass = mass if solved is None else solved
+    return ParticleDensity(
+        x=x,
+        mass=mass,
+        h=np.full(len(x), h),
+        kernel=scheme.kernel,
+        read_out=scheme.read_out,
+        **density,
+    )

@@ -1,0 +1,31 @@
+"""The log-density between the nodes of a lattice, asked at any states."""
+
+import numpy as np
+
+from ..core.field.field import evaluate
+from ..core.field.field import gradient as field_gradient
+from ..core.field.stencils import stencils
+
+__all__ = ["at", "gradient", "outside"]
+
+
+def at(field, X):
+    """log p of a field at the states X (M, n)."""
+    out = np.empty(len(X))
+    evaluate(field, stencils(field.mu.size), np.ascontiguousarray(X, dtype=float), out)
+    return out
+
+
+def gradient(field, X):
+    """Gradient of `at` at the states X (M, n), shape (M, n)."""
+    out = np.empty(X.shape)
+    field_gradient(field, stencils(field.mu.size), np.ascontiguousarray(X, dtype=float), out)
+    return out @ field.inverse
+
+
+def outside(field, x, mass):
+    """Probability of weighted states x (N, n) in cells where a field has no node: its values are a guess."""
+    cell = np.floor((x - field.mu) @ field.inverse.T + 0.5) - field.low
+    boxed = ((cell >= 0) & (cell < field.dims)).all(axis=1)
+    flat = np.ravel_multi_index(tuple(cell[boxed].astype(np.int64).T), tuple(field.dims))
+    return max(0.0, 1.0 - float(mass[boxed][field.owner[flat] >= 0].sum()))

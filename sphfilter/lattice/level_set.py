@@ -1,0 +1,168 @@
+"""Lattices that follow a density's level set: whitened, trimmed where log p has fallen far enough, any shape.
+
+Where 002 (39) keeps an ellipsoid, the nodes kept here are those with log p > log p_max - Z²/2: the same
+ellipsoid for a Gaussian, and the right region for anything else, in several pieces if need be. The lattice
+grows from seeds over the neighbours of kept nodes until its edge is closed, so nothing is asked of the
+density far away.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core.field import cells
+from ..core.field.cells import UNKNOWN, frontier
+from ..core.field.field import Field
+from ..core.field.fitting import build_field
+from ..core.field.nodes import MOST_ASKED, relaid
+from ..core.field.stencils import stencils
+from ..errors import PropagationError
+
+__all__ = ["Laid", "fewest_particles", "gaussian_volume", "lay", "reach"]
+
+_TRIES = 24
+_SMALL_BOX = 4  # cells, over the number of particles wanted
+_ROUNDED = 20.0  # roundings a standard deviation must be wide
+
+
+class Laid(NamedTuple):
+    """A density on a lattice of its own."""
+
+    x: np.ndarray  # (N, n)
+    mass: np.ndarray  # (N,)
+    field: Field
+    log_mass: float  # log of the integral before it was normalised
+    volume: float  # of the kept region in whitened coordinates
+    mean: np.ndarray  # (n,)
+    cov: np.ndarray  # (n, n)
+
+
+def reach(scheme, n):
+    """Z of a scheme in n dimensions: as far out as particles are cheap."""
+    given = getattr(scheme, "reach", None)
+    return given or {1: 5.5, 2: 4.2}.get(n, 4.0)
+
+
+def gaussian_volume(n, depth):
+    """Volume of the whitened ball in which a Gaussian's log p is at most `depth` below its largest."""
+    return math.pi ** (n / 2) / math.gamma(n / 2 + 1) * (2.0 * depth) ** (n / 2)
+
+
+def fewest_particles(n):
+    """Particles below which no lattice resolves a Gaussian: a complete node two cells from the centre."""
+    return (3**n if n <= 2 else 2 * n * n + 1) * (2 if n > 1 else 3)
+
+
+def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
+    """Put a density on a lattice of at most `n_particles` nodes, and at least about half of that.
+
+    Parameters
+    ----------
+    log_p : callable
+        States (M, n) to logarithms of an unnormalised density (M,).
+    mean, factor : ndarray, shape (n,), (n, n)
+        Origin, and the lower factor of a covariance: the coordinates that are whitened.
+    seeds : ndarray, shape (S, n)
+        States at least one of which lies in every piece of the region.
+    n_particles : int
+    depth : float
+        Z²/2.
+    volume : float, optional
+        First guess of the kept whitened volume.
+
+    Returns
+    -------
+    Laid
+
+    Raises
+    ------
+    PropagationError
+        No spacing gives a lattice with complete nodes.
+    """
+    n, sten = len(mean), stencils(len(mean))
+    if np.any(np.sqrt((factor**2).sum(axis=1)) < _ROUNDED * np.spacing(np.abs(mean))):
+        raise PropagationError(
+            f"the density near {mean} is narrower than floating-point numbers resolve that far from zero; "
+            f"count states from a nearer origin"
+        )
+    volume = gaussian_volume(n, depth) if volume is None else volume
+    best, count, too_fine, too_coarse = None, 0, 0.0, math.inf
+    for _ in range(_TRIES):
+        spacing = (volume / (0.92 * n_particles)) ** (1.0 / n)
+        A = np.ascontiguousarray(factor * spacing)
+        value, low, dims, highest, asked = _flood(log_p, mean, A, seeds, depth, sten, n_particles)
+        new = relaid(value, low, dims, highest, asked, mean, A, sten, depth)
+        closed = asked.size < MOST_ASKED * n_particles
+        count = len(new[0]) if closed else asked.size
+        if 0 < count <= n_particles:
+            best = A, count * spacing**n, *new
+            if count >= 0.5 * n_particles:
+                break
+        if count > n_particles:
+            too_fine = max(too_fine, volume)
+        else:
+            too_coarse = min(too_coarse, volume)
+        guess = volume * np.clip(count, 0.1 * n_particles, 10.0 * n_particles) / (0.92 * n_particles)
+        volume = guess if too_fine < guess < too_coarse else math.sqrt(too_fine * too_coarse)
+    if best is None:
+        raise PropagationError(
+            f"no lattice of at most {n_particles} particles resolves the density of {n} states near {mean} "
+            f"(the last one had {count}); use more particles"
+        )
+    A, volume, node, x, log_density, mass, log_mass, new_mean, cov = best
+    return Laid(x, mass, build_field(mean, A, node, log_density, sten), log_mass, volume, new_mean, cov)
+
+
+def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
+    """Values of log p on all lattice cells within `depth` of the largest, from the seeds outwards."""
+    n = len(mean)
+    ball = sten.offsets[: sten.size[0]]
+    low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
+    seeds, reach = np.ascontiguousarray(seeds), cells.furthest(n)
+    at_seeds = cells.seeds_in_box(seeds, mean, np.linalg.inv(A), reach, low, dims)
+    if np.prod(dims.astype(float)) > cells.MOST_CELLS:
+        raise PropagationError(_spread(mean))
+    value, asked, highest = np.full(np.prod(dims), UNKNOWN), np.empty(0, np.int64), -np.inf
+    if value.size <= _SMALL_BOX * n_particles:
+        asked, highest, beyond = _asked_at_once(log_p, mean, A, value, low, dims, depth, ball)
+        if not beyond:
+            return value, low, dims, highest, asked
+        value, low, dims, asked = cells.widen(value, low, dims, asked)
+        found, _ = frontier(value, asked, highest - depth, dims, ball)
+    else:
+        found = cells.seeded(at_seeds, low, dims)
+    while found.size and asked.size < MOST_ASKED * n_particles:
+        _, states = cells.states_of(found, mean, A, low, dims)
+        value[found] = log_p(states)
+        highest = max(highest, value[found].max())
+        asked = np.concatenate([asked, found])
+        found, beyond = frontier(value, asked, highest - depth, dims, ball)
+        if beyond:
+            value, low, dims, asked = cells.widen(value, low, dims, asked)
+            if value.size == 0:
+                raise PropagationError(_spread(mean))
+            found, beyond = frontier(value, asked, highest - depth, dims, ball)
+    return value, low, dims, highest, asked
+
+
+def _asked_at_once(log_p, mean, A, value, low, dims, depth, ball):
+    """All cells of a small box: waves from the seeds would cost more than the cells they save.
+
+    Values of cells above the depth and of those beside go into `value`, as if the rest had not been asked.
+    """
+    _, states = cells.states_of(np.arange(value.size), mean, A, low, dims)
+    everywhere = log_p(states)
+    highest = everywhere.max()
+    kept = np.flatnonzero(everywhere > highest - depth)
+    value[kept] = everywhere[kept]
+    rim, beyond = frontier(value, kept, highest - depth, dims, ball)
+    value[rim] = everywhere[rim]
+    return np.concatenate([kept, rim]), highest, beyond
+
+
+def _spread(mean):
+    return (
+        f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces are "
+        f"much smaller than the distance between them, or it has no edge"
+    )

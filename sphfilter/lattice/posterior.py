@@ -1,0 +1,162 @@
+"""Closing in on a posterior, however sharp the likelihood."""
+
+import math
+
+import numpy as np
+
+from ..core.field.shape import LOCAL, local_shape
+from ..errors import ModelError, PropagationError
+from .level_set import gaussian_volume, lay
+
+__all__ = ["local", "posterior"]
+
+_STEP = 0.02  # of slopes, in standard deviations: far wider than jumps between polynomials can harm
+_SKEWED = 6.0  # largest over smallest variance in coordinates that should be whitened
+_ROUNDS = 60  # of sharpening a likelihood
+_ENOUGH = 0.35  # nodes that have to count, over those of a Gaussian on a lattice of its own
+_POWERS = 1.02  # ratio of two powers that are not told apart
+_LAYERS = 0.15  # least variance of the points that count, in units of their lattice: three layers
+_LOW_DENSITY = 1e-300  # of masses
+
+
+def posterior(x, mass, log_prior, log_weight, n_particles, depth, cell=None):
+    """Lay prior times likelihood, however sharp the likelihood or far out its peak.
+
+    The likelihood is raised to a power under which it is wide enough for the points at hand, the product is
+    laid, and its nodes are the points of the next, higher power: the lattice closes in on the posterior, all
+    its pieces at once.
+
+    Parameters
+    ----------
+    x, mass : ndarray, shape (N, n), (N,)
+        Points of the prior.
+    log_prior, log_weight : callable
+        States (M, n) to (M,); the weight may be minus infinity.
+    n_particles : int
+    depth : float
+    cell : ndarray, shape (n, n), optional
+        Lattice vectors of the points, in columns, if they lie on a lattice.
+
+    Returns
+    -------
+    Laid
+        Its log_mass is the log-evidence.
+    """
+    n = x.shape[1]
+    counting = (4.0 * math.pi) ** (n / 2) / gaussian_volume(n, depth)  # effective part of a Gaussian's nodes
+    enough = min(2.0 * 3.0**n, _ENOUGH * counting * n_particles)
+    log_mass = np.log(np.maximum(mass, _LOW_DENSITY))
+    power, closed_in, laid = 0.0, False, None
+    for _ in range(_ROUNDS):
+        weight = log_weight(x)
+        if not np.any(weight > -np.inf):
+            raise PropagationError(
+                "prior times likelihood is zero wherever the prior has particles: check the measurement, its "
+                "unit and its noise"
+            )
+        on_lattice = None if cell is None else np.linalg.solve(cell, x.T).T
+        power = _power(log_mass, weight, power, enough, on_lattice)
+        heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
+        w = np.exp(heavy - heavy.max())
+        effective = w.sum() ** 2 / (w @ w)
+        w /= w.sum()
+        mean = w @ x
+        factor = _factor(x, w, mean, mass)
+        if np.isnan(factor).any():
+            raise ModelError("the posterior's covariance is not finite; check the likelihood")
+        heavy = w > w.max() * math.exp(-depth)
+        seeds = x[heavy]
+
+        def product(Y, power=power):
+            return log_prior(Y) + power * np.maximum(log_weight(Y), -1e250)
+
+        factor = _within(product, seeds, w[heavy], factor)
+        if closed_in:  # the nodes know the pieces of the posterior now
+            factor, seeds = local(laid), x
+        volume = None
+        if cell is not None and len(seeds) >= enough:  # the region's own cells, measured by the new ones
+            volume = len(seeds) * abs(np.linalg.det(cell)) / np.prod(np.diag(factor))
+        laid = lay(product, mean, factor, seeds, n_particles, depth, volume)
+        if power == 1.0 and (effective >= enough or closed_in) and _whitened(factor, local(laid)):
+            return laid
+        closed_in, cell = power == 1.0, laid.field.A
+        x, mass, log_mass = laid.x, laid.mass, np.log(np.maximum(laid.mass, _LOW_DENSITY))
+        # What the nodes carry already is the likelihood to the power reached.
+        log_mass = log_mass - power * np.maximum(log_weight(x), -1e250)
+        log_mass -= log_mass.max()
+    if power == 1.0:
+        return laid
+    raise PropagationError("the likelihood is too sharp to close in on; check the measurement's noise")
+
+
+def _power(log_mass, weight, reached, enough, y):
+    """Largest power of the likelihood under which enough points count; more than reached before.
+
+    Points y (N, n) in units of their lattice must count in more than one of its layers in every direction.
+    """
+
+    def effective(power):
+        heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
+        w = np.exp(heavy - heavy.max())
+        count = w.sum() ** 2 / (w @ w)
+        if y is None or count < enough:
+            return count
+        d = y - w @ y / w.sum()
+        thinnest = np.linalg.eigvalsh((d * (w / w.sum())[:, None]).T @ d)[0]
+        return count if thinnest > _LAYERS else 0.0
+
+    if effective(1.0) >= enough:
+        return 1.0
+    low, high = max(reached, 1e-12), 1.0
+    while high > _POWERS * low:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if effective(middle) >= enough else (low, middle)
+    return min(1.0, max(low, 1.05 * reached))
+
+
+def local(laid):
+    """Lower factor of the covariance within the pieces of a density: see `local_shape`."""
+    L = np.linalg.cholesky(laid.cov)
+    shape = np.empty_like(L)
+    local_shape(laid.field, laid.mass, L, shape)
+    return L @ shape
+
+
+def _within(log_p, x, w, factor):
+    """A factor of the covariance within the pieces of a density, from its slopes at weighted points.
+
+    As `local_shape`, before there is a lattice: a posterior in two thin pieces needs a spacing that
+    resolves each of them.
+    """
+    step = _STEP * factor.T[:, None]
+    around = np.concatenate([x + step, x - step]).reshape(-1, x.shape[1])
+    ahead, behind = log_p(around).reshape(2, -1, len(x))
+    slopes = np.clip((ahead - behind) / (2.0 * _STEP), -1e100, 1e100).T
+    information = (slopes * (w / w.sum())[:, None]).T @ slopes
+    values, axes = np.linalg.eigh(information)
+    if not np.isfinite(values).all() or values[-1] * LOCAL < 1.0:
+        return factor
+    inverse = (axes / np.maximum(values, 1.0)) @ axes.T  # no piece is wider than the whole
+    return factor @ np.linalg.cholesky(inverse)
+
+
+def _whitened(factor, other):
+    """Does a factor whiten what another does, nearly enough for a lattice?"""
+    ratio = np.linalg.solve(factor, other)
+    spread = np.linalg.eigvalsh(ratio @ ratio.T)
+    return spread[-1] < _SKEWED * spread[0]
+
+
+def _factor(x, w, mean, mass):
+    """Lower factor of the weighted covariance; flat directions get a thousandth of the points' own spread."""
+    d = x - mean
+    cov = (d * w[:, None]).T @ d
+    own = x - mass @ x
+    spread = (own * mass[:, None]).T @ own
+    try:
+        return np.linalg.cholesky(cov + 1e-9 * spread)
+    except np.linalg.LinAlgError:
+        scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+        w_, V = np.linalg.eigh((cov + 1e-9 * spread) / np.outer(scale, scale))
+        root = V * np.sqrt(np.maximum(w_, 1e-12 * max(w_.max(), 1e-300)))
+        return np.linalg.cholesky(scale[:, None] * (root @ root.T) * scale)
