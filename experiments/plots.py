@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from sphfilter import consistency
-from sphfilter.campaign import draw_case
+from sphfilter.campaign.campaign import draw_case
 
 from .filters import name_of
 

@@ -9,7 +9,7 @@ from rich import box
 from rich.table import Table
 
 import sphfilter as sf
-from sphfilter.campaign import draw_case
+from sphfilter.campaign.campaign import draw_case
 from sphfilter.errors import SphfilterError
 from sphfilter.filter import budget as timing
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from sphfilter.campaign_store import versions
+from sphfilter.campaign.report import report
+from sphfilter.campaign.store import versions
 from sphfilter.errors import SphfilterError
-from sphfilter.report import report
 
 from . import pictures, plots
 from .comparison import distances, reference_name

@@ -14,7 +14,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from sphfilter.campaign import run_campaign
+from sphfilter.campaign.campaign import run_campaign
 
 from .filters import name_of
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 import sphfilter as sf
-from sphfilter.campaign import Case
-from sphfilter.config import from_table
+from sphfilter.campaign.campaign import Case
 from sphfilter.errors import ModelError, SphfilterError
+from sphfilter.settings import from_table
 
 from . import start
 from .files import change, file_names, find_file, read_toml

@@ -5,7 +5,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from sphfilter.config import FilterConfig, settings
+from sphfilter.config import FilterConfig
+from sphfilter.settings import settings
 
 __all__ = ["Filters", "ModelText", "Published", "Runs", "ScenarioSettings", "Sensor", "Start", "Times"]
 

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from reference_filters.closed_forms import BenesFilter
 from sphfilter.errors import ConfigError
-from sphfilter.simulate import simulate
+from sphfilter.model.simulate import simulate
 
 __all__ = ["acceleration_rms", "benes", "gaussian", "two_point", "two_point_estimate"]
 

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from sphfilter import validate
-from sphfilter.calibration import Observer
+from sphfilter.consistency.ranks import Observer
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.filter.results import run_filter
 from sphfilter.info import PredictInfo, UpdateInfo

@@ -15,7 +15,7 @@ from sphfilter.core._addresses import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit, jit_for
 from sphfilter.core.sde_steps import platen_steps, shifted_path_steps, split_steps
 from sphfilter.errors import PropagationError
-from sphfilter.simulate import noise_root, rate_of_time
+from sphfilter.model.simulate import noise_root, rate_of_time
 
 from ._normals import LANES, fill_normals, seed_lanes
 from ._step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH, SPLIT, step_length

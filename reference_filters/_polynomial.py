@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphfilter._compile import compile_source
 from sphfilter.errors import ModelError
-from sphfilter.models import SDE
+from sphfilter.model.compile import compile_source
+from sphfilter.model.sde import SDE
 
 from ._monomials import up_to
 
@@ -74,7 +74,7 @@ def _trees(text, model):
     """Return the names, and f (n) and D = g Q gᵀ/2 (n², row-major) as expressions of the states and t."""
     import sympy as sp  # takes a second
 
-    from sphfilter.expressions import Names, parse
+    from sphfilter.model.expressions import Names, parse
 
     names, n = Names(text["states"], text["parameters"] or ()), model.dim
     numbers = [sp.Integer(v) if v == int(v) else sp.Float(v) for v in map(float, model.parameters.values())]
@@ -105,7 +105,7 @@ def _terms(what, expression, states):
 
 def _compiled(expressions, t):
     """Function of time of expressions that depend on nothing else."""
-    from sphfilter._symbols import source
+    from sphfilter.model.symbols import source
 
     if not any(t in c.free_symbols for c in expressions):
         values = np.array([float(c) for c in expressions])

@@ -2,7 +2,8 @@
 
 from . import consistency
 from ._version import __version__
-from .campaign import CampaignResult, Case, run_campaign
+from .campaign.campaign import CampaignResult, Case, run_campaign
+from .campaign.report import Report, report
 from .config import (
     AcceptanceTest,
     CorrectedScheme,
@@ -15,7 +16,6 @@ from .density.health import Health, health
 from .density.initialize import Gaussian, Uniform, initialize
 from .density.particle_density import ParticleDensity
 from .density.resample import resample
-from .domain import Domain
 from .errors import (
     ConfigError,
     EstimationError,
@@ -24,19 +24,19 @@ from .errors import (
     PropagationError,
     SphfilterError,
 )
-from .estimation import ParameterFit, fit_parameters, profile_evidence
 from .filter.results import FilterResult
 from .filter.sph_filter import SPHFilter
 from .filter.update import update
+from .inference.estimation import ParameterFit, fit_parameters, profile_evidence
+from .inference.model_comparison import ModelComparison, compare_models
+from .inference.smoother import SmoothedResult, smooth
 from .info import PredictInfo, ResampleInfo, UpdateInfo
-from .measurements import GaussianMeasurement, LikelihoodMeasurement
-from .model_comparison import ModelComparison, compare_models
-from .models import SDE, LinearSDE
+from .model.domain import Domain
+from .model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from .model.sde import SDE, LinearSDE
+from .model.simulate import simulate
 from .prediction.predict import predict
 from .prediction.propagate import Trajectory, propagate
-from .report import Report, report
-from .simulate import simulate
-from .smoother import SmoothedResult, smooth
 
 __all__ = [
     "SDE",

@@ -6,13 +6,13 @@ nearest valid key where a key is unknown.
 
 import tomllib
 from dataclasses import asdict, fields, is_dataclass, replace
-from typing import Annotated, Literal, get_args, get_origin
+from typing import Annotated, Literal
 
 import tomli_w
-from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_validator
-from pydantic.dataclasses import dataclass as checked_dataclass
+from pydantic import BeforeValidator, Field, model_validator
 
 from .errors import ConfigError, nearest
+from .settings import Count, Positive, from_table, settings
 
 __all__ = [
     "AcceptanceTest",
@@ -22,95 +22,11 @@ __all__ = [
     "PaperScheme",
     "SolverConfig",
     "checked_filter_config",
-    "from_table",
-    "settings",
 ]
 
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=1)]
 
 #: M_B for n = 2, 3, 4 (002 section 4.5). For n = 1 two layers of a lattice; n = 5, 6 continue the growth.
 BUFFER_NEIGHBORS = {1: 4, 2: 8, 3: 30, 4: 54, 5: 80, 6: 110}
-
-
-_UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden")
-_TYPES = ("float", "int", "str", "constrained-int", "constrained-float")
-
-
-def settings(cls):
-    """Make `cls` a frozen, keyword-only dataclass whose errors are a `ConfigError` in one sentence."""
-    strict = ConfigDict(extra="forbid", allow_inf_nan=False, strict=False)
-    checked = checked_dataclass(frozen=True, kw_only=True, config=strict)(cls)
-    plain_init = checked.__init__
-
-    def __init__(self, **values):
-        try:
-            plain_init(self, **values)
-        except ValidationError as problem:
-            raise ConfigError(_sentence(checked, problem, checked.__name__)) from None
-
-    __init__.__wrapped__ = plain_init
-    checked.__init__ = __init__
-    return checked
-
-
-def from_table(cls, table, source=""):
-    """Make settings from a table read from a file or a command line.
-
-    Parameters
-    ----------
-    cls : type
-        A class that `settings` made.
-    table : mapping of str to value
-    source : str or Path
-        What errors start with, such as the file's name. They name keys as the table does.
-
-    Raises
-    ------
-    ConfigError
-    """
-    made = object.__new__(cls)
-    try:
-        cls.__init__.__wrapped__(made, **table)
-    except ValidationError as problem:
-        told = _sentence(cls, problem)
-        raise ConfigError(f"{source}: {told}" if source else told) from None
-    return made
-
-
-def _sentence(cls, problem, name=""):
-    return "; ".join(dict.fromkeys(_explain(cls, error, name) for error in problem.errors()))
-
-
-def _explain(cls, error, name):
-    *above, last = error["loc"] or ("",)
-    path = [str(part) for part in above if not _is_type(part)]
-    path += [str(last)] if error["type"] in _UNKNOWN or (last != "" and not _is_type(last)) else []
-    where = ".".join([name, *path] if name else path) or "the table"
-    if error["type"] in _UNKNOWN:
-        allowed = [f.name for f in fields(_settings_at(cls, path[:-1]))]
-        return f"unknown key {where}{nearest(path[-1], allowed)}; valid keys are {', '.join(allowed)}"
-    if error["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
-        return f"{where} is missing"
-    if error["type"] == "value_error":
-        told = str(error["ctx"]["error"])
-        return f"{where}: {told}" if name or path else told
-    said = error["msg"].replace("a valid tuple", "a list")
-    return f"{where} = {error.get('input')!r} is not valid: {said[0].lower()}{said[1:]}"
-
-
-def _is_type(part):
-    """Pydantic's name of one of the types that a value may have, between the keys of an error."""
-    return isinstance(part, str) and ("[" in part or part in _TYPES)
-
-
-def _settings_at(cls, path):
-    """Follow the keys of an error down to the settings class they belong to."""
-    for part in path:
-        found = {f.name: f.type for f in fields(cls)}.get(part)
-        candidates = [found, *get_args(found)] if get_origin(found) else [found]
-        cls = next((c for c in candidates if is_dataclass(c)), cls)
-    return cls
 
 
 @settings

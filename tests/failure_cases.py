@@ -6,7 +6,7 @@ import numpy as np
 
 import sphfilter as sf
 from experiments.scenario import load_scenario
-from sphfilter.campaign import draw_case
+from sphfilter.campaign.campaign import draw_case
 
 UNIT, ROUND = sf.Gaussian([0.0], [[1.0]]), sf.Gaussian([0.0, 0.0], np.eye(2))
 POSITION = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])

@@ -9,8 +9,8 @@ from reference_filters.closed_forms import BenesFilter
 from reference_filters.grid import GridFilter
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
-from sphfilter import significance
-from sphfilter.calibration import ranked_reading
+from sphfilter.consistency import p_values
+from sphfilter.consistency.ranks import ranked_reading
 from sphfilter.density.weighted import Spread, below, higher
 from sphfilter.errors import ModelError
 
@@ -167,4 +167,4 @@ def test_exact_ranks_of_a_posterior_with_two_modes_are_uniform():
         )
     np.testing.assert_allclose(ranks["sph"], ranks["benes"], atol=0.02)
     for found in ranks.values():
-        assert significance.uniform_runs(np.array(found)) > 0.01
+        assert p_values.uniform_runs(np.array(found)) > 0.01

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from sphfilter.campaign import CampaignResult, Case, Failure, run_campaign
+from sphfilter.campaign.campaign import CampaignResult, Case, Failure, run_campaign
+from sphfilter.campaign.report import report
 from sphfilter.errors import CampaignError, ConfigError, ModelError, PropagationError
 from sphfilter.filter.results import FilterResult
-from sphfilter.report import report
 
 TIMES = np.arange(1.0, 6.0)
 

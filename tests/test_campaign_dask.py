@@ -7,7 +7,7 @@ import pytest
 from experiments.commands import main
 from experiments.filters import factories
 from experiments.scenario import load_scenario
-from sphfilter.campaign import run_campaign
+from sphfilter.campaign.campaign import run_campaign
 from sphfilter.filter.results import FilterResult
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")

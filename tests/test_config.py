@@ -5,7 +5,7 @@ import pickle
 import pytest
 
 import sphfilter as sf
-from sphfilter.config import from_table
+from sphfilter.settings import from_table
 
 
 def test_paper_values():

@@ -24,7 +24,7 @@ from experiments.settings import Particle
 from reference_filters.grid_density import GridDensity, fitted_box
 from reference_filters.kalman import KalmanFilter
 from sphfilter import ConfigError
-from sphfilter.campaign import draw_case
+from sphfilter.campaign.campaign import draw_case
 from sphfilter.errors import PropagationError
 from sphfilter.filter.results import FilterResult
 

@@ -6,7 +6,7 @@ import re
 import pytest
 
 from experiments.commands import main
-from sphfilter.campaign import CampaignResult
+from sphfilter.campaign.campaign import CampaignResult
 
 SMALL = ["--set", "times.end=6", "--set", "filters.pf.n_particles=200", "--set", "filters.grid.size=48"]
 

@@ -10,8 +10,8 @@ import pytest
 from experiments.scenario import load_scenario, read_settings
 from experiments.sweep import command as sweep
 from experiments.sweep import plots, tables
+from sphfilter.campaign.report import FilterReport, Report
 from sphfilter.errors import ConfigError
-from sphfilter.report import FilterReport, Report
 
 
 def arguments(*words):

@@ -12,8 +12,8 @@ from experiments.comparison import distances, reference_name
 from experiments.scenario import load_scenario
 from experiments.tables import result_table, sentences
 from sphfilter import FilterResult
-from sphfilter.campaign import CampaignResult
-from sphfilter.report import report
+from sphfilter.campaign.campaign import CampaignResult
+from sphfilter.campaign.report import report
 
 
 def _result(x, P, log_evidence=0.0, accepted=True):

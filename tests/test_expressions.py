@@ -10,10 +10,10 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sphfilter._symbols import source
 from sphfilter.errors import ExpressionError
-from sphfilter.expressions import Names, parse
-from sphfilter.models import SDE
+from sphfilter.model.expressions import Names, parse
+from sphfilter.model.sde import SDE
+from sphfilter.model.symbols import source
 
 
 def evaluate(text, **values):
@@ -218,6 +218,6 @@ def test_numbers_are_expressions_too():
 
 
 def test_sympy_is_imported_only_for_text():
-    code = "import sys, sphfilter.models, sphfilter.simulate; print('sympy' in sys.modules)"
+    code = "import sys, sphfilter.model.sde, sphfilter.model.simulate; print('sympy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -6,7 +6,7 @@ from numba import types
 
 from sphfilter.core._addresses import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit_for
-from sphfilter.models import SDE
+from sphfilter.model.sde import SDE
 
 _MATRIX, _VECTOR = types.float64[:, ::1], types.float64[::1]
 

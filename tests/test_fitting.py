@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 import sphfilter as sf
 from reference_filters.grid import GridFilter
 from reference_filters.kalman import KalmanFilter
-from sphfilter.curvature import quadratic, roughness, step_for
+from sphfilter.inference.quadratic import quadratic, roughness, step_for
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from sphfilter.errors import ModelError
-from sphfilter.models import SDE, LinearSDE
+from sphfilter.model.sde import SDE, LinearSDE
 
 Q = np.array([[1.0, 0.3], [0.3, 2.0]])
 X = np.random.default_rng(5).uniform(0.2, 1.5, (6, 2))

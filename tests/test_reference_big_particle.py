@@ -9,8 +9,8 @@ from reference_filters import big_particle
 from reference_filters.big_particle import converged
 from reference_filters.kalman import KalmanFilter
 from sphfilter.errors import ModelError
-from sphfilter.measurements import GaussianMeasurement
-from sphfilter.models import SDE, LinearSDE
+from sphfilter.model.measurements import GaussianMeasurement
+from sphfilter.model.sde import SDE, LinearSDE
 
 LINEAR = LinearSDE([[0.0, 1.0], [-1.0, -0.4]], None, [[0.0], [1.0]], 0.7)
 #: The same, but stepped.

@@ -13,7 +13,7 @@ from reference_filters.closed_forms import (
     ornstein_uhlenbeck_moments,
 )
 from sphfilter.errors import ModelError
-from sphfilter.measurements import GaussianMeasurement
+from sphfilter.model.measurements import GaussianMeasurement
 
 
 def test_linear_moments_solve_their_differential_equation():

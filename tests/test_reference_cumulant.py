@@ -11,7 +11,7 @@ from reference_filters._moment_ode import SIGMA_POINTS, propagate_moments
 from reference_filters.closed_forms import DuffingSteadyState, linear_moments
 from reference_filters.cumulant import cumulant_moments
 from sphfilter.errors import ModelError
-from sphfilter.models import SDE, LinearSDE
+from sphfilter.model.sde import SDE, LinearSDE
 
 START = sf.Gaussian([1.0, -0.5], [[0.3, 0.1], [0.1, 0.5]])
 #: 000 (161).

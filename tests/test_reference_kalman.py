@@ -8,8 +8,8 @@ from scipy.stats import multivariate_normal
 from reference_filters.closed_forms import linear_moments
 from reference_filters.kalman import ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
 from sphfilter.errors import ModelError, PropagationError
-from sphfilter.measurements import GaussianMeasurement, LikelihoodMeasurement
-from sphfilter.models import SDE, LinearSDE
+from sphfilter.model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from sphfilter.model.sde import SDE, LinearSDE
 
 A = np.array([[0.0, 1.0], [-1.0, -0.2]])
 B = np.array([0.1, -0.3])

@@ -10,7 +10,7 @@ from reference_filters._monomials import down_set, moment_name, recentred, sum_m
 from reference_filters.closed_forms import linear_moments
 from reference_filters.monte_carlo import simulate_statistics
 from sphfilter.errors import ModelError, PropagationError
-from sphfilter.models import SDE, LinearSDE
+from sphfilter.model.sde import SDE, LinearSDE
 
 A, G, Q = np.array([[0.0, 1.0], [-1.0, -0.4]]), np.array([[0.0], [1.0]]), 0.7
 LINEAR = LinearSDE(A, None, G, Q)

@@ -9,8 +9,8 @@ from reference_filters._weights import condition, resample, weighted_moments
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter.errors import ModelError, PropagationError
-from sphfilter.measurements import GaussianMeasurement, LikelihoodMeasurement
-from sphfilter.models import SDE, LinearSDE
+from sphfilter.model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from sphfilter.model.sde import SDE, LinearSDE
 
 OSCILLATOR = LinearSDE(A=[[0.0, 1.0], [-1.0, -0.2]], noise=[[0.0], [1.0]], spectral_density=[[0.8]])
 POSITION = GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.4]])

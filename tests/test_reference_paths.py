@@ -7,7 +7,7 @@ from reference_filters import _paths
 from reference_filters._paths import Paths, standard_normals
 from sphfilter.core.sde_steps import normals_per_step, shifted_path_steps, split_steps
 from sphfilter.errors import PropagationError
-from sphfilter.models import SDE, LinearSDE
+from sphfilter.model.sde import SDE, LinearSDE
 
 #: A linear oscillator that does not say so, and the same with its exact transition.
 HIDDEN = SDE(lambda x: (x[1], -x[0] - 0.4 * x[1]), 2, [[0.0], [1.0]], 0.7)

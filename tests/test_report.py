@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import sphfilter.consistency as consistency
-from sphfilter.campaign import CampaignResult, Failure
+from sphfilter.campaign.campaign import CampaignResult, Failure
+from sphfilter.campaign.report import report
 from sphfilter.errors import ModelError
 from sphfilter.filter.results import FilterResult
-from sphfilter.report import report
 
 
 def histories(error, variance=1.0):

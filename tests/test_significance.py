@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.special import ndtr
 
-from sphfilter import significance as s
+from sphfilter.consistency import p_values as s
 from sphfilter.errors import ModelError
 
 

@@ -9,9 +9,9 @@ from scipy.sparse.linalg import expm_multiply
 
 from sphfilter.core.sde_steps import normals_per_step, steps
 from sphfilter.errors import ModelError, PropagationError
-from sphfilter.measurements import GaussianMeasurement, LikelihoodMeasurement
-from sphfilter.models import SDE, LinearSDE
-from sphfilter.simulate import advance, simulate
+from sphfilter.model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from sphfilter.model.sde import SDE, LinearSDE
+from sphfilter.model.simulate import advance, simulate
 
 POSITION = GaussianMeasurement([[1.0, 0.0]], [[0.2]])
 

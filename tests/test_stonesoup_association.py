@@ -22,7 +22,7 @@ from stonesoup.types.track import Track
 from stonesoup.updater.kalman import KalmanUpdater
 
 from sphfilter.adapters.stonesoup import EvidenceHypothesiser, SPHPredictor, SPHUpdater
-from sphfilter.simulate import advance
+from sphfilter.model.simulate import advance
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from stonesoup_cases import START, at, duffing, gaussian, off, position, seen
 
 import sphfilter as sf
 from experiments.scenario import load_scenario
-from sphfilter.campaign import draw_case
+from sphfilter.campaign.campaign import draw_case
 
 pytest.importorskip("stonesoup")
 

@@ -7,7 +7,7 @@ import pytest
 
 import sphfilter as sf
 from experiments.scenario import load_scenario
-from sphfilter.campaign import draw_case
+from sphfilter.campaign.campaign import draw_case
 from sphfilter.errors import PropagationError, UnresolvedError
 from sphfilter.filter import sph_filter
 from sphfilter.prediction import again

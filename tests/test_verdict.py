@@ -8,9 +8,9 @@ import pytest
 
 import sphfilter as sf
 from reference_filters.kalman import KalmanFilter
-from sphfilter.campaign import Case, run_campaign
-from sphfilter.report import report
-from sphfilter.verdict import verdict
+from sphfilter.campaign.campaign import Case, run_campaign
+from sphfilter.campaign.report import report
+from sphfilter.campaign.verdict import verdict
 
 TIMES = np.arange(1.0, 13.0)
 

@@ -7,8 +7,8 @@ import numpy as np
 from experiments.scenario import Scenario
 from experiments.settings import Count, Positive
 from reference_filters.boxed_grid import BoxedGridFilter, box_of_case
-from sphfilter.campaign_store import case_digest
-from sphfilter.config import settings
+from sphfilter.campaign.store import case_digest
+from sphfilter.settings import settings
 
 __all__ = ["Boxed", "BoxedFactory", "fits"]
 

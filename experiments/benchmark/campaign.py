@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sphfilter.campaign import draw_case
+from sphfilter.campaign.campaign import draw_case
 
 from . import reference
 from .counting import drift_evaluations

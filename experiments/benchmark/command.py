@@ -19,8 +19,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from experiments.files import add_change_option, changes_of
 from experiments.running import Interrupted
 from experiments.scenario import load_scenario
-from sphfilter.campaign import draw_case
-from sphfilter.campaign_store import versions
+from sphfilter.campaign.campaign import draw_case
+from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError, SphfilterError
 
 from . import expensive, plots, tables

@@ -15,7 +15,7 @@ from experiments.filters import Factory
 from experiments.settings import Grid
 from reference_filters.big_particle import converged
 from reference_filters.grid_density import Box, GridDensity, fitted_box
-from sphfilter.campaign_store import case_digest
+from sphfilter.campaign.store import case_digest
 from sphfilter.errors import PropagationError
 from sphfilter.filter.results import FilterResult
 

@@ -15,9 +15,9 @@ from experiments.filters import FILTERS, factories, name_of, takes_grid
 from experiments.run import counted, without_nan, without_none
 from experiments.running import new_console, run_shown, status, warm_up
 from experiments.scenario import load_scenario, read_settings
-from sphfilter.campaign_store import versions
+from sphfilter.campaign.report import report
+from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError
-from sphfilter.report import report
 
 from . import page, plots
 

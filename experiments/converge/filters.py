@@ -14,7 +14,7 @@ from experiments.comparison import distances
 from experiments.files import changes_of
 from experiments.filters import factories, name_of
 from experiments.scenario import load_scenario
-from sphfilter.campaign import run_campaign
+from sphfilter.campaign.campaign import run_campaign
 from sphfilter.errors import ConfigError
 
 __all__ = ["convergence", "orders", "study"]

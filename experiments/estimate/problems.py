@@ -12,7 +12,7 @@ from experiments.own_data.model_file import load_model
 from experiments.scenario import Scenario, load_scenario
 from experiments.sunspots.command import FIRST, roots
 from experiments.sunspots.forecast import fold
-from sphfilter.campaign import Case
+from sphfilter.campaign.campaign import Case
 from sphfilter.errors import ConfigError, nearest
 
 __all__ = ["SENSOR", "Build", "Problem", "guess_of", "problem_of", "rival_of"]

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from experiments.filters import FILTERS, factories, name_of
 from experiments.running import new_console
-from sphfilter.campaign import Case
+from sphfilter.campaign.campaign import Case
 from sphfilter.errors import SphfilterError
 
 from .csv_data import read_measurements

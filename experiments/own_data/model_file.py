@@ -8,7 +8,7 @@ from pydantic import Field
 from experiments.files import read_toml
 from experiments.scenario import Scenario, check_parts
 from experiments.settings import Filters, ModelText, Sensor
-from sphfilter.config import from_table, settings
+from sphfilter.settings import from_table, settings
 
 __all__ = ["Belief", "Columns", "ModelFile", "load_model"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from experiments.filters import Factory
-from sphfilter.campaign import draw_case, run_campaign
+from sphfilter.campaign.campaign import draw_case, run_campaign
 
 from ._style import ACCENT, INK, Picture, frame, quantity
 

@@ -16,8 +16,8 @@ from experiments.files import add_change_option, changes_of
 from experiments.filters import FILTERS, factories
 from experiments.running import Interrupted, new_console
 from experiments.scenario import load_scenario, read_settings
-from sphfilter.campaign import run_campaign
-from sphfilter.report import report
+from sphfilter.campaign.campaign import run_campaign
+from sphfilter.campaign.report import report
 
 from . import plots, tables
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from sphfilter.config import LogDensityScheme
 from sphfilter.errors import ConfigError, SphfilterError
-from sphfilter.expressions import Names
+from sphfilter.model.expressions import Names
 
 __all__ = ["check", "named"]
 

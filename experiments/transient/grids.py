@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from experiments.settings import Count, Positive, Row
-from sphfilter.config import settings
+from sphfilter.settings import settings
 
 __all__ = ["MOST_NODES", "Lattice", "Probe", "Written"]
 

@@ -11,7 +11,7 @@ import numpy as np
 import sphfilter as sf
 from experiments.files import change, file_names, find_file, read_toml
 from experiments.scenario import model_of
-from sphfilter.config import from_table
+from sphfilter.settings import from_table
 
 from .checks import check, named
 from .settings import TransientSettings

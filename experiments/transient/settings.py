@@ -6,7 +6,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from experiments.settings import Count, Matrix, ModelText, Positive, Row
-from sphfilter.config import SolverConfig, settings
+from sphfilter.config import SolverConfig
+from sphfilter.settings import settings
 
 from .grids import Lattice, Probe, Written
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphfilter._symbolic import symbolic_rows
 from sphfilter.errors import ExpressionError, ModelError
+from sphfilter.model.symbolic import symbolic_rows
 
 __all__ = ["Pdf", "condition", "expression", "reads_time"]
 

@@ -6,10 +6,10 @@ import numpy as np
 
 from ..config import LogDensityScheme, PaperScheme, SolverConfig
 from ..core.sph.kernels import KINDS, RADIUS
-from ..domain import Domain
 from ..errors import ModelError, PropagationError
 from ..lattice.level_set import fewest_particles, lay, reach
 from ..lattice.regular import Lattice, heaviest, place_gaussian
+from ..model.domain import Domain
 from ..validate import array, count, real, row
 from .distributions import Gaussian, Uniform, checked_box, gaussian_log_pdf
 from .particle_density import ParticleDensity

@@ -8,9 +8,9 @@ from scipy import special
 
 from ..core.field.field import Field
 from ..core.sph import kernels
-from ..domain import Domain
 from ..errors import ModelError
 from ..lattice import field
+from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
 from . import marginal, mixture, statistics
 

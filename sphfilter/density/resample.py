@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..config import PaperScheme, SolverConfig
-from ..domain import Domain
 from ..errors import PropagationError
 from ..info import ResampleInfo
 from ..lattice.field import at
 from ..lattice.level_set import reach
 from ..lattice.posterior import posterior
 from ..lattice.regular import Lattice, heaviest
+from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
 from .interpolant import normalised

@@ -10,8 +10,8 @@ import numpy as np
 from .._version import __version__
 from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
-from ..domain import Domain
 from ..errors import ModelError
+from ..model.domain import Domain
 from .particle_density import ParticleDensity
 
 __all__ = [

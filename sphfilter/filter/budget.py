@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from ..errors import PropagationError
-from ..measurements import GaussianMeasurement, LikelihoodMeasurement
+from ..model.measurements import GaussianMeasurement, LikelihoodMeasurement
 from ..prediction.predict import load, predict
 from .update import update
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..errors import ModelError
 from ..info import innovation_of
-from ..measurements import GaussianMeasurement
+from ..model.measurements import GaussianMeasurement
 from ..validate import short
 
 __all__ = ["checked_sensor", "read", "sensor_of"]

@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ..calibration import gaussian_ranks
+from ..consistency.ranks import gaussian_ranks
 from ..errors import ModelError
 from ..info import innovation_of
 

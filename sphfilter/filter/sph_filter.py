@@ -5,12 +5,12 @@ from copy import copy
 
 import numpy as np
 
-from ..calibration import Observer
 from ..config import checked_filter_config
+from ..consistency.ranks import Observer
 from ..density.initialize import Gaussian, initialize
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError
-from ..models import SDE
+from ..model.sde import SDE
 from ..prediction.again import Prediction, fewest, predict_adapting, predict_relaying
 from ..prediction.predict import predict
 from ..validate import array, count, covariance, positive, real, row, short

@@ -10,8 +10,8 @@ from scipy import optimize, sparse
 from ..core.sph.kernels import KINDS, RADIUS, normalisation, shape
 from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
 from ..core.sph.summation import deposit
-from ..domain import Domain
 from ..errors import ModelError
+from ..model.domain import Domain
 from ..validate import row
 
 __all__ = [

@@ -9,14 +9,14 @@ import math
 
 import numpy as np
 
-from .._compile import shared
-from .._derived import zeros
 from ..core._addresses import address_of, function_at
 from ..core._jit import jit
 from ..core.characteristics.expectation import AIMED, BACK, Step
 from ..core.characteristics.noise_paths import Noise
 from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
+from ..model.compile import shared
+from ..model.derived import zeros
 from .log_density import noise_factor, paths
 
 __all__ = ["expected", "information"]

@@ -11,11 +11,11 @@ from stonesoup.base import Base
 from ...config import FilterConfig
 from ...density.particle_density import ParticleDensity
 from ...density.storage import from_bytes, to_bytes
-from ...domain import Domain
 from ...errors import ModelError, SphfilterError
 from ...info import PredictInfo, ResampleInfo, UpdateInfo
-from ...measurements import GaussianMeasurement, LikelihoodMeasurement
-from ...models import SDE, LinearSDE
+from ...model.domain import Domain
+from ...model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from ...model.sde import SDE, LinearSDE
 
 __all__ = ["extend"]
 

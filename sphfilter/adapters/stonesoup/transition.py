@@ -13,8 +13,8 @@ from stonesoup.types.array import CovarianceMatrix, StateVector, StateVectors
 from stonesoup.types.numeric import Probability
 
 from ...errors import ModelError
-from ...models import SDE, LinearSDE
-from ...simulate import advance
+from ...model.sde import SDE, LinearSDE
+from ...model.simulate import advance
 from ...validate import generator, short
 
 __all__ = ["SDETransitionModel", "linear_sde", "transition_of"]

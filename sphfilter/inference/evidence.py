@@ -4,9 +4,9 @@ import hashlib
 
 import numpy as np
 
-from . import validate
-from .errors import EstimationError, ModelError, SphfilterError, nearest
-from .filter.sph_filter import SPHFilter
+from .. import validate
+from ..errors import EstimationError, ModelError, SphfilterError, nearest
+from ..filter.sph_filter import SPHFilter
 
 __all__ = ["Evidence", "checked_guess", "fingerprint", "n_readings"]
 

@@ -8,12 +8,12 @@ from types import MappingProxyType
 import numpy as np
 from scipy.linalg import expm
 
-from . import _derived as derived
-from . import validate
-from ._compile import compile_rows, shared
-from ._noise import noise_parts, reads_time
+from .. import validate
+from ..errors import ModelError, nearest
+from . import derived
+from .compile import compile_rows, shared
 from .domain import Domain
-from .errors import ModelError, nearest
+from .noise import noise_parts, reads_time
 
 __all__ = ["SDE", "LinearSDE"]
 
@@ -146,7 +146,7 @@ class SDE:
         >>> print(model.drift([[2.0]], t=0.0), model.jacobian([2.0], t=0.0))
         [[-6.]] [[-11.]]
         """
-        from ._symbolic import symbolic_model  # imports sympy, which takes a second
+        from .symbolic import symbolic_model  # imports sympy, which takes a second
 
         recipe = {k: v for k, v in locals().items() if k not in ("cls", "symbolic_model")}
         validate.choice("interpretation", interpretation, ("ito", "stratonovich"))

@@ -11,8 +11,8 @@ import warnings
 
 import sympy as sp
 
-from ._symbols import FUNCTIONS, And, Ge, Gt, Not, Or, Where
-from .errors import ExpressionError, nearest
+from ..errors import ExpressionError, nearest
+from .symbols import FUNCTIONS, And, Ge, Gt, Not, Or, Where
 
 __all__ = ["Names", "parse"]
 

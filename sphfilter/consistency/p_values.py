@@ -6,7 +6,7 @@ Epochs of a run are correlated, runs are not: what varies between runs says how 
 import numpy as np
 from scipy.special import bdtrc, chdtrc, stdtr
 
-from .errors import ModelError
+from ..errors import ModelError
 
 __all__ = [
     "FEWEST_RUNS",

@@ -14,8 +14,8 @@ from numba import njit, objmode
 from numba.core import types
 from numba.core.errors import NumbaError
 
-from .core._jit import BATCH
-from .errors import ModelError
+from ..core._jit import BATCH
+from ..errors import ModelError
 
 __all__ = ["accepts", "batch", "compile_rows", "compile_source", "probe", "probe_states", "reads_argument"]
 

@@ -7,7 +7,7 @@ matrices are stored row-major in the columns.
 import numpy as np
 from numba import njit
 
-from ._compile import batch
+from .compile import batch
 
 __all__ = [
     "constant_diffusion", "constant_noise", "diffusion_from_noise", "jacobian_from", "linear_divergence",

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import consistency, significance
+from .. import consistency
+from ..consistency import p_values
 from .findings import Innovations, Ranks, innovations_of, ranks_of
 
 __all__ = ["FilterReport", "filter_report"]
@@ -145,7 +146,7 @@ def _consistency(truth, x, P):
         "nees_below": _over_runs(np.mean, nees_average < low),
         "exits": int(np.sum((nees_average > high) | (nees_average < low))),
         "nmee": nmee_average.mean(axis=0),
-        "nmee_p": np.array([significance.same_mean(e, 0.0) for e in np.moveaxis(nmee, 2, 0)]),
+        "nmee_p": np.array([p_values.same_mean(e, 0.0) for e in np.moveaxis(nmee, 2, 0)]),
         "nmee_inside": consistency.fraction_inside(nmee_average, consistency.nmee_bounds(n_nmee)),
         "n_diverged": int(np.sum(consistency.diverged(nees, dim))),
     }

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import ModelError
+from ..errors import ModelError
+from ..validate import short
 from .estimation import ParameterFit
 from .evidence import fingerprint, n_readings
-from .validate import short
 
 __all__ = ["ModelComparison", "compare_models"]
 

@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from . import validate
-from .core.domain import bounce
-from .core.sde_steps import normals_per_step, steps
-from .errors import ModelError, PropagationError
+from .. import validate
+from ..core.domain import bounce
+from ..core.sde_steps import normals_per_step, steps
+from ..errors import ModelError, PropagationError
 
 __all__ = ["advance", "noise_root", "rate_of_time", "simulate"]
 

@@ -3,12 +3,12 @@
 import numpy as np
 import sympy as sp
 
-from . import _derived as derived
-from . import validate
-from ._compile import compile_source, shared
-from ._symbols import source
-from .errors import ExpressionError, ModelError
+from .. import validate
+from ..errors import ExpressionError, ModelError
+from . import derived
+from .compile import compile_source, shared
 from .expressions import Names, parse
+from .symbols import source
 
 __all__ = ["symbolic_model", "symbolic_rows"]
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import minimize
 
-from .curvature import quadratic, scales, slope_step_for, slopes
+from .quadratic import quadratic, scales, slope_step_for, slopes
 
 __all__ = ["ROUND", "climbed", "off_bounds", "polished", "ridge", "room", "searched"]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from . import significance
+from ..consistency import p_values
 
 __all__ = ["verdict"]
 
@@ -46,8 +46,8 @@ def verdict(numbers, labels, referee=None):
 def _lost_more(numbers, referee):
     """Whether more runs were lost than chance takes: one in twenty, or the referee's number."""
     if referee is None:
-        return significance.no_worse(numbers.n_diverged, 0, numbers.n_runs) < _LEVEL
-    return significance.more(numbers.n_diverged, referee.n_diverged, numbers.n_runs) < _LEVEL
+        return p_values.no_worse(numbers.n_diverged, 0, numbers.n_runs) < _LEVEL
+    return p_values.more(numbers.n_diverged, referee.n_diverged, numbers.n_runs) < _LEVEL
 
 
 def _faults(numbers, labels):
@@ -61,7 +61,7 @@ def _faults(numbers, labels):
             [ranks.hpd_p, innovations.whiteness_p, numbers.exits_p],
         ]
     )
-    parts = np.split(significance.refused(tests, _LEVEL), np.cumsum([n, n, k]))
+    parts = np.split(p_values.refused(tests, _LEVEL), np.cumsum([n, n, k]))
     wrong, biased, predicted, (shape, coloured, outside) = parts
     faults = []
     for word, which in _shapes(ranks.state_pit, wrong).items():
@@ -115,7 +115,7 @@ def _nothing_found(numbers):
     if not numbers.ranks.state_pit.any():
         return f"not judged, the ranks of the truth are not known (run takes truth=); {inside}"
     if np.isnan(numbers.ranks.state_pit_p).all():
-        return f"not judged, that takes {significance.FEWEST_RUNS} runs at least; {inside}"
+        return f"not judged, that takes {p_values.FEWEST_RUNS} runs at least; {inside}"
     if numbers.nees_inside < _FEW and np.isnan(numbers.exits_p):
         return f"nothing found against it but {inside} only (if no Gaussian it may be right: ask a referee)"
     return f"consistent: nothing found against it, {inside}"

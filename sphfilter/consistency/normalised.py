@@ -8,7 +8,7 @@ that is NaN (the filter failed) is left out of averages, and the number left is 
 import numpy as np
 from scipy.special import gammaincinv, ndtri
 
-from .errors import ModelError
+from ..errors import ModelError
 
 __all__ = ["diverged", "fraction_inside", "lagged_products", "nees", "nees_bounds", "nis", "nmee",
            "nmee_bounds", "run_average", "whiteness"]  # fmt: skip

@@ -11,9 +11,9 @@ from time import perf_counter
 
 import numpy as np
 
-from .calibration import Observer, gaussian_ranks
-from .errors import ModelError
-from .filter.results import shapes
+from ..consistency.ranks import Observer, gaussian_ranks
+from ..errors import ModelError
+from ..filter.results import shapes
 
 __all__ = ["Case", "draw", "run"]
 

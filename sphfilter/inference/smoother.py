@@ -10,18 +10,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .config import LogDensityScheme
-from .density.resample import product
-from .errors import ModelError, PropagationError
-from .filter.readings import checked_sensor
-from .filter.results import FilterResult
-from .filter.sph_filter import SPHFilter
-from .lattice.field import outside
-from .lattice.level_set import reach
-from .prediction.backward import expected, information
-from .prediction.log_density import fits
-from .validate import short
-from .validate import times as checked_times
+from ..config import LogDensityScheme
+from ..density.resample import product
+from ..errors import ModelError, PropagationError
+from ..filter.readings import checked_sensor
+from ..filter.results import FilterResult
+from ..filter.sph_filter import SPHFilter
+from ..lattice.field import outside
+from ..lattice.level_set import reach
+from ..prediction.backward import expected, information
+from ..prediction.log_density import fits
+from ..validate import short
+from ..validate import times as checked_times
 
 __all__ = ["SmoothedResult", "smooth"]
 

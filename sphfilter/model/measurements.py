@@ -6,9 +6,9 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from . import validate
-from ._compile import compile_rows, probe
-from .errors import ModelError
+from .. import validate
+from ..errors import ModelError
+from .compile import compile_rows, probe
 
 __all__ = ["GaussianMeasurement", "LikelihoodMeasurement"]
 
@@ -220,7 +220,7 @@ class _Expressions:
     """h(X, t) of a sensor given as text; copies are made from the text."""
 
     def __init__(self, states, texts):
-        from ._symbolic import symbolic_rows  # imports sympy, which takes a second
+        from .symbolic import symbolic_rows  # imports sympy, which takes a second
 
         self.states, self.expressions = tuple(states), tuple(texts)
         self._fill = symbolic_rows(states, texts, "h")

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .errors import EstimationError
+from ..errors import EstimationError
 
 __all__ = ["Quadratic", "quadratic", "roughness", "scales", "slope_step_for", "slopes", "step_for"]
 

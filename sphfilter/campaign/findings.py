@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import consistency, significance
+from .. import consistency
+from ..consistency import p_values
 
 __all__ = ["Innovations", "Ranks", "innovations_of", "ranks_of"]
 
@@ -86,21 +87,21 @@ def innovations_of(innovation, cov, accepted, came=None):
         nis_accepted=_ratio(square[used].sum(), dof[used].sum()),
         nis_inside=float(consistency.fraction_inside(_ratios(square * told, dof), bounds)),
         whiteness=float(np.nanmean(white)) if np.isfinite(white).any() else np.nan,
-        whiteness_p=significance.same_mean(products[:, None], 0.0),
+        whiteness_p=p_values.same_mean(products[:, None], 0.0),
     )
 
 
 def ranks_of(pit, state_pit, hpd_rank):
     """Reduce ranks (R, T, k), (R, T, n) and (R, T) to `Ranks`."""
-    each = significance.histogram
+    each = p_values.histogram
     known = np.isfinite(hpd_rank)
     return Ranks(
         pit=np.array([each(p) for p in np.moveaxis(pit, 2, 0)]),
         state_pit=np.array([each(p) for p in np.moveaxis(state_pit, 2, 0)]),
         hpd=each(hpd_rank) if known.any() else np.full(10, np.nan),
-        pit_p=np.array([significance.uniform_epochs(p) for p in np.moveaxis(pit, 2, 0)]),
-        state_pit_p=np.array([significance.uniform_runs(p) for p in np.moveaxis(state_pit, 2, 0)]),
-        hpd_p=significance.uniform_runs(hpd_rank),
+        pit_p=np.array([p_values.uniform_epochs(p) for p in np.moveaxis(pit, 2, 0)]),
+        state_pit_p=np.array([p_values.uniform_runs(p) for p in np.moveaxis(state_pit, 2, 0)]),
+        hpd_p=p_values.uniform_runs(hpd_rank),
         outside_95=_ratio(np.sum(hpd_rank[known] > 0.95), known.sum()),
     )
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from . import _derived as derived
-from . import validate
-from ._compile import accepts, compile_rows, probe_states, reads_argument, shared
-from .errors import ModelError
+from .. import validate
+from ..errors import ModelError
+from . import derived
+from .compile import accepts, compile_rows, probe_states, reads_argument, shared
 
 __all__ = ["noise_parts", "reads_time", "structure"]
 

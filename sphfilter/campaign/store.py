@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ._version import __version__
-from .errors import CampaignError, ConfigError
+from .._version import __version__
+from ..errors import CampaignError, ConfigError
 
 __all__ = ["case_digest", "claim", "finished", "load_result", "manifest", "read_run", "save_result",
            "versions", "write_run"]  # fmt: skip

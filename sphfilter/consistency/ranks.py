@@ -11,9 +11,9 @@ from time import perf_counter
 import numpy as np
 from scipy.special import gammainc, ndtr
 
-from . import consistency
-from .density.weighted import below, higher
-from .measurements import GaussianMeasurement
+from . import normalised
+from ..density.weighted import below, higher
+from ..model.measurements import GaussianMeasurement
 
 __all__ = ["Observer", "gaussian_ranks", "ranked_reading"]
 
@@ -108,9 +108,9 @@ def gaussian_ranks(truth, mean, cov, innovation, innovation_cov):
     """
     truth = np.asarray(truth, dtype=float)
     variance = np.diagonal(innovation_cov, axis1=-2, axis2=-1)
-    square = consistency.nees(truth, mean, cov)
+    square = normalised.nees(truth, mean, cov)
     return {
         "pit": ndtr(innovation / np.sqrt(np.where(variance > 0, variance, np.nan))),
-        "state_pit": ndtr(-consistency.nmee(truth, mean, cov)),
+        "state_pit": ndtr(-normalised.nmee(truth, mean, cov)),
         "hpd_rank": gammainc(truth.shape[-1] / 2.0, square / 2.0),
     }

@@ -9,11 +9,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from .ascent import ROUND, climbed, off_bounds, polished, ridge, room, searched
-from .curvature import quadratic, roughness, step_for
-from .errors import EstimationError, ModelError, nearest
+from ..errors import EstimationError, ModelError, nearest
+from ..filter.results import FilterResult
 from .evidence import Evidence, checked_guess, fingerprint
-from .filter.results import FilterResult
+from .maximum import ROUND, climbed, off_bounds, polished, ridge, room, searched
+from .quadratic import quadratic, roughness, step_for
 
 __all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
 

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import campaign_run, validate
-from . import campaign_store as store
-from .campaign_run import Case
-from .errors import CampaignError, ModelError
-from .filter.results import FilterResult
+from .. import validate
+from ..errors import CampaignError, ModelError
+from ..filter.results import FilterResult
+from . import one_run, store
+from .one_run import Case
 
 __all__ = ["CampaignResult", "Case", "Failure", "draw_case", "run_campaign"]
 
@@ -164,7 +164,7 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
         store.claim(folder, store.manifest(scenario, filters, int(seed), first))
         finished = store.finished(folder, n_runs)
     todo = [(r, scenario, filters, seeds[r], ranks) for r in range(n_runs) if r not in finished]
-    coming = _in_parallel(campaign_run.run, todo, n_jobs, progress, n_runs)
+    coming = _in_parallel(one_run.run, todo, n_jobs, progress, n_runs)
     for done, (r, record) in enumerate(coming, len(finished) + 1):
         first_case = _same_times(scenario.name, record, first_case, r)
         if folder is None:
@@ -197,13 +197,13 @@ def _in_parallel(task, todo, n_jobs, progress, n_runs):
 
 def draw_case(scenario, seed, run):
     """Draw one run of the campaign with this seed again, counted from zero."""
-    return campaign_run.draw(scenario, np.random.SeedSequence(int(seed)).spawn(run + 1)[run])
+    return one_run.draw(scenario, np.random.SeedSequence(int(seed)).spawn(run + 1)[run])
 
 
 def _digest(scenario, seed):
     """Digest of a case, or of the words with which it could not be drawn."""
     try:
-        return store.case_digest(campaign_run.draw(scenario, seed))
+        return store.case_digest(one_run.draw(scenario, seed))
     except Exception as problem:
         return f"{type(problem).__name__}: {problem}"
 

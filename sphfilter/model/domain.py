@@ -4,10 +4,10 @@ from functools import cached_property
 
 import numpy as np
 
-from . import validate
-from .core import domain as core
-from .core.domain import KINDS
-from .errors import ModelError
+from .. import validate
+from ..core import domain as core
+from ..core.domain import KINDS
+from ..errors import ModelError
 
 __all__ = ["Domain"]
 

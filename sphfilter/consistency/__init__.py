@@ -1,0 +1,17 @@
+"""Is a filter as good as it says? Normalised errors over runs, and the intervals they must fall in."""
+
+from .normalised import (
+    diverged,
+    fraction_inside,
+    lagged_products,
+    nees,
+    nees_bounds,
+    nis,
+    nmee,
+    nmee_bounds,
+    run_average,
+    whiteness,
+)
+
+__all__ = ["diverged", "fraction_inside", "lagged_products", "nees", "nees_bounds", "nis", "nmee",
+           "nmee_bounds", "run_average", "whiteness"]  # fmt: skip

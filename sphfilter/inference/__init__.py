@@ -1,0 +1,1 @@
+"""Whole records: states smoothed, parameters fitted, models compared."""

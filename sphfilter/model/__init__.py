@@ -1,0 +1,1 @@
+"""What is given: equations, sensors, where states live, simulated truths."""
