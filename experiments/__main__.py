@@ -2,7 +2,7 @@
 
 import sys
 
-from .interruption import stoppable
+from .terminal.interruption import stoppable
 
 __all__ = ["main"]
 

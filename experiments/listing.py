@@ -3,7 +3,7 @@
 from rich.console import Console
 from rich.table import Table
 
-from .scenario import read_settings, scenario_names
+from .scene.scenario import read_settings, scenario_names
 from .sunspots import command as sunspots
 from .transient.problem import load_problem, problem_names
 

@@ -17,8 +17,8 @@ from .benchmark import reference
 from .benchmark.errors import errors, root_mean_square
 from .benchmark.watch import Watched
 from .converge.tables import numbers
-from .running import new_console, status
-from .scenario import load_scenario
+from .scene.scenario import load_scenario
+from .terminal.running import new_console, status
 
 __all__ = ["EPILOG", "add_arguments", "main"]
 

@@ -14,13 +14,14 @@ from sphfilter.campaign.report import report
 from sphfilter.campaign.store import versions
 from sphfilter.errors import SphfilterError
 
-from . import pictures, plots
-from .comparison import distances, reference_name
-from .files import add_change_option, changes_of
-from .filters import FILTERS, factories, name_of
-from .running import new_console, run_shown, status, warm_up
-from .scenario import load_scenario
-from .tables import distance_table, result_table, sentences
+from . import pictures
+from .scene.files import add_change_option, changes_of
+from .scene.filters import FILTERS, factories, name_of
+from .scene.scenario import load_scenario
+from .show import plots
+from .show.comparison import distances, reference_name
+from .show.tables import distance_table, result_table, sentences
+from .terminal.running import new_console, run_shown, status, warm_up
 
 __all__ = ["add_arguments", "counted", "main", "without_nan", "without_none"]
 

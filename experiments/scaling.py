@@ -16,7 +16,7 @@ from sphfilter.errors import ConfigError
 
 from .benchmark.watch import resident, watch_peak
 from .converge.tables import numbers
-from .running import status
+from .terminal.running import status
 from .transient.problem import load_problem
 
 __all__ = ["add_arguments", "main"]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 import sphfilter as sf
-from experiments.scenario import load_scenario
+from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
 
 UNIT, ROUND = sf.Gaussian([0.0], [[1.0]]), sf.Gaussian([0.0, 0.0], np.eye(2))

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from experiments.commands import main
-from experiments.filters import factories
-from experiments.scenario import load_scenario
+from experiments.scene.filters import factories
+from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import run_campaign
 from sphfilter.filter.results import FilterResult
 

@@ -18,9 +18,9 @@ from experiments.benchmark.methods import Method, default_families, label, metho
 from experiments.benchmark.store import Rows
 from experiments.benchmark.summary import Line, ReferenceError, fastest_to_reach, frontier, particle_law
 from experiments.benchmark.watch import TooSlow, Watched
-from experiments.filters import Factory
-from experiments.scenario import load_scenario
-from experiments.settings import Particle
+from experiments.scene.filters import Factory
+from experiments.scene.scenario import load_scenario
+from experiments.scene.settings import Particle
 from reference_filters.grid_density import GridDensity, fitted_box
 from reference_filters.kalman import KalmanFilter
 from sphfilter import ConfigError

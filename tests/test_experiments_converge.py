@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.comparison import Distance
 from experiments.converge import orders
+from experiments.show.comparison import Distance
 
 
 def test_orders_are_slopes_in_the_spacing():

@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 
 from experiments.commands import main
 from experiments.estimate.problems import Build, guess_of, problem_of, rival_of
-from experiments.scenario import load_scenario
+from experiments.scene.scenario import load_scenario
 from reference_filters.kalman import KalmanFilter
 from sphfilter.errors import ConfigError
 

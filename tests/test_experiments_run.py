@@ -7,7 +7,7 @@ import pytest
 
 from experiments import __main__ as commands
 from experiments import run
-from experiments.filters import Factory
+from experiments.scene.filters import Factory
 from sphfilter.campaign.campaign import CampaignResult
 
 _TINY = ["--runs", "2", "--set", "times.end=6", "--n-particles", "200", "--set", "filters.pf.n_particles=100"]

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from experiments import scenario as scenarios
-from experiments import start
-from experiments.files import parse_change
-from experiments.filters import factories
-from experiments.scenario import Scenario, load_scenario, read_settings, scenario_names
+from experiments.scene import scenario as scenarios
+from experiments.scene import start
+from experiments.scene.files import parse_change
+from experiments.scene.filters import factories
+from experiments.scene.scenario import Scenario, load_scenario, read_settings, scenario_names
 from sphfilter import ConfigError, ExpressionError, FilterConfig, ModelError, SphfilterError
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.scenario import load_scenario, read_settings
+from experiments.scene.scenario import load_scenario, read_settings
 from experiments.sweep import command as sweep
 from experiments.sweep import plots, tables
 from sphfilter.campaign.report import FilterReport, Report

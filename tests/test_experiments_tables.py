@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from experiments import plots
-from experiments.comparison import distances, reference_name
-from experiments.scenario import load_scenario
-from experiments.tables import result_table, sentences
+from experiments.scene.scenario import load_scenario
+from experiments.show import plots
+from experiments.show.comparison import distances, reference_name
+from experiments.show.tables import result_table, sentences
 from sphfilter import FilterResult
 from sphfilter.campaign.campaign import CampaignResult
 from sphfilter.campaign.report import report

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from experiments.scenario import load_scenario
+from experiments.scene.scenario import load_scenario
 from reference_filters.closed_forms import linear_moments
 from sphfilter.core.sph import kernels
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.filters import Factory
 from experiments.own_data.csv_data import read_measurements
 from experiments.own_data.model_file import load_model
+from experiments.scene.filters import Factory
 from sphfilter.errors import ConfigError, ModelError, PropagationError, SphfilterError
 
 A, Q, R, M0, P0 = 0.4, 0.5, 0.3, 1.0, 2.0

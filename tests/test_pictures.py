@@ -9,7 +9,7 @@ import pytest
 import sphfilter as sf
 from experiments import pictures
 from experiments.pictures import accuracy, densities, rejections, transient
-from experiments.scenario import load_scenario
+from experiments.scene.scenario import load_scenario
 from sphfilter.errors import ConfigError
 
 

@@ -7,7 +7,7 @@ import pytest
 from stonesoup_cases import START, at, duffing, gaussian, off, position, seen
 
 import sphfilter as sf
-from experiments.scenario import load_scenario
+from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
 
 pytest.importorskip("stonesoup")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from experiments.scenario import load_scenario
+from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.errors import PropagationError, UnresolvedError
 from sphfilter.filter import sph_filter

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.scenario import Scenario
-from experiments.settings import Count, Positive
+from experiments.scene.scenario import Scenario
+from experiments.scene.settings import Count, Positive
 from reference_filters.boxed_grid import BoxedGridFilter, box_of_case
 from sphfilter.campaign.store import case_digest
 from sphfilter.settings import settings

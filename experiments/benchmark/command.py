@@ -16,9 +16,9 @@ import numba
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from experiments.files import add_change_option, changes_of
-from experiments.running import Interrupted
-from experiments.scenario import load_scenario
+from experiments.scene.files import add_change_option, changes_of
+from experiments.scene.scenario import load_scenario
+from experiments.terminal.running import Interrupted
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError, SphfilterError

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import sphfilter as sf
-from experiments.scenario import Scenario
+from experiments.scene.scenario import Scenario
 
 from .watch import Watched
 

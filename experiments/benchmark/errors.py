@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from experiments.comparison import distance
+from experiments.show.comparison import distance
 from sphfilter import consistency
 
 __all__ = ["Errors", "errors", "root_mean_square", "truth_errors"]

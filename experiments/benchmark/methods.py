@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from experiments.filters import Factory
-from experiments.settings import Grid, MomentFilter, Particle, Sph
+from experiments.scene.filters import Factory
+from experiments.scene.settings import Grid, MomentFilter, Particle, Sph
 from sphfilter.config import FilterConfig
 from sphfilter.errors import ConfigError, nearest
 

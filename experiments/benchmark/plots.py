@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
-from experiments.plots import COLOURS
+from experiments.show.plots import COLOURS
 
 from .expensive import COSTS, fastest
 from .methods import label

@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
-from experiments.filters import Factory
-from experiments.settings import Grid
+from experiments.scene.filters import Factory
+from experiments.scene.settings import Grid
 from reference_filters.big_particle import converged
 from reference_filters.grid_density import Box, GridDensity, fitted_box
 from sphfilter.campaign.store import case_digest

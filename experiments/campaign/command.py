@@ -10,11 +10,11 @@ from pathlib import Path
 import joblib
 import tomli_w
 
-from experiments.files import add_change_option, changes_of
-from experiments.filters import FILTERS, factories, name_of, takes_grid
 from experiments.run import counted, without_nan, without_none
-from experiments.running import new_console, run_shown, status, warm_up
-from experiments.scenario import load_scenario, read_settings
+from experiments.scene.files import add_change_option, changes_of
+from experiments.scene.filters import FILTERS, factories, name_of, takes_grid
+from experiments.scene.scenario import load_scenario, read_settings
+from experiments.terminal.running import new_console, run_shown, status, warm_up
 from sphfilter.campaign.report import report
 from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError

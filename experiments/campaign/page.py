@@ -8,7 +8,7 @@ from operator import attrgetter
 import numpy as np
 from markdown_it import MarkdownIt
 
-from experiments.filters import name_of
+from experiments.scene.filters import name_of
 
 __all__ = ["write"]
 

@@ -7,9 +7,9 @@ matplotlib.use("Agg")  # files only: no window system is asked for
 import matplotlib.pyplot as plt
 import numpy as np
 
-from experiments.filters import name_of
-from experiments.pictures._style import save
-from experiments.plots import COLOURS, consistency_figure, plain_numbers
+from experiments.scene.filters import name_of
+from experiments.show.plots import COLOURS, consistency_figure, plain_numbers
+from experiments.show.style import save
 from sphfilter import consistency
 
 __all__ = ["draw"]

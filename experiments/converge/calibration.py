@@ -7,7 +7,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from experiments.files import changes_of
+from experiments.scene.files import changes_of
 from sphfilter.errors import ConfigError
 
 from . import calibration_plots, tables

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from experiments.pictures._style import INK, frame, plt, save
-from experiments.plots import plain_numbers
+from experiments.show.plots import plain_numbers
+from experiments.show.style import INK, frame, plt, save
 
 __all__ = ["PUBLISHED_BUFFER", "draw"]
 

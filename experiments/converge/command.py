@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from experiments.files import add_change_option
-from experiments.running import new_console
-from experiments.scenario import scenario_names
+from experiments.scene.files import add_change_option
+from experiments.scene.scenario import scenario_names
+from experiments.terminal.running import new_console
 from experiments.transient.problem import problem_names
 from sphfilter.errors import ConfigError
 

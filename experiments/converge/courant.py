@@ -7,9 +7,9 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from experiments.files import changes_of
-from experiments.pictures._style import frame, plt, save
-from experiments.plots import COLOURS
+from experiments.scene.files import changes_of
+from experiments.show.plots import COLOURS
+from experiments.show.style import frame, plt, save
 from sphfilter.errors import ConfigError
 
 from . import tables

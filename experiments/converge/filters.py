@@ -9,11 +9,11 @@ import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from experiments import plots
-from experiments.comparison import distances
-from experiments.files import changes_of
-from experiments.filters import factories, name_of
-from experiments.scenario import load_scenario
+from experiments.scene.files import changes_of
+from experiments.scene.filters import factories, name_of
+from experiments.scene.scenario import load_scenario
+from experiments.show import plots
+from experiments.show.comparison import distances
 from sphfilter.campaign.campaign import run_campaign
 from sphfilter.errors import ConfigError
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from experiments.pictures._style import INK, frame, plt, save
-from experiments.plots import COLOURS, plain_numbers
+from experiments.show.plots import COLOURS, plain_numbers
+from experiments.show.style import INK, frame, plt, save
 
 from .studies import RULES
 from .tables import groups, orders_of

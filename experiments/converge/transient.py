@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from experiments.files import changes_of
+from experiments.scene.files import changes_of
 from sphfilter.errors import ConfigError
 
 from . import plots, tables

@@ -15,8 +15,8 @@ from rich import box
 from rich.table import Table
 
 import sphfilter as sf
-from experiments.files import add_change_option, changes_of
-from experiments.running import new_console, status
+from experiments.scene.files import add_change_option, changes_of
+from experiments.terminal.running import new_console, status
 from sphfilter.errors import ConfigError, SphfilterError
 
 from .plots import draw_profiles

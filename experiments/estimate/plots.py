@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from experiments.plots import COLOURS
+from experiments.show.plots import COLOURS
 
 __all__ = ["draw_profiles"]
 

@@ -9,7 +9,7 @@ import sphfilter as sf
 from experiments.own_data.command import case_of
 from experiments.own_data.csv_data import Measurements, read_measurements
 from experiments.own_data.model_file import load_model
-from experiments.scenario import Scenario, load_scenario
+from experiments.scene.scenario import Scenario, load_scenario
 from experiments.sunspots.command import FIRST, roots
 from experiments.sunspots.forecast import fold
 from sphfilter.campaign.campaign import Case

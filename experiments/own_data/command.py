@@ -11,8 +11,8 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from experiments.filters import FILTERS, factories, name_of
-from experiments.running import new_console
+from experiments.scene.filters import FILTERS, factories, name_of
+from experiments.terminal.running import new_console
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import SphfilterError
 

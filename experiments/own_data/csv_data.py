@@ -7,7 +7,7 @@ import numpy as np
 
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["Measurements", "read_measurements"]
+__all__ = ["LEVELS", "Measurements", "read_measurements"]
 
 
 @dataclass(frozen=True)
@@ -116,3 +116,7 @@ def _column(path, rows, index, name):
         if np.isinf(values[i]):
             raise ConfigError(f"{path}, line {line}, column {name!r}: an infinite value cannot be used")
     return values
+
+
+#: Probabilities of the central intervals that are scored and drawn.
+LEVELS = (0.5, 0.9, 0.95)

@@ -5,9 +5,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from experiments.files import read_toml
-from experiments.scenario import Scenario, check_parts
-from experiments.settings import Filters, ModelText, Sensor
+from experiments.scene.files import read_toml
+from experiments.scene.scenario import Scenario, check_parts
+from experiments.scene.settings import Filters, ModelText, Sensor
 from sphfilter.settings import from_table, settings
 
 __all__ = ["Belief", "Columns", "ModelFile", "load_model"]

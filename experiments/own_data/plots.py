@@ -7,9 +7,9 @@ matplotlib.use("Agg")  # files only: no window system is asked for
 import matplotlib.pyplot as plt
 import numpy as np
 
-from experiments.filters import name_of
-from experiments.plots import COLOURS
-from experiments.sunspots.forecast import LEVELS
+from experiments.own_data.csv_data import LEVELS
+from experiments.scene.filters import name_of
+from experiments.show.plots import COLOURS
 
 __all__ = ["draw", "draw_forecasts"]
 

@@ -7,7 +7,7 @@ from the scenario, and the noise from 002 Tables 1 to 3 (2Ξ), which is weaker t
 
 from sphfilter.errors import ConfigError, nearest
 
-from ._style import save
+from ..show.style import save
 from .accuracy import initial_accuracy, support_sweep
 from .densities import transient_densities
 from .rejections import rejected_measurements

@@ -7,12 +7,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import sphfilter as sf
-from experiments.plots import plain_numbers
+from experiments.show.plots import plain_numbers
 from reference_filters.closed_forms import linear_moments
 from reference_filters.grid import GridFilter
 from sphfilter.lattice.regular import fit_support, place_gaussian
 
-from ._style import ACCENT, Picture, frame
+from ..show.style import ACCENT, Picture, frame
 from .transient import KERNEL, start_of, transient_model
 
 __all__ = ["initial_accuracy", "rms_error", "support_sweep", "swept"]

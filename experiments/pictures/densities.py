@@ -6,7 +6,7 @@ import numpy as np
 import sphfilter as sf
 from sphfilter.lattice.regular import heaviest
 
-from ._style import ACCENT, INK, Picture, frame, mass_bar, mass_field, quantity
+from ..show.style import ACCENT, INK, Picture, frame, mass_bar, mass_field, quantity
 from .transient import KERNEL, start_of, transient_model
 
 __all__ = ["bayes_figure", "resampling_figure", "transient_densities"]

@@ -11,10 +11,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy import stats
 
-from experiments.filters import Factory
+from experiments.scene.filters import Factory
 from sphfilter.campaign.campaign import draw_case, run_campaign
 
-from ._style import ACCENT, INK, Picture, frame, quantity
+from ..show.style import ACCENT, INK, Picture, frame, quantity
 
 __all__ = ["Coverage", "Rate", "rejected_measurements", "rejection_rates"]
 

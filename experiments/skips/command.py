@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from experiments.running import new_console, status
+from experiments.terminal.running import new_console, status
 from sphfilter.errors import ConfigError
 
 from .cases import cases

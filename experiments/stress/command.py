@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from experiments.running import Interrupted, new_console
+from experiments.terminal.running import Interrupted, new_console
 from sphfilter.errors import ConfigError, nearest
 
 from . import plots, tables

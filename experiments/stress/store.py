@@ -28,7 +28,7 @@ def sources(method):
         files += [here / "runs.py", *sorted(library.rglob("*.py"))]
     else:
         files += [here / "references.py", here / "exact.py", *sorted(references.glob("*.py"))]
-        files += [library / "simulate.py", library / "core" / "sde_steps.py"]
+        files += [library / "model" / "simulate.py", library / "core" / "sde_steps.py"]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 

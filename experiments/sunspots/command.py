@@ -17,12 +17,12 @@ import numpy as np
 import tomli_w
 from scipy.optimize import minimize
 
-from experiments.filters import FILTERS, factories, name_of
 from experiments.own_data.command import case_of
 from experiments.own_data.csv_data import Measurements, read_measurements
 from experiments.own_data.model_file import load_model
 from experiments.own_data.plots import draw_forecasts
-from experiments.running import new_console
+from experiments.scene.filters import FILTERS, factories, name_of
+from experiments.terminal.running import new_console
 from reference_filters.grid import GridFilter
 from sphfilter.errors import ConfigError, SphfilterError
 

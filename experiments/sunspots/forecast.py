@@ -14,10 +14,10 @@ import sphfilter as sf
 from reference_filters.grid import GridFilter
 from reference_filters.particle import ParticleFilter
 
-__all__ = ["LEVELS", "FoldedMixture", "Score", "fold", "learn", "score_forecasts", "score_history"]
+from ..own_data.csv_data import LEVELS
 
-#: Probabilities of the central intervals that are scored and drawn.
-LEVELS = (0.5, 0.9, 0.95)
+__all__ = ["FoldedMixture", "Score", "fold", "learn", "score_forecasts", "score_history"]
+
 #: Probabilities of the quantiles kept of a forecast: median, then lower and upper end of each interval.
 _PROBABILITIES = (0.5, *(p for level in LEVELS for p in (0.5 - level / 2, 0.5 + level / 2)))
 #: Nodes of a grid below this part of the maximum are left out of a forecast.

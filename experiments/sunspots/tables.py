@@ -7,9 +7,9 @@ from rich import box
 from rich.table import Table
 from scipy.stats import binom
 
-from experiments.filters import name_of
+from experiments.scene.filters import name_of
 
-from .forecast import LEVELS
+from ..own_data.csv_data import LEVELS
 
 __all__ = ["score_table", "sentences", "write_scores"]
 

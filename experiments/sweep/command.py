@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from experiments.files import add_change_option, changes_of
-from experiments.filters import FILTERS, factories
-from experiments.running import Interrupted, new_console
-from experiments.scenario import load_scenario, read_settings
+from experiments.scene.files import add_change_option, changes_of
+from experiments.scene.filters import FILTERS, factories
+from experiments.scene.scenario import load_scenario, read_settings
+from experiments.terminal.running import Interrupted, new_console
 from sphfilter.campaign.campaign import run_campaign
 from sphfilter.campaign.report import report
 

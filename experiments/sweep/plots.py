@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 
-from experiments.filters import name_of
+from experiments.scene.filters import name_of
 
 __all__ = ["draw"]
 

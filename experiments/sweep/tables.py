@@ -6,7 +6,7 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from experiments.filters import name_of
+from experiments.scene.filters import name_of
 
 __all__ = ["rows_of", "sentences", "table", "write"]
 

@@ -14,9 +14,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 import sphfilter as sf
-from experiments.files import add_change_option, changes_of
 from experiments.run import without_none
-from experiments.running import Interrupted, new_console
+from experiments.scene.files import add_change_option, changes_of
+from experiments.terminal.running import Interrupted, new_console
 from sphfilter import __version__
 from sphfilter.errors import ConfigError, SphfilterError
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from matplotlib.animation import FFMpegWriter, PillowWriter
 
-from experiments.pictures._style import plt
+from experiments.show.style import plt
 from sphfilter.errors import ConfigError
 
 from .views import Views

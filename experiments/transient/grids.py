@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from experiments.settings import Count, Positive, Row
+from experiments.scene.settings import Count, Positive, Row
 from sphfilter.settings import settings
 
 __all__ = ["MOST_NODES", "Lattice", "Probe", "Written"]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.pictures._style import ACCENT, INK, frame, plt, save
+from experiments.show.style import ACCENT, INK, frame, plt, save
 
 __all__ = ["axes_of", "cloud", "draw", "drawn_of", "ends", "label"]
 

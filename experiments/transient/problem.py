@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 import sphfilter as sf
-from experiments.files import change, file_names, find_file, read_toml
-from experiments.scenario import model_of
+from experiments.scene.files import change, file_names, find_file, read_toml
+from experiments.scene.scenario import model_of
 from sphfilter.settings import from_table
 
 from .checks import check, named

@@ -7,8 +7,8 @@ from matplotlib.ticker import LogLocator
 from rich.table import Table
 
 import sphfilter as sf
-from experiments.files import parse_change
-from experiments.pictures._style import INK, frame, mass_bar, mass_field, plt, save
+from experiments.scene.files import parse_change
+from experiments.show.style import INK, frame, mass_bar, mass_field, plt, save
 from sphfilter.errors import ConfigError
 
 from .tables import comparison, moments

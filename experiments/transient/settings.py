@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from experiments.settings import Count, Matrix, ModelText, Positive, Row
+from experiments.scene.settings import Count, Matrix, ModelText, Positive, Row
 from sphfilter.config import SolverConfig
 from sphfilter.settings import settings
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.pictures._style import ACCENT, frame, plt, save
+from experiments.show.style import ACCENT, frame, plt, save
 
 from .plots import axes_of, cloud, ends, label
 from .probe import points_of, probed

@@ -11,9 +11,9 @@ from time import perf_counter
 import numpy as np
 from scipy.special import gammainc, ndtr
 
-from . import normalised
 from ..density.weighted import below, higher
 from ..model.measurements import GaussianMeasurement
+from . import normalised
 
 __all__ = ["Observer", "gaussian_ranks", "ranked_reading"]
 

@@ -4,7 +4,7 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from .filters import FILTERS, name_of
+from ..scene.filters import FILTERS, name_of
 
 __all__ = ["distance_table", "result_table", "sentences"]
 

@@ -25,7 +25,7 @@ __all__ = [
     "scenario_names",
 ]
 
-_FOLDER = Path(__file__).parent / "scenarios"
+_FOLDER = Path(__file__).parents[1] / "scenarios"
 #: Times in an interval between measurements at which the truth is drawn.
 _PARTS = 20
 

@@ -16,7 +16,7 @@ from rich.progress import (
 
 from sphfilter.campaign.campaign import run_campaign
 
-from .filters import name_of
+from ..scene.filters import name_of
 
 __all__ = ["Interrupted", "duration", "new_console", "run_shown", "status", "warm_up"]
 

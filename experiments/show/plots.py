@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from sphfilter import consistency
 from sphfilter.campaign.campaign import draw_case
 
-from .filters import name_of
+from ..scene.filters import name_of
 
 __all__ = ["COLOURS", "consistency_figure", "draw", "draw_convergence", "example_runs", "history_figure",
            "losses", "plain_numbers"]  # fmt: skip

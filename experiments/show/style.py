@@ -9,7 +9,7 @@ matplotlib.use("Agg")  # files only: no window system is asked for
 import matplotlib.pyplot as plt
 import numpy as np
 
-from experiments.plots import COLOURS
+from experiments.show.plots import COLOURS
 
 __all__ = ["ACCENT", "DECADES", "INK", "Picture", "frame", "mass_bar", "mass_field", "quantity", "save"]
 
