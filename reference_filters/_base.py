@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from sphfilter import validate
-from sphfilter.consistency.ranks import Observer
+from sphfilter.consistency.ranks import Ranker
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.filter.results import run_filter
 from sphfilter.info import PredictInfo, UpdateInfo
@@ -110,7 +110,7 @@ class ReferenceFilter(ABC):
 
     def run(self, times, measurements, truth=None):
         """Predict to each time and update; see `sphfilter.results.run_filter`."""
-        return run_filter(self, times, measurements, Observer.of(truth))
+        return run_filter(self, times, measurements, Ranker.of(truth))
 
     def _end_of_step(self, dt, t):
         if dt is not None and t is not None:

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from scipy.special import erf, expit, logsumexp
 from scipy.stats import multivariate_normal
 
-from sphfilter.density.weighted import Spread
+from sphfilter.density.weighted import WeightedStates
 from sphfilter.errors import ModelError
 
 from ._base import ReferenceFilter
@@ -166,10 +166,10 @@ class BenesFilter(ReferenceFilter):
         return np.exp(self.logpdf(x))
 
     def spread(self):
-        """Points of the density, evenly over twelve standard deviations, as a `Spread`."""
+        """Points of the density, evenly over twelve standard deviations, as `WeightedStates`."""
         X = self.x + np.sqrt(self.P[0, 0]) * np.linspace(-12.0, 12.0, 4001)[:, None]
         w = self.pdf(X[:, 0])
-        return Spread(X, w / w.sum(), lambda Y: self.logpdf(Y[:, 0]))
+        return WeightedStates(X, w / w.sum(), lambda Y: self.logpdf(Y[:, 0]))
 
     def _predicted(self, belief, t0, t1):
         m, s = belief

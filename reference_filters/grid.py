@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from sphfilter import validate
-from sphfilter.density.weighted import Spread
+from sphfilter.density.weighted import WeightedStates
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.filter.results import FilterResult
 
@@ -70,7 +70,7 @@ class GridFilter(ReferenceFilter):
         return self._belief
 
     def spread(self):
-        """Points in every cell as a `Spread`: sums over nodes alone see an edge half a cell off."""
+        """Points in every cell as `WeightedStates`: sums over nodes alone see an edge half a cell off."""
         p = self._belief
         parts = qmc.Sobol(p.box.dim, scramble=False).random(_CELL_POINTS) - 0.5 + 0.5 / _CELL_POINTS
         X = (p.box.nodes()[:, None] + parts @ p.box.axes.T * (2.0 / p.box.size)).reshape(-1, p.box.dim)
@@ -81,7 +81,7 @@ class GridFilter(ReferenceFilter):
         def logpdf(Y):
             return np.log(np.maximum(p.pdf(Y), 1e-300))
 
-        return Spread(X, values / values.sum(), logpdf, np.log(values))
+        return WeightedStates(X, values / values.sum(), logpdf, np.log(values))
 
     def _moments(self, belief):
         return belief.moments()

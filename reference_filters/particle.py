@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphfilter import validate
-from sphfilter.density.weighted import Spread
+from sphfilter.density.weighted import WeightedStates
 from sphfilter.errors import ModelError
 
 from ._base import ReferenceFilter, gaussian_start
@@ -94,8 +94,8 @@ class ParticleFilter(ReferenceFilter):
         return 1.0 / np.sum(self.weights**2)
 
     def spread(self):
-        """The cloud as a `Spread`: it has no density."""
-        return Spread(self.particles, self.weights)
+        """The cloud as `WeightedStates`: it has no density."""
+        return WeightedStates(self.particles, self.weights)
 
     def _moments(self, belief):
         n = self.model.dim

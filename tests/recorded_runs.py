@@ -205,7 +205,7 @@ def filters_other():
         return z[0] * X[:, 0] - np.exp(X[:, 0])
 
     own = text(["x"], ["-x"], [["1"]])
-    flt = sf.SPHFilter(own, sf.LikelihoodMeasurement(counts, dim=1), [0.0], [[1.0]])
+    flt = sf.SPHFilter(own, sf.LikelihoodMeasurement(counts), [0.0], [[1.0]])
     for k, z in enumerate((2.0, None, 0.0, 5.0)):
         yield from flat(f"counts.{k}.predict", flt.predict(0.5))
         yield from flat(f"counts.{k}.update", flt.update(z))

@@ -11,7 +11,7 @@ from time import perf_counter
 
 import numpy as np
 
-from ..consistency.ranks import Observer, gaussian_ranks
+from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
 from ..filter.results import shapes
 
@@ -111,7 +111,7 @@ def _outcome(make, case, rng, ranks):
     case = deepcopy(case)  # what one filter does to its case must not reach the next
     try:
         filt = make(case, rng)
-        observer = Observer(case.truth) if ranks and _can_be_observed(filt) else None
+        observer = Ranker(case.truth) if ranks and _can_be_observed(filt) else None
         start = perf_counter()
         result = filt.run(case.times, case.z, **({"truth": observer} if observer else {}))
         seconds = perf_counter() - start - (observer.seconds if observer else 0.0)

@@ -183,7 +183,7 @@ def _report(scenario, truth, filters, referee, labels):
     right = filters.get(referee)
     for name, numbers in filters.items():
         if right is not None and right.n_failed < right.n_runs:
-            p = p_values.no_worse(numbers.exits, right.exits, n_epochs)
+            p = p_values.more_exits(numbers.exits, right.exits, n_epochs)
             numbers = replace(numbers, exits_p=p)
         filters[name] = replace(numbers, verdict=verdict(numbers, labels, right))
     return Report(scenario=scenario, dim=dim, n_runs=n_runs, n_epochs=n_epochs, filters=filters, labels=given)

@@ -46,8 +46,8 @@ def verdict(numbers, labels, referee=None):
 def _lost_more(numbers, referee):
     """Whether more runs were lost than chance takes: one in twenty, or the referee's number."""
     if referee is None:
-        return p_values.no_worse(numbers.n_diverged, 0, numbers.n_runs) < _LEVEL
-    return p_values.more(numbers.n_diverged, referee.n_diverged, numbers.n_runs) < _LEVEL
+        return p_values.more_exits(numbers.n_diverged, 0, numbers.n_runs) < _LEVEL
+    return p_values.more_lost(numbers.n_diverged, referee.n_diverged, numbers.n_runs) < _LEVEL
 
 
 def _faults(numbers, labels):
@@ -61,7 +61,7 @@ def _faults(numbers, labels):
             [ranks.hpd_p, innovations.whiteness_p, numbers.exits_p],
         ]
     )
-    parts = np.split(p_values.refused(tests, _LEVEL), np.cumsum([n, n, k]))
+    parts = np.split(p_values.holm(tests, _LEVEL), np.cumsum([n, n, k]))
     wrong, biased, predicted, (shape, coloured, outside) = parts
     faults = []
     for word, which in _shapes(ranks.state_pit, wrong).items():

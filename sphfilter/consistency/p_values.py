@@ -11,9 +11,9 @@ from ..errors import ModelError
 __all__ = [
     "FEWEST_RUNS",
     "histogram",
-    "more",
-    "no_worse",
-    "refused",
+    "holm",
+    "more_exits",
+    "more_lost",
     "same_mean",
     "uniform_epochs",
     "uniform_runs",
@@ -84,7 +84,7 @@ def same_mean(values, expected):
     return float(2.0 * stdtr(len(averages) - 1, -abs(off) / spread)) if spread > 0 else float(off == 0.0)
 
 
-def no_worse(count, of_referee, total, least=0.05):
+def more_exits(count, of_referee, total, least=0.05):
     """p-value of `count` epochs of `total` lying outside, if a referee's fraction is the rate: binomial.
 
     The rate is `least`, which is right of a Gaussian, where the referee's is lower: its luck is not asked
@@ -94,7 +94,7 @@ def no_worse(count, of_referee, total, least=0.05):
     return float(bdtrc(count - 1, total, rate) if count else 1.0)
 
 
-def more(count, of_referee, total):
+def more_lost(count, of_referee, total):
     """p-value of `count` of `total` runs being no more than the referee's, by Fisher's exact test."""
     from scipy import stats  # on use: import time
 
@@ -102,7 +102,7 @@ def more(count, of_referee, total):
     return float(stats.fisher_exact(table, alternative="greater").pvalue)
 
 
-def refused(p_values, level=0.01):
+def holm(p_values, level=0.01):
     """Which hypotheses are refused, all of them right with probability 1 − level at least: Holm's method.
 
     Parameters

@@ -11,14 +11,14 @@ from time import perf_counter
 import numpy as np
 from scipy.special import gammainc, ndtr
 
-from ..density.weighted import below, higher
+from ..density.weighted import hpd_rank, state_rank
 from ..model.measurements import GaussianMeasurement
 from . import normalised
 
-__all__ = ["Observer", "gaussian_ranks", "ranked_reading"]
+__all__ = ["Ranker", "gaussian_ranks", "ranked_reading"]
 
 
-class Observer:
+class Ranker:
     """Ranks measurements and truths in a filter's densities while it runs; the filter sees no truth.
 
     Parameters
@@ -53,7 +53,7 @@ class Observer:
     def after(self, filt, epoch):
         """Return the ranks of the truth in the posterior, of each state (n,) and of its density."""
         start, spread, x = perf_counter(), filt.spread(), self.truth[epoch]
-        found = below(spread, x), higher(spread, x)[0]
+        found = state_rank(spread, x), hpd_rank(spread, x)[0]
         self.seconds += perf_counter() - start
         return found
 
@@ -63,7 +63,7 @@ def ranked_reading(spread, sensor, z, t):
 
     Parameters
     ----------
-    spread : Spread
+    spread : WeightedStates
         The prediction.
     sensor : GaussianMeasurement
     z : array_like, shape (k,)

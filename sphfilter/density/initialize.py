@@ -7,7 +7,7 @@ import numpy as np
 from ..config import LogDensityScheme, PaperScheme, SolverConfig
 from ..core.sph.kernels import KINDS, RADIUS
 from ..errors import ModelError, PropagationError
-from ..lattice.level_set import fewest_particles, lay, reach
+from ..lattice.level_set import fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain
 from ..validate import array, count, real, row
@@ -15,7 +15,7 @@ from .distributions import Gaussian, Uniform, checked_box, gaussian_log_pdf
 from .particle_density import ParticleDensity
 from .particles import particles_on, particles_with
 
-__all__ = ["Gaussian", "Uniform", "initialize", "spread"]
+__all__ = ["Gaussian", "Uniform", "initialize", "on_equal_lattice"]
 
 _FAR = 6.0  # standard deviations within which a Gaussian is put on a domain with ends
 _MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
@@ -153,7 +153,7 @@ def _for_corrected(distribution, box, n_particles, t):
     return replace(density, x=centre + stretch * (density.x - centre))
 
 
-def spread(density, n_particles, scheme):
+def on_equal_lattice(density, n_particles, scheme):
     """Put a density that knows its pdf anywhere on a lattice of equal spacings, for sums over kernels."""
     low, high = density.x.min(axis=0) - density.h[0], density.x.max(axis=0) + density.h[0]
     domain = density.domain
@@ -186,7 +186,7 @@ def _all_turns(pdf, domain, box):
 
 def _on_level_set(distribution, box, n_particles, scheme, t, domain):
     """A smooth density on a lattice that follows its level set."""
-    depth = 0.5 * reach(scheme, len(box)) ** 2
+    depth = 0.5 * lattice_reach(scheme, len(box)) ** 2
     if isinstance(distribution, Gaussian):
         mean, cov = distribution.mean, distribution.cov
         log_p = gaussian_log_pdf(mean, cov)

@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 from ..core.field import cells
 from ..core.field.stencils import stencils
 from ..core.sph import kernels
-from ..lattice.field import at
+from ..lattice import field as lattice_field
 from ..lattice.level_set import lay
 from .mixture import narrowed
 
@@ -36,7 +36,7 @@ def around(field):
     value = np.full(np.prod(dims), cells.UNKNOWN)
     asked, found, highest = np.empty(0, np.int64), cells.seeded(field.node, low, dims), field.log_p.max()
     while found.size:
-        value[found] = at(field, cells.states_of(found, field.mu, field.A, low, dims)[1])
+        value[found] = lattice_field.at(field, cells.states_of(found, field.mu, field.A, low, dims)[1])
         asked = np.concatenate([asked, found])
         found, beyond = cells.frontier(value, asked, highest - depth, dims, ball)
         if beyond:
@@ -99,7 +99,9 @@ def _summed(field, order, factor, others):
             rows = np.repeat(some, len(plane), axis=0), np.tile(plane, (len(some), 1))
             X = np.empty((len(rows[0]), len(order)))
             X[:, order] = np.concatenate(rows, axis=1) @ factor.T
-            out[first : first + step] = logsumexp(at(field, field.mu + X).reshape(len(some), -1), axis=1)
+            out[first : first + step] = logsumexp(
+                lattice_field.at(field, field.mu + X).reshape(len(some), -1), axis=1
+            )
         return out + log_cell
 
     return log_p

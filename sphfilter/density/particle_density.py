@@ -211,8 +211,10 @@ class ParticleDensity:
         """Gradient of `pdf` at the states X (M, n) or (n,), shape (M, n)."""
         X = state_rows("X", X, self.dim)
         if self.field is not None and self.read_out == "log_density":
-            turns, field = [X] if self.domain is None else self._turns(X), self.field
-            return sum(np.exp(field.at(field, Y))[:, None] * field.gradient(field, Y) for Y in turns)
+            turns = [X] if self.domain is None else self._turns(X)
+            p = (np.exp(field.at(self.field, Y)) for Y in turns)
+            slopes = (field.gradient(self.field, Y) for Y in turns)
+            return sum(each[:, None] * slope for each, slope in zip(p, slopes, strict=True))
         out = mixture.gradient(self.mixture, self._within(X))
         if self.domain is not None:
             out[~self.domain.contains(X)] = 0.0
@@ -299,7 +301,7 @@ class ParticleDensity:
         return statistics.hpd_rank(self._between(kind), X)
 
     def spread(self, kind=None):
-        """The density as states and weights whose sums are its expectations, a `Spread`."""
+        """The density as states and weights whose sums are its expectations, `WeightedStates`."""
         return statistics.spread(self._between(kind))
 
     def mode(self):

@@ -9,8 +9,8 @@ import numpy as np
 from ..config import PaperScheme, SolverConfig
 from ..errors import PropagationError
 from ..info import ResampleInfo
-from ..lattice.field import at
-from ..lattice.level_set import reach
+from ..lattice import field
+from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
 from ..lattice.regular import Lattice, heaviest
 from ..model.domain import Domain
@@ -20,7 +20,7 @@ from .interpolant import normalised
 from .particle_density import ParticleDensity
 from .particles import particles_on
 
-__all__ = ["bound", "logarithm", "product", "regrid", "resample"]
+__all__ = ["logarithm", "particle_bound", "regrid", "resample", "times_likelihood"]
 
 _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
@@ -74,13 +74,13 @@ def resample(density, n_particles=None, config=None):
     True
     """
     scheme = (config or SolverConfig()).scheme
-    return regrid(density, bound(density, n_particles), scheme)
+    return regrid(density, particle_bound(density, n_particles), scheme)
 
 
 def logarithm(density):
     """Return log p as a function of states (M, n), defined far outside of the particles too."""
     if density.field is not None:
-        return partial(at, density.field)
+        return partial(field.at, density.field)
     if density.log_density is not None:
         return normalised(density)
     factor = np.linalg.cholesky(density.cov("points"))
@@ -89,11 +89,11 @@ def logarithm(density):
     return lambda X: np.logaddexp(density.logpdf(X), _FAINT + faint(X))
 
 
-def product(density, log_weight, n_particles, scheme, gaussian=False):
+def times_likelihood(density, log_weight, n_particles, scheme, gaussian=False):
     """Density times exp(log_weight(X)) on a lattice that follows its level set, and the log of
     its integral; `gaussian` if it is known to be one.
     """
-    depth = 0.5 * reach(scheme, density.dim) ** 2
+    depth = 0.5 * lattice_reach(scheme, density.dim) ** 2
     cell = None if density.field is None else density.field.A
     domain = density.domain
     weight = log_weight if domain is None else lambda X: log_weight(domain.wrap(X))
@@ -101,7 +101,7 @@ def product(density, log_weight, n_particles, scheme, gaussian=False):
     return ParticleDensity.on_lattice(laid, density.t, n_particles, gaussian, domain), laid.log_mass
 
 
-def bound(density, n_particles=None):
+def particle_bound(density, n_particles=None):
     """Upper bound of the number of particles at the next re-gridding: as given, else the density's own."""
     if n_particles is not None:
         return count("n_particles", n_particles)
@@ -149,7 +149,7 @@ def regrid(density, n_particles, scheme, log_weight=None):
 def _relaid(density, n_particles, scheme, log_weight):
     """As `regrid` on a level-set lattice."""
     weight = log_weight or (lambda X: np.zeros(len(X)))
-    new, log_evidence = product(density, weight, n_particles, scheme)
+    new, log_evidence = times_likelihood(density, weight, n_particles, scheme)
     span = np.ptp(new.field.node, axis=0) + 1
     info = ResampleInfo(
         n_particles=new.n_particles,

@@ -11,10 +11,11 @@ from scipy import integrate, optimize
 
 from ..core.sph import kernels
 from ..errors import ModelError
-from ..lattice.field import at
+from ..lattice import field
 from ..validate import state_rows
+from . import weighted
 from .mixture import drawn, points, raw_moment, standing_for
-from .weighted import Spread, higher
+from .weighted import WeightedStates
 
 __all__ = [
     "Region",
@@ -82,7 +83,7 @@ def states(density, count=_SUBPOINTS, smooth=False):
         if not smooth:
             uniform = uniform + _spread_evenly(len(density.cells), density.dim)[:, None]
         X = _in_cells(density, uniform)
-        p = np.exp(at(density.field, X))
+        p = np.exp(field.at(density.field, X))
         return _folded(density, X), p / p.sum()
     offsets = standing_for(density.kernel_code[0], density.dim, count)
     X = points(density.mixture, offsets, slice(density.n_particles))  # images are seen, but carry nothing
@@ -99,7 +100,7 @@ def sample(density, size, rng):
     """Draw states, shape (size, n)."""
     if density.read_out == "log_density" and density.field is not None:
         X = _in_cells(density, rng.random((32, density.dim)))
-        p = np.exp(at(density.field, X))
+        p = np.exp(field.at(density.field, X))
         return _folded(density, X[rng.choice(len(X), size=size, p=p / p.sum())])
     chosen = rng.choice(density.n_particles, size=size, p=density.mass)
     offsets = drawn(density.kernel_code[0], rng.random((size, density.dim + 1)))
@@ -170,14 +171,14 @@ def highest_region(density, probability):
 
 
 def spread(density):
-    """A density as a `Spread`: points in its cells or kernels, and the density as it is read between them."""
+    """A density as `WeightedStates`: points in its cells or kernels, and how it is read between them."""
     X, w = states(density, _FEW_SUBPOINTS)
-    return Spread(X, w, density.logpdf)
+    return WeightedStates(X, w, density.logpdf)
 
 
 def hpd_rank(density, X):
     """Probability of the region where the density is higher than at each state of X (M, n), shape (M,)."""
-    return higher(spread(density), state_rows("X", X, density.dim))
+    return weighted.hpd_rank(spread(density), state_rows("X", X, density.dim))
 
 
 def mode(density):

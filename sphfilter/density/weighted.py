@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Spread", "below", "higher"]
+__all__ = ["WeightedStates", "hpd_rank", "state_rank"]
 
 
-class Spread(NamedTuple):
+class WeightedStates(NamedTuple):
     """States X (M, n) with weights w (M,) that sum to one; None for a cloud of samples, which has no density.
 
     `logpdf` takes states (K, n); `log_p` (M,) is what it gives at X, where that is known already.
@@ -20,14 +20,14 @@ class Spread(NamedTuple):
     log_p: np.ndarray | None = None
 
 
-def below(spread, x):
+def state_rank(spread, x):
     """Probability that each state lies below its value in x (n,), shape (n,): uniform if x is drawn."""
     # plain sums: those of matrix products depend on the number of threads, in their last bits
     halves = [np.sum(spread.w[:, None] * side, axis=0) for side in (x > spread.X, x >= spread.X)]
     return np.clip(0.5 * (halves[0] + halves[1]), 0.0, 1.0)
 
 
-def higher(spread, X):
+def hpd_rank(spread, X):
     """Probability of the region where the density is higher than at each of the states X (K, n), shape (K,).
 
     Of a state drawn from the density it is uniform, whatever the shape: its rank among highest-density

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Verdict", "test_measurement"]
+__all__ = ["Acceptance", "test_measurement"]
 
 
-class Verdict(NamedTuple):
+class Acceptance(NamedTuple):
     accepted: bool
     reason: str
 
@@ -26,7 +26,7 @@ def test_measurement(density, z, variance, states, settings):
 
     Returns
     -------
-    Verdict
+    Acceptance
     """
     mean, prior_variance = density.mean()[states], np.diag(density.cov())[states]
     total = prior_variance + variance
@@ -37,11 +37,13 @@ def test_measurement(density, z, variance, states, settings):
     above, below = mu + half - high, low - (mu - half)
     beyond = np.where(mu >= mean, above, below)
     for d in np.flatnonzero(beyond > overhang):  # (61)
-        return Verdict(False, _sentence(states[d], mu[d], half[d], low[d], high[d], "outside the particles"))
+        return Acceptance(
+            False, _sentence(states[d], mu[d], half[d], low[d], high[d], "outside the particles")
+        )
     edge = np.maximum(above, 0.0) + np.maximum(below, 0.0)
     for d in np.flatnonzero(edge > settings.f_edge * 2.0 * half):  # (62)
-        return Verdict(False, _sentence(states[d], mu[d], half[d], low[d], high[d], "on the edge kernels"))
-    return Verdict(True, "")
+        return Acceptance(False, _sentence(states[d], mu[d], half[d], low[d], high[d], "on the edge kernels"))
+    return Acceptance(True, "")
 
 
 def _sentence(state, mu, half, low, high, where):

@@ -112,7 +112,7 @@ def run_filter(filt, times, measurements, observer=None):
         own is not predicted to, so repeated times and ``times[0] == t0`` are updates only.
     measurements : sequence of length T
         One measurement a time; None or NaN where none came.
-    observer : Observer, optional
+    observer : Ranker, optional
         Ranks the measurements and the truth that it knows in the densities of a filter with ``spread()``;
         a filter without it is taken for Gaussian.
 

@@ -6,19 +6,19 @@ from copy import copy
 import numpy as np
 
 from ..config import checked_filter_config
-from ..consistency.ranks import Observer
+from ..consistency.ranks import Ranker
 from ..density.initialize import Gaussian, initialize
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError
 from ..model.sde import SDE
-from ..prediction.again import Prediction, fewest, predict_adapting, predict_relaying
+from ..prediction.again import Prediction, fewest, predict_from_finer, predict_to_target
 from ..prediction.predict import predict
 from ..validate import array, count, covariance, positive, real, row, short
 from .budget import Budget, rehearse
 from .checkpoint import restored, write
 from .readings import checked_sensor, read, sensor_of
 from .results import run_filter
-from .update_again import Update, update_repeating
+from .update_again import Update, update_or_predict_again
 
 __all__ = ["SPHFilter"]
 
@@ -195,10 +195,10 @@ class SPHFilter:
             options = {"t": t, "n_particles": most}
             if self._adapts:
                 options["fits"] = self._budget.fits
-                return predict_adapting(density, self.model, dt, self.config, **options)
+                return predict_to_target(density, self.model, dt, self.config, **options)
             return *predict(density, self.model, dt, self.config, **options), self.n_particles
 
-        before, (density, info, n_particles) = predict_relaying(
+        before, (density, info, n_particles) = predict_from_finer(
             predicted, self.model, self._density, self._origin, self.config, most
         )
         moved = "predict" if density.t > self.t and not rehearses else ""
@@ -250,7 +250,7 @@ class SPHFilter:
         prediction = self._origin if isinstance(self._origin, Prediction) else Prediction()
         self._budget.begin()
         options = {"n_particles": self._most(), "fits": self._budget.fits}
-        prior, density, info = update_repeating(
+        prior, density, info = update_or_predict_again(
             prediction, self._density, self.model, measurement, z, self.config, **options
         )
         repeated = prior is not self._density
@@ -287,7 +287,7 @@ class SPHFilter:
         return filt
 
     def spread(self):
-        """The density now as states and weights, a `Spread`."""
+        """The density now as states and weights, `WeightedStates`."""
         return self._density.spread()
 
     def run(self, times, measurements, truth=None):
@@ -296,4 +296,4 @@ class SPHFilter:
         Told the true states of simulated data, `truth` (T, n), the result also holds their ranks in the
         filter's densities (the filter does not see them); `sf.report` judges by them.
         """
-        return run_filter(self, times, measurements, Observer.of(truth))
+        return run_filter(self, times, measurements, Ranker.of(truth))

@@ -3,10 +3,10 @@
 import numpy as np
 
 from ..config import PaperScheme, checked_filter_config
-from ..density.resample import bound, product, regrid
+from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import UpdateInfo
-from ..lattice.field import outside
+from ..lattice.field import extrapolated_mass
 from .acceptance import test_measurement
 
 __all__ = ["predicted_reading", "update"]
@@ -51,7 +51,7 @@ def update(density, measurement, z, config=None, *, n_particles=None):
     1.0000 0.5000 -2.2655
     """
     config = checked_filter_config(config)
-    n_particles = bound(density, n_particles)
+    n_particles = particle_bound(density, n_particles)
     seen = measurement.observed(z)
     if not seen.any():
         info = UpdateInfo(
@@ -68,12 +68,12 @@ def update(density, measurement, z, config=None, *, n_particles=None):
             )
         return values
 
-    innovation, spread = _innovation(density, measurement, z, seen)
+    innovation, S = _innovation(density, measurement, z, seen)
     if not isinstance(config.scheme, PaperScheme) and not config.acceptance.enabled:
         linear = getattr(measurement, "H", None) is not None and not measurement.angles
-        flag = _flag(innovation, spread)
+        flag = _flag(innovation, S)
         try:
-            new, log_evidence = product(
+            new, log_evidence = times_likelihood(
                 density, log_weight, n_particles, config.scheme, density.gaussian and linear
             )
             unknown = _beyond(density, new)
@@ -81,15 +81,15 @@ def update(density, measurement, z, config=None, *, n_particles=None):
             if not flag:
                 raise
             new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
-            log_evidence = _gaussian_evidence(innovation, spread)
+            log_evidence = _gaussian_evidence(innovation, S)
         info = UpdateInfo(
             accepted=not unknown,
             log_evidence=log_evidence,
             innovation=innovation,
-            innovation_cov=spread,
+            innovation_cov=S,
             reason=unknown or flag,
             n_particles=density.n_particles if unknown else new.n_particles,
-            extrapolated=0.0 if density.field is None else outside(density.field, new.x, new.mass),
+            extrapolated=0.0 if density.field is None else extrapolated_mass(density.field, new.x, new.mass),
         )
         return (density if unknown else new), info
     accepted, reason = _verdict(density, measurement, z, seen, config.acceptance)
@@ -98,14 +98,14 @@ def update(density, measurement, z, config=None, *, n_particles=None):
         log_evidence = resampled.log_evidence
     else:
         new, resampled = density, None
-        log_evidence = _gaussian_evidence(innovation, spread)
+        log_evidence = _gaussian_evidence(innovation, S)
         if config.acceptance.on_reject == "resample":
             new, resampled = regrid(density, n_particles, config.scheme)
     info = UpdateInfo(
         accepted=accepted,
         log_evidence=log_evidence,
         innovation=innovation,
-        innovation_cov=spread,
+        innovation_cov=S,
         reason=reason,
         n_particles=new.n_particles,
         kernel_ratio=_kernel_ratio(new),
@@ -114,11 +114,11 @@ def update(density, measurement, z, config=None, *, n_particles=None):
     return new, info
 
 
-def _gaussian_evidence(innovation, spread):
+def _gaussian_evidence(innovation, S):
     """Log-evidence where the particles end and a sum over them knows nothing: by the prior's moments."""
     from scipy.stats import multivariate_normal  # on use: import time
 
-    return float(multivariate_normal.logpdf(innovation, cov=spread))
+    return float(multivariate_normal.logpdf(innovation, cov=S))
 
 
 def _beyond(prior, posterior):
@@ -136,11 +136,11 @@ def _beyond(prior, posterior):
     )
 
 
-def _flag(innovation, spread):
+def _flag(innovation, S):
     """Say so where a reading lies far outside of what was predicted."""
     if innovation is None:
         return ""
-    distance = np.sqrt(innovation @ np.linalg.solve(spread, innovation))
+    distance = np.sqrt(innovation @ np.linalg.solve(S, innovation))
     return f"outlying measurement: {distance:.1f} sigma from its prediction" if distance > _OUTLYING else ""
 
 
@@ -167,10 +167,10 @@ def _innovation(density, measurement, z, seen):
     """z minus its predicted mean, and the predicted covariance plus R; None for a general likelihood."""
     if measurement.noise_cov is None:
         return None, None
-    reading, spread, _ = predicted_reading(density, measurement)
+    reading, S, _ = predicted_reading(density, measurement)
     z = np.atleast_1d(np.asarray(z, dtype=float))
     both = np.ix_(seen, seen)
-    return measurement.residual(z, reading)[seen], spread[both] + measurement.noise_cov[both]
+    return measurement.residual(z, reading)[seen], S[both] + measurement.noise_cov[both]
 
 
 def predicted_reading(density, measurement):

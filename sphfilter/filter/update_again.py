@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 
 from ..config import LogDensityScheme
 from ..errors import PropagationError
-from ..lattice.level_set import reach
+from ..lattice.level_set import lattice_reach
 from ..prediction.again import _FURTHER, _MOST, _always
 from ..prediction.automatic import FINEST
 from ..prediction.predict import predict
 from .update import update
 
-__all__ = ["Update", "update_repeating"]
+__all__ = ["Update", "update_or_predict_again"]
 
 #: Probability of a posterior that hangs on what the prediction lost, from which the prediction is repeated.
 _GUESSED = 0.01
@@ -30,7 +30,7 @@ class Update:
         return update(self.before, self.measurement, self.z, config, n_particles=n_particles)[0]
 
 
-def update_repeating(prediction, prior, model, measurement, z, config, n_particles, fits=_always):
+def update_or_predict_again(prediction, prior, model, measurement, z, config, n_particles, fits=_always):
     """Update; if the posterior hangs on what the prediction lost, predict again, finer and further.
 
     A prediction cuts off what lies below a level of the density, and loses some of what is near. There a
@@ -56,7 +56,7 @@ def update_repeating(prediction, prior, model, measurement, z, config, n_particl
     if known or info.extrapolated < _GUESSED:
         return prior, posterior, info
     scheme = config.scheme if isinstance(config.scheme, LogDensityScheme) else LogDensityScheme()
-    Z = reach(scheme, model.dim)
+    Z = lattice_reach(scheme, model.dim)
     beyond = chi2.sf(Z**2, model.dim)  # what a Gaussian has there: so much of it may be wrong
     for level, times in enumerate(_FURTHER, start=1):
         times = min(times, FINEST**model.dim)

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..config import LogDensityScheme
-from ..density.resample import product
+from ..density.resample import times_likelihood
 from ..errors import ModelError, PropagationError
 from ..filter.readings import checked_sensor
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
-from ..lattice.field import outside
-from ..lattice.level_set import reach
-from ..prediction.backward import expected, information
+from ..lattice.field import extrapolated_mass
+from ..lattice.level_set import lattice_reach
+from ..prediction.backward import carried_back, likelihood_field
 from ..prediction.log_density import fits
 from ..validate import short
 from ..validate import times as checked_times
@@ -209,9 +209,9 @@ def _forward(filt, times, measurements, sensors):
 def _backward(epochs):
     """Density, log-evidence of all measurements, and extrapolated probability at every epoch."""
     last = epochs[-1].filt
-    scheme = LogDensityScheme(reach=reach(last.config.scheme, last.model.dim) + _FURTHER)
-    laid, _ = product(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
-    found = information(laid.field, epochs[-1].log_likelihood(laid.x))
+    scheme = LogDensityScheme(lattice_reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
+    laid, _ = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
+    found = likelihood_field(laid.field, epochs[-1].log_likelihood(laid.x))
     out = [(last.density, last.log_evidence, 0.0)]
     for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
         try:
@@ -221,7 +221,7 @@ def _backward(epochs):
                 f"smoothing back from t = {after.filt.t:g} to {before.filt.t:g}: {problem}"
             ) from problem
         past = before.filt
-        guessed = outside(past.density.field, smoothed.x, smoothed.mass)
+        guessed = extrapolated_mass(past.density.field, smoothed.x, smoothed.mass)
         out.append((smoothed, past.log_evidence + future, guessed))
     return out[::-1]
 
@@ -233,12 +233,12 @@ def _one_back(before, after, found, scheme):
     """
     priors = _between(before.filt, after.filt.t, max(after.n_steps, 1))
     for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
-        log_beta = expected(before.filt.model, found, prior.t, t, prior.x)
-        smoothed, future = product(prior, log_beta, before.filt.n_particles, scheme)
+        log_beta = carried_back(before.filt.model, found, prior.t, t, prior.x)
+        smoothed, future = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
         values = log_beta(smoothed.x)
         if prior is not priors[0]:
-            found = information(smoothed.field, values)
-    return smoothed, information(smoothed.field, values + before.log_likelihood(smoothed.x)), future
+            found = likelihood_field(smoothed.field, values)
+    return smoothed, likelihood_field(smoothed.field, values + before.log_likelihood(smoothed.x)), future
 
 
 def _between(filt, t, n_steps):

@@ -6,7 +6,7 @@ from ..core.field.field import evaluate
 from ..core.field.field import gradient as field_gradient
 from ..core.field.stencils import stencils
 
-__all__ = ["at", "gradient", "outside"]
+__all__ = ["at", "extrapolated_mass", "gradient"]
 
 
 def at(field, X):
@@ -23,7 +23,7 @@ def gradient(field, X):
     return out @ field.inverse
 
 
-def outside(field, x, mass):
+def extrapolated_mass(field, x, mass):
     """Probability of weighted states x (N, n) in cells where a field has no node: its values are a guess."""
     cell = np.floor((x - field.mu) @ field.inverse.T + 0.5) - field.low
     boxed = ((cell >= 0) & (cell < field.dims)).all(axis=1)

@@ -19,7 +19,7 @@ from ..core.field.nodes import MOST_ASKED, relaid
 from ..core.field.stencils import stencils
 from ..errors import PropagationError
 
-__all__ = ["Laid", "fewest_particles", "gaussian_volume", "lay", "reach"]
+__all__ = ["Laid", "fewest_particles", "gaussian_volume", "lattice_reach", "lay"]
 
 _TRIES = 24
 _SMALL_BOX = 4  # cells, over the number of particles wanted
@@ -38,7 +38,7 @@ class Laid(NamedTuple):
     cov: np.ndarray  # (n, n)
 
 
-def reach(scheme, n):
+def lattice_reach(scheme, n):
     """Z of a scheme in n dimensions: as far out as particles are cheap."""
     given = getattr(scheme, "reach", None)
     return given or {1: 5.5, 2: 4.2}.get(n, 4.0)

@@ -8,7 +8,7 @@ from ..core.field.shape import LOCAL, local_shape
 from ..errors import ModelError, PropagationError
 from .level_set import gaussian_volume, lay
 
-__all__ = ["local", "posterior"]
+__all__ = ["posterior", "within_pieces"]
 
 _STEP = 0.02  # of slopes, in standard deviations: far wider than jumps between polynomials can harm
 _SKEWED = 6.0  # largest over smallest variance in coordinates that should be whitened
@@ -72,12 +72,12 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth, cell=None):
 
         factor = _within(product, seeds, w[heavy], factor)
         if closed_in:  # the nodes know the pieces of the posterior now
-            factor, seeds = local(laid), x
+            factor, seeds = within_pieces(laid), x
         volume = None
         if cell is not None and len(seeds) >= enough:  # the region's own cells, measured by the new ones
             volume = len(seeds) * abs(np.linalg.det(cell)) / np.prod(np.diag(factor))
         laid = lay(product, mean, factor, seeds, n_particles, depth, volume)
-        if power == 1.0 and (effective >= enough or closed_in) and _whitened(factor, local(laid)):
+        if power == 1.0 and (effective >= enough or closed_in) and _whitened(factor, within_pieces(laid)):
             return laid
         closed_in, cell = power == 1.0, laid.field.A
         x, mass, log_mass = laid.x, laid.mass, np.log(np.maximum(laid.mass, _LOW_DENSITY))
@@ -114,7 +114,7 @@ def _power(log_mass, weight, reached, enough, y):
     return min(1.0, max(low, 1.05 * reached))
 
 
-def local(laid):
+def within_pieces(laid):
     """Lower factor of the covariance within the pieces of a density: see `local_shape`."""
     L = np.linalg.cholesky(laid.cov)
     shape = np.empty_like(L)

@@ -7,7 +7,7 @@ from ..errors import LatticeError, ModelError, PropagationError, UnresolvedError
 from ..lattice.level_set import fewest_particles
 from .predict import predict
 
-__all__ = ["Prediction", "fewest", "predict_adapting", "predict_relaying"]
+__all__ = ["Prediction", "fewest", "predict_from_finer", "predict_to_target"]
 
 #: Error of the posterior mean, in standard deviations, over the probability that the lattices of a prediction
 #: lose or gain: 1 to 6 on the Van der Pol and Duffing oscillators at 100 to 800 particles.
@@ -45,7 +45,7 @@ def _always(n_particles):
     return True
 
 
-def predict_adapting(density, model, dt, config, *, t, n_particles, fits=_always):
+def predict_to_target(density, model, dt, config, *, t, n_particles, fits=_always):
     """Predict, again with more particles where the error seen is above the target.
 
     Parameters
@@ -87,13 +87,13 @@ def predict_adapting(density, model, dt, config, *, t, n_particles, fits=_always
     return moved, info, n_particles
 
 
-def predict_relaying(predicted, model, density, origin, config, n_particles):
+def predict_from_finer(predicted, model, density, origin, config, n_particles):
     """Predict; if the density is too coarse for that, repeat what led to it on more particles.
 
     Parameters
     ----------
     predicted : callable
-        A density to what `predict_adapting` returns.
+        A density to what `predict_to_target` returns.
     density : ParticleDensity
     origin : Update, Prediction or None
         Where it comes from.

@@ -5,7 +5,7 @@ from dataclasses import replace
 from ..config import CorrectedScheme, LogDensityScheme, PaperScheme
 from ..density.affine import with_moments
 from ..errors import LatticeError, PropagationError, UnresolvedError
-from ..lattice.field import at
+from ..lattice import field
 from . import corrected, log_density, paper
 from ._shared import carried_off
 
@@ -25,7 +25,7 @@ def _uncut(density):
     if density.field is None or density.moments is None:
         return density
     moved = with_moments(density, *density.moments)
-    return replace(moved, log_density=at(density.field, moved.x))
+    return replace(moved, log_density=field.at(density.field, moved.x))
 
 
 def _best(density, model, target, n_particles, most):

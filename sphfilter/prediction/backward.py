@@ -19,7 +19,7 @@ from ..model.compile import shared
 from ..model.derived import zeros
 from .log_density import noise_factor, paths
 
-__all__ = ["expected", "information"]
+__all__ = ["carried_back", "likelihood_field"]
 
 _FLAT = -1e-9  # largest second derivative of what goes on beyond a lattice, in its units
 _TURN = 0.2  # Runge-Kutta step times the largest rate of the drift's Jacobian
@@ -28,7 +28,7 @@ _QUADRATURE = 7  # Gauss-Hermite points of one noise
 back_at, aim_at = BACK.at, AIMED.at
 
 
-def information(field, values):
+def likelihood_field(field, values):
     """λ between the nodes of a lattice, as a `Field`: its values (N,) there, polynomials around them.
 
     Beyond the lattice the quadratic part goes on, where it is concave, as a plane else. `field` is that of
@@ -47,8 +47,8 @@ def information(field, values):
     return found._replace(cap=math.inf)
 
 
-def expected(model, found, t0, t1, around):
-    """Return λ at t0 as a function of states (M, n), from that at t1 as `information` made it.
+def carried_back(model, found, t0, t1, around):
+    """Return λ at t0 as a function of states (M, n), from that at t1 as `likelihood_field` made it.
 
     Parameters
     ----------

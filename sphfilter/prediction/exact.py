@@ -5,7 +5,7 @@ import numpy as np
 from ..density.distributions import gaussian_log_pdf
 from ..density.particle_density import ParticleDensity
 from ..info import PredictInfo
-from ..lattice.level_set import lay, reach
+from ..lattice.level_set import lattice_reach, lay
 
 __all__ = ["propagate_exactly"]
 
@@ -21,7 +21,7 @@ def propagate_exactly(density, model, t1, n_particles):
         return None
     transition, offset, Q = model.to_linear().discretize(t1 - density.t)
     mean, cov = transition @ mean + offset, transition @ cov @ transition.T + Q
-    depth = 0.5 * reach(None, density.dim) ** 2
+    depth = 0.5 * lattice_reach(None, density.dim) ** 2
     factor = np.linalg.cholesky(cov)
     laid = lay(gaussian_log_pdf(mean, cov), mean, factor, mean[None], n_particles, depth)
     info = PredictInfo(scheme="exact_linear", skipped=("everything: a Gaussian through a linear model",))

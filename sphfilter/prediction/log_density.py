@@ -19,7 +19,7 @@ from ..core.field.stencils import stencils
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import PredictInfo
-from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, reach
+from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, lattice_reach
 from ._shared import blow_up, defect, skip_notes
 
 __all__ = ["fits", "load", "propagate"]
@@ -67,7 +67,7 @@ def propagate(density, model, t1, scheme, n_particles):
     start, n = density.t, density.dim
     G, slices = noise_factor(model, start, t1)
     noise = Noise(G, model.p, not model.constant_diffusion, model.linear)
-    depth = 0.5 * reach(scheme, n) ** 2
+    depth = 0.5 * lattice_reach(scheme, n) ** 2
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
     tolerance = scheme.tolerance or float(np.clip(_TIME_PART * spacing**4, *_TOLERANCES))
     control = Control(

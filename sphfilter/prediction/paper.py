@@ -10,7 +10,7 @@ from ..core._jit import call
 from ..core.sph import march as core
 from ..core.sph.neighbors import METHODS, choose_method
 from ..core.sph.smoothing import SMOOTHING, Rule
-from ..density.initialize import spread
+from ..density.initialize import on_equal_lattice
 from ..density.resample import regrid
 from ..errors import PropagationError
 from ..info import PredictInfo
@@ -46,7 +46,7 @@ def propagate(density, model, t1, scheme, n_particles):
     start, counters, n_regrids = density.t, np.zeros(len(core.COUNTERS), np.int64), 0
     n_discarded, share_kept, status = 0, 1.0, ""
     if density.field is not None:
-        density = spread(density, n_particles, scheme)
+        density = on_equal_lattice(density, n_particles, scheme)
     # A step is chosen by what it sees at its start: it must not stride over a change in time.
     dt_max = math.inf if model.autonomous else (t1 - start) / _TIME_SLICES
     while density.t < t1:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from ..config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
-from ..density.resample import bound
+from ..density.resample import particle_bound
 from ..errors import ModelError
 from ..info import PredictInfo
 from ..validate import real
@@ -67,7 +67,7 @@ def predict_within(most, density, model, dt=None, config=None, *, t=None, n_part
     if target == density.t:
         name = scheme if scheme == "auto" else scheme.name
         return density, PredictInfo(scheme=name, skipped=("everything: the interval is empty",))
-    n_particles = bound(density, n_particles)
+    n_particles = particle_bound(density, n_particles)
     if config.exact_linear and model.linear:
         exact = propagate_exactly(density, model, target, n_particles)
         if exact is not None:

@@ -5,12 +5,12 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 
 from ..config import CorrectedScheme, SolverConfig
-from ..density.resample import bound
+from ..density.resample import particle_bound
 from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import LatticeError, ModelError, UnresolvedError
 from ..info import PredictInfo
 from ..validate import array
-from .again import Prediction, predict_relaying
+from .again import Prediction, predict_from_finer
 from .automatic import MOST_FINER
 from .predict import predict, predict_within
 from .remesh import Remeshing
@@ -124,7 +124,7 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
     times, config = array("times", np.atleast_1d(times), (None,)), config or SolverConfig()
     if np.any(np.diff(times, prepend=density.t) < 0):
         raise ModelError(f"times must not decrease, nor begin before t = {density.t:g}, that of the density")
-    n_particles = bound(density, n_particles)
+    n_particles = particle_bound(density, n_particles)
     rule = getattr(config, "remesh", "never")  # filters have a new lattice at every measurement, and no rule
     remeshing = Remeshing(rule, config.scheme, n_particles)
     densities, infos, origin = [], [], None
@@ -153,7 +153,7 @@ def _piecewise(density, model, t, config, remeshing, origin):
 
 
 def _carried(density, model, t, config, n_particles, origin):
-    """One interval, as `predict_relaying` returns it."""
+    """One interval, as `predict_from_finer` returns it."""
     corrects = config.scheme == "auto" and density.domain is None
     most = _MOST_NODES if corrects else MOST_FINER
 
@@ -161,7 +161,7 @@ def _carried(density, model, t, config, n_particles, origin):
         return *predict_within(most, density, model, t=t, config=config, n_particles=n_particles), n_particles
 
     try:
-        return predict_relaying(predicted, model, density, origin, config, n_particles)
+        return predict_from_finer(predicted, model, density, origin, config, n_particles)
     except (LatticeError, UnresolvedError) as problem:
         if not corrects:
             raise

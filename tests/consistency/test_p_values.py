@@ -55,13 +55,13 @@ def test_few_runs_and_unknown_ranks_are_not_judged():
 def test_histogram_and_holm_by_hand():
     np.testing.assert_allclose(s.histogram([0.05, 0.95, 0.99, np.nan], 2), [1 / 3, 2 / 3])
     # .004 < .01/2, then .02 > .01; alone each would have to be below .01
-    np.testing.assert_array_equal(s.refused([0.02, 0.004, np.nan]), [False, True, False])
-    np.testing.assert_array_equal(s.refused([0.004, 0.009]), [True, True])
-    np.testing.assert_array_equal(s.refused([0.006, 0.009]), [False, False])
+    np.testing.assert_array_equal(s.holm([0.02, 0.004, np.nan]), [False, True, False])
+    np.testing.assert_array_equal(s.holm([0.004, 0.009]), [True, True])
+    np.testing.assert_array_equal(s.holm([0.006, 0.009]), [False, False])
 
 
 def test_no_worse_than_the_referee():
-    assert s.no_worse(3, 3, 40) > 0.4
-    assert s.no_worse(12, 3, 40) < 0.01
+    assert s.more_exits(3, 3, 40) > 0.4
+    assert s.more_exits(12, 3, 40) < 0.01
     # a referee without an exit is lucky: one in twenty is right
-    assert s.no_worse(4, 0, 40) == pytest.approx(stats.binom.sf(3, 40, 0.05))
+    assert s.more_exits(4, 0, 40) == pytest.approx(stats.binom.sf(3, 40, 0.05))

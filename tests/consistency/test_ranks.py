@@ -11,7 +11,7 @@ from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter.consistency import p_values
 from sphfilter.consistency.ranks import ranked_reading
-from sphfilter.density.weighted import Spread, below, higher
+from sphfilter.density.weighted import WeightedStates, hpd_rank, state_rank
 from sphfilter.errors import ModelError
 
 MODEL = sf.SDE.from_expressions(
@@ -32,22 +32,24 @@ def test_ranks_in_a_gaussian_density():
     region = density.hpd_region(0.9)
     np.testing.assert_array_equal(region(X), density.hpd_rank(X) <= 0.9)
     expected = stats.norm.cdf(X[0], X0, np.sqrt(np.diag(P)))
-    np.testing.assert_allclose(below(density.spread(), X[0]), expected, atol=2e-3)
+    np.testing.assert_allclose(state_rank(density.spread(), X[0]), expected, atol=2e-3)
 
 
 def test_ranks_count_the_probability_of_what_is_higher():
     log_p = np.log([0.5, 0.3, 0.2])
     X = np.array([[0.0], [1.0], [2.0]])
-    spread = Spread(X, np.exp(log_p), lambda Y: np.interp(Y[:, 0], [0, 1, 2], log_p))
-    np.testing.assert_allclose(higher(spread, [[0.0], [1.0], [2.0]]), [0.0, 0.5, 0.8])
-    np.testing.assert_allclose(below(spread, np.array([1.0])), [0.65])  # half of what is at the state itself
-    assert np.isnan(higher(Spread(spread.X, spread.w), [[0.0]])).all()
+    spread = WeightedStates(X, np.exp(log_p), lambda Y: np.interp(Y[:, 0], [0, 1, 2], log_p))
+    np.testing.assert_allclose(hpd_rank(spread, [[0.0], [1.0], [2.0]]), [0.0, 0.5, 0.8])
+    np.testing.assert_allclose(
+        state_rank(spread, np.array([1.0])), [0.65]
+    )  # half of what is at the state itself
+    assert np.isnan(hpd_rank(WeightedStates(spread.X, spread.w), [[0.0]])).all()
 
 
 def test_a_reading_in_its_prediction():
     rng = np.random.default_rng(1)
     X = X0 + rng.standard_normal((200_000, 2)) @ np.linalg.cholesky(P0).T
-    spread = Spread(X, np.full(len(X), 1 / len(X)))
+    spread = WeightedStates(X, np.full(len(X), 1 / len(X)))
     both = sf.GaussianMeasurement(h=np.eye(2), noise_cov=[[0.3, 0.1], [0.1, 0.2]])
     pit, y, S = ranked_reading(spread, both, [1.7, np.nan], 0.0)
     np.testing.assert_allclose(S, P0 + both.noise_cov, atol=0.01)
@@ -58,7 +60,7 @@ def test_a_reading_in_its_prediction():
 def test_the_rank_of_an_angle_is_counted_from_the_far_side():
     bearing = sf.GaussianMeasurement.from_expressions(["x", "y"], ["atan2(y, x)"], [[0.01]], angles=[0])
     phi = np.pi + 0.2 * np.random.default_rng(2).standard_normal(100_000)
-    spread = Spread(np.stack([np.cos(phi), np.sin(phi)], axis=1), np.full(len(phi), 1 / len(phi)))
+    spread = WeightedStates(np.stack([np.cos(phi), np.sin(phi)], axis=1), np.full(len(phi), 1 / len(phi)))
     for z in (np.pi - 0.1, -np.pi + 0.1):
         pit, y, S = ranked_reading(spread, bearing, z, 0.0)
         off = (z % (2 * np.pi)) - np.pi

@@ -96,7 +96,7 @@ def test_auto_stops_where_more_particles_do_not_help(monkeypatch, lost, called, 
     predictions = Predictions(*lost)
     monkeypatch.setattr(again, "predict", predictions)
     model, config = SimpleNamespace(dim=2), sf.FilterConfig(target_error=0.01)
-    moved, info, n_particles = again.predict_adapting(None, model, 1.0, config, t=None, n_particles=200)
+    moved, info, n_particles = again.predict_to_target(None, model, 1.0, config, t=None, n_particles=200)
     assert len(predictions.sizes) == called
     assert predictions.sizes == sorted(set(predictions.sizes))
     assert (moved, info.mass_error) == (kept, lost[kept - 1])
@@ -106,4 +106,4 @@ def test_auto_stops_where_more_particles_do_not_help(monkeypatch, lost, called, 
 def test_auto_refuses_what_the_first_prediction_refuses(monkeypatch):
     monkeypatch.setattr(again, "predict", Predictions(None))
     with pytest.raises(PropagationError):
-        again.predict_adapting(None, SimpleNamespace(dim=2), 1.0, sf.FilterConfig(), t=None, n_particles=200)
+        again.predict_to_target(None, SimpleNamespace(dim=2), 1.0, sf.FilterConfig(), t=None, n_particles=200)

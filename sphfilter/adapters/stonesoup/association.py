@@ -7,10 +7,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ...config import LogDensityScheme
-from ...density.resample import bound, logarithm
+from ...density.resample import logarithm, particle_bound
 from ...errors import ModelError, PropagationError
 from ...filter.update import update
-from ...lattice.level_set import reach
+from ...lattice.level_set import lattice_reach
 
 __all__ = ["Alone", "Association", "alone", "mixed_mean", "one_prediction", "predicted_apart",
            "probability_of", "resolved"]  # fmt: skip
@@ -93,7 +93,7 @@ def alone(density, sensor, z, config, n_particles, log_likelihood):
     for times in _FINER:
         try:
             posterior, info = update(
-                density, sensor, z, config, n_particles=times * bound(density, n_particles)
+                density, sensor, z, config, n_particles=times * particle_bound(density, n_particles)
             )
         except PropagationError:
             continue
@@ -161,7 +161,7 @@ def _reaching(config, dim, deeper):
     scheme = LogDensityScheme() if config.scheme == "auto" else config.scheme
     if not deeper or not isinstance(scheme, LogDensityScheme):
         return config
-    return replace(config, scheme=replace(scheme, reach=reach(scheme, dim) + deeper))
+    return replace(config, scheme=replace(scheme, reach=lattice_reach(scheme, dim) + deeper))
 
 
 def _error(density, expected, log_mass):

@@ -11,7 +11,7 @@ from stonesoup.types.prediction import Prediction
 from ...config import FilterConfig, checked_filter_config
 from ...errors import ModelError, PropagationError
 from ...prediction.again import Prediction as Origin
-from ...prediction.again import predict_relaying
+from ...prediction.again import predict_from_finer
 from ...prediction.automatic import MOST_FINER
 from ...prediction.predict import predict_within
 from ...validate import count
@@ -133,7 +133,7 @@ class SPHPredictor(Predictor):
         def bounded(density):
             return *predicted(density), n_particles
 
-        before, (moved, info, _) = predict_relaying(bounded, sde, start, origin, config, n_particles)
+        before, (moved, info, _) = predict_from_finer(bounded, sde, start, origin, config, n_particles)
         return before, (moved, info)
 
 

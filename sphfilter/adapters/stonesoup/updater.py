@@ -11,11 +11,11 @@ from stonesoup.types.update import Update
 from stonesoup.updater.base import Updater
 
 from ...config import FilterConfig, checked_filter_config
-from ...density.resample import bound
+from ...density.resample import particle_bound
 from ...errors import ModelError
 from ...filter.update import predicted_reading
 from ...filter.update_again import Update as UpdateOrigin
-from ...filter.update_again import update_repeating
+from ...filter.update_again import update_or_predict_again
 from ...info import UpdateInfo
 from ...prediction.again import Prediction as PredictionOrigin
 from ...validate import count
@@ -155,9 +155,9 @@ class SPHUpdater(Updater):
     def _multiplied(self, prediction, sensor, z, times=1, config=None):
         density, origin = self._density(prediction), origin_of(prediction)
         origin = origin if isinstance(origin, PredictionOrigin) else PredictionOrigin()
-        n_particles = bound(density, self.n_particles)
+        n_particles = particle_bound(density, self.n_particles)
         config = checked_filter_config(self.config) if config is None else config
-        found = update_repeating(origin, density, origin.model, sensor, z, config, times * n_particles)
+        found = update_or_predict_again(origin, density, origin.model, sensor, z, config, times * n_particles)
         if times == 1:
             return found
         prior, posterior, info = found  # on more particles now, not ever after
