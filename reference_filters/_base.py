@@ -109,7 +109,7 @@ class ReferenceFilter(ABC):
         return info
 
     def run(self, times, measurements, truth=None):
-        """Predict to each time and update; see `sphfilter.results.run_filter`."""
+        """Predict to each time and update; see `sphfilter.filter.results.run_filter`."""
         return run_filter(self, times, measurements, Ranker.of(truth))
 
     def _end_of_step(self, dt, t):

@@ -57,7 +57,7 @@ class Watched:
         return info
 
     def run(self, times, z):
-        """Run the filter; see `sphfilter.results.run_filter`."""
+        """Run the filter; see `sphfilter.filter.results.run_filter`."""
         return run_filter(self, times, z)
 
 
