@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -10,12 +11,40 @@ from .. import validate
 from ..errors import ModelError
 from .compile import compile_rows, probe
 
-__all__ = ["GaussianMeasurement", "LikelihoodMeasurement"]
+__all__ = ["GaussianMeasurement", "LikelihoodMeasurement", "Reading"]
 
 _NO_PARAMETERS = np.empty(0)
 _DIFFERENT = (
     "The sensor's h is of {} states, but the state has {}: h has a column, or a name, for each state."
 )
+
+
+class Reading(NamedTuple):
+    """What a sensor said: its numbers z (k,), NaN where none came, and which did, bool (k,)."""
+
+    z: np.ndarray
+    seen: np.ndarray
+
+    @classmethod
+    def of(cls, z, k=None):
+        """Return a measurement as a reading of k numbers; None is one of which nothing came.
+
+        Raises
+        ------
+        ModelError
+            It is not k numbers or NaN, or infinite.
+        """
+        if z is None:
+            return cls(np.full(k or 1, np.nan), np.zeros(k or 1, dtype=bool))
+        try:
+            z = np.array(z, dtype=float, ndmin=1)
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
+        if z.ndim != 1 or (k is not None and len(z) != k):
+            raise ModelError(f"The measurement has shape {z.shape}, but the sensor gives ({k or 'k'},).")
+        if np.isinf(z).any():
+            raise ModelError(f"The measurement {z} is infinite; use NaN for a missing component.")
+        return cls(z, np.isfinite(z))
 
 
 class GaussianMeasurement:
@@ -171,15 +200,18 @@ class GaussianMeasurement:
         ModelError
             z of the wrong length, or infinite.
         """
-        return np.isfinite(_reading(z, self.dim_z))
+        return self.reading(z).seen
+
+    def reading(self, z):
+        """Return z as a `Reading`; see `observed`."""
+        return Reading.of(z, self.dim_z)
 
     def log_likelihood(self, z, X, t=0.0):
         """Return log p(z | x) for each state X (N, n), shape (N,), with its normalising constant.
 
         Missing components are left out, with their rows and columns of R; all missing gives zeros.
         """
-        z = _reading(z, self.dim_z)
-        seen = np.isfinite(z)
+        z, seen = self.reading(z)
         if not seen.any():
             return np.zeros(len(X))
         whiten, constant = self._factor(seen)
@@ -278,13 +310,17 @@ class LikelihoodMeasurement:
 
     def observed(self, z):
         """Return which components of z were measured, bool (k,); all False for None."""
-        return np.isfinite(_reading(z, self.dim_z))
+        return self.reading(z).seen
+
+    def reading(self, z):
+        """Return z as a `Reading`."""
+        return Reading.of(z, self.dim_z)
 
     def log_likelihood(self, z, X, t=0.0):
         """Return log p(z | x) for each state X (N, n), shape (N,); zeros when all of z is missing."""
         X = np.asarray(X, dtype=float)
-        z = _reading(z, self.dim_z)
-        if not np.isfinite(z).any():
+        z, seen = self.reading(z)
+        if not seen.any():
             return np.zeros(len(X))
         value = np.array(self._loglik(z, X, t), dtype=float)
         if value.shape != (len(X),):
@@ -323,18 +359,3 @@ def _check_arguments(loglik):
 def _name(function):
     """Name of a function, or the text of what has none."""
     return getattr(function, "__name__", None) or repr(function)
-
-
-def _reading(z, k):
-    """Return z as an array (k,), NaN where missing."""
-    if z is None:
-        return np.full(k or 1, np.nan)
-    try:
-        z = np.array(z, dtype=float, ndmin=1)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
-    if z.ndim != 1 or (k is not None and len(z) != k):
-        raise ModelError(f"The measurement has shape {z.shape}, but the sensor gives ({k or 'k'},).")
-    if np.isinf(z).any():
-        raise ModelError(f"The measurement {z} is infinite; use NaN for a missing component.")
-    return z

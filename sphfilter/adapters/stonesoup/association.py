@@ -1,5 +1,6 @@
 """Several detections, one at most the target's: what each says alone, and all of them together."""
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,12 +11,15 @@ from ...config import LogDensityScheme
 from ...density.resample import logarithm, particle_bound
 from ...errors import ModelError, PropagationError
 from ...filter.update import update
+from ...info import Code
 from ...lattice.level_set import lattice_reach
+from ...model.measurements import Reading
+from ...prediction.again import Ladder, Outcome
 
 __all__ = ["Alone", "Association", "alone", "mixed_mean", "one_prediction", "predicted_apart",
            "probability_of", "resolved"]  # fmt: skip
 
-_FINER = 1, 3, 9  # times the particles that a product of density and likelihood is tried on
+_LADDER = Ladder(times=(1, 3, 9), most=math.inf)  # for products of density and likelihood
 _NEGLIGIBLE = 1e-6  # probability of a part
 _DEEPER = 0.7  # standard deviations that lattices reach further, each time
 #: Standard deviations that a mean may be off, and part of the mass: not tried again, and refused above.
@@ -43,9 +47,9 @@ class Association:
         self._missed = missed / total
         self._parts = [(sensor, z, np.log(weight / total) - log_p) for sensor, z, weight, log_p in parts]
 
-    def observed(self, z):
-        """Something was."""
-        return np.ones(1, dtype=bool)
+    def reading(self, z):
+        """The readings of all parts; something was seen."""
+        return Reading(z, np.ones(1, dtype=bool))
 
     def log_likelihood(self, z, X, t=0.0):
         """Logarithm of the sum above for each state X (N, n), shape (N,)."""
@@ -72,9 +76,9 @@ class Total:
     def __init__(self, first, parts):
         self._first, self._parts = logarithm(first), [(np.log(w), logarithm(p)) for w, p in parts]
 
-    def observed(self, z):
-        """Something is there."""
-        return np.ones(1, dtype=bool)
+    def reading(self, z):
+        """No numbers, but something is there."""
+        return Reading(z, np.ones(1, dtype=bool))
 
     def log_likelihood(self, z, X, t=0.0):
         """Logarithm of the sum over the first density, for each state X (N, n), shape (N,)."""
@@ -90,15 +94,14 @@ class Alone(NamedTuple):
 
 def alone(density, sensor, z, config, n_particles, log_likelihood):
     """What a detection says alone, given its log-likelihood at the particles (N,)."""
-    for times in _FINER:
-        try:
-            posterior, info = update(
-                density, sensor, z, config, n_particles=times * particle_bound(density, n_particles)
-            )
-        except PropagationError:
-            continue
-        return Alone(info.log_evidence, posterior.mean() if info.accepted else None)
-    return Alone(float(logsumexp(log_likelihood, b=density.mass)), None)
+    found = _LADDER.climbed(
+        particle_bound(density, n_particles),
+        lambda rung: update(density, sensor, z, config, n_particles=rung.n_particles),
+    )
+    if found is None:
+        return Alone(float(logsumexp(log_likelihood, b=density.mass)), None)
+    _, (posterior, info) = found
+    return Alone(info.log_evidence, posterior.mean() if info.accepted else None)
 
 
 def mixed_mean(parts):
@@ -115,7 +118,7 @@ def resolved(multiplied, config, dim, expected):
     Parameters
     ----------
     multiplied : callable
-        (times the particles, configuration) to (prior, density, info).
+        (times the particles, configuration) to an `Outcome`.
     config : FilterConfig
     dim : int
     expected : ndarray, shape (n,), or None
@@ -123,7 +126,7 @@ def resolved(multiplied, config, dim, expected):
 
     Returns
     -------
-    prior, density, info
+    Outcome
 
     Raises
     ------
@@ -131,29 +134,30 @@ def resolved(multiplied, config, dim, expected):
         No number of particles that is tried holds it.
     """
     best = None
-    for level, times in enumerate(_FINER):
+    for level, times in enumerate(_LADDER.times):
         try:
             found = multiplied(times, _reaching(config, dim, level * _DEEPER))
         except PropagationError as problem:
             refused = problem  # more particles may hold it
             continue
-        error = _error(found[1], expected, found[2].log_evidence)
+        error = _error(found.density, expected, found.info.log_evidence)
         if best is None or error < best[0]:
             best = error, times, found
         if error < _RESOLVED:
             break
     if best is None:
         raise refused
-    error, times, (prior, density, info) = best
+    error, times, found = best
     if error > _LOST:
         raise PropagationError(
             f"detections much sharper than the prediction leave a density too sharp and too broad for one "
             f"lattice: its mean would be {error:.2g} standard deviations off; use more particles"
         )
     if times == 1 and error < _RESOLVED:
-        return prior, density, info
+        return found
     told = "" if error < _RESOLVED else f", its mean within {error:.2g} standard deviations"
-    return prior, density, replace(info, status=f"association on {times} times the particles{told}")
+    told = f"association on {times} times the particles{told}"
+    return found._replace(info=found.info.marked(Code.FINER, told))
 
 
 def _reaching(config, dim, deeper):
@@ -178,7 +182,7 @@ def predicted_apart(origin, predicted, config, n_particles):
 
     Parameters
     ----------
-    origin : adapt.Update
+    origin : Update
         The update with an `Association`.
     predicted : callable
         A density to what `predict` returns.
@@ -194,13 +198,15 @@ def predicted_apart(origin, predicted, config, n_particles):
     total = Total(widest, parts)
 
     def summed(times, config):
-        return widest, *update(widest, total, None, config, n_particles=times * n_particles)
+        more = times * n_particles
+        return Outcome(widest, *update(widest, total, None, config, n_particles=more), more)
 
     mean = None if widest.domain is not None else mixed_mean([(w, p.mean()) for w, p in parts])
-    _, density, sum_info = resolved(summed, config, widest.dim, mean)
+    _, density, sum_info, _ = resolved(summed, config, widest.dim, mean)
     info = max((info for _, _, info in moved), key=lambda info: info.mass_error)
     told = "" if sum_info.status == "ok" else f"; {sum_info.status}"
-    return density, replace(info, status=f"{len(parts)} parts of the association predicted apart{told}")
+    told = f"{len(parts)} parts of the association predicted apart{told}"
+    return density, info.marked(Code.REPEATED, told)
 
 
 def one_prediction(hypotheses):

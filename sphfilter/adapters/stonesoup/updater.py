@@ -17,7 +17,8 @@ from ...filter.update import predicted_reading
 from ...filter.update_again import Update as UpdateOrigin
 from ...filter.update_again import update_or_predict_again
 from ...info import UpdateInfo
-from ...prediction.again import Prediction as PredictionOrigin
+from ...prediction.again import Outcome
+from ...prediction.predict import Prediction as PredictionOrigin
 from ...validate import count
 from .association import Association, alone, mixed_mean, one_prediction, probability_of, resolved
 from .recent import Recent
@@ -72,8 +73,8 @@ class SPHUpdater(Updater):
                 "a measurement prediction needs a sensor with a noise covariance; associate detections of "
                 "others by EvidenceHypothesiser(prob_gate=1)"
             )
-        reading, spread, cross = predicted_reading(density, sensor)
-        covar = spread + sensor.noise_cov if measurement_noise else spread
+        reading, S, cross = predicted_reading(density, sensor)
+        covar = S + sensor.noise_cov if measurement_noise else S
         return GaussianMeasurementPrediction(
             typed(sensor.residual(reading, 0.0), sensor, density.mean()),
             CovarianceMatrix(covar),
@@ -113,7 +114,7 @@ class SPHUpdater(Updater):
         prediction, detection = hypothesis.prediction, hypothesis.measurement
         if not hypothesis:
             density = self._density(prediction)
-            return self._posterior(prediction, hypothesis, (density, density, _nothing(density)), None)
+            return self._posterior(prediction, hypothesis, _unused(density), None)
         asked = self._asked(prediction, detection)
         return self._posterior(
             prediction, hypothesis, self._multiplied(prediction, *asked), asked, detection.timestamp
@@ -133,7 +134,7 @@ class SPHUpdater(Updater):
                 parts.append((sensor, z, weight, one.log_evidence))
                 means.append((weight, one.mean))
         if not parts:
-            return self._posterior(prediction, hypotheses, (density, density, _nothing(density)), None)
+            return self._posterior(prediction, hypotheses, _unused(density), None)
         sensor, z = Association(missed, parts), tuple(part[1] for part in parts)
         mixed = None if density.domain is not None else mixed_mean([(missed, density.mean()), *means])
 
@@ -160,11 +161,11 @@ class SPHUpdater(Updater):
         found = update_or_predict_again(origin, density, origin.model, sensor, z, config, times * n_particles)
         if times == 1:
             return found
-        prior, posterior, info = found  # on more particles now, not ever after
-        return prior, replace(posterior, capacity=n_particles), info
+        # on more particles now, not ever after
+        return found._replace(density=replace(found.density, capacity=n_particles))
 
     def _posterior(self, prediction, hypothesis, found, asked, timestamp=None):
-        prior, density, info = found
+        prior, density, info, _ = found
         timestamp = prediction.timestamp if timestamp is None else timestamp
         state = prediction if isinstance(prediction, SPHState) else SPHState(prior, timestamp)
         posterior = Update.from_state(
@@ -188,7 +189,7 @@ class SPHUpdater(Updater):
         return density_of(state, n_particles, checked_filter_config(self.config))
 
 
-def _nothing(density):
-    return UpdateInfo(
-        accepted=True, log_evidence=0.0, reason="no detection was used", n_particles=density.n_particles
-    )
+def _unused(density):
+    """The `Outcome` of no detection."""
+    said = {"accepted": True, "log_evidence": 0.0, "reason": "no detection was used"}
+    return Outcome(density, density, UpdateInfo(n_particles=density.n_particles, **said), density.n_particles)
