@@ -56,9 +56,9 @@ class ModelMeasurement:
             r[..., a] -= 2 * np.pi * np.ceil((r[..., a] - np.pi) / (2 * np.pi))
         return r
 
-    def observed(self, z):
+    def reading(self, z):
         """All components: detections are whole."""
-        return np.ones(self.dim_z, dtype=bool)
+        return Reading(np.asarray(z, dtype=float), np.ones(self.dim_z, dtype=bool))
 
     def log_likelihood(self, z, X, t=0.0):
         """log p(z | x) for each state X (N, n), shape (N,)."""
