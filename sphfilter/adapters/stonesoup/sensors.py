@@ -9,7 +9,7 @@ from stonesoup.types.detection import Detection
 from stonesoup.types.state import State
 
 from ...errors import ModelError
-from ...model.measurements import GaussianMeasurement
+from ...model.measurements import GaussianMeasurement, Reading
 from ...validate import covariance, short
 
 __all__ = ["ModelMeasurement", "reading_of", "sensor_for", "typed"]
