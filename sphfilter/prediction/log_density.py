@@ -34,7 +34,7 @@ _THREADS_FROM = 20_000
 # path do not know of it, and what the paths' quadrature does not, fall with the error of the lattice.
 _BENT, _CURVED = 0.8, 0.018
 _TIME_SLICES = (17, 37, 79, 167, 347, 709)  # steps at least over an interval, where drift or noise change
-_CONSTANT = WeakKeyDictionary()  # what `_noise_factor` returns, by model, where it never changes
+_CONSTANT = WeakKeyDictionary()  # what `noise_factor` returns, by model, where it never changes
 _NOISE_ERROR = 1e-3  # of its integral over the interval, relative, by the middles of so many steps
 
 
