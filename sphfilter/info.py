@@ -1,8 +1,11 @@
 """What a prediction, an update or a re-gridding did, as values."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
+
+from ._types import Bools, Floats
 
 __all__ = ["PredictInfo", "ResampleInfo", "UpdateInfo", "innovation_of"]
 
@@ -57,13 +60,13 @@ class PredictInfo:
     n_smoothing_failed: int = 0
     n_discarded: int = 0
     mass_discarded: float = 0.0
-    skipped: tuple = ()
+    skipped: tuple[str, ...] = ()
     scheme: str = "paper"
     status: str = "ok"
     seconds: float = 0.0
 
     @classmethod
-    def joined(cls, infos):
+    def joined(cls, infos: Sequence["PredictInfo"]) -> "PredictInfo":
         """One info of several predictions, one after the other; schemes and statuses without repetition."""
         if len(infos) == 1:
             return infos[0]
@@ -77,7 +80,7 @@ class PredictInfo:
         )
 
     @property
-    def bypass_ratio(self):
+    def bypass_ratio(self) -> float:
         """Bypassed steps per search (002 section 4.3)."""
         return self.n_bypassed / max(self.n_searches, 1)
 
@@ -98,8 +101,8 @@ class ResampleInfo:
     """
 
     n_particles: int
-    lattice_dims: tuple
-    spacing: tuple
+    lattice_dims: tuple[int, ...]
+    spacing: tuple[float, ...]
     n_candidates: int
     fitness: float
     volume_fraction: float
@@ -147,8 +150,8 @@ class UpdateInfo:
 
     accepted: bool
     log_evidence: float
-    innovation: np.ndarray | None = None
-    innovation_cov: np.ndarray | None = None
+    innovation: Floats | None = None
+    innovation_cov: Floats | None = None
     reason: str = ""
     n_particles: int = 0
     extrapolated: float = 0.0
@@ -158,7 +161,7 @@ class UpdateInfo:
     resample: ResampleInfo | None = field(default=None, repr=False)
 
 
-def innovation_of(info, seen, k):
+def innovation_of(info: UpdateInfo, seen: Bools, k: int) -> tuple[Floats, Floats]:
     """Innovation (k,) and covariance (k, k) of an update in the shapes of its sensor.
 
     `seen`, bool (k,), says which components came; the others are NaN, as all are if the update told none.
