@@ -6,11 +6,16 @@ that is: by itself it need not have an end.
 """
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from .._types import Floats, Readings
 from ..config import LogDensityScheme
+from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import ModelError, PropagationError
 from ..filter.readings import checked_sensor
@@ -18,6 +23,7 @@ from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..lattice.field import extrapolated_mass
 from ..lattice.level_set import lattice_reach
+from ..model.measurements import Sensor
 from ..prediction.backward import carried_back, likelihood_field
 from ..prediction.log_density import fits
 from ..validate import short
@@ -67,16 +73,22 @@ class SmoothedResult:
     True
     """
 
-    t: np.ndarray
-    x: np.ndarray
-    P: np.ndarray
-    densities: tuple
+    t: Floats
+    x: Floats
+    P: Floats
+    densities: tuple[ParticleDensity, ...]
     filtered: FilterResult
-    log_evidence: np.ndarray
-    extrapolated: np.ndarray
+    log_evidence: Floats
+    extrapolated: Floats
 
 
-def smooth(filt, times, measurements, *, sensors=None):
+def smooth(
+    filt: SPHFilter,
+    times: ArrayLike,
+    measurements: Readings,
+    *,
+    sensors: Sequence[Sensor | None] | None = None,
+) -> SmoothedResult:
     """Smooth over a fixed interval: filter forward, then carry back what later measurements say.
 
     Parameters
@@ -139,7 +151,9 @@ def smooth(filt, times, measurements, *, sensors=None):
     )
 
 
-def _checked(filt, times, measurements, sensors):
+def _checked(
+    filt: SPHFilter, times: Floats, measurements: Readings, sensors: Sequence[Sensor | None] | None
+) -> list[Sensor]:
     """The sensor of every measurement, where all that is given can be smoothed."""
     if not isinstance(filt, SPHFilter):
         raise ModelError(f"smooth needs an SPHFilter, got {short(filt)}; it makes its own run of it")
@@ -155,7 +169,7 @@ def _checked(filt, times, measurements, sensors):
         raise ModelError("smooth takes no model with a domain: states have to be on the whole line")
     scheme = filt.config.scheme
     reason = fits(filt.model, filt.density, filt.n_particles)
-    if scheme != "auto" and not isinstance(scheme, LogDensityScheme):
+    if not isinstance(scheme, str | LogDensityScheme):
         reason = f"the filter's scheme is {scheme.name!r}; leave it to the default"
     if reason:
         raise ModelError(f"smooth needs densities that the log_density scheme carries: {reason}")
@@ -168,33 +182,36 @@ class _Epoch:
 
     filt: SPHFilter  # after the updates
     n_steps: int  # of the prediction
-    seen: list  # (sensor, z) that were used
+    seen: list[tuple[Sensor, ArrayLike | None]]  # (sensor, z) that were used
     rows: int  # measurements at that time, used or not
 
-    def log_likelihood(self, X):
+    def log_likelihood(self, X: Floats) -> Floats:
         """Of the measurements used, at states X (N, n)."""
         t = self.filt.t
         return sum((sensor.log_likelihood(z, X, t) for sensor, z in self.seen), np.zeros(len(X)))
 
 
-def _forward(filt, times, measurements, sensors):
+def _forward(
+    filt: SPHFilter, times: Floats, measurements: Readings, sensors: Sequence[Sensor]
+) -> tuple[list[_Epoch], FilterResult]:
     """Run a copy of the filter; its epochs, and their `FilterResult`."""
     filt = copy.copy(filt)
     filt.config = replace(filt.config, exact_linear=False)  # its steps are those of the way back
-    epochs, rows, log_evidence, accepted = [], [], [], []
+    epochs: list[_Epoch] = []
+    rows, log_evidence, accepted = [], [], []
     for t, z, sensor in zip(times, measurements, sensors, strict=True):
         steps = 0
         if t > filt.t:
-            info = filt.predict(t=t)
-            steps = info.n_steps
-            if info.scheme != "log_density":
+            predicted = filt.predict(t=t)
+            steps = predicted.n_steps
+            if predicted.scheme != "log_density":
                 raise ModelError(
                     f"smooth needs densities that the log_density scheme carries; to t = {t:g} it was "
-                    f"{info.scheme}: {info.status}"
+                    f"{predicted.scheme}: {predicted.status}"
                 )
         info = filt.update(z, sensor)
         if not epochs or t > epochs[-1].filt.t:
-            epochs.append(_Epoch(None, steps, [], 0))
+            epochs.append(_Epoch(filt, steps, [], 0))
         epochs[-1].rows += 1
         if info.accepted and sensor.observed(z).any():
             epochs[-1].seen.append((sensor, z))
@@ -206,7 +223,7 @@ def _forward(filt, times, measurements, sensors):
     return epochs, FilterResult(times, x_prior, P_prior, x, P, np.array(log_evidence), np.array(accepted))
 
 
-def _backward(epochs):
+def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float]]:
     """Density, log-evidence of all measurements, and extrapolated probability at every epoch."""
     last = epochs[-1].filt
     scheme = LogDensityScheme(reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
@@ -226,7 +243,9 @@ def _backward(epochs):
     return out[::-1]
 
 
-def _one_back(before, after, found, scheme):
+def _one_back(
+    before: _Epoch, after: _Epoch, found: Any, scheme: LogDensityScheme
+) -> tuple[ParticleDensity, Any, float]:
     """From one epoch to the one before: the smoothed density there, λ with its measurements, and log ∫ p β.
 
     `found` is λ at the later epoch, measurements there included.
@@ -241,7 +260,7 @@ def _one_back(before, after, found, scheme):
     return smoothed, likelihood_field(smoothed.field, values + before.log_likelihood(smoothed.x)), future
 
 
-def _between(filt, t, n_steps):
+def _between(filt: SPHFilter, t: float, n_steps: int) -> list[ParticleDensity]:
     """The filter's densities at the beginnings of equal steps up to time t."""
     filt, start = copy.copy(filt), filt.t
     densities = [filt.density]
