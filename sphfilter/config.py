@@ -133,13 +133,14 @@ class LogDensityScheme:
         Error allowed in the paths of a time step: rms over the mass, in standard deviations. By default in
         proportion to the error of the lattice.
     noise_share : float
-        Largest variance that the noise of a time step may have, in units of the density's own. Paths of the
-        noise are aimed at where they find the density, which makes this exact for a Gaussian, whatever it is.
+        Largest variance that the noise of a time step may have, in units of the density's own variance. The
+        paths of the noise are aimed at the density, so that a step is exact for a Gaussian, however noisy.
     quadrature : int
         Gauss-Hermite points of one noise over a step.
     most_lost : float
         Probability that the lattices of one prediction may lose or gain in all before it is given up.
     max_steps : int
+        Steps of one prediction after which it is given up with an error.
 
     Examples
     --------
@@ -337,7 +338,7 @@ class FilterConfig(_Settings):
     exact_linear : bool
     acceptance : AcceptanceTest
     target_error : float
-        What ``n_particles="auto"`` aims at: error of the posterior mean, in posterior standard deviations.
+        Error of the posterior mean, in posterior standard deviations, that ``n_particles="auto"`` aims at.
     time_budget : float, optional
         Wall-clock seconds that a predict of `SPHFilter` and the updates after it may take together. With it
         results depend on the machine and its load.

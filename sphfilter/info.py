@@ -19,21 +19,21 @@ class PredictInfo:
     n_steps, n_evaluations : int
         Time steps, and evaluations of the velocity at all particles.
     n_searches, n_bypassed : int
-        Evaluations with neighbour lists found anew, and steps that did without.
+        Evaluations for which neighbour lists were found anew, and steps that used the lists of a step before.
     n_regrids : int
         Times the particles were put on a new lattice because steps had become too small, or because
         `SolverConfig.remesh` says so.
     n_rejected : int
         Time steps repeated because the error control refused them.
     mass_error : float
-        Probability the lattices lost or gained on the way, before it was put right (log-density scheme): a
-        measure of what the resolution costs.
+        Probability that the lattices lost or gained on the way, before the masses were normalised again
+        (log-density scheme): a measure of the cost of the resolution.
     n_smoothing_failed : int
         Particle-steps whose smoothing-length equation had no root (the old length was kept), or whose
         iteration had not converged when it was stopped.
-    n_discarded : int
-    mass_discarded : float
-        Particles dropped for that, and their probability, which the others share; zero unless asked for.
+    n_discarded, mass_discarded : int, float
+        Particles dropped because their iteration had not converged, and the probability they carried, which
+        the other particles share; zero unless `PaperScheme.discard_unconverged` asks for it.
     skipped : tuple of str
         Work the scene made unnecessary.
     scheme, status : str
@@ -119,13 +119,14 @@ class UpdateInfo:
         False where the measurement was refused, by the acceptance test or because the posterior would lie far
         outside of all particles: the density is still the prior.
     log_evidence : float
-        Log of the integral of prior times likelihood; zero if no measurement came. For a refused one, which
-        lies where the prior has no particles, that of the Gaussian with the prior's mean and covariance.
+        Log of the integral of prior times likelihood; zero if no measurement came. For a refused
+        measurement, which lies where the prior has no particles, the log-evidence of the Gaussian with the
+        prior's mean and covariance.
     innovation, innovation_cov : ndarray or None
         z minus its prediction, shape (k,), and the covariance of the prediction plus R, for the observed
         components of a Gaussian measurement.
     reason : str
-        Why it was refused, or why the acceptance test was not made; empty if there is nothing to say.
+        Why the measurement was refused, or why the acceptance test was not made; empty if neither.
     n_particles : int
     extrapolated : float
         Probability of the posterior where the prior had no particles (log-density scheme): the share that

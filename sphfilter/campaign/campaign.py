@@ -45,6 +45,7 @@ class CampaignResult:
     truth : ndarray, shape (R, T, n)
     z : ndarray, shape (R, T, k)
     x0, P0 : ndarray, shapes (R, n), (R, n, n)
+        Means and covariances that the filters start from, at the time t0.
     t0 : float
     results : dict of str to FilterResult
         Its ``t`` is (T,), its other arrays have the runs as first axis: (R, T, ...). A run in which the
@@ -124,8 +125,8 @@ def run_campaign(
     progress : callable, optional
         Called with (runs done, runs in all), first with the number found in `folder`.
     ranks : bool
-        Rank measurements and truths in the densities of filters that have one. It takes longer than some
-        filters do.
+        Rank measurements and truths in the densities of filters that have one. Ranking takes longer than
+        some filters do.
 
     Returns
     -------

@@ -18,7 +18,7 @@ __all__ = ["FilterReport", "filter_report"]
 
 @dataclass(frozen=True, kw_only=True)
 class FilterReport:
-    """What one filter did; errors are those of the updated mean at the measurement times.
+    """What one filter did in all runs; errors are errors of the updated mean at the measurement times.
 
     Runs in which the filter failed (raised, or gave something that is not finite) count in `n_failed` and
     nowhere else.
@@ -30,7 +30,7 @@ class FilterReport:
     max_peak_error, mean_peak_error : ndarray, shape (n,)
         Largest absolute error of a run: its maximum and mean over the runs (002 Tables 7, 9, 11).
     rms_error, rms_error_std : ndarray, shape (n,)
-        Root mean square over runs and epochs, and the standard error of it, estimated from the differences
+        Root mean square over runs and epochs, and its standard error, estimated from the differences
         between runs (NaN for one run).
     run_time : float
         Median wall-clock seconds of a run; NaN if unknown.
@@ -41,10 +41,10 @@ class FilterReport:
     nees_above, nees_below : float
         Fractions of the epochs above and below the two-sided interval.
     exits, exits_p : int, float
-        Epochs outside of it, and the p-value of their being no more than the referee's rate makes likely (its
-        own of one in twenty, if the referee's is lower). NaN without a referee.
+        Epochs outside of that interval, and the p-value of so many epochs at the referee's rate (at a rate of
+        one in twenty, if the referee's is lower). The p-value is NaN without a referee.
     nmee, nmee_p : ndarray, shape (n,)
-        Average NMEE, zero for a consistent filter, and the p-value of its being so (NaN for few runs).
+        Average NMEE, zero for a consistent filter, and the p-value of that zero (NaN for few runs).
     nmee_inside : ndarray, shape (n,)
         Fraction of the epochs whose run-averaged NMEE lies in its 95 % interval.
     n_rejected : int
@@ -57,7 +57,7 @@ class FilterReport:
     innovations : Innovations
     ranks : Ranks
     verdict : str
-        All of it in a sentence.
+        All these figures in one sentence.
     """
 
     n_runs: int

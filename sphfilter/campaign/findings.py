@@ -18,22 +18,22 @@ class Innovations:
 
     Attributes
     ----------
-    n_measurements : int
-        Measurements that came, over all runs; of them `acceptance` were used, a fraction.
+    n_measurements, acceptance : int, float
+        Measurements that came, over all runs, and the fraction of these measurements that was used.
     nis : float
-        Normalised innovation squared per degree of freedom, over all that came; one is right. Rejected ones
-        count: a filter must not look better for what it would not look at.
+        Normalised innovation squared per degree of freedom, over all measurements that came; one is right.
+        Rejected measurements count: a filter must not look better for measurements that it refused.
     nis_accepted : float
-        The same over those that were used, with their own degrees of freedom: below one where a test of
-        acceptance cuts tails off.
+        The same number over the measurements that were used, with their own degrees of freedom: below one
+        where a test of acceptance cuts tails off.
     nis_inside : float
         Fraction of the epochs whose sum over the runs lies in the 95 % interval of χ² with as many degrees of
         freedom as components came there.
     whiteness : float
         Correlation of successive innovations, averaged over the runs; zero is right.
     whiteness_p : float
-        p-value of its being zero, from the products themselves, whose average is zero for every shape of the
-        innovations; that of correlations is not, for skewed ones.
+        p-value of that zero, from the products of successive innovations: the average of products is zero for
+        innovations of every shape, the average of correlations is not zero for skewed innovations.
     """
 
     n_measurements: int
@@ -52,11 +52,11 @@ class Ranks:
     Attributes
     ----------
     pit, state_pit : ndarray, shapes (k, 10), (n, 10)
-        Histograms, as fractions: .1 each is right.
+        Histograms of the ranks, as fractions: .1 in each bin is right.
     hpd : ndarray, shape (10,)
-        NaN for samples, which have no density.
+        Histogram of the ranks among regions of highest density; NaN for samples, which have no density.
     pit_p, state_pit_p, hpd_p : ndarray, shapes (k,), (n,), and float
-        p-values of their being uniform; NaN where not tested (fewer than ten runs, or eight readings).
+        p-values of uniform ranks; NaN where ranks are not tested (fewer than ten runs, or eight readings).
     outside_95 : float
         How often the truth lies outside the region of highest density that holds 95 %; .05 is right.
     """

@@ -135,7 +135,7 @@ def report(
     Parameters
     ----------
     campaign_or_result : CampaignResult or FilterResult
-        A FilterResult may be that of one run, or stacked with the runs first.
+        A FilterResult may hold one run, or many, stacked with the runs first.
     truth : array_like, shape (T, n) or (R, T, n)
         True states at the measurement times; for a FilterResult only, a campaign carries its own. Errors are
         plain differences: angles have to be on the same turn as the means.

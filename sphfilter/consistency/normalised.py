@@ -80,7 +80,7 @@ def nmee(truth: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Floats:
     -------
     ndarray, shape (R, T, n) or (T, n)
         (mean − truth) / standard deviation for each state; NaN where an argument is, infinite where the
-        variance is not positive. `run_average` of it is 002 (67).
+        variance is not positive. `run_average` of these numbers is 002 (67).
 
     Examples
     --------
@@ -130,7 +130,7 @@ def run_average(values: ArrayLike) -> tuple[Floats, Ints]:
     average : ndarray, shape (T, ...)
         NaN where no run is left.
     n_runs : ndarray of int, shape (T, ...)
-        Runs in it; those that are NaN are left out.
+        Runs that the average is of; runs that are NaN are left out.
 
     Examples
     --------
@@ -298,8 +298,8 @@ def diverged(nees_values: ArrayLike, dim: int, window: int = 5, level: float = 0
 def whiteness(innovation: ArrayLike, S: ArrayLike, lag: int = 1) -> Floats:
     """Autocorrelation of the normalised innovations over time, one number a run.
 
-    For a consistent filter it is N(0, 1/((T − lag) k)) to leading order: `nmee_bounds` of (T − lag) k is its
-    interval, and of (T − lag) k R that of its average over R runs.
+    For a consistent filter the number is N(0, 1/((T − lag) k)) to leading order: `nmee_bounds` of (T − lag) k
+    is its interval, and `nmee_bounds` of (T − lag) k R the interval of its average over R runs.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ def whiteness(innovation: ArrayLike, S: ArrayLike, lag: int = 1) -> Floats:
 def lagged_products(innovation: ArrayLike, S: ArrayLike, lag: int = 1) -> Floats:
     """Sum over time of the products of normalised innovations `lag` epochs apart, one number a run.
 
-    Of a filter that is right it is zero on average, whatever its densities; see `whiteness`.
+    The sum is zero on average for a filter that is right, whatever its densities; see `whiteness`.
 
     Returns
     -------

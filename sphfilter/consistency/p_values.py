@@ -40,7 +40,7 @@ def uniform_epochs(ranks: ArrayLike) -> float:
     """p-value of the ranks (...) being uniform and all independent: Kolmogorov and Smirnov's test.
 
     Predictions' ranks of scalar measurements are, of a filter that is right, whatever its model (Diebold et
-    al. 1998). NaN left out; NaN for fewer than eight.
+    al. 1998). Ranks that are NaN are left out; the p-value is NaN for fewer than eight ranks.
     """
     from scipy import stats  # on use: import time
 
@@ -52,8 +52,8 @@ def uniform_runs(ranks: ArrayLike, bins: int = 10) -> float:
     """p-value of the ranks (R, T) being uniform, correlated within a run and independent between runs.
 
     Pearson's statistic, with the correction of second order for clusters (J. N. K. Rao & A. J. Scott, J. Am.
-    Stat. Assoc. 76, 1981): what the fractions of the runs vary by says how it is distributed. Runs that are
-    NaN somewhere are left out; NaN for fewer than `FEWEST_RUNS`.
+    Stat. Assoc. 76, 1981): the variation of the fractions between runs says how the statistic is distributed.
+    Runs that are NaN somewhere are left out; the p-value is NaN for fewer than `FEWEST_RUNS` runs.
     """
     every: Floats = np.asarray(ranks, dtype=float)
     if every.ndim != 2:
@@ -76,7 +76,7 @@ def uniform_runs(ranks: ArrayLike, bins: int = 10) -> float:
 def same_mean(values: ArrayLike, expected: float) -> float:
     """p-value of the runs' averages of values (R, T) having the expected mean: Student's t.
 
-    NaN left out; NaN for fewer than `FEWEST_RUNS` runs.
+    Values that are NaN are left out; the p-value is NaN for fewer than `FEWEST_RUNS` runs.
     """
     values = np.asarray(values, dtype=float)
     known = np.isfinite(values)
@@ -92,8 +92,8 @@ def same_mean(values: ArrayLike, expected: float) -> float:
 def more_exits(count: int, of_referee: int, total: int, least: float = 0.05) -> float:
     """p-value of `count` epochs of `total` lying outside, if a referee's fraction is the rate: binomial.
 
-    The rate is `least`, which is right of a Gaussian, where the referee's is lower: its luck is not asked
-    for.
+    Where the referee's rate is lower than `least`, which is the rate of a Gaussian, `least` is taken: the
+    referee's luck is no standard.
     """
     rate = max(of_referee / total, least)
     return float(bdtrc(count - 1, total, rate) if count else 1.0)

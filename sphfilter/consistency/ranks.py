@@ -47,7 +47,7 @@ class Ranker:
     Attributes
     ----------
     seconds : float
-        Time spent on it, which is not the filter's.
+        Wall-clock time spent on ranking, which is not the filter's.
     """
 
     def __init__(self, truth: ArrayLike) -> None:

@@ -31,13 +31,14 @@ class ParameterFit:
     Attributes
     ----------
     estimate, standard_error : mapping of str to float
-        The standard error of a parameter on a bound is NaN; it is held there for those of the others.
+        The standard error of a parameter on a bound is NaN; the parameter is held there for the standard
+        errors of the others.
     covariance : ndarray, shape (n, n)
         Inverse of the negative Hessian of the log-evidence; NaN for parameters on a bound.
     log_evidence : float
-        At the estimate, nats.
+        Log-evidence at the estimate, nats.
     result : FilterResult
-        Of the filter at the estimate.
+        The run of the filter at the estimate.
     n_readings : int
         Measured numbers, NaN not counted.
     data : str
@@ -47,6 +48,7 @@ class ParameterFit:
     roughness : float
         Standard deviation of the log-evidence around a smooth function, nats, as seen at the estimate.
     at_bound : tuple of str
+        Parameters on a bound, or too near one for a standard error.
     converged : bool
         The maximum is, by the slopes of the log-evidence, within a quarter of a standard error.
     status : str
@@ -136,7 +138,7 @@ def fit_parameters(
     bounds : mapping of str to (float or None, float or None), optional
         Lowest and highest value.
     max_evaluations : int
-        Runs of the filter, about.
+        Number of filter runs, about, after which the search is stopped.
     report : callable, optional
         Called after every run with their number, the parameters as a dict, and the log-evidence.
 

@@ -30,11 +30,11 @@ class ModelComparison:
     ----------
     names : tuple of str, length M
     log_evidence : ndarray, shape (M,)
-        Nats; of fitted models the largest.
+        Log-evidence of each model, nats; of a fitted model the largest.
     n_parameters : ndarray of int, shape (M,)
-        Fitted to these measurements.
+        Number of parameters fitted to these measurements.
     n_rejected : ndarray of int, shape (M,)
-        Measurements that the model's filter did not use. They count in its log-evidence all the same.
+        Measurements that the model's filter did not use. They count in the log-evidence all the same.
     n_readings : int
         Measured numbers.
     span : tuple of float

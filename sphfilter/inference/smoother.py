@@ -52,10 +52,12 @@ class SmoothedResult:
     filtered : FilterResult
         The filter's own run.
     log_evidence : ndarray, shape (T,)
-        Log-evidence of all measurements, nats, put together at each epoch from what the filter says of those
-        before and the backward pass of those after: how far they are apart measures what both lose.
+        Log-evidence of all measurements, nats, as put together at each epoch: the filter's log-evidence of
+        the measurements before, and the backward pass's of the measurements after. How far these numbers are
+        apart measures the probability that the two passes lose.
     extrapolated : ndarray, shape (T,)
-        Probability of each smoothed density where the filter's had no particles, which rests on a guess.
+        Probability of each smoothed density outside of all particles of the filter's density, where the
+        smoothed density rests on a guess.
 
     Examples
     --------
@@ -94,8 +96,8 @@ def smooth(
     Parameters
     ----------
     filt : SPHFilter
-        At the start of the measurements; it stays there. The noise of its model does not depend on the state,
-        its scheme is the default.
+        The filter at the start of the measurements; it stays there. The noise of its model must not depend on
+        the state, and its scheme must be the default.
     times : array_like, shape (T,)
         Not decreasing, seconds, none before the filter's own. Times may repeat.
     measurements : sequence of length T
@@ -110,9 +112,9 @@ def smooth(
     Raises
     ------
     ModelError
-        What is not supported: says what.
+        The filter, its model or its scheme cannot be smoothed; the sentence says why.
     PropagationError
-        The filter cannot go on, or no lattice holds a smoothed density: says when.
+        The filter cannot go on, or no lattice holds a smoothed density; the sentence names the time.
 
     Notes
     -----

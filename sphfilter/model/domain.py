@@ -17,8 +17,6 @@ __all__ = ["Axis", "Domain", "DomainLike"]
 
 #: None without bounds, else (kind, low, high); an end that is not there is None.
 Axis: TypeAlias = Sequence[str | float | None] | None
-#: A domain, or its axes; None has no bounds.
-DomainLike: TypeAlias = "Domain | Sequence[Axis] | None"
 
 
 class Domain:
@@ -53,7 +51,7 @@ class Domain:
         self.walled = np.array([kind in ("bounded", "reflecting") for kind in kinds], dtype=bool)
 
     @classmethod
-    def of(cls, value: DomainLike, dim: int) -> "Domain":
+    def of(cls, value: "DomainLike", dim: int) -> "Domain":
         """Return a domain of `dim` axes: as given, of a sequence of axes, or without bounds for None."""
         axes = [None] * dim if value is None else value
         domain = axes if isinstance(axes, Domain) else cls(*axes)
@@ -82,7 +80,7 @@ class Domain:
 
     @property
     def unbounded(self) -> bool:
-        """No axis is periodic or ends."""
+        """Whether no axis is periodic and none ends at a wall."""
         return not (self.periodic.any() or self.walled.any())
 
     @property
@@ -97,11 +95,11 @@ class Domain:
         return core.Domain(kind, self.low, self.high)
 
     def whole(self, low: Floats, high: Floats) -> Bools:
-        """Periodic axes that low to high (n,) go round whole."""
+        """Which periodic axes the extent from low to high (n,) goes round whole, bool (n,)."""
         return self.periodic & (high - low > self.period * (1.0 - 1e-9))
 
     def within(self, low: Floats, high: Floats, margin: float | Floats) -> tuple[Floats, Floats]:
-        """Extents low, high (n,) up to the walls, and whole round a periodic axis they nearly go round."""
+        """The extent low, high (n,) cut at the walls, and whole on a periodic axis that it nearly fills."""
         all_round = self.periodic & (high - low + margin >= self.period)
         low = np.where(self.walled, np.maximum(low, self.low), np.where(all_round, self.low, low))
         return low, np.where(self.walled, np.minimum(high, self.high), np.where(all_round, self.high, high))
@@ -150,6 +148,8 @@ class Domain:
         return view.x, view.m, view.h
 
 
+#: A domain, or its axes; None has no bounds.
+DomainLike: TypeAlias = Domain | Sequence[Axis] | None
 _NO_END = None, "none"  # TOML has no None
 
 

@@ -96,8 +96,11 @@ def members(thing):
     """Public functions of a function or class, by name."""
     if inspect.isfunction(thing):
         return {thing.__name__: thing}
-    own = {name: v for kind in thing.__mro__ if kind.__module__.startswith("sphfilter.")
-           for name, v in vars(kind).items() if name == "__init__" or not name.startswith("_")}  # fmt: skip
+    own = {}
+    for kind in reversed(thing.__mro__):
+        if kind.__module__.startswith("sphfilter."):
+            made = "" if getattr(kind, "_is_protocol", False) else "__init__"
+            own |= {name: value for name, value in vars(kind).items() if name == made or name[0] != "_"}
     unwrapped = {}
     for name, value in own.items():
         value = getattr(value, "fget", getattr(value, "__func__", value))

@@ -26,8 +26,8 @@ __all__ = ["EvidenceHypothesiser"]
 class EvidenceHypothesiser(Hypothesiser):
     """Scores detections by their evidence, the integral of predicted density times likelihood.
 
-    As Stone Soup's PDAHypothesiser, with the predicted density of the detection where that has a Gaussian
-    of its mean and covariance: P_D p(z_i) / lambda for a detection, 1 - P_D P_G for a miss. For
+    It works as Stone Soup's PDAHypothesiser, with the predicted density of the detection in the place of a
+    Gaussian with its mean and covariance: P_D p(z_i) / lambda for a detection, 1 - P_D P_G for a miss. For
     NearestNeighbour, GNN, PDA and JPDA.
 
     Parameters
@@ -39,8 +39,8 @@ class EvidenceHypothesiser(Hypothesiser):
     prob_detect : Probability
         P_D.
     prob_gate : Probability
-        P_G: detections outside of the ellipse that would hold it, were the prediction Gaussian, are left out
-        to save the work. 1 leaves out none, and asks nothing of the sensor but a likelihood.
+        P_G: detections outside of the ellipse that holds this probability of a Gaussian prediction are left
+        out, which saves work. With 1 all detections are scored, and the sensor needs a likelihood only.
     normalise : bool
         Probabilities add up to one.
     """

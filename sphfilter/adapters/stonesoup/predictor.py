@@ -48,8 +48,8 @@ class SPHPredictor(Predictor):
 
     Notes
     -----
-    Predictions are deterministic. Those of late are kept by what went into them (density, model, parameters,
-    interval), never by state objects, so that a state that is changed is predicted anew.
+    Predictions are deterministic. The last ones are kept under the values that went into them (density,
+    model, parameters, interval), never under state objects, so that a changed state is predicted anew.
     """
 
     transition_model: TransitionModel = Property(
@@ -83,7 +83,7 @@ class SPHPredictor(Predictor):
         prior : SPHState, GaussianState, or a Track that ends in one
         timestamp : datetime.datetime
         **kwargs
-            Of other predictors (such as measurement=); nothing here depends on them.
+            Options of other predictors (such as measurement=); nothing here depends on them.
 
         Returns
         -------

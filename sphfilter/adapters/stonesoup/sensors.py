@@ -29,7 +29,7 @@ class ModelMeasurement:
     ----------
     model : stonesoup.models.measurement.MeasurementModel
     timestamp : datetime.datetime or None
-        That of the states it is asked about.
+        The timestamp of the states that the sensor is asked about.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ def sensor_for(model: MeasurementModel | Sensor, timestamp: datetime.datetime | 
     Raises
     ------
     ModelError
-        It is none, or has no noise covariance.
+        The model is no measurement model, or has no noise covariance.
     """
     if hasattr(model, "log_likelihood"):
         return model
@@ -107,7 +107,7 @@ def reading_of(detection: Detection, sensor: Any) -> Floats:
     Raises
     ------
     ModelError
-        They are not finite, or not as many as the sensor gives.
+        The numbers are not finite, or not as many as the sensor gives.
     """
     z = np.asarray(detection.state_vector, dtype=float).ravel()
     if not np.isfinite(z).all() or len(z) != (sensor.dim_z or len(z)):

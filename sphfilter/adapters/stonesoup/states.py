@@ -45,7 +45,7 @@ class SPHState(Type):
     Raises
     ------
     ModelError
-        The density is none.
+        The density is no ParticleDensity.
     """
 
     density: ParticleDensity = Property(doc="Probability density of the state.")
@@ -112,8 +112,8 @@ class SPHStateUpdate(Update, SPHState):
     """A posterior density; `info` says what was done with the detection (`UpdateInfo`).
 
     After one detection `info.log_evidence` is the logarithm of its predicted density. After an association of
-    several it is that of the integral of a posterior whose weights were given, zero but for what the lattice
-    does not resolve.
+    several detections it is the logarithm of the integral of a posterior whose weights were given: zero but
+    for the probability that the lattice does not resolve.
     """
 
     info: UpdateInfo = Property(default=None, doc="What the update did.")

@@ -40,7 +40,7 @@ class SDETransitionModel(TransitionModel):
     epoch : datetime.datetime, optional
         Where the model's time is zero; needed if drift or noise depend on time.
     seed : int, optional
-        Of the noise that `function` draws.
+        Seed of the noise that `function` draws.
 
     Notes
     -----
@@ -71,7 +71,7 @@ class SDETransitionModel(TransitionModel):
         return self.sde.dim
 
     def time_of(self, timestamp: datetime.datetime | None) -> float:
-        """The model's time at a timestamp, seconds; zero for all where it does not depend on it."""
+        """The model's time at a timestamp, seconds; zero for all timestamps where no time is needed."""
         if self.epoch is None:
             return 0.0
         if timestamp is None:
@@ -168,7 +168,8 @@ def linear_sde(model: LinearModel) -> LinearSDE:
     Raises
     ------
     ModelError
-        There is none: the model is of another kind, of discrete time, or its noise is no white noise's.
+        There is no such equation: the model is of another kind or of discrete time, or its noise is not
+        white.
     """
     if not (isinstance(model, LinearModel) and isinstance(model, GaussianModel)):
         raise ModelError(

@@ -55,7 +55,7 @@ class SPHUpdater(Updater):
     measurement_model : MeasurementModel, GaussianMeasurement or LikelihoodMeasurement, optional
         For detections without one of their own.
     n_particles : int, optional
-        Upper bound of the number of particles; by default that of the prediction.
+        Upper bound of the number of particles; by default the bound of the prediction.
     config : FilterConfig, optional
     """
 
@@ -107,7 +107,7 @@ class SPHUpdater(Updater):
     def log_evidence(self, prediction: State, detection: Detection) -> float:
         """Logarithm of the predicted density of a detection: of the integral of density times likelihood.
 
-        Where no lattice holds the product, which is next to nothing there, it is a sum over the particles.
+        Where no lattice holds the product, which is next to nothing there, a sum over the particles is taken.
         """
         return self._alone(prediction, *self._asked(prediction, detection)).log_evidence
 
@@ -117,8 +117,8 @@ class SPHUpdater(Updater):
         Parameters
         ----------
         hypothesis : SingleHypothesis or MultipleHypothesis
-            Several have probabilities, and one prediction: the posterior is the mixture of theirs, of the
-            prior for a miss, itself and not merged into one Gaussian.
+            Several hypotheses have probabilities and share one prediction: the posterior is the mixture of
+            their posteriors (the prior, for a miss) as one density, not merged into a Gaussian.
 
         Returns
         -------
