@@ -9,7 +9,6 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from sphfilter import validate
-from sphfilter.consistency.ranks import Ranker
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.filter.results import run_filter
 from sphfilter.info import PredictInfo, UpdateInfo
@@ -108,9 +107,9 @@ class ReferenceFilter(ABC):
         self.log_evidence += info.log_evidence
         return info
 
-    def run(self, times, measurements, truth=None):
+    def run(self, times, measurements, truth=None, observer=None):
         """Predict to each time and update; see `sphfilter.filter.results.run_filter`."""
-        return run_filter(self, times, measurements, Ranker.of(truth))
+        return run_filter(self, times, measurements, truth, observer)
 
     def _end_of_step(self, dt, t):
         if dt is not None and t is not None:

@@ -30,7 +30,7 @@ from .filter.update import update
 from .inference.estimation import ParameterFit, fit_parameters, profile_evidence
 from .inference.model_comparison import ModelComparison, compare_models
 from .inference.smoother import SmoothedResult, smooth
-from .info import PredictInfo, ResampleInfo, UpdateInfo
+from .info import Code, PredictInfo, ResampleInfo, UpdateInfo
 from .model.domain import Domain
 from .model.measurements import GaussianMeasurement, LikelihoodMeasurement
 from .model.sde import SDE, LinearSDE
@@ -43,6 +43,7 @@ __all__ = [
     "AcceptanceTest",
     "CampaignResult",
     "Case",
+    "Code",
     "ConfigError",
     "CorrectedScheme",
     "Domain",

@@ -107,6 +107,10 @@ class LatticeError(PropagationError):
     """No lattice of so many particles holds this density."""
 
 
+class StoppedError(PropagationError):
+    """Steps of a prediction that became too small, or too many."""
+
+
 class UnresolvedError(PropagationError):
     """No scheme can be trusted with this density on so few particles."""
 

@@ -1,17 +1,55 @@
 """What a prediction, an update or a re-gridding did, as values."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from enum import IntFlag, auto
+from functools import reduce
+from operator import or_
+from typing import Self
 
 import numpy as np
 
 from ._types import Bools, Floats
 
-__all__ = ["PredictInfo", "ResampleInfo", "UpdateInfo", "innovation_of"]
+__all__ = ["Code", "PredictInfo", "ResampleInfo", "UpdateInfo", "innovation_of"]
+
+
+class Code(IntFlag):
+    """What was unusual about a step, for programs; `status` says it in words.
+
+    Several flags may be set: ``Code.FINER in info.code`` asks for one, ``info.code == Code.OK`` for none.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> start = sf.initialize(sf.Gaussian([0.0], [[0.5]]), n_particles=60)
+    >>> _, info = sf.predict(start, sf.LinearSDE([[-1.0]], noise=[[1.0]]), 1.0)
+    >>> print(info.code == sf.Code.OK, sf.Code.REPEATED in info.code)
+    True False
+    """
+
+    OK = 0  # nothing was
+    FINER = auto()  # the density is on more particles than it may have
+    REPEATED = auto()  # the step before was made again, on more particles
+    FALLBACK = auto()  # another scheme than the first choice carried the density
+    REGRIDDED = auto()  # the particles were put on a new lattice on the way, or should have been
+    MIXED = auto()  # the particles carry less than the scheme asks of them
+    LATE = auto()  # the time budget was exceeded, or left no time for a try on more particles
+
+
+class _Marked:
+    """What infos of all steps can."""
+
+    code: Code
+    status: str
+
+    def marked(self, code: Code, status: str) -> Self:
+        """The info with another status, whose flags come to those it has."""
+        return replace(self, code=self.code | code, status=status)  # type: ignore[type-var]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PredictInfo:
+class PredictInfo(_Marked):
     """One prediction.
 
     Attributes
@@ -38,6 +76,8 @@ class PredictInfo:
         Work the scene made unnecessary.
     scheme, status : str
         What carried the density; "ok", or why another scheme than the first choice did.
+    code : Code
+        What the status says, for programs.
     seconds : float
         Wall-clock time, measured under a time budget only.
 
@@ -63,6 +103,7 @@ class PredictInfo:
     skipped: tuple[str, ...] = ()
     scheme: str = "paper"
     status: str = "ok"
+    code: Code = Code.OK
     seconds: float = 0.0
 
     @classmethod
@@ -77,6 +118,7 @@ class PredictInfo:
             skipped=tuple(dict.fromkeys(note for info in infos for note in info.skipped)),
             scheme=", ".join(dict.fromkeys(info.scheme for info in infos)),
             status="; ".join(dict.fromkeys(filter(None, statuses))) or "ok",
+            code=reduce(or_, (info.code for info in infos)),
         )
 
     @property
@@ -85,7 +127,7 @@ class PredictInfo:
         return self.n_bypassed / max(self.n_searches, 1)
 
 
-_WORDS = "skipped", "scheme", "status"
+_WORDS = "skipped", "scheme", "status", "code"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +152,7 @@ class ResampleInfo:
 
 
 @dataclass(frozen=True, kw_only=True)
-class UpdateInfo:
+class UpdateInfo(_Marked):
     """One measurement update.
 
     Attributes
@@ -133,6 +175,8 @@ class UpdateInfo:
         rests on a guess about the prior's tails.
     status : str
         "ok", or that the prediction before was repeated (`SPHFilter` does that where much is extrapolated).
+    code : Code
+        What the status says, for programs.
     seconds : float
         Wall-clock time, measured under a time budget only.
     kernel_ratio : float
@@ -157,6 +201,7 @@ class UpdateInfo:
     n_particles: int = 0
     extrapolated: float = 0.0
     status: str = "ok"
+    code: Code = Code.OK
     seconds: float = 0.0
     kernel_ratio: float = 0.0
     resample: ResampleInfo | None = field(default=None, repr=False)

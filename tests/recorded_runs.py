@@ -9,6 +9,7 @@ files that commands write. `compare` ends with 1 if a number differs.
 
 import argparse
 import csv
+import json
 import os
 import subprocess
 import sys
@@ -429,10 +430,27 @@ def commands():
             for path in sorted(Path(folder).rglob("*.csv")):
                 yield from table(f"{line}/{path.relative_to(folder)}", path)
             for path in sorted(Path(folder).rglob("*.npz")):
-                with np.load(path, allow_pickle=False) as arrays:
-                    for key in arrays.files:
-                        if not any(word in key for word in CLOCK) and arrays[key].dtype.kind in "fiub":
-                            yield f"{line}/{path.relative_to(folder)}/{key}", arrays[key]
+                yield from numbers(f"{line}/{path.relative_to(folder)}", path)
+
+
+def numbers(prefix, path):
+    """Arrays of an npz file by their names, which those of campaigns keep in an index; less the clock's."""
+    with np.load(path, allow_pickle=False) as arrays:
+        names = {key: key for key in arrays.files}
+        if "index" in names:
+            names = dict(leaves("", json.loads(str(arrays["index"]))["tree"]))
+        for key, name in names.items():
+            if not any(word in name for word in CLOCK) and arrays[key].dtype.kind in "fiub":
+                yield f"{prefix}{name}", arrays[key]
+
+
+def leaves(prefix, node):
+    """Names of the arrays of a file, and where they stand in its tree."""
+    if not isinstance(node, dict):
+        yield f"a{node}", prefix
+        return
+    for key, child in node.items():
+        yield from leaves(f"{prefix}/{key}", child)
 
 
 def table(prefix, path):

@@ -126,7 +126,7 @@ def run(
 
 def _can_be_observed(filt: Any) -> bool:
     """Whether a filter has the densities of `spread`, and a run that takes who looks at them."""
-    return callable(getattr(filt, "spread", None)) and "truth" in inspect.signature(filt.run).parameters
+    return callable(getattr(filt, "spread", None)) and "observer" in inspect.signature(filt.run).parameters
 
 
 def _outcome(
@@ -139,14 +139,16 @@ def _outcome(
         filt = make(case, rng)
         observer = Ranker(case.truth) if ranks and _can_be_observed(filt) else None
         start = perf_counter()
-        result = filt.run(case.times, case.z, **({"truth": observer} if observer else {}))
+        result = filt.run(case.times, case.z, **({"observer": observer} if observer else {}))
         seconds = perf_counter() - start - (observer.seconds if observer else 0.0)
         arrays = {name: np.asarray(getattr(result, name), blank[name].dtype) for name in _MOMENTS}
         wrong = [name for name in _MOMENTS if arrays[name].shape != blank[name].shape]
         if wrong:
             shapes = f"{arrays[wrong[0]].shape}, not {blank[wrong[0]].shape}"
             raise ModelError(f"the filter's result has {wrong[0]} of shape {shapes}")
-        for name in blank.keys() - arrays.keys():  # what a filter of one's own need not tell
+        for name in [
+            name for name in blank if name not in arrays
+        ]:  # what a filter of one's own need not tell
             value = np.asarray(getattr(result, name, np.nan))
             arrays[name] = value.reshape(blank[name].shape) if value.size == blank[name].size else blank[name]
         if ranks and observer is None:

@@ -53,16 +53,11 @@ class Ranker:
     def __init__(self, truth: ArrayLike) -> None:
         self.truth, self.seconds = np.asarray(truth, dtype=float), 0.0
 
-    @classmethod
-    def of(cls, truth: "ArrayLike | Ranker | None") -> "Ranker | None":
-        """An observer of this truth, an observer itself, or None for none."""
-        return truth if truth is None or isinstance(truth, Ranker) else cls(truth)
-
     def before(self, filt: Ranked, z: ArrayLike | None, k: int) -> tuple[Floats, Floats, Floats]:
         """Return what `ranked_reading` tells of the next measurement, k numbers, in the prediction."""
         start, sensor = perf_counter(), filt.measurement
-        if isinstance(sensor, GaussianMeasurement) and z is not None and np.any(sensor.observed(z)):
-            found = ranked_reading(filt.spread(), sensor, z, filt.t)
+        if isinstance(sensor, GaussianMeasurement) and (reading := sensor.reading(z)).seen.any():
+            found = ranked_reading(filt.spread(), sensor, reading.z, filt.t)
         else:
             found = np.full(k, np.nan), np.full(k, np.nan), np.full((k, k), np.nan)
         self.seconds += perf_counter() - start
@@ -99,7 +94,7 @@ def ranked_reading(
     innovation, innovation_cov : ndarray, shapes (k,), (k, k)
         z minus its expectation, and the covariance of the prediction plus R.
     """
-    z = np.atleast_1d(np.asarray(z, dtype=float))
+    z = sensor.reading(z).z
     h = sensor.predict(spread.X, t)
     known = np.isfinite(h).all(axis=1)  # where h is undefined the likelihood is zero
     h, w = h[known], spread.w[known] / spread.w[known].sum()

@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from ..errors import PropagationError
+from ..info import Code
 from ..model.measurements import GaussianMeasurement, LikelihoodMeasurement
 from ..prediction.predict import load, predict
 from .update import update
@@ -110,13 +111,14 @@ class Budget:
             self._costs[what].append(took / n_particles)
         elif what and len(self._costs[what]) > 1:
             self._costs[what].popleft()  # time passes: a busy spell of the machine must not last for ever
-        return replace(info, seconds=took, status=self._status(info.status))
+        return replace(self._timed(info), seconds=took)
 
-    def _status(self, status):
+    def _timed(self, info):
+        """The info, which says so if the step has taken too long."""
         if self.spent <= self.seconds:
-            return status
+            return info
         late = f"time budget exceeded: {1e3 * self.spent:.3g} of {1e3 * self.seconds:.3g} ms"
-        return late if status == "ok" else f"{status}; {late}"
+        return info.marked(Code.LATE, late if info.status == "ok" else f"{info.status}; {late}")
 
     def _dearest(self, what):
         return max(self._costs[what], default=math.nan)

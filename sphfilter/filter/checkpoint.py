@@ -5,26 +5,23 @@ import numpy as np
 from ..config import FilterConfig
 from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import ModelError
-from ..prediction.again import Prediction
+from ..prediction.predict import Prediction
 from .update_again import Update
 
 __all__ = ["restored", "write"]
 
 #: What a file holds besides the density and where it comes from.
 _MOMENTS = "x_prior", "P_prior", "x_post", "P_post"
-_STATE = ("n_particles", "dt", "z", "y", "S", "log_likelihood", "log_evidence", *_MOMENTS)
+_STATE = ("n_particles", "z", "y", "S", "log_likelihood", "log_evidence", *_MOMENTS)
 
 
-def write(path, attributes):
-    """Write a filter, given as its attributes by name, to an npz file."""
-    state = {name: attributes[name] for name in _STATE if attributes[name] is not None}
-    arrays = {name: np.asarray(value) for name, value in state.items()} | {
-        "config": np.array(attributes["config"].to_toml()),
-        "adapts": np.array(attributes["_adapts"]),
-    }
-    arrays |= under("density", stored(attributes["_density"]))
-    origin = _stored_origin(attributes["_origin"], attributes["measurement"])
-    write_arrays(path, arrays | under("origin", origin))
+def write(path, state, filt):
+    """Write the `FilterState` of a filter to an npz file, and how the filter was made."""
+    given = {name: getattr(state, name) for name in _STATE} | {"dt": filt.dt}
+    arrays = {name: np.asarray(value) for name, value in given.items() if value is not None}
+    arrays |= {"config": np.array(filt.config.to_toml()), "adapts": np.array(filt.adapts)}
+    arrays |= under("density", stored(state.density))
+    write_arrays(path, arrays | under("origin", _stored_origin(state.origin, filt.measurement)))
 
 
 def restored(path, model, measurement):
@@ -32,8 +29,9 @@ def restored(path, model, measurement):
 
     Returns
     -------
-    dict, dict
-        Arguments that make a filter of the model and the measurement, and its attributes from then on.
+    dict, bool, dict
+        Arguments that make a filter of the model and the measurement, whether it adapts its number of
+        particles, and what is to be replaced in its state.
 
     Raises
     ------
@@ -47,14 +45,14 @@ def restored(path, model, measurement):
         "density": density_from(part("density", arrays)),
         "n_particles": int(arrays["n_particles"]),
         "config": FilterConfig.from_toml(str(arrays["config"])),
+        "dt": float(arrays["dt"]) if "dt" in arrays else None,
     }
     state = {name: arrays.get(name) for name in _STATE}
     for name in _MOMENTS:
         state[name].flags.writeable = False
-    attributes = {k: v.item() if v is not None and v.ndim == 0 else v for k, v in state.items()}
-    attributes["_adapts"] = bool(arrays["adapts"])
-    attributes["_origin"] = _origin(part("origin", arrays), model, measurement)
-    return options, attributes
+    state = {k: v.item() if v is not None and v.ndim == 0 else v for k, v in state.items()}
+    state["origin"] = _origin(part("origin", arrays), model, measurement)
+    return options, bool(arrays["adapts"]), state
 
 
 def _stored_origin(origin, measurement):

@@ -1,13 +1,12 @@
-"""Which sensor a reading of a filter comes from, and what it said."""
+"""Which sensor a reading of a filter comes from."""
 
 import numpy as np
 
 from ..errors import ModelError
-from ..info import innovation_of
 from ..model.measurements import GaussianMeasurement
 from ..validate import short
 
-__all__ = ["checked_sensor", "read", "sensor_of"]
+__all__ = ["checked_sensor", "sensor_of"]
 
 
 def sensor_of(own, given, H, model):
@@ -17,17 +16,6 @@ def sensor_of(own, given, H, model):
     if not isinstance(own, GaussianMeasurement):
         raise ModelError("R and H change a filter's own GaussianMeasurement, and this filter has none")
     return checked_sensor(own.changed(given, H), model)
-
-
-def read(measurement, z, info):
-    """Reading, innovation and its covariance in shapes of the sensor, NaN where nothing came."""
-    if not isinstance(measurement, GaussianMeasurement):
-        return None if z is None else np.atleast_1d(np.array(z, dtype=float)), None, None
-    seen = measurement.observed(z)
-    reading = np.full(measurement.dim_z, np.nan)
-    if z is not None:
-        reading[seen] = np.atleast_1d(np.array(z, dtype=float))[seen]
-    return reading, *innovation_of(info, seen, measurement.dim_z)
 
 
 def _numbers(given):

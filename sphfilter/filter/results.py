@@ -7,9 +7,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from .._types import Bools, Floats
-from ..consistency.ranks import gaussian_ranks
+from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
 from ..info import innovation_of
+from ..model.measurements import Reading
 
 __all__ = ["AnyFilter", "FilterResult", "run_filter", "shapes"]
 
@@ -112,7 +113,7 @@ def shapes(n, k):
     }
 
 
-def run_filter(filt, times, measurements, observer=None):
+def run_filter(filt, times, measurements, truth=None, observer=None):
     """Predict to each time and update with its measurement.
 
     Parameters
@@ -123,9 +124,11 @@ def run_filter(filt, times, measurements, observer=None):
         own is not predicted to, so repeated times and ``times[0] == t0`` are updates only.
     measurements : sequence of length T
         One measurement a time; None or NaN where none came.
+    truth : array_like, shape (T, n), optional
+        True states, which the result then ranks in the densities of a filter with ``spread()``; a filter
+        without it is taken for Gaussian.
     observer : Ranker, optional
-        Ranks the measurements and the truth that it knows in the densities of a filter with ``spread()``;
-        a filter without it is taken for Gaussian.
+        One that knows the truth, instead of it.
 
     Returns
     -------
@@ -141,6 +144,8 @@ def run_filter(filt, times, measurements, observer=None):
         raise ModelError(
             f"times must be finite, not decreasing and not before the filter's own time {filt.t:g}"
         )
+    if observer is None and truth is not None:
+        observer = Ranker(truth)
     if observer is not None and np.shape(observer.truth) != (len(times), len(filt.x)):
         expected = f"{(len(times), len(filt.x))}, a state a time"
         raise ModelError(f"truth must have shape {expected}; got {np.shape(observer.truth)}")
@@ -169,8 +174,7 @@ def _epoch(filt, t, z, k, epoch, observer):
     if observer is not None:
         pit, *predicted = observer.before(filt, z, k)
     info = filt.update(z)
-    seen = np.isfinite(np.atleast_1d(np.asarray(np.nan if z is None else z, dtype=float)))
-    y, S = innovation_of(info, seen, k)
+    y, S = innovation_of(info, Reading.of(z).seen, k)
     if observer is not None:
         row["pit"], (row["state_pit"], row["hpd_rank"]) = pit, observer.after(filt, epoch)
         y, S = predicted if info.innovation is None else (y, S)

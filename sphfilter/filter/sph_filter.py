@@ -2,33 +2,32 @@
 
 import math
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
 from ..config import checked_filter_config
-from ..consistency.ranks import Ranker
-from ..density.initialize import Gaussian, initialize
+from ..density.distributions import Gaussian
+from ..density.initialize import initialize
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError
 from ..model.sde import SDE
-from ..prediction.again import Prediction, fewest, predict_from_finer, predict_to_target
-from ..prediction.predict import predict
+from ..prediction.again import Outcome, predict_from_finer
+from ..prediction.predict import Prediction, predict
+from ..prediction.to_target import fewest, predict_to_target
 from ..validate import array, count, covariance, positive, real, row, short
 from .budget import Budget, rehearse
 from .checkpoint import restored, write
-from .readings import checked_sensor, read, sensor_of
+from .names import check_assigned
+from .readings import checked_sensor, sensor_of
 from .results import run_filter
-from .update_again import Update, update_or_predict_again
+from .state import FilterState, Shown
+from .update_again import update_or_predict_again
 
 __all__ = ["SPHFilter"]
 
-_FIXED = (
-    "the {} of a density filter cannot be overwritten (IMM mixing does that); "
-    "make a new SPHFilter with x0 and P0"
-)
 
-
-class SPHFilter:
+class SPHFilter(Shown):
     """A Bayes filter that carries the probability density on SPH particles (002).
 
     Parameters
@@ -112,18 +111,12 @@ class SPHFilter:
         self.measurement = None if measurement is None else checked_sensor(measurement, model)
         self.config = checked_filter_config(config)
         self._adapts = isinstance(n_particles, str)
-        given = fewest(model.dim, n_particles) if self._adapts else n_particles
-        self.n_particles = count("n_particles", given)
+        n_particles = count("n_particles", fewest(model.dim, n_particles) if self._adapts else n_particles)
         self.dt = None if dt is None else positive("dt", dt)
         self._budget = Budget(self.config.time_budget)
-        self._density = self._start(x0, P0, t0, density)
-        self._origin = None  # the Prediction or Update that the density comes from
-        self._moments()
-        self.x_prior, self.P_prior = self.x_post, self.P_post = self._x, self._P
-        self.z = self.y = self.S = None
-        self.log_likelihood = self.log_evidence = 0.0
+        self._state = FilterState.begun(self._start(x0, P0, t0, density, n_particles), n_particles)
 
-    def _start(self, x0, P0, t0, density):
+    def _start(self, x0, P0, t0, density, n_particles):
         if density is not None:
             if x0 is not None or P0 is not None:
                 raise ModelError("give either x0 and P0, or density=, not both")
@@ -135,44 +128,33 @@ class SPHFilter:
         n = self.model.dim
         x0 = array("x0", x0, (n,), f"a value for each of the model's {n} states")
         P0 = covariance("P0", P0, dim=self.model.dim)
-        return initialize(Gaussian(x0, P0), self.n_particles, self.config, t=real("t0", t0))
-
-    def _moments(self):
-        self._x, self._P = self._density.mean(), self._density.cov()
-        self._x.flags.writeable = self._P.flags.writeable = False  # else flt.x += d would half succeed
+        return initialize(Gaussian(x0, P0), n_particles, self.config, t=real("t0", t0))
 
     def __repr__(self):
         scheme = self.config.scheme
         return (
-            f"SPHFilter(states={self.model.states}, t={self.t:g}, x={row(self._x)}, "
-            f"std={row(np.sqrt(np.diag(self._P)))}, {self._density.n_particles} particles "
+            f"SPHFilter(states={self.model.states}, t={self.t:g}, x={row(self.x)}, "
+            f"std={row(np.sqrt(np.diag(self.P)))}, {self.density.n_particles} particles "
             f"(at most {self.n_particles}), scheme={scheme if isinstance(scheme, str) else scheme.name!r})"
         )
 
-    density = property(lambda self: self._density, doc="The density now.")
-    adapts = property(lambda self: self._adapts, doc='Made with ``n_particles="auto"``.')
-    t = property(lambda self: self._density.t, doc="Time of the density, seconds.")
-    likelihood = property(
-        lambda self: float(np.exp(self.log_likelihood)), doc="Evidence of the last measurement."
-    )
+    def __setattr__(self, name, value):
+        check_assigned(name, type(self), SPHFilter)
+        object.__setattr__(self, name, value)
 
     @property
-    def x(self):
-        """Mean, shape (n,)."""
-        return self._x
-
-    @x.setter
-    def x(self, value):
-        raise ModelError(_FIXED.format("mean"))
+    def adapts(self):
+        """Whether the filter was made with ``n_particles="auto"``."""
+        return self._adapts
 
     @property
-    def P(self):
-        """Covariance, shape (n, n)."""
-        return self._P
+    def n_particles(self):
+        """Upper bound of the number of particles at the next re-gridding."""
+        return self._state.n_particles
 
-    @P.setter
-    def P(self, value):
-        raise ModelError(_FIXED.format("covariance"))
+    @n_particles.setter
+    def n_particles(self, value):
+        self._state = replace(self._state, n_particles=count("n_particles", value))
 
     def predict(self, dt=None, *, t=None):
         """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo.
@@ -189,25 +171,22 @@ class SPHFilter:
             interval = real("dt", dt) if t is None else real("t", t) - self.t
             if interval > 0.0:
                 self.prepare(interval)
-        most = self._most()
+        state, most = self._state, self._most()
 
         def predicted(density):
             options = {"t": t, "n_particles": most}
             if self._adapts:
                 options["fits"] = self._budget.fits
                 return predict_to_target(density, self.model, dt, self.config, **options)
-            return *predict(density, self.model, dt, self.config, **options), self.n_particles
+            moved = predict(density, self.model, dt, self.config, **options)
+            return Outcome(density, *moved, state.n_particles)
 
-        before, (density, info, n_particles) = predict_from_finer(
-            predicted, self.model, self._density, self._origin, self.config, most
-        )
-        moved = "predict" if density.t > self.t and not rehearses else ""
-        repeated = before is not self._density
-        self._density, self.n_particles = density, n_particles
-        self._origin = Prediction(before, info.mass_error, self.model, density.t)
-        self._moments()
-        self.x_prior, self.P_prior = self._x, self._P
-        return self._budget.end(moved, info, density.n_particles, repeated)
+        outcome = predict_from_finer(predicted, self.model, state.density, state.origin, self.config, most)
+        moved = "predict" if outcome.density.t > self.t and not rehearses else ""
+        repeated = outcome.before is not state.density
+        info = self._budget.end(moved, outcome.info, outcome.density.n_particles, repeated)
+        self._state = state.predicted(outcome, self.model)
+        return info
 
     def _most(self):
         """Particles that a call may have."""
@@ -247,30 +226,22 @@ class SPHFilter:
         if R is not None and measurement is not None:
             raise ModelError("give R= or another sensor, not both")
         measurement = sensor_of(self.measurement, measurement if R is None else R, H, self.model)
-        prediction = self._origin if isinstance(self._origin, Prediction) else Prediction()
+        state, seen = self._state, measurement.reading(z).seen.any()
+        prediction = state.origin if isinstance(state.origin, Prediction) else Prediction()
         self._budget.begin()
         options = {"n_particles": self._most(), "fits": self._budget.fits}
-        prior, density, info = update_or_predict_again(
-            prediction, self._density, self.model, measurement, z, self.config, **options
+        outcome = update_or_predict_again(
+            prediction, state.density, self.model, measurement, z, self.config, **options
         )
-        repeated = prior is not self._density
-        if repeated:
-            self._density = prior
-            self._moments()
-        self.x_prior, self.P_prior = self._x, self._P
-        self._density = density
-        self._origin = Update(prior, measurement, z) if density is not prior else None
-        self._moments()
-        self.x_post, self.P_post = self._x, self._P
-        self.z, self.y, self.S = read(measurement, z, info)
-        self.log_likelihood = info.log_evidence
-        self.log_evidence += info.log_evidence
-        seen = "update" if measurement.observed(z).any() else ""
-        return self._budget.end(seen, info, density.n_particles, repeated)
+        repeated = outcome.before is not state.density
+        n_particles = outcome.density.n_particles
+        info = self._budget.end("update" if seen else "", outcome.info, n_particles, repeated)
+        self._state = state.updated(outcome, measurement, z)
+        return info
 
     def save(self, path):
         """Write the filter as it stands to an npz file; model and sensor, which are code, are not in it."""
-        write(path, vars(self))
+        write(path, self._state, self)
 
     @classmethod
     def load(cls, path, model, measurement):
@@ -281,19 +252,20 @@ class SPHFilter:
         ModelError
             The file cannot be read or holds no filter, or the model has other states.
         """
-        options, attributes = restored(path, model, measurement)
+        options, adapts, state = restored(path, model, measurement)
         filt = cls(model, measurement, **options)
-        vars(filt).update(attributes)
+        filt._adapts, filt._state = adapts, replace(filt._state, **state)
         return filt
 
     def spread(self):
         """The density now as states and weights, `WeightedStates`."""
-        return self._density.spread()
+        return self._state.density.spread()
 
-    def run(self, times, measurements, truth=None):
+    def run(self, times, measurements, truth=None, observer=None):
         """Predict to each time and update with its measurement; returns a `FilterResult`.
 
         Told the true states of simulated data, `truth` (T, n), the result also holds their ranks in the
-        filter's densities (the filter does not see them); `sf.report` judges by them.
+        filter's densities (the filter does not see them); `sf.report` judges by them. An `observer` that
+        knows the truth, a `Ranker`, may be given instead.
         """
-        return run_filter(self, times, measurements, Ranker.of(truth))
+        return run_filter(self, times, measurements, truth, observer)

@@ -1,5 +1,7 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ..config import PaperScheme, checked_filter_config
@@ -7,7 +9,8 @@ from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import UpdateInfo
 from ..lattice.field import extrapolated_mass
-from .acceptance import test_measurement
+from ..model.measurements import Reading
+from .acceptance import Acceptance, test_measurement
 
 __all__ = ["predicted_reading", "update"]
 
@@ -50,75 +53,99 @@ def update(density, measurement, z, config=None, *, n_particles=None):
     >>> print(f"{posterior.mean()[0]:.4f} {posterior.cov()[0, 0]:.4f} {info.log_evidence:.4f}")
     1.0000 0.5000 -2.2655
     """
-    config = checked_filter_config(config)
-    n_particles = particle_bound(density, n_particles)
-    seen = measurement.observed(z)
-    if not seen.any():
-        info = UpdateInfo(
-            accepted=True, log_evidence=0.0, reason="no measurement came", n_particles=density.n_particles
-        )
-        return density, info
+    config, asked = checked_filter_config(config), _Asked.of(density, measurement, z)
+    if not asked.reading.seen.any():
+        said = {"accepted": True, "log_evidence": 0.0, "reason": "no measurement came"}
+        return density, UpdateInfo(n_particles=density.n_particles, **said)
+    regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
+    by = _by_regridding if regrids else _by_product
+    posterior, said = by(density, asked, particle_bound(density, n_particles), config)
+    innovation = {"innovation": asked.innovation, "innovation_cov": asked.S}
+    return posterior, UpdateInfo(n_particles=posterior.n_particles, **innovation, **said)
 
-    def log_weight(X):
-        values = measurement.log_likelihood(z, X, density.t)
+
+class _Asked(NamedTuple):
+    """What a reading asks of a prior: its likelihood there, and how far it is from what was predicted."""
+
+    measurement: object
+    reading: Reading
+    t: float
+    innovation: np.ndarray | None  # of the components that came; None for a sensor that is not Gaussian
+    S: np.ndarray | None
+
+    @classmethod
+    def of(cls, density, measurement, z):
+        """A measurement z asked of a density."""
+        reading = measurement.reading(z)
+        off = _innovation(density, measurement, reading) if reading.seen.any() else (None, None)
+        return cls(measurement, reading, density.t, *off)
+
+    def log_weight(self, X):
+        """Log-likelihood of the states X (M, n), shape (M,)."""
+        values = self.measurement.log_likelihood(self.reading.z, X, self.t)
         if np.isnan(values).any():
-            where = X[np.isnan(values)][0]
+            where, z = X[np.isnan(values)][0], self.reading.z
             raise ModelError(
                 f"the likelihood of z = {z} is NaN at the state {where}; check the sensor function"
             )
         return values
 
-    innovation, S = _innovation(density, measurement, z, seen)
-    if not isinstance(config.scheme, PaperScheme) and not config.acceptance.enabled:
-        linear = getattr(measurement, "H", None) is not None and not measurement.angles
-        flag = _flag(innovation, S)
-        try:
-            new, log_evidence = times_likelihood(
-                density, log_weight, n_particles, config.scheme, density.gaussian and linear
-            )
-            unknown = _beyond(density, new)
-        except PropagationError:
-            if not flag:
-                raise
-            new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
-            log_evidence = _gaussian_evidence(innovation, S)
-        info = UpdateInfo(
-            accepted=not unknown,
-            log_evidence=log_evidence,
-            innovation=innovation,
-            innovation_cov=S,
-            reason=unknown or flag,
-            n_particles=density.n_particles if unknown else new.n_particles,
-            extrapolated=0.0 if density.field is None else extrapolated_mass(density.field, new.x, new.mass),
-        )
-        return (density if unknown else new), info
-    accepted, reason = _verdict(density, measurement, z, seen, config.acceptance)
+    @property
+    def outlying(self):
+        """A sentence where the reading lies far outside of what was predicted; else empty."""
+        if self.innovation is None:
+            return ""
+        distance = np.sqrt(self.innovation @ np.linalg.solve(self.S, self.innovation))
+        if not distance > _OUTLYING:
+            return ""
+        return f"outlying measurement: {distance:.1f} sigma from its prediction"
+
+    @property
+    def gaussian_evidence(self):
+        """Log-evidence where the particles end and a sum over them knows nothing: by the prior's moments."""
+        from scipy.stats import multivariate_normal  # on use: import time
+
+        return float(multivariate_normal.logpdf(self.innovation, cov=self.S))
+
+
+def _by_product(density, asked, n_particles, config):
+    """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
+    linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
+    gaussian, flag = density.gaussian and linear, asked.outlying
+    try:
+        new, log_evidence = times_likelihood(density, asked.log_weight, n_particles, config.scheme, gaussian)
+        unknown = _beyond(density, new)
+    except PropagationError:
+        if not flag:
+            raise
+        new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
+        log_evidence = asked.gaussian_evidence
+    return density if unknown else new, {
+        "accepted": not unknown,
+        "log_evidence": log_evidence,
+        "reason": unknown or flag,
+        "extrapolated": 0.0 if density.field is None else extrapolated_mass(density.field, new.x, new.mass),
+    }
+
+
+def _by_regridding(density, asked, n_particles, config):
+    """Prior times likelihood on a regular lattice, if the acceptance test lets it (002 6.1-6.3)."""
+    accepted, reason = _verdict(density, asked, config.acceptance)
+    new, resampled = density, None
     if accepted:
-        new, resampled = regrid(density, n_particles, config.scheme, log_weight)
+        new, resampled = regrid(density, n_particles, config.scheme, asked.log_weight)
         log_evidence = resampled.log_evidence
     else:
-        new, resampled = density, None
-        log_evidence = _gaussian_evidence(innovation, S)
+        log_evidence = asked.gaussian_evidence
         if config.acceptance.on_reject == "resample":
             new, resampled = regrid(density, n_particles, config.scheme)
-    info = UpdateInfo(
-        accepted=accepted,
-        log_evidence=log_evidence,
-        innovation=innovation,
-        innovation_cov=S,
-        reason=reason,
-        n_particles=new.n_particles,
-        kernel_ratio=_kernel_ratio(new),
-        resample=resampled,
-    )
-    return new, info
-
-
-def _gaussian_evidence(innovation, S):
-    """Log-evidence where the particles end and a sum over them knows nothing: by the prior's moments."""
-    from scipy.stats import multivariate_normal  # on use: import time
-
-    return float(multivariate_normal.logpdf(innovation, cov=S))
+    return new, {
+        "accepted": accepted,
+        "log_evidence": log_evidence,
+        "reason": reason,
+        "kernel_ratio": _kernel_ratio(new),
+        "resample": resampled,
+    }
 
 
 def _beyond(prior, posterior):
@@ -136,41 +163,32 @@ def _beyond(prior, posterior):
     )
 
 
-def _flag(innovation, S):
-    """Say so where a reading lies far outside of what was predicted."""
-    if innovation is None:
-        return ""
-    distance = np.sqrt(innovation @ np.linalg.solve(S, innovation))
-    return f"outlying measurement: {distance:.1f} sigma from its prediction" if distance > _OUTLYING else ""
-
-
 def _kernel_ratio(density):
     """Variance of the kernels over the smallest variance of the density along any direction."""
     smallest = max(np.linalg.eigvalsh(density.cov())[0], 1e-300)
     return float(density.kernel_variance * (density.mass @ density.h**2) / smallest)
 
 
-def _verdict(density, measurement, z, seen, settings):
-    """(accepted, reason); the test of 002 is defined for directly observed states only."""
+def _verdict(density, asked, settings):
+    """The `Acceptance` of a reading; the test of 002 is defined for directly observed states only."""
+    measurement, (z, seen) = asked.measurement, asked.reading
     if not settings.enabled:
-        return True, "acceptance test off"
-    direct = measurement.directly_observed
-    if direct is None:
-        return True, "acceptance test skipped: the sensor does not observe states directly"
-    states, scales = (part[seen] for part in direct)
-    values = np.atleast_1d(np.asarray(z, dtype=float))[seen] / scales
+        return Acceptance(True, "acceptance test off")
+    if measurement.directly_observed is None:
+        return Acceptance(True, "acceptance test skipped: the sensor does not observe states directly")
+    states, scales = (part[seen] for part in measurement.directly_observed)
     variance = np.diag(measurement.noise_cov)[seen] / scales**2
-    return test_measurement(density, values, variance, states, settings)
+    return test_measurement(density, z[seen] / scales, variance, states, settings)
 
 
-def _innovation(density, measurement, z, seen):
+def _innovation(density, measurement, reading):
     """z minus its predicted mean, and the predicted covariance plus R; None for a general likelihood."""
     if measurement.noise_cov is None:
         return None, None
-    reading, S, _ = predicted_reading(density, measurement)
-    z = np.atleast_1d(np.asarray(z, dtype=float))
+    z, seen = reading
+    predicted, S, _ = predicted_reading(density, measurement)
     both = np.ix_(seen, seen)
-    return measurement.residual(z, reading)[seen], S[both] + measurement.noise_cov[both]
+    return measurement.residual(z, predicted)[seen], S[both] + measurement.noise_cov[both]
 
 
 def predicted_reading(density, measurement):

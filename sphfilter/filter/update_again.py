@@ -1,12 +1,13 @@
 """A prediction repeated, finer and further, where a measurement finds the state in what it lost."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from ..config import LogDensityScheme
 from ..errors import PropagationError
+from ..info import Code
 from ..lattice.level_set import lattice_reach
-from ..prediction.again import _FURTHER, _MOST, _always
-from ..prediction.automatic import FINEST
+from ..prediction.again import Ladder, Outcome
 from ..prediction.predict import predict
 from .update import update
 
@@ -14,14 +15,13 @@ __all__ = ["Update", "update_or_predict_again"]
 
 #: Probability of a posterior that hangs on what the prediction lost, from which the prediction is repeated.
 _GUESSED = 0.01
-_DEEPER = 0.7  # standard deviations that the lattices reach further then, each time
+_LADDER = Ladder(deeper=0.7)
 
 
-@dataclass(frozen=True)
-class Update:
-    """The last update of a filter."""
+class Update(NamedTuple):
+    """The last update of a filter: where its density comes from."""
 
-    before: object  # the prior
+    before: object  # the prior, a ParticleDensity
     measurement: object
     z: object
 
@@ -30,7 +30,7 @@ class Update:
         return update(self.before, self.measurement, self.z, config, n_particles=n_particles)[0]
 
 
-def update_or_predict_again(prediction, prior, model, measurement, z, config, n_particles, fits=_always):
+def update_or_predict_again(prediction, prior, model, measurement, z, config, n_particles, fits=None):
     """Update; if the posterior hangs on what the prediction lost, predict again, finer and further.
 
     A prediction cuts off what lies below a level of the density, and loses some of what is near. There a
@@ -40,13 +40,20 @@ def update_or_predict_again(prediction, prior, model, measurement, z, config, n_
     ----------
     prediction : Prediction
         What led to the prior.
-    fits : callable
+    prior : ParticleDensity
+    model : SDE
+    measurement : GaussianMeasurement or LikelihoodMeasurement
+    z : array_like, shape (k,), or None
+    config : FilterConfig
+    n_particles : int
+        Upper bound of the posterior's.
+    fits : callable, optional
         fits(n_particles) says whether there is time for one more prediction on so many.
 
     Returns
     -------
-    ParticleDensity, ParticleDensity, UpdateInfo
-        The prior that was used, the posterior, and what was done.
+    Outcome
+        It begins with the prior that was used.
     """
     from scipy.stats import chi2  # on use: import time
 
@@ -54,28 +61,23 @@ def update_or_predict_again(prediction, prior, model, measurement, z, config, n_
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
     known = before is None or before.field is None or prior.field is None or prior.gaussian
     if known or info.extrapolated < _GUESSED:
-        return prior, posterior, info
+        return Outcome(prior, posterior, info, n_particles)
     scheme = config.scheme if isinstance(config.scheme, LogDensityScheme) else LogDensityScheme()
     Z = lattice_reach(scheme, model.dim)
     beyond = chi2.sf(Z**2, model.dim)  # what a Gaussian has there: so much of it may be wrong
-    for level, times in enumerate(_FURTHER, start=1):
-        times = min(times, FINEST**model.dim)
-        sure = info.extrapolated * min(1.0, lost / beyond) < _GUESSED
-        if sure or not info.accepted or times * n_particles > _MOST:
+    for rung in _LADDER.within(model.dim).rungs(n_particles):
+        if info.extrapolated * min(1.0, lost / beyond) < _GUESSED or not info.accepted:
             break
-        if not fits(times * n_particles):
-            late = f"no time to repeat the prediction on {times} times the particles"
-            done = "" if info.status == "ok" else f"{info.status}; "
-            info = replace(info, status=f"{done}{late}")
+        if fits is not None and not fits(rung.n_particles):
+            late = f"no time to repeat the prediction on {rung.times} times the particles"
+            info = info.marked(Code.LATE, late if info.code == Code.OK else f"{info.status}; {late}")
             break
-        further = replace(config, scheme=replace(scheme, reach=Z + level * _DEEPER))
+        further = replace(config, scheme=replace(scheme, reach=Z + rung.deeper))
         try:
-            prior, predicted = predict(
-                before, model, t=prior.t, config=further, n_particles=times * n_particles
-            )
+            prior, predicted = predict(before, model, t=prior.t, config=further, n_particles=rung.n_particles)
         except PropagationError:
             continue  # on still more particles, perhaps
         lost = predicted.mass_error
         posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
-        info = replace(info, status=f"prediction repeated on {times} times the particles")
-    return prior, posterior, info
+        info = info.marked(Code.REPEATED, f"prediction repeated on {rung.times} times the particles")
+    return Outcome(prior, posterior, info, n_particles)

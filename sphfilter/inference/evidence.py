@@ -12,6 +12,7 @@ from .._types import Bools, Floats, Readings
 from ..errors import EstimationError, ModelError, SphfilterError, nearest
 from ..filter.results import AnyFilter, FilterResult
 from ..filter.sph_filter import SPHFilter
+from ..model.measurements import Reading
 
 __all__ = ["Evidence", "checked_guess", "fingerprint", "n_readings"]
 
@@ -133,6 +134,6 @@ def fingerprint(times: ArrayLike, measurements: Readings) -> str:
     """Short hash of times and measurements; None is what NaN is."""
     known = hashlib.sha256(np.asarray(times, dtype=float).tobytes())
     for z in measurements:
-        z = np.atleast_1d(np.asarray(np.nan if z is None else z, dtype=float))
+        z = Reading.of(z).z
         known.update(b"missing" if np.isnan(z).all() else z.tobytes())
     return known.hexdigest()[:12]

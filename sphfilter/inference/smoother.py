@@ -215,7 +215,7 @@ def _forward(
         if not epochs or t > epochs[-1].filt.t:
             epochs.append(_Epoch(filt, steps, [], 0))
         epochs[-1].rows += 1
-        if info.accepted and sensor.observed(z).any():
+        if info.accepted and sensor.reading(z).seen.any():
             epochs[-1].seen.append((sensor, z))
         epochs[-1].filt = copy.copy(filt)
         rows.append((filt.x_prior, filt.P_prior, filt.x, filt.P))

@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol, TypeAlias, TypeGuard
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,8 @@ from .._types import Bools, Floats, Ints, Seed
 from ..errors import ModelError
 from .compile import StateFunction, compile_rows, probe
 
-__all__ = ["GaussianMeasurement", "GaussianSensor", "LikelihoodMeasurement", "Sensor", "is_gaussian"]
+__all__ = ["GaussianMeasurement", "GaussianSensor", "LikelihoodMeasurement", "Reading", "Sensor",
+           "is_gaussian"]  # fmt: skip
 
 #: loglik(z, X, t) → (N,), and sample(X, t, rng) → (N, k).
 LogLikelihood: TypeAlias = Callable[[Floats, Floats, float], ArrayLike]
@@ -23,6 +24,34 @@ _NO_PARAMETERS = np.empty(0)
 _DIFFERENT = (
     "The sensor's h is of {} states, but the state has {}: h has a column, or a name, for each state."
 )
+
+
+class Reading(NamedTuple):
+    """What a sensor said: its numbers z (k,), NaN where none came, and which did, bool (k,)."""
+
+    z: Floats
+    seen: Bools
+
+    @classmethod
+    def of(cls, z: ArrayLike | None, k: int | None = None) -> "Reading":
+        """Return a measurement as a reading of k numbers; None is one of which nothing came.
+
+        Raises
+        ------
+        ModelError
+            It is not k numbers or NaN, or infinite.
+        """
+        if z is None:
+            return cls(np.full(k or 1, np.nan), np.zeros(k or 1, dtype=bool))
+        try:
+            z = np.array(z, dtype=float, ndmin=1)
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
+        if z.ndim != 1 or (k is not None and len(z) != k):
+            raise ModelError(f"The measurement has shape {z.shape}, but the sensor gives ({k or 'k'},).")
+        if np.isinf(z).any():
+            raise ModelError(f"The measurement {z} is infinite; use NaN for a missing component.")
+        return cls(z, np.isfinite(z))
 
 
 class Sensor(Protocol):
@@ -44,8 +73,8 @@ class Sensor(Protocol):
     def directly_observed(self) -> tuple[Ints, Floats] | None:
         """State indices and scales (k,), where every component of z reads one state of its own."""
 
-    def observed(self, z: ArrayLike | None) -> Bools:
-        """Return which components of z were measured, bool (k,)."""
+    def reading(self, z: ArrayLike | None) -> Reading:
+        """Return what the sensor said."""
 
     def log_likelihood(self, z: ArrayLike | None, X: Floats, t: float = 0.0) -> Floats:
         """Return log p(z | x) for each state X (N, n), shape (N,)."""
@@ -234,15 +263,18 @@ class GaussianMeasurement:
         ModelError
             z of the wrong length, or infinite.
         """
-        return np.isfinite(_reading(z, self.dim_z))
+        return self.reading(z).seen
+
+    def reading(self, z: ArrayLike | None) -> Reading:
+        """Return z as a `Reading`; see `observed`."""
+        return Reading.of(z, self.dim_z)
 
     def log_likelihood(self, z: ArrayLike | None, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return log p(z | x) for each state X (N, n), shape (N,), with its normalising constant.
 
         Missing components are left out, with their rows and columns of R; all missing gives zeros.
         """
-        z = _reading(z, self.dim_z)
-        seen = np.isfinite(z)
+        z, seen = self.reading(z)
         if not seen.any():
             return np.zeros(np.shape(X)[0])
         whiten, constant = self._factor(seen)
@@ -344,13 +376,17 @@ class LikelihoodMeasurement:
 
     def observed(self, z: ArrayLike | None) -> Bools:
         """Return which components of z were measured, bool (k,); all False for None."""
-        return np.isfinite(_reading(z, self.dim_z))
+        return self.reading(z).seen
+
+    def reading(self, z: ArrayLike | None) -> Reading:
+        """Return z as a `Reading`."""
+        return Reading.of(z, self.dim_z)
 
     def log_likelihood(self, z: ArrayLike | None, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return log p(z | x) for each state X (N, n), shape (N,); zeros when all of z is missing."""
         X = np.asarray(X, dtype=float)
-        z = _reading(z, self.dim_z)
-        if not np.isfinite(z).any():
+        z, seen = self.reading(z)
+        if not seen.any():
             return np.zeros(len(X))
         value = np.array(self._loglik(z, X, t), dtype=float)
         if value.shape != (len(X),):
@@ -389,18 +425,3 @@ def _check_arguments(loglik: Callable[..., object]) -> None:
 def _name(function: object) -> str:
     """Name of a function, or the text of what has none."""
     return getattr(function, "__name__", None) or repr(function)
-
-
-def _reading(z: ArrayLike | None, k: int | None) -> Floats:
-    """Return z as an array (k,), NaN where missing."""
-    if z is None:
-        return np.full(k or 1, np.nan)
-    try:
-        z = np.array(z, dtype=float, ndmin=1)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
-    if z.ndim != 1 or (k is not None and len(z) != k):
-        raise ModelError(f"The measurement has shape {z.shape}, but the sensor gives ({k or 'k'},).")
-    if np.isinf(z).any():
-        raise ModelError(f"The measurement {z} is infinite; use NaN for a missing component.")
-    return z

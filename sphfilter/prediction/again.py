@@ -1,90 +1,67 @@
-"""How many particles a prediction needs: ``n_particles="auto"``, and what the next measurement tells."""
+"""Again on more particles: the one ladder that predictions and updates climb, and what comes of a step."""
 
-import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from typing import Generic, NamedTuple, TypeVar
 
-from ..errors import LatticeError, ModelError, PropagationError, UnresolvedError
-from ..lattice.level_set import fewest_particles
-from .predict import predict
+from ..density.particle_density import ParticleDensity
+from ..errors import LatticeError, PropagationError, UnresolvedError
+from ..info import Code, PredictInfo, UpdateInfo
 
-__all__ = ["Prediction", "fewest", "predict_from_finer", "predict_to_target"]
+Info = TypeVar("Info", PredictInfo, UpdateInfo)
 
-#: Error of the posterior mean, in standard deviations, over the probability that the lattices of a prediction
-#: lose or gain: 1 to 6 on the Van der Pol and Duffing oscillators at 100 to 800 particles.
-_ERROR_PER_MASS = 4.0
-_MOST = 20_000
-_ORDER = 1.5  # the error falls about as N^-1.5
-_SLACK = 4.0  # below the target by so much, fewer particles are tried next time
-_TRIES = 4
-_HELPED = 0.8  # times the loss, which more particles have to bring it below
-_FURTHER = 3, 9  # times the particles then
+__all__ = ["FINEST", "MOST", "Ladder", "Outcome", "Rung", "predict_from_finer"]
+
+#: How many times finer a lattice may be along an axis than that of the density it starts from: beyond, it
+#: sees the borders between that one's polynomials.
+FINEST = 3
+MOST = 20_000  # particles of a step that is made again
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """The last prediction of a filter."""
+class Outcome(NamedTuple, Generic[Info]):
+    """What came of a step."""
 
-    before: object = None  # the density it began with; None if there was none
-    lost: float = 0.0  # probability that the lattices lost
-    model: object = None
-    t: float = 0.0  # seconds, where it ended
-
-    def repeated(self, config, n_particles):
-        """The density it ended with on another number of particles."""
-        return predict(self.before, self.model, t=self.t, config=config, n_particles=n_particles)[0]
+    before: ParticleDensity  # that the step began with: a finer one, where it had to be made anew
+    density: ParticleDensity  # that it ended with
+    info: Info
+    bound: int  # particles that the next lattice may have
 
 
-def fewest(dim, n_particles):
-    """Number of particles that "auto" begins with and never goes below."""
-    if n_particles != "auto":
-        raise ModelError(f'n_particles must be a whole number or "auto", got {n_particles!r}')
-    return max(60, 3 * fewest_particles(dim))
+class Rung(NamedTuple):
+    """One more try of a step."""
+
+    level: int  # 1, 2, ...
+    times: int  # the particles of the first try
+    n_particles: int
+    deeper: float  # standard deviations that lattices reach further than on the first try
 
 
-def _always(n_particles):
-    return True
+class Ladder(NamedTuple):
+    """Numbers of particles that a step is tried on again."""
 
+    times: tuple[int, ...] = (3, 9)  # the particles of the first try
+    deeper: float = 0.0  # standard deviations that lattices reach further on each rung than on the one below
+    most: float = MOST  # particles
 
-def predict_to_target(density, model, dt, config, *, t, n_particles, fits=_always):
-    """Predict, again with more particles where the error seen is above the target.
+    def rungs(self, n_particles: int) -> Iterator[Rung]:
+        """The tries above one on `n_particles`, as far as there may be so many."""
+        for level, times in enumerate(self.times, start=1):
+            if times * n_particles > self.most:
+                return
+            yield Rung(level, times, times * n_particles, level * self.deeper)
 
-    Parameters
-    ----------
-    fits : callable
-        fits(n_particles) says whether there is time for one more prediction on so many.
+    def within(self, dim: int) -> "Ladder":
+        """The ladder for a lattice of `dim` states: no rung finer than `FINEST` allows, nor one twice."""
+        times = tuple(min(times, FINEST**dim) for times in self.times)
+        return self._replace(times=times if self.deeper else tuple(dict.fromkeys(times)))
 
-    Returns
-    -------
-    ParticleDensity, PredictInfo, int
-        The number is the bound for the next lattice.
-    """
-    best, ratio = None, math.inf
-    for _ in range(_TRIES):
-        try:
-            moved, info = predict(density, model, dt, config, t=t, n_particles=n_particles)
-        except PropagationError:
-            if best is None:
-                raise
-            break
-        if info.scheme != "log_density":
-            return moved, info, n_particles
-        alike = best is not None and best[1].status == info.status == "ok"
-        if alike and info.mass_error > _HELPED * best[1].mass_error:
-            break  # the density itself is coarse, not what it becomes
-        best = moved, info, n_particles
-        ratio = _ERROR_PER_MASS * info.mass_error / config.target_error
-        if ratio <= 1.0 or n_particles >= _MOST:
-            break
-        more = min(math.ceil(n_particles * min(max(ratio ** (1.0 / _ORDER), 1.2), 3.0)), _MOST)
-        if not fits(more):
-            late = f"the prediction on {more} particles that the target asks for: no time for it"
-            best = moved, replace(info, skipped=(*info.skipped, late)), n_particles
-            break
-        n_particles = more
-    moved, info, n_particles = best
-    if ratio < 1.0 / _SLACK:
-        n_particles = max(fewest(model.dim, "auto"), int(0.8 * n_particles))
-    return moved, info, n_particles
+    def climbed(self, n_particles: int, attempt: Callable[[Rung], tuple]) -> tuple[Rung, tuple] | None:
+        """The first rung on which an attempt raises no `PropagationError`, with what it returned, or None."""
+        for rung in self.rungs(n_particles):
+            try:
+                return rung, attempt(rung)
+            except PropagationError:
+                continue
+        return None
 
 
 def predict_from_finer(predicted, model, density, origin, config, n_particles):
@@ -93,31 +70,30 @@ def predict_from_finer(predicted, model, density, origin, config, n_particles):
     Parameters
     ----------
     predicted : callable
-        A density to what `predict_to_target` returns.
+        A ParticleDensity to the `Outcome` of its prediction.
+    model : SDE
     density : ParticleDensity
     origin : Update, Prediction or None
-        Where it comes from.
+        The step that the density comes from.
+    config : SolverConfig or FilterConfig
+    n_particles : int
+        Upper bound of the number of particles.
 
     Returns
     -------
-    ParticleDensity, tuple
-        The density that was predicted, and what `predicted` returned.
+    Outcome
     """
     try:
-        return density, predicted(density)
+        return predicted(density)
     except (LatticeError, UnresolvedError):
         noisy = model.diffusion_rows.any()  # else nothing ever smooths what is too coarse
         if origin is None or origin.before is None or origin.before.field is None or not noisy:
             raise
-        for times in _FURTHER:
-            if times * n_particles > _MOST:
-                break
-            try:
-                finer = origin.repeated(config, times * n_particles)
-                moved, info, bound = predicted(finer)
-                what = type(origin).__name__.lower()
-                status = f"the {what} before repeated on {times} times the particles"
-                return finer, (moved, replace(info, status=status), bound)
-            except PropagationError:
-                continue
-        raise
+        found = Ladder().climbed(
+            n_particles, lambda rung: predicted(origin.repeated(config, rung.n_particles))
+        )
+        if found is None:
+            raise
+        rung, outcome = found
+        status = f"the {type(origin).__name__.lower()} before repeated on {rung.times} times the particles"
+        return outcome._replace(info=outcome.info.marked(Code.REPEATED, status))

@@ -9,8 +9,9 @@ from ..core._jit import call
 from ..core.corrected import march as core
 from ..core.corrected.moment_correction import exponents
 from ..core.sph.kernels import KINDS, RADIUS, kernel_variance, normalisation
+from ..density.affine import uncut
 from ..errors import PropagationError
-from ..info import PredictInfo
+from ..info import Code, PredictInfo
 from ._shared import blow_up, coefficients_of, skip_notes
 
 __all__ = ["propagate"]
@@ -55,6 +56,7 @@ def propagate(density, model, t1, scheme, n_particles=None):
         raise PropagationError(
             'moment-corrected SPH knows no periodic axes and no walls: use scheme = "paper"'
         )
+    density = uncut(density)
     options = _options(density, model, t1, scheme)
     powers = exponents(density.dim, max(options.degree, 1))[: None if options.degree else 0]
     cloud = core.Cloud(density.x.copy(), density.mass.copy(), density.h.copy())
@@ -175,4 +177,5 @@ def _info(model, scheme, counters, n_functions, mixed):
         skipped=skip_notes(model, max(evaluations - searches, 0)),
         scheme=scheme.name,
         status=status,
+        code=Code.OK if status == "ok" else Code.MIXED,
     )

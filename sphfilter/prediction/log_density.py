@@ -17,7 +17,7 @@ from ..core.characteristics.step_choice import CHOOSE
 from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
 from ..density.particle_density import ParticleDensity
-from ..errors import LatticeError, PropagationError, UnresolvedError
+from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import PredictInfo
 from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, lattice_reach
 from ._shared import blow_up, defect, skip_notes
@@ -95,7 +95,7 @@ def propagate(density, model, t1, scheme, n_particles):
         if counters[STEPS] >= scheme.max_steps:
             reason = f"{scheme.max_steps} steps were not enough; allow more with scheme="
             reason += "LogDensityScheme(max_steps=...)"
-            raise PropagationError(_given_up(reason, times[0], start, t1))
+            raise StoppedError(_given_up(reason, times[0], start, t1))
         try:
             field, x, mass, mean, cov, code = march(
                 entries, noise, field, stencils(n), rule, control, times, state, counters
@@ -116,7 +116,7 @@ def propagate(density, model, t1, scheme, n_particles):
     if status in ("too few nodes", "outgrown"):
         raise LatticeError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     if status != "ok":
-        raise PropagationError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
+        raise StoppedError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov)
     gaussian = density.gaussian and model.linear
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain)

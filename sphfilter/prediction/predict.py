@@ -1,20 +1,20 @@
 """Prediction: a density carried through the Fokker-Planck-Kolmogorov equation."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 from ..config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
 from ..density.resample import particle_bound
 from ..errors import ModelError
 from ..info import PredictInfo
 from ..validate import real
-from . import log_density, paper
-from .automatic import MOST_FINER, SUMMED, _best, _corrected
+from . import automatic, corrected, log_density, paper
 from .exact import propagate_exactly
 
-__all__ = ["load", "predict", "predict_within"]
+__all__ = ["Prediction", "load", "predict"]
 
 
-def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
+def predict(density, model, dt=None, config=None, *, t=None, n_particles=None, most_particles=None):
     """Carry a density over dt seconds, or to time t.
 
     Parameters
@@ -28,6 +28,9 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
         Absolute time to predict to, seconds, instead of dt.
     n_particles : int, optional
         Upper bound of the number of particles, should re-gridding be needed; the density's own if not given.
+    most_particles : int, optional
+        Particles at most of a prediction that ``scheme="auto"`` makes again where a lattice loses
+        probability; 30,000 if not given.
 
     Returns
     -------
@@ -49,11 +52,6 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None):
     >>> print(f"t = {later.t}, {info.scheme}, {info.status}, variance {later.cov()[0, 0]:.3f}")
     t = 2.0, log_density, ok, variance 0.788
     """
-    return predict_within(MOST_FINER, density, model, dt, config, t=t, n_particles=n_particles)
-
-
-def predict_within(most, density, model, dt=None, config=None, *, t=None, n_particles=None):
-    """As `predict`, where the automatic choice repeats what a lattice loses on `most` particles at most."""
     if (dt is None) == (t is None):
         raise ModelError("predict takes either dt or t=, one of them")
     if model.dim != density.dim:
@@ -73,8 +71,21 @@ def predict_within(most, density, model, dt=None, config=None, *, t=None, n_part
         if exact is not None:
             return exact
     if scheme == "auto":
-        return _best(density, model, target, n_particles, most)
+        return automatic.propagate(density, model, target, n_particles, most_particles)
     return _SCHEMES[type(scheme)](density, model, target, scheme, n_particles)
+
+
+class Prediction(NamedTuple):
+    """The last prediction of a filter: where its density comes from."""
+
+    before: object = None  # the ParticleDensity it began with; None if there was none
+    lost: float = 0.0  # probability that the lattices lost
+    model: object = None  # SDE
+    t: float = 0.0  # seconds, where it ended
+
+    def repeated(self, config, n_particles):
+        """The density it ended with on another number of particles."""
+        return predict(self.before, self.model, t=self.t, config=config, n_particles=n_particles)[0]
 
 
 def load(model, density, config):
@@ -85,7 +96,7 @@ def load(model, density, config):
         log_density.load(model)
     if config.scheme != "auto":
         return None
-    return CorrectedScheme() if model.domain.unbounded else SUMMED
+    return CorrectedScheme() if model.domain.unbounded else automatic.SUMMED
 
 
 def _in_domain(density, domain):
@@ -103,6 +114,6 @@ def _in_domain(density, domain):
 
 _SCHEMES = {
     LogDensityScheme: log_density.propagate,
-    CorrectedScheme: _corrected,
+    CorrectedScheme: corrected.propagate,
     PaperScheme: paper.propagate,
 }

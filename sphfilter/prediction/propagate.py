@@ -8,11 +8,10 @@ from ..config import CorrectedScheme, SolverConfig
 from ..density.resample import particle_bound
 from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import LatticeError, ModelError, UnresolvedError
-from ..info import PredictInfo
+from ..info import Code, PredictInfo
 from ..validate import array
-from .again import Prediction, predict_from_finer
-from .automatic import MOST_FINER
-from .predict import predict, predict_within
+from .again import Outcome, predict_from_finer
+from .predict import Prediction, predict
 from .remesh import Remeshing
 
 __all__ = ["Trajectory", "propagate"]
@@ -69,8 +68,8 @@ class Trajectory:
             own = part(str(k), arrays)
             said = part("info", own)
             known = (f.name for f in fields(PredictInfo) if f.name in said)  # an older file has less
-            info = {name: _plain(said[name]) for name in known}
-            steps.append((density_from(own), PredictInfo(**info)))
+            info = PredictInfo(**{name: _plain(said[name]) for name in known})
+            steps.append((density_from(own), replace(info, code=Code(info.code))))
         densities, infos = zip(*steps, strict=True) if steps else ((), ())
         return cls(np.array([density.t for density in densities]), densities, infos)
 
@@ -143,22 +142,25 @@ def _piecewise(density, model, t, config, remeshing, origin):
     while not infos or density.t < t:
         density, told, regridded = remeshing.renewed(density, model, t)
         stop = remeshing.stop(density, model, t)
-        before, (density, info, _) = _carried(density, model, stop, config, remeshing.n_particles, origin)
+        before, density, info, _ = _carried(density, model, stop, config, remeshing.n_particles, origin)
         origin = Prediction(before, info.mass_error, model, density.t)
         if told:
             status = told if info.status == "ok" else f"{told}; {info.status.removeprefix('ok; ')}"
-            info = replace(info, status=status, n_regrids=info.n_regrids + regridded)
+            info = replace(info.marked(Code.REGRIDDED, status), n_regrids=info.n_regrids + regridded)
         infos.append(info)
     return density, PredictInfo.joined(infos), origin
 
 
 def _carried(density, model, t, config, n_particles, origin):
-    """One interval, as `predict_from_finer` returns it."""
+    """The `Outcome` of one interval, the one before made again where it left too coarse a density."""
     corrects = config.scheme == "auto" and density.domain is None
-    most = _MOST_NODES if corrects else MOST_FINER
+    options = {"t": t, "n_particles": n_particles}
 
     def predicted(density):
-        return *predict_within(most, density, model, t=t, config=config, n_particles=n_particles), n_particles
+        most = _MOST_NODES if corrects else None
+        return Outcome(
+            density, *predict(density, model, config=config, most_particles=most, **options), n_particles
+        )
 
     try:
         return predict_from_finer(predicted, model, density, origin, config, n_particles)
@@ -166,5 +168,5 @@ def _carried(density, model, t, config, n_particles, origin):
         if not corrects:
             raise
         last = SolverConfig(scheme=CorrectedScheme())
-        moved, info = predict(density, model, t=t, config=last, n_particles=n_particles)
-        return density, (moved, replace(info, status=f"not log_density: {problem}"), n_particles)
+        moved, info = predict(density, model, config=last, **options)
+        return Outcome(density, moved, info.marked(Code.FALLBACK, f"not log_density: {problem}"), n_particles)

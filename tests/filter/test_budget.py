@@ -10,7 +10,7 @@ import sphfilter as sf
 from sphfilter.filter import budget as budget_room
 from sphfilter.filter import sph_filter, update_again
 from sphfilter.filter.budget import Budget
-from sphfilter.prediction import again
+from sphfilter.prediction import predict, to_target
 
 TEXT = ["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[1.6]]
 DUFFING = sf.SDE.from_expressions(*TEXT)
@@ -27,7 +27,7 @@ class Clock:
     def __init__(self, monkeypatch):
         self.now, self.slower, self.predicted = 0.0, 1.0, []
         monkeypatch.setattr(budget_room, "clock", lambda: self.now)
-        for room in (sph_filter, update_again, again):
+        for room in (sph_filter, update_again, to_target, predict):
             monkeypatch.setattr(room, "predict", self._taking(sf.predict, PREDICT, self.predicted))
         monkeypatch.setattr(update_again, "update", self._taking(sf.update, UPDATE, []))
 

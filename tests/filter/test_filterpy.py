@@ -1,5 +1,8 @@
 """`SPHFilter` in the place of filterpy's filters: the same loop, its saver, its bank of filters."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from filterpy.common import Saver
@@ -12,6 +15,16 @@ MODEL = sf.LinearSDE(A=[[0.0, 1.0], [-1.0, -0.3]], noise=[[0.0], [1.0]], spectra
 POSITION = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])
 X0, P0 = np.array([1.0, 0.0]), np.diag([0.5, 0.3])
 _, Z = sf.simulate(MODEL, POSITION, x0=X0, times=np.arange(0.0, 4.1, DT), rng=3)
+
+
+class Labelled(sf.SPHFilter):
+    """A filter with attributes of its own, two of them with names that would be refused elsewhere."""
+
+    R: float
+
+    def __init__(self, *args, **options):
+        super().__init__(*args, **options)
+        self.densities, self.R = [], 3.0
 
 
 def ours(model=MODEL):
@@ -89,6 +102,45 @@ def test_what_mixes_filters_is_refused():
     with pytest.raises(sf.ModelError, match="IMM mixing"):
         bank = IMMEstimator([ours(), ours()], [0.5, 0.5], np.full((2, 2), 0.5))
         bank.predict()
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("R", r"update\(z, R=...\)"),
+        ("H", r"update\(z, R, H\)"),
+        ("Q", "belongs to the model.*spectral_density=Q"),
+        ("F", "LinearSDE"),
+        ("B", "write the control into the drift"),
+        ("K", "no gain"),
+        ("hx", "h=hx"),
+        ("x", "the mean of a density filter cannot be overwritten"),
+        ("density", "the density of a density filter cannot be overwritten"),
+        ("log_evidence", "the log_evidence of a density filter cannot be overwritten"),
+        ("n_particle", "did you mean 'n_particles'"),
+        ("measurment", "did you mean 'measurement'"),
+    ],
+)
+def test_names_that_would_do_nothing_are_refused_with_the_one_to_use(name, sentence):
+    flt = ours()
+    with pytest.raises(sf.ModelError, match=sentence):
+        setattr(flt, name, np.eye(2))
+    assert not hasattr(flt, name) or name in ("x", "density", "log_evidence")
+
+
+def test_what_may_be_set_and_what_subclasses_carry():
+    flt = Labelled(MODEL, POSITION, X0, P0, n_particles=100)
+    flt.predict(DT)
+    assert (flt.densities, flt.R) == ([], 3.0)
+    assert copy.deepcopy(flt).R == pickle.loads(pickle.dumps(flt)).R == 3.0
+    with pytest.raises(sf.ModelError, match="spectral_density=Q"):
+        flt.Q = 1.0
+    plain = ours()
+    plain.label, plain.dt, plain.n_particles = "left", 2.0, 150
+    assert (plain.label, plain.dt, plain.n_particles) == ("left", 2.0, 150)
+    with pytest.raises(sf.ModelError, match="n_particles"):
+        plain.n_particles = 0
+    assert plain.n_particles == 150
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.errors import PropagationError, UnresolvedError
 from sphfilter.filter import sph_filter
-from sphfilter.prediction import again
+from sphfilter.info import Code
+from sphfilter.prediction import to_target
 
 SQUARE = load_scenario("duffing_square")
 CASE = draw_case(SQUARE, 1, 1)
@@ -79,7 +80,7 @@ class Predictions:
         self.sizes.append(n_particles)
         if lost is None:
             raise PropagationError("no")
-        info = SimpleNamespace(scheme="log_density", mass_error=lost, status="ok")
+        info = SimpleNamespace(scheme="log_density", mass_error=lost, code=Code.OK)
         return len(self.sizes), info
 
 
@@ -94,16 +95,17 @@ class Predictions:
 )
 def test_auto_stops_where_more_particles_do_not_help(monkeypatch, lost, called, kept):
     predictions = Predictions(*lost)
-    monkeypatch.setattr(again, "predict", predictions)
+    monkeypatch.setattr(to_target, "predict", predictions)
     model, config = SimpleNamespace(dim=2), sf.FilterConfig(target_error=0.01)
-    moved, info, n_particles = again.predict_to_target(None, model, 1.0, config, t=None, n_particles=200)
+    _, moved, info, bound = to_target.predict_to_target(None, model, 1.0, config, t=None, n_particles=200)
     assert len(predictions.sizes) == called
     assert predictions.sizes == sorted(set(predictions.sizes))
     assert (moved, info.mass_error) == (kept, lost[kept - 1])
-    assert n_particles <= predictions.sizes[kept - 1]
+    assert bound <= predictions.sizes[kept - 1]
 
 
 def test_auto_refuses_what_the_first_prediction_refuses(monkeypatch):
-    monkeypatch.setattr(again, "predict", Predictions(None))
+    monkeypatch.setattr(to_target, "predict", Predictions(None))
     with pytest.raises(PropagationError):
-        again.predict_to_target(None, SimpleNamespace(dim=2), 1.0, sf.FilterConfig(), t=None, n_particles=200)
+        model, config = SimpleNamespace(dim=2), sf.FilterConfig()
+        to_target.predict_to_target(None, model, 1.0, config, t=None, n_particles=200)

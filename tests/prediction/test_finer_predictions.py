@@ -9,7 +9,7 @@ from density_cases import duffing, off, position, quadrature, text
 import sphfilter as sf
 from reference_filters.grid import GridFilter
 from sphfilter.errors import LatticeError, PropagationError, UnresolvedError
-from sphfilter.prediction import predict
+from sphfilter.prediction import automatic
 from sphfilter.prediction._shared import carried_off
 
 DUFFING, SENSOR = duffing(1.6), position(2, 1.0)
@@ -90,7 +90,7 @@ def test_a_scheme_asked_for_by_name_is_not_helped():
 
 def test_where_more_particles_would_be_too_many_the_first_refusal_stands(monkeypatch):
     """And no other scheme takes over: it would see no more on as few."""
-    monkeypatch.setattr(predict, "MOST_FINER", 299)
+    monkeypatch.setattr(automatic, "MOST_FINER", 299)
     with pytest.raises(UnresolvedError, match="lost or gained"):
         sf.predict(start(), DUFFING, 2.0)
 

@@ -82,20 +82,20 @@ def test_times_that_cannot_be(times):
 def test_moment_corrected_sums_are_the_last_resort(monkeypatch):
     """Where no lattice holds the density the particles of the last one go on."""
 
-    def no_lattice(most, density, model, *, t, config, n_particles):
-        if t > 0.3 and density.field is not None:
+    def no_lattice(density, model, *, t, config, **options):
+        if t > 0.3 and density.field is not None and not isinstance(config.scheme, sf.CorrectedScheme):
             raise UnresolvedError("the density has edges")
-        return predict_within(most, density, model, t=t, config=config, n_particles=n_particles)
+        return sf.predict(density, model, t=t, config=config, **options)
 
-    predict_within = propagate.predict_within
-    monkeypatch.setattr(propagate, "predict_within", no_lattice)
+    monkeypatch.setattr(propagate, "predict", no_lattice)
     way = sf.propagate(start(), DUFFING, [0.3, 0.6, 0.9])
     monkeypatch.undo()
     usual = sf.propagate(start(), DUFFING, [0.3, 0.6, 0.9])
     assert [info.scheme for info in way.infos] == ["log_density", "corrected", "corrected"]
     assert way.infos[1].status == "not log_density: the density has edges"
+    assert [info.code for info in way.infos] == [sf.Code.OK, sf.Code.FALLBACK, sf.Code.OK]
     assert way.densities[-1].cov() == pytest.approx(usual.densities[-1].cov(), abs=0.01)
-    monkeypatch.setattr(propagate, "predict_within", no_lattice)
+    monkeypatch.setattr(propagate, "predict", no_lattice)
     with pytest.raises(UnresolvedError):  # those sums know no ends of a domain
         sf.propagate(start(domain=[("periodic", -9, 9), None]), DUFFING, [0.3, 0.6])
 

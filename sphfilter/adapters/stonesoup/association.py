@@ -1,8 +1,9 @@
 """Several detections, one at most the target's: what each says alone, and all of them together."""
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,25 +11,24 @@ from scipy.special import logsumexp
 from stonesoup.types.hypothesis import Hypothesis
 from stonesoup.types.state import State
 
-from ..._types import Bools, Floats
+from ..._types import Floats
 from ...config import FilterConfig, LogDensityScheme
 from ...density.particle_density import ParticleDensity
 from ...density.resample import logarithm, particle_bound
 from ...errors import ModelError, PropagationError
 from ...filter.update import update
 from ...filter.update_again import Update
-from ...info import PredictInfo, UpdateInfo
+from ...info import Code, PredictInfo, UpdateInfo
 from ...lattice.level_set import lattice_reach
-from ...model.measurements import Sensor
+from ...model.measurements import Reading, Sensor
+from ...prediction.again import Ladder, Outcome
 
 __all__ = ["Alone", "Association", "alone", "mixed_mean", "one_prediction", "predicted_apart",
            "probability_of", "resolved"]  # fmt: skip
 
-_FINER = 1, 3, 9  # times the particles that a product of density and likelihood is tried on
+_LADDER = Ladder(times=(1, 3, 9), most=math.inf)  # for products of density and likelihood
 _NEGLIGIBLE = 1e-6  # probability of a part
 _DEEPER = 0.7  # standard deviations that lattices reach further, each time
-#: The prior that was used, the posterior, and what was done.
-Multiplied: TypeAlias = tuple[ParticleDensity, ParticleDensity, UpdateInfo]
 #: Standard deviations that a mean may be off, and part of the mass: not tried again, and refused above.
 _RESOLVED, _LOST = 0.01, 0.1
 
@@ -56,9 +56,9 @@ class Association:
         self._missed = missed / total
         self._parts = [(sensor, z, np.log(weight / total) - log_p) for sensor, z, weight, log_p in parts]
 
-    def observed(self, z: object) -> Bools:
-        """Something was."""
-        return np.ones(1, dtype=bool)
+    def reading(self, z: Any) -> Reading:
+        """The readings of all parts; something was seen."""
+        return Reading(z, np.ones(1, dtype=bool))
 
     def log_likelihood(self, z: object, X: Floats, t: float = 0.0) -> Floats:
         """Logarithm of the sum above for each state X (N, n), shape (N,)."""
@@ -89,9 +89,9 @@ class Total:
     def __init__(self, first: ParticleDensity, parts: Sequence[tuple[float, ParticleDensity]]) -> None:
         self._first, self._parts = logarithm(first), [(np.log(w), logarithm(p)) for w, p in parts]
 
-    def observed(self, z: object) -> Bools:
-        """Something is there."""
-        return np.ones(1, dtype=bool)
+    def reading(self, z: Any) -> Reading:
+        """No numbers, but something is there."""
+        return Reading(z, np.ones(1, dtype=bool))
 
     def log_likelihood(self, z: object, X: Floats, t: float = 0.0) -> Floats:
         """Logarithm of the sum over the first density, for each state X (N, n), shape (N,)."""
@@ -114,15 +114,14 @@ def alone(
     log_likelihood: Floats,
 ) -> Alone:
     """What a detection says alone, given its log-likelihood at the particles (N,)."""
-    for times in _FINER:
-        try:
-            posterior, info = update(
-                density, sensor, z, config, n_particles=times * particle_bound(density, n_particles)
-            )
-        except PropagationError:
-            continue
-        return Alone(info.log_evidence, posterior.mean() if info.accepted else None)
-    return Alone(float(logsumexp(log_likelihood, b=density.mass)), None)
+    found = _LADDER.climbed(
+        particle_bound(density, n_particles),
+        lambda rung: update(density, sensor, z, config, n_particles=rung.n_particles),
+    )
+    if found is None:
+        return Alone(float(logsumexp(log_likelihood, b=density.mass)), None)
+    _, (posterior, info) = found
+    return Alone(info.log_evidence, posterior.mean() if info.accepted else None)
 
 
 def mixed_mean(parts: Sequence[tuple[float, Floats]]) -> Floats:
@@ -132,11 +131,11 @@ def mixed_mean(parts: Sequence[tuple[float, Floats]]) -> Floats:
 
 
 def resolved(
-    multiplied: Callable[[int, FilterConfig], Multiplied],
+    multiplied: Callable[[int, FilterConfig], Outcome[UpdateInfo]],
     config: FilterConfig,
     dim: int,
     expected: Floats | None,
-) -> Multiplied:
+) -> Outcome[UpdateInfo]:
     """A product, finer and further out until it has its mass and the mean of its parts.
 
     A part of little weight may be wide and flat beside the others, and lie below where a lattice ends.
@@ -144,7 +143,7 @@ def resolved(
     Parameters
     ----------
     multiplied : callable
-        (times the particles, configuration) to (prior, density, info).
+        (times the particles, configuration) to an `Outcome`.
     config : FilterConfig
     dim : int
     expected : ndarray, shape (n,), or None
@@ -152,7 +151,7 @@ def resolved(
 
     Returns
     -------
-    prior, density, info
+    Outcome
 
     Raises
     ------
@@ -160,29 +159,30 @@ def resolved(
         No number of particles that is tried holds it.
     """
     best = None
-    for level, times in enumerate(_FINER):
+    for level, times in enumerate(_LADDER.times):
         try:
             found = multiplied(times, _reaching(config, dim, level * _DEEPER))
         except PropagationError as problem:
             refused = problem  # more particles may hold it
             continue
-        error = _error(found[1], expected, found[2].log_evidence)
+        error = _error(found.density, expected, found.info.log_evidence)
         if best is None or error < best[0]:
             best = error, times, found
         if error < _RESOLVED:
             break
     if best is None:
         raise refused
-    error, times, (prior, density, info) = best
+    error, times, found = best
     if error > _LOST:
         raise PropagationError(
             f"detections much sharper than the prediction leave a density too sharp and too broad for one "
             f"lattice: its mean would be {error:.2g} standard deviations off; use more particles"
         )
     if times == 1 and error < _RESOLVED:
-        return prior, density, info
+        return found
     told = "" if error < _RESOLVED else f", its mean within {error:.2g} standard deviations"
-    return prior, density, replace(info, status=f"association on {times} times the particles{told}")
+    told = f"association on {times} times the particles{told}"
+    return found._replace(info=found.info.marked(Code.FINER, told))
 
 
 def _reaching(config: FilterConfig, dim: int, deeper: float) -> FilterConfig:
@@ -212,7 +212,7 @@ def predicted_apart(
 
     Parameters
     ----------
-    origin : filter.update_again.Update
+    origin : Update
         The update with an `Association`.
     predicted : callable
         A density to what `predict` returns.
@@ -228,14 +228,17 @@ def predicted_apart(
     widest = max((density for _, density in parts), key=lambda density: np.linalg.det(density.cov()))
     total = Total(widest, parts)
 
-    def summed(times: int, config: FilterConfig) -> Multiplied:
-        return widest, *update(widest, total, None, config, n_particles=times * n_particles)
+    def summed(times: int, config: FilterConfig) -> Outcome[UpdateInfo]:
+        more = times * n_particles
+        posterior, info = update(widest, total, None, config, n_particles=more)
+        return Outcome(widest, posterior, info, more)
 
     mean = None if widest.domain is not None else mixed_mean([(w, p.mean()) for w, p in parts])
-    _, density, sum_info = resolved(summed, config, widest.dim, mean)
+    _, density, sum_info, _ = resolved(summed, config, widest.dim, mean)
     info = max((info for _, _, info in moved), key=lambda info: info.mass_error)
     told = "" if sum_info.status == "ok" else f"; {sum_info.status}"
-    return density, replace(info, status=f"{len(parts)} parts of the association predicted apart{told}")
+    told = f"{len(parts)} parts of the association predicted apart{told}"
+    return density, info.marked(Code.REPEATED, told)
 
 
 def one_prediction(hypotheses: Iterable[Hypothesis]) -> State:

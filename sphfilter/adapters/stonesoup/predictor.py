@@ -18,10 +18,9 @@ from ...density.particle_density import ParticleDensity
 from ...errors import ModelError, PropagationError
 from ...info import PredictInfo
 from ...model.sde import SDE
-from ...prediction.again import Prediction as Origin
-from ...prediction.again import predict_from_finer
-from ...prediction.automatic import MOST_FINER
-from ...prediction.predict import predict_within
+from ...prediction.again import Outcome, predict_from_finer
+from ...prediction.predict import Prediction as Origin
+from ...prediction.predict import predict
 from ...validate import count
 from .association import Association, predicted_apart
 from .recent import Recent
@@ -103,7 +102,7 @@ class SPHPredictor(Predictor):
         n_particles = count("n_particles", self.n_particles)
         density = density_of(prior, n_particles, config, sde.domain)
         dt = _seconds(prior.timestamp, timestamp)
-        before, moved, info = self._carried(prior, density, dt, config, n_particles)
+        before, moved, info, _ = self._carried(prior, density, dt, config, n_particles)
         prediction = Prediction.from_state(
             prior if isinstance(prior, SPHState) else SPHState(density, prior.timestamp),
             density=moved,
@@ -116,23 +115,24 @@ class SPHPredictor(Predictor):
 
     def _carried(
         self, prior: State, density: ParticleDensity, dt: float, config: FilterConfig, n_particles: int
-    ) -> tuple[ParticleDensity, ParticleDensity, PredictInfo]:
-        """The density it began with, the one after dt seconds, and what was done; kept a while."""
+    ) -> Outcome[PredictInfo]:
+        """The `Outcome` of dt seconds; kept a while."""
         transition = self.transition_model
         sde, start = transition.sde, retimed(density, transition, prior.timestamp)
         key = start, sde, sde.p.tobytes(), dt, config, n_particles
 
-        def carried() -> tuple[ParticleDensity, ParticleDensity, PredictInfo]:
-            before, (moved, info) = self._predicted(start, origin_of(prior), predicted, n_particles)
+        def carried() -> Outcome[PredictInfo]:
+            found = self._predicted(start, origin_of(prior), predicted, n_particles)
+            before, moved = retimed(found.before, transition, prior.timestamp), found.density
             if moved.capacity != n_particles:  # more particles for once are not more ever after
                 moved = replace(moved, capacity=n_particles)
-            return retimed(before, transition, prior.timestamp), moved, info
+            return found._replace(before=before, density=moved)
 
         def predicted(
-            density: ParticleDensity, most: int = MOST_FINER
+            density: ParticleDensity, most: int | None = None
         ) -> tuple[ParticleDensity, PredictInfo]:
             density = retimed(density, transition, prior.timestamp)
-            return predict_within(most, density, sde, dt, config, n_particles=n_particles)
+            return predict(density, sde, dt, config, n_particles=n_particles, most_particles=most)
 
         return self._kept.result(key, carried)
 
@@ -142,24 +142,24 @@ class SPHPredictor(Predictor):
         origin: Any,
         predicted: Callable[..., tuple[ParticleDensity, PredictInfo]],
         n_particles: int,
-    ) -> tuple[ParticleDensity, tuple[ParticleDensity, PredictInfo]]:
-        """The density it began with, and what `predicted` makes of it.
+    ) -> Outcome[PredictInfo]:
+        """The `Outcome` of what `predicted` makes of a density.
 
         Associations that are sharp and broad at once are predicted part by part.
         """
         sde, config = self.transition_model.sde, checked_filter_config(self.config)
         if isinstance(getattr(origin, "measurement", None), Association):
             try:
-                return start, predicted(start, most=0)
+                return Outcome(start, *predicted(start, most=0), n_particles)
             except PropagationError:
                 with suppress(PropagationError):
-                    return start, predicted_apart(origin, predicted, config, n_particles)
+                    found = predicted_apart(origin, predicted, config, n_particles)
+                    return Outcome(start, *found, n_particles)
 
-        def bounded(density: ParticleDensity) -> tuple[ParticleDensity, PredictInfo, int]:
-            return *predicted(density), n_particles
+        def bounded(density: ParticleDensity) -> Outcome[PredictInfo]:
+            return Outcome(density, *predicted(density), n_particles)
 
-        before, (moved, info, _) = predict_from_finer(bounded, sde, start, origin, config, n_particles)
-        return before, (moved, info)
+        return predict_from_finer(bounded, sde, start, origin, config, n_particles)
 
 
 def _seconds(start: datetime.datetime | None, end: datetime.datetime | None) -> float:

@@ -25,12 +25,12 @@ from ...filter.update_again import Update as UpdateOrigin
 from ...filter.update_again import update_or_predict_again
 from ...info import UpdateInfo
 from ...model.measurements import Sensor, is_gaussian
-from ...prediction.again import Prediction as PredictionOrigin
+from ...prediction.again import Outcome
+from ...prediction.predict import Prediction as PredictionOrigin
 from ...validate import count
 from .association import (
     Alone,
     Association,
-    Multiplied,
     alone,
     mixed_mean,
     one_prediction,
@@ -95,8 +95,8 @@ class SPHUpdater(Updater):
                 "a measurement prediction needs a sensor with a noise covariance; associate detections of "
                 "others by EvidenceHypothesiser(prob_gate=1)"
             )
-        reading, spread, cross = predicted_reading(density, sensor)
-        covar = spread + sensor.noise_cov if measurement_noise else spread
+        reading, S, cross = predicted_reading(density, sensor)
+        covar = S + sensor.noise_cov if measurement_noise else S
         return GaussianMeasurementPrediction(
             typed(sensor.residual(reading, 0.0), sensor, density.mean()),
             CovarianceMatrix(covar),
@@ -136,7 +136,7 @@ class SPHUpdater(Updater):
         prediction, detection = hypothesis.prediction, hypothesis.measurement
         if not hypothesis:
             density = self._density(prediction)
-            return self._posterior(prediction, hypothesis, (density, density, _nothing(density)), None)
+            return self._posterior(prediction, hypothesis, _unused(density), None)
         asked = self._asked(prediction, detection)
         return self._posterior(
             prediction, hypothesis, self._multiplied(prediction, *asked), asked, detection.timestamp
@@ -156,11 +156,11 @@ class SPHUpdater(Updater):
                 parts.append((sensor, z, weight, one.log_evidence))
                 means.append((weight, one.mean))
         if not parts:
-            return self._posterior(prediction, hypotheses, (density, density, _nothing(density)), None)
+            return self._posterior(prediction, hypotheses, _unused(density), None)
         association, readings = Association(missed, parts), tuple(part[1] for part in parts)
         mixed = None if density.domain is not None else mixed_mean([(missed, density.mean()), *means])
 
-        def multiplied(times: int, config: FilterConfig) -> Multiplied:
+        def multiplied(times: int, config: FilterConfig) -> Outcome[UpdateInfo]:
             return self._multiplied(prediction, association, readings, times, config)
 
         found = resolved(multiplied, checked_filter_config(self.config), density.dim, mixed)
@@ -177,7 +177,7 @@ class SPHUpdater(Updater):
 
     def _multiplied(
         self, prediction: State, sensor: Sensor, z: Any, times: int = 1, config: FilterConfig | None = None
-    ) -> Multiplied:
+    ) -> Outcome[UpdateInfo]:
         density, origin = self._density(prediction), origin_of(prediction)
         origin = origin if isinstance(origin, PredictionOrigin) else PredictionOrigin()
         n_particles = particle_bound(density, self.n_particles)
@@ -185,18 +185,18 @@ class SPHUpdater(Updater):
         found = update_or_predict_again(origin, density, origin.model, sensor, z, config, times * n_particles)
         if times == 1:
             return found
-        prior, posterior, info = found  # on more particles now, not ever after
-        return prior, replace(posterior, capacity=n_particles), info
+        # on more particles now, not ever after
+        return found._replace(density=replace(found.density, capacity=n_particles))
 
     def _posterior(
         self,
         prediction: State,
         hypothesis: SingleHypothesis | MultipleHypothesis,
-        found: Multiplied,
+        found: Outcome[UpdateInfo],
         asked: tuple[Sensor, Any] | None,
         timestamp: datetime.datetime | None = None,
     ) -> SPHStateUpdate:
-        prior, density, info = found
+        prior, density, info, _ = found
         timestamp = prediction.timestamp if timestamp is None else timestamp
         state = prediction if isinstance(prediction, SPHState) else SPHState(prior, timestamp)
         posterior = Update.from_state(
@@ -222,7 +222,8 @@ class SPHUpdater(Updater):
         return density_of(state, n_particles, checked_filter_config(self.config))
 
 
-def _nothing(density: ParticleDensity) -> UpdateInfo:
-    return UpdateInfo(
-        accepted=True, log_evidence=0.0, reason="no detection was used", n_particles=density.n_particles
-    )
+def _unused(density: ParticleDensity) -> Outcome[UpdateInfo]:
+    """The `Outcome` of no detection."""
+    n, reason = density.n_particles, "no detection was used"
+    info = UpdateInfo(accepted=True, log_evidence=0.0, reason=reason, n_particles=n)
+    return Outcome(density, density, info, n)

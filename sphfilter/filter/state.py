@@ -1,0 +1,180 @@
+"""What a filter is between two calls: one value, which predict and update replace as their last act."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..density.particle_density import ParticleDensity
+from ..info import UpdateInfo, innovation_of
+from ..model.measurements import GaussianMeasurement
+from ..prediction.again import Outcome
+from ..prediction.predict import Prediction
+from .update_again import Update
+
+__all__ = ["FilterState", "Shown"]
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """The state of a filter: its density, where that comes from, and what the last steps said.
+
+    Attributes
+    ----------
+    density : ParticleDensity
+    n_particles : int
+        Upper bound of the number of particles.
+    origin : Prediction, Update or None
+        The step that the density comes from.
+    x, P, x_prior, P_prior, x_post, P_post : ndarray, shapes (n,), (n, n)
+        Mean and covariance now, after the last prediction and after the last update; read-only.
+    z, y, S : ndarray or None
+        Last measurement, its innovation and the covariance of that, NaN where no reading came.
+    log_likelihood, log_evidence : float
+        Log-evidence of the last measurement, and of all.
+    """
+
+    density: ParticleDensity
+    n_particles: int
+    origin: Prediction | Update | None
+    x: np.ndarray
+    P: np.ndarray
+    x_prior: np.ndarray
+    P_prior: np.ndarray
+    x_post: np.ndarray
+    P_post: np.ndarray
+    z: np.ndarray | None = None
+    y: np.ndarray | None = None
+    S: np.ndarray | None = None
+    log_likelihood: float = 0.0
+    log_evidence: float = 0.0
+
+    @classmethod
+    def begun(cls, density, n_particles):
+        """The state of a filter that starts with a density."""
+        return cls(density, n_particles, None, *3 * _moments(density))
+
+    def predicted(self, outcome: Outcome, model):
+        """The state after a prediction."""
+        x, P = _moments(outcome.density)
+        origin = Prediction(outcome.before, outcome.info.mass_error, model, outcome.density.t)
+        return replace(
+            self,
+            density=outcome.density,
+            n_particles=outcome.bound,
+            origin=origin,
+            x=x,
+            P=P,
+            x_prior=x,
+            P_prior=P,
+        )
+
+    def updated(self, outcome: Outcome, measurement, z):
+        """The state after an update, whose prior may be another than the density now."""
+        prior, density, info, _ = outcome
+        x_prior, P_prior = (self.x, self.P) if prior is self.density else _moments(prior)
+        x, P = _moments(density)
+        return replace(
+            self,
+            density=density,
+            origin=Update(prior, measurement, z) if density is not prior else None,
+            x=x,
+            P=P,
+            x_prior=x_prior,
+            P_prior=P_prior,
+            x_post=x,
+            P_post=P,
+            **_said(measurement, z, info),
+            log_likelihood=info.log_evidence,
+            log_evidence=self.log_evidence + info.log_evidence,
+        )
+
+
+class Shown:
+    """What a filter shows of its state: properties to be read."""
+
+    _state: FilterState
+
+    @property
+    def x(self) -> np.ndarray:
+        """Mean, shape (n,)."""
+        return self._state.x
+
+    @property
+    def P(self) -> np.ndarray:
+        """Covariance, shape (n, n)."""
+        return self._state.P
+
+    @property
+    def x_prior(self) -> np.ndarray:
+        """Mean after the last prediction, shape (n,)."""
+        return self._state.x_prior
+
+    @property
+    def P_prior(self) -> np.ndarray:
+        """Covariance after the last prediction, shape (n, n)."""
+        return self._state.P_prior
+
+    @property
+    def x_post(self) -> np.ndarray:
+        """Mean after the last update, shape (n,)."""
+        return self._state.x_post
+
+    @property
+    def P_post(self) -> np.ndarray:
+        """Covariance after the last update, shape (n, n)."""
+        return self._state.P_post
+
+    @property
+    def z(self) -> np.ndarray | None:
+        """Last measurement, shape (k,), NaN where no reading came; None before the first."""
+        return self._state.z
+
+    @property
+    def y(self) -> np.ndarray | None:
+        """Innovation of the last measurement, shape (k,), or None."""
+        return self._state.y
+
+    @property
+    def S(self) -> np.ndarray | None:
+        """Covariance of the innovation, shape (k, k), or None."""
+        return self._state.S
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log-evidence of the last measurement, zero where none came."""
+        return self._state.log_likelihood
+
+    @property
+    def log_evidence(self) -> float:
+        """Log-evidence of all measurements."""
+        return self._state.log_evidence
+
+    @property
+    def density(self) -> ParticleDensity:
+        """The density now."""
+        return self._state.density
+
+    @property
+    def t(self) -> float:
+        """Time of the density, seconds."""
+        return self._state.density.t
+
+    @property
+    def likelihood(self) -> float:
+        """Evidence of the last measurement."""
+        return float(np.exp(self._state.log_likelihood))
+
+
+def _moments(density):
+    x, P = density.mean(), density.cov()
+    x.flags.writeable = P.flags.writeable = False  # else flt.x += d would half succeed
+    return x, P
+
+
+def _said(measurement, z, info: UpdateInfo):
+    """A measurement, its innovation and the covariance of that, in shapes of the sensor, by name."""
+    if not isinstance(measurement, GaussianMeasurement):
+        return {"z": None if z is None else measurement.reading(z).z, "y": None, "S": None}
+    numbers, seen = measurement.reading(z)
+    y, S = innovation_of(info, seen, measurement.dim_z)
+    return {"z": numbers, "y": y, "S": S}
