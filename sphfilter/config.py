@@ -6,7 +6,7 @@ nearest valid key where a key is unknown.
 
 import tomllib
 from dataclasses import asdict, fields, is_dataclass, replace
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 import tomli_w
 from pydantic import BeforeValidator, Field, model_validator
@@ -20,6 +20,7 @@ __all__ = [
     "FilterConfig",
     "LogDensityScheme",
     "PaperScheme",
+    "Scheme",
     "SolverConfig",
     "checked_filter_config",
 ]
@@ -265,7 +266,8 @@ def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
 SCHEMES = {"log_density": LogDensityScheme, "corrected": CorrectedScheme, "paper": PaperScheme}
 #: Names become settings: of these a configuration holds "auto" only.
 _Name = Literal["auto", "log_density", "corrected", "paper"]
-_Scheme = LogDensityScheme | CorrectedScheme | PaperScheme
+_Settled = LogDensityScheme | CorrectedScheme | PaperScheme
+Scheme: TypeAlias = _Name | _Settled
 
 
 def _named_scheme(value: object) -> object:
@@ -280,12 +282,12 @@ def _named_scheme(value: object) -> object:
         if name not in SCHEMES:
             raise ValueError(f"there is no scheme {name!r}{nearest(str(name), SCHEMES)}")
         return from_table(SCHEMES[name], value)
-    if not isinstance(value, str | _Scheme):
+    if not isinstance(value, str | _Settled):
         raise ValueError(f"a scheme is auto, one of {', '.join(SCHEMES)}, or its settings, not {value!r}")
     return value
 
 
-SchemeChoice = Annotated[_Name | _Scheme, BeforeValidator(_named_scheme)]
+SchemeChoice = Annotated[Scheme, BeforeValidator(_named_scheme)]
 
 
 _RULES = "never", "health"

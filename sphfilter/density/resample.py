@@ -5,13 +5,15 @@ from functools import partial
 
 import numpy as np
 
-from ..config import PaperScheme, SolverConfig
+from .._types import Bools, Floats, OfStates
+from ..config import FilterConfig, PaperScheme, Scheme, SolverConfig
 from ..errors import PropagationError
 from ..info import ResampleInfo
 from ..lattice import field
 from ..lattice.candidates import NO_OVERLAP, Product, Sought, best_candidate
 from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
+from ..lattice.regular import Lattice
 from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
@@ -24,7 +26,11 @@ __all__ = ["logarithm", "particle_bound", "regrid", "resample", "times_likelihoo
 _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
 
-def resample(density, n_particles=None, config=None):
+def resample(
+    density: ParticleDensity,
+    n_particles: int | None = None,
+    config: SolverConfig | FilterConfig | None = None,
+) -> tuple[ParticleDensity, ResampleInfo]:
     """Put a density on a new lattice without a measurement (002 4.7).
 
     Each time widens the density by the variance c_K h^2 of the kernels it is read through: resample to mend
@@ -53,7 +59,7 @@ def resample(density, n_particles=None, config=None):
     return regrid(density, particle_bound(density, n_particles), scheme)
 
 
-def logarithm(density):
+def logarithm(density: ParticleDensity) -> OfStates:
     """Return log p as a function of states (M, n), defined far outside of the particles too."""
     if density.field is not None:
         return partial(field.at, density.field)
@@ -65,7 +71,9 @@ def logarithm(density):
     return lambda X: np.logaddexp(density.logpdf(X), _FAINT + faint(X))
 
 
-def times_likelihood(density, log_weight, n_particles, scheme, gaussian=False):
+def times_likelihood(
+    density: ParticleDensity, log_weight: OfStates, n_particles: int, scheme: Scheme, gaussian: bool = False
+) -> tuple[ParticleDensity, float]:
     """Density times exp(log_weight(X)) on a lattice that follows its level set, and the log of
     its integral; `gaussian` if it is known to be one.
     """
@@ -77,14 +85,16 @@ def times_likelihood(density, log_weight, n_particles, scheme, gaussian=False):
     return ParticleDensity.on_lattice(laid, density.t, n_particles, gaussian, domain), laid.log_mass
 
 
-def particle_bound(density, n_particles=None):
+def particle_bound(density: ParticleDensity, n_particles: int | None = None) -> int:
     """Upper bound of the number of particles at the next re-gridding: as given, else the density's own."""
     if n_particles is not None:
         return count("n_particles", n_particles)
     return density.capacity or density.n_particles
 
 
-def regrid(density, n_particles, scheme, log_weight=None):
+def regrid(
+    density: ParticleDensity, n_particles: int, scheme: Scheme, log_weight: OfStates | None = None
+) -> tuple[ParticleDensity, ResampleInfo]:
     """Put density times exp(log_weight(X)) on a new lattice and normalise it.
 
     Raises
@@ -121,7 +131,9 @@ def regrid(density, n_particles, scheme, log_weight=None):
     return new, info
 
 
-def _relaid(density, n_particles, scheme, log_weight):
+def _relaid(
+    density: ParticleDensity, n_particles: int, scheme: Scheme, log_weight: OfStates | None
+) -> tuple[ParticleDensity, ResampleInfo]:
     """As `regrid` on a level-set lattice."""
     weight = log_weight or (lambda X: np.zeros(len(X)))
     new, log_evidence = times_likelihood(density, weight, n_particles, scheme)
@@ -138,7 +150,7 @@ def _relaid(density, n_particles, scheme, log_weight):
     return new, info
 
 
-def _unrolled(density):
+def _unrolled(density: ParticleDensity) -> ParticleDensity:
     """The density with its particles side by side along periodic axes, cut where there are none."""
     x, axes = density.domain.wrap(density.x), list(density.domain.axes)
     for d in np.flatnonzero(density.domain.periodic):
@@ -151,7 +163,7 @@ def _unrolled(density):
     return replace(density, x=x, domain=Domain(*axes))
 
 
-def _weighted_masses(density, log_weight):
+def _weighted_masses(density: ParticleDensity, log_weight: OfStates) -> Floats:
     """First estimate of the posterior masses, 002 (57) as it must read: m_i l_i / sum_j m_j l_j."""
     log_w = log_weight(density.x)
     if log_w.max() == -np.inf:
@@ -160,7 +172,9 @@ def _weighted_masses(density, log_weight):
     return raw / raw.sum()
 
 
-def _product(density, log_weight, lattice, log_scale=None):
+def _product(
+    density: ParticleDensity, log_weight: OfStates, lattice: Lattice, log_scale: float | None = None
+) -> Product:
     """Interpolated density (16) times the weight on a lattice (002 (58)-(59))."""
     values = lattice.density_of(density.x, density.mass, density.h, density.kernel_code)
     log_w = log_weight(lattice.nodes)
@@ -171,7 +185,7 @@ def _product(density, log_weight, lattice, log_scale=None):
     return Product(lattice, values * np.exp(np.minimum(log_w - log_scale, 700.0)), float(log_scale))
 
 
-def _rescale_boundary(values, kept, core, cell_volume):
+def _rescale_boundary(values: Floats, kept: Bools, core: Bools, cell_volume: float) -> Floats:
     """Scale the boundary particles so that the trimmed density has mass one again (002 4.7.3)."""
     boundary = kept & ~core
     values = values * kept

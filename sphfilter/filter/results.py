@@ -5,8 +5,9 @@ from os import PathLike
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from .._types import Bools, Floats
+from .._types import Bools, Floats, Readings
 from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
 from ..info import innovation_of
@@ -96,7 +97,7 @@ class AnyFilter(Protocol):
         """Predict to each time and update with its measurement."""
 
 
-def shapes(n, k):
+def shapes(n: int, k: int) -> dict[str, tuple[int, ...]]:
     """Shapes of what a run of n states and k readings keeps of an epoch, by name."""
     return {
         "x_prior": (n,),
@@ -113,7 +114,13 @@ def shapes(n, k):
     }
 
 
-def run_filter(filt, times, measurements, truth=None, observer=None):
+def run_filter(
+    filt: Any,
+    times: ArrayLike,
+    measurements: Readings,
+    truth: ArrayLike | None = None,
+    observer: Ranker | None = None,
+) -> FilterResult:
     """Predict to each time and update with its measurement.
 
     Parameters
@@ -166,7 +173,9 @@ def run_filter(filt, times, measurements, truth=None, observer=None):
     return FilterResult(t=times, **columns)
 
 
-def _epoch(filt, t, z, k, epoch, observer):
+def _epoch(
+    filt: Any, t: float, z: ArrayLike | None, k: int, epoch: int, observer: Ranker | None
+) -> dict[str, Any]:
     """Predict to t, update with z, and return what the result keeps of it."""
     if t > filt.t:
         filt.predict(t=t)

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -119,7 +119,7 @@ def _builder(filt: SPHFilter, names: Sequence[str]) -> Builder:
 
     def build(parameters: dict[str, float]) -> SPHFilter:
         model = filt.model.with_parameters(**parameters)
-        shape = {"n_particles": filt.n_particles, "config": filt.config}
+        shape: dict[str, Any] = {"n_particles": filt.n_particles, "config": filt.config}
         return SPHFilter(model, filt.measurement, density=filt.density, **shape)
 
     return build

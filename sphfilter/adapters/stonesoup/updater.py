@@ -182,7 +182,8 @@ class SPHUpdater(Updater):
         origin = origin if isinstance(origin, PredictionOrigin) else PredictionOrigin()
         n_particles = particle_bound(density, self.n_particles)
         config = checked_filter_config(self.config) if config is None else config
-        found = update_or_predict_again(origin, density, origin.model, sensor, z, config, times * n_particles)
+        model: Any = origin.model  # unknown where nothing was predicted, and not asked for then
+        found = update_or_predict_again(origin, density, model, sensor, z, config, times * n_particles)
         if times == 1:
             return found
         # on more particles now, not ever after
