@@ -49,8 +49,8 @@ def around(field):
     return cells.states_of(kept, field.mu, field.A, low, dims)[1]
 
 
-def laid_marginal(density, axes):
-    """The density of some axes of one that has a field, on a lattice.
+def laid_marginal(shape, axes):
+    """The density of some axes of `Polynomials`, on a lattice.
 
     In coordinates that whiten the field's lattice, those axes first, the states with given values there fill
     planes; sums over the points of a lattice in such a plane are spectrally accurate, as those over the
@@ -58,25 +58,25 @@ def laid_marginal(density, axes):
 
     Parameters
     ----------
-    density : ParticleDensity
+    shape : Polynomials
     axes : list of int, length k
 
     Returns
     -------
     Laid
     """
-    field, x, k = density.field, density.x, len(axes)
-    order = np.array([*axes, *(axis for axis in range(density.dim) if axis not in axes)])
+    field, x, k = shape.field, shape.x, len(axes)
+    order = np.array([*axes, *(axis for axis in range(x.shape[1]) if axis not in axes)])
     factor = np.linalg.cholesky((field.A @ field.A.T)[np.ix_(order, order)])
     z = np.linalg.solve(factor, (x - field.mu)[:, order].T).T
     shadow = len(np.unique(np.floor(z[:, :k] + 0.5), axis=0))
     n_nodes = max(_FEWEST.get(k, _FEWEST[3]), math.ceil(_FINER**k * shadow))
-    mean, own = (density.mass @ x)[axes], np.ascontiguousarray(factor[:k, :k])
+    mean, own = (shape.mass @ x)[axes], np.ascontiguousarray(factor[:k, :k])
     seeds, depth = np.unique(x[:, axes], axis=0), np.ptp(field.log_p)
     laid = lay(_summed(field, order, factor, z[:, k:]), mean, own, seeds, n_nodes, depth, float(shadow))
-    if density.moments is None:
+    if shape.moments is None:
         return laid
-    mean, cov = density.moments  # beyond the cut too
+    mean, cov = shape.moments  # beyond the cut too
     return laid._replace(mean=mean[axes], cov=cov[np.ix_(axes, axes)])
 
 
@@ -107,13 +107,13 @@ def _summed(field, order, factor, others):
     return log_p
 
 
-def projected_lengths(density, axes):
-    """Smoothing lengths (N,) with which kernels seen along some axes have the variance they have there."""
-    code = density.kernel_code[0]
-    ratio = math.sqrt(density.kernel_variance / kernels.kernel_variance(code, len(axes)))
-    if density.read_out == "shrunk":
-        ratio *= narrowed(density.mixture, axes)
-    return ratio * density.h
+def projected_lengths(shape, axes):
+    """Smoothing lengths (N,) with which `Kernels` seen along some axes have the variance they have there."""
+    code, n = shape.kernel[0], shape.x.shape[1]
+    ratio = math.sqrt(kernels.kernel_variance(code, n) / kernels.kernel_variance(code, len(axes)))
+    if shape.kind == "shrunk":
+        ratio *= narrowed(shape.mixture, axes)
+    return ratio * shape.h
 
 
 def _plane(z):

@@ -4,19 +4,17 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import special
 
 from ..core.field.field import Field
 from ..core.sph import kernels
 from ..errors import ModelError
-from ..lattice import field
 from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
-from . import marginal, mixture, statistics
+from . import statistics
+from .shapes import Folded, Kernels, Polynomials, lattice_particles
 
-__all__ = ["LATTICE_SUPPORT", "ParticleDensity"]
+__all__ = ["ParticleDensity"]
 
-LATTICE_SUPPORT = 1.2  # smoothing length on a lattice, in units of its spacing
 READ_OUTS = ("points", "mixture", "shrunk", "log_density")
 
 
@@ -115,21 +113,8 @@ class ParticleDensity:
     @classmethod
     def on_lattice(cls, laid, t, capacity=None, gaussian=False, domain=None):
         """The density of a `level_set.Laid` at time t."""
-        spacing = abs(np.linalg.det(laid.field.A)) ** (1.0 / laid.x.shape[1])
-        return cls(
-            x=laid.x,
-            mass=laid.mass,
-            h=np.full(len(laid.x), LATTICE_SUPPORT * spacing),
-            t=t,
-            read_out="log_density",
-            log_density=laid.field.log_p,
-            field=laid.field,
-            volume=laid.volume,
-            moments=(laid.mean, laid.cov),
-            gaussian=gaussian,
-            capacity=capacity,
-            domain=domain,
-        )
+        about = {"t": t, "capacity": capacity, "gaussian": gaussian, "domain": domain}
+        return cls(**lattice_particles(laid), **about)
 
     def __repr__(self):
         domain = "" if self.domain is None else f", domain={self.domain}"
@@ -170,74 +155,44 @@ class ParticleDensity:
         return float(kernels.RADIUS[self.kernel_code[0]] * self.h.mean())
 
     @cached_property
-    def mixture(self):
-        """The kernels that `pdf` sums, as a `mixture.Mixture`; made at the first question."""
-        if self.read_out == "shrunk" and self.domain is None:
-            found = mixture.shrunk(self.x, self.mass, self.h, self.kernel_code)
-            if found is not None:
-                return found
-        own = self.x, self.mass, self.h
-        if self.domain is not None:
-            reach = kernels.RADIUS[self.kernel_code[0]] * self.h.max()
-            own = self.domain.seen(self._within(self.x), *own[1:], reach)
-        return mixture.mixture(*own, self.kernel_code)
+    def shape(self):
+        """What answers for the density: `Kernels` or `Polynomials`, `Folded` if its states have a domain."""
+        return self._shape(self.read_out)
 
-    @cached_property
+    def _shape(self, kind):
+        """The shape that is read as `kind`."""
+        if kind == "log_density" and self.field is not None:
+            shape = Polynomials(self.field, self.x, self.mass, self.moments)
+        else:
+            kind = "points" if kind == "log_density" else kind
+            shape = Kernels(self.x, self.mass, self.h, self.kernel_code, kind)
+        return shape if self.domain is None else Folded(shape, self.domain)
+
+    @property
     def cells(self):
         """Middles (M, n) of the lattice's cells in which the density is more than nothing."""
-        return marginal.around(self.field)
+        return self.shape.cells
 
     def pdf(self, X):
         """Density at the states X (M, n) or (n,); an array (M,), per unit volume of the state space."""
-        if self.field is not None and self.read_out == "log_density":
-            return np.exp(self.logpdf(X))
-        X = state_rows("X", X, self.dim)
-        out = mixture.pdf(self.mixture, self._within(X))
-        if self.domain is not None:
-            out[~self.domain.contains(X)] = 0.0
-        return out
+        return self.shape.pdf(state_rows("X", X, self.dim))
 
     def logpdf(self, X):
         """Logarithm of `pdf`; minus infinity outside the kernels' supports, if it is a mixture's."""
-        if self.field is not None and self.read_out == "log_density":
-            X = state_rows("X", X, self.dim)
-            if self.domain is None:
-                return field.at(self.field, X)
-            return special.logsumexp([field.at(self.field, X) for X in self._turns(X)], axis=0)
-        with np.errstate(divide="ignore"):
-            return np.log(self.pdf(X))
+        return self.shape.logpdf(state_rows("X", X, self.dim))
 
     def gradient(self, X):
         """Gradient of `pdf` at the states X (M, n) or (n,), shape (M, n)."""
-        X = state_rows("X", X, self.dim)
-        if self.field is not None and self.read_out == "log_density":
-            turns = [X] if self.domain is None else self._turns(X)
-            p = (np.exp(field.at(self.field, Y)) for Y in turns)
-            slopes = (field.gradient(self.field, Y) for Y in turns)
-            return sum(each[:, None] * slope for each, slope in zip(p, slopes, strict=True))
-        out = mixture.gradient(self.mixture, self._within(X))
-        if self.domain is not None:
-            out[~self.domain.contains(X)] = 0.0
-        return out
+        return self.shape.gradient(state_rows("X", X, self.dim))
 
     def mean(self):
-        """Mean, shape (n,); points and mixture agree, kernels being symmetric."""
-        if self.domain is not None:
-            return self.domain.mean(self.x, self.mass)
-        if self.moments is not None and self.read_out == "log_density":
-            return self.moments[0].copy()
-        return self.mass @ self.x
+        """Mean, shape (n,); that of periodic axes is a direction."""
+        return self.shape.mean()
 
     def cov(self, kind=None):
-        """Covariance, shape (n, n)."""
-        kind = self._kind(kind)
-        if kind == "log_density" and self.moments is not None and self.domain is None:
-            return self.moments[1].copy()
-        d = self._from(self.x, self.mean())
-        points = (d * self.mass[:, None]).T @ d
-        if kind != "mixture":
-            return points
-        return points + self.kernel_variance * (self.mass @ self.h**2) * np.eye(self.dim)
+        """Covariance, shape (n, n); `kind` is a `read_out`."""
+        shape = self.shape if kind is None else self._shape(choice("kind", kind, READ_OUTS))
+        return shape.cov(self.mean())
 
     def moment(self, powers, central=False, kind=None):
         """Expectation of prod_d x_d^powers[d], about the mean if `central` (the short way round an angle).
@@ -310,7 +265,7 @@ class ParticleDensity:
 
     def sample(self, size, rng=None):
         """Draw states, shape (size, n), from the density; `rng` is a numpy Generator or a seed."""
-        return statistics.sample(self, size, generator(rng))
+        return self.shape.sample(size, generator(rng))
 
     def marginal(self, axes):
         """Density of the states in `axes` alone, a `ParticleDensity` with the domain of those axes.
@@ -322,44 +277,13 @@ class ParticleDensity:
         if axes == list(range(self.dim)):
             return self
         domain = None if self.domain is None else Domain(*[self.domain.axes[axis] for axis in axes])
-        if self.read_out == "log_density" and self.field is not None:
-            laid = marginal.laid_marginal(self, axes)
-            return ParticleDensity.on_lattice(laid, self.t, gaussian=self.gaussian, domain=domain)
-        return ParticleDensity(
-            x=self.x[:, axes],
-            mass=self.mass,
-            h=marginal.projected_lengths(self, axes),
-            t=self.t,
-            kernel=self.kernel,
-            read_out="points" if self.read_out == "log_density" else self.read_out,
-            represented_mass=self.represented_mass,
-            domain=domain,
-        )
-
-    def _from(self, X, centre):
-        """Differences of states X (M, n) from a centre (n,)."""
-        return X - centre if self.domain is None else self.domain.nearest(X - centre)
-
-    def _within(self, X):
-        """States X (M, n), those beyond an end where they are seen from inside."""
-        return X if self.domain is None else self.domain.fold(X)
-
-    def _turns(self, X):
-        """States X (M, n) turned round periodic axes, as often as the particles go round."""
-        turns = [self._within(X)]
-        for d in np.flatnonzero(self.domain.periodic):
-            low, period = self.domain.low[d], self.domain.period[d]
-            first, last = (np.floor((x - low) / period) for x in (self.x[:, d].min(), self.x[:, d].max()))
-            shift = np.eye(self.dim)[d] * period
-            turns = [Y + k * shift for Y in turns for k in np.arange(first - 1, last + 2)]
-        return turns
-
-    def _kind(self, kind):
-        return self.read_out if kind is None else choice("kind", kind, READ_OUTS)
+        given = self.shape.marginal(axes) | {"t": self.t, "kernel": self.kernel, "domain": domain}
+        gaussian = self.gaussian and "field" in given
+        return ParticleDensity(**given, represented_mass=self.represented_mass, gaussian=gaussian)
 
     def _read(self, kind):
         """The density with another read-out, or itself."""
-        kind = self._kind(kind)
+        kind = self.read_out if kind is None else choice("kind", kind, READ_OUTS)
         return self if kind == self.read_out else replace(self, read_out=kind)
 
     def _between(self, kind):

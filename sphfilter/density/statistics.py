@@ -9,12 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import integrate, optimize
 
-from ..core.sph import kernels
 from ..errors import ModelError
-from ..lattice import field
 from ..validate import state_rows
 from . import weighted
-from .mixture import drawn, points, raw_moment, standing_for
 from .weighted import WeightedStates
 
 __all__ = [
@@ -27,14 +24,12 @@ __all__ = [
     "mode",
     "moment",
     "quantile",
-    "sample",
     "spread",
     "states",
 ]
 
 _SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
 _FEW_SUBPOINTS = 16  # where the density at each is wanted
-_CELL_POINTS = 2**17  # points in all cells, up to 128 in each and at least 16
 _FINE = 16  # points of a distribution function in a smoothing length or a cell
 _MOST_FINE = 2**17
 
@@ -69,42 +64,15 @@ class Region:
 def states(density, count=_SUBPOINTS, smooth=False):
     """States (M, n) and weights (M,) whose sums are the expectations of a density; `count` a kernel.
 
-    Particles for "points"; else points spread evenly over kernels or cells, always the same ones. Those of
-    all cells lie in rows: sums of `smooth` functions are spectrally accurate then, while an edge along the
-    rows would be known to the distance between two of them only; so else each cell has its own.
+    Particles for "points"; else points spread evenly over kernels or cells, always the same ones.
     """
-    from scipy.stats import qmc  # on use: import time
-
-    if density.read_out == "points" or (density.read_out == "log_density" and density.field is None):
-        return _folded(density, density.x), density.mass
-    if density.read_out == "log_density":
-        count = 2 ** int(np.clip(np.log2(_CELL_POINTS / len(density.cells)), 4, 7))
-        uniform = qmc.Sobol(density.dim, scramble=False).random(count) + 0.5 / count
-        if not smooth:
-            uniform = uniform + _spread_evenly(len(density.cells), density.dim)[:, None]
-        X = _in_cells(density, uniform)
-        p = np.exp(field.at(density.field, X))
-        return _folded(density, X), p / p.sum()
-    offsets = standing_for(density.kernel_code[0], density.dim, count)
-    X = points(density.mixture, offsets, slice(density.n_particles))  # images are seen, but carry nothing
-    return _folded(density, X), np.repeat(density.mass / count, count)
+    return density.shape.states(count, smooth)
 
 
 def expectation(density, function, smooth=True):
     """Expectation of function(X (M, n)) -> (M,)."""
     X, w = states(density, smooth=smooth)
     return float(w @ function(X))
-
-
-def sample(density, size, rng):
-    """Draw states, shape (size, n)."""
-    if density.read_out == "log_density" and density.field is not None:
-        X = _in_cells(density, rng.random((32, density.dim)))
-        p = np.exp(field.at(density.field, X))
-        return _folded(density, X[rng.choice(len(X), size=size, p=p / p.sum())])
-    chosen = rng.choice(density.n_particles, size=size, p=density.mass)
-    offsets = drawn(density.kernel_code[0], rng.random((size, density.dim + 1)))
-    return _folded(density, points(density.mixture, offsets, chosen))
 
 
 def moment(density, powers, centre=None):
@@ -114,8 +82,9 @@ def moment(density, powers, centre=None):
         raise ModelError(f"powers must be {density.dim} whole numbers >= 0, one a state, got {powers!r}")
     if powers.sum() <= 2 and density.domain is None:  # a lattice knows these beyond its cut too
         return _low_moment(density, powers.astype(int), centre)
-    if density.read_out == "mixture" and density.domain is None:
-        return raw_moment(density.mixture, powers, np.zeros(density.dim) if centre is None else centre)
+    exact = density.shape.raw_moment(powers, np.zeros(density.dim) if centre is None else centre)
+    if exact is not None:
+        return exact
 
     def product(X):
         if centre is not None:
@@ -206,38 +175,10 @@ def _checked_part(probability):
     return probability
 
 
-def _folded(density, X):
-    """States X (M, n), those beyond an end of the domain where they are seen from inside."""
-    return X if density.domain is None else density.domain.fold(X)
-
-
-def _spread_evenly(count, n):
-    """Points (count, n) of the additive sequence of the root of x^(n+1) = x + 1, even over the unit cube."""
-    root = optimize.brentq(lambda x: x ** (n + 1) - x - 1.0, 1.0, 2.0)
-    return np.arange(count)[:, None] * root ** -np.arange(1.0, n + 1.0) % 1.0
-
-
-def _in_cells(density, uniform):
-    """Points (M k, n) in all cells of a density's lattice, at `uniform` (k, n) or (M, k, n) parts of them."""
-    offsets = (uniform % 1.0 - 0.5) @ density.field.A.T
-    return (density.cells[:, None] + offsets).reshape(-1, density.dim)
-
-
 def _distribution(one):
     """Distribution function of a density of one state: places (K,) and its values there."""
-    if one.read_out == "log_density":
-        width = np.array([one.field.A[0, 0]])
-        low, high = one.cells.min() - width, one.cells.max() + width
-    else:
-        mix = one.mixture
-        width = mix.factor[0, 0] * mix.h
-        reach = kernels.RADIUS[mix.kernel[0]] * width
-        low, high = (mix.centre + mix.factor[0, 0] * mix.z[:, 0] + side * reach for side in (-1.0, 1.0))
-    low, high = low.min(), high.max()
-    if one.domain is not None:
-        domain = one.domain
-        low, high = (domain.low, domain.high) if domain.periodic[0] else domain.within(low, high, 0.0)
-        low, high = float(low[0]), float(high[0])
+    low, high, width = one.shape.ends()
+    low, high = float(low.min()), float(high.max())
     count = int(min(_FINE * (high - low) / np.median(width), _MOST_FINE))
     y = np.linspace(low, high, max(count, _FINE) + 1)
     F = integrate.cumulative_simpson(one.pdf(y[:, None]), x=y, initial=0.0)

@@ -1,0 +1,319 @@
+"""Shapes of a density: kernels, polynomials of log p on a lattice, and either of them in a domain.
+
+A shape answers the same questions, whatever it is made of: pdf, logpdf and gradient at states; mean and
+covariance; weighted states that stand for it; samples; marginals; where it ends. Those of states (M, n) take
+and return arrays without checking them.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import optimize, special
+
+from ..core.field.field import Field
+from ..core.sph import kernels
+from ..lattice import field as lattice_field
+from ..model.domain import Domain
+from . import marginal, mixture
+
+__all__ = ["LATTICE_SUPPORT", "Folded", "Kernels", "Polynomials", "lattice_particles"]
+
+LATTICE_SUPPORT = 1.2  # smoothing length on a lattice, in units of its spacing
+_CELL_POINTS = 2**17  # points in all cells, up to 128 in each and at least 16
+
+
+@dataclass(frozen=True, eq=False)
+class Kernels:
+    """Particles and the kernels around them: p(x) = sum_j m_j W(x - x_j, h_j) (002 (16)).
+
+    `kind` says what moments and expectations are of: "points" (sums over the particles), "mixture" (integrals
+    of p) or "shrunk" (integrals of p, what the kernels widen taken back).
+    """
+
+    x: np.ndarray  # (N, n)
+    mass: np.ndarray  # (N,)
+    h: np.ndarray  # (N,)
+    kernel: tuple  # code and C_n
+    kind: str
+    images: mixture.Mixture | None = field(default=None, repr=False)  # with those that stand beyond ends
+
+    @cached_property
+    def mixture(self):
+        """The kernels that the pdf sums; made at the first question."""
+        if self.images is not None:
+            return self.images
+        found = None
+        if self.kind == "shrunk":
+            found = mixture.shrunk(self.x, self.mass, self.h, self.kernel)
+        return mixture.mixture(self.x, self.mass, self.h, self.kernel) if found is None else found
+
+    @property
+    def widening(self):
+        """Variance along each axis by which the covariance exceeds that of the points."""
+        if self.kind != "mixture":
+            return 0.0
+        return kernels.kernel_variance(self.kernel[0], self.x.shape[1]) * (self.mass @ self.h**2)
+
+    def pdf(self, X):
+        """Density, shape (M,)."""
+        return mixture.pdf(self.mixture, X)
+
+    def logpdf(self, X):
+        """Logarithm of the density; minus infinity outside of the kernels' supports."""
+        with np.errstate(divide="ignore"):
+            return np.log(self.pdf(X))
+
+    def gradient(self, X):
+        """Gradient of the density, shape (M, n)."""
+        return mixture.gradient(self.mixture, X)
+
+    def mean(self):
+        """Mean, shape (n,); points and mixture agree, kernels being symmetric."""
+        return self.mass @ self.x
+
+    def cov(self, centre=None):
+        """Covariance, shape (n, n), about the mean if no centre (n,) is given."""
+        d = self.x - (self.mean() if centre is None else centre)
+        return (d * self.mass[:, None]).T @ d + self.widening * np.eye(self.x.shape[1])
+
+    def states(self, count, smooth):
+        """Particles for "points"; else `count` states a kernel, spread evenly, always the same ones."""
+        if self.kind == "points":
+            return self.x, self.mass
+        offsets = mixture.standing_for(self.kernel[0], self.x.shape[1], count)
+        X = mixture.points(self.mixture, offsets, slice(len(self.x)))  # images are seen, but carry nothing
+        return X, np.repeat(self.mass / count, count)
+
+    def sample(self, size, rng):
+        """Draw states, shape (size, n)."""
+        chosen = rng.choice(len(self.x), size=size, p=self.mass)
+        offsets = mixture.drawn(self.kernel[0], rng.random((size, self.x.shape[1] + 1)))
+        return mixture.points(self.mixture, offsets, chosen)
+
+    def raw_moment(self, powers, centre):
+        """Moment about a centre (n,) in closed form; None where there is none."""
+        return mixture.raw_moment(self.mixture, powers, centre) if self.kind == "mixture" else None
+
+    def marginal(self, axes):
+        """Particles of the density of some axes, by name: the same kernel, with its variance there."""
+        h = marginal.projected_lengths(self, axes)
+        return {"x": self.x[:, axes], "mass": self.mass, "h": h, "read_out": self.kind}
+
+    def ends(self):
+        """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
+        mix = self.mixture
+        width = mix.factor[0, 0] * mix.h
+        middle, reach = mix.centre + mix.factor[0, 0] * mix.z[:, 0], kernels.RADIUS[mix.kernel[0]] * width
+        return middle - reach, middle + reach, width
+
+    def around(self, domain):
+        """The same kernels with their images beyond the ends of a domain."""
+        reach = kernels.RADIUS[self.kernel[0]] * self.h.max()
+        seen = domain.seen(domain.fold(self.x), self.mass, self.h, reach)
+        return replace(self, images=mixture.mixture(*seen, self.kernel))
+
+    def turns(self, domain, X):
+        """States at which to ask for the density of states X in a domain: images stand beyond its ends."""
+        return [domain.fold(X)]
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomials:
+    """Polynomials of log p between the nodes of a lattice, tails included."""
+
+    field: Field
+    x: np.ndarray  # (N, n), the nodes
+    mass: np.ndarray  # (N,)
+    moments: tuple | None  # mean (n,) and covariance (n, n) beyond the cut too
+
+    widening = 0.0
+
+    @cached_property
+    def cells(self):
+        """Middles (M, n) of the lattice's cells in which the density is more than nothing."""
+        return marginal.around(self.field)
+
+    def pdf(self, X):
+        """Density, shape (M,)."""
+        return np.exp(self.logpdf(X))
+
+    def logpdf(self, X):
+        """Logarithm of the density, shape (M,)."""
+        return lattice_field.at(self.field, X)
+
+    def gradient(self, X):
+        """Gradient of the density, shape (M, n)."""
+        return self.pdf(X)[:, None] * lattice_field.gradient(self.field, X)
+
+    def mean(self):
+        """Mean, shape (n,)."""
+        return self.mass @ self.x if self.moments is None else self.moments[0].copy()
+
+    def cov(self, centre=None):
+        """Covariance, shape (n, n), about the mean."""
+        if self.moments is not None:
+            return self.moments[1].copy()
+        d = self.x - (self.mean() if centre is None else centre)
+        return (d * self.mass[:, None]).T @ d
+
+    def states(self, count, smooth):
+        """States in every cell.
+
+        Those of all cells lie in rows: sums of `smooth` functions are spectrally accurate then, while an edge
+        along the rows would be known to the distance between two of them only; so else each cell has its own.
+        """
+        n, found = len(self.field.mu), len(self.cells)
+        X = self._in_cells(_cell_points(n, found, smooth))
+        p = self.pdf(X)
+        return X, p / p.sum()
+
+    def sample(self, size, rng):
+        """Draw states, shape (size, n)."""
+        X = self._in_cells(rng.random((32, len(self.field.mu))))
+        p = self.pdf(X)
+        return X[rng.choice(len(X), size=size, p=p / p.sum())]
+
+    def raw_moment(self, powers, centre):
+        """No moment has a closed form."""
+
+    def marginal(self, axes):
+        """Particles of the density of some axes, by name: summed over the others, on a lattice of its own."""
+        return lattice_particles(marginal.laid_marginal(self, axes))
+
+    def ends(self):
+        """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
+        width = np.array([self.field.A[0, 0]])
+        return self.cells.min() - width, self.cells.max() + width, width
+
+    def around(self, domain):
+        """Itself: it may lie several times round."""
+        return self
+
+    def turns(self, domain, X):
+        """States X turned round periodic axes, as often as the nodes go round."""
+        turns = [domain.fold(X)]
+        for d in np.flatnonzero(domain.periodic):
+            low, period = domain.low[d], domain.period[d]
+            first, last = (np.floor((x - low) / period) for x in (self.x[:, d].min(), self.x[:, d].max()))
+            shift = np.eye(len(domain.low))[d] * period
+            turns = [Y + k * shift for Y in turns for k in np.arange(first - 1, last + 2)]
+        return turns
+
+    def _in_cells(self, uniform):
+        """States (M k, n) in all cells, at `uniform` (k, n) or (M, k, n) parts of them."""
+        offsets = (uniform % 1.0 - 0.5) @ self.field.A.T
+        return (self.cells[:, None] + offsets).reshape(-1, offsets.shape[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Folded:
+    """A shape whose states live in a domain: round circles, between walls."""
+
+    shape: Kernels | Polynomials
+    domain: Domain
+
+    @cached_property
+    def _seen(self):
+        return self.shape.around(self.domain)
+
+    @property
+    def cells(self):
+        """Middles (M, n) of the cells of a lattice."""
+        return self.shape.cells
+
+    def pdf(self, X):
+        """Density, shape (M,); zero beyond the ends."""
+        turns = self._seen.turns(self.domain, X)
+        out = self._seen.pdf(turns[0]) if len(turns) == 1 else np.exp(self._summed(turns))
+        out[~self.domain.contains(X)] = 0.0
+        return out
+
+    def logpdf(self, X):
+        """Logarithm of the density, shape (M,)."""
+        turns = self._seen.turns(self.domain, X)
+        if len(turns) > 1:
+            return self._summed(turns)
+        with np.errstate(divide="ignore"):
+            return np.log(self.pdf(X))
+
+    def _summed(self, turns):
+        return special.logsumexp([self._seen.logpdf(Y) for Y in turns], axis=0)
+
+    def gradient(self, X):
+        """Gradient of the density, shape (M, n)."""
+        out = sum(self._seen.gradient(Y) for Y in self._seen.turns(self.domain, X))
+        out[~self.domain.contains(X)] = 0.0
+        return out
+
+    def mean(self):
+        """Mean direction of periodic axes, mean of others, shape (n,)."""
+        return self.domain.mean(self.shape.x, self.shape.mass)
+
+    def cov(self, centre=None):
+        """Covariance of differences from the mean the short way round, shape (n, n)."""
+        d, mass = self.domain.nearest(self.shape.x - self.mean()), self.shape.mass
+        return (d * mass[:, None]).T @ d + self.shape.widening * np.eye(d.shape[1])
+
+    def states(self, count, smooth):
+        """Weighted states of the shape, inside of the domain."""
+        X, w = self._seen.states(count, smooth)
+        return self.domain.fold(X), w
+
+    def sample(self, size, rng):
+        """Draw states, shape (size, n)."""
+        return self.domain.fold(self._seen.sample(size, rng))
+
+    def raw_moment(self, powers, centre):
+        """No moment has a closed form."""
+
+    def marginal(self, axes):
+        """Particles of the density of some axes, by name."""
+        return self._seen.marginal(axes)
+
+    def ends(self):
+        """Lower and upper end of a density of one state, and how wide its parts are; arrays."""
+        low, high, width = self._seen.ends()
+        if self.domain.periodic[0]:
+            return self.domain.low, self.domain.high, width
+        return *self.domain.within(low.min(), high.max(), 0.0), width
+
+
+def _cell_points(n, cells, smooth):
+    """Points (k, n) of a unit cell; or (cells, k, n), each cell's own, where sums in rows are no use."""
+    from scipy.stats import qmc  # on use: import time
+
+    count = 2 ** int(np.clip(np.log2(_CELL_POINTS / cells), 4, 7))
+    uniform = qmc.Sobol(n, scramble=False).random(count) + 0.5 / count
+    return uniform if smooth else uniform + _spread_evenly(cells, n)[:, None]
+
+
+def _spread_evenly(count, n):
+    """Points (count, n) of the additive sequence of the root of x^(n+1) = x + 1, even over the unit cube."""
+    root = optimize.brentq(lambda x: x ** (n + 1) - x - 1.0, 1.0, 2.0)
+    return np.arange(count)[:, None] * root ** -np.arange(1.0, n + 1.0) % 1.0
+
+
+def lattice_particles(laid):
+    """What a density on a lattice is made of, by name.
+
+    Parameters
+    ----------
+    laid : Laid
+
+    Returns
+    -------
+    dict
+        Arguments of `ParticleDensity`.
+    """
+    spacing = abs(np.linalg.det(laid.field.A)) ** (1.0 / laid.x.shape[1])
+    return {
+        "x": laid.x,
+        "mass": laid.mass,
+        "h": np.full(len(laid.x), LATTICE_SUPPORT * spacing),
+        "read_out": "log_density",
+        "log_density": laid.field.log_p,
+        "field": laid.field,
+        "volume": laid.volume,
+        "moments": (laid.mean, laid.cov),
+    }
