@@ -136,8 +136,9 @@ def normalised(density: "ParticleDensity") -> OfStates:
     The integral is taken by importance sampling from the mixture of kernels in whitened coordinates: 2n
     points of equal weight stand for each kernel and have its covariance.
     """
-    factor, n = np.linalg.cholesky(density.cov("points")), density.dim
-    log_p = interpolant(density.x, density.log_density, factor)
+    known: Any = density.log_density
+    factor: Any = np.linalg.cholesky(density.cov("points"))
+    n, log_p = density.dim, interpolant(density.x, known, factor)
     scale = np.prod(np.diag(factor)) ** (1.0 / n)
     z = np.ascontiguousarray(np.linalg.solve(factor, (density.x - density.mean()).T).T)
     h, (kind, constant) = density.h / scale, density.kernel_code

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -107,7 +108,7 @@ def regrid(
     measured, domain = log_weight is not None, density.domain
     log_weight = log_weight or (lambda X: np.zeros(len(X)))
     if domain is not None:
-        density, log_weight = _unrolled(density), lambda X, given=log_weight: given(domain.wrap(X))
+        density, log_weight = _unrolled(density, domain), lambda X, given=log_weight: given(domain.wrap(X))
     raw, product = _weighted_masses(density, log_weight), partial(_product, density, log_weight)
     sought = Sought(density.x, density.mass, raw, density.mean_support, density.domain, product)
     best, n_candidates, volume_fraction = best_candidate(sought, n_particles, scheme)
@@ -137,11 +138,12 @@ def _relaid(
     """As `regrid` on a level-set lattice."""
     weight = log_weight or (lambda X: np.zeros(len(X)))
     new, log_evidence = times_likelihood(density, weight, n_particles, scheme)
-    span = np.ptp(new.field.node, axis=0) + 1
+    laid: Any = new.field
+    span = np.ptp(laid.node, axis=0) + 1
     info = ResampleInfo(
         n_particles=new.n_particles,
         lattice_dims=tuple(int(d) for d in span),
-        spacing=tuple(float(s) for s in np.linalg.norm(new.field.A, axis=0)),
+        spacing=tuple(float(s) for s in np.linalg.norm(laid.A, axis=0)),
         n_candidates=1,
         fitness=abs(log_evidence) if log_weight is None else 0.0,
         volume_fraction=new.n_particles / float(np.prod(span)),
@@ -150,11 +152,11 @@ def _relaid(
     return new, info
 
 
-def _unrolled(density: ParticleDensity) -> ParticleDensity:
+def _unrolled(density: ParticleDensity, domain: Domain) -> ParticleDensity:
     """The density with its particles side by side along periodic axes, cut where there are none."""
-    x, axes = density.domain.wrap(density.x), list(density.domain.axes)
-    for d in np.flatnonzero(density.domain.periodic):
-        period = density.domain.period[d]
+    x, axes = domain.wrap(density.x), list(domain.axes)
+    for d in np.flatnonzero(domain.periodic):
+        period = domain.period[d]
         along = np.sort(x[:, d])
         gaps = np.diff(along, append=along[0] + period)
         cut = along[np.argmax(gaps)] + 0.5 * gaps.max()

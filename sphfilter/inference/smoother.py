@@ -1,6 +1,7 @@
 """Fixed-interval smoothing: the density of the state at each time, given all measurements.
 
 p(x_k | z_1..T) is the filter's p(x_k | z_1..k) times β_k(x) = p(z_k+1..T | x_k = x). log β is carried back
+from ..core.field.field import Field
 from measurement to measurement on lattices that follow the smoothed density, and so is only asked for where
 that is: by itself it need not have an end.
 """
@@ -8,13 +9,13 @@ that is: by itself it need not have an end.
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Floats, Readings
 from ..config import LogDensityScheme
+from ..core.field.field import Field
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import ModelError, PropagationError
@@ -230,7 +231,7 @@ def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float]
     last = epochs[-1].filt
     scheme = LogDensityScheme(reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
     laid, _ = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
-    found = likelihood_field(laid.field, epochs[-1].log_likelihood(laid.x))
+    found = likelihood_field(_field(laid), epochs[-1].log_likelihood(laid.x))
     out = [(last.density, last.log_evidence, 0.0)]
     for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
         try:
@@ -240,14 +241,14 @@ def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float]
                 f"smoothing back from t = {after.filt.t:g} to {before.filt.t:g}: {problem}"
             ) from problem
         past = before.filt
-        guessed = extrapolated_mass(past.density.field, smoothed.x, smoothed.mass)
+        guessed = extrapolated_mass(_field(past.density), smoothed.x, smoothed.mass)
         out.append((smoothed, past.log_evidence + future, guessed))
     return out[::-1]
 
 
 def _one_back(
-    before: _Epoch, after: _Epoch, found: Any, scheme: LogDensityScheme
-) -> tuple[ParticleDensity, Any, float]:
+    before: _Epoch, after: _Epoch, found: Field, scheme: LogDensityScheme
+) -> tuple[ParticleDensity, Field, float]:
     """From one epoch to the one before: the smoothed density there, λ with its measurements, and log ∫ p β.
 
     `found` is λ at the later epoch, measurements there included.
@@ -258,8 +259,14 @@ def _one_back(
         smoothed, future = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
         values = log_beta(smoothed.x)
         if prior is not priors[0]:
-            found = likelihood_field(smoothed.field, values)
-    return smoothed, likelihood_field(smoothed.field, values + before.log_likelihood(smoothed.x)), future
+            found = likelihood_field(_field(smoothed), values)
+    return smoothed, likelihood_field(_field(smoothed), values + before.log_likelihood(smoothed.x)), future
+
+
+def _field(density: ParticleDensity) -> Field:
+    """The field of a density that the log-density scheme carries: all of them have one."""
+    assert density.field is not None
+    return density.field
 
 
 def _between(filt: SPHFilter, t: float, n_steps: int) -> list[ParticleDensity]:

@@ -128,7 +128,7 @@ def _power(log_mass: Floats, weight: Floats, reached: float, enough: float, y: F
 
 def within_pieces(laid: Laid) -> Floats:
     """Lower factor of the covariance within the pieces of a density: see `local_shape`."""
-    L = np.linalg.cholesky(laid.cov)
+    L: Any = np.linalg.cholesky(laid.cov)
     shape = np.empty_like(L)
     local_shape(laid.field, laid.mass, L, shape)
     return L @ shape

@@ -105,8 +105,8 @@ class GaussianPlacement:
     """
 
     lattice: Lattice
-    kept: Floats
-    core: Floats
+    kept: Bools
+    core: Bools
 
 
 def place_gaussian(mean: Floats, cov: Floats, n_particles: int, scheme: PaperScheme) -> GaussianPlacement:

@@ -39,13 +39,14 @@ def propagate_exactly(
 
 def _quadratic(density: ParticleDensity) -> tuple[Floats, Floats] | None:
     """Mean and covariance of the quadratic that log p is, or None if it is none."""
+    log_density: Any = density.log_density
     n, d = density.dim, density.x - density.mean()
     scale = np.sqrt(np.diag(density.cov()))
     z = d / scale
     pairs = np.triu_indices(n)
     basis = np.hstack([np.ones((len(z), 1)), z, z[:, pairs[0]] * z[:, pairs[1]]])
-    c, *_ = np.linalg.lstsq(basis, density.log_density, rcond=None)
-    if np.abs(basis @ c - density.log_density).max() > _GAUSSIAN:
+    c, *_ = np.linalg.lstsq(basis, log_density, rcond=None)
+    if np.abs(basis @ c - log_density).max() > _GAUSSIAN:
         return None
     H = np.zeros((n, n))
     H[pairs] = c[1 + n :]

@@ -2,6 +2,7 @@
 
 import math
 from functools import cache
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -94,7 +95,8 @@ def propagate(
         np.array([start, t1]),
     )
     rule = paths(G.shape[1], scheme.quadrature)
-    field, status = density.field, "paused"
+    field: Any = density.field
+    status = "paused"
     threads = n_particles * len(rule.log_weight) >= _THREADS_FROM
     entries = _entries(model, threads)
     while status == "paused":

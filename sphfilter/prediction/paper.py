@@ -151,7 +151,8 @@ def _without_unsettled(
             f"leave discard_unconverged off"
         )
     # Lengths keep rho h^n: where all masses grow alike, they must not change.
-    return replace(density, mass=mass, invariant=density.invariant / (1.0 - share)), int((~kept).sum()), share
+    invariant = None if density.invariant is None else density.invariant / (1.0 - share)
+    return replace(density, mass=mass, invariant=invariant), int((~kept).sum()), share
 
 
 def _runs_away(model: SDE, density: ParticleDensity, state: Floats, t1: float) -> bool:

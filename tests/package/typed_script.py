@@ -79,6 +79,7 @@ def density() -> sf.ParticleDensity:
     assert_type(p.mode(), Floats)
     assert_type(p.probability(lambda X: X[:, 0] > 0), float)
     assert_type(p.entropy(), float)
+    assert_type(p.quantile(0, [0.05, 0.95]), Floats)
     assert_type(p.marginal([0]), sf.ParticleDensity)
     assert_type(p.hpd_region(0.95)([[0.0, 0.0]]), NDArray[np.bool_])
     assert_type(p.hpd_region(0.95).volume, float)
@@ -115,7 +116,7 @@ def inference(model: sf.SDE, sensor: sf.GaussianMeasurement, z: Floats) -> None:
     compared = sf.compare_models({"fitted": fit, "as given": flt}, TIMES, z)
     assert_type(compared.words, tuple[str, ...])
     smoothed = sf.smooth(flt, TIMES, z)
-    assert_type(smoothed.densities[3].quantile(0, 0.5), float | Floats)
+    assert_type(smoothed.densities[3].quantile(0, 0.5), float)
     assert_type(smoothed.filtered.x, Floats)
 
 
