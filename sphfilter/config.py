@@ -6,7 +6,7 @@ nearest valid key where a key is unknown.
 
 import tomllib
 from dataclasses import asdict, fields, is_dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 import tomli_w
 from pydantic import BeforeValidator, Field, model_validator
@@ -20,6 +20,7 @@ __all__ = [
     "FilterConfig",
     "LogDensityScheme",
     "PaperScheme",
+    "Scheme",
     "SolverConfig",
     "checked_filter_config",
 ]
@@ -106,7 +107,7 @@ class PaperScheme:
     read_out: Literal["points", "mixture"] = "points"
 
     @model_validator(mode="after")
-    def _consistent(self):
+    def _consistent(self) -> Self:
         if self.support_range[0] > self.support_range[1]:
             raise ValueError("support_range must rise, e.g. [2.2, 3.0]")
         if self.discard_unconverged and self.smoothing not in ("fixed_point", "newton"):
@@ -133,13 +134,14 @@ class LogDensityScheme:
         Error allowed in the paths of a time step: rms over the mass, in standard deviations. By default in
         proportion to the error of the lattice.
     noise_share : float
-        Largest variance that the noise of a time step may have, in units of the density's own. Paths of the
-        noise are aimed at where they find the density, which makes this exact for a Gaussian, whatever it is.
+        Largest variance that the noise of a time step may have, in units of the density's own variance. The
+        paths of the noise are aimed at the density, so that a step is exact for a Gaussian, however noisy.
     quadrature : int
         Gauss-Hermite points of one noise over a step.
     most_lost : float
         Probability that the lattices of one prediction may lose or gain in all before it is given up.
     max_steps : int
+        Steps of one prediction after which it is given up with an error.
 
     Examples
     --------
@@ -216,23 +218,24 @@ class AcceptanceTest:
     on_reject: Literal["keep", "resample"] = "keep"
 
 
+@settings
 class _Settings:
     """Reading, writing and changing settings."""
 
     @classmethod
-    def from_toml(cls, text):
+    def from_toml(cls, text: str) -> Self:
         """Read settings from TOML text; raise `ConfigError` for text that is not TOML or not valid."""
         try:
             return cls(**tomllib.loads(text))
         except tomllib.TOMLDecodeError as problem:
             raise ConfigError(f"not valid TOML: {problem}") from None
 
-    def to_toml(self):
+    def to_toml(self) -> str:
         """Return all settings as TOML text; keys that are None are left out."""
         return tomli_w.dumps(_without_none(asdict(self)))
 
     @classmethod
-    def paper(cls, **changes):
+    def paper(cls, **changes: Any) -> Self:
         """Return the scheme of 002 with its published values; `changes` go to the part that has the key.
 
         Examples
@@ -241,7 +244,7 @@ class _Settings:
         >>> FilterConfig.paper(kernel="gaussian", z_pi=3.0).scheme.kernel
         'gaussian'
         """
-        settings = cls(scheme=PaperScheme(), **cls._paper_parts())
+        settings = cls(**{"scheme": PaperScheme(), **cls._paper_parts()})
         parts = {f.name: getattr(settings, f.name) for f in fields(cls)}
         owner = {f.name: part for part, value in parts.items() if is_dataclass(value) for f in fields(value)}
         for key, value in changes.items():
@@ -252,20 +255,22 @@ class _Settings:
         return cls(**parts)
 
     @classmethod
-    def _paper_parts(cls):
+    def _paper_parts(cls) -> dict[str, Any]:
         return {}
 
 
-def _without_none(tree):
+def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
     return {k: _without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
 
 
 SCHEMES = {"log_density": LogDensityScheme, "corrected": CorrectedScheme, "paper": PaperScheme}
-_Auto = Literal["auto"]
-_Scheme = LogDensityScheme | CorrectedScheme | PaperScheme
+#: Names become settings: of these a configuration holds "auto" only.
+_Name = Literal["auto", "log_density", "corrected", "paper"]
+_Settled = LogDensityScheme | CorrectedScheme | PaperScheme
+Scheme: TypeAlias = _Name | _Settled
 
 
-def _named_scheme(value):
+def _named_scheme(value: object) -> object:
     """A scheme by its name, or as a table: the paper's where the table does not name one."""
     if isinstance(value, str) and value in SCHEMES:
         return SCHEMES[value]()
@@ -277,18 +282,18 @@ def _named_scheme(value):
         if name not in SCHEMES:
             raise ValueError(f"there is no scheme {name!r}{nearest(str(name), SCHEMES)}")
         return from_table(SCHEMES[name], value)
-    if not isinstance(value, str | _Scheme):
+    if not isinstance(value, str | _Settled):
         raise ValueError(f"a scheme is auto, one of {', '.join(SCHEMES)}, or its settings, not {value!r}")
     return value
 
 
-SchemeChoice = Annotated[_Auto | _Scheme, BeforeValidator(_named_scheme)]
+SchemeChoice = Annotated[Scheme, BeforeValidator(_named_scheme)]
 
 
 _RULES = "never", "health"
 
 
-def _remesh_rule(value):
+def _remesh_rule(value: object) -> object:
     if value in _RULES or (isinstance(value, int | float) and value > 0):
         return value
     raise ValueError(f"{value!r} is none of never, health and seconds above zero{nearest(value, _RULES)}")
@@ -335,7 +340,7 @@ class FilterConfig(_Settings):
     exact_linear : bool
     acceptance : AcceptanceTest
     target_error : float
-        What ``n_particles="auto"`` aims at: error of the posterior mean, in posterior standard deviations.
+        Error of the posterior mean, in posterior standard deviations, that ``n_particles="auto"`` aims at.
     time_budget : float, optional
         Wall-clock seconds that a predict of `SPHFilter` and the updates after it may take together. With it
         results depend on the machine and its load.
@@ -357,11 +362,11 @@ class FilterConfig(_Settings):
     time_budget: Positive | None = None
 
     @classmethod
-    def _paper_parts(cls):
+    def _paper_parts(cls) -> dict[str, Any]:
         return {"acceptance": AcceptanceTest(enabled=True)}
 
 
-def checked_filter_config(config):
+def checked_filter_config(config: FilterConfig | None) -> FilterConfig:
     """Return `config`, the default for None; anything but a `FilterConfig` is a `ConfigError`."""
     if config is None:
         return FilterConfig()

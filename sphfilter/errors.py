@@ -1,5 +1,6 @@
 """Exceptions of the package. Each sentence says what was given, what is allowed, and what to do."""
 
+from collections.abc import Iterable
 from difflib import get_close_matches
 
 __all__ = [
@@ -114,7 +115,7 @@ class UnresolvedError(PropagationError):
     """No scheme can be trusted with this density on so few particles."""
 
 
-def nearest(name, allowed):
+def nearest(name: object, allowed: Iterable[object]) -> str:
     """Return " (did you mean 'x'?)" for the allowed name nearest to `name`, or an empty string."""
     match = get_close_matches(str(name), [str(a) for a in allowed], n=1, cutoff=0.5)
     return f" (did you mean {match[0]!r}?)" if match else ""

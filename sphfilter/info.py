@@ -1,11 +1,15 @@
 """What a prediction, an update or a re-gridding did, as values."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import IntFlag, auto
 from functools import reduce
 from operator import or_
+from typing import Self
 
 import numpy as np
+
+from ._types import Bools, Floats
 
 __all__ = ["Code", "PredictInfo", "ResampleInfo", "UpdateInfo", "innovation_of"]
 
@@ -36,9 +40,12 @@ class Code(IntFlag):
 class _Marked:
     """What infos of all steps can."""
 
-    def marked(self, code, status):
+    code: Code
+    status: str
+
+    def marked(self, code: Code, status: str) -> Self:
         """The info with another status, whose flags come to those it has."""
-        return replace(self, code=self.code | code, status=status)
+        return replace(self, code=self.code | code, status=status)  # type: ignore[type-var]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,21 +57,21 @@ class PredictInfo(_Marked):
     n_steps, n_evaluations : int
         Time steps, and evaluations of the velocity at all particles.
     n_searches, n_bypassed : int
-        Evaluations with neighbour lists found anew, and steps that did without.
+        Evaluations for which neighbour lists were found anew, and steps that used the lists of a step before.
     n_regrids : int
         Times the particles were put on a new lattice because steps had become too small, or because
         `SolverConfig.remesh` says so.
     n_rejected : int
         Time steps repeated because the error control refused them.
     mass_error : float
-        Probability the lattices lost or gained on the way, before it was put right (log-density scheme): a
-        measure of what the resolution costs.
+        Probability that the lattices lost or gained on the way, before the masses were normalised again
+        (log-density scheme): a measure of the cost of the resolution.
     n_smoothing_failed : int
         Particle-steps whose smoothing-length equation had no root (the old length was kept), or whose
         iteration had not converged when it was stopped.
-    n_discarded : int
-    mass_discarded : float
-        Particles dropped for that, and their probability, which the others share; zero unless asked for.
+    n_discarded, mass_discarded : int, float
+        Particles dropped because their iteration had not converged, and the probability they carried, which
+        the other particles share; zero unless `PaperScheme.discard_unconverged` asks for it.
     skipped : tuple of str
         Work the scene made unnecessary.
     scheme, status : str
@@ -93,14 +100,14 @@ class PredictInfo(_Marked):
     n_smoothing_failed: int = 0
     n_discarded: int = 0
     mass_discarded: float = 0.0
-    skipped: tuple = ()
+    skipped: tuple[str, ...] = ()
     scheme: str = "paper"
     status: str = "ok"
     code: Code = Code.OK
     seconds: float = 0.0
 
     @classmethod
-    def joined(cls, infos):
+    def joined(cls, infos: Sequence["PredictInfo"]) -> "PredictInfo":
         """One info of several predictions, one after the other; schemes and statuses without repetition."""
         if len(infos) == 1:
             return infos[0]
@@ -115,7 +122,7 @@ class PredictInfo(_Marked):
         )
 
     @property
-    def bypass_ratio(self):
+    def bypass_ratio(self) -> float:
         """Bypassed steps per search (002 section 4.3)."""
         return self.n_bypassed / max(self.n_searches, 1)
 
@@ -136,8 +143,8 @@ class ResampleInfo:
     """
 
     n_particles: int
-    lattice_dims: tuple
-    spacing: tuple
+    lattice_dims: tuple[int, ...]
+    spacing: tuple[float, ...]
     n_candidates: int
     fitness: float
     volume_fraction: float
@@ -154,13 +161,14 @@ class UpdateInfo(_Marked):
         False where the measurement was refused, by the acceptance test or because the posterior would lie far
         outside of all particles: the density is still the prior.
     log_evidence : float
-        Log of the integral of prior times likelihood; zero if no measurement came. For a refused one, which
-        lies where the prior has no particles, that of the Gaussian with the prior's mean and covariance.
+        Log of the integral of prior times likelihood; zero if no measurement came. For a refused
+        measurement, which lies where the prior has no particles, the log-evidence of the Gaussian with the
+        prior's mean and covariance.
     innovation, innovation_cov : ndarray or None
         z minus its prediction, shape (k,), and the covariance of the prediction plus R, for the observed
         components of a Gaussian measurement.
     reason : str
-        Why it was refused, or why the acceptance test was not made; empty if there is nothing to say.
+        Why the measurement was refused, or why the acceptance test was not made; empty if neither.
     n_particles : int
     extrapolated : float
         Probability of the posterior where the prior had no particles (log-density scheme): the share that
@@ -187,8 +195,8 @@ class UpdateInfo(_Marked):
 
     accepted: bool
     log_evidence: float
-    innovation: np.ndarray | None = None
-    innovation_cov: np.ndarray | None = None
+    innovation: Floats | None = None
+    innovation_cov: Floats | None = None
     reason: str = ""
     n_particles: int = 0
     extrapolated: float = 0.0
@@ -199,7 +207,7 @@ class UpdateInfo(_Marked):
     resample: ResampleInfo | None = field(default=None, repr=False)
 
 
-def innovation_of(info, seen, k):
+def innovation_of(info: UpdateInfo, seen: Bools, k: int) -> tuple[Floats, Floats]:
     """Innovation (k,) and covariance (k, k) of an update in the shapes of its sensor.
 
     `seen`, bool (k,), says which components came; the others are NaN, as all are if the update told none.

@@ -1,7 +1,9 @@
 """Settings: frozen, keyword-only dataclasses that check their values and name the nearest valid key."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
-from typing import Annotated, get_args, get_origin
+from os import PathLike
+from typing import Annotated, Any, TypeVar, dataclass_transform, get_args, get_origin
 
 from pydantic import ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
@@ -15,25 +17,28 @@ Count = Annotated[int, Field(ge=1)]
 _UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden")
 _TYPES = ("float", "int", "str", "constrained-int", "constrained-float")
 
+Made = TypeVar("Made")
 
-def settings(cls):
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(Field,))
+def settings(cls: type[Made]) -> type[Made]:
     """Make `cls` a frozen, keyword-only dataclass whose errors are a `ConfigError` in one sentence."""
     strict = ConfigDict(extra="forbid", allow_inf_nan=False, strict=False)
-    checked = checked_dataclass(frozen=True, kw_only=True, config=strict)(cls)
+    checked: Any = checked_dataclass(frozen=True, kw_only=True, config=strict)(cls)
     plain_init = checked.__init__
 
-    def __init__(self, **values):
+    def __init__(self: Any, **values: Any) -> None:
         try:
             plain_init(self, **values)
         except ValidationError as problem:
             raise ConfigError(_sentence(checked, problem, checked.__name__)) from None
 
-    __init__.__wrapped__ = plain_init
+    __init__.__wrapped__ = plain_init  # type: ignore[attr-defined]
     checked.__init__ = __init__
     return checked
 
 
-def from_table(cls, table, source=""):
+def from_table(cls: type[Made], table: Mapping[str, Any], source: str | PathLike[str] = "") -> Made:
     """Make settings from a table read from a file or a command line.
 
     Parameters
@@ -50,18 +55,18 @@ def from_table(cls, table, source=""):
     """
     made = object.__new__(cls)
     try:
-        cls.__init__.__wrapped__(made, **table)
+        cls.__init__.__wrapped__(made, **table)  # type: ignore[attr-defined]
     except ValidationError as problem:
         told = _sentence(cls, problem)
         raise ConfigError(f"{source}: {told}" if source else told) from None
     return made
 
 
-def _sentence(cls, problem, name=""):
+def _sentence(cls: type, problem: ValidationError, name: str = "") -> str:
     return "; ".join(dict.fromkeys(_explain(cls, error, name) for error in problem.errors()))
 
 
-def _explain(cls, error, name):
+def _explain(cls: type, error: Any, name: str) -> str:
     *above, last = error["loc"] or ("",)
     path = [str(part) for part in above if not _is_type(part)]
     path += [str(last)] if error["type"] in _UNKNOWN or (last != "" and not _is_type(last)) else []
@@ -78,12 +83,12 @@ def _explain(cls, error, name):
     return f"{where} = {error.get('input')!r} is not valid: {said[0].lower()}{said[1:]}"
 
 
-def _is_type(part):
+def _is_type(part: object) -> bool:
     """Pydantic's name of one of the types that a value may have, between the keys of an error."""
     return isinstance(part, str) and ("[" in part or part in _TYPES)
 
 
-def _settings_at(cls, path):
+def _settings_at(cls: Any, path: Iterable[str]) -> Any:
     """Follow the keys of an error down to the settings class they belong to."""
     for part in path:
         found = {f.name: f.type for f in fields(cls)}.get(part)

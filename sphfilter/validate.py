@@ -1,16 +1,22 @@
 """One validator per kind of argument; each sentence says what was given, what is allowed, what to do."""
 
 import numbers
+from collections.abc import Iterable
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ._types import Floats, Seed
 from .errors import ModelError, nearest
 
 __all__ = ["array", "choice", "count", "covariance", "generator", "positive", "real", "row", "short",
            "square", "state_rows", "times"]  # fmt: skip
 
+Word = TypeVar("Word")
 
-def array(name, value, shape, what=""):
+
+def array(name: str, value: object, shape: tuple[int | None, ...], what: str = "") -> Floats:
     """Return `value` as a new C-contiguous float64 array of `shape`, all finite.
 
     Parameters
@@ -42,7 +48,7 @@ def array(name, value, shape, what=""):
     return a
 
 
-def covariance(name, value, dim=None, definite=True):
+def covariance(name: str, value: object, dim: int | None = None, definite: bool = True) -> Floats:
     """Return a symmetric positive (semi)definite matrix, shape (dim, dim); a number stands for 1 × 1.
 
     Raises
@@ -68,7 +74,7 @@ def covariance(name, value, dim=None, definite=True):
     return a
 
 
-def square(name, value, dim=None):
+def square(name: str, value: object, dim: int | None = None) -> Floats:
     """Return a finite square matrix, shape (dim, dim); a number stands for 1 × 1."""
     size = "square, (n, n)" if dim is None else f"of shape ({dim}, {dim})"
     if isinstance(value, list | tuple | np.ndarray) and all(isinstance(v, numbers.Real) for v in value):
@@ -82,7 +88,7 @@ def square(name, value, dim=None):
     return a
 
 
-def positive(name, value):
+def positive(name: str, value: object) -> float:
     """Return a finite float > 0."""
     value = real(name, value)
     if value <= 0:
@@ -90,23 +96,23 @@ def positive(name, value):
     return value
 
 
-def real(name, value):
+def real(name: str, value: object) -> float:
     """Return a finite float."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
-    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not np.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not np.isfinite(float(value)):
         raise ModelError(f"{name} must be one finite number, got {short(value)}.")
     return float(value)
 
 
-def count(name, value, least=1):
+def count(name: str, value: object, least: int = 1) -> int:
     """Return an int that is at least `least`."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
         raise ModelError(f"{name} must be a whole number of at least {least}, got {short(value)}.")
     return int(value)
 
 
-def choice(name, value, allowed):
+def choice(name: str, value: Word, allowed: Iterable[Word]) -> Word:
     """Return `value` if it is one of the allowed words."""
     if value not in allowed:
         words = ", ".join(repr(a) for a in allowed)
@@ -114,7 +120,7 @@ def choice(name, value, allowed):
     return value
 
 
-def times(name, value):
+def times(name: str, value: ArrayLike) -> Floats:
     """Return a non-empty, finite, non-decreasing array of times, shape (T,)."""
     t = array(name, value, (None,))
     if t.size == 0:
@@ -126,14 +132,14 @@ def times(name, value):
     return t
 
 
-def state_rows(name, value, dim):
+def state_rows(name: str, value: ArrayLike, dim: int) -> Floats:
     """Return states as a finite array, shape (N, dim); a single state (dim,) becomes one row."""
     if np.ndim(value) == 1:
         return array(name, value, (dim,))[None, :]
     return array(name, value, (None, dim))
 
 
-def generator(rng):
+def generator(rng: Seed) -> np.random.Generator:
     """Return a numpy Generator for a Generator, a seed, or None (fresh entropy)."""
     try:
         return np.random.default_rng(rng)
@@ -141,17 +147,17 @@ def generator(rng):
         raise ModelError(f"rng must be a numpy Generator or a seed (int >= 0), got {short(rng)}.") from error
 
 
-def _text(shape):
+def _text(shape: tuple[int | None, ...]) -> str:
     inside = ", ".join("any" if s is None else str(s) for s in shape)
     return f"({inside},)" if len(shape) == 1 else f"({inside})"
 
 
-def row(values):
+def row(values: Iterable[float]) -> str:
     """Return a row of numbers as text, four digits each: [1, 0.3333]."""
     return f"[{', '.join(f'{v:.4g}' for v in values)}]"
 
 
-def short(value):
+def short(value: object) -> str:
     """Return the text of a value on one line, cut to 80 characters."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else text[:77] + "..."

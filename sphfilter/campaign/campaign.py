@@ -6,18 +6,21 @@ interruption change nothing in the runs and filters that stay.
 """
 
 import numbers
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import validate
+from .._types import Floats
 from ..errors import CampaignError, ModelError
 from ..filter.results import FilterResult
 from . import one_run, store
-from .one_run import Case
+from .one_run import Case, Factory, Scenario
 
 __all__ = ["CampaignResult", "Case", "Failure", "draw_case", "run_campaign"]
 
@@ -42,6 +45,7 @@ class CampaignResult:
     truth : ndarray, shape (R, T, n)
     z : ndarray, shape (R, T, k)
     x0, P0 : ndarray, shapes (R, n), (R, n, n)
+        Means and covariances that the filters start from, at the time t0.
     t0 : float
     results : dict of str to FilterResult
         Its ``t`` is (T,), its other arrays have the runs as first axis: (R, T, ...). A run in which the
@@ -68,22 +72,22 @@ class CampaignResult:
 
     scenario: str
     seed: int
-    times: np.ndarray
-    truth: np.ndarray
-    z: np.ndarray
-    x0: np.ndarray
-    P0: np.ndarray
+    times: Floats
+    truth: Floats
+    z: Floats
+    x0: Floats
+    P0: Floats
     t0: float
-    results: dict
-    run_time: dict
-    failures: list
+    results: dict[str, FilterResult]
+    run_time: dict[str, Floats]
+    failures: list[Failure]
 
-    def save(self, path):
+    def save(self, path: str | PathLike[str]) -> None:
         """Write everything to one ``.npz`` file."""
         store.save_result(self, path)
 
     @classmethod
-    def load(cls, path):
+    def load(cls, path: str | PathLike[str]) -> "CampaignResult":
         """Read what `save` wrote."""
         values = store.load_result(path)
         values["results"] = {name: FilterResult(**r) for name, r in values["results"].items()}
@@ -91,7 +95,16 @@ class CampaignResult:
         return cls(**values)
 
 
-def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progress=None, ranks=True):
+def run_campaign(
+    scenario: Scenario,
+    filters: Mapping[str, Factory],
+    n_runs: int,
+    seed: int,
+    n_jobs: int | None = 1,
+    folder: str | PathLike[str] | None = None,
+    progress: Callable[[int, int], object] | None = None,
+    ranks: bool = True,
+) -> CampaignResult:
     """Run every filter on `n_runs` cases of a scenario.
 
     Parameters
@@ -112,8 +125,8 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
     progress : callable, optional
         Called with (runs done, runs in all), first with the number found in `folder`.
     ranks : bool
-        Rank measurements and truths in the densities of filters that have one. It takes longer than some
-        filters do.
+        Rank measurements and truths in the densities of filters that have one. Ranking takes longer than
+        some filters do.
 
     Returns
     -------
@@ -177,7 +190,13 @@ def run_campaign(scenario, filters, n_runs, seed, n_jobs=1, folder=None, progres
     return _gather(scenario.name, int(seed), read, n_runs, list(filters))
 
 
-def _in_parallel(task, todo, n_jobs, progress, n_runs):
+def _in_parallel(
+    task: Callable[..., Any],
+    todo: Sequence[tuple[Any, ...]],
+    n_jobs: int | None,
+    progress: Callable[[int, int], object] | None,
+    n_runs: int,
+) -> Iterator[Any]:
     """Yield the results of `task` over the rows of `todo` as they come."""
     from joblib import Parallel, delayed  # on use: import time
 
@@ -195,12 +214,12 @@ def _in_parallel(task, todo, n_jobs, progress, n_runs):
         ) from problem
 
 
-def draw_case(scenario, seed, run):
+def draw_case(scenario: Scenario, seed: int, run: int) -> Case:
     """Draw one run of the campaign with this seed again, counted from zero."""
     return one_run.draw(scenario, np.random.SeedSequence(int(seed)).spawn(run + 1)[run])
 
 
-def _digest(scenario, seed):
+def _digest(scenario: Scenario, seed: np.random.SeedSequence) -> str:
     """Digest of a case, or of the words with which it could not be drawn."""
     try:
         return store.case_digest(one_run.draw(scenario, seed))
@@ -208,9 +227,13 @@ def _digest(scenario, seed):
         return f"{type(problem).__name__}: {problem}"
 
 
-def _gather(scenario, seed, read, n_runs, names):
+def _gather(
+    scenario: str, seed: int, read: Callable[[int], dict[str, Any]], n_runs: int, names: Sequence[str]
+) -> CampaignResult:
     """Put the records of all runs, one after the other, into arrays that have them as first axis."""
-    failures, first, histories = [], None, None
+    failures: list[Failure] = []
+    first: dict[str, Any] | None = None
+    histories: dict[str, Any] = {}
     for r in range(n_runs):
         record = read(r)
         failures += [Failure(*failure) for failure in record.pop("failures")]
@@ -228,7 +251,7 @@ def _gather(scenario, seed, read, n_runs, names):
                           results=results, run_time=run_time, failures=failures)  # fmt: skip
 
 
-def _same_times(scenario, record, first, r):
+def _same_times(scenario: str, record: dict[str, Any], first: Any, r: int) -> Any:
     """Raise `ModelError` if the times of a record's case are not those of the first; returns the first."""
     case = record.get("case")
     if case is None or first is None:
@@ -239,7 +262,7 @@ def _same_times(scenario, record, first, r):
     return first
 
 
-def _room(tree, n_runs):
+def _room(tree: Any, n_runs: int) -> Any:
     """Arrays for many trees of dictionaries like this one, NaN and False until they are filled."""
     if isinstance(tree, dict):
         return {key: _room(child, n_runs) for key, child in tree.items()}
@@ -247,7 +270,7 @@ def _room(tree, n_runs):
     return np.full((n_runs, *tree.shape), False if tree.dtype == bool else np.nan)
 
 
-def _put(room, r, tree, scenario):
+def _put(room: Any, r: int, tree: Any, scenario: str) -> None:
     """Put a tree of dictionaries into row r of what `_room` made."""
     for key, child in tree.items():
         if isinstance(child, dict):

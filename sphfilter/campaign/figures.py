@@ -1,11 +1,16 @@
 """One filter's histories over many runs, reduced to numbers."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .. import consistency
+from .._types import Bools, Floats
 from ..consistency import p_values
+from ..filter.results import FilterResult
 from .findings import Innovations, Ranks, innovations_of, ranks_of
 
 __all__ = ["FilterReport", "filter_report"]
@@ -13,7 +18,7 @@ __all__ = ["FilterReport", "filter_report"]
 
 @dataclass(frozen=True, kw_only=True)
 class FilterReport:
-    """What one filter did; errors are those of the updated mean at the measurement times.
+    """What one filter did in all runs; errors are errors of the updated mean at the measurement times.
 
     Runs in which the filter failed (raised, or gave something that is not finite) count in `n_failed` and
     nowhere else.
@@ -25,7 +30,7 @@ class FilterReport:
     max_peak_error, mean_peak_error : ndarray, shape (n,)
         Largest absolute error of a run: its maximum and mean over the runs (002 Tables 7, 9, 11).
     rms_error, rms_error_std : ndarray, shape (n,)
-        Root mean square over runs and epochs, and the standard error of it, estimated from the differences
+        Root mean square over runs and epochs, and its standard error, estimated from the differences
         between runs (NaN for one run).
     run_time : float
         Median wall-clock seconds of a run; NaN if unknown.
@@ -36,10 +41,10 @@ class FilterReport:
     nees_above, nees_below : float
         Fractions of the epochs above and below the two-sided interval.
     exits, exits_p : int, float
-        Epochs outside of it, and the p-value of their being no more than the referee's rate makes likely (its
-        own of one in twenty, if the referee's is lower). NaN without a referee.
+        Epochs outside of that interval, and the p-value of so many epochs at the referee's rate (at a rate of
+        one in twenty, if the referee's is lower). The p-value is NaN without a referee.
     nmee, nmee_p : ndarray, shape (n,)
-        Average NMEE, zero for a consistent filter, and the p-value of its being so (NaN for few runs).
+        Average NMEE, zero for a consistent filter, and the p-value of that zero (NaN for few runs).
     nmee_inside : ndarray, shape (n,)
         Fraction of the epochs whose run-averaged NMEE lies in its 95 % interval.
     n_rejected : int
@@ -52,15 +57,15 @@ class FilterReport:
     innovations : Innovations
     ranks : Ranks
     verdict : str
-        All of it in a sentence.
+        All these figures in one sentence.
     """
 
     n_runs: int
     n_failed: int
-    max_peak_error: np.ndarray
-    mean_peak_error: np.ndarray
-    rms_error: np.ndarray
-    rms_error_std: np.ndarray
+    max_peak_error: Floats
+    mean_peak_error: Floats
+    rms_error: Floats
+    rms_error_std: Floats
     run_time: float
     nees: float
     nees_inside: float
@@ -68,9 +73,9 @@ class FilterReport:
     nees_above: float
     nees_below: float
     exits: int
-    nmee: np.ndarray
-    nmee_p: np.ndarray
-    nmee_inside: np.ndarray
+    nmee: Floats
+    nmee_p: Floats
+    nmee_inside: Floats
     n_rejected: int
     n_diverged: int
     log_evidence: float
@@ -81,19 +86,21 @@ class FilterReport:
     verdict: str = ""
 
 
-def filter_report(result, truth, run_time, came=None):
+def filter_report(
+    result: FilterResult, truth: Floats, run_time: Floats, came: Bools | None = None
+) -> FilterReport:
     """Reduce the histories of a filter, runs first, to its numbers.
 
     `came` (R, T) says when there was a measurement, if innovations need not say it.
     """
-    x, P, log_evidence, accepted = (
-        np.asarray(a) for a in (result.x, result.P, result.log_evidence, result.accepted)
-    )
+    x, P, log_evidence = (np.asarray(a) for a in (result.x, result.P, result.log_evidence))
+    accepted = np.asarray(result.accepted)
     done = np.isfinite(x).all(axis=(1, 2)) & np.isfinite(P).all(axis=(1, 2, 3))
-    numbers = {"n_runs": len(x), "n_failed": int(np.sum(~done)), "n_rejected": int(np.sum(~accepted[done]))}
     run_evidence = log_evidence[done].sum(axis=1)
     return FilterReport(
-        **numbers,
+        n_runs=len(x),
+        n_failed=int(np.sum(~done)),
+        n_rejected=int(np.sum(~accepted[done])),
         **_errors(x[done] - truth[done]),
         **_consistency(truth[done], x[done], P[done]),
         run_time=_over_runs(np.median, run_time[done]),
@@ -109,7 +116,7 @@ def filter_report(result, truth, run_time, came=None):
     )
 
 
-def _errors(error):
+def _errors(error: Floats) -> dict[str, Any]:
     """Return peaks and root mean squares of errors (R, T, n)."""
     if error.size == 0:
         nothing = np.full(error.shape[2], np.nan)
@@ -128,7 +135,7 @@ def _errors(error):
     }
 
 
-def _consistency(truth, x, P):
+def _consistency(truth: Floats, x: Floats, P: Floats) -> dict[str, Any]:
     """Return the consistency figures of errors that are all finite, runs first."""
     dim = truth.shape[2]
     nees, nmee = consistency.nees(truth, x, P), consistency.nmee(truth, x, P)
@@ -152,11 +159,11 @@ def _consistency(truth, x, P):
     }
 
 
-def _over_runs(average, values):
+def _over_runs(average: Callable[..., Any], values: NDArray[Any]) -> float:
     return float(average(values)) if values.size else np.nan
 
 
-def _standard_error(values):
+def _standard_error(values: Floats) -> Any:
     """Return the standard error of the mean over the first axis; NaN for fewer than two rows."""
     if len(values) < 2:
         return np.full(values.shape[1:], np.nan)[()]

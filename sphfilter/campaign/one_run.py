@@ -3,19 +3,23 @@
 import hashlib
 import inspect
 import signal
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, fields
 from multiprocessing import parent_process
 from threading import current_thread, main_thread
 from time import perf_counter
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from .._types import Floats
 from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
-from ..filter.results import shapes
+from ..filter.results import AnyFilter, shapes
 
-__all__ = ["Case", "draw", "run"]
+__all__ = ["Case", "Factory", "Scenario", "draw", "run"]
 
 #: What every filter has to tell.
 _MOMENTS = "x_prior", "P_prior", "x", "P", "log_evidence", "accepted"
@@ -46,17 +50,20 @@ class Case:
     0.0
     """
 
-    times: np.ndarray
-    truth: np.ndarray
-    z: np.ndarray
-    x0: np.ndarray
-    P0: np.ndarray
+    times: Floats
+    truth: Floats
+    z: Floats
+    x0: Floats
+    P0: Floats
     t0: float = 0.0
 
-    def __post_init__(self):
-        for f in fields(self):
-            if f.name != "t0":
-                object.__setattr__(self, f.name, np.asarray(getattr(self, f.name), dtype=float))
+    def __init__(
+        self, times: ArrayLike, truth: ArrayLike, z: ArrayLike, x0: ArrayLike, P0: ArrayLike, t0: float = 0.0
+    ) -> None:
+        arrays = {"times": times, "truth": truth, "z": z, "x0": x0, "P0": P0}
+        for name, value in arrays.items():
+            object.__setattr__(self, name, np.asarray(value, dtype=float))
+        object.__setattr__(self, "t0", t0)
         n = np.shape(self.x0)[0]
         if not len(self.times) == len(self.truth) == len(self.z):
             raise ModelError(
@@ -70,20 +77,37 @@ class Case:
             )
 
 
-def draw(scenario, seed):
+class Scenario(Protocol):
+    """What a campaign draws its cases from."""
+
+    @property
+    def name(self) -> str:
+        """The name in tables and files."""
+
+    def draw(self, rng: np.random.Generator, /) -> Case:
+        """One simulated run."""
+
+
+#: factory(case, rng) makes a filter at the start of a case.
+Factory: TypeAlias = Callable[[Case, np.random.Generator], AnyFilter]
+
+
+def draw(scenario: Scenario, seed: np.random.SeedSequence) -> Case:
     """Draw the case of a run with this seed."""
     truth_seed = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, 0))
     return scenario.draw(np.random.default_rng(truth_seed))
 
 
-def _filter_rng(seed, name):
+def _filter_rng(seed: np.random.SeedSequence, name: str) -> np.random.Generator:
     """Return the generator of one filter in one run: by its name, so that no other filter matters to it."""
     words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype="<u4")
     key = (*seed.spawn_key, *map(int, words))
     return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
 
 
-def run(r, scenario, filters, seed, ranks):
+def run(
+    r: int, scenario: Scenario, filters: Mapping[str, Factory], seed: np.random.SeedSequence, ranks: bool
+) -> tuple[int, dict[str, Any]]:
     """Draw run r and put all filters through it."""
     if parent_process() is not None and current_thread() is main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
@@ -100,12 +124,14 @@ def run(r, scenario, filters, seed, ranks):
     }
 
 
-def _can_be_observed(filt):
+def _can_be_observed(filt: Any) -> bool:
     """Whether a filter has the densities of `spread`, and a run that takes who looks at them."""
     return callable(getattr(filt, "spread", None)) and "observer" in inspect.signature(filt.run).parameters
 
 
-def _outcome(make, case, rng, ranks):
+def _outcome(
+    make: Factory, case: Case, rng: np.random.Generator, ranks: bool
+) -> tuple[dict[str, NDArray[Any]], float, str]:
     """Return the arrays of a filter's run, its seconds, and what it raised (empty if nothing)."""
     blank = _blank(case)
     case = deepcopy(case)  # what one filter does to its case must not reach the next
@@ -135,7 +161,7 @@ def _outcome(make, case, rng, ranks):
     return arrays, seconds, ""
 
 
-def _blank(case):
+def _blank(case: Case) -> dict[str, NDArray[Any]]:
     """What a result of this case would hold, not known yet."""
     T, n = np.shape(case.truth)
     empty = {name: np.full((T, *shape), np.nan) for name, shape in shapes(n, np.size(case.z[0])).items()}

@@ -1,13 +1,18 @@
 """The numbers of a campaign: errors, consistency, rejections and divergences of each filter. No pictures."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from .._types import Bools, Floats
 from ..consistency import p_values
 from ..errors import ModelError, nearest
 from ..filter.results import FilterResult
+from .campaign import CampaignResult
 from .figures import FilterReport, filter_report
 from .verdict import verdict
 
@@ -78,10 +83,10 @@ class Report:
     dim: int
     n_runs: int
     n_epochs: int
-    filters: dict
-    labels: tuple = ()
+    filters: dict[str, FilterReport]
+    labels: tuple[str, ...] = ()
 
-    def rows(self):
+    def rows(self) -> list[tuple[str, dict[str, float]]]:
         """Return the table as a list of (label, {filter: number}).
 
         States have the names that `report` was given, or are counted from 1, as in 002.
@@ -98,12 +103,12 @@ class Report:
                 table.append((f"{label} ({self.labels[d] if named else f'{each} {d + 1}'})", cells))
         return table
 
-    def as_dict(self):
+    def as_dict(self) -> dict[str, Any]:
         """Return everything as plain dictionaries, lists and numbers, as JSON wants them."""
         return asdict(self, dict_factory=lambda pairs: {k: _plain(v) for k, v in pairs})
 
-    def __str__(self):
-        rows = [("", {name: name for name in self.filters}), *self.rows()]
+    def __str__(self) -> str:
+        rows: list[tuple[str, dict[str, Any]]] = [("", {name: name for name in self.filters}), *self.rows()]
         width = max(len(label) for label, _ in rows)
         runs = "1 run" if self.n_runs == 1 else f"{self.n_runs} runs"
         lines = [f"{self.scenario}: {runs} of {self.n_epochs} updates".lstrip(": ")]
@@ -114,17 +119,23 @@ class Report:
         return "\n".join(lines)
 
 
-def _plain(value):
+def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
-def report(campaign_or_result, truth=None, *, referee=None, labels=None):
+def report(
+    campaign_or_result: CampaignResult | FilterResult,
+    truth: ArrayLike | None = None,
+    *,
+    referee: str | None = None,
+    labels: Sequence[str] | None = None,
+) -> Report:
     """Work out the numbers of a campaign, or of one filter's result.
 
     Parameters
     ----------
     campaign_or_result : CampaignResult or FilterResult
-        A FilterResult may be that of one run, or stacked with the runs first.
+        A FilterResult may hold one run, or many, stacked with the runs first.
     truth : array_like, shape (T, n) or (R, T, n)
         True states at the measurement times; for a FilterResult only, a campaign carries its own. Errors are
         plain differences: angles have to be on the same turn as the means.
@@ -153,16 +164,17 @@ def report(campaign_or_result, truth=None, *, referee=None, labels=None):
     >>> print(sf.report(result, truth=truth[1:]).filters["filter"].rms_error.round(2))
     [0.12]
     """
-    if hasattr(campaign_or_result, "results"):
+    if not isinstance(campaign_or_result, FilterResult) and hasattr(campaign_or_result, "results"):
         if truth is not None:
             raise ModelError("a campaign carries its truth: leave truth= out")
         c = campaign_or_result
-        came = np.isfinite(np.reshape(c.z, (*c.truth.shape[:2], -1))).any(axis=2)
+        came: Bools = np.any(np.isfinite(np.reshape(c.z, (*c.truth.shape[:2], -1))), axis=2)
         filters = {name: filter_report(r, c.truth, c.run_time[name], came) for name, r in c.results.items()}
         return _report(c.scenario, c.truth, filters, referee, labels)
     if truth is None:
         raise ModelError("report of a filter's result needs truth=, shape (T, n)")
-    result, truth = campaign_or_result, np.asarray(truth, dtype=float)
+    result: Any = campaign_or_result
+    truth = np.asarray(truth, dtype=float)
     if truth.shape != np.shape(result.x):
         raise ModelError(f"truth has shape {truth.shape}, but the means have {np.shape(result.x)}")
     if truth.ndim == 2:
@@ -172,7 +184,13 @@ def report(campaign_or_result, truth=None, *, referee=None, labels=None):
     return _report("", truth, filters, referee, labels)
 
 
-def _report(scenario, truth, filters, referee, labels):
+def _report(
+    scenario: str,
+    truth: Floats,
+    filters: dict[str, FilterReport],
+    referee: str | None,
+    labels: Sequence[str] | None,
+) -> Report:
     n_runs, n_epochs, dim = truth.shape
     given = () if labels is None else tuple(labels)
     labels = given or [f"state {d + 1}" for d in range(dim)]
@@ -180,7 +198,7 @@ def _report(scenario, truth, filters, referee, labels):
         raise ModelError(f"labels must name {dim} states, got {labels}")
     if referee is not None and referee not in filters:
         raise ModelError(f"no filter {referee!r}{nearest(referee, filters)} to be the referee")
-    right = filters.get(referee)
+    right = None if referee is None else filters[referee]
     for name, numbers in filters.items():
         if right is not None and right.n_failed < right.n_runs:
             p = p_values.more_exits(numbers.exits, right.exits, n_epochs)

@@ -10,9 +10,12 @@ import os
 import platform
 import re
 import zipfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from importlib.metadata import version
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +28,7 @@ __all__ = ["case_digest", "claim", "finished", "load_result", "manifest", "read_
 _MANIFEST = "manifest.json"
 
 
-def manifest(scenario, filters, seed, first_case):
+def manifest(scenario: Any, filters: Mapping[str, Any], seed: int, first_case: str) -> dict[str, Any]:
     """Describe a campaign, so that its runs are never mixed with those of another.
 
     A scenario and a factory are known by their text (``repr``, addresses in memory left out), functions by
@@ -41,19 +44,19 @@ def manifest(scenario, filters, seed, first_case):
     }
 
 
-def versions():
+def versions() -> dict[str, str]:
     """Versions of what results come from, by name."""
     others = {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")}
     return {"sphfilter": __version__, "python": platform.python_version(), **others}
 
 
-def _text(thing):
+def _text(thing: Any) -> str:
     known = [repr(thing)]
     if hasattr(thing, "__code__"):
         cells = [cell.cell_contents for cell in thing.__closure__ or ()]
         known += [thing.__code__.co_code.hex(), repr(thing.__code__.co_consts), repr(thing.__code__.co_names)]
         known += [repr(thing.__defaults__), repr(cells)]
-    elif type(thing).__repr__ is object.__repr__:
+    elif type(thing).__repr__ is object.__repr__:  # type: ignore[comparison-overlap]
         known.append(repr(sorted(vars(thing).items())) if hasattr(thing, "__dict__") else "")
     text = re.sub(r" at 0x[0-9a-fA-F]+", "", " ".join(known))
     return (
@@ -61,7 +64,7 @@ def _text(thing):
     )
 
 
-def case_digest(case):
+def case_digest(case: Any) -> str:
     """Return a digest of all numbers of a case."""
     digest = hashlib.sha256()
     for field in fields(case):
@@ -69,7 +72,7 @@ def case_digest(case):
     return digest.hexdigest()[:16]
 
 
-def claim(folder, wanted):
+def claim(folder: str | PathLike[str], wanted: dict[str, Any]) -> None:
     """Write the manifest into a new folder, or make sure that the one that is there is the same."""
     path = Path(folder) / _MANIFEST
     if not path.exists():
@@ -96,11 +99,11 @@ def claim(folder, wanted):
         )
 
 
-def _leaves(value):
+def _leaves(value: object) -> str:
     return ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else str(value)
 
 
-def _difference(*texts, width=80):
+def _difference(*texts: str, width: int = 80) -> list[str]:
     """Return two texts, cut to the neighbourhood of their first difference."""
     first = next((i for i, pair in enumerate(zip(*texts, strict=False)) if len(set(pair)) > 1), 0)
     start = max(0, first - width // 2)
@@ -110,53 +113,53 @@ def _difference(*texts, width=80):
     ]
 
 
-def _path(folder, r):
+def _path(folder: str | PathLike[str], r: int) -> Path:
     return Path(folder) / f"run_{r:05d}.npz"
 
 
-def finished(folder, n_runs):
+def finished(folder: str | PathLike[str], n_runs: int) -> dict[int, Path]:
     """Return the files of the runs below `n_runs` that are done, by run."""
     return {r: _path(folder, r) for r in range(n_runs) if _whole(_path(folder, r))}
 
 
-def _whole(path):
+def _whole(path: Path) -> bool:
     """Whether a run's file can be read: one that a full disk or a power cut spoilt is made again."""
     return path.exists() and zipfile.is_zipfile(path)
 
 
-def write_run(folder, r, record):
+def write_run(folder: str | PathLike[str], r: int, record: dict[str, Any]) -> Path:
     """Write one run: nested dictionaries of arrays, and its failures. Returns the file."""
     path = _path(folder, r)
     _save(path, record, plain=("failures",))
     return path
 
 
-def read_run(path):
+def read_run(path: Path) -> dict[str, Any]:
     """Read what `write_run` wrote."""
     return _load(path)
 
 
-def save_result(result, path):
+def save_result(result: Any, path: str | PathLike[str]) -> None:
     """Write a CampaignResult to one ``.npz`` file."""
     _save(Path(path), _tree(result), plain=("scenario", "seed", "t0", "failures"))
 
 
-def load_result(path):
+def load_result(path: str | PathLike[str]) -> dict[str, Any]:
     """Return the fields that `save_result` wrote; filter results and failures as dictionaries and lists."""
     return _load(path)
 
 
-def _tree(value):
+def _tree(value: Any) -> Any:
     if is_dataclass(value):
         return {f.name: _tree(getattr(value, f.name)) for f in fields(value)}
     return {k: _tree(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
-def _save(path, values, plain):
+def _save(path: Path, values: dict[str, Any], plain: Sequence[str]) -> None:
     """Write nested dictionaries of arrays; their shape and the `plain` values go in as JSON text."""
-    arrays = []
+    arrays: list[Any] = []
 
-    def number(node):
+    def number(node: Any) -> Any:
         if isinstance(node, dict):
             return {key: number(child) for key, child in node.items()}
         arrays.append(np.asarray(node))
@@ -165,24 +168,25 @@ def _save(path, values, plain):
     tree = number({key: value for key, value in values.items() if key not in plain})
     index = json.dumps({"tree": tree, "plain": {key: values[key] for key in plain}})
 
-    def write(part):
+    def write(part: Path) -> None:
         with open(part, "wb") as file:
-            np.savez_compressed(file, index=index, **{f"a{i}": a for i, a in enumerate(arrays)})
+            named: dict[str, Any] = {f"a{i}": a for i, a in enumerate(arrays)}
+            np.savez_compressed(file, index=index, **named)
 
     _replace(path, write)
 
 
-def _load(path):
+def _load(path: str | PathLike[str]) -> dict[str, Any]:
     with np.load(path) as data:
         index = json.loads(str(data["index"]))
 
-        def value(node):
+        def value(node: Any) -> Any:
             return {k: value(v) for k, v in node.items()} if isinstance(node, dict) else data[f"a{node}"]
 
         return value(index["tree"]) | index["plain"]
 
 
-def _replace(path, write):
+def _replace(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a file beside `path`, then put it in place in one move."""
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:

@@ -1,8 +1,12 @@
 """A filter's figures in one plain sentence."""
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
 
+from .._types import Bools, Floats
 from ..consistency import p_values
+from .figures import FilterReport
 
 __all__ = ["verdict"]
 
@@ -13,7 +17,7 @@ _FEW = 0.8
 _SEEN = 0.15
 
 
-def verdict(numbers, labels, referee=None):
+def verdict(numbers: FilterReport, labels: Sequence[str], referee: FilterReport | None = None) -> str:
     """Say whether a filter is consistent, and if not in what.
 
     What is tested holds of every filter that is right, Gaussian or not: that ranks of measurements and truths
@@ -43,14 +47,14 @@ def verdict(numbers, labels, referee=None):
     return "; ".join(faults or [_nothing_found(numbers)])
 
 
-def _lost_more(numbers, referee):
+def _lost_more(numbers: FilterReport, referee: FilterReport | None) -> bool:
     """Whether more runs were lost than chance takes: one in twenty, or the referee's number."""
     if referee is None:
         return p_values.more_exits(numbers.n_diverged, 0, numbers.n_runs) < _LEVEL
     return p_values.more_lost(numbers.n_diverged, referee.n_diverged, numbers.n_runs) < _LEVEL
 
 
-def _faults(numbers, labels):
+def _faults(numbers: FilterReport, labels: Sequence[str]) -> list[str]:
     ranks, innovations = numbers.ranks, numbers.innovations
     n, k = len(labels), len(ranks.pit_p)
     tests = np.concatenate(
@@ -87,7 +91,7 @@ def _faults(numbers, labels):
     return faults
 
 
-def _how(word, numbers, p):
+def _how(word: str, numbers: FilterReport, p: float) -> str:
     """What shows it: the NEES, or only the finer test of the ranks."""
     if word == "lopsided":
         return f"the truth lies on one side of its density too often (p = {p:.0e})"
@@ -99,18 +103,18 @@ def _how(word, numbers, p):
     return f"ranks of the truth crowd {where} of its density (p = {p:.0e})"
 
 
-def _shapes(histograms, wrong):
+def _shapes(histograms: Floats, wrong: Bools) -> dict[str, list[int]]:
     """Sort states whose ranks are not uniform by what their histograms look like."""
-    found = {}
+    found: dict[str, list[int]] = {}
     for state in np.flatnonzero(wrong):
         ranks = histograms[state]
         width, lean = ranks[[0, 1, 8, 9]].sum() - ranks[3:7].sum(), ranks[5:].sum() - ranks[:5].sum()
         word = "optimistic" if width > 0 else "pessimistic"
-        found.setdefault("lopsided" if abs(lean) > abs(width) else word, []).append(state)
+        found.setdefault("lopsided" if abs(lean) > abs(width) else word, []).append(int(state))
     return found
 
 
-def _nothing_found(numbers):
+def _nothing_found(numbers: FilterReport) -> str:
     inside = f"NEES in its interval in {numbers.nees_inside:.0%} of epochs"
     if not numbers.ranks.state_pit.any():
         return f"not judged, the ranks of the truth are not known (run takes truth=); {inside}"
@@ -121,5 +125,5 @@ def _nothing_found(numbers):
     return f"consistent: nothing found against it, {inside}"
 
 
-def _listed(labels, which):
+def _listed(labels: Sequence[str], which: Iterable[int]) -> str:
     return " and ".join(labels[i] for i in which)

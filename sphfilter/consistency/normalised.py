@@ -5,16 +5,21 @@ that is NaN (the filter failed) is left out of averages, and the number left is 
 6.5 and Bar-Shalom, Li & Kirubarajan (2001) 5.4; the intervals of 002 (65), (66) and (68) are corrected here.
 """
 
+from collections.abc import Sequence
+from typing import overload
+
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import gammaincinv, ndtri
 
+from .._types import Bools, Floats, Ints
 from ..errors import ModelError
 
 __all__ = ["diverged", "fraction_inside", "lagged_products", "nees", "nees_bounds", "nis", "nmee",
            "nmee_bounds", "run_average", "whiteness"]  # fmt: skip
 
 
-def nees(truth, mean, cov):
+def nees(truth: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Floats:
     """Normalised estimation error squared, 002 (63): χ² with n degrees of freedom for a consistent filter.
 
     Parameters
@@ -42,7 +47,7 @@ def nees(truth, mean, cov):
     return _normalised_square(mean - truth, cov)
 
 
-def nis(innovation, S):
+def nis(innovation: ArrayLike, S: ArrayLike) -> Floats:
     """Normalised innovation squared: χ² with k degrees of freedom for a consistent filter.
 
     Parameters
@@ -68,14 +73,14 @@ def nis(innovation, S):
     return _normalised_square(innovation, S)
 
 
-def nmee(truth, mean, cov):
+def nmee(truth: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Floats:
     """Normalised mean estimation error: the summands of 002 (67), which are N(0, 1) for a consistent filter.
 
     Returns
     -------
     ndarray, shape (R, T, n) or (T, n)
         (mean − truth) / standard deviation for each state; NaN where an argument is, infinite where the
-        variance is not positive. `run_average` of it is 002 (67).
+        variance is not positive. `run_average` of these numbers is 002 (67).
 
     Examples
     --------
@@ -89,7 +94,7 @@ def nmee(truth, mean, cov):
     return np.divide(error, sd, out=np.where(np.isnan(error), np.nan, np.inf), where=sd != 0)
 
 
-def _checked(truth, mean, cov):
+def _checked(truth: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> tuple[Floats, Floats, Floats]:
     truth, mean, cov = (np.asarray(a, dtype=float) for a in (truth, mean, cov))
     if truth.shape != mean.shape or mean.ndim < 1 or cov.shape != (*mean.shape, mean.shape[-1]):
         raise ModelError(
@@ -99,21 +104,21 @@ def _checked(truth, mean, cov):
     return truth, mean, cov
 
 
-def _normalised_square(e, P):
+def _normalised_square(e: Floats, P: Floats) -> Floats:
     """Return eᵀ P⁻¹ e over the leading axes."""
-    known = np.isfinite(e).all(axis=-1) & np.isfinite(P).all(axis=(-2, -1))
+    known: Bools = np.all(np.isfinite(e), axis=-1) & np.all(np.isfinite(P), axis=(-2, -1))
     e, P = np.where(known[..., None], e, 0.0), np.where(known[..., None, None], P, np.eye(e.shape[-1]))
     # in the units of the standard deviations, so that metres and radians may share a state
     variance = np.diagonal(P, axis1=-2, axis2=-1)
     scale = np.sqrt(np.where(variance > 0, variance, 1.0))
     w, V = np.linalg.eigh(P / (scale[..., :, None] * scale[..., None, :]))
-    definite = (w > 1e-14).all(axis=-1)
+    definite: Bools = np.all(w > 1e-14, axis=-1)
     y = np.einsum("...ij,...i->...j", V, e / scale)
     square = np.sum(y**2 / np.where(definite[..., None], w, 1.0), axis=-1)
     return np.where(known, np.where(definite, square, np.inf), np.nan)
 
 
-def run_average(values):
+def run_average(values: ArrayLike) -> tuple[Floats, Ints]:
     """Average over the runs, 002 (64) and (67).
 
     Parameters
@@ -125,7 +130,7 @@ def run_average(values):
     average : ndarray, shape (T, ...)
         NaN where no run is left.
     n_runs : ndarray of int, shape (T, ...)
-        Runs in it; those that are NaN are left out.
+        Runs that the average is of; runs that are NaN are left out.
 
     Examples
     --------
@@ -142,7 +147,19 @@ def run_average(values):
     return np.where(n_runs > 0, total / np.maximum(n_runs, 1), np.nan), n_runs
 
 
-def nees_bounds(dim, n_runs, alpha=0.05, sided=2):
+@overload
+def nees_bounds(dim: int, n_runs: int, alpha: float = 0.05, sided: int = 2) -> tuple[float, float]: ...
+
+
+@overload
+def nees_bounds(
+    dim: int, n_runs: Ints | Sequence[int], alpha: float = 0.05, sided: int = 2
+) -> tuple[Floats, Floats]: ...
+
+
+def nees_bounds(
+    dim: int, n_runs: int | Ints | Sequence[int], alpha: float = 0.05, sided: int = 2
+) -> tuple[float | Floats, float | Floats]:
     """Interval of the run-averaged NEES (or NIS) of a consistent filter.
 
     002 (65), (66) with the factor 1/k_R in place of the printed 1/√k_R: the sum of k_R independent χ² of k_D
@@ -172,13 +189,23 @@ def nees_bounds(dim, n_runs, alpha=0.05, sided=2):
     alpha = _probability(alpha)
     if sided not in (1, 2):
         raise ModelError(f"sided must be 1 or 2, got {sided!r}")
-    n_runs = np.asarray(n_runs, dtype=float)
-    upper = _chi2(1.0 - alpha / sided, dim * n_runs) / n_runs
-    lower = _chi2(alpha / 2.0, dim * n_runs) / n_runs if sided == 2 else np.zeros_like(upper)
+    runs: Floats = np.asarray(n_runs, dtype=float)
+    upper = _chi2(1.0 - alpha / sided, dim * runs) / runs
+    lower = _chi2(alpha / 2.0, dim * runs) / runs if sided == 2 else np.zeros_like(upper)
     return lower[()], upper[()]
 
 
-def nmee_bounds(n_runs, alpha=0.05):
+@overload
+def nmee_bounds(n_runs: int, alpha: float = 0.05) -> tuple[float, float]: ...
+
+
+@overload
+def nmee_bounds(n_runs: Ints | Sequence[int], alpha: float = 0.05) -> tuple[Floats, Floats]: ...
+
+
+def nmee_bounds(
+    n_runs: int | Ints | Sequence[int], alpha: float = 0.05
+) -> tuple[float | Floats, float | Floats]:
     """Interval of the run-averaged NMEE of a consistent filter: ±1.96/√k_R, where 002 (68) prints ±1.96.
 
     Returns
@@ -195,18 +222,18 @@ def nmee_bounds(n_runs, alpha=0.05):
     return -upper[()], upper[()]
 
 
-def _probability(alpha):
+def _probability(alpha: float) -> float:
     if not 0 < alpha < 1:
         raise ModelError(f"alpha must lie between 0 and 1, got {alpha!r}")
     return alpha
 
 
-def _chi2(p, dof):
+def _chi2(p: float, dof: float | Floats) -> Floats:
     """Return the quantile of χ²."""
     return 2.0 * gammaincinv(dof / 2.0, p)
 
 
-def fraction_inside(values, bounds):
+def fraction_inside(values: ArrayLike, bounds: tuple[float | Floats, float | Floats]) -> float | Floats:
     """Return the fraction of epochs whose value lies in the closed interval (lower, upper).
 
     Parameters
@@ -233,7 +260,7 @@ def fraction_inside(values, bounds):
     return np.where(n > 0, inside.sum(axis=0) / np.maximum(n, 1), np.nan)[()]
 
 
-def diverged(nees_values, dim, window=5, level=0.9999):
+def diverged(nees_values: ArrayLike, dim: int, window: int = 5, level: float = 0.9999) -> Bools:
     """Tell which runs have lost the truth at some time.
 
     The criterion: the NEES averaged over `window` successive updates (over all, if there are fewer) exceeds
@@ -268,11 +295,11 @@ def diverged(nees_values, dim, window=5, level=0.9999):
     return (windows.sum(axis=-1) > _chi2(level, window * dim)).any(axis=-1)
 
 
-def whiteness(innovation, S, lag=1):
+def whiteness(innovation: ArrayLike, S: ArrayLike, lag: int = 1) -> Floats:
     """Autocorrelation of the normalised innovations over time, one number a run.
 
-    For a consistent filter it is N(0, 1/((T − lag) k)) to leading order: `nmee_bounds` of (T − lag) k is its
-    interval, and of (T − lag) k R that of its average over R runs.
+    For a consistent filter the number is N(0, 1/((T − lag) k)) to leading order: `nmee_bounds` of (T − lag) k
+    is its interval, and `nmee_bounds` of (T − lag) k R the interval of its average over R runs.
 
     Parameters
     ----------
@@ -301,10 +328,10 @@ def whiteness(innovation, S, lag=1):
     )[()]
 
 
-def lagged_products(innovation, S, lag=1):
+def lagged_products(innovation: ArrayLike, S: ArrayLike, lag: int = 1) -> Floats:
     """Sum over time of the products of normalised innovations `lag` epochs apart, one number a run.
 
-    Of a filter that is right it is zero on average, whatever its densities; see `whiteness`.
+    The sum is zero on average for a filter that is right, whatever its densities; see `whiteness`.
 
     Returns
     -------
@@ -323,13 +350,12 @@ def lagged_products(innovation, S, lag=1):
     return np.where(np.any((now != 0) & (later != 0), axis=(-2, -1)), total, np.nan)[()]
 
 
-def _pairs(innovation, S, lag):
+def _pairs(innovation: ArrayLike, S: ArrayLike, lag: int) -> tuple[Floats, Floats]:
     """Normalised innovations and those `lag` epochs later; zero where one of the two is not known."""
-    innovation = np.asarray(innovation, dtype=float)
-    _, nu, S = _checked(np.zeros_like(innovation), innovation, S)
-    known = np.isfinite(nu).all(axis=-1) & np.isfinite(S).all(axis=(-2, -1))
-    known[known] = (np.linalg.eigvalsh(S[known]) > 0).all(axis=-1)
-    root = np.linalg.cholesky(np.where(known[..., None, None], S, np.eye(nu.shape[-1])))
+    _, nu, cov = _checked(np.zeros(np.shape(innovation)), innovation, S)
+    known: Bools = np.all(np.isfinite(nu), axis=-1) & np.all(np.isfinite(cov), axis=(-2, -1))
+    known[known] = (np.linalg.eigvalsh(cov[known]) > 0).all(axis=-1)
+    root = np.linalg.cholesky(np.where(known[..., None, None], cov, np.eye(nu.shape[-1])))
     w = np.linalg.solve(root, np.where(known[..., None], nu, 0.0)[..., None])[..., 0]
     both = (known[..., :-lag] & known[..., lag:])[..., None]
     return np.where(both, w[..., :-lag, :], 0.0), np.where(both, w[..., lag:, :], 0.0)

@@ -4,8 +4,10 @@ Epochs of a run are correlated, runs are not: what varies between runs says how 
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import bdtrc, chdtrc, stdtr
 
+from .._types import Bools, Floats
 from ..errors import ModelError
 
 __all__ = [
@@ -23,41 +25,44 @@ __all__ = [
 FEWEST_RUNS = 10
 
 
-def histogram(ranks, bins=10):
+def histogram(ranks: ArrayLike, bins: int = 10) -> Floats:
     """Fraction of the ranks (...) in each of `bins` equal parts of (0, 1), shape (bins,); NaN left out."""
-    ranks = np.asarray(ranks, dtype=float)
-    ranks = ranks[np.isfinite(ranks)]
-    return np.histogram(ranks, bins, (0.0, 1.0))[0] / max(len(ranks), 1)
+    known = _finite(ranks)
+    return np.histogram(known, bins, (0.0, 1.0))[0] / max(len(known), 1)
 
 
-def uniform_epochs(ranks):
+def _finite(values: ArrayLike) -> Floats:
+    every: Floats = np.asarray(values, dtype=float)
+    return every[np.isfinite(every)]
+
+
+def uniform_epochs(ranks: ArrayLike) -> float:
     """p-value of the ranks (...) being uniform and all independent: Kolmogorov and Smirnov's test.
 
     Predictions' ranks of scalar measurements are, of a filter that is right, whatever its model (Diebold et
-    al. 1998). NaN left out; NaN for fewer than eight.
+    al. 1998). Ranks that are NaN are left out; the p-value is NaN for fewer than eight ranks.
     """
     from scipy import stats  # on use: import time
 
-    ranks = np.asarray(ranks, dtype=float)
-    ranks = ranks[np.isfinite(ranks)]
-    return float(stats.kstest(ranks, "uniform").pvalue) if len(ranks) >= 8 else np.nan
+    known = _finite(ranks)
+    return float(stats.kstest(known, "uniform").pvalue) if len(known) >= 8 else np.nan
 
 
-def uniform_runs(ranks, bins=10):
+def uniform_runs(ranks: ArrayLike, bins: int = 10) -> float:
     """p-value of the ranks (R, T) being uniform, correlated within a run and independent between runs.
 
     Pearson's statistic, with the correction of second order for clusters (J. N. K. Rao & A. J. Scott, J. Am.
-    Stat. Assoc. 76, 1981): what the fractions of the runs vary by says how it is distributed. Runs that are
-    NaN somewhere are left out; NaN for fewer than `FEWEST_RUNS`.
+    Stat. Assoc. 76, 1981): the variation of the fractions between runs says how the statistic is distributed.
+    Runs that are NaN somewhere are left out; the p-value is NaN for fewer than `FEWEST_RUNS` runs.
     """
-    ranks = np.asarray(ranks, dtype=float)
-    if ranks.ndim != 2:
-        raise ModelError(f"ranks must be (runs, epochs), got shape {ranks.shape}")
-    ranks = ranks[np.isfinite(ranks).all(axis=1)]
-    R, T = ranks.shape
+    every: Floats = np.asarray(ranks, dtype=float)
+    if every.ndim != 2:
+        raise ModelError(f"ranks must be (runs, epochs), got shape {every.shape}")
+    whole = every[np.isfinite(every).all(axis=1)]
+    R, T = whole.shape
     if R < FEWEST_RUNS or T == 0:
         return np.nan
-    fractions = np.array([histogram(run, bins) for run in ranks])
+    fractions = np.array([histogram(run, bins) for run in whole])
     off = fractions.mean(axis=0) - 1.0 / bins
     # the statistic is a sum of squares of normals with these variances
     effects = bins * np.cov(fractions, rowvar=False) / R
@@ -68,10 +73,10 @@ def uniform_runs(ranks, bins=10):
     return float(chdtrc(total**2 / square, statistic * total / square))
 
 
-def same_mean(values, expected):
+def same_mean(values: ArrayLike, expected: float) -> float:
     """p-value of the runs' averages of values (R, T) having the expected mean: Student's t.
 
-    NaN left out; NaN for fewer than `FEWEST_RUNS` runs.
+    Values that are NaN are left out; the p-value is NaN for fewer than `FEWEST_RUNS` runs.
     """
     values = np.asarray(values, dtype=float)
     known = np.isfinite(values)
@@ -84,17 +89,17 @@ def same_mean(values, expected):
     return float(2.0 * stdtr(len(averages) - 1, -abs(off) / spread)) if spread > 0 else float(off == 0.0)
 
 
-def more_exits(count, of_referee, total, least=0.05):
+def more_exits(count: int, of_referee: int, total: int, least: float = 0.05) -> float:
     """p-value of `count` epochs of `total` lying outside, if a referee's fraction is the rate: binomial.
 
-    The rate is `least`, which is right of a Gaussian, where the referee's is lower: its luck is not asked
-    for.
+    Where the referee's rate is lower than `least`, which is the rate of a Gaussian, `least` is taken: the
+    referee's luck is no standard.
     """
     rate = max(of_referee / total, least)
     return float(bdtrc(count - 1, total, rate) if count else 1.0)
 
 
-def more_lost(count, of_referee, total):
+def more_lost(count: int, of_referee: int, total: int) -> float:
     """p-value of `count` of `total` runs being no more than the referee's, by Fisher's exact test."""
     from scipy import stats  # on use: import time
 
@@ -102,7 +107,7 @@ def more_lost(count, of_referee, total):
     return float(stats.fisher_exact(table, alternative="greater").pvalue)
 
 
-def holm(p_values, level=0.01):
+def holm(p_values: ArrayLike, level: float = 0.01) -> Bools:
     """Which hypotheses are refused, all of them right with probability 1 − level at least: Holm's method.
 
     Parameters

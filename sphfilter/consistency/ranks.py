@@ -7,15 +7,33 @@ Rev. 39, 1998), and the probability of the region where the posterior is higher 
 """
 
 from time import perf_counter
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import gammainc, ndtr
 
-from ..density.weighted import hpd_rank, state_rank
-from ..model.measurements import GaussianMeasurement
+from .._types import Floats
+from ..density.weighted import WeightedStates, hpd_rank, state_rank
+from ..model.measurements import GaussianMeasurement, Sensor
 from . import normalised
 
 __all__ = ["Ranker", "gaussian_ranks", "ranked_reading"]
+
+
+class Ranked(Protocol):
+    """What a `Ranker` asks of a filter."""
+
+    @property
+    def measurement(self) -> Sensor | None:
+        """The filter's own sensor."""
+
+    @property
+    def t(self) -> float:
+        """Time of the density, seconds."""
+
+    def spread(self) -> WeightedStates:
+        """The density now as states and weights."""
 
 
 class Ranker:
@@ -29,23 +47,23 @@ class Ranker:
     Attributes
     ----------
     seconds : float
-        Time spent on it, which is not the filter's.
+        Wall-clock time spent on ranking, which is not the filter's.
     """
 
-    def __init__(self, truth):
+    def __init__(self, truth: ArrayLike) -> None:
         self.truth, self.seconds = np.asarray(truth, dtype=float), 0.0
 
-    def before(self, filt, z, k):
+    def before(self, filt: Ranked, z: ArrayLike | None, k: int) -> tuple[Floats, Floats, Floats]:
         """Return what `ranked_reading` tells of the next measurement, k numbers, in the prediction."""
         start, sensor = perf_counter(), filt.measurement
-        if isinstance(sensor, GaussianMeasurement) and sensor.reading(z).seen.any():
-            found = ranked_reading(filt.spread(), sensor, z, filt.t)
+        if isinstance(sensor, GaussianMeasurement) and (reading := sensor.reading(z)).seen.any():
+            found = ranked_reading(filt.spread(), sensor, reading.z, filt.t)
         else:
             found = np.full(k, np.nan), np.full(k, np.nan), np.full((k, k), np.nan)
         self.seconds += perf_counter() - start
         return found
 
-    def after(self, filt, epoch):
+    def after(self, filt: Ranked, epoch: int) -> tuple[Floats, float]:
         """Return the ranks of the truth in the posterior, of each state (n,) and of its density."""
         start, spread, x = perf_counter(), filt.spread(), self.truth[epoch]
         found = state_rank(spread, x), hpd_rank(spread, x)[0]
@@ -53,7 +71,9 @@ class Ranker:
         return found
 
 
-def ranked_reading(spread, sensor, z, t):
+def ranked_reading(
+    spread: WeightedStates, sensor: GaussianMeasurement, z: ArrayLike, t: float
+) -> tuple[Floats, Floats, Floats]:
     """Rank a measurement in its predictive density, and tell its innovation.
 
     Parameters
@@ -87,7 +107,9 @@ def ranked_reading(spread, sensor, z, t):
     return np.clip(pit, 0.0, 1.0), y, np.einsum("i,ij,ik->jk", w, off, off) + sensor.noise_cov
 
 
-def gaussian_ranks(truth, mean, cov, innovation, innovation_cov):
+def gaussian_ranks(
+    truth: ArrayLike, mean: ArrayLike, cov: ArrayLike, innovation: Floats, innovation_cov: Floats
+) -> dict[str, Floats]:
     """The ranks of a filter that has a mean and a covariance only, taken at its word: Gaussian.
 
     Parameters

@@ -5,12 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from .._types import Floats
 from ..lattice import field
+from .particle_density import ParticleDensity
 
 __all__ = ["uncut", "with_moments"]
 
 
-def uncut(density):
+def uncut(density: ParticleDensity) -> ParticleDensity:
     """Nodes with the mean and covariance of the density that their lattice was cut out of.
 
     A Gaussian cut at Z keeps F(Z²; n + 2) / F(Z²; n) of its covariance, F the distribution of chi square: in
@@ -23,7 +25,7 @@ def uncut(density):
     return replace(moved, log_density=field.at(density.field, moved.x))
 
 
-def with_moments(density, mean, cov):
+def with_moments(density: ParticleDensity, mean: Floats, cov: Floats) -> ParticleDensity:
     """Shift and stretch a density until the points of its particles have this mean and covariance.
 
     The nodes of a lattice that ends somewhere have a little less covariance than the density on it.

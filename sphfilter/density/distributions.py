@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from .._types import Floats, OfStates
 from ..errors import ModelError
 from ..validate import array, covariance
 
@@ -21,15 +23,15 @@ class Gaussian:
     [0.1995 0.121 ]
     """
 
-    mean: np.ndarray
-    cov: np.ndarray
+    mean: Floats
+    cov: Floats
 
-    def __post_init__(self):
-        mean = array("mean", self.mean, (None,))
-        object.__setattr__(self, "mean", mean)
-        object.__setattr__(self, "cov", covariance("cov", self.cov, dim=len(mean)))
+    def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
+        centre = array("mean", mean, (None,))
+        object.__setattr__(self, "mean", centre)
+        object.__setattr__(self, "cov", covariance("cov", cov, dim=len(centre)))
 
-    def pdf(self, X):
+    def pdf(self, X: ArrayLike) -> Floats:
         """Density at the states X (M, n)."""
         from scipy import stats  # on use: import time
 
@@ -47,18 +49,19 @@ class Uniform:
     [0.5 0. ]
     """
 
-    box: np.ndarray
+    box: Floats
 
-    def __post_init__(self):
-        object.__setattr__(self, "box", checked_box(self.box))
+    def __init__(self, box: ArrayLike) -> None:
+        object.__setattr__(self, "box", checked_box(box))
 
-    def pdf(self, X):
+    def pdf(self, X: ArrayLike) -> Floats:
         """Density at the states X (M, n)."""
-        inside = np.all((self.box[:, 0] <= X) & (self.box[:, 1] >= X), axis=1)
+        states = np.asarray(X, dtype=float)
+        inside = np.all((self.box[:, 0] <= states) & (self.box[:, 1] >= states), axis=1)
         return inside / np.prod(self.box[:, 1] - self.box[:, 0])
 
 
-def checked_box(box):
+def checked_box(box: ArrayLike) -> Floats:
     """Return `box` as an array (n, 2) whose bounds rise, or raise `ModelError`."""
     box = array("box", box, (None, 2))
     if np.any(box[:, 1] <= box[:, 0]):
@@ -66,13 +69,13 @@ def checked_box(box):
     return box
 
 
-def gaussian_log_pdf(mean, cov):
+def gaussian_log_pdf(mean: Floats, cov: Floats) -> OfStates:
     """Return log N(X; mean, cov) as a function of states X (M, n)."""
     factor = np.linalg.cholesky(cov)
     whiten = np.linalg.inv(factor).T
     constant = -np.log(np.diag(factor)).sum() - 0.5 * len(mean) * np.log(2 * np.pi)
 
-    def log_p(X):
+    def log_p(X: Floats) -> Floats:
         z = (X - mean) @ whiten
         return constant - 0.5 * np.einsum("ia,ia->i", z, z)
 

@@ -4,10 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import Bools, Floats
 from ..core.sph.kernels import RADIUS
 from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
 from ..errors import ModelError
 from .interpolant import smoothed
+from .particle_density import ParticleDensity
 
 __all__ = ["MIXED", "Health", "health"]
 
@@ -58,18 +60,18 @@ class Health:
     effective: float
 
     @property
-    def severity(self):
+    def severity(self) -> float:
         """Largest of mixing, clumping and rogue particles, each over what is borne; above one is too much."""
         return max(self._severities().values())
 
     @property
-    def complaint(self):
+    def complaint(self) -> str:
         """What is worst, in words; empty where everything is borne."""
         severities = self._severities()
-        worst = max(severities, key=severities.get)
+        worst = max(severities, key=severities.__getitem__)
         return worst if severities[worst] > 1.0 else ""
 
-    def _severities(self):
+    def _severities(self) -> dict[str, float]:
         return {
             "particles have mixed": self.mixing / MIXED,
             "particles have clumped": _CLUMPED / max(self.spacing, 1e-300),
@@ -77,7 +79,7 @@ class Health:
         }
 
 
-def health(density):
+def health(density: ParticleDensity) -> Health:
     """Measure how far the particles of a density are from a regular lattice (002 5.1).
 
     Distances are those that the kernels see: of whitened states where sums are taken of these, which is in
@@ -122,7 +124,7 @@ def health(density):
     )
 
 
-def _as_kernels_see(density):
+def _as_kernels_see(density: ParticleDensity) -> tuple[Floats, Floats, Floats]:
     """States, masses and supports of the particles, and after them of their images beyond ends."""
     x, mass, h = density.x, density.mass, density.h
     K = RADIUS[density.kernel_code[0]]
@@ -136,7 +138,7 @@ def _as_kernels_see(density):
     return np.ascontiguousarray(z), mass, K * h / np.prod(np.diag(factor)) ** (1.0 / density.dim)
 
 
-def _alone(z, support):
+def _alone(z: Floats, support: Floats) -> Bools:
     """Which particles see no other, and are seen by none, shape (N,)."""
     N, n = z.shape
     index = build_index(z, float(np.median(support)), choose_method(N, n))

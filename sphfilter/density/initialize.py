@@ -1,21 +1,27 @@
 """Initial densities: a Gaussian, a uniform box, or any pdf with a box, put on particles."""
 
 from dataclasses import replace
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..config import LogDensityScheme, PaperScheme, SolverConfig
+from .._types import Floats, OfStates
+from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
 from ..core.sph.kernels import KINDS, RADIUS
 from ..errors import ModelError, PropagationError
-from ..lattice.level_set import fewest_particles, lattice_reach, lay
+from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
-from ..model.domain import Domain
+from ..model.domain import Domain, DomainLike
 from ..validate import array, count, real, row
 from .distributions import Gaussian, Uniform, checked_box, gaussian_log_pdf
 from .particle_density import ParticleDensity
 from .particles import particles_on, particles_with
 
 __all__ = ["Gaussian", "Uniform", "initialize", "on_equal_lattice"]
+
+#: What a density may start from; a callable is a pdf of states (M, n).
+Distribution: TypeAlias = Gaussian | Uniform | OfStates
 
 _FAR = 6.0  # standard deviations within which a Gaussian is put on a domain with ends
 _MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
@@ -24,7 +30,16 @@ _COARSE = 2000  # particles a callable pdf is first looked at with
 _FOR_CORRECTED = PaperScheme(kernel="wendland_c2", support_steps=1)
 
 
-def initialize(distribution, n_particles=None, config=None, *, box=None, spacing=None, t=0.0, domain=None):
+def initialize(
+    distribution: Distribution,
+    n_particles: int | None = None,
+    config: SolverConfig | FilterConfig | None = None,
+    *,
+    box: ArrayLike | None = None,
+    spacing: ArrayLike | None = None,
+    t: float = 0.0,
+    domain: DomainLike = None,
+) -> ParticleDensity:
     """Put a distribution on particles (002 sections 4.1, 4.2 and 4.6).
 
     Parameters
@@ -77,34 +92,43 @@ def initialize(distribution, n_particles=None, config=None, *, box=None, spacing
         domain is None or (gaussian and not domain.walled.any())
     )
     if not isinstance(scheme, PaperScheme):
-        if smooth:
+        if smooth and not isinstance(distribution, Uniform):
             return _on_level_set(distribution, box, n_particles, scheme, t, domain)
-        if domain is None:
+        if domain is None and isinstance(distribution, Uniform):
             return _for_corrected(distribution, box, n_particles, t)  # edges have no smooth logarithm
         scheme = PaperScheme(kernel="wendland_c2")
-    if gaussian and domain is None:
+    if isinstance(distribution, Gaussian) and domain is None:
         return _from_gaussian(distribution, n_particles, scheme, t)
     pdf, box = _seen_from(distribution, box, domain)
     return _from_pdf(pdf, box, n_particles, scheme, t, domain)
 
 
-def _bounds(domain, box):
+def _bounds(domain: DomainLike, box: Floats) -> Domain | None:
     """The domain of a density whose states are those of a box; None if it has no bounds."""
     domain = None if domain is None else Domain.of(domain, len(box))
     return None if domain is None or domain.unbounded else domain
 
 
-def _seen_from(distribution, box, domain):
+def _seen_from(distribution: Distribution, box: Floats, domain: Domain | None) -> tuple[OfStates, Floats]:
     """The pdf of a distribution inside a domain, and the part of its box there."""
     pdf = distribution.pdf if isinstance(distribution, Gaussian | Uniform) else distribution
     if domain is not None:
         if isinstance(distribution, Gaussian):
             pdf = _all_turns(pdf, domain, box)
-        box = np.transpose(domain.within(*box.T, 0.0))
+        low, high = box.T
+        box = np.transpose(domain.within(low, high, 0.0))
     return pdf, checked_box(box)
 
 
-def _spaced(distribution, n_particles, scheme, box, spacing, t, domain):
+def _spaced(
+    distribution: Distribution,
+    n_particles: int | None,
+    scheme: Scheme,
+    box: ArrayLike | None,
+    spacing: ArrayLike,
+    t: float,
+    domain: DomainLike,
+) -> ParticleDensity:
     """All nodes of a given lattice on which a distribution is not zero."""
     if isinstance(scheme, LogDensityScheme):
         raise ModelError(
@@ -113,13 +137,14 @@ def _spaced(distribution, n_particles, scheme, box, spacing, t, domain):
     box = _box_of(distribution, box) if box is None else checked_box(box)
     domain = _bounds(domain, box)
     pdf, box = _seen_from(distribution, box, domain)
-    lattice = Lattice.spaced(*box.T, _spacings(spacing, box), domain)
+    low, high = box.T
+    lattice = Lattice.spaced(low, high, _spacings(spacing, box), domain)
     values = _values(pdf, lattice)
     scale, kept = values.sum() * lattice.cell_volume, int(np.count_nonzero(values))
     if n_particles is not None and kept > count("n_particles", n_particles):
         raise ModelError(
-            f"spacing = {spacing} lays {kept} particles, more than n_particles = {n_particles}: leave one of "
-            f"the two out"
+            f"spacing = {spacing!s} lays {kept} particles, more than n_particles = {n_particles}: leave one "
+            f"of the two out"
         )
     about = {"t": t, "capacity": kept if n_particles is None else n_particles, "domain": domain}
     if not isinstance(scheme, PaperScheme):
@@ -132,7 +157,7 @@ def _spaced(distribution, n_particles, scheme, box, spacing, t, domain):
     return particles_on(lattice, values / scale, between, values > 0, scheme, about)
 
 
-def _spacings(spacing, box):
+def _spacings(spacing: ArrayLike, box: Floats) -> Floats:
     """A spacing for each axis of a box, shape (n,)."""
     n, sides = len(box), box[:, 1] - box[:, 0]
     scalar = np.ndim(spacing) == 0
@@ -145,7 +170,7 @@ def _spacings(spacing, box):
     return spacing
 
 
-def _for_corrected(distribution, box, n_particles, t):
+def _for_corrected(distribution: Uniform, box: Floats, n_particles: int, t: float) -> ParticleDensity:
     """Particles of a uniform density with its variance, which cell centres alone have too little of."""
     density = _from_pdf(distribution.pdf, box, n_particles, _FOR_CORRECTED, t)
     centre, actual = box.mean(axis=1), np.diag(density.cov("points"))
@@ -153,7 +178,7 @@ def _for_corrected(distribution, box, n_particles, t):
     return replace(density, x=centre + stretch * (density.x - centre))
 
 
-def on_equal_lattice(density, n_particles, scheme):
+def on_equal_lattice(density: ParticleDensity, n_particles: int, scheme: PaperScheme) -> ParticleDensity:
     """Put a density that knows its pdf anywhere on a lattice of equal spacings, for sums over kernels."""
     low, high = density.x.min(axis=0) - density.h[0], density.x.max(axis=0) + density.h[0]
     domain = density.domain
@@ -162,7 +187,7 @@ def on_equal_lattice(density, n_particles, scheme):
     return _from_pdf(density.pdf, np.transpose([low, high]), n_particles, scheme, density.t, domain)
 
 
-def _box_of(distribution, box):
+def _box_of(distribution: Distribution, box: ArrayLike | None) -> Floats:
     """Where a distribution is not negligible, shape (n, 2)."""
     if isinstance(distribution, Gaussian):
         half = _FAR * np.sqrt(np.diag(distribution.cov))
@@ -174,7 +199,7 @@ def _box_of(distribution, box):
     return checked_box(box)
 
 
-def _all_turns(pdf, domain, box):
+def _all_turns(pdf: OfStates, domain: Domain, box: Floats) -> OfStates:
     """A pdf summed over the turns of periodic axes that its box reaches."""
     shifts = np.zeros((1, domain.dim))
     for d in np.flatnonzero(domain.periodic):
@@ -184,17 +209,24 @@ def _all_turns(pdf, domain, box):
     return lambda X: np.sum([pdf(X + shift) for shift in shifts], axis=0)
 
 
-def _on_level_set(distribution, box, n_particles, scheme, t, domain):
+def _on_level_set(
+    distribution: Gaussian | OfStates,
+    box: Floats,
+    n_particles: int,
+    scheme: Scheme,
+    t: float,
+    domain: Domain | None,
+) -> ParticleDensity:
     """A smooth density on a lattice that follows its level set."""
     depth = 0.5 * lattice_reach(scheme, len(box)) ** 2
     if isinstance(distribution, Gaussian):
         mean, cov = distribution.mean, distribution.cov
-        log_p = gaussian_log_pdf(mean, cov)
-        laid = _laid(log_p, mean, np.linalg.cholesky(cov), mean[None], n_particles, depth)
+        factor: Any = np.linalg.cholesky(cov)
+        laid = _laid(gaussian_log_pdf(mean, cov), mean, factor, mean[None], n_particles, depth)
         return ParticleDensity.on_lattice(laid, t, n_particles, gaussian=True, domain=domain)
     coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), PaperScheme(), t)
 
-    def log_p(X):
+    def log_p(X: Floats) -> Floats:
         with np.errstate(divide="ignore"):
             return np.maximum(np.log(np.asarray(distribution(X), dtype=float)), -1e250)
 
@@ -204,7 +236,9 @@ def _on_level_set(distribution, box, n_particles, scheme, t, domain):
     return ParticleDensity.on_lattice(laid, t, n_particles)
 
 
-def _laid(log_p, mean, factor, seeds, n_particles, depth):
+def _laid(
+    log_p: OfStates, mean: Floats, factor: Floats, seeds: Floats, n_particles: int, depth: float
+) -> Laid:
     n = len(mean)
     try:
         return lay(log_p, mean, factor, seeds, n_particles, depth)
@@ -214,7 +248,7 @@ def _laid(log_p, mean, factor, seeds, n_particles, depth):
         raise ModelError(f"n_particles = {n_particles} is too small for {n} states: {problem}") from None
 
 
-def _from_gaussian(gaussian, n_particles, scheme, t):
+def _from_gaussian(gaussian: Gaussian, n_particles: int, scheme: PaperScheme, t: float) -> ParticleDensity:
     place = place_gaussian(gaussian.mean, gaussian.cov, n_particles, scheme)
     lattice = place.lattice
     values, between = gaussian.pdf(lattice.nodes) * place.kept, gaussian.pdf(lattice.half_shifted().nodes)
@@ -223,7 +257,7 @@ def _from_gaussian(gaussian, n_particles, scheme, t):
     return particles_on(lattice, values, between, place.core, scheme, about)
 
 
-def _values(pdf, lattice):
+def _values(pdf: OfStates, lattice: Lattice) -> Floats:
     """A pdf at the nodes of a lattice, shape (M,)."""
     values = np.asarray(pdf(lattice.nodes), dtype=float)
     if values.shape != (len(lattice.nodes),) or not np.all(np.isfinite(values)) or values.min() < 0:
@@ -233,7 +267,9 @@ def _values(pdf, lattice):
     return values
 
 
-def _from_pdf(pdf, box, n_particles, scheme, t, domain=None):
+def _from_pdf(
+    pdf: OfStates, box: Floats, n_particles: int, scheme: PaperScheme, t: float, domain: Domain | None = None
+) -> ParticleDensity:
     """Cells of equal width over the box, particles at their centres, lowest masses dropped."""
     span = box[:, 1] - box[:, 0]
     for shrink in np.geomspace(0.25, 4.0, 80):

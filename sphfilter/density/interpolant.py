@@ -2,13 +2,19 @@
 
 import itertools
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from .._types import Floats, OfStates
 from ..core.sph.kernels import RADIUS
 from ..core.sph.neighbors import build_index, choose_method
 from ..core.sph.summation import sample_density
+
+if TYPE_CHECKING:
+    from .particle_density import ParticleDensity
 
 __all__ = ["interpolant", "normalised", "smoothed"]
 
@@ -17,7 +23,7 @@ _CUBIC_UP_TO = 2  # states; beyond, cubic polynomials have too many terms for th
 _NEAR = 1.5  # distances to the nearest neighbour, up to which a polynomial is taken as it is
 
 
-def interpolant(x, log_p, factor):
+def interpolant(x: Floats, log_p: Floats, factor: Floats) -> OfStates:
     """Return a function of states X (M, n) that gives log p (M,).
 
     Around each particle log p is the weighted least-squares polynomial through its neighbours in whitened
@@ -40,7 +46,7 @@ def interpolant(x, log_p, factor):
     gradient, concave = _tail(c, reach, terms, n)
     blended = min(2 * n + 3, N)
 
-    def log_density(X):
+    def log_density(X: Floats) -> Floats:
         Y = np.atleast_2d(X) @ whiten
         r, j = (a.reshape(len(Y), -1) for a in tree.query(Y, blended))
         weight = _weight(r / (r[:, -1:] * (1.0 + 1e-9)))
@@ -53,7 +59,7 @@ def interpolant(x, log_p, factor):
     return log_density
 
 
-def smoothed(z, values):
+def smoothed(z: Floats, values: Floats) -> tuple[Floats, Floats]:
     """What quadratic polynomials through the neighbours of each point make of values there.
 
     Parameters
@@ -72,7 +78,7 @@ def smoothed(z, values):
     return c[:, 0], nearest
 
 
-def _terms(n, degree, N):
+def _terms(n: int, degree: int, N: int) -> list[tuple[int, ...]]:
     """Monomials as tuples of axes, by degree; of lower degree where particles are few."""
     every = [t for k in range(degree + 1) for t in itertools.combinations_with_replacement(range(n), k)]
     while len(every) > max(n + 1, N // 2):
@@ -81,7 +87,7 @@ def _terms(n, degree, N):
     return every
 
 
-def _monomials(d, terms):
+def _monomials(d: Floats, terms: Sequence[tuple[int, ...]]) -> Floats:
     """Values of the monomials at displacements d (..., n), shape (..., T)."""
     values = np.empty((*d.shape[:-1], len(terms)))
     for k, axes in enumerate(terms):
@@ -91,12 +97,14 @@ def _monomials(d, terms):
     return values
 
 
-def _weight(q):
+def _weight(q: Floats) -> Floats:
     """Wendland's C2 function."""
     return (1.0 - q) ** 4 * (1.0 + 4.0 * q)
 
 
-def _fit(tree, z, log_p, terms):
+def _fit(
+    tree: Any, z: Floats, log_p: Floats, terms: Sequence[tuple[int, ...]]
+) -> tuple[Floats, Floats, Floats]:
     """Coefficients (N, T) in units of each particle's reach, the reaches, and nearest distances."""
     K = min(_NEIGHBORS_A_TERM * len(terms), len(z) - 1)
     distance, neighbors = tree.query(z, K + 1)
@@ -109,7 +117,7 @@ def _fit(tree, z, log_p, terms):
     return np.linalg.solve(normal, right[..., None])[..., 0], reach, distance[:, 1]
 
 
-def _tail(c, reach, terms, n):
+def _tail(c: Floats, reach: Floats, terms: Sequence[tuple[int, ...]], n: int) -> tuple[Floats, Floats]:
     """Gradient (N, n) and concave part of the second derivatives (N, n, n) at each particle."""
     gradient, H = np.zeros((len(c), n)), np.zeros((len(c), n, n))
     for k, axes in enumerate(terms):
@@ -122,14 +130,15 @@ def _tail(c, reach, terms, n):
     return gradient, np.einsum("iab,ib,icb->iac", V, np.minimum(w, 0.0), V)
 
 
-def normalised(density):
+def normalised(density: "ParticleDensity") -> OfStates:
     """Return log p of a density that carries `log_density`, as `interpolant` does, with an integral of one.
 
     The integral is taken by importance sampling from the mixture of kernels in whitened coordinates: 2n
     points of equal weight stand for each kernel and have its covariance.
     """
-    factor, n = np.linalg.cholesky(density.cov("points")), density.dim
-    log_p = interpolant(density.x, density.log_density, factor)
+    known: Any = density.log_density
+    factor: Any = np.linalg.cholesky(density.cov("points"))
+    n, log_p = density.dim, interpolant(density.x, known, factor)
     scale = np.prod(np.diag(factor)) ** (1.0 / n)
     z = np.ascontiguousarray(np.linalg.solve(factor, (density.x - density.mean()).T).T)
     h, (kind, constant) = density.h / scale, density.kernel_code

@@ -1,17 +1,24 @@
 """Marginals of a log-density on a lattice: sums over the other axes, laid on a lattice of their own."""
 
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
 from scipy.special import logsumexp
 
+from .._types import Floats, Ints, OfStates
 from ..core.field import cells
+from ..core.field.field import Field
 from ..core.field.stencils import stencils
 from ..core.sph import kernels
 from ..lattice import field as lattice_field
-from ..lattice.level_set import lay
+from ..lattice.level_set import Laid, lay
 from .mixture import narrowed
+
+if TYPE_CHECKING:
+    from .shapes import Kernels, Polynomials
 
 __all__ = ["around", "laid_marginal", "projected_lengths"]
 
@@ -23,7 +30,7 @@ _FEWEST = {1: 60, 2: 500, 3: 1500}  # nodes of a marginal at least, and so many 
 _BLOCK = 500_000  # terms at a time
 
 
-def around(field):
+def around(field: Field) -> Floats:
     """States (M, n) at the middle of all cells of a lattice where its density counts, tails included.
 
     Those of nodes and, beyond them, down to where what is left counts no more: the cut is for the sake of
@@ -49,7 +56,7 @@ def around(field):
     return cells.states_of(kept, field.mu, field.A, low, dims)[1]
 
 
-def laid_marginal(shape, axes):
+def laid_marginal(shape: "Polynomials", axes: Sequence[int]) -> Laid:
     """The density of some axes of `Polynomials`, on a lattice.
 
     In coordinates that whiten the field's lattice, those axes first, the states with given values there fill
@@ -80,7 +87,7 @@ def laid_marginal(shape, axes):
     return laid._replace(mean=mean[axes], cov=cov[np.ix_(axes, axes)])
 
 
-def _summed(field, order, factor, others):
+def _summed(field: Field, order: Ints, factor: Floats, others: Floats) -> OfStates:
     """Return log of the integral of a field over its last axes in an order, given the first (M, k).
 
     others : ndarray, shape (N, n - k)
@@ -90,7 +97,7 @@ def _summed(field, order, factor, others):
     k = len(order) - others.shape[1]
     log_cell = np.log(spacing * np.diag(factor)[k:]).sum()
 
-    def log_p(Y):
+    def log_p(Y: Floats) -> Floats:
         here = np.linalg.solve(factor[:k, :k], (Y - field.mu[order[:k]]).T).T
         out = np.empty(len(Y))
         step = max(1, _BLOCK // len(plane))
@@ -107,7 +114,7 @@ def _summed(field, order, factor, others):
     return log_p
 
 
-def projected_lengths(shape, axes):
+def projected_lengths(shape: "Kernels", axes: Sequence[int]) -> Floats:
     """Smoothing lengths (N,) with which `Kernels` seen along some axes have the variance they have there."""
     code, n = shape.kernel[0], shape.x.shape[1]
     ratio = math.sqrt(kernels.kernel_variance(code, n) / kernels.kernel_variance(code, len(axes)))
@@ -116,7 +123,7 @@ def projected_lengths(shape, axes):
     return ratio * shape.h
 
 
-def _plane(z):
+def _plane(z: Floats) -> tuple[Floats, float]:
     """Points (Q, m) of a lattice that cover nodes z (N, m) and the cells around them, and its spacing."""
     m = z.shape[1]
     if m == 0:

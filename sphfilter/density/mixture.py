@@ -2,12 +2,14 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import special
 
+from .._types import Floats, Ints
 from ..core.corrected.moment_correction import correct, exponents
 from ..core.sph import kernels
 from ..core.sph.neighbors import build_index, choose_method
@@ -27,16 +29,23 @@ class Mixture(NamedTuple):
     x = centre + factor z.
     """
 
-    centre: np.ndarray  # (n,)
-    factor: np.ndarray  # (n, n)
-    z: np.ndarray  # (N, n)
-    mass: np.ndarray  # (N,)
-    h: np.ndarray  # (N,)
-    kernel: tuple  # code and C_n
-    index: tuple  # of the search
+    centre: Floats  # (n,)
+    factor: Floats  # (n, n)
+    z: Floats  # (N, n)
+    mass: Floats  # (N,)
+    h: Floats  # (N,)
+    kernel: tuple[int, float]  # code and C_n
+    index: Any  # of the search
 
 
-def mixture(x, mass, h, kernel, centre=None, factor=None):
+def mixture(
+    x: Floats,
+    mass: Floats,
+    h: Floats,
+    kernel: tuple[int, float],
+    centre: Floats | None = None,
+    factor: Floats | None = None,
+) -> Mixture:
     """The mixture of kernels of given code and C_n at x (N, n), which are z where there is a factor."""
     n = x.shape[1]
     centre = np.zeros(n) if centre is None else centre
@@ -46,13 +55,13 @@ def mixture(x, mass, h, kernel, centre=None, factor=None):
     return Mixture(centre, factor, x, mass, h, kernel, index)
 
 
-def pdf(mix, X):
+def pdf(mix: Mixture, X: Floats) -> Floats:
     """Density at the states X (M, n)."""
     z = np.linalg.solve(mix.factor, (X - mix.centre).T).T
     return _at(mix, np.ascontiguousarray(z)) / abs(np.linalg.det(mix.factor))
 
 
-def gradient(mix, X):
+def gradient(mix: Mixture, X: Floats) -> Floats:
     """Gradient of `pdf` at the states X (M, n), shape (M, n)."""
     z = np.ascontiguousarray(np.linalg.solve(mix.factor, (X - mix.centre).T).T)
     out = np.empty_like(z)
@@ -60,7 +69,7 @@ def gradient(mix, X):
     return np.linalg.solve(mix.factor.T, out.T).T / abs(np.linalg.det(mix.factor))
 
 
-def points(mix, offsets, which=slice(None)):
+def points(mix: Mixture, offsets: Floats, which: slice | Ints = slice(None)) -> Floats:
     """States at `offsets` (k, n) from kernels, in their smoothing lengths, shape (N k, n).
 
     which : a slice of the kernels, or their numbers (k,) for one offset of each.
@@ -72,7 +81,7 @@ def points(mix, offsets, which=slice(None)):
     return mix.centre + z @ mix.factor.T
 
 
-def narrowed(mix, axes):
+def narrowed(mix: Mixture, axes: Sequence[int]) -> float:
     """Smoothing lengths of kernels seen along some axes only, over those along all, for equal widths."""
     rows = mix.factor[axes]
     seen = np.linalg.det(rows @ rows.T) ** (0.5 / len(axes))
@@ -80,7 +89,7 @@ def narrowed(mix, axes):
 
 
 @cache
-def standing_for(code, n, count):
+def standing_for(code: int, n: int, count: int) -> Floats:
     """Points (count, n) that stand for the kernel with h = 1: evenly spread, with its mean and covariance."""
     from scipy.stats import qmc  # on use: import time
 
@@ -91,7 +100,7 @@ def standing_for(code, n, count):
     return math.sqrt(kernels.kernel_variance(code, n)) * np.linalg.solve(root, X.T).T
 
 
-def drawn(code, uniform):
+def drawn(code: int, uniform: Floats) -> Floats:
     """Map uniform numbers (k, n + 1) to points (k, n) distributed as the kernel with h = 1."""
     n = uniform.shape[1] - 1
     direction = special.ndtri(np.clip(uniform[:, :-1], 1e-15, 1 - 1e-15))
@@ -103,7 +112,7 @@ def drawn(code, uniform):
     return radius[:, None] * direction / np.maximum(length, 1e-300)
 
 
-def raw_moment(mix, powers, centre):
+def raw_moment(mix: Mixture, powers: Sequence[int] | Ints, centre: Floats) -> float:
     """Expectation of prod_d (x_d - centre_d)^powers[d], the factor being one.
 
     The kernels' own moments are those of a direction times a radius: E[xi^k] = C_n / C_(n+|k|) times the
@@ -121,7 +130,7 @@ def raw_moment(mix, powers, centre):
     return float(total)
 
 
-def shrunk(x, mass, h, kernel):
+def shrunk(x: Floats, mass: Floats, h: Floats, kernel: tuple[int, float]) -> Mixture | None:
     """The mixture with the kernels' own variance taken back, for points that have the density's covariance.
 
     Kernels of variance s² move what a density carries by -s²/2 times the slope of its logarithm, as heat
@@ -166,19 +175,19 @@ def shrunk(x, mass, h, kernel):
     return mixture(z, mass, a * h, kernel, centre, whole @ within @ _least_change(own, wanted @ wanted.T))
 
 
-def _least_change(have, wanted):
+def _least_change(have: Floats, wanted: Floats) -> Floats:
     """The symmetric matrix that makes one covariance (n, n) another: the least change of the states."""
     root = _root(have)
     inverse = np.linalg.inv(root)
     return inverse @ _root(root @ wanted @ root) @ inverse
 
 
-def _root(matrix):
+def _root(matrix: Floats) -> Floats:
     values, axes = np.linalg.eigh(matrix)
     return (axes * np.sqrt(values)) @ axes.T
 
 
-def _slope(z, mass):
+def _slope(z: Floats, mass: Floats) -> Floats:
     """Gradient of the log-density (N, n) at whitened points, a polynomial of degree three.
 
     It is the one for which E[q . grad log p] = -E[div q] holds for polynomials q of that degree: that of a
@@ -198,7 +207,7 @@ def _slope(z, mass):
     return -u - (doubt * short)[:, None] * z
 
 
-def _at(mix, z):
+def _at(mix: Mixture, z: Floats) -> Floats:
     """Sum of the kernels at z (M, n)."""
     out = np.empty(len(z))
     # Threads only for long sums: a process that has used them cannot be forked.

@@ -1,21 +1,27 @@
 """The probability density a filter carries: particles with mass and smoothing length, and what to ask it."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from .._types import Floats, ReadOut, Seed
 from ..core.field.field import Field
 from ..core.sph import kernels
 from ..errors import ModelError
+from ..lattice.level_set import Laid
 from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
 from . import statistics
-from .shapes import Folded, Kernels, Polynomials, lattice_particles
+from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
+from .weighted import WeightedStates
 
 __all__ = ["ParticleDensity"]
 
-READ_OUTS = ("points", "mixture", "shrunk", "log_density")
+READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "shrunk", "log_density")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,23 +80,23 @@ class ParticleDensity:
     [ True False] 1.960
     """
 
-    x: np.ndarray
-    mass: np.ndarray
-    h: np.ndarray
+    x: Floats
+    mass: Floats
+    h: Floats
     t: float = 0.0
     kernel: str = "gaussian"
-    read_out: str = "points"
+    read_out: ReadOut = "points"
     represented_mass: float = 1.0
-    log_density: np.ndarray | None = None
-    invariant: np.ndarray | None = None
+    log_density: Floats | None = None
+    invariant: Floats | None = None
     field: Field | None = None
     volume: float | None = None
-    moments: tuple | None = None
+    moments: tuple[Floats, Floats] | None = None
     gaussian: bool = False
     capacity: int | None = None
     domain: Domain | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         x = array("x", self.x, (None, None))
         own = {"x": x}
         for name in ("mass", "h", "log_density", "invariant"):
@@ -111,12 +117,19 @@ class ParticleDensity:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def on_lattice(cls, laid, t, capacity=None, gaussian=False, domain=None):
+    def on_lattice(
+        cls,
+        laid: Laid,
+        t: float,
+        capacity: int | None = None,
+        gaussian: bool = False,
+        domain: Domain | None = None,
+    ) -> "ParticleDensity":
         """The density of a `level_set.Laid` at time t."""
-        about = {"t": t, "capacity": capacity, "gaussian": gaussian, "domain": domain}
+        about: dict[str, Any] = {"t": t, "capacity": capacity, "gaussian": gaussian, "domain": domain}
         return cls(**lattice_particles(laid), **about)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         domain = "" if self.domain is None else f", domain={self.domain}"
         return (
             f"ParticleDensity(N={self.n_particles}, dim={self.dim}, t={self.t:g}, "
@@ -124,77 +137,78 @@ class ParticleDensity:
             f"std={row(np.sqrt(np.diag(self.cov())))}{domain})"
         )
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
         return _rebuild, (values,)  # through the constructor: copies are read-only too
 
     @property
-    def dim(self):
+    def dim(self) -> int:
         """Number of states n."""
         return self.x.shape[1]
 
     @property
-    def n_particles(self):
+    def n_particles(self) -> int:
         """Number of particles N."""
         return len(self.x)
 
     @property
-    def kernel_code(self):
+    def kernel_code(self) -> tuple[int, float]:
         """The kernel as compiled functions take it: its code and its constant C_n."""
         code = kernels.KINDS.index(self.kernel)
         return code, kernels.normalisation(code, self.dim)
 
     @property
-    def kernel_variance(self):
+    def kernel_variance(self) -> float:
         """c_K: the variance of one kernel is c_K h² along each axis."""
         return kernels.kernel_variance(self.kernel_code[0], self.dim)
 
     @property
-    def mean_support(self):
+    def mean_support(self) -> float:
         """K h averaged over the particles: how far a kernel reaches, in the units of the state."""
         return float(kernels.RADIUS[self.kernel_code[0]] * self.h.mean())
 
     @cached_property
-    def shape(self):
+    def shape(self) -> Shape:
         """What answers for the density: `Kernels` or `Polynomials`, `Folded` if its states have a domain."""
         return self._shape(self.read_out)
 
-    def _shape(self, kind):
+    def _shape(self, kind: ReadOut) -> Shape:
         """The shape that is read as `kind`."""
         if kind == "log_density" and self.field is not None:
-            shape = Polynomials(self.field, self.x, self.mass, self.moments)
+            shape: Kernels | Polynomials = Polynomials(self.field, self.x, self.mass, self.moments)
         else:
             kind = "points" if kind == "log_density" else kind
             shape = Kernels(self.x, self.mass, self.h, self.kernel_code, kind)
         return shape if self.domain is None else Folded(shape, self.domain)
 
     @property
-    def cells(self):
+    def cells(self) -> Floats:
         """Middles (M, n) of the lattice's cells in which the density is more than nothing."""
-        return self.shape.cells
+        lattice: Any = self.shape
+        return lattice.cells
 
-    def pdf(self, X):
+    def pdf(self, X: ArrayLike) -> Floats:
         """Density at the states X (M, n) or (n,); an array (M,), per unit volume of the state space."""
         return self.shape.pdf(state_rows("X", X, self.dim))
 
-    def logpdf(self, X):
+    def logpdf(self, X: ArrayLike) -> Floats:
         """Logarithm of `pdf`; minus infinity outside the kernels' supports, if it is a mixture's."""
         return self.shape.logpdf(state_rows("X", X, self.dim))
 
-    def gradient(self, X):
+    def gradient(self, X: ArrayLike) -> Floats:
         """Gradient of `pdf` at the states X (M, n) or (n,), shape (M, n)."""
         return self.shape.gradient(state_rows("X", X, self.dim))
 
-    def mean(self):
+    def mean(self) -> Floats:
         """Mean, shape (n,); that of periodic axes is a direction."""
         return self.shape.mean()
 
-    def cov(self, kind=None):
+    def cov(self, kind: ReadOut | None = None) -> Floats:
         """Covariance, shape (n, n); `kind` is a `read_out`."""
         shape = self.shape if kind is None else self._shape(choice("kind", kind, READ_OUTS))
         return shape.cov(self.mean())
 
-    def moment(self, powers, central=False, kind=None):
+    def moment(self, powers: Sequence[int], central: bool = False, kind: ReadOut | None = None) -> float:
         """Expectation of prod_d x_d^powers[d], about the mean if `central` (the short way round an angle).
 
         Parameters
@@ -208,7 +222,7 @@ class ParticleDensity:
         read = self._read("points" if kind is None and self.read_out == "shrunk" else kind)
         return statistics.moment(read, powers, self.mean() if central else None)
 
-    def probability(self, region, kind=None):
+    def probability(self, region: Callable[[Floats], ArrayLike], kind: ReadOut | None = None) -> float:
         """Probability of a region given as a function of states X (M, n) that returns booleans (M,).
 
         Examples
@@ -221,21 +235,31 @@ class ParticleDensity:
         read = self._between(kind)
         return statistics.expectation(read, lambda X: np.asarray(region(X), dtype=float), smooth=False)
 
-    def quantile(self, axis, probability, kind=None):
+    @overload
+    def quantile(self, axis: int, probability: float, kind: ReadOut | None = None) -> float: ...
+
+    @overload
+    def quantile(
+        self, axis: int, probability: Sequence[float] | Floats, kind: ReadOut | None = None
+    ) -> Floats: ...
+
+    def quantile(
+        self, axis: int, probability: float | Sequence[float] | Floats, kind: ReadOut | None = None
+    ) -> float | Floats:
         """Value below which a state lies with `probability`, a float, or an array (K,) for an array of them.
 
         It is counted from the low end of the domain, if the axis has one; `kind` is a `read_out`.
         """
         return statistics.quantile(self._between(kind), axis, probability)
 
-    def entropy(self, kind=None):
+    def entropy(self, kind: ReadOut | None = None) -> float:
         """Differential entropy -E[log p], nats; it depends on the units of the states.
 
         Of "points" that of the log-density they carry, if they do; `kind` is a `read_out`.
         """
         return statistics.entropy(self._between(kind))
 
-    def hpd_region(self, probability, kind=None):
+    def hpd_region(self, probability: float, kind: ReadOut | None = None) -> statistics.Region:
         """The smallest region that holds `probability`, as a `statistics.Region`.
 
         It is a function of states X (M, n) that returns booleans (M,), with its `level` and its `volume`;
@@ -243,11 +267,11 @@ class ParticleDensity:
         """
         return statistics.highest_region(self._between(kind), probability)
 
-    def hpd_level(self, probability):
+    def hpd_level(self, probability: float) -> float:
         """Density level whose super-level set, the highest-density region, holds `probability`."""
         return self.hpd_region(probability).level
 
-    def hpd_rank(self, X, kind=None):
+    def hpd_rank(self, X: ArrayLike, kind: ReadOut | None = None) -> Floats:
         """Probability of the region where the density is higher than at states X (M, n) or (n,), shape (M,).
 
         Zero at the mode, one far away, and uniform for states drawn from the density: where a truth lies
@@ -255,19 +279,19 @@ class ParticleDensity:
         """
         return statistics.hpd_rank(self._between(kind), X)
 
-    def spread(self, kind=None):
+    def spread(self, kind: ReadOut | None = None) -> WeightedStates:
         """The density as states and weights whose sums are its expectations, `WeightedStates`."""
         return statistics.spread(self._between(kind))
 
-    def mode(self):
+    def mode(self) -> Floats:
         """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
         return statistics.mode(self)
 
-    def sample(self, size, rng=None):
+    def sample(self, size: int, rng: Seed = None) -> Floats:
         """Draw states, shape (size, n), from the density; `rng` is a numpy Generator or a seed."""
         return self.shape.sample(size, generator(rng))
 
-    def marginal(self, axes):
+    def marginal(self, axes: Sequence[int]) -> "ParticleDensity":
         """Density of the states in `axes` alone, a `ParticleDensity` with the domain of those axes.
 
         A log-density is summed over the others, on a lattice of its own. A kernel's marginal is given the
@@ -281,15 +305,15 @@ class ParticleDensity:
         gaussian = self.gaussian and "field" in given
         return ParticleDensity(**given, represented_mass=self.represented_mass, gaussian=gaussian)
 
-    def _read(self, kind):
+    def _read(self, kind: ReadOut | None) -> "ParticleDensity":
         """The density with another read-out, or itself."""
-        kind = self.read_out if kind is None else choice("kind", kind, READ_OUTS)
-        return self if kind == self.read_out else replace(self, read_out=kind)
+        read_out = self.read_out if kind is None else choice("kind", kind, READ_OUTS)
+        return self if read_out == self.read_out else replace(self, read_out=read_out)
 
-    def _between(self, kind):
+    def _between(self, kind: ReadOut | None) -> "ParticleDensity":
         """The density as it is read between its points."""
         return self._read("mixture" if kind is None and self.read_out == "points" else kind)
 
 
-def _rebuild(values):
+def _rebuild(values: dict[str, Any]) -> ParticleDensity:
     return ParticleDensity(**values)

@@ -1,14 +1,25 @@
 """Particles of density values on a regular lattice."""
 
+from typing import Any
+
 import numpy as np
 
-from ..lattice.regular import collocation_masses, fit_support
+from .._types import Bools, Floats
+from ..config import PaperScheme
+from ..lattice.regular import Lattice, collocation_masses, fit_support
 from .particle_density import ParticleDensity
 
 __all__ = ["particles_on", "particles_with"]
 
 
-def particles_on(lattice, values, between, core, scheme, density):
+def particles_on(
+    lattice: Lattice,
+    values: Floats,
+    between: Floats,
+    core: Bools,
+    scheme: PaperScheme,
+    density: dict[str, Any],
+) -> ParticleDensity:
     """Make particles of density values on a lattice: masses, and the initial h that fits them best.
 
     Parameters
@@ -31,7 +42,9 @@ def particles_on(lattice, values, between, core, scheme, density):
     return particles_with(fit.h, lattice, values, scheme, density)
 
 
-def particles_with(h, lattice, values, scheme, density):
+def particles_with(
+    h: float, lattice: Lattice, values: Floats, scheme: PaperScheme, density: dict[str, Any]
+) -> ParticleDensity:
     """Make particles of one smoothing length h; other arguments as of `particles_on`."""
     kept = values > 0
     x, mass = lattice.nodes[kept], values[kept] * lattice.cell_volume

@@ -2,16 +2,19 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from ..config import PaperScheme, SolverConfig
+from .._types import Bools, Floats, OfStates
+from ..config import FilterConfig, PaperScheme, Scheme, SolverConfig
 from ..errors import PropagationError
 from ..info import ResampleInfo
 from ..lattice import field
 from ..lattice.candidates import NO_OVERLAP, Product, Sought, best_candidate
 from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
+from ..lattice.regular import Lattice
 from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
@@ -24,7 +27,11 @@ __all__ = ["logarithm", "particle_bound", "regrid", "resample", "times_likelihoo
 _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
 
-def resample(density, n_particles=None, config=None):
+def resample(
+    density: ParticleDensity,
+    n_particles: int | None = None,
+    config: SolverConfig | FilterConfig | None = None,
+) -> tuple[ParticleDensity, ResampleInfo]:
     """Put a density on a new lattice without a measurement (002 4.7).
 
     Each time widens the density by the variance c_K h^2 of the kernels it is read through: resample to mend
@@ -53,7 +60,7 @@ def resample(density, n_particles=None, config=None):
     return regrid(density, particle_bound(density, n_particles), scheme)
 
 
-def logarithm(density):
+def logarithm(density: ParticleDensity) -> OfStates:
     """Return log p as a function of states (M, n), defined far outside of the particles too."""
     if density.field is not None:
         return partial(field.at, density.field)
@@ -65,7 +72,9 @@ def logarithm(density):
     return lambda X: np.logaddexp(density.logpdf(X), _FAINT + faint(X))
 
 
-def times_likelihood(density, log_weight, n_particles, scheme, gaussian=False):
+def times_likelihood(
+    density: ParticleDensity, log_weight: OfStates, n_particles: int, scheme: Scheme, gaussian: bool = False
+) -> tuple[ParticleDensity, float]:
     """Density times exp(log_weight(X)) on a lattice that follows its level set, and the log of
     its integral; `gaussian` if it is known to be one.
     """
@@ -77,14 +86,16 @@ def times_likelihood(density, log_weight, n_particles, scheme, gaussian=False):
     return ParticleDensity.on_lattice(laid, density.t, n_particles, gaussian, domain), laid.log_mass
 
 
-def particle_bound(density, n_particles=None):
+def particle_bound(density: ParticleDensity, n_particles: int | None = None) -> int:
     """Upper bound of the number of particles at the next re-gridding: as given, else the density's own."""
     if n_particles is not None:
         return count("n_particles", n_particles)
     return density.capacity or density.n_particles
 
 
-def regrid(density, n_particles, scheme, log_weight=None):
+def regrid(
+    density: ParticleDensity, n_particles: int, scheme: Scheme, log_weight: OfStates | None = None
+) -> tuple[ParticleDensity, ResampleInfo]:
     """Put density times exp(log_weight(X)) on a new lattice and normalise it.
 
     Raises
@@ -97,7 +108,7 @@ def regrid(density, n_particles, scheme, log_weight=None):
     measured, domain = log_weight is not None, density.domain
     log_weight = log_weight or (lambda X: np.zeros(len(X)))
     if domain is not None:
-        density, log_weight = _unrolled(density), lambda X, given=log_weight: given(domain.wrap(X))
+        density, log_weight = _unrolled(density, domain), lambda X, given=log_weight: given(domain.wrap(X))
     raw, product = _weighted_masses(density, log_weight), partial(_product, density, log_weight)
     sought = Sought(density.x, density.mass, raw, density.mean_support, density.domain, product)
     best, n_candidates, volume_fraction = best_candidate(sought, n_particles, scheme)
@@ -121,15 +132,18 @@ def regrid(density, n_particles, scheme, log_weight=None):
     return new, info
 
 
-def _relaid(density, n_particles, scheme, log_weight):
+def _relaid(
+    density: ParticleDensity, n_particles: int, scheme: Scheme, log_weight: OfStates | None
+) -> tuple[ParticleDensity, ResampleInfo]:
     """As `regrid` on a level-set lattice."""
     weight = log_weight or (lambda X: np.zeros(len(X)))
     new, log_evidence = times_likelihood(density, weight, n_particles, scheme)
-    span = np.ptp(new.field.node, axis=0) + 1
+    laid: Any = new.field
+    span = np.ptp(laid.node, axis=0) + 1
     info = ResampleInfo(
         n_particles=new.n_particles,
         lattice_dims=tuple(int(d) for d in span),
-        spacing=tuple(float(s) for s in np.linalg.norm(new.field.A, axis=0)),
+        spacing=tuple(float(s) for s in np.linalg.norm(laid.A, axis=0)),
         n_candidates=1,
         fitness=abs(log_evidence) if log_weight is None else 0.0,
         volume_fraction=new.n_particles / float(np.prod(span)),
@@ -138,11 +152,11 @@ def _relaid(density, n_particles, scheme, log_weight):
     return new, info
 
 
-def _unrolled(density):
+def _unrolled(density: ParticleDensity, domain: Domain) -> ParticleDensity:
     """The density with its particles side by side along periodic axes, cut where there are none."""
-    x, axes = density.domain.wrap(density.x), list(density.domain.axes)
-    for d in np.flatnonzero(density.domain.periodic):
-        period = density.domain.period[d]
+    x, axes = domain.wrap(density.x), list(domain.axes)
+    for d in np.flatnonzero(domain.periodic):
+        period = domain.period[d]
         along = np.sort(x[:, d])
         gaps = np.diff(along, append=along[0] + period)
         cut = along[np.argmax(gaps)] + 0.5 * gaps.max()
@@ -151,7 +165,7 @@ def _unrolled(density):
     return replace(density, x=x, domain=Domain(*axes))
 
 
-def _weighted_masses(density, log_weight):
+def _weighted_masses(density: ParticleDensity, log_weight: OfStates) -> Floats:
     """First estimate of the posterior masses, 002 (57) as it must read: m_i l_i / sum_j m_j l_j."""
     log_w = log_weight(density.x)
     if log_w.max() == -np.inf:
@@ -160,7 +174,9 @@ def _weighted_masses(density, log_weight):
     return raw / raw.sum()
 
 
-def _product(density, log_weight, lattice, log_scale=None):
+def _product(
+    density: ParticleDensity, log_weight: OfStates, lattice: Lattice, log_scale: float | None = None
+) -> Product:
     """Interpolated density (16) times the weight on a lattice (002 (58)-(59))."""
     values = lattice.density_of(density.x, density.mass, density.h, density.kernel_code)
     log_w = log_weight(lattice.nodes)
@@ -171,7 +187,7 @@ def _product(density, log_weight, lattice, log_scale=None):
     return Product(lattice, values * np.exp(np.minimum(log_w - log_scale, 700.0)), float(log_scale))
 
 
-def _rescale_boundary(values, kept, core, cell_volume):
+def _rescale_boundary(values: Floats, kept: Bools, core: Bools, cell_volume: float) -> Floats:
     """Scale the boundary particles so that the trimmed density has mass one again (002 4.7.3)."""
     boundary = kept & ~core
     values = values * kept

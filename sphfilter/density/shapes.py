@@ -5,22 +5,60 @@ covariance; weighted states that stand for it; samples; marginals; where it ends
 and return arrays without checking them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 from scipy import optimize, special
 
+from .._types import Floats, Ints
 from ..core.field.field import Field
 from ..core.sph import kernels
 from ..lattice import field as lattice_field
+from ..lattice.level_set import Laid
 from ..model.domain import Domain
 from . import marginal, mixture
 
-__all__ = ["LATTICE_SUPPORT", "Folded", "Kernels", "Polynomials", "lattice_particles"]
+__all__ = ["LATTICE_SUPPORT", "Folded", "Kernels", "Polynomials", "Shape", "lattice_particles"]
 
 LATTICE_SUPPORT = 1.2  # smoothing length on a lattice, in units of its spacing
 _CELL_POINTS = 2**17  # points in all cells, up to 128 in each and at least 16
+
+
+class Shape(Protocol):
+    """The questions that every shape answers."""
+
+    def pdf(self, X: Floats) -> Floats:
+        """Density, shape (M,)."""
+
+    def logpdf(self, X: Floats) -> Floats:
+        """Logarithm of the density, shape (M,)."""
+
+    def gradient(self, X: Floats) -> Floats:
+        """Gradient of the density, shape (M, n)."""
+
+    def mean(self) -> Floats:
+        """Mean, shape (n,)."""
+
+    def cov(self, centre: Floats | None = None) -> Floats:
+        """Covariance, shape (n, n), about the mean if no centre (n,) is given."""
+
+    def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
+        """States (M, n) and weights (M,) whose sums are expectations, of `smooth` functions or of any."""
+
+    def sample(self, size: int, rng: np.random.Generator) -> Floats:
+        """Draw states, shape (size, n)."""
+
+    def raw_moment(self, powers: Ints, centre: Floats) -> float | None:
+        """Moment about a centre (n,) in closed form; None where there is none."""
+
+    def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
+        """Particles of the density of some axes, by name."""
+
+    def ends(self) -> tuple[Floats, Floats, Floats]:
+        """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +69,15 @@ class Kernels:
     of p) or "shrunk" (integrals of p, what the kernels widen taken back).
     """
 
-    x: np.ndarray  # (N, n)
-    mass: np.ndarray  # (N,)
-    h: np.ndarray  # (N,)
-    kernel: tuple  # code and C_n
+    x: Floats  # (N, n)
+    mass: Floats  # (N,)
+    h: Floats  # (N,)
+    kernel: tuple[int, float]  # code and C_n
     kind: str
     images: mixture.Mixture | None = field(default=None, repr=False)  # with those that stand beyond ends
 
     @cached_property
-    def mixture(self):
+    def mixture(self) -> mixture.Mixture:
         """The kernels that the pdf sums; made at the first question."""
         if self.images is not None:
             return self.images
@@ -49,35 +87,35 @@ class Kernels:
         return mixture.mixture(self.x, self.mass, self.h, self.kernel) if found is None else found
 
     @property
-    def widening(self):
+    def widening(self) -> float:
         """Variance along each axis by which the covariance exceeds that of the points."""
         if self.kind != "mixture":
             return 0.0
         return kernels.kernel_variance(self.kernel[0], self.x.shape[1]) * (self.mass @ self.h**2)
 
-    def pdf(self, X):
+    def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,)."""
         return mixture.pdf(self.mixture, X)
 
-    def logpdf(self, X):
+    def logpdf(self, X: Floats) -> Floats:
         """Logarithm of the density; minus infinity outside of the kernels' supports."""
         with np.errstate(divide="ignore"):
             return np.log(self.pdf(X))
 
-    def gradient(self, X):
+    def gradient(self, X: Floats) -> Floats:
         """Gradient of the density, shape (M, n)."""
         return mixture.gradient(self.mixture, X)
 
-    def mean(self):
+    def mean(self) -> Floats:
         """Mean, shape (n,); points and mixture agree, kernels being symmetric."""
         return self.mass @ self.x
 
-    def cov(self, centre=None):
+    def cov(self, centre: Floats | None = None) -> Floats:
         """Covariance, shape (n, n), about the mean if no centre (n,) is given."""
         d = self.x - (self.mean() if centre is None else centre)
         return (d * self.mass[:, None]).T @ d + self.widening * np.eye(self.x.shape[1])
 
-    def states(self, count, smooth):
+    def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """Particles for "points"; else `count` states a kernel, spread evenly, always the same ones."""
         if self.kind == "points":
             return self.x, self.mass
@@ -85,35 +123,35 @@ class Kernels:
         X = mixture.points(self.mixture, offsets, slice(len(self.x)))  # images are seen, but carry nothing
         return X, np.repeat(self.mass / count, count)
 
-    def sample(self, size, rng):
+    def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
         chosen = rng.choice(len(self.x), size=size, p=self.mass)
         offsets = mixture.drawn(self.kernel[0], rng.random((size, self.x.shape[1] + 1)))
         return mixture.points(self.mixture, offsets, chosen)
 
-    def raw_moment(self, powers, centre):
+    def raw_moment(self, powers: Ints, centre: Floats) -> float | None:
         """Moment about a centre (n,) in closed form; None where there is none."""
         return mixture.raw_moment(self.mixture, powers, centre) if self.kind == "mixture" else None
 
-    def marginal(self, axes):
+    def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: the same kernel, with its variance there."""
         h = marginal.projected_lengths(self, axes)
         return {"x": self.x[:, axes], "mass": self.mass, "h": h, "read_out": self.kind}
 
-    def ends(self):
+    def ends(self) -> tuple[Floats, Floats, Floats]:
         """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
         mix = self.mixture
         width = mix.factor[0, 0] * mix.h
         middle, reach = mix.centre + mix.factor[0, 0] * mix.z[:, 0], kernels.RADIUS[mix.kernel[0]] * width
         return middle - reach, middle + reach, width
 
-    def around(self, domain):
+    def around(self, domain: Domain) -> "Kernels":
         """The same kernels with their images beyond the ends of a domain."""
         reach = kernels.RADIUS[self.kernel[0]] * self.h.max()
         seen = domain.seen(domain.fold(self.x), self.mass, self.h, reach)
         return replace(self, images=mixture.mixture(*seen, self.kernel))
 
-    def turns(self, domain, X):
+    def turns(self, domain: Domain, X: Floats) -> list[Floats]:
         """States at which to ask for the density of states X in a domain: images stand beyond its ends."""
         return [domain.fold(X)]
 
@@ -123,41 +161,41 @@ class Polynomials:
     """Polynomials of log p between the nodes of a lattice, tails included."""
 
     field: Field
-    x: np.ndarray  # (N, n), the nodes
-    mass: np.ndarray  # (N,)
-    moments: tuple | None  # mean (n,) and covariance (n, n) beyond the cut too
+    x: Floats  # (N, n), the nodes
+    mass: Floats  # (N,)
+    moments: tuple[Floats, Floats] | None  # mean (n,) and covariance (n, n) beyond the cut too
 
     widening = 0.0
 
     @cached_property
-    def cells(self):
+    def cells(self) -> Floats:
         """Middles (M, n) of the lattice's cells in which the density is more than nothing."""
         return marginal.around(self.field)
 
-    def pdf(self, X):
+    def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,)."""
         return np.exp(self.logpdf(X))
 
-    def logpdf(self, X):
+    def logpdf(self, X: Floats) -> Floats:
         """Logarithm of the density, shape (M,)."""
         return lattice_field.at(self.field, X)
 
-    def gradient(self, X):
+    def gradient(self, X: Floats) -> Floats:
         """Gradient of the density, shape (M, n)."""
         return self.pdf(X)[:, None] * lattice_field.gradient(self.field, X)
 
-    def mean(self):
+    def mean(self) -> Floats:
         """Mean, shape (n,)."""
         return self.mass @ self.x if self.moments is None else self.moments[0].copy()
 
-    def cov(self, centre=None):
+    def cov(self, centre: Floats | None = None) -> Floats:
         """Covariance, shape (n, n), about the mean."""
         if self.moments is not None:
             return self.moments[1].copy()
         d = self.x - (self.mean() if centre is None else centre)
         return (d * self.mass[:, None]).T @ d
 
-    def states(self, count, smooth):
+    def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """States in every cell.
 
         Those of all cells lie in rows: sums of `smooth` functions are spectrally accurate then, while an edge
@@ -168,29 +206,29 @@ class Polynomials:
         p = self.pdf(X)
         return X, p / p.sum()
 
-    def sample(self, size, rng):
+    def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
         X = self._in_cells(rng.random((32, len(self.field.mu))))
         p = self.pdf(X)
         return X[rng.choice(len(X), size=size, p=p / p.sum())]
 
-    def raw_moment(self, powers, centre):
+    def raw_moment(self, powers: Ints, centre: Floats) -> None:
         """No moment has a closed form."""
 
-    def marginal(self, axes):
+    def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: summed over the others, on a lattice of its own."""
         return lattice_particles(marginal.laid_marginal(self, axes))
 
-    def ends(self):
+    def ends(self) -> tuple[Floats, Floats, Floats]:
         """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
         width = np.array([self.field.A[0, 0]])
         return self.cells.min() - width, self.cells.max() + width, width
 
-    def around(self, domain):
+    def around(self, domain: Domain) -> "Polynomials":
         """Itself: it may lie several times round."""
         return self
 
-    def turns(self, domain, X):
+    def turns(self, domain: Domain, X: Floats) -> list[Floats]:
         """States X turned round periodic axes, as often as the nodes go round."""
         turns = [domain.fold(X)]
         for d in np.flatnonzero(domain.periodic):
@@ -200,7 +238,7 @@ class Polynomials:
             turns = [Y + k * shift for Y in turns for k in np.arange(first - 1, last + 2)]
         return turns
 
-    def _in_cells(self, uniform):
+    def _in_cells(self, uniform: Floats) -> Floats:
         """States (M k, n) in all cells, at `uniform` (k, n) or (M, k, n) parts of them."""
         offsets = (uniform % 1.0 - 0.5) @ self.field.A.T
         return (self.cells[:, None] + offsets).reshape(-1, offsets.shape[-1])
@@ -214,22 +252,23 @@ class Folded:
     domain: Domain
 
     @cached_property
-    def _seen(self):
+    def _seen(self) -> Kernels | Polynomials:
         return self.shape.around(self.domain)
 
     @property
-    def cells(self):
+    def cells(self) -> Floats:
         """Middles (M, n) of the cells of a lattice."""
-        return self.shape.cells
+        lattice: Any = self.shape
+        return lattice.cells
 
-    def pdf(self, X):
+    def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,); zero beyond the ends."""
         turns = self._seen.turns(self.domain, X)
         out = self._seen.pdf(turns[0]) if len(turns) == 1 else np.exp(self._summed(turns))
         out[~self.domain.contains(X)] = 0.0
         return out
 
-    def logpdf(self, X):
+    def logpdf(self, X: Floats) -> Floats:
         """Logarithm of the density, shape (M,)."""
         turns = self._seen.turns(self.domain, X)
         if len(turns) > 1:
@@ -237,41 +276,42 @@ class Folded:
         with np.errstate(divide="ignore"):
             return np.log(self.pdf(X))
 
-    def _summed(self, turns):
+    def _summed(self, turns: list[Floats]) -> Floats:
         return special.logsumexp([self._seen.logpdf(Y) for Y in turns], axis=0)
 
-    def gradient(self, X):
+    def gradient(self, X: Floats) -> Floats:
         """Gradient of the density, shape (M, n)."""
-        out = sum(self._seen.gradient(Y) for Y in self._seen.turns(self.domain, X))
+        turns = self._seen.turns(self.domain, X)
+        out = sum((self._seen.gradient(Y) for Y in turns), np.zeros(X.shape))
         out[~self.domain.contains(X)] = 0.0
         return out
 
-    def mean(self):
+    def mean(self) -> Floats:
         """Mean direction of periodic axes, mean of others, shape (n,)."""
         return self.domain.mean(self.shape.x, self.shape.mass)
 
-    def cov(self, centre=None):
+    def cov(self, centre: Floats | None = None) -> Floats:
         """Covariance of differences from the mean the short way round, shape (n, n)."""
         d, mass = self.domain.nearest(self.shape.x - self.mean()), self.shape.mass
         return (d * mass[:, None]).T @ d + self.shape.widening * np.eye(d.shape[1])
 
-    def states(self, count, smooth):
+    def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """Weighted states of the shape, inside of the domain."""
         X, w = self._seen.states(count, smooth)
         return self.domain.fold(X), w
 
-    def sample(self, size, rng):
+    def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
         return self.domain.fold(self._seen.sample(size, rng))
 
-    def raw_moment(self, powers, centre):
+    def raw_moment(self, powers: Ints, centre: Floats) -> None:
         """No moment has a closed form."""
 
-    def marginal(self, axes):
+    def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name."""
         return self._seen.marginal(axes)
 
-    def ends(self):
+    def ends(self) -> tuple[Floats, Floats, Floats]:
         """Lower and upper end of a density of one state, and how wide its parts are; arrays."""
         low, high, width = self._seen.ends()
         if self.domain.periodic[0]:
@@ -279,7 +319,7 @@ class Folded:
         return *self.domain.within(low.min(), high.max(), 0.0), width
 
 
-def _cell_points(n, cells, smooth):
+def _cell_points(n: int, cells: int, smooth: bool) -> Floats:
     """Points (k, n) of a unit cell; or (cells, k, n), each cell's own, where sums in rows are no use."""
     from scipy.stats import qmc  # on use: import time
 
@@ -288,13 +328,13 @@ def _cell_points(n, cells, smooth):
     return uniform if smooth else uniform + _spread_evenly(cells, n)[:, None]
 
 
-def _spread_evenly(count, n):
+def _spread_evenly(count: int, n: int) -> Floats:
     """Points (count, n) of the additive sequence of the root of x^(n+1) = x + 1, even over the unit cube."""
     root = optimize.brentq(lambda x: x ** (n + 1) - x - 1.0, 1.0, 2.0)
     return np.arange(count)[:, None] * root ** -np.arange(1.0, n + 1.0) % 1.0
 
 
-def lattice_particles(laid):
+def lattice_particles(laid: Laid) -> dict[str, Any]:
     """What a density on a lattice is made of, by name.
 
     Parameters

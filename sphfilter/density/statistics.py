@@ -4,15 +4,22 @@ All are sums over states that stand for the density as it is read: its particles
 kernels, or points in each cell of its lattice and beyond.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import integrate, optimize
 
+from .._types import Bools, Floats, Ints, OfStates
 from ..errors import ModelError
 from ..validate import state_rows
 from . import weighted
 from .weighted import WeightedStates
+
+if TYPE_CHECKING:
+    from .particle_density import ParticleDensity
 
 __all__ = [
     "Region",
@@ -52,16 +59,18 @@ class Region:
     (array([ True]), 0.95)
     """
 
-    density: object
+    density: "ParticleDensity"
     level: float
     volume: float
 
-    def __call__(self, X):
+    def __call__(self, X: ArrayLike) -> Bools:
         """Which of the states X (M, n) lie in it, shape (M,)."""
         return self.density.pdf(X) >= self.level
 
 
-def states(density, count=_SUBPOINTS, smooth=False):
+def states(
+    density: "ParticleDensity", count: int = _SUBPOINTS, smooth: bool = False
+) -> tuple[Floats, Floats]:
     """States (M, n) and weights (M,) whose sums are the expectations of a density; `count` a kernel.
 
     Particles for "points"; else points spread evenly over kernels or cells, always the same ones.
@@ -69,32 +78,32 @@ def states(density, count=_SUBPOINTS, smooth=False):
     return density.shape.states(count, smooth)
 
 
-def expectation(density, function, smooth=True):
+def expectation(density: "ParticleDensity", function: OfStates, smooth: bool = True) -> float:
     """Expectation of function(X (M, n)) -> (M,)."""
     X, w = states(density, smooth=smooth)
     return float(w @ function(X))
 
 
-def moment(density, powers, centre=None):
+def moment(density: "ParticleDensity", powers: Sequence[int], centre: Floats | None = None) -> float:
     """Expectation of prod_d (x_d - centre_d)^powers[d], the short way round a periodic axis."""
-    powers = np.asarray(powers)
-    if powers.shape != (density.dim,) or np.any(powers < 0) or np.any(powers != np.floor(powers)):
-        raise ModelError(f"powers must be {density.dim} whole numbers >= 0, one a state, got {powers!r}")
-    if powers.sum() <= 2 and density.domain is None:  # a lattice knows these beyond its cut too
-        return _low_moment(density, powers.astype(int), centre)
-    exact = density.shape.raw_moment(powers, np.zeros(density.dim) if centre is None else centre)
+    orders = np.asarray(powers)
+    if orders.shape != (density.dim,) or np.any(orders < 0) or np.any(orders != np.floor(orders)):
+        raise ModelError(f"powers must be {density.dim} whole numbers >= 0, one a state, got {orders!r}")
+    if orders.sum() <= 2 and density.domain is None:  # a lattice knows these beyond its cut too
+        return _low_moment(density, orders.astype(int), centre)
+    exact = density.shape.raw_moment(orders, np.zeros(density.dim) if centre is None else centre)
     if exact is not None:
         return exact
 
-    def product(X):
+    def product(X: Floats) -> Floats:
         if centre is not None:
             X = X - centre if density.domain is None else density.domain.nearest(X - centre)
-        return np.prod(X**powers, axis=1)
+        return np.prod(X**orders, axis=1)
 
     return expectation(density, product)
 
 
-def _low_moment(density, powers, centre):
+def _low_moment(density: "ParticleDensity", powers: Ints, centre: Floats | None) -> float:
     """Moment of order two at most."""
     axes = np.repeat(np.arange(density.dim), powers)
     off = density.mean() if centre is None else density.mean() - centre
@@ -102,7 +111,7 @@ def _low_moment(density, powers, centre):
     return product + float(density.cov()[tuple(axes)]) if len(axes) == 2 else product
 
 
-def quantile(density, axis, probability):
+def quantile(density: "ParticleDensity", axis: int, probability: ArrayLike) -> Any:
     """Where one state's distribution function reaches `probability` (K,), counted from a domain's low end."""
     checked_axes([axis], density.dim)
     probability = _checked_part(probability)
@@ -117,7 +126,7 @@ def quantile(density, axis, probability):
     return found if probability.ndim else float(found)
 
 
-def entropy(density):
+def entropy(density: "ParticleDensity") -> float:
     """-E[log p], nats."""
     X, w = states(density, _FEW_SUBPOINTS, smooth=True)
     if density.read_out == "points" and density.log_density is not None:
@@ -127,30 +136,30 @@ def entropy(density):
     return -float(w[inside] @ log_p[inside] / w[inside].sum())
 
 
-def highest_region(density, probability):
+def highest_region(density: "ParticleDensity", probability: float) -> Region:
     """The region of highest density that holds a probability."""
-    probability = _checked_part(probability)
+    share = _checked_part(probability)
     X, w = states(density, _FEW_SUBPOINTS)
     p = density.pdf(X)
     order = np.argsort(-p, kind="stable")
     p, w = p[order], w[order]
-    level = float(np.interp(probability, np.cumsum(w), p))
+    level = float(np.interp(share, np.cumsum(w), p))
     inside = p >= max(level, 1e-300)
     return Region(density, level, float((w[inside] / p[inside]).sum()))
 
 
-def spread(density):
+def spread(density: "ParticleDensity") -> WeightedStates:
     """A density as `WeightedStates`: points in its cells or kernels, and how it is read between them."""
     X, w = states(density, _FEW_SUBPOINTS)
     return WeightedStates(X, w, density.logpdf)
 
 
-def hpd_rank(density, X):
+def hpd_rank(density: "ParticleDensity", X: ArrayLike) -> Floats:
     """Probability of the region where the density is higher than at each state of X (M, n), shape (M,)."""
     return weighted.hpd_rank(spread(density), state_rows("X", X, density.dim))
 
 
-def mode(density):
+def mode(density: "ParticleDensity") -> Floats:
     """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
     best = density.x[np.argmax(density.pdf(density.x))]
     simplex = np.vstack([best, best + 0.5 * np.median(density.h) * np.eye(density.dim)])
@@ -160,7 +169,7 @@ def mode(density):
     return found.x
 
 
-def checked_axes(axes, dim):
+def checked_axes(axes: Sequence[int], dim: int) -> list[int]:
     """Return axes as a list of different numbers below `dim`, or raise `ModelError`."""
     axes = list(axes)
     if not axes or len(set(axes)) < len(axes) or not set(axes) <= set(range(dim)):
@@ -168,18 +177,18 @@ def checked_axes(axes, dim):
     return axes
 
 
-def _checked_part(probability):
+def _checked_part(probability: ArrayLike) -> Floats:
     probability = np.asarray(probability, dtype=float)
     if not np.all((probability > 0.0) & (probability < 1.0)):
         raise ModelError(f"probability must lie between 0 and 1, got {probability}")
     return probability
 
 
-def _distribution(one):
+def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:
     """Distribution function of a density of one state: places (K,) and its values there."""
-    low, high, width = one.shape.ends()
-    low, high = float(low.min()), float(high.max())
-    count = int(min(_FINE * (high - low) / np.median(width), _MOST_FINE))
+    lows, highs, width = one.shape.ends()
+    low, high = float(lows.min()), float(highs.max())
+    count = int(min(_FINE * (high - low) / float(np.median(width)), _MOST_FINE))
     y = np.linspace(low, high, max(count, _FINE) + 1)
     F = integrate.cumulative_simpson(one.pdf(y[:, None]), x=y, initial=0.0)
     F = np.maximum.accumulate(F)  # parabolas through nothing but zeros and a first value undershoot

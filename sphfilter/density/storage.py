@@ -4,8 +4,11 @@ import io
 import json
 import zipfile
 from dataclasses import fields
+from os import PathLike
+from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._version import __version__
 from ..core.field.fitting import build_field
@@ -26,12 +29,14 @@ __all__ = [
     "write_arrays",
 ]
 
+#: Arrays by name.
+Arrays: TypeAlias = dict[str, NDArray[Any]]
 FORMAT = 1
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
 _FIELD = "mu", "A", "node", "log_p"  # what a field is built from
 
 
-def stored(density):
+def stored(density: ParticleDensity) -> Arrays:
     """A density as arrays by name; `density_from` makes the same density of them, to the last bit."""
     arrays = {name: getattr(density, name) for name in _ARRAYS if getattr(density, name) is not None}
     if density.field is not None:
@@ -39,12 +44,14 @@ def stored(density):
     if density.moments is not None:
         arrays |= {"moments.mean": density.moments[0], "moments.cov": density.moments[1]}
     special = {*_ARRAYS, "field", "moments", "domain"}
-    about = {f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special}
+    about: dict[str, Any] = {
+        f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
+    }
     about["domain"] = None if density.domain is None else density.domain.axes
     return arrays | {"about": np.array(json.dumps(about))}
 
 
-def density_from(arrays):
+def density_from(arrays: Arrays) -> ParticleDensity:
     """The density of arrays that `stored` made."""
     about = json.loads(str(arrays["about"]))
     if about["domain"] is not None:
@@ -55,43 +62,44 @@ def density_from(arrays):
         about["field"] = build_field(*parts, stencils(n))
     if "moments.mean" in arrays:
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
-    return ParticleDensity(**{name: arrays[name] for name in _ARRAYS if name in arrays}, **about)
+    about |= {name: arrays[name] for name in _ARRAYS if name in arrays}
+    return ParticleDensity(**about)
 
 
-def under(name, arrays):
+def under(name: str | int, arrays: Arrays) -> Arrays:
     """Arrays with the name of what they are part of."""
     return {f"{name}.{key}": value for key, value in arrays.items()}
 
 
-def part(name, arrays):
+def part(name: str, arrays: Arrays) -> Arrays:
     """The arrays that `under` put below a name."""
     return {key[len(name) + 1 :]: value for key, value in arrays.items() if key.startswith(f"{name}.")}
 
 
-def write_arrays(path, arrays):
+def write_arrays(path: str | PathLike[str], arrays: Arrays) -> None:
     """Write arrays by name to a compressed npz file, with the version of the format."""
     with open(path, "wb") as file:  # an open file, or numpy would add a suffix
         _write(file, arrays)
 
 
-def _write(file, arrays):
-    version = {"format": np.array(FORMAT), "sphfilter": np.array(__version__)}
-    np.savez_compressed(file, **version, **arrays)
+def _write(file: BinaryIO, arrays: Arrays) -> None:
+    version: dict[str, Any] = {"format": np.array(FORMAT), "sphfilter": np.array(__version__)}
+    np.savez_compressed(file, **version | arrays)
 
 
-def to_bytes(density):
+def to_bytes(density: ParticleDensity) -> bytes:
     """A density as the bytes of such a file."""
     file = io.BytesIO()
     _write(file, stored(density))
     return file.getvalue()
 
 
-def from_bytes(content):
+def from_bytes(content: bytes) -> ParticleDensity:
     """The density of bytes that `to_bytes` made; raises `ModelError` for others."""
     return density_from(load_arrays(io.BytesIO(content)))
 
 
-def load_arrays(path):
+def load_arrays(path: str | PathLike[str] | BinaryIO) -> Arrays:
     """Read a file of `write_arrays`.
 
     Raises

@@ -4,6 +4,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from .._types import Floats
 
 __all__ = ["WeightedStates", "hpd_rank", "state_rank"]
 
@@ -14,20 +17,20 @@ class WeightedStates(NamedTuple):
     `logpdf` takes states (K, n); `log_p` (M,) is what it gives at X, where that is known already.
     """
 
-    X: np.ndarray
-    w: np.ndarray
-    logpdf: Callable | None = None
-    log_p: np.ndarray | None = None
+    X: Floats
+    w: Floats
+    logpdf: Callable[[Floats], Floats] | None = None
+    log_p: Floats | None = None
 
 
-def state_rank(spread, x):
+def state_rank(spread: WeightedStates, x: Floats) -> Floats:
     """Probability that each state lies below its value in x (n,), shape (n,): uniform if x is drawn."""
     # plain sums: those of matrix products depend on the number of threads, in their last bits
     halves = [np.sum(spread.w[:, None] * side, axis=0) for side in (x > spread.X, x >= spread.X)]
     return np.clip(0.5 * (halves[0] + halves[1]), 0.0, 1.0)
 
 
-def hpd_rank(spread, X):
+def hpd_rank(spread: WeightedStates, X: ArrayLike) -> Floats:
     """Probability of the region where the density is higher than at each of the states X (K, n), shape (K,).
 
     Of a state drawn from the density it is uniform, whatever the shape: its rank among highest-density

@@ -4,6 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._types import Floats, Ints
+from ..config import AcceptanceTest
+from ..density.particle_density import ParticleDensity
+
 __all__ = ["Acceptance", "test_measurement"]
 
 
@@ -12,7 +16,9 @@ class Acceptance(NamedTuple):
     reason: str
 
 
-def test_measurement(density, z, variance, states, settings):
+def test_measurement(
+    density: ParticleDensity, z: Floats, variance: Floats, states: Ints, settings: AcceptanceTest
+) -> Acceptance:
     """Compare the expected posterior along each measured state with the prior's domain (002 (60)-(62)).
 
     Parameters
@@ -46,7 +52,7 @@ def test_measurement(density, z, variance, states, settings):
     return Acceptance(True, "")
 
 
-def _sentence(state, mu, half, low, high, where):
+def _sentence(state: int, mu: float, half: float, low: float, high: float, where: str) -> str:
     return (
         f"the posterior expected for state {state}, {mu:.4g} ± {half:.3g}, lies too far {where}, "
         f"which span {low:.4g} to {high:.4g}"

@@ -5,16 +5,19 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ..errors import PropagationError
-from ..info import Code
-from ..model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from ..info import Code, PredictInfo, UpdateInfo
+from ..model.measurements import GaussianMeasurement, LikelihoodMeasurement, Sensor
 from ..prediction.predict import load, predict
 from .update import update
 
 __all__ = ["Budget", "rehearse"]
+
+Info = TypeVar("Info", PredictInfo, UpdateInfo)
 
 #: What time is read from, seconds; `time.process_time` leaves out what other processes take.
 clock = perf_counter
@@ -40,30 +43,31 @@ class Budget:
         Seconds of this step so far.
     """
 
-    def __init__(self, seconds):
+    def __init__(self, seconds: float | None) -> None:
         self.seconds, self.prepared, self.spent = seconds, seconds is None, 0.0
-        self._began, self._most, self._costs = 0.0, 0, {}
+        self._began, self._most = 0.0, 0
+        self._costs: dict[str, deque[float]] = {}
         self._again = False  # was the last prediction made again on more particles?
         # particles of steps where that happened twice in a row, else zero
-        self._too_few = deque(maxlen=_MEMORY)
+        self._too_few: deque[int] = deque(maxlen=_MEMORY)
         self.keep(0)
 
-    def keep(self, n):
+    def keep(self, n: int) -> None:
         """Forget what steps have cost but for the last n."""
         kept = {what: list(self._costs.get(what, [])) for what in ("predict", "update")}
         self._costs = {what: deque(c[max(len(c) - n, 0) :], _MEMORY) for what, c in kept.items()}
 
-    def adopt(self, other):
+    def adopt(self, other: "Budget") -> None:
         """Take over what particles have cost in a rehearsal."""
         self._costs, self._too_few, self.prepared = other._costs, other._too_few, True
 
-    def begin(self, step=False):
+    def begin(self, step: bool = False) -> None:
         """A call begins, and with a prediction a new step."""
         if self.seconds is not None:
             self._began = clock()
             self.spent = 0.0 if step else self.spent
 
-    def bound(self, n_particles, least):
+    def bound(self, n_particles: int, least: int) -> int:
         """Particles that a step can afford: `n_particles` at most, and `least` if those are not fewer.
 
         Where they were too few of late, so that two predictions in a row had to be made again on three times
@@ -80,14 +84,14 @@ class Budget:
         self._most = max(int(affordable), min(least, n_particles))
         return self._most
 
-    def fits(self, n_particles):
+    def fits(self, n_particles: int) -> bool:
         """Would another prediction on so many particles end in time, with an update after it?"""
         if self.seconds is None:
             return True
         left = self.seconds - self.spent - (clock() - self._began)
         return n_particles * (self._dearest("predict") + self._dearest("update")) <= left
 
-    def end(self, what, info, n_particles, repeated):
+    def end(self, what: str, info: Info, n_particles: int, repeated: bool) -> Info:
         """A call has ended: note what a particle has cost, and say what the step has taken.
 
         Parameters
@@ -113,18 +117,18 @@ class Budget:
             self._costs[what].popleft()  # time passes: a busy spell of the machine must not last for ever
         return replace(self._timed(info), seconds=took)
 
-    def _timed(self, info):
+    def _timed(self, info: Info) -> Info:
         """The info, which says so if the step has taken too long."""
-        if self.spent <= self.seconds:
+        if self.seconds is None or self.spent <= self.seconds:
             return info
         late = f"time budget exceeded: {1e3 * self.spent:.3g} of {1e3 * self.seconds:.3g} ms"
         return info.marked(Code.LATE, late if info.status == "ok" else f"{info.status}; {late}")
 
-    def _dearest(self, what):
+    def _dearest(self, what: str) -> float:
         return max(self._costs[what], default=math.nan)
 
 
-def rehearse(twin, budget, dt):
+def rehearse(twin: Any, budget: Budget, dt: float) -> float:
     """Predict and update a twin of a filter until all is compiled and the cost of a step is known.
 
     Parameters
@@ -154,7 +158,7 @@ def rehearse(twin, budget, dt):
     return seconds
 
 
-def _load_rest(filt, dt):
+def _load_rest(filt: Any, dt: float) -> None:
     """Compile what a prediction may fall back on, and an update after that."""
     scheme = load(filt.model, filt.density, filt.config)
     if scheme is not None:
@@ -163,7 +167,7 @@ def _load_rest(filt, dt):
         update(moved, *_expected(filt), filt.config)
 
 
-def _expected(filt):
+def _expected(filt: Any) -> tuple[Sensor, Any]:
     """A sensor, and a reading of it that changes little."""
     sensor = filt.measurement
     if isinstance(sensor, GaussianMeasurement):

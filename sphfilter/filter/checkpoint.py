@@ -1,11 +1,17 @@
 """A filter in a file: its density, where that comes from, and what it said last, as arrays."""
 
+from os import PathLike
+from typing import Any
+
 import numpy as np
 
 from ..config import FilterConfig
-from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
+from ..density.storage import Arrays, density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import ModelError
+from ..model.measurements import Sensor
+from ..model.sde import SDE
 from ..prediction.predict import Prediction
+from .state import FilterState
 from .update_again import Update
 
 __all__ = ["restored", "write"]
@@ -15,7 +21,7 @@ _MOMENTS = "x_prior", "P_prior", "x_post", "P_post"
 _STATE = ("n_particles", "z", "y", "S", "log_likelihood", "log_evidence", *_MOMENTS)
 
 
-def write(path, state, filt):
+def write(path: str | PathLike[str], state: FilterState, filt: Any) -> None:
     """Write the `FilterState` of a filter to an npz file, and how the filter was made."""
     given = {name: getattr(state, name) for name in _STATE} | {"dt": filt.dt}
     arrays = {name: np.asarray(value) for name, value in given.items() if value is not None}
@@ -24,7 +30,9 @@ def write(path, state, filt):
     write_arrays(path, arrays | under("origin", _stored_origin(state.origin, filt.measurement)))
 
 
-def restored(path, model, measurement):
+def restored(
+    path: str | PathLike[str], model: SDE, measurement: Sensor | None
+) -> tuple[dict[str, Any], bool, dict[str, Any]]:
     """Read what `write` wrote.
 
     Returns
@@ -47,7 +55,7 @@ def restored(path, model, measurement):
         "config": FilterConfig.from_toml(str(arrays["config"])),
         "dt": float(arrays["dt"]) if "dt" in arrays else None,
     }
-    state = {name: arrays.get(name) for name in _STATE}
+    state: dict[str, Any] = {name: arrays.get(name) for name in _STATE}
     for name in _MOMENTS:
         state[name].flags.writeable = False
     state = {k: v.item() if v is not None and v.ndim == 0 else v for k, v in state.items()}
@@ -55,7 +63,7 @@ def restored(path, model, measurement):
     return options, bool(arrays["adapts"]), state
 
 
-def _stored_origin(origin, measurement):
+def _stored_origin(origin: Prediction | Update | None, measurement: Sensor | None) -> Arrays:
     """The last prediction or update of a filter, which it may have to repeat, as arrays.
 
     An update with another sensor than the filter's own is left out: sensors are code, not data.
@@ -68,11 +76,11 @@ def _stored_origin(origin, measurement):
     return {}
 
 
-def _origin(arrays, model, measurement):
+def _origin(arrays: Arrays, model: SDE, measurement: Sensor | None) -> Prediction | Update | None:
     """The origin of arrays that `_stored_origin` made; None if there are none."""
     if not arrays:
         return None
     before = density_from(part("before", arrays))
-    if "z" in arrays:
+    if "z" in arrays and measurement is not None:
         return Update(before, measurement, arrays["z"])
     return Prediction(before, float(arrays["lost"]), model, float(arrays["t"]))

@@ -1,5 +1,6 @@
 """Attributes that a filter refuses to be given, with the name to use instead."""
 
+from collections.abc import Iterable
 from difflib import get_close_matches
 
 from ..errors import ModelError
@@ -25,7 +26,7 @@ _PARTS = {"x": "mean", "P": "covariance"}
 _NEAR = 0.75  # likeness of two names from which one is taken for the other mistyped
 
 
-def check_assigned(name, cls, base):
+def check_assigned(name: str, cls: type, base: type) -> None:
     """Raise `ModelError` if a filter of a class must not be given an attribute of this name.
 
     Parameters
@@ -56,5 +57,5 @@ def check_assigned(name, cls, base):
 _SETTABLE = "model", "measurement", "config", "dt", "n_particles"
 
 
-def _declared(cls):
+def _declared(cls: type) -> Iterable[str]:
     return {*vars(cls), *vars(cls).get("__annotations__", {})}

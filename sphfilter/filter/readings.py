@@ -1,28 +1,36 @@
 """Which sensor a reading of a filter comes from."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import ModelError
-from ..model.measurements import GaussianMeasurement
+from ..model.compile import StateFunction
+from ..model.measurements import GaussianMeasurement, Sensor
+from ..model.sde import SDE
 from ..validate import short
 
 __all__ = ["checked_sensor", "sensor_of"]
 
 
-def sensor_of(own, given, H, model):
+def sensor_of(
+    own: Sensor | None, given: Sensor | ArrayLike | None, H: ArrayLike | StateFunction | None, model: SDE
+) -> Sensor:
     """The sensor of a reading: the filter's own, the one given, or the own one with another R or h."""
     if H is None and (given is None or hasattr(given, "log_likelihood") or not _numbers(given)):
         return checked_sensor(own if given is None else given, model)
     if not isinstance(own, GaussianMeasurement):
         raise ModelError("R and H change a filter's own GaussianMeasurement, and this filter has none")
-    return checked_sensor(own.changed(given, H), model)
+    noise_cov: Any = given
+    return checked_sensor(own.changed(noise_cov, H), model)
 
 
-def _numbers(given):
+def _numbers(given: Any) -> bool:
     return np.asarray(given).dtype.kind in "iuf"
 
 
-def checked_sensor(measurement, model):
+def checked_sensor(measurement: Any, model: SDE) -> Sensor:
     """Return a measurement that fits the model, or raise `ModelError`."""
     if not hasattr(measurement, "log_likelihood"):
         raise ModelError(

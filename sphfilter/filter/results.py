@@ -1,15 +1,19 @@
 """What a run of a filter leaves behind, and the one loop that every filter's ``run`` calls."""
 
 from dataclasses import dataclass, fields
+from os import PathLike
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from .._types import Bools, Floats, Readings
 from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
 from ..info import innovation_of
 from ..model.measurements import Reading
 
-__all__ = ["FilterResult", "run_filter", "shapes"]
+__all__ = ["AnyFilter", "FilterResult", "run_filter", "shapes"]
 
 #: What a run keeps only if it was told a truth.
 RANKS = "pit", "state_pit", "hpd_rank"
@@ -49,43 +53,51 @@ class FilterResult:
     [0.262 0.159] [-0.855  0.   ] [ True  True]
     """
 
-    t: np.ndarray
-    x_prior: np.ndarray
-    P_prior: np.ndarray
-    x: np.ndarray
-    P: np.ndarray
-    log_evidence: np.ndarray
-    accepted: np.ndarray
-    innovation: np.ndarray | None = None
-    innovation_cov: np.ndarray | None = None
-    pit: np.ndarray | None = None
-    state_pit: np.ndarray | None = None
-    hpd_rank: np.ndarray | None = None
+    t: Floats
+    x_prior: Floats
+    P_prior: Floats
+    x: Floats
+    P: Floats
+    log_evidence: Floats
+    accepted: Bools
+    # an array in every result: what is not given becomes NaN
+    innovation: Floats = None  # type: ignore[assignment]
+    innovation_cov: Floats = None  # type: ignore[assignment]
+    pit: Floats = None  # type: ignore[assignment]
+    state_pit: Floats = None  # type: ignore[assignment]
+    hpd_rank: Floats = None  # type: ignore[assignment]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         lead, n = np.shape(self.x)[:-1], np.shape(self.x)[-1]
         k = 1 if self.innovation is None else np.shape(self.innovation)[-1]
         for name, shape in shapes(n, k).items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full((*lead, *shape), np.nan))
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         *lead, n = np.shape(self.x)
         names = ", ".join(f.name for f in fields(self))
         return f"FilterResult({' x '.join(map(str, lead))} epochs of {n} states: {names})"
 
-    def save(self, path):
+    def save(self, path: str | PathLike[str]) -> None:
         """Write the arrays to a ``.npz`` file."""
         np.savez_compressed(path, **{f.name: getattr(self, f.name) for f in fields(self)})
 
     @classmethod
-    def load(cls, path):
+    def load(cls, path: str | PathLike[str]) -> "FilterResult":
         """Read what `save` wrote."""
         with np.load(path) as data:
             return cls(**{f.name: data[f.name] for f in fields(cls) if f.name in data})
 
 
-def shapes(n, k):
+class AnyFilter(Protocol):
+    """What can be put through a record of measurements: `SPHFilter`, or a filter of a user's own."""
+
+    def run(self, times: Any, measurements: Any, /) -> FilterResult:
+        """Predict to each time and update with its measurement."""
+
+
+def shapes(n: int, k: int) -> dict[str, tuple[int, ...]]:
     """Shapes of what a run of n states and k readings keeps of an epoch, by name."""
     return {
         "x_prior": (n,),
@@ -102,7 +114,13 @@ def shapes(n, k):
     }
 
 
-def run_filter(filt, times, measurements, truth=None, observer=None):
+def run_filter(
+    filt: Any,
+    times: ArrayLike,
+    measurements: Readings,
+    truth: ArrayLike | None = None,
+    observer: Ranker | None = None,
+) -> FilterResult:
     """Predict to each time and update with its measurement.
 
     Parameters
@@ -155,7 +173,9 @@ def run_filter(filt, times, measurements, truth=None, observer=None):
     return FilterResult(t=times, **columns)
 
 
-def _epoch(filt, t, z, k, epoch, observer):
+def _epoch(
+    filt: Any, t: float, z: ArrayLike | None, k: int, epoch: int, observer: Ranker | None
+) -> dict[str, Any]:
     """Predict to t, update with z, and return what the result keeps of it."""
     if t > filt.t:
         filt.predict(t=t)

@@ -3,14 +3,23 @@
 import math
 from copy import copy
 from dataclasses import replace
+from os import PathLike
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..config import checked_filter_config
+from .._types import Readings
+from ..config import FilterConfig, checked_filter_config
+from ..consistency.ranks import Ranker
 from ..density.distributions import Gaussian
 from ..density.initialize import initialize
 from ..density.particle_density import ParticleDensity
+from ..density.weighted import WeightedStates
 from ..errors import ModelError
+from ..info import PredictInfo, UpdateInfo
+from ..model.compile import StateFunction
+from ..model.measurements import Sensor
 from ..model.sde import SDE
 from ..prediction.again import Outcome, predict_from_finer
 from ..prediction.predict import Prediction, predict
@@ -20,7 +29,7 @@ from .budget import Budget, rehearse
 from .checkpoint import restored, write
 from .names import check_assigned
 from .readings import checked_sensor, sensor_of
-from .results import run_filter
+from .results import FilterResult, run_filter
 from .state import FilterState, Shown
 from .update_again import update_or_predict_again
 
@@ -94,17 +103,17 @@ class SPHFilter(Shown):
 
     def __init__(
         self,
-        model,
-        measurement,
-        x0=None,
-        P0=None,
+        model: SDE,
+        measurement: Sensor | None,
+        x0: ArrayLike | None = None,
+        P0: ArrayLike | None = None,
         *,
-        t0=0.0,
-        n_particles=200,
-        config=None,
-        density=None,
-        dt=None,
-    ):
+        t0: float = 0.0,
+        n_particles: int | Literal["auto"] = 200,
+        config: FilterConfig | None = None,
+        density: ParticleDensity | None = None,
+        dt: float | None = None,
+    ) -> None:
         if not isinstance(model, SDE):
             raise ModelError(f"model must be an SDE or LinearSDE, got {short(model)}")
         self.model = model
@@ -116,7 +125,14 @@ class SPHFilter(Shown):
         self._budget = Budget(self.config.time_budget)
         self._state = FilterState.begun(self._start(x0, P0, t0, density, n_particles), n_particles)
 
-    def _start(self, x0, P0, t0, density, n_particles):
+    def _start(
+        self,
+        x0: ArrayLike | None,
+        P0: ArrayLike | None,
+        t0: float,
+        density: ParticleDensity | None,
+        n_particles: int,
+    ) -> ParticleDensity:
         if density is not None:
             if x0 is not None or P0 is not None:
                 raise ModelError("give either x0 and P0, or density=, not both")
@@ -130,7 +146,7 @@ class SPHFilter(Shown):
         P0 = covariance("P0", P0, dim=self.model.dim)
         return initialize(Gaussian(x0, P0), n_particles, self.config, t=real("t0", t0))
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         scheme = self.config.scheme
         return (
             f"SPHFilter(states={self.model.states}, t={self.t:g}, x={row(self.x)}, "
@@ -138,25 +154,25 @@ class SPHFilter(Shown):
             f"(at most {self.n_particles}), scheme={scheme if isinstance(scheme, str) else scheme.name!r})"
         )
 
-    def __setattr__(self, name, value):
+    def __setattr__(self, name: str, value: Any) -> None:
         check_assigned(name, type(self), SPHFilter)
         object.__setattr__(self, name, value)
 
     @property
-    def adapts(self):
+    def adapts(self) -> bool:
         """Whether the filter was made with ``n_particles="auto"``."""
         return self._adapts
 
     @property
-    def n_particles(self):
+    def n_particles(self) -> int:
         """Upper bound of the number of particles at the next re-gridding."""
         return self._state.n_particles
 
     @n_particles.setter
-    def n_particles(self, value):
+    def n_particles(self, value: int) -> None:
         self._state = replace(self._state, n_particles=count("n_particles", value))
 
-    def predict(self, dt=None, *, t=None):
+    def predict(self, dt: float | None = None, *, t: float | None = None) -> PredictInfo:
         """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo.
 
         filterpy's banks call ``predict(0)``, for no control: a filter with a dt of its own advances by it.
@@ -173,8 +189,8 @@ class SPHFilter(Shown):
                 self.prepare(interval)
         state, most = self._state, self._most()
 
-        def predicted(density):
-            options = {"t": t, "n_particles": most}
+        def predicted(density: ParticleDensity) -> Outcome[PredictInfo]:
+            options: dict[str, Any] = {"t": t, "n_particles": most}
             if self._adapts:
                 options["fits"] = self._budget.fits
                 return predict_to_target(density, self.model, dt, self.config, **options)
@@ -188,11 +204,11 @@ class SPHFilter(Shown):
         self._state = state.predicted(outcome, self.model)
         return info
 
-    def _most(self):
+    def _most(self) -> int:
         """Particles that a call may have."""
         return self._budget.bound(self.n_particles, fewest(self.model.dim, "auto"))
 
-    def prepare(self, dt=None):
+    def prepare(self, dt: float | None = None) -> float:
         """Compile all that predictions and updates call, before a loop in real time.
 
         Predictions and updates are rehearsed on a twin: the filter stays where it is. Under a `time_budget`
@@ -216,7 +232,14 @@ class SPHFilter(Shown):
         self._budget.adopt(budget)
         return seconds
 
-    def update(self, z, measurement=None, H=None, *, R=None):
+    def update(
+        self,
+        z: ArrayLike | None,
+        measurement: Sensor | ArrayLike | None = None,
+        H: ArrayLike | StateFunction | None = None,
+        *,
+        R: ArrayLike | None = None,
+    ) -> UpdateInfo:
         """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo.
 
         As in filterpy, a number or matrix in the place of the sensor is the noise covariance R of this
@@ -229,7 +252,7 @@ class SPHFilter(Shown):
         state, seen = self._state, measurement.reading(z).seen.any()
         prediction = state.origin if isinstance(state.origin, Prediction) else Prediction()
         self._budget.begin()
-        options = {"n_particles": self._most(), "fits": self._budget.fits}
+        options: dict[str, Any] = {"n_particles": self._most(), "fits": self._budget.fits}
         outcome = update_or_predict_again(
             prediction, state.density, self.model, measurement, z, self.config, **options
         )
@@ -239,12 +262,12 @@ class SPHFilter(Shown):
         self._state = state.updated(outcome, measurement, z)
         return info
 
-    def save(self, path):
+    def save(self, path: str | PathLike[str]) -> None:
         """Write the filter as it stands to an npz file; model and sensor, which are code, are not in it."""
         write(path, self._state, self)
 
     @classmethod
-    def load(cls, path, model, measurement):
+    def load(cls, path: str | PathLike[str], model: SDE, measurement: Sensor | None) -> "SPHFilter":
         """Read a filter that `save` wrote, with the model and sensor it had: it goes on to the same bits.
 
         Raises
@@ -257,11 +280,17 @@ class SPHFilter(Shown):
         filt._adapts, filt._state = adapts, replace(filt._state, **state)
         return filt
 
-    def spread(self):
+    def spread(self) -> WeightedStates:
         """The density now as states and weights, `WeightedStates`."""
         return self._state.density.spread()
 
-    def run(self, times, measurements, truth=None, observer=None):
+    def run(
+        self,
+        times: ArrayLike,
+        measurements: Readings,
+        truth: ArrayLike | None = None,
+        observer: Ranker | None = None,
+    ) -> FilterResult:
         """Predict to each time and update with its measurement; returns a `FilterResult`.
 
         Told the true states of simulated data, `truth` (T, n), the result also holds their ranks in the

@@ -1,12 +1,16 @@
 """What a filter is between two calls: one value, which predict and update replace as their last act."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from .._types import Floats
 from ..density.particle_density import ParticleDensity
-from ..info import UpdateInfo, innovation_of
-from ..model.measurements import GaussianMeasurement
+from ..info import PredictInfo, UpdateInfo, innovation_of
+from ..model.measurements import GaussianMeasurement, Sensor
+from ..model.sde import SDE
 from ..prediction.again import Outcome
 from ..prediction.predict import Prediction
 from .update_again import Update
@@ -36,24 +40,24 @@ class FilterState:
     density: ParticleDensity
     n_particles: int
     origin: Prediction | Update | None
-    x: np.ndarray
-    P: np.ndarray
-    x_prior: np.ndarray
-    P_prior: np.ndarray
-    x_post: np.ndarray
-    P_post: np.ndarray
-    z: np.ndarray | None = None
-    y: np.ndarray | None = None
-    S: np.ndarray | None = None
+    x: Floats
+    P: Floats
+    x_prior: Floats
+    P_prior: Floats
+    x_post: Floats
+    P_post: Floats
+    z: Floats | None = None
+    y: Floats | None = None
+    S: Floats | None = None
     log_likelihood: float = 0.0
     log_evidence: float = 0.0
 
     @classmethod
-    def begun(cls, density, n_particles):
+    def begun(cls, density: ParticleDensity, n_particles: int) -> "FilterState":
         """The state of a filter that starts with a density."""
         return cls(density, n_particles, None, *3 * _moments(density))
 
-    def predicted(self, outcome: Outcome, model):
+    def predicted(self, outcome: Outcome[PredictInfo], model: SDE) -> "FilterState":
         """The state after a prediction."""
         x, P = _moments(outcome.density)
         origin = Prediction(outcome.before, outcome.info.mass_error, model, outcome.density.t)
@@ -68,7 +72,9 @@ class FilterState:
             P_prior=P,
         )
 
-    def updated(self, outcome: Outcome, measurement, z):
+    def updated(
+        self, outcome: Outcome[UpdateInfo], measurement: Sensor, z: ArrayLike | None
+    ) -> "FilterState":
         """The state after an update, whose prior may be another than the density now."""
         prior, density, info, _ = outcome
         x_prior, P_prior = (self.x, self.P) if prior is self.density else _moments(prior)
@@ -95,47 +101,47 @@ class Shown:
     _state: FilterState
 
     @property
-    def x(self) -> np.ndarray:
+    def x(self) -> Floats:
         """Mean, shape (n,)."""
         return self._state.x
 
     @property
-    def P(self) -> np.ndarray:
+    def P(self) -> Floats:
         """Covariance, shape (n, n)."""
         return self._state.P
 
     @property
-    def x_prior(self) -> np.ndarray:
+    def x_prior(self) -> Floats:
         """Mean after the last prediction, shape (n,)."""
         return self._state.x_prior
 
     @property
-    def P_prior(self) -> np.ndarray:
+    def P_prior(self) -> Floats:
         """Covariance after the last prediction, shape (n, n)."""
         return self._state.P_prior
 
     @property
-    def x_post(self) -> np.ndarray:
+    def x_post(self) -> Floats:
         """Mean after the last update, shape (n,)."""
         return self._state.x_post
 
     @property
-    def P_post(self) -> np.ndarray:
+    def P_post(self) -> Floats:
         """Covariance after the last update, shape (n, n)."""
         return self._state.P_post
 
     @property
-    def z(self) -> np.ndarray | None:
+    def z(self) -> Floats | None:
         """Last measurement, shape (k,), NaN where no reading came; None before the first."""
         return self._state.z
 
     @property
-    def y(self) -> np.ndarray | None:
+    def y(self) -> Floats | None:
         """Innovation of the last measurement, shape (k,), or None."""
         return self._state.y
 
     @property
-    def S(self) -> np.ndarray | None:
+    def S(self) -> Floats | None:
         """Covariance of the innovation, shape (k, k), or None."""
         return self._state.S
 
@@ -165,13 +171,13 @@ class Shown:
         return float(np.exp(self._state.log_likelihood))
 
 
-def _moments(density):
+def _moments(density: ParticleDensity) -> tuple[Floats, Floats]:
     x, P = density.mean(), density.cov()
     x.flags.writeable = P.flags.writeable = False  # else flt.x += d would half succeed
     return x, P
 
 
-def _said(measurement, z, info: UpdateInfo):
+def _said(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo) -> dict[str, Any]:
     """A measurement, its innovation and the covariance of that, in shapes of the sensor, by name."""
     if not isinstance(measurement, GaussianMeasurement):
         return {"z": None if z is None else measurement.reading(z).z, "y": None, "S": None}

@@ -1,15 +1,18 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..config import PaperScheme, checked_filter_config
+from .._types import Floats
+from ..config import AcceptanceTest, FilterConfig, PaperScheme, checked_filter_config
+from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import UpdateInfo
 from ..lattice.field import extrapolated_mass
-from ..model.measurements import Reading
+from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from .acceptance import Acceptance, test_measurement
 
 __all__ = ["predicted_reading", "update"]
@@ -19,7 +22,14 @@ _OUTLYING = 5.0  # standard deviations of the prediction, from which a measureme
 _TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
 
 
-def update(density, measurement, z, config=None, *, n_particles=None):
+def update(
+    density: ParticleDensity,
+    measurement: Sensor,
+    z: ArrayLike | None,
+    config: FilterConfig | None = None,
+    *,
+    n_particles: int | None = None,
+) -> tuple[ParticleDensity, UpdateInfo]:
     """Multiply a density by the likelihood of z and put it on a new lattice (002 6.1-6.3).
 
     Parameters
@@ -55,32 +65,33 @@ def update(density, measurement, z, config=None, *, n_particles=None):
     """
     config, asked = checked_filter_config(config), _Asked.of(density, measurement, z)
     if not asked.reading.seen.any():
-        said = {"accepted": True, "log_evidence": 0.0, "reason": "no measurement came"}
+        said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": "no measurement came"}
         return density, UpdateInfo(n_particles=density.n_particles, **said)
     regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
     by = _by_regridding if regrids else _by_product
     posterior, said = by(density, asked, particle_bound(density, n_particles), config)
-    innovation = {"innovation": asked.innovation, "innovation_cov": asked.S}
-    return posterior, UpdateInfo(n_particles=posterior.n_particles, **innovation, **said)
+    return posterior, UpdateInfo(
+        n_particles=posterior.n_particles, innovation=asked.innovation, innovation_cov=asked.S, **said
+    )
 
 
 class _Asked(NamedTuple):
     """What a reading asks of a prior: its likelihood there, and how far it is from what was predicted."""
 
-    measurement: object
+    measurement: Sensor
     reading: Reading
     t: float
     innovation: np.ndarray | None  # of the components that came; None for a sensor that is not Gaussian
-    S: np.ndarray | None
+    S: Floats | None
 
     @classmethod
-    def of(cls, density, measurement, z):
+    def of(cls, density: ParticleDensity, measurement: Sensor, z: ArrayLike | None) -> "_Asked":
         """A measurement z asked of a density."""
         reading = measurement.reading(z)
         off = _innovation(density, measurement, reading) if reading.seen.any() else (None, None)
         return cls(measurement, reading, density.t, *off)
 
-    def log_weight(self, X):
+    def log_weight(self, X: Floats) -> Floats:
         """Log-likelihood of the states X (M, n), shape (M,)."""
         values = self.measurement.log_likelihood(self.reading.z, X, self.t)
         if np.isnan(values).any():
@@ -91,9 +102,9 @@ class _Asked(NamedTuple):
         return values
 
     @property
-    def outlying(self):
+    def outlying(self) -> str:
         """A sentence where the reading lies far outside of what was predicted; else empty."""
-        if self.innovation is None:
+        if self.innovation is None or self.S is None:
             return ""
         distance = np.sqrt(self.innovation @ np.linalg.solve(self.S, self.innovation))
         if not distance > _OUTLYING:
@@ -101,14 +112,16 @@ class _Asked(NamedTuple):
         return f"outlying measurement: {distance:.1f} sigma from its prediction"
 
     @property
-    def gaussian_evidence(self):
+    def gaussian_evidence(self) -> float:
         """Log-evidence where the particles end and a sum over them knows nothing: by the prior's moments."""
         from scipy.stats import multivariate_normal  # on use: import time
 
         return float(multivariate_normal.logpdf(self.innovation, cov=self.S))
 
 
-def _by_product(density, asked, n_particles, config):
+def _by_product(
+    density: ParticleDensity, asked: _Asked, n_particles: int, config: FilterConfig
+) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
     linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
     gaussian, flag = density.gaussian and linear, asked.outlying
@@ -128,7 +141,9 @@ def _by_product(density, asked, n_particles, config):
     }
 
 
-def _by_regridding(density, asked, n_particles, config):
+def _by_regridding(
+    density: ParticleDensity, asked: _Asked, n_particles: int, config: FilterConfig
+) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood on a regular lattice, if the acceptance test lets it (002 6.1-6.3)."""
     accepted, reason = _verdict(density, asked, config.acceptance)
     new, resampled = density, None
@@ -148,7 +163,7 @@ def _by_regridding(density, asked, n_particles, config):
     }
 
 
-def _beyond(prior, posterior):
+def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> str:
     """Say so where the posterior lies so far outside of the prior's particles that its shape is a guess."""
     L = np.linalg.cholesky(prior.cov())
     away = np.linalg.norm(np.linalg.solve(L, posterior.mean() - prior.mean()))
@@ -163,27 +178,30 @@ def _beyond(prior, posterior):
     )
 
 
-def _kernel_ratio(density):
+def _kernel_ratio(density: ParticleDensity) -> float:
     """Variance of the kernels over the smallest variance of the density along any direction."""
     smallest = max(np.linalg.eigvalsh(density.cov())[0], 1e-300)
     return float(density.kernel_variance * (density.mass @ density.h**2) / smallest)
 
 
-def _verdict(density, asked, settings):
+def _verdict(density: ParticleDensity, asked: _Asked, settings: AcceptanceTest) -> Acceptance:
     """The `Acceptance` of a reading; the test of 002 is defined for directly observed states only."""
     measurement, (z, seen) = asked.measurement, asked.reading
     if not settings.enabled:
         return Acceptance(True, "acceptance test off")
-    if measurement.directly_observed is None:
+    if measurement.directly_observed is None or not is_gaussian(measurement):
         return Acceptance(True, "acceptance test skipped: the sensor does not observe states directly")
-    states, scales = (part[seen] for part in measurement.directly_observed)
+    states, scales = measurement.directly_observed
+    states, scales = states[seen], scales[seen]
     variance = np.diag(measurement.noise_cov)[seen] / scales**2
     return test_measurement(density, z[seen] / scales, variance, states, settings)
 
 
-def _innovation(density, measurement, reading):
+def _innovation(
+    density: ParticleDensity, measurement: Sensor, reading: Reading
+) -> tuple[Floats, Floats] | tuple[None, None]:
     """z minus its predicted mean, and the predicted covariance plus R; None for a general likelihood."""
-    if measurement.noise_cov is None:
+    if not is_gaussian(measurement):
         return None, None
     z, seen = reading
     predicted, S, _ = predicted_reading(density, measurement)
@@ -191,7 +209,7 @@ def _innovation(density, measurement, reading):
     return measurement.residual(z, predicted)[seen], S[both] + measurement.noise_cov[both]
 
 
-def predicted_reading(density, measurement):
+def predicted_reading(density: ParticleDensity, measurement: GaussianSensor) -> tuple[Floats, Floats, Floats]:
     """Mean (k,) and covariance (k, k) of the noise-free reading, and its covariance with the state (n, k).
 
     Angles are averaged around the reading of the mean.

@@ -1,14 +1,20 @@
 """A prediction repeated, finer and further, where a measurement finds the state in what it lost."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from ..config import LogDensityScheme
+from numpy.typing import ArrayLike
+
+from ..config import FilterConfig, LogDensityScheme
+from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
-from ..info import Code
+from ..info import Code, UpdateInfo
 from ..lattice.level_set import lattice_reach
+from ..model.measurements import Sensor
+from ..model.sde import SDE
 from ..prediction.again import Ladder, Outcome
-from ..prediction.predict import predict
+from ..prediction.predict import Prediction, predict
 from .update import update
 
 __all__ = ["Update", "update_or_predict_again"]
@@ -21,16 +27,25 @@ _LADDER = Ladder(deeper=0.7)
 class Update(NamedTuple):
     """The last update of a filter: where its density comes from."""
 
-    before: object  # the prior, a ParticleDensity
-    measurement: object
-    z: object
+    before: ParticleDensity  # the prior
+    measurement: Sensor
+    z: ArrayLike | None
 
-    def repeated(self, config, n_particles):
+    def repeated(self, config: Any, n_particles: int) -> ParticleDensity:
         """The posterior on another number of particles."""
         return update(self.before, self.measurement, self.z, config, n_particles=n_particles)[0]
 
 
-def update_or_predict_again(prediction, prior, model, measurement, z, config, n_particles, fits=None):
+def update_or_predict_again(
+    prediction: Prediction,
+    prior: ParticleDensity,
+    model: SDE,
+    measurement: Sensor,
+    z: ArrayLike | None,
+    config: FilterConfig,
+    n_particles: int,
+    fits: Callable[[int], bool] | None = None,
+) -> Outcome[UpdateInfo]:
     """Update; if the posterior hangs on what the prediction lost, predict again, finer and further.
 
     A prediction cuts off what lies below a level of the density, and loses some of what is near. There a
@@ -59,8 +74,8 @@ def update_or_predict_again(prediction, prior, model, measurement, z, config, n_
 
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
-    known = before is None or before.field is None or prior.field is None or prior.gaussian
-    if known or info.extrapolated < _GUESSED:
+    known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED
+    if known or before is None or before.field is None:
         return Outcome(prior, posterior, info, n_particles)
     scheme = config.scheme if isinstance(config.scheme, LogDensityScheme) else LogDensityScheme()
     Z = lattice_reach(scheme, model.dim)

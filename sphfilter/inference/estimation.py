@@ -4,16 +4,20 @@ The log-evidence of a filter that draws nothing is a smooth function of the para
 and its second derivatives at the maximum are the (observed) information.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from .._types import Bools, Floats, Readings
 from ..errors import EstimationError, ModelError, nearest
 from ..filter.results import FilterResult
-from .evidence import Evidence, checked_guess, fingerprint
+from ..filter.sph_filter import SPHFilter
+from .evidence import Bound, Builder, Evidence, Progress, checked_guess, fingerprint
 from .maximum import ROUND, climbed, off_bounds, polished, ridge, room, searched
-from .quadratic import quadratic, roughness, step_for
+from .quadratic import Quadratic, quadratic, roughness, step_for
 
 __all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
 
@@ -27,13 +31,14 @@ class ParameterFit:
     Attributes
     ----------
     estimate, standard_error : mapping of str to float
-        The standard error of a parameter on a bound is NaN; it is held there for those of the others.
+        The standard error of a parameter on a bound is NaN; the parameter is held there for the standard
+        errors of the others.
     covariance : ndarray, shape (n, n)
         Inverse of the negative Hessian of the log-evidence; NaN for parameters on a bound.
     log_evidence : float
-        At the estimate, nats.
+        Log-evidence at the estimate, nats.
     result : FilterResult
-        Of the filter at the estimate.
+        The run of the filter at the estimate.
     n_readings : int
         Measured numbers, NaN not counted.
     data : str
@@ -43,6 +48,7 @@ class ParameterFit:
     roughness : float
         Standard deviation of the log-evidence around a smooth function, nats, as seen at the estimate.
     at_bound : tuple of str
+        Parameters on a bound, or too near one for a standard error.
     converged : bool
         The maximum is, by the slopes of the log-evidence, within a quarter of a standard error.
     status : str
@@ -62,46 +68,55 @@ class ParameterFit:
     0.85 ± 0.41, AIC 70.1
     """
 
-    estimate: MappingProxyType
-    standard_error: MappingProxyType
-    covariance: np.ndarray
+    estimate: Mapping[str, float]
+    standard_error: Mapping[str, float]
+    covariance: Floats
     log_evidence: float
     result: FilterResult
     n_readings: int
     data: str
     n_evaluations: int
     roughness: float
-    at_bound: tuple
+    at_bound: tuple[str, ...]
     converged: bool
     status: str
 
     @property
-    def names(self):
+    def names(self) -> tuple[str, ...]:
         """Names of the n parameters, in the order of the covariance."""
         return tuple(self.estimate)
 
     @property
-    def correlation(self):
+    def correlation(self) -> Floats:
         """Correlations of the estimates, shape (n, n)."""
         s = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.outer(s, s)
 
     @property
-    def aic(self):
+    def aic(self) -> float:
         """Akaike's criterion: 2 n − 2 log-evidence."""
         return 2.0 * len(self.estimate) - 2.0 * self.log_evidence
 
     @property
-    def bic(self):
+    def bic(self) -> float:
         """Schwarz' criterion: n log(readings) − 2 log-evidence."""
         return len(self.estimate) * float(np.log(self.n_readings)) - 2.0 * self.log_evidence
 
-    def __str__(self):
+    def __str__(self) -> str:
         rows = [f"{k} = {v:.5g} ± {self.standard_error[k]:.2g}" for k, v in self.estimate.items()]
         return "\n".join([*rows, f"log-evidence {self.log_evidence:.3f} nat; {self.status}"])
 
 
-def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluations=1000, report=None):
+def fit_parameters(
+    filt: SPHFilter | Builder,
+    times: ArrayLike,
+    measurements: Readings,
+    guess: Mapping[str, float],
+    *,
+    bounds: Mapping[str, Bound] | None = None,
+    max_evaluations: int = 1000,
+    report: Progress | None = None,
+) -> ParameterFit:
     """Find the parameters under which the measurements have the largest evidence.
 
     A simplex search (Nelder and Mead) finds the neighbourhood of the maximum, Newton's method the maximum,
@@ -123,7 +138,7 @@ def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluat
     bounds : mapping of str to (float or None, float or None), optional
         Lowest and highest value.
     max_evaluations : int
-        Runs of the filter, about.
+        Number of filter runs, about, after which the search is stopped.
     report : callable, optional
         Called after every run with their number, the parameters as a dict, and the log-evidence.
 
@@ -185,7 +200,14 @@ def fit_parameters(filt, times, measurements, guess, *, bounds=None, max_evaluat
     return _told(evidence, theta, value, covariance, rough, free, np.sqrt(2.0 * max(left, 0.0)))
 
 
-def profile_evidence(filt, times, measurements, fit, name, values):
+def profile_evidence(
+    filt: SPHFilter | Builder,
+    times: ArrayLike,
+    measurements: Readings,
+    fit: ParameterFit,
+    name: str,
+    values: ArrayLike,
+) -> Floats:
     """The largest log-evidence that the other parameters allow, for fixed values of one.
 
     Parameters
@@ -229,8 +251,9 @@ def profile_evidence(filt, times, measurements, fit, name, values):
     evidence = Evidence(filt, times, measurements, fit.names, None)
     free = np.isfinite(np.diag(fit.covariance))
     free[k] = False
-    out = np.empty(len(values))
-    for i, value in enumerate(np.asarray(values, dtype=float)):
+    points = np.asarray(values, dtype=float)
+    out = np.empty(len(points))
+    for i, value in enumerate(points):
         theta = best.copy()
         theta[k] = value
         if np.isfinite(fit.covariance[k, k]):
@@ -239,7 +262,7 @@ def profile_evidence(filt, times, measurements, fit, name, values):
     return out
 
 
-def _refuse_flat(local, rough, h, names):
+def _refuse_flat(local: Quadratic, rough: float, h: float, names: Sequence[str]) -> None:
     """Refuse a log-evidence that does not fall in some direction, or not so that it can be seen."""
     value, direction = local.flattest
     seen = 3.0 * rough / h**2
@@ -259,7 +282,9 @@ def _refuse_flat(local, rough, h, names):
     )
 
 
-def _told(evidence, theta, value, covariance, rough, free, off):
+def _told(
+    evidence: Evidence, theta: Floats, value: float, covariance: Floats, rough: float, free: Bools, off: float
+) -> ParameterFit:
     """The result, with a sentence about it; the last slopes say that the maximum is `off` standard errors."""
     held, converged = tuple(evidence.names_of(~free)), off < _NEAR
     said = "the maximum was found" if converged else "the search was stopped before it had found the maximum"

@@ -1,18 +1,32 @@
 """The log-evidence of measurements as a function of parameters."""
 
 import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import validate
+from .._types import Bools, Floats, Readings
 from ..errors import EstimationError, ModelError, SphfilterError, nearest
+from ..filter.results import AnyFilter, FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..model.measurements import Reading
 
 __all__ = ["Evidence", "checked_guess", "fingerprint", "n_readings"]
 
+#: Makes a filter, at the start of the measurements, of parameters by name.
+Builder: TypeAlias = Callable[[dict[str, float]], AnyFilter]
+#: Lowest and highest value of a parameter.
+Bound: TypeAlias = tuple[float | None, float | None]
+#: Called with the number of runs so far, the parameters of the last and its log-evidence.
+Progress: TypeAlias = Callable[[int, dict[str, float], float], object]
 
-def checked_guess(guess, bounds):
+
+def checked_guess(
+    guess: Mapping[str, float], bounds: Mapping[str, Bound] | None
+) -> tuple[list[str], Floats, Floats, Floats]:
     """Names, guess, lowest and highest values (n,)."""
     names = [str(name) for name in dict(guess)]
     if not names:
@@ -33,13 +47,20 @@ def checked_guess(guess, bounds):
 class Evidence:
     """The log-evidence as a function of parameters (n,): minus infinity where the filter refuses."""
 
-    def __init__(self, filt, times, measurements, names, report):
+    def __init__(
+        self,
+        filt: SPHFilter | Builder,
+        times: ArrayLike,
+        measurements: Readings,
+        names: Sequence[str],
+        report: Progress | None,
+    ) -> None:
         self.build = _builder(filt, names) if isinstance(filt, SPHFilter) else filt
         self.times, self.measurements, self.names = np.asarray(times, dtype=float), measurements, names
         self.report, self.n_evaluations = report, 0
         self.n_readings = n_readings(measurements)
 
-    def first(self, theta):
+    def first(self, theta: Floats) -> float:
         """At the guess, where it has to be finite."""
         try:
             value = self._run(theta)
@@ -51,36 +72,36 @@ class Evidence:
             raise EstimationError(f"the log-evidence of the guess {self.named(theta)} is {value}")
         return value
 
-    def __call__(self, theta):
+    def __call__(self, theta: Floats) -> float:
         try:
             value = self._run(theta)
         except SphfilterError:
             return -np.inf
         return value if np.isfinite(value) else -np.inf
 
-    def result(self, theta):
+    def result(self, theta: Floats) -> FilterResult:
         """What the filter leaves behind."""
         return self.build(self.named(theta)).run(self.times, self.measurements)
 
-    def _run(self, theta):
+    def _run(self, theta: Floats) -> float:
         self.n_evaluations += 1
         value = float(np.sum(self.result(theta).log_evidence))
         if self.report is not None:
             self.report(self.n_evaluations, self.named(theta), value)
         return value
 
-    def named(self, theta):
+    def named(self, theta: Floats) -> dict[str, float]:
         """Parameters by name."""
         return dict(zip(self.names, map(float, theta), strict=True))
 
-    def names_of(self, which):
+    def names_of(self, which: Bools) -> list[str]:
         """Names of some parameters, bool (n,)."""
         return [name for name, one in zip(self.names, which, strict=True) if one]
 
-    def within(self, theta, free):
+    def within(self, theta: Floats, free: Bools) -> Callable[[Floats], float]:
         """As a function of the free parameters, the others held."""
 
-        def function(values):
+        def function(values: Floats) -> float:
             point = theta.copy()
             point[free] = values
             return self(point)
@@ -88,7 +109,7 @@ class Evidence:
         return function
 
 
-def _builder(filt, names):
+def _builder(filt: SPHFilter, names: Sequence[str]) -> Builder:
     """Make filters like one at its start, with other parameters of its model."""
     if filt.adapts:
         raise ModelError(
@@ -96,20 +117,20 @@ def _builder(filt, names):
         )
     filt.model.with_parameters(**{name: filt.model.parameters.get(name, 0.0) for name in names})
 
-    def build(parameters):
+    def build(parameters: dict[str, float]) -> SPHFilter:
         model = filt.model.with_parameters(**parameters)
-        shape = {"n_particles": filt.n_particles, "config": filt.config}
+        shape: dict[str, Any] = {"n_particles": filt.n_particles, "config": filt.config}
         return SPHFilter(model, filt.measurement, density=filt.density, **shape)
 
     return build
 
 
-def n_readings(measurements):
+def n_readings(measurements: Readings) -> int:
     """How many numbers were measured, NaN not counted."""
     return sum(0 if z is None else int(np.isfinite(np.asarray(z, dtype=float)).sum()) for z in measurements)
 
 
-def fingerprint(times, measurements):
+def fingerprint(times: ArrayLike, measurements: Readings) -> str:
     """Short hash of times and measurements; None is what NaN is."""
     known = hashlib.sha256(np.asarray(times, dtype=float).tobytes())
     for z in measurements:

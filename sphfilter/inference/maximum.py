@@ -3,7 +3,9 @@
 import numpy as np
 from scipy.optimize import minimize
 
-from .quadratic import quadratic, scales, slope_step_for, slopes
+from .._types import Bools, Floats
+from .evidence import Evidence
+from .quadratic import Function, Quadratic, quadratic, scales, slope_step_for, slopes
 
 __all__ = ["ROUND", "climbed", "off_bounds", "polished", "ridge", "room", "searched"]
 
@@ -19,7 +21,9 @@ _LEVEL = 0.02  # nats that a profile is below its top where the parabola is left
 _AT_BOUND = 0.2  # standard errors from a bound, within which an estimate is on it
 
 
-def searched(evidence, theta, low, high, max_evaluations):
+def searched(
+    evidence: Evidence, theta: Floats, low: Floats, high: Floats, max_evaluations: int
+) -> tuple[Floats, float]:
     """Simplex search from a guess; returns the best point and its log-evidence."""
     step = _first_steps(theta, low, high)
     step = np.where(theta + step > high, -step, step)
@@ -30,12 +34,14 @@ def searched(evidence, theta, low, high, max_evaluations):
     return found.x, -float(found.fun)
 
 
-def _first_steps(theta, low, high):
+def _first_steps(theta: Floats, low: Floats, high: Floats) -> Floats:
     """Steps (n,) to begin with: a part of the parameters, or of the width between their bounds."""
     return np.minimum(_FIRST * np.where(theta == 0.0, 1.0, np.abs(theta)), 0.5 * (high - low))
 
 
-def off_bounds(evidence, theta, value, low, high):
+def off_bounds(
+    evidence: Evidence, theta: Floats, value: float, low: Floats, high: Floats
+) -> tuple[Floats, float]:
     """Take parameters off bounds from which the log-evidence rises."""
     for k in np.flatnonzero((theta <= low) | (theta >= high)):
         inwards = theta.copy()
@@ -46,26 +52,29 @@ def off_bounds(evidence, theta, value, low, high):
     return theta, value
 
 
-def climbed(evidence, theta, value, low, high, max_evaluations):
+def climbed(
+    evidence: Evidence, theta: Floats, value: float, low: Floats, high: Floats, max_evaluations: int
+) -> tuple[Floats, float, Bools, Quadratic | None]:
     """Newton's method: the point, its log-evidence, which parameters are free, and the last quadratic.
 
     Parameters that come to a bound stay there. The quadratic is None if no parameter is free, or if the
     search was stopped before there was one.
     """
-    free, root, local = (theta > low) & (theta < high), None, None
+    free: Bools = (theta > low) & (theta < high)
+    root, local = np.empty(0), None
     first = _first_steps(theta, low, high)
     for _ in range(_NEWTON):
         if not free.any() or evidence.n_evaluations > max_evaluations:
             break
         inside, centre = evidence.within(theta, free), theta[free]
-        if root is None:
+        if not root.size:
             names = evidence.names_of(free)
             root = np.diag(scales(inside, centre, value, first[free], low[free], high[free], names))
         near = _near_bounds(theta, root, free, low, high)
         if near.any():
             k = np.flatnonzero(free)[near][0]
             theta, value = _at_bound(evidence, theta, value, k, low, high)
-            free, root, local = free & (np.arange(len(free)) != k), None, None
+            free, root, local = free & (np.arange(len(free)) != k), np.empty(0), None
             continue
         h = min(_STEP, room(centre, root, low[free], high[free]))
         local = quadratic(inside, centre, value, root, h)
@@ -83,7 +92,9 @@ def climbed(evidence, theta, value, low, high, max_evaluations):
     return theta, value, free, local
 
 
-def _at_bound(evidence, theta, value, k, low, high):
+def _at_bound(
+    evidence: Evidence, theta: Floats, value: float, k: int, low: Floats, high: Floats
+) -> tuple[Floats, float]:
     """A parameter on the bound that it is near, or left where it is if there is less evidence there."""
     held = theta.copy()
     held[k] = low[k] if theta[k] - low[k] < high[k] - theta[k] else high[k]
@@ -91,12 +102,20 @@ def _at_bound(evidence, theta, value, k, low, high):
     return (held, moved) if moved >= value else (theta, value)
 
 
-def _near_bounds(theta, root, free, low, high):
+def _near_bounds(theta: Floats, root: Floats, free: Bools, low: Floats, high: Floats) -> Bools:
     """Which free parameters are on a bound, or too near it for differences."""
     return np.minimum(theta - low, high - theta)[free] < _AT_BOUND * np.linalg.norm(root, axis=1)
 
 
-def polished(function, centre, value, local, rough, low, high):
+def polished(
+    function: Function,
+    centre: Floats,
+    value: float,
+    local: Quadratic,
+    rough: float,
+    low: Floats,
+    high: Floats,
+) -> tuple[Floats, float, float]:
     """The rest of the way, with a known Hessian and slopes over shorter steps, which need them less long.
 
     Returns the point, its value, and the rise to the top that is left by the last slopes.
@@ -114,16 +133,20 @@ def polished(function, centre, value, local, rough, low, high):
     return centre, value, local.rise
 
 
-def _newton_step(local):
+def _newton_step(local: Quadratic) -> tuple[Floats, Floats]:
     """Step to the top of a quadratic, at most two standard errors, and coordinates in which it is round."""
     values, axes = np.linalg.eigh(local.hessian)
     bent = np.maximum(np.abs(values), ROUND)
     step = axes @ (axes.T @ local.gradient / bent)
     length = np.linalg.norm(np.sqrt(bent) * (axes.T @ step))
-    return local.root @ step * min(1.0, _LONGEST / max(length, 1e-300)), local.root @ (axes / np.sqrt(bent))
+    return local.root @ step * min(1.0, _LONGEST / max(float(length), 1e-300)), local.root @ (
+        axes / np.sqrt(bent)
+    )
 
 
-def _line(evidence, theta, value, free, step, low, high):
+def _line(
+    evidence: Evidence, theta: Floats, value: float, free: Bools, step: Floats, low: Floats, high: Floats
+) -> tuple[Floats, float]:
     """The best of a step and its halves, where one is better than none."""
     for part in (1.0, 0.5, 0.25):
         there = theta.copy()
@@ -134,31 +157,31 @@ def _line(evidence, theta, value, free, step, low, high):
     return theta, value
 
 
-def room(centre, root, low, high):
+def room(centre: Floats, root: Floats, low: Floats, high: Floats) -> float:
     """Longest step of `quadratic` that stays off bounds: the filter may refuse what is on one."""
     two = np.sort(np.abs(root), axis=1)[:, -2:].sum(axis=1)
     return 0.9 * float(np.min(np.minimum(centre - low, high - centre) / two))
 
 
-def ridge(evidence, theta, free, covariance, k):
+def ridge(evidence: Evidence, theta: Floats, free: Bools, covariance: Floats, k: int) -> float:
     """Climb in the free parameters by Newton steps with the Hessian of the maximum."""
     value = evidence(theta)
     if not free.any() or not np.isfinite(value):
         return value
-    held = covariance[np.ix_(free, free)]
+    held: Floats = covariance[np.ix_(free, free)]
     if np.isfinite(covariance[k, k]):
         held = held - np.outer(covariance[free, k], covariance[free, k]) / covariance[k, k]
-    root = np.linalg.cholesky(held)
+    root = np.asarray(np.linalg.cholesky(held), dtype=float)
     for _ in range(_NEWTON):
         inside = evidence.within(theta, free)
         gradient = slopes(inside, theta[free], root, _STEP)
-        rise = 0.5 * gradient @ gradient
+        rise = float(0.5 * gradient @ gradient)
         if not np.isfinite(rise):
             break
         if rise < _LEVEL:
             return value + rise
         there = theta.copy()
-        there[free] += root @ (gradient * min(1.0, 1.5 / np.linalg.norm(gradient)))
+        there[free] += root @ (gradient * min(1.0, 1.5 / float(np.linalg.norm(gradient))))
         moved = evidence(there)
         if moved <= value:
             break

@@ -1,11 +1,16 @@
 """Models compared by the evidence of the same measurements."""
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from .._types import Floats, Ints, Readings
 from ..errors import ModelError
+from ..filter.results import AnyFilter
 from ..validate import short
 from .estimation import ParameterFit
 from .evidence import fingerprint, n_readings
@@ -25,11 +30,11 @@ class ModelComparison:
     ----------
     names : tuple of str, length M
     log_evidence : ndarray, shape (M,)
-        Nats; of fitted models the largest.
+        Log-evidence of each model, nats; of a fitted model the largest.
     n_parameters : ndarray of int, shape (M,)
-        Fitted to these measurements.
+        Number of parameters fitted to these measurements.
     n_rejected : ndarray of int, shape (M,)
-        Measurements that the model's filter did not use. They count in its log-evidence all the same.
+        Measurements that the model's filter did not use. They count in the log-evidence all the same.
     n_readings : int
         Measured numbers.
     span : tuple of float
@@ -54,26 +59,26 @@ class ModelComparison:
     wanders: -2.1 nat, positive
     """
 
-    names: tuple
-    log_evidence: np.ndarray
-    n_parameters: np.ndarray
-    n_rejected: np.ndarray
+    names: tuple[str, ...]
+    log_evidence: Floats
+    n_parameters: Ints
+    n_rejected: Ints
     n_readings: int
-    span: tuple
+    span: tuple[float, float]
     data: str
 
     @property
-    def aic(self):
+    def aic(self) -> Floats:
         """Akaike's criterion, shape (M,): lower is better."""
         return 2.0 * self.n_parameters - 2.0 * self.log_evidence
 
     @property
-    def bic(self):
+    def bic(self) -> Floats:
         """Schwarz' criterion, shape (M,): lower is better."""
         return self.n_parameters * np.log(self.n_readings) - 2.0 * self.log_evidence
 
     @property
-    def log_bayes_factor(self):
+    def log_bayes_factor(self) -> Floats:
         """Log of the Bayes factor of each model against the best, nats, shape (M,), none above zero.
 
         Without fitted parameters it is the difference of the log-evidences. Fitted ones would have to be
@@ -82,14 +87,14 @@ class ModelComparison:
         return 0.5 * (self.bic[0] - self.bic)
 
     @property
-    def words(self):
+    def words(self) -> tuple[str, ...]:
         """What Kass and Raftery call the evidence against each model, beside the best."""
         return tuple(
             "the best" if k == 0 else next((w for top, w in _WORDS if -2.0 * b <= top), "very strong")
             for k, b in enumerate(self.log_bayes_factor)
         )
 
-    def as_dict(self):
+    def as_dict(self) -> dict[str, Any]:
         """Numbers and words by model, for files."""
         columns = {
             "log_evidence": self.log_evidence,
@@ -105,7 +110,7 @@ class ModelComparison:
         }
         return {"n_readings": self.n_readings, "span": list(self.span), "data": self.data, "models": rows}
 
-    def __str__(self):
+    def __str__(self) -> str:
         width = max(len("model"), *map(len, self.names))
         lines = [f"{'model':{width}}  log-evidence  fitted  rejected       AIC       BIC  log Bayes factor"]
         rows = (self.log_evidence, self.n_parameters, self.n_rejected, self.aic, self.bic)
@@ -120,7 +125,9 @@ class ModelComparison:
         return "\n".join([*lines, f"{self.n_readings} readings from {first:g} to {last:g} ({self.data})"])
 
 
-def compare_models(candidates, times, measurements):
+def compare_models(
+    candidates: Mapping[str, AnyFilter | ParameterFit], times: ArrayLike, measurements: Readings
+) -> ModelComparison:
     """Compare models by the evidence of the same measurements.
 
     Parameters
@@ -167,7 +174,7 @@ def compare_models(candidates, times, measurements):
         (str(name), *_judged(name, candidate, times, measurements, data))
         for name, candidate in candidates.items()
     ]
-    readings = n_readings(measurements)
+    readings, span = n_readings(measurements), np.asarray(times, dtype=float)
     rows.sort(key=lambda row: row[2] * np.log(max(readings, 1)) - 2.0 * row[1])
     names, evidence, n_parameters, n_rejected = zip(*rows, strict=True)
     return ModelComparison(
@@ -176,12 +183,14 @@ def compare_models(candidates, times, measurements):
         n_parameters=np.array(n_parameters),
         n_rejected=np.array(n_rejected),
         n_readings=readings,
-        span=(float(times[0]), float(times[-1])),
+        span=(float(span[0]), float(span[-1])),
         data=data,
     )
 
 
-def _judged(name, candidate, times, measurements, data):
+def _judged(
+    name: str, candidate: AnyFilter | ParameterFit, times: ArrayLike, measurements: Readings, data: str
+) -> tuple[float, int, int]:
     """Log-evidence, number of fitted parameters, and measurements not used."""
     if isinstance(candidate, ParameterFit):
         if candidate.data != data:

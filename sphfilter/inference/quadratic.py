@@ -4,13 +4,18 @@ The function is smooth but for a roughness: of a log-evidence, what lattices dec
 long as a standard error, not as short as rounding allows.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from .._types import Floats
 from ..errors import EstimationError
 
 __all__ = ["Quadratic", "quadratic", "roughness", "scales", "slope_step_for", "slopes", "step_for"]
+
+#: Of points (n,).
+Function: TypeAlias = Callable[[Floats], float]
 
 _FALL = 0.1, 2.0  # nats by which the function should fall over one of the scales found
 _TRIES = 12
@@ -22,33 +27,41 @@ class Quadratic(NamedTuple):
     """value + gradient u + u hessian u / 2 around a centre, u (n,) in units of `root`'s columns."""
 
     value: float
-    gradient: np.ndarray
-    hessian: np.ndarray
-    root: np.ndarray  # (n, n)
+    gradient: Floats
+    hessian: Floats
+    root: Floats  # (n, n)
 
     @property
-    def shift(self):
+    def shift(self) -> Floats:
         """From the centre to the top, shape (n,), in the units of the parameters."""
         return -self.root @ np.linalg.solve(self.hessian, self.gradient)
 
     @property
-    def rise(self):
+    def rise(self) -> float:
         """By how much the top is above the centre."""
         return -0.5 * float(self.gradient @ np.linalg.solve(self.hessian, self.gradient))
 
     @property
-    def covariance(self):
+    def covariance(self) -> Floats:
         """Inverse of the negative Hessian, in the units of the parameters, shape (n, n)."""
         return self.root @ np.linalg.solve(-self.hessian, self.root.T)
 
     @property
-    def flattest(self):
+    def flattest(self) -> tuple[float, Floats]:
         """Largest eigenvalue of the Hessian and its direction, in the units of the parameters."""
         values, axes = np.linalg.eigh(self.hessian)
         return float(values[-1]), self.root @ axes[:, -1]
 
 
-def scales(function, centre, value, first, low, high, names):
+def scales(
+    function: Function,
+    centre: Floats,
+    value: float,
+    first: Floats,
+    low: Floats,
+    high: Floats,
+    names: Sequence[str],
+) -> Floats:
     """Steps (n,) along each axis over which a function falls by about a nat.
 
     Parameters
@@ -86,7 +99,7 @@ def scales(function, centre, value, first, low, high, names):
     return found
 
 
-def quadratic(function, centre, value, root, h):
+def quadratic(function: Function, centre: Floats, value: float, root: Floats, h: float) -> Quadratic:
     """Gradient and Hessian by differences over h columns of `root` (n, n).
 
     Raises
@@ -95,7 +108,7 @@ def quadratic(function, centre, value, root, h):
         The function is not finite at one of the points.
     """
 
-    def at(*steps):
+    def at(*steps: tuple[int, float]) -> float:
         point = centre + h * sum(sign * root[:, k] for k, sign in steps)
         found = function(point)
         if not np.isfinite(found):
@@ -116,13 +129,13 @@ def quadratic(function, centre, value, root, h):
     return Quadratic(value, (above - below) / (2.0 * h), hessian, root)
 
 
-def slopes(function, centre, root, h):
+def slopes(function: Function, centre: Floats, root: Floats, h: float) -> Floats:
     """Gradient by differences over h columns of `root` (n, n)."""
     ahead, behind = (np.array([function(centre + s * h * d) for d in root.T]) for s in (1.0, -1.0))
     return (ahead - behind) / (2.0 * h)
 
 
-def roughness(function, centre, value, root):
+def roughness(function: Function, centre: Floats, value: float, root: Floats) -> float:
     """Standard deviation of a function's values around a parabola through close points."""
     along = _NEAR * root.sum(axis=1) / np.sqrt(len(centre))
     at = np.arange(-2.0, 3.0)
@@ -131,7 +144,7 @@ def roughness(function, centre, value, root):
     return float(np.sqrt(left @ left / (len(at) - 3)))
 
 
-def step_for(rough):
+def step_for(rough: float) -> float:
     """Step of second differences, in standard errors, where a function is rough by so many nats.
 
     Roughness puts an error of 6^½ rough / h² into a second derivative, the fourth derivative f one of
@@ -140,6 +153,6 @@ def step_for(rough):
     return float(np.clip((12.0 * np.sqrt(6.0) * rough) ** 0.25, *_STEPS))
 
 
-def slope_step_for(rough):
+def slope_step_for(rough: float) -> float:
     """As `step_for`, of first differences, with a third derivative of one."""
     return float(np.clip((3.0 / np.sqrt(2.0) * rough) ** (1.0 / 3.0), *_STEPS))

@@ -1,16 +1,22 @@
 """Fixed-interval smoothing: the density of the state at each time, given all measurements.
 
 p(x_k | z_1..T) is the filter's p(x_k | z_1..k) times β_k(x) = p(z_k+1..T | x_k = x). log β is carried back
+from ..core.field.field import Field
 from measurement to measurement on lattices that follow the smoothed density, and so is only asked for where
 that is: by itself it need not have an end.
 """
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from .._types import Floats, Readings
 from ..config import LogDensityScheme
+from ..core.field.field import Field
+from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import ModelError, PropagationError
 from ..filter.readings import checked_sensor
@@ -18,6 +24,7 @@ from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..lattice.field import extrapolated_mass
 from ..lattice.level_set import lattice_reach
+from ..model.measurements import Sensor
 from ..prediction.backward import carried_back, likelihood_field
 from ..prediction.log_density import fits
 from ..validate import short
@@ -46,10 +53,12 @@ class SmoothedResult:
     filtered : FilterResult
         The filter's own run.
     log_evidence : ndarray, shape (T,)
-        Log-evidence of all measurements, nats, put together at each epoch from what the filter says of those
-        before and the backward pass of those after: how far they are apart measures what both lose.
+        Log-evidence of all measurements, nats, as put together at each epoch: the filter's log-evidence of
+        the measurements before, and the backward pass's of the measurements after. How far these numbers are
+        apart measures the probability that the two passes lose.
     extrapolated : ndarray, shape (T,)
-        Probability of each smoothed density where the filter's had no particles, which rests on a guess.
+        Probability of each smoothed density outside of all particles of the filter's density, where the
+        smoothed density rests on a guess.
 
     Examples
     --------
@@ -67,23 +76,29 @@ class SmoothedResult:
     True
     """
 
-    t: np.ndarray
-    x: np.ndarray
-    P: np.ndarray
-    densities: tuple
+    t: Floats
+    x: Floats
+    P: Floats
+    densities: tuple[ParticleDensity, ...]
     filtered: FilterResult
-    log_evidence: np.ndarray
-    extrapolated: np.ndarray
+    log_evidence: Floats
+    extrapolated: Floats
 
 
-def smooth(filt, times, measurements, *, sensors=None):
+def smooth(
+    filt: SPHFilter,
+    times: ArrayLike,
+    measurements: Readings,
+    *,
+    sensors: Sequence[Sensor | None] | None = None,
+) -> SmoothedResult:
     """Smooth over a fixed interval: filter forward, then carry back what later measurements say.
 
     Parameters
     ----------
     filt : SPHFilter
-        At the start of the measurements; it stays there. The noise of its model does not depend on the state,
-        its scheme is the default.
+        The filter at the start of the measurements; it stays there. The noise of its model must not depend on
+        the state, and its scheme must be the default.
     times : array_like, shape (T,)
         Not decreasing, seconds, none before the filter's own. Times may repeat.
     measurements : sequence of length T
@@ -98,9 +113,9 @@ def smooth(filt, times, measurements, *, sensors=None):
     Raises
     ------
     ModelError
-        What is not supported: says what.
+        The filter, its model or its scheme cannot be smoothed; the sentence says why.
     PropagationError
-        The filter cannot go on, or no lattice holds a smoothed density: says when.
+        The filter cannot go on, or no lattice holds a smoothed density; the sentence names the time.
 
     Notes
     -----
@@ -139,7 +154,9 @@ def smooth(filt, times, measurements, *, sensors=None):
     )
 
 
-def _checked(filt, times, measurements, sensors):
+def _checked(
+    filt: SPHFilter, times: Floats, measurements: Readings, sensors: Sequence[Sensor | None] | None
+) -> list[Sensor]:
     """The sensor of every measurement, where all that is given can be smoothed."""
     if not isinstance(filt, SPHFilter):
         raise ModelError(f"smooth needs an SPHFilter, got {short(filt)}; it makes its own run of it")
@@ -155,7 +172,7 @@ def _checked(filt, times, measurements, sensors):
         raise ModelError("smooth takes no model with a domain: states have to be on the whole line")
     scheme = filt.config.scheme
     reason = fits(filt.model, filt.density, filt.n_particles)
-    if scheme != "auto" and not isinstance(scheme, LogDensityScheme):
+    if not isinstance(scheme, str | LogDensityScheme):
         reason = f"the filter's scheme is {scheme.name!r}; leave it to the default"
     if reason:
         raise ModelError(f"smooth needs densities that the log_density scheme carries: {reason}")
@@ -168,33 +185,36 @@ class _Epoch:
 
     filt: SPHFilter  # after the updates
     n_steps: int  # of the prediction
-    seen: list  # (sensor, z) that were used
+    seen: list[tuple[Sensor, ArrayLike | None]]  # (sensor, z) that were used
     rows: int  # measurements at that time, used or not
 
-    def log_likelihood(self, X):
+    def log_likelihood(self, X: Floats) -> Floats:
         """Of the measurements used, at states X (N, n)."""
         t = self.filt.t
         return sum((sensor.log_likelihood(z, X, t) for sensor, z in self.seen), np.zeros(len(X)))
 
 
-def _forward(filt, times, measurements, sensors):
+def _forward(
+    filt: SPHFilter, times: Floats, measurements: Readings, sensors: Sequence[Sensor]
+) -> tuple[list[_Epoch], FilterResult]:
     """Run a copy of the filter; its epochs, and their `FilterResult`."""
     filt = copy.copy(filt)
     filt.config = replace(filt.config, exact_linear=False)  # its steps are those of the way back
-    epochs, rows, log_evidence, accepted = [], [], [], []
+    epochs: list[_Epoch] = []
+    rows, log_evidence, accepted = [], [], []
     for t, z, sensor in zip(times, measurements, sensors, strict=True):
         steps = 0
         if t > filt.t:
-            info = filt.predict(t=t)
-            steps = info.n_steps
-            if info.scheme != "log_density":
+            predicted = filt.predict(t=t)
+            steps = predicted.n_steps
+            if predicted.scheme != "log_density":
                 raise ModelError(
                     f"smooth needs densities that the log_density scheme carries; to t = {t:g} it was "
-                    f"{info.scheme}: {info.status}"
+                    f"{predicted.scheme}: {predicted.status}"
                 )
         info = filt.update(z, sensor)
         if not epochs or t > epochs[-1].filt.t:
-            epochs.append(_Epoch(None, steps, [], 0))
+            epochs.append(_Epoch(filt, steps, [], 0))
         epochs[-1].rows += 1
         if info.accepted and sensor.reading(z).seen.any():
             epochs[-1].seen.append((sensor, z))
@@ -206,12 +226,12 @@ def _forward(filt, times, measurements, sensors):
     return epochs, FilterResult(times, x_prior, P_prior, x, P, np.array(log_evidence), np.array(accepted))
 
 
-def _backward(epochs):
+def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float]]:
     """Density, log-evidence of all measurements, and extrapolated probability at every epoch."""
     last = epochs[-1].filt
     scheme = LogDensityScheme(reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
     laid, _ = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
-    found = likelihood_field(laid.field, epochs[-1].log_likelihood(laid.x))
+    found = likelihood_field(_field(laid), epochs[-1].log_likelihood(laid.x))
     out = [(last.density, last.log_evidence, 0.0)]
     for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
         try:
@@ -221,12 +241,14 @@ def _backward(epochs):
                 f"smoothing back from t = {after.filt.t:g} to {before.filt.t:g}: {problem}"
             ) from problem
         past = before.filt
-        guessed = extrapolated_mass(past.density.field, smoothed.x, smoothed.mass)
+        guessed = extrapolated_mass(_field(past.density), smoothed.x, smoothed.mass)
         out.append((smoothed, past.log_evidence + future, guessed))
     return out[::-1]
 
 
-def _one_back(before, after, found, scheme):
+def _one_back(
+    before: _Epoch, after: _Epoch, found: Field, scheme: LogDensityScheme
+) -> tuple[ParticleDensity, Field, float]:
     """From one epoch to the one before: the smoothed density there, λ with its measurements, and log ∫ p β.
 
     `found` is λ at the later epoch, measurements there included.
@@ -237,11 +259,17 @@ def _one_back(before, after, found, scheme):
         smoothed, future = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
         values = log_beta(smoothed.x)
         if prior is not priors[0]:
-            found = likelihood_field(smoothed.field, values)
-    return smoothed, likelihood_field(smoothed.field, values + before.log_likelihood(smoothed.x)), future
+            found = likelihood_field(_field(smoothed), values)
+    return smoothed, likelihood_field(_field(smoothed), values + before.log_likelihood(smoothed.x)), future
 
 
-def _between(filt, t, n_steps):
+def _field(density: ParticleDensity) -> Field:
+    """The field of a density that the log-density scheme carries: all of them have one."""
+    assert density.field is not None
+    return density.field
+
+
+def _between(filt: SPHFilter, t: float, n_steps: int) -> list[ParticleDensity]:
     """The filter's densities at the beginnings of equal steps up to time t."""
     filt, start = copy.copy(filt), filt.t
     densities = [filt.density]

@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._types import Bools, Floats, Ints
+from ..config import PaperScheme
 from ..errors import PropagationError
 from ..model.domain import Domain
 from .regular import Lattice, heaviest
@@ -27,7 +29,7 @@ class Product(NamedTuple):
     """prior(x) * weight(x) on a lattice, with the largest log-weight taken out."""
 
     lattice: Lattice
-    values: np.ndarray  # (M,)
+    values: Floats  # (M,)
     log_scale: float
 
 
@@ -38,9 +40,9 @@ class Sought(NamedTuple):
     posterior's, `support` the mean reach of their kernels; `product` lays prior times weight on a lattice.
     """
 
-    x: np.ndarray
-    mass: np.ndarray
-    raw: np.ndarray
+    x: Floats
+    mass: Floats
+    raw: Floats
     support: float
     domain: Domain | None
     product: Callable[[Lattice], Product]
@@ -50,12 +52,12 @@ class Candidate(NamedTuple):
     """A lattice with the product on it: nodes kept, nodes of the core, and how badly it fits."""
 
     product: Product
-    kept: np.ndarray  # bool, (M,)
-    core: np.ndarray  # bool, (M,)
+    kept: Bools  # bool, (M,)
+    core: Bools  # bool, (M,)
     fitness: float
 
 
-def best_candidate(sought, n_particles, scheme):
+def best_candidate(sought: Sought, n_particles: int, scheme: PaperScheme) -> tuple[Candidate, int, float]:
     """The best of the central discretisation and its neighbours (002 4.7.3).
 
     Parameters
@@ -80,12 +82,12 @@ def best_candidate(sought, n_particles, scheme):
     return min(candidates, key=lambda c: c.fitness), len(candidates), volume_fraction
 
 
-def _least_nodes(n_particles, n):
+def _least_nodes(n_particles: int, n: int) -> int:
     """Fewest nodes along an axis: six resolve a Gaussian to rounding, fewer where particles are few."""
     return int(np.clip(0.6 * n_particles ** (1.0 / n), 3, 6))
 
 
-def _dims(span, n_nodes, volume_fraction, anisotropy, least=2):
+def _dims(span: Floats, n_nodes: int, volume_fraction: float, anisotropy: float, least: int = 2) -> Ints:
     """Nodes per axis for spacings that differ at most by `anisotropy` (002 (50)-(56))."""
     volume_fraction = max(volume_fraction, n_nodes / _MOST_NODES)
     aspect = span / span.min()
@@ -100,7 +102,7 @@ def _dims(span, n_nodes, volume_fraction, anisotropy, least=2):
     return dims.astype(int)
 
 
-def _extents(sought, n_particles, scheme):
+def _extents(sought: Sought, n_particles: int, scheme: PaperScheme) -> tuple[Floats, Floats, float]:
     """Extents of the new lattice, and the part of it that the posterior fills (002 (53)-(55)).
 
     They begin with the particles that hold the mass, as in 002, and close in on the test-grid nodes that do
@@ -128,7 +130,13 @@ def _extents(sought, n_particles, scheme):
     return low, high, filled.mean()
 
 
-def _candidates(sought, extents, volume_fraction, n_particles, scheme):
+def _candidates(
+    sought: Sought,
+    extents: tuple[Floats, Floats],
+    volume_fraction: float,
+    n_particles: int,
+    scheme: PaperScheme,
+) -> list[Candidate]:
     """The central discretisation and its neighbours, one node more or less along each axis (002 4.7.3)."""
     (low, high), n = extents, sought.x.shape[1]
     wanted = _covariance(sought.x, sought.raw), _core_ratio(sought.mass, scheme)
@@ -152,7 +160,9 @@ def _candidates(sought, extents, volume_fraction, n_particles, scheme):
         dims = np.maximum(dims - 1, least)
 
 
-def _candidate(sought, lattice, wanted, scheme):
+def _candidate(
+    sought: Sought, lattice: Lattice, wanted: tuple[Floats, float], scheme: PaperScheme
+) -> Candidate:
     """A candidate's fitness: error of its raw covariance times error of its core-to-domain ratio."""
     product, (cov, core_ratio) = sought.product(lattice), wanted
     kept = heaviest(product.values, scheme.domain_mass)
@@ -164,18 +174,18 @@ def _candidate(sought, lattice, wanted, scheme):
     return Candidate(product, kept, core & kept, cov_error * ratio_error)
 
 
-def _spans(candidate):
+def _spans(candidate: Candidate) -> bool:
     """Do the kept nodes stand at three places at least along every axis?"""
     axes = range(len(candidate.product.lattice.dims))
     kept = candidate.kept.reshape(candidate.product.lattice.dims)
     return all(kept.any(axis=tuple(a for a in axes if a != axis)).sum() >= 3 for axis in axes)
 
 
-def _core_ratio(mass, scheme):
+def _core_ratio(mass: Floats, scheme: PaperScheme) -> float:
     """Particles that hold P_T over particles that hold the whole simulated mass."""
     return heaviest(mass, scheme.represented_mass).sum() / heaviest(mass, scheme.domain_mass).sum()
 
 
-def _covariance(x, mass):
+def _covariance(x: Floats, mass: Floats) -> Floats:
     d = x - mass @ x
     return (d * mass[:, None]).T @ d

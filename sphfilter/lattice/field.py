@@ -1,29 +1,32 @@
 """The log-density between the nodes of a lattice, asked at any states."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..core.field.field import evaluate
+from .._types import Floats
+from ..core.field.field import Field, evaluate
 from ..core.field.field import gradient as field_gradient
 from ..core.field.stencils import stencils
 
 __all__ = ["at", "extrapolated_mass", "gradient"]
 
 
-def at(field, X):
+def at(field: Field, X: ArrayLike) -> Floats:
     """log p of a field at the states X (M, n)."""
-    out = np.empty(len(X))
-    evaluate(field, stencils(field.mu.size), np.ascontiguousarray(X, dtype=float), out)
+    states = np.ascontiguousarray(X, dtype=float)
+    out = np.empty(len(states))
+    evaluate(field, stencils(field.mu.size), states, out)
     return out
 
 
-def gradient(field, X):
+def gradient(field: Field, X: Floats) -> Floats:
     """Gradient of `at` at the states X (M, n), shape (M, n)."""
     out = np.empty(X.shape)
     field_gradient(field, stencils(field.mu.size), np.ascontiguousarray(X, dtype=float), out)
     return out @ field.inverse
 
 
-def extrapolated_mass(field, x, mass):
+def extrapolated_mass(field: Field, x: Floats, mass: Floats) -> float:
     """Probability of weighted states x (N, n) in cells where a field has no node: its values are a guess."""
     cell = np.floor((x - field.mu) @ field.inverse.T + 0.5) - field.low
     boxed = ((cell >= 0) & (cell < field.dims)).all(axis=1)

@@ -7,10 +7,11 @@ density far away.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._types import Floats, Ints, OfStates
 from ..core.field import cells
 from ..core.field.cells import UNKNOWN, frontier
 from ..core.field.field import Field
@@ -29,32 +30,40 @@ _ROUNDED = 20.0  # roundings a standard deviation must be wide
 class Laid(NamedTuple):
     """A density on a lattice of its own."""
 
-    x: np.ndarray  # (N, n)
-    mass: np.ndarray  # (N,)
+    x: Floats  # (N, n)
+    mass: Floats  # (N,)
     field: Field
     log_mass: float  # log of the integral before it was normalised
     volume: float  # of the kept region in whitened coordinates
-    mean: np.ndarray  # (n,)
-    cov: np.ndarray  # (n, n)
+    mean: Floats  # (n,)
+    cov: Floats  # (n, n)
 
 
-def lattice_reach(scheme, n):
+def lattice_reach(scheme: object, n: int) -> float:
     """Z of a scheme in n dimensions: as far out as particles are cheap."""
     given = getattr(scheme, "reach", None)
     return given or {1: 5.5, 2: 4.2}.get(n, 4.0)
 
 
-def gaussian_volume(n, depth):
+def gaussian_volume(n: int, depth: float) -> float:
     """Volume of the whitened ball in which a Gaussian's log p is at most `depth` below its largest."""
     return math.pi ** (n / 2) / math.gamma(n / 2 + 1) * (2.0 * depth) ** (n / 2)
 
 
-def fewest_particles(n):
+def fewest_particles(n: int) -> int:
     """Particles below which no lattice resolves a Gaussian: a complete node two cells from the centre."""
     return (3**n if n <= 2 else 2 * n * n + 1) * (2 if n > 1 else 3)
 
 
-def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
+def lay(
+    log_p: OfStates,
+    mean: Floats,
+    factor: Floats,
+    seeds: Floats,
+    n_particles: int,
+    depth: float,
+    volume: float | None = None,
+) -> Laid:
     """Put a density on a lattice of at most `n_particles` nodes, and at least about half of that.
 
     Parameters
@@ -114,7 +123,9 @@ def lay(log_p, mean, factor, seeds, n_particles, depth, volume=None):
     return Laid(x, mass, build_field(mean, A, node, log_density, sten), log_mass, volume, new_mean, cov)
 
 
-def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
+def _flood(
+    log_p: OfStates, mean: Floats, A: Floats, seeds: Floats, depth: float, sten: Any, n_particles: int
+) -> tuple[Floats, Ints, Ints, float, Ints]:
     """Values of log p on all lattice cells within `depth` of the largest, from the seeds outwards."""
     n = len(mean)
     ball = sten.offsets[: sten.size[0]]
@@ -146,7 +157,9 @@ def _flood(log_p, mean, A, seeds, depth, sten, n_particles):
     return value, low, dims, highest, asked
 
 
-def _asked_at_once(log_p, mean, A, value, low, dims, depth, ball):
+def _asked_at_once(
+    log_p: OfStates, mean: Floats, A: Floats, value: Floats, low: Ints, dims: Ints, depth: float, ball: Ints
+) -> tuple[Ints, float, bool]:
     """All cells of a small box: waves from the seeds would cost more than the cells they save.
 
     Values of cells above the depth and of those beside go into `value`, as if the rest had not been asked.
@@ -161,7 +174,7 @@ def _asked_at_once(log_p, mean, A, value, low, dims, depth, ball):
     return np.concatenate([kept, rim]), highest, beyond
 
 
-def _spread(mean):
+def _spread(mean: Floats) -> str:
     return (
         f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces are "
         f"much smaller than the distance between them, or it has no edge"

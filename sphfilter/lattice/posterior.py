@@ -1,12 +1,14 @@
 """Closing in on a posterior, however sharp the likelihood."""
 
 import math
+from typing import Any
 
 import numpy as np
 
+from .._types import Floats, OfStates
 from ..core.field.shape import LOCAL, local_shape
 from ..errors import ModelError, PropagationError
-from .level_set import gaussian_volume, lay
+from .level_set import Laid, gaussian_volume, lay
 
 __all__ = ["posterior", "within_pieces"]
 
@@ -19,7 +21,15 @@ _LAYERS = 0.15  # least variance of the points that count, in units of their lat
 _LOW_DENSITY = 1e-300  # of masses
 
 
-def posterior(x, mass, log_prior, log_weight, n_particles, depth, cell=None):
+def posterior(
+    x: Floats,
+    mass: Floats,
+    log_prior: OfStates,
+    log_weight: OfStates,
+    n_particles: int,
+    depth: float,
+    cell: Floats | None = None,
+) -> Laid:
     """Lay prior times likelihood, however sharp the likelihood or far out its peak.
 
     The likelihood is raised to a power under which it is wide enough for the points at hand, the product is
@@ -46,7 +56,9 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth, cell=None):
     counting = (4.0 * math.pi) ** (n / 2) / gaussian_volume(n, depth)  # effective part of a Gaussian's nodes
     enough = min(2.0 * 3.0**n, _ENOUGH * counting * n_particles)
     log_mass = np.log(np.maximum(mass, _LOW_DENSITY))
-    power, closed_in, laid = 0.0, False, None
+    power: float = 0.0
+    laid: Laid | None = None
+    closed_in = False
     for _ in range(_ROUNDS):
         weight = log_weight(x)
         if not np.any(weight > -np.inf):
@@ -54,7 +66,7 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth, cell=None):
                 "prior times likelihood is zero wherever the prior has particles: check the measurement, its "
                 "unit and its noise"
             )
-        on_lattice = None if cell is None else np.linalg.solve(cell, x.T).T
+        on_lattice: Any = None if cell is None else np.linalg.solve(cell, x.T).T
         power = _power(log_mass, weight, power, enough, on_lattice)
         heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
         w = np.exp(heavy - heavy.max())
@@ -67,11 +79,11 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth, cell=None):
         heavy = w > w.max() * math.exp(-depth)
         seeds = x[heavy]
 
-        def product(Y, power=power):
+        def product(Y: Floats, power: float = power) -> Floats:
             return log_prior(Y) + power * np.maximum(log_weight(Y), -1e250)
 
         factor = _within(product, seeds, w[heavy], factor)
-        if closed_in:  # the nodes know the pieces of the posterior now
+        if closed_in and laid is not None:  # the nodes know the pieces of the posterior now
             factor, seeds = within_pieces(laid), x
         volume = None
         if cell is not None and len(seeds) >= enough:  # the region's own cells, measured by the new ones
@@ -84,18 +96,18 @@ def posterior(x, mass, log_prior, log_weight, n_particles, depth, cell=None):
         # What the nodes carry already is the likelihood to the power reached.
         log_mass = log_mass - power * np.maximum(log_weight(x), -1e250)
         log_mass -= log_mass.max()
-    if power == 1.0:
+    if power == 1.0 and laid is not None:
         return laid
     raise PropagationError("the likelihood is too sharp to close in on; check the measurement's noise")
 
 
-def _power(log_mass, weight, reached, enough, y):
+def _power(log_mass: Floats, weight: Floats, reached: float, enough: float, y: Floats | None) -> float:
     """Largest power of the likelihood under which enough points count; more than reached before.
 
     Points y (N, n) in units of their lattice must count in more than one of its layers in every direction.
     """
 
-    def effective(power):
+    def effective(power: float) -> float:
         heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
         w = np.exp(heavy - heavy.max())
         count = w.sum() ** 2 / (w @ w)
@@ -114,15 +126,15 @@ def _power(log_mass, weight, reached, enough, y):
     return min(1.0, max(low, 1.05 * reached))
 
 
-def within_pieces(laid):
+def within_pieces(laid: Laid) -> Floats:
     """Lower factor of the covariance within the pieces of a density: see `local_shape`."""
-    L = np.linalg.cholesky(laid.cov)
+    L: Any = np.linalg.cholesky(laid.cov)
     shape = np.empty_like(L)
     local_shape(laid.field, laid.mass, L, shape)
     return L @ shape
 
 
-def _within(log_p, x, w, factor):
+def _within(log_p: OfStates, x: Floats, w: Floats, factor: Floats) -> Floats:
     """A factor of the covariance within the pieces of a density, from its slopes at weighted points.
 
     As `local_shape`, before there is a lattice: a posterior in two thin pieces needs a spacing that
@@ -137,26 +149,29 @@ def _within(log_p, x, w, factor):
     if not np.isfinite(values).all() or values[-1] * LOCAL < 1.0:
         return factor
     inverse = (axes / np.maximum(values, 1.0)) @ axes.T  # no piece is wider than the whole
-    return factor @ np.linalg.cholesky(inverse)
+    root = np.linalg.cholesky(inverse)
+    return np.asarray(factor @ root, dtype=float)
 
 
-def _whitened(factor, other):
+def _whitened(factor: Floats, other: Floats) -> bool:
     """Does a factor whiten what another does, nearly enough for a lattice?"""
     ratio = np.linalg.solve(factor, other)
     spread = np.linalg.eigvalsh(ratio @ ratio.T)
     return spread[-1] < _SKEWED * spread[0]
 
 
-def _factor(x, w, mean, mass):
+def _factor(x: Floats, w: Floats, mean: Floats, mass: Floats) -> Floats:
     """Lower factor of the weighted covariance; flat directions get a thousandth of the points' own spread."""
     d = x - mean
     cov = (d * w[:, None]).T @ d
     own = x - mass @ x
     spread = (own * mass[:, None]).T @ own
+    factor: Any
     try:
-        return np.linalg.cholesky(cov + 1e-9 * spread)
+        factor = np.linalg.cholesky(cov + 1e-9 * spread)
     except np.linalg.LinAlgError:
         scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
         w_, V = np.linalg.eigh((cov + 1e-9 * spread) / np.outer(scale, scale))
         root = V * np.sqrt(np.maximum(w_, 1e-12 * max(w_.max(), 1e-300)))
-        return np.linalg.cholesky(scale[:, None] * (root @ root.T) * scale)
+        factor = np.linalg.cholesky(scale[:, None] * (root @ root.T) * scale)
+    return factor

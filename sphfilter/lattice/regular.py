@@ -5,8 +5,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import optimize, sparse
 
+from .._types import Bools, Floats, Ints
+from ..config import PaperScheme
 from ..core.sph.kernels import KINDS, RADIUS, normalisation, shape
 from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
 from ..core.sph.summation import deposit
@@ -31,27 +34,29 @@ _MOST_NODES = 2e6  # of one lattice
 class Lattice:
     """Nodes origin + k * spacing, k = 0 .. dims - 1 along each axis; the last axis runs fastest."""
 
-    origin: np.ndarray
-    spacing: np.ndarray
-    dims: np.ndarray
+    origin: Floats
+    spacing: Floats
+    dims: Ints
     domain: Domain | None = None
 
     @classmethod
-    def spanning(cls, low, high, dims, domain=None):
+    def spanning(
+        cls, low: ArrayLike, high: ArrayLike, dims: ArrayLike, domain: Domain | None = None
+    ) -> "Lattice":
         """Lattice with nodes at both ends of [low, high] (002 (49) prints N = span/d: it is span/d + 1).
 
         Where both ends are those of the domain, or one is a wall, nodes lie in the middle of equal cells.
         """
         low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
-        dims = np.maximum(np.asarray(dims, dtype=int), 2)
+        nodes = np.maximum(np.asarray(dims, dtype=int), 2)
         if domain is None:
-            return cls(low, (high - low) / (dims - 1), dims)
+            return cls(low, (high - low) / (nodes - 1), nodes)
         centred = domain.whole(low, high) | (domain.walled & ((low <= domain.low) | (high >= domain.high)))
-        spacing = (high - low) / np.where(centred, dims, dims - 1)
-        return cls(low + np.where(centred, 0.5 * spacing, 0.0), spacing, dims, domain)
+        spacing = (high - low) / np.where(centred, nodes, nodes - 1)
+        return cls(low + np.where(centred, 0.5 * spacing, 0.0), spacing, nodes, domain)
 
     @classmethod
-    def spaced(cls, low, high, spacing, domain=None):
+    def spaced(cls, low: Floats, high: Floats, spacing: Floats, domain: Domain | None = None) -> "Lattice":
         """Lattice as `spanning` lays it, with the given spacing (n,), or the next smaller one that fits."""
         cells = np.ceil(np.minimum((high - low) / spacing * (1.0 - 1e-12), _MOST_NODES)).astype(int)
         ends = cls.spanning(low, high, cells + 1, domain)
@@ -64,20 +69,20 @@ class Lattice:
         return lattice
 
     @property
-    def nodes(self):
+    def nodes(self) -> Floats:
         """All nodes, shape (M, n)."""
-        indices = np.indices(self.dims).reshape(len(self.dims), -1).T
+        indices = np.indices(tuple(self.dims)).reshape(len(self.dims), -1).T
         return self.origin + indices * self.spacing
 
     @property
-    def cell_volume(self):
+    def cell_volume(self) -> float:
         return float(np.prod(self.spacing))
 
-    def half_shifted(self):
+    def half_shifted(self) -> "Lattice":
         """The interstitial lattice: half a cell off along every axis, inscribed (002 4.6.1)."""
         return replace(self, origin=self.origin + 0.5 * self.spacing, dims=self.dims - 1)
 
-    def density_of(self, x, mass, h, kernel):
+    def density_of(self, x: Floats, mass: Floats, h: Floats, kernel: tuple[int, float]) -> Floats:
         """Mixture density of particles at every node, shape (M,)."""
         out = np.empty(int(np.prod(self.dims)))
         if self.domain is not None:
@@ -100,11 +105,11 @@ class GaussianPlacement:
     """
 
     lattice: Lattice
-    kept: np.ndarray
-    core: np.ndarray
+    kept: Bools
+    core: Bools
 
 
-def place_gaussian(mean, cov, n_particles, scheme):
+def place_gaussian(mean: Floats, cov: Floats, n_particles: int, scheme: PaperScheme) -> GaussianPlacement:
     """Finest lattice whose ellipsoid (39), grown by N_B buffer layers (42), holds at most n_particles nodes.
 
     The spacing is the same along every axis, or wider along longer axes up to `scheme.anisotropy`. The
@@ -151,23 +156,23 @@ def place_gaussian(mean, cov, n_particles, scheme):
 
 class _Ellipsoid(NamedTuple):
     z_core: float
-    deviations: np.ndarray
-    vectors: np.ndarray
+    deviations: Floats
+    vectors: Floats
     layers: int
 
-    def radii(self, dx):
+    def radii(self, dx: float) -> tuple[Floats, Floats]:
         """Semi-axes of the core, and of core and buffer for a spacing dx."""
         core = self.z_core * self.deviations
         return core, core + np.minimum(self.layers * dx, self.deviations)
 
 
-def _spacing_for(n_particles, ellipsoid, aspect):
+def _spacing_for(n_particles: int, ellipsoid: _Ellipsoid, aspect: Floats) -> float | None:
     """Spacing at which the grown ellipsoid's volume is n_particles cells, or None if there is none."""
     n = len(ellipsoid.deviations)
     ball = math.pi ** (n / 2) / math.gamma(n / 2 + 1)
     stretch = float(np.prod(aspect)) ** (1.0 / n)
 
-    def surplus(log_dx):
+    def surplus(log_dx: float) -> float:
         dx = stretch * math.exp(log_dx)
         return math.log(ball) + np.log(ellipsoid.radii(dx)[1] / dx).sum() - math.log(n_particles)
 
@@ -177,7 +182,7 @@ def _spacing_for(n_particles, ellipsoid, aspect):
     return math.exp(optimize.brentq(surplus, low, high))
 
 
-def _trimmed(mean, ellipsoid, spacing, shift):
+def _trimmed(mean: Floats, ellipsoid: _Ellipsoid, spacing: Floats, shift: float) -> GaussianPlacement:
     vectors, n = ellipsoid.vectors, len(mean)
     radii, grown = ellipsoid.radii(float(np.prod(spacing)) ** (1.0 / n))
     extent = np.sqrt((vectors**2) @ grown**2)
@@ -200,13 +205,21 @@ class SupportFit:
     """Sweep of the support Lambda = K h / dx (002 4.6.1): errors on particle and interstitial nodes."""
 
     h: float
-    support: np.ndarray  # swept values
-    error_particles: np.ndarray  # eps_RMS (002 (32)) on interior particle nodes
-    error_interstitial: np.ndarray  # and on interior interstitial nodes
-    error: np.ndarray  # both together
+    support: Floats  # swept values
+    error_particles: Floats  # eps_RMS (002 (32)) on interior particle nodes
+    error_interstitial: Floats  # and on interior interstitial nodes
+    error: Floats  # both together
 
 
-def fit_support(lattice, mass, target, target_between, interior, interior_between, scheme):
+def fit_support(
+    lattice: Lattice,
+    mass: Floats,
+    target: Floats,
+    target_between: Floats,
+    interior: Bools,
+    interior_between: Bools,
+    scheme: PaperScheme,
+) -> SupportFit:
     """Choose the one initial h whose mixture density is nearest to the target (002 4.6.1).
 
     Parameters
@@ -235,10 +248,11 @@ def fit_support(lattice, mass, target, target_between, interior, interior_betwee
     counts = np.array([max(interior.sum(), 1), max(interior_between.sum(), 1)])
     both = np.sqrt(squares.sum(axis=0) / counts.sum())
     best = supports[np.argmin(both)]
-    return SupportFit(best * dx / RADIUS[kind], supports, *np.sqrt(squares / counts[:, None]), both)
+    own, shifted = np.sqrt(squares / counts[:, None])
+    return SupportFit(best * dx / RADIUS[kind], supports, own, shifted, both)
 
 
-def heaviest(values, share):
+def heaviest(values: Floats, share: float) -> Bools:
     """Mark the largest of `values` that together make up `share` of their sum; equals stay together."""
     falling = np.sort(values)[::-1]
     reached = np.cumsum(falling)
@@ -246,7 +260,7 @@ def heaviest(values, share):
     return (values >= level * (1.0 - 1e-12)) & (values > 0)
 
 
-def collocation_masses(x, h, target, kernel_name):
+def collocation_masses(x: Floats, h: float, target: Floats, kernel_name: str) -> Floats | None:
     """Masses whose mixture takes the target values at the particles (002 (48)); None if any is negative."""
     kind, n = KINDS.index(kernel_name), x.shape[1]
     support = np.full(len(x), RADIUS[kind] * h)

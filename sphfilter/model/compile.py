@@ -8,27 +8,37 @@ import dis
 import functools
 import inspect
 import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from numba import njit, objmode
 from numba.core import types
 from numba.core.errors import NumbaError
+from numpy.typing import ArrayLike
 
+from .._types import BatchFunction, Floats
 from ..core._jit import BATCH
 from ..errors import ModelError
 
-__all__ = ["accepts", "batch", "compile_rows", "compile_source", "probe", "probe_states", "reads_argument"]
+__all__ = ["Maker", "StateFunction", "accepts", "batch", "compile_rows", "compile_source", "probe",
+           "probe_states", "reads_argument"]  # fmt: skip
+
+#: A user's function of (x), (x, t) or (x, t, p): of one state in numba's types, or of rows of states.
+StateFunction: TypeAlias = Callable[..., Any]
+#: Makes a batch function from the others of its model, by name.
+Maker: TypeAlias = Callable[[Any], BatchFunction]
 
 #: Vectorised numpy callables by number: compiled code can hold a number, not a Python object.
-_BLACK_BOXES = []
+_BLACK_BOXES: list[BatchFunction] = []
 
 
-def batch(function):
+def batch(function: Callable[..., None]) -> BatchFunction:
     """Compile one batch function of the package's own, without a disk cache (closures differ per model)."""
     return njit(BATCH, error_model="numpy")(function)
 
 
-def accepts(function, name, allowed=(1, 2, 3)):
+def accepts(function: object, name: str, allowed: tuple[int, ...] = (1, 2, 3)) -> int:
     """Return how many positional arguments to pass: 1 for f(x), 2 for f(x, t), 3 for f(x, t, p)."""
     if not callable(function):
         raise ModelError(f"{name} must be a function of (x, t) or (x, t, p), got {function!r}.")
@@ -47,7 +57,7 @@ def accepts(function, name, allowed=(1, 2, 3)):
     return max(fitting)
 
 
-def reads_argument(function, index):
+def reads_argument(function: object, index: int) -> bool:
     """Tell whether a function may depend on its positional argument `index`.
 
     The bytecode is searched for the argument's name: False is a proof, True may only mean "unknown".
@@ -62,12 +72,19 @@ def reads_argument(function, index):
     return any(name == v or (isinstance(v, tuple) and name in v) for v in values)
 
 
-def probe_states(dim, rows=3):
+def probe_states(dim: int, rows: int = 3) -> Floats:
     """Return fixed, unremarkable states at which a function is tried once, shape (rows, dim)."""
     return np.random.default_rng(20220).uniform(0.1, 0.9, (rows, dim))
 
 
-def compile_rows(function, shape, name, dim, p, vectorized=False):
+def compile_rows(
+    function: Callable[..., Any],
+    shape: tuple[int, ...],
+    name: str,
+    dim: int | None,
+    p: Floats,
+    vectorized: bool = False,
+) -> BatchFunction:
     """Compile a user's function into a batch function.
 
     Parameters
@@ -109,7 +126,7 @@ def compile_rows(function, shape, name, dim, p, vectorized=False):
     return compile_source([], lines, f=core)
 
 
-def compile_source(before, per_row, **names):
+def compile_source(before: Sequence[str], per_row: Sequence[str], **names: Any) -> BatchFunction:
     """Compile a batch function from lines of source written by this package (never a user's text)."""
     body = ["def fill(x, t, p, out):", *(f"    {line}" for line in before), "    for i in range(x.shape[0]):"]
     body += [f"        {line}" for line in per_row]
@@ -118,11 +135,11 @@ def compile_source(before, per_row, **names):
     return batch(namespace["fill"])
 
 
-def _python(function):
+def _python(function: Any) -> Any:
     return getattr(function, "py_func", function)
 
 
-def _compile_one(function, n_args, name):
+def _compile_one(function: Any, n_args: int, name: str) -> tuple[Any, Any]:
     """Return the compiled function of one state and the numba type it returns."""
     signature = (types.float64[::1], types.float64, types.float64[::1])[:n_args]
     core = function if hasattr(function, "py_func") else njit(function, error_model="numpy")
@@ -140,10 +157,10 @@ def _compile_one(function, n_args, name):
         ) from error
 
 
-def _check_shape(returned, shape, name):
+def _check_shape(returned: Any, shape: tuple[int, ...], name: str) -> None:
     """Compare a numba return type with the shape that is needed."""
     if isinstance(returned, types.BaseTuple):
-        got = (len(returned),)
+        got: tuple[int, ...] = (len(returned),)
         if len(shape) == 2:
             rows = {len(row) if isinstance(row, types.BaseTuple) else 1 for row in returned}
             nested = all(isinstance(row, types.BaseTuple) for row in returned)
@@ -166,19 +183,26 @@ def _check_shape(returned, shape, name):
     raise ModelError(f"{name} returns {returned}; it must return {_wanted(shape)}.")
 
 
-def _wanted(shape):
+def _wanted(shape: tuple[int, ...]) -> str:
     if len(shape) == 2:
         return f"a tuple of {shape[0]} tuples of {shape[1]} numbers"
     return f"a tuple of {shape[0]} numbers" if shape else "one number"
 
 
-def _arity(name, got, shape):
+def _arity(name: str, got: tuple[int, ...], shape: tuple[int, ...]) -> str:
     values = " × ".join(map(str, got))
     needed = " × ".join(map(str, shape or (1,)))
     return f"{name} returns {values} value(s), but {needed} are needed: return {_wanted(shape)}."
 
 
-def probe(function, shape, name, dim, p, vectorized=False):
+def probe(
+    function: Callable[..., Any],
+    shape: tuple[int, ...],
+    name: str,
+    dim: int,
+    p: Floats,
+    vectorized: bool = False,
+) -> None:
     """Try a function once, uncompiled, for what compiled code would not notice: sizes and indices.
 
     Raises
@@ -213,7 +237,7 @@ def probe(function, shape, name, dim, p, vectorized=False):
         raise ModelError(_arity(name, values.shape, shape))
 
 
-def _rows_of(values, n_rows, shape, name):
+def _rows_of(values: ArrayLike, n_rows: int, shape: tuple[int, ...], name: str) -> Floats:
     """Return what a vectorised function gave as an array (n_rows, k)."""
     values = np.asarray(values, dtype=float)
     k = int(np.prod(shape, dtype=int))
@@ -224,27 +248,29 @@ def _rows_of(values, n_rows, shape, name):
     return values.reshape(n_rows, k)
 
 
-def _compile_vectorized(function, n_args, shape, name, k):
+def _compile_vectorized(
+    function: Callable[..., Any], n_args: int, shape: tuple[int, ...], name: str, k: int
+) -> BatchFunction:
     """Wrap a numpy function of many states; compiled loops reach it through the interpreter."""
     index = len(_BLACK_BOXES)
 
-    def call(x, t, p, out):
+    def call(x: Floats, t: float, p: Floats, out: Floats) -> None:
         out[:] = _rows_of(function(*(x, t, p[:k])[:n_args]), len(x), shape, name)
 
     _BLACK_BOXES.append(call)
 
-    def fill(x, t, p, out):
+    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         with objmode():
             _call_black_box(index, x, t, p, out)
 
     return batch(fill)
 
 
-def _call_black_box(index, x, t, p, out):
+def _call_black_box(index: int, x: Floats, t: float, p: Floats, out: Floats) -> None:
     _BLACK_BOXES[index](x, t, p, out)
 
 
 @functools.cache
-def shared(function):
+def shared(function: Callable[..., None]) -> BatchFunction:
     """Compile a batch function that all models share, cached on disk."""
     return njit(BATCH, cache=True, error_model="numpy")(function)

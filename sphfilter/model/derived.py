@@ -7,6 +7,7 @@ matrices are stored row-major in the columns.
 import numpy as np
 from numba import njit
 
+from .._types import BatchFunction, Floats
 from .compile import batch
 
 __all__ = [
@@ -19,7 +20,7 @@ __all__ = [
 _STEP = np.finfo(float).eps ** (1 / 3)
 
 
-def symmetric_root(D):
+def symmetric_root(D: Floats) -> Floats:
     """Return g, shape (n, n), with g gᵀ = 2 D: the symmetric root, smooth in D where D is definite."""
     w, V = np.linalg.eigh(D)
     return (V * np.sqrt(2.0 * np.maximum(w, 0.0))) @ V.T
@@ -28,7 +29,7 @@ def symmetric_root(D):
 # --- constants, read from the tail of p: [parameters, g (n m), D (n n)] ---
 
 
-def constant_noise(x, t, p, out):
+def constant_noise(x: Floats, t: float, p: Floats, out: Floats) -> None:
     """Fill g, constant."""
     n, k = x.shape[1], out.shape[1]
     g = p[p.size - n * n - k : p.size - n * n]
@@ -36,14 +37,14 @@ def constant_noise(x, t, p, out):
         out[i, :] = g
 
 
-def constant_diffusion(x, t, p, out):
+def constant_diffusion(x: Floats, t: float, p: Floats, out: Floats) -> None:
     """Fill D, constant."""
     D = p[p.size - out.shape[1] :]
     for i in range(x.shape[0]):
         out[i, :] = D
 
 
-def zeros(x, t, p, out):
+def zeros(x: Floats, t: float, p: Floats, out: Floats) -> None:
     """Fill zeros: ∇·D where D does not depend on x."""
     out[:] = 0.0
 
@@ -51,7 +52,7 @@ def zeros(x, t, p, out):
 # --- linear drift A x + b, read from the head of p: [A (n n), b (n)] ---
 
 
-def linear_drift(x, t, p, out):
+def linear_drift(x: Floats, t: float, p: Floats, out: Floats) -> None:
     """Fill A x + b."""
     n = x.shape[1]
     for i in range(x.shape[0]):
@@ -62,13 +63,13 @@ def linear_drift(x, t, p, out):
             out[i, a] = s
 
 
-def linear_jacobian(x, t, p, out):
+def linear_jacobian(x: Floats, t: float, p: Floats, out: Floats) -> None:
     """Fill A."""
     for i in range(x.shape[0]):
         out[i, :] = p[: out.shape[1]]
 
 
-def linear_divergence(x, t, p, out):
+def linear_divergence(x: Floats, t: float, p: Floats, out: Floats) -> None:
     """Fill the trace of A."""
     n = x.shape[1]
     s = 0.0
@@ -80,11 +81,11 @@ def linear_divergence(x, t, p, out):
 # --- derived from other batch functions ---
 
 
-def diffusion_from_noise(g, Q):
+def diffusion_from_noise(g: BatchFunction, Q: Floats) -> BatchFunction:
     """Return the batch function of D = g Q gᵀ / 2 (002 (5) with the erratum)."""
     m = len(Q)
 
-    def fill(x, t, p, out):
+    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
         G = np.empty((x.shape[0], n * m))
         g(x, t, p, G)
@@ -100,11 +101,11 @@ def diffusion_from_noise(g, Q):
     return batch(fill)
 
 
-def noise_from_diffusion(D):
+def noise_from_diffusion(D: BatchFunction) -> BatchFunction:
     """Return the batch function of the symmetric g with g gᵀ = 2 D."""
     root = njit(symmetric_root)
 
-    def fill(x, t, p, out):
+    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
         D(x, t, p, out)
         for i in range(x.shape[0]):
@@ -117,7 +118,7 @@ def noise_from_diffusion(D):
 
 
 @njit(error_model="numpy")
-def _difference(f, x, t, p, j, step, out):
+def _difference(f: BatchFunction, x: Floats, t: float, p: Floats, j: int, step: float, out: Floats) -> None:
     """Fill ∂f/∂x_j by central differences, all rows at once; out (N, k)."""
     moved, below = x.copy(), np.empty_like(out)
     for i in range(x.shape[0]):
@@ -132,10 +133,10 @@ def _difference(f, x, t, p, j, step, out):
             out[i, k] = (out[i, k] - below[i, k]) / h
 
 
-def reversed_drift(f):
+def reversed_drift(f: BatchFunction) -> BatchFunction:
     """Return the drift −f(x, −t) of reversed time."""
 
-    def fill(x, t, p, out):
+    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         f(x, -t, p, out)
         for i in range(x.shape[0]):
             for a in range(x.shape[1]):
@@ -144,11 +145,11 @@ def reversed_drift(f):
     return batch(fill)
 
 
-def stratonovich_drift(f, g, Q):
+def stratonovich_drift(f: BatchFunction, g: BatchFunction, Q: Floats) -> BatchFunction:
     """Return the Itô drift f_i + ½ Σ_jkl g_jk Q_kl ∂_j g_il of a Stratonovich equation (002 (4), erratum)."""
     m, step = len(Q), _STEP
 
-    def fill(x, t, p, out):
+    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
         f(x, t, p, out)
         G = np.empty((x.shape[0], n * m))
@@ -166,11 +167,11 @@ def stratonovich_drift(f, g, Q):
     return batch(fill)
 
 
-def jacobian_from(f, k):
+def jacobian_from(f: BatchFunction, k: int) -> BatchFunction:
     """Return the batch function of ∂_j f_a, shape (k, n) per row, by central differences."""
     step = _STEP
 
-    def fill(x, t, p, out):
+    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
         df = np.empty((x.shape[0], k))
         for j in range(n):
@@ -182,11 +183,11 @@ def jacobian_from(f, k):
     return batch(fill)
 
 
-def row_divergence_from(D):
+def row_divergence_from(D: BatchFunction) -> BatchFunction:
     """Return the batch function of (∇·D)_a = Σ_j ∂_j D_aj by central differences."""
     step = _STEP
 
-    def fill(x, t, p, out):
+    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
         out[:] = 0.0
         dD = np.empty((x.shape[0], n * n))
@@ -199,10 +200,10 @@ def row_divergence_from(D):
     return batch(fill)
 
 
-def trace_from(J):
+def trace_from(J: BatchFunction) -> BatchFunction:
     """Return the batch function of the trace of a Jacobian."""
 
-    def fill(x, t, p, out):
+    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
         full = np.empty((x.shape[0], n * n))
         J(x, t, p, full)

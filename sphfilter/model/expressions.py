@@ -8,6 +8,8 @@ names of this module's own choice.
 import ast
 import math
 import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import sympy as sp
 
@@ -40,7 +42,7 @@ class Names:
         A name that is no identifier, is reserved, or is given twice.
     """
 
-    def __init__(self, states, parameters=()):
+    def __init__(self, states: Sequence[str], parameters: Sequence[str] = ()) -> None:
         seen = set()
         for name in (*states, *parameters):
             if not isinstance(name, str) or not name.isidentifier():
@@ -57,7 +59,7 @@ class Names:
         self.symbols["pi"] = sp.pi
 
 
-def parse(text, names, where="expression"):
+def parse(text: str | float, names: Names, where: str = "expression") -> sp.Expr:
     """Return the sympy tree of a text (or of a number).
 
     Parameters
@@ -100,36 +102,36 @@ def parse(text, names, where="expression"):
 class _Walk:
     """Turns one parsed text into a symbolic tree, node by node."""
 
-    def __init__(self, names, text, where):
+    def __init__(self, names: Names, text: str, where: str) -> None:
         self.names, self.text, self.where = names, text, where
 
-    def visit(self, node):
+    def visit(self, node: ast.AST) -> Any:
         method = getattr(self, f"_{type(node).__name__.lower()}", None)
         if method is None:
             raise self._error(f"{ast.unparse(node)[:60]!r} is not allowed. {_ALLOWED}")
         return method(node)
 
-    def _error(self, reason):
+    def _error(self, reason: str) -> ExpressionError:
         return ExpressionError(f"{self.where} {self.text[:80]!r}: {reason}")
 
-    def _value(self, node):
+    def _value(self, node: ast.expr) -> Any:
         value = self.visit(node)
         if isinstance(value, _CONDITIONS):
             raise self._error(f"{ast.unparse(node)[:60]!r} is a condition, where a number is needed.")
         return value
 
-    def _condition(self, node):
+    def _condition(self, node: ast.expr) -> Any:
         value = self.visit(node)
         if not isinstance(value, _CONDITIONS):
             raise self._error(f"{ast.unparse(node)[:60]!r} is a number, where a condition is needed.")
         return value
 
-    def _constant(self, node):
+    def _constant(self, node: ast.Constant) -> sp.Expr:
         if isinstance(node.value, bool) or not isinstance(node.value, int | float):
             raise self._error(f"{node.value!r} is not allowed. {_ALLOWED}")
         return _number(node.value, self.where)
 
-    def _name(self, node):
+    def _name(self, node: ast.Name) -> sp.Expr:
         if node.id in self.names.symbols:
             return self.names.symbols[node.id]
         known = [*self.names.symbols, *FUNCTIONS, "where"]
@@ -140,7 +142,7 @@ class _Walk:
             f"{', '.join(self.names.symbols)}, and the functions {' '.join(FUNCTIONS)} where."
         )
 
-    def _unaryop(self, node):
+    def _unaryop(self, node: ast.UnaryOp) -> Any:
         if isinstance(node.op, ast.Not):
             return Not(self._condition(node.operand))
         if isinstance(node.op, ast.Invert):
@@ -148,7 +150,7 @@ class _Walk:
         value = self._value(node.operand)
         return -value if isinstance(node.op, ast.USub) else value
 
-    def _binop(self, node):
+    def _binop(self, node: ast.BinOp) -> sp.Expr:
         a, b = self._value(node.left), self._value(node.right)
         kind = type(node.op)
         if kind not in _OPERATIONS:
@@ -162,13 +164,13 @@ class _Walk:
             raise self._error("division by zero.")
         return _OPERATIONS[kind](a, b)
 
-    def _check_exponent(self, base, exponent):
+    def _check_exponent(self, base: Any, exponent: Any) -> None:
         """Refuse powers of powers whose integer coefficients would fill the memory."""
         inner = max((abs(float(q.exp)) for q in base.atoms(sp.Pow) if q.exp.is_number), default=1.0)
         if not base.is_number and abs(float(exponent)) * max(inner, 1.0) > MAX_EXPONENT:
             raise self._error(f"a power above {MAX_EXPONENT} is not allowed.")
 
-    def _fold(self, compute):
+    def _fold(self, compute: Callable[[], Any]) -> sp.Expr:
         """Work out a constant in floating point, where no number grows beyond eight bytes."""
         try:
             value = compute()
@@ -178,7 +180,7 @@ class _Walk:
             raise self._error("a constant is not a real number.")
         return _number(value, self.where)
 
-    def _call(self, node):
+    def _call(self, node: ast.Call) -> Any:
         name = node.func.id if isinstance(node.func, ast.Name) else None
         if name is None or node.keywords or any(isinstance(a, ast.Starred) for a in node.args):
             raise self._error(f"the call {ast.unparse(node)[:60]!r} is not allowed. {_ALLOWED}")
@@ -197,7 +199,7 @@ class _Walk:
             return self._fold(lambda: compute(*map(float, arguments)))
         return build(*arguments)
 
-    def _compare(self, node):
+    def _compare(self, node: ast.Compare) -> Any:
         values = [self._value(v) for v in (node.left, *node.comparators)]
         parts = []
         for op, a, b in zip(node.ops, values[:-1], values[1:], strict=True):
@@ -207,19 +209,19 @@ class _Walk:
             parts.append(_COMPARISONS[kind](a, b))
         return parts[0] if len(parts) == 1 else And(*parts)
 
-    def _boolop(self, node):
+    def _boolop(self, node: ast.BoolOp) -> Any:
         parts = [self._condition(v) for v in node.values]
         return And(*parts) if isinstance(node.op, ast.And) else Or(*parts)
 
 
-_OPERATIONS = {
+_OPERATIONS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: lambda a, b: a + b,
     ast.Sub: lambda a, b: a - b,
     ast.Mult: lambda a, b: a * b,
     ast.Div: lambda a, b: a / b,
     ast.Pow: lambda a, b: a**b,
 }
-_COMPARISONS = {
+_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Gt: Gt,
     ast.GtE: Ge,
     ast.Lt: lambda a, b: Gt(b, a),
@@ -229,7 +231,7 @@ _COMPARISONS = {
 }
 
 
-def _number(value, where):
+def _number(value: float, where: str) -> sp.Expr:
     try:
         finite = math.isfinite(float(value))
     except OverflowError:

@@ -1,17 +1,24 @@
 """Measurement models: what a sensor reads in a state, and how likely a reading is."""
 
 import inspect
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeGuard
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from .. import validate
+from .._types import Bools, Floats, Ints, Seed
 from ..errors import ModelError
-from .compile import compile_rows, probe
+from .compile import StateFunction, compile_rows, probe
 
-__all__ = ["GaussianMeasurement", "LikelihoodMeasurement", "Reading"]
+__all__ = ["GaussianMeasurement", "GaussianSensor", "LikelihoodMeasurement", "Reading", "Sensor",
+           "is_gaussian"]  # fmt: skip
+
+#: loglik(z, X, t) → (N,), and sample(X, t, rng) → (N, k).
+LogLikelihood: TypeAlias = Callable[[Floats, Floats, float], ArrayLike]
+Sampler: TypeAlias = Callable[[Floats, float, np.random.Generator], ArrayLike]
 
 _NO_PARAMETERS = np.empty(0)
 _DIFFERENT = (
@@ -22,11 +29,11 @@ _DIFFERENT = (
 class Reading(NamedTuple):
     """What a sensor said: its numbers z (k,), NaN where none came, and which did, bool (k,)."""
 
-    z: np.ndarray
-    seen: np.ndarray
+    z: Floats
+    seen: Bools
 
     @classmethod
-    def of(cls, z, k=None):
+    def of(cls, z: ArrayLike | None, k: int | None = None) -> "Reading":
         """Return a measurement as a reading of k numbers; None is one of which nothing came.
 
         Raises
@@ -45,6 +52,51 @@ class Reading(NamedTuple):
         if np.isinf(z).any():
             raise ModelError(f"The measurement {z} is infinite; use NaN for a missing component.")
         return cls(z, np.isfinite(z))
+
+
+class Sensor(Protocol):
+    """What the update of a density asks of any sensor, the two classes here or one of a user's own."""
+
+    @property
+    def noise_cov(self) -> Floats | None:
+        """R, shape (k, k); None for a sensor without Gaussian noise."""
+
+    @property
+    def H(self) -> Floats | None:
+        """The matrix of a linear sensor, shape (k, n); None for any other."""
+
+    @property
+    def angles(self) -> tuple[int, ...]:
+        """Components of z that are angles in radians."""
+
+    @property
+    def directly_observed(self) -> tuple[Ints, Floats] | None:
+        """State indices and scales (k,), where every component of z reads one state of its own."""
+
+    def reading(self, z: ArrayLike | None) -> Reading:
+        """Return what the sensor said."""
+
+    def log_likelihood(self, z: ArrayLike | None, X: Floats, t: float = 0.0) -> Floats:
+        """Return log p(z | x) for each state X (N, n), shape (N,)."""
+
+
+class GaussianSensor(Sensor, Protocol):
+    """A sensor with Gaussian noise, of which readings can be predicted."""
+
+    @property
+    def noise_cov(self) -> Floats:
+        """R, shape (k, k)."""
+
+    def predict(self, X: ArrayLike, t: float = 0.0) -> Floats:
+        """Return the noise-free reading in each state X (N, n), shape (N, k)."""
+
+    def residual(self, z: ArrayLike, zhat: ArrayLike) -> Floats:
+        """Return z − zhat (..., k), angles wrapped to (−π, π]."""
+
+
+def is_gaussian(sensor: Sensor) -> TypeGuard[GaussianSensor]:
+    """Whether a sensor has a noise covariance."""
+    return sensor.noise_cov is not None
 
 
 class GaussianMeasurement:
@@ -91,7 +143,13 @@ class GaussianMeasurement:
     [0.2324]
     """
 
-    def __init__(self, h, noise_cov, angles=(), vectorized=False):
+    def __init__(
+        self,
+        h: ArrayLike | StateFunction,
+        noise_cov: ArrayLike,
+        angles: Iterable[int] = (),
+        vectorized: bool = False,
+    ) -> None:
         self.noise_cov = validate.covariance("noise_cov", noise_cov)
         self.noise_cov.setflags(write=False)
         self.dim_z = len(self.noise_cov)
@@ -101,9 +159,10 @@ class GaussianMeasurement:
         self.angles = tuple(sorted({validate.count("angles", a, least=0) for a in angles}))
         if self.angles and self.angles[-1] >= self.dim_z:
             raise ModelError(f"angles names component {self.angles[-1]}, but z has {self.dim_z} (from 0).")
-        self._recipe = (h, noise_cov, angles, vectorized)
-        self._factors, self._tried = {}, set()
-        self.H = self._fill = None
+        self._recipe: tuple[Any, Any, tuple[int, ...], bool] = (h, noise_cov, angles, vectorized)
+        self._factors: dict[bytes, tuple[Floats, float]] = {}
+        self._tried: set[int] = set()
+        self.H: Floats | None = None
         if callable(h):
             self._fill = compile_rows(h, (self.dim_z,), "h", None, _NO_PARAMETERS, vectorized)
         else:
@@ -117,7 +176,9 @@ class GaussianMeasurement:
         self.directly_observed = self._direct()
 
     @classmethod
-    def from_expressions(cls, states, h, noise_cov, angles=()):
+    def from_expressions(
+        cls, states: Sequence[str], h: Sequence[str], noise_cov: ArrayLike, angles: Iterable[int] = ()
+    ) -> "GaussianMeasurement":
         """Build a sensor from text, as `SDE.from_expressions` builds a model.
 
         Parameters
@@ -136,7 +197,9 @@ class GaussianMeasurement:
         """
         return cls(_Expressions(states, h), noise_cov, angles, vectorized=True)
 
-    def changed(self, noise_cov=None, h=None):
+    def changed(
+        self, noise_cov: ArrayLike | None = None, h: ArrayLike | StateFunction | None = None
+    ) -> "GaussianMeasurement":
         """The same sensor with another noise covariance, a number r for R = r I, or another h."""
         own_h, own_cov, angles, vectorized = self._recipe
         if noise_cov is None:
@@ -147,15 +210,15 @@ class GaussianMeasurement:
             return GaussianMeasurement(own_h, noise_cov, angles, vectorized)
         return GaussianMeasurement(h, noise_cov, angles)
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return GaussianMeasurement, self._recipe
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         h = _name(self._recipe[0]) if self.H is None else validate.short(self.H.tolist())
         angles = f", angles={list(self.angles)}" if self.angles else ""
         return f"GaussianMeasurement(h={h}, noise_cov={validate.short(self.noise_cov.tolist())}{angles})"
 
-    def predict(self, X, t=0.0):
+    def predict(self, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return the noise-free reading in each state X (N, n), shape (N, k)."""
         X = np.array(X, dtype=float, order="C", ndmin=2)
         self.check_dim(X.shape[1])
@@ -165,7 +228,7 @@ class GaussianMeasurement:
         self._fill(X, float(t), _NO_PARAMETERS, out)
         return out
 
-    def check_dim(self, n):
+    def check_dim(self, n: int) -> None:
         """Raise `ModelError` if the sensor cannot read states of length n."""
         if self.H is not None:
             if n != self.H.shape[1]:
@@ -175,14 +238,14 @@ class GaussianMeasurement:
             probe(h, (self.dim_z,), "h", n, _NO_PARAMETERS, vectorized)
             self._tried.add(n)
 
-    def residual(self, z, zhat):
+    def residual(self, z: ArrayLike, zhat: ArrayLike) -> Floats:
         """Return z − zhat (..., k), angles wrapped to (−π, π]."""
         r = np.asarray(z, dtype=float) - np.asarray(zhat, dtype=float)
         for a in self.angles:
             r[..., a] -= 2 * np.pi * np.ceil((r[..., a] - np.pi) / (2 * np.pi))
         return r
 
-    def jacobian(self, x, t=0.0):
+    def jacobian(self, x: ArrayLike, t: float = 0.0) -> Floats:
         """Return ∂h/∂x at one state x (n,), shape (k, n): H, or central differences."""
         if self.H is not None:
             return self.H.copy()
@@ -192,7 +255,7 @@ class GaussianMeasurement:
         rise = self.residual(self.predict(above, t), self.predict(below, t))
         return (rise / np.diag(above - below)[:, None]).T
 
-    def observed(self, z):
+    def observed(self, z: ArrayLike | None) -> Bools:
         """Return which components of z were measured, bool (k,): NaN (or None for all) means missing.
 
         Raises
@@ -202,31 +265,31 @@ class GaussianMeasurement:
         """
         return self.reading(z).seen
 
-    def reading(self, z):
+    def reading(self, z: ArrayLike | None) -> Reading:
         """Return z as a `Reading`; see `observed`."""
         return Reading.of(z, self.dim_z)
 
-    def log_likelihood(self, z, X, t=0.0):
+    def log_likelihood(self, z: ArrayLike | None, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return log p(z | x) for each state X (N, n), shape (N,), with its normalising constant.
 
         Missing components are left out, with their rows and columns of R; all missing gives zeros.
         """
         z, seen = self.reading(z)
         if not seen.any():
-            return np.zeros(len(X))
+            return np.zeros(np.shape(X)[0])
         whiten, constant = self._factor(seen)
         # a state where h is undefined gives NaN here, for the caller to judge
         y = self.residual(z, self.predict(X, t))[:, seen] @ whiten
         return constant - 0.5 * np.einsum("ik,ik->i", y, y)
 
-    def sample(self, x, t=0.0, rng=None):
+    def sample(self, x: ArrayLike, t: float = 0.0, rng: Seed = None) -> Floats:
         """Draw readings of one state (n,) → (k,), or of many (N, n) → (N, k); angles in (−π, π]."""
         zhat = self.predict(x, t)
         noise = validate.generator(rng).standard_normal(zhat.shape) @ np.linalg.cholesky(self.noise_cov).T
         z = self.residual(zhat + noise, 0.0)
         return z[0] if np.ndim(x) == 1 else z
 
-    def _factor(self, seen):
+    def _factor(self, seen: Bools) -> tuple[Floats, float]:
         """Return L^-T for R = L Lᵀ, observed block, and the log of the normalising constant.
 
         Residuals are multiplied by it: on tall, narrow arrays a triangular solve costs a hundred times more.
@@ -238,7 +301,7 @@ class GaussianMeasurement:
             self._factors[key] = solve_triangular(L, np.eye(len(L)), lower=True).T, constant
         return self._factors[key]
 
-    def _direct(self):
+    def _direct(self) -> tuple[Ints, Floats] | None:
         if self.H is None or self.angles or not np.all((self.H != 0).sum(axis=1) == 1):
             return None
         columns = np.argmax(self.H != 0, axis=1)
@@ -251,19 +314,19 @@ class GaussianMeasurement:
 class _Expressions:
     """h(X, t) of a sensor given as text; copies are made from the text."""
 
-    def __init__(self, states, texts):
+    def __init__(self, states: Sequence[str], texts: Sequence[str]) -> None:
         from .symbolic import symbolic_rows  # imports sympy, which takes a second
 
         self.states, self.expressions = tuple(states), tuple(texts)
         self._fill = symbolic_rows(states, texts, "h")
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return _Expressions, (self.states, self.expressions)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return validate.short(list(self.expressions))
 
-    def __call__(self, X, t):
+    def __call__(self, X: Floats, t: float) -> Floats:
         """Return the readings (N, k) in the states X (N, n)."""
         if X.shape[1] != len(self.states):
             raise ModelError(_DIFFERENT.format(len(self.states), X.shape[1]))
@@ -294,29 +357,32 @@ class LikelihoodMeasurement:
     [-1.     0.296]
     """
 
-    H = None
-    directly_observed = None
-    noise_cov = None
+    H: None = None
+    directly_observed: None = None
+    noise_cov: None = None
+    angles: tuple[int, ...] = ()
 
-    def __init__(self, loglik, dim_z=None, sample=None):
+    def __init__(
+        self, loglik: LogLikelihood, dim_z: int | None = None, sample: Sampler | None = None
+    ) -> None:
         if not callable(loglik):
             raise ModelError(f"loglik must be a function (z, X, t) -> (N,), got {loglik!r}.")
         _check_arguments(loglik)
         self.dim_z = None if dim_z is None else validate.count("dim_z", dim_z)
         self._loglik, self._sample = loglik, sample
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"LikelihoodMeasurement(loglik={_name(self._loglik)}, dim_z={self.dim_z})"
 
-    def observed(self, z):
+    def observed(self, z: ArrayLike | None) -> Bools:
         """Return which components of z were measured, bool (k,); all False for None."""
         return self.reading(z).seen
 
-    def reading(self, z):
+    def reading(self, z: ArrayLike | None) -> Reading:
         """Return z as a `Reading`."""
         return Reading.of(z, self.dim_z)
 
-    def log_likelihood(self, z, X, t=0.0):
+    def log_likelihood(self, z: ArrayLike | None, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return log p(z | x) for each state X (N, n), shape (N,); zeros when all of z is missing."""
         X = np.asarray(X, dtype=float)
         z, seen = self.reading(z)
@@ -333,7 +399,7 @@ class LikelihoodMeasurement:
             )
         return value
 
-    def sample(self, x, t=0.0, rng=None):
+    def sample(self, x: ArrayLike, t: float = 0.0, rng: Seed = None) -> Floats:
         """Draw readings of one state (n,) → (k,), or of many (N, n) → (N, k)."""
         if self._sample is None:
             raise ModelError("This LikelihoodMeasurement cannot be simulated; give it sample=f(X, t, rng).")
@@ -342,7 +408,7 @@ class LikelihoodMeasurement:
         return z[0] if np.ndim(x) == 1 else z
 
 
-def _check_arguments(loglik):
+def _check_arguments(loglik: Callable[..., object]) -> None:
     """Refuse a likelihood that cannot be called with (z, X, t), where its signature is known."""
     try:
         signature = inspect.signature(loglik)
@@ -356,6 +422,6 @@ def _check_arguments(loglik):
         ) from None
 
 
-def _name(function):
+def _name(function: object) -> str:
     """Name of a function, or the text of what has none."""
     return getattr(function, "__name__", None) or repr(function)

@@ -1,21 +1,37 @@
 """The noise of a model from its arguments: g and Q, or D itself; a matrix or a function."""
 
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import validate
+from .._types import Floats
 from ..errors import ModelError
 from . import derived
-from .compile import accepts, compile_rows, probe_states, reads_argument, shared
+from .compile import Maker, StateFunction, accepts, compile_rows, probe_states, reads_argument, shared
 
-__all__ = ["noise_parts", "reads_time", "structure"]
+__all__ = ["Noise", "noise_parts", "reads_time", "structure"]
+
+Noise: TypeAlias = ArrayLike | StateFunction
+#: Makers of g, D and ∇·D, then Q, the constants that end p, and the flags of the noise.
+NoiseParts: TypeAlias = tuple[dict[str, Maker], Floats, Floats, dict[str, Any]]
 
 
-def reads_time(function, name):
+def reads_time(function: Callable[..., Any], name: str) -> bool:
     """Tell whether a model function may depend on time; False is a proof."""
     return accepts(function, name) > 1 and reads_argument(function, 1)
 
 
-def noise_parts(noise, spectral_density, diffusion, n, p, vectorized):
+def noise_parts(
+    noise: Noise | None,
+    spectral_density: ArrayLike | None,
+    diffusion: Noise | None,
+    n: int,
+    p: Floats,
+    vectorized: bool,
+) -> NoiseParts:
     """Return makers of g, D and ∇·D, then Q, the constants that end p, and the flags of the noise."""
     if diffusion is not None:
         if noise is not None or spectral_density is not None:
@@ -40,7 +56,9 @@ def noise_parts(noise, spectral_density, diffusion, n, p, vectorized):
     return makers, Q, tail, structure(False, False)
 
 
-def _noise_function(noise, spectral_density, n, p, vectorized):
+def _noise_function(
+    noise: Callable[..., Any], spectral_density: ArrayLike | None, n: int, p: Floats, vectorized: bool
+) -> NoiseParts:
     if spectral_density is None:
         raise ModelError("noise= is a function: give spectral_density= of shape (m, m) too, it tells m.")
     Q = _spectral_density(spectral_density, None)
@@ -49,7 +67,7 @@ def _noise_function(noise, spectral_density, n, p, vectorized):
     return _with_divergence(makers, noise, "noise", Q)
 
 
-def _diffusion_function(diffusion, n, p, vectorized):
+def _diffusion_function(diffusion: Callable[..., Any], n: int, p: Floats, vectorized: bool) -> NoiseParts:
     D = compile_rows(diffusion, (n, n), "diffusion", n, p, vectorized)
     out = np.empty((3, n * n))
     D(probe_states(n), 0.0, p, out)
@@ -60,7 +78,9 @@ def _diffusion_function(diffusion, n, p, vectorized):
     return _with_divergence(makers, diffusion, "diffusion", np.eye(n))
 
 
-def _with_divergence(makers, function, name, Q):
+def _with_divergence(
+    makers: dict[str, Maker], function: Callable[..., Any], name: str, Q: Floats
+) -> NoiseParts:
     depends = reads_argument(function, 0)
     if depends:
         makers["diffusion_divergence"] = lambda fs: derived.row_divergence_from(fs["diffusion"])
@@ -69,7 +89,7 @@ def _with_divergence(makers, function, name, Q):
     return makers, Q, np.empty(0), structure(depends, reads_time(function, name))
 
 
-def structure(state_dependent, time_dependent):
+def structure(state_dependent: bool, time_dependent: bool) -> dict[str, Any]:
     """Return the structure flags that the noise alone decides."""
     return {
         "state_dependent_noise": state_dependent,
@@ -79,11 +99,11 @@ def structure(state_dependent, time_dependent):
     }
 
 
-def _spectral_density(value, m):
+def _spectral_density(value: ArrayLike, m: int | None) -> Floats:
     return validate.covariance("spectral_density", value, m, definite=False)
 
 
-def _constant_root(D):
+def _constant_root(D: Floats) -> Floats:
     """Return g with g gᵀ = 2 D and as many columns as D has rank; rows of D that are zero stay exactly so."""
     w, V = np.linalg.eigh(D)
     keep = w > 1e-14 * max(w.max(), 0.0)

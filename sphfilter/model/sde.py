@@ -3,19 +3,27 @@
 dX = f(X, t) dt + g(X, t) dW with E[dW dWᵀ] = Q dt, hence D = g Q gᵀ / 2 (002 (1)–(5) with the errata).
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
+from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from .. import validate
+from .._types import BatchFunction, Bools, Floats
 from ..errors import ModelError, nearest
 from . import derived
-from .compile import compile_rows, shared
-from .domain import Domain
-from .noise import noise_parts, reads_time
+from .compile import Maker, StateFunction, compile_rows, shared
+from .domain import Domain, DomainLike
+from .noise import Noise, noise_parts, reads_time
 
 __all__ = ["SDE", "LinearSDE"]
+
+Interpretation: TypeAlias = Literal["ito", "stratonovich"]
+#: Rows of expressions or numbers.
+Texts: TypeAlias = Sequence[Sequence[str | float]] | Floats
 
 
 class SDE:
@@ -88,8 +96,34 @@ class SDE:
     [[ 2. -2.]]
     """
 
-    def __init__(self, drift, dim, noise=None, spectral_density=None, *, diffusion=None, parameters=None,
-                 divergence=None, vectorized=False, interpretation="ito", domain=None):  # fmt: skip
+    #: n, and the number m of noises.
+    dim: int
+    n_noise: int
+    states: tuple[str, ...]
+    parameters: Mapping[str, float]
+    p: Floats
+    spectral_density: Floats
+    domain: Domain
+    constant_diffusion: bool
+    state_dependent_noise: bool
+    autonomous: bool
+    linear: bool
+    diffusion_rows: Bools
+
+    def __init__(
+        self,
+        drift: StateFunction,
+        dim: int,
+        noise: Noise | None = None,
+        spectral_density: ArrayLike | None = None,
+        *,
+        diffusion: Noise | None = None,
+        parameters: Mapping[str, float] | None = None,
+        divergence: StateFunction | None = None,
+        vectorized: bool = False,
+        interpretation: Interpretation = "ito",
+        domain: DomainLike = None,
+    ) -> None:
         recipe = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         n = validate.count("dim", dim)
         validate.choice("interpretation", interpretation, ("ito", "stratonovich"))
@@ -109,8 +143,17 @@ class SDE:
         self._assemble((SDE, recipe), [f"x{i}" for i in range(n)], values, Q, makers, tail, flags, domain)
 
     @classmethod
-    def from_expressions(cls, states, drift, noise=None, spectral_density=None, parameters=None,
-                         interpretation="ito", diffusion=None, domain=None):  # fmt: skip
+    def from_expressions(
+        cls,
+        states: Sequence[str],
+        drift: Sequence[str | float],
+        noise: Texts | None = None,
+        spectral_density: ArrayLike | None = None,
+        parameters: Mapping[str, float] | None = None,
+        interpretation: Interpretation = "ito",
+        diffusion: Texts | None = None,
+        domain: DomainLike = None,
+    ) -> "SDE":
         """Build a model from text; derivatives are symbolic.
 
         Parameters
@@ -157,7 +200,17 @@ class SDE:
         self._assemble((SDE.from_expressions, recipe), states, values, Q, makers, np.empty(0), flags, domain)
         return self
 
-    def _assemble(self, recipe, states, values, Q, makers, tail, flags, domain=None):
+    def _assemble(
+        self,
+        recipe: tuple[Callable[..., "SDE"], dict[str, Any]],
+        states: Sequence[str],
+        values: dict[str, float],
+        Q: Floats,
+        makers: dict[str, Maker],
+        tail: Floats,
+        flags: dict[str, Any],
+        domain: DomainLike = None,
+    ) -> None:
         """Set every attribute; the derived functions are compiled when first used."""
         self._recipe, self._tail, self._flags = recipe, tail, flags
         self.states, self.dim, self.n_noise = tuple(states), len(states), len(Q)
@@ -171,7 +224,7 @@ class SDE:
         self._set_parameters(values)
         self._functions["drift"]  # what is wrong with a drift should show now, not in a first step
 
-    def _set_parameters(self, values):
+    def _set_parameters(self, values: dict[str, float]) -> None:
         self.parameters = MappingProxyType(values)
         # writable for numba's sake: a read-only array has another type there
         self.p = np.concatenate([np.array(list(values.values())), self._tail])
@@ -181,7 +234,7 @@ class SDE:
         rows.setflags(write=False)
         self.diffusion_rows = rows
 
-    def with_parameters(self, **changes):
+    def with_parameters(self, **changes: float) -> Self:
         """Return the model with other parameter values; nothing is compiled again.
 
         Raises
@@ -200,30 +253,55 @@ class SDE:
         new._set_parameters(_parameters({**self.parameters, **changes}))
         return new
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         constructor, arguments = self._recipe
         if "parameters" in arguments:
             arguments = {**arguments, "parameters": dict(self.parameters)}
         return _rebuild, (constructor, arguments)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"{type(self).__name__}(states={self.states}, n_noise={self.n_noise})"
 
     # --- compiled functions ---
 
-    drift_batch = property(lambda self: self._functions["drift"], doc="Itô drift f, (N, n).")
-    noise_batch = property(lambda self: self._functions["noise"], doc="g, row-major, (N, n m).")
-    diffusion_batch = property(lambda self: self._functions["diffusion"], doc="D, row-major, (N, n n).")
-    diffusion_divergence_batch = property(
-        lambda self: self._functions["diffusion_divergence"], doc="∇·D, (N, n); zeros for uniform D."
-    )
-    jacobian_batch = property(lambda self: self._functions["jacobian"], doc="∂f_a/∂x_j, row-major, (N, n n).")
-    divergence_batch = property(lambda self: self._functions["divergence"], doc="∇·f, (N, 1).")
-    reversed_drift_batch = property(lambda self: self._functions["reversed_drift"], doc="−f at −t, (N, n).")
+    @property
+    def drift_batch(self) -> BatchFunction:
+        """Itô drift f, (N, n)."""
+        return self._functions["drift"]
+
+    @property
+    def noise_batch(self) -> BatchFunction:
+        """g, row-major, (N, n m)."""
+        return self._functions["noise"]
+
+    @property
+    def diffusion_batch(self) -> BatchFunction:
+        """D, row-major, (N, n n)."""
+        return self._functions["diffusion"]
+
+    @property
+    def diffusion_divergence_batch(self) -> BatchFunction:
+        """∇·D, (N, n); zeros for uniform D."""
+        return self._functions["diffusion_divergence"]
+
+    @property
+    def jacobian_batch(self) -> BatchFunction:
+        """∂f_a/∂x_j, row-major, (N, n n)."""
+        return self._functions["jacobian"]
+
+    @property
+    def divergence_batch(self) -> BatchFunction:
+        """∇·f, (N, 1)."""
+        return self._functions["divergence"]
+
+    @property
+    def reversed_drift_batch(self) -> BatchFunction:
+        """−f at −t, (N, n)."""
+        return self._functions["reversed_drift"]
 
     # --- evaluation from Python ---
 
-    def _evaluate(self, fill, X, t, *shape):
+    def _evaluate(self, fill: BatchFunction, X: ArrayLike, t: float, *shape: int) -> Floats:
         X = np.array(X, dtype=float, order="C", ndmin=2)
         if X.ndim != 2 or X.shape[1] != self.dim:
             raise ModelError(f"States have shape {np.shape(X)}, but the model needs (N, {self.dim}).")
@@ -231,31 +309,31 @@ class SDE:
         fill(X, float(t), self.p, out)
         return out.reshape(len(X), *shape)
 
-    def drift(self, X, t):
+    def drift(self, X: ArrayLike, t: float) -> Floats:
         """Return the Itô drift at X (N, n), shape (N, n)."""
         return self._evaluate(self.drift_batch, X, t, self.dim)
 
-    def noise(self, X, t):
+    def noise(self, X: ArrayLike, t: float) -> Floats:
         """Return g at X (N, n), shape (N, n, m)."""
         return self._evaluate(self.noise_batch, X, t, self.dim, self.n_noise)
 
-    def diffusion(self, X, t):
+    def diffusion(self, X: ArrayLike, t: float) -> Floats:
         """Return D = g Q gᵀ / 2 at X (N, n), shape (N, n, n)."""
         return self._evaluate(self.diffusion_batch, X, t, self.dim, self.dim)
 
-    def diffusion_divergence(self, X, t):
+    def diffusion_divergence(self, X: ArrayLike, t: float) -> Floats:
         """Return Σ_j ∂_j D_ij at X (N, n), shape (N, n)."""
         return self._evaluate(self.diffusion_divergence_batch, X, t, self.dim)
 
-    def jacobian(self, x, t):
+    def jacobian(self, x: ArrayLike, t: float) -> Floats:
         """Return ∂f_i/∂x_j of the drift at one state x (n,), shape (n, n)."""
         return self._evaluate(self.jacobian_batch, x, t, self.dim, self.dim)[0]
 
-    def divergence(self, X, t):
+    def divergence(self, X: ArrayLike, t: float) -> Floats:
         """Return ∇·f of the drift at X (N, n), shape (N,)."""
         return self._evaluate(self.divergence_batch, X, t)
 
-    def to_linear(self):
+    def to_linear(self) -> "LinearSDE":
         """Return the equal `LinearSDE` of a model whose `linear` is True.
 
         Raises
@@ -289,7 +367,13 @@ class LinearSDE(SDE):
     True [[ 0. -1.]]
     """
 
-    def __init__(self, A, b=None, noise=None, spectral_density=None):
+    def __init__(
+        self,
+        A: ArrayLike,
+        b: ArrayLike | None = None,
+        noise: ArrayLike | None = None,
+        spectral_density: ArrayLike | None = None,
+    ) -> None:
         recipe = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         A = validate.square("A", A)
         n = len(A)
@@ -305,11 +389,11 @@ class LinearSDE(SDE):
         self.A, self.b = A, b
         self._assemble((LinearSDE, recipe), [f"x{i}" for i in range(n)], {}, Q, makers, tail, flags)
 
-    def to_linear(self):
+    def to_linear(self) -> "LinearSDE":
         """Return the model itself."""
         return self
 
-    def discretize(self, dt):
+    def discretize(self, dt: float) -> tuple[Floats, Floats, Floats]:
         """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly.
 
         Van Loan's block exponential over a part of dt short enough for its growing block, then doubling.
@@ -329,7 +413,7 @@ class LinearSDE(SDE):
         if dt < 0:
             raise ModelError(f"dt must not be negative, got {dt!r}.")
         n = self.dim
-        doublings = max(0, int(np.ceil(np.log2(max(np.linalg.norm(self.A, 1) * dt, 1.0)))))
+        doublings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(self.A, 1)) * dt, 1.0)))))
         h = dt / 2**doublings
         g = self.noise(np.zeros((1, n)), 0.0)[0]
         loan = np.block([[-self.A, g @ self.spectral_density @ g.T], [np.zeros((n, n)), self.A.T]])
@@ -347,24 +431,24 @@ class LinearSDE(SDE):
 class _Functions:
     """Compiled functions by name, made when first asked for and shared by all parameter values."""
 
-    def __init__(self, makers, n):
-        self._made = {}
-        self._makers = {
+    def __init__(self, makers: dict[str, Maker], n: int) -> None:
+        self._made: dict[str, BatchFunction] = {}
+        self._makers: dict[str, Maker] = {
             "jacobian": lambda fs: derived.jacobian_from(fs["drift"], n),
             "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
             "reversed_drift": lambda fs: derived.reversed_drift(fs["drift"]),
             **makers,
         }
 
-    def __getitem__(self, name):
+    def __getitem__(self, name: str) -> BatchFunction:
         if name not in self._made:
             self._made[name] = self._makers[name](self)
         return self._made[name]
 
 
-def _rebuild(constructor, arguments):
+def _rebuild(constructor: Callable[..., SDE], arguments: dict[str, Any]) -> SDE:
     return constructor(**arguments)
 
 
-def _parameters(parameters):
+def _parameters(parameters: Mapping[str, float] | None) -> dict[str, float]:
     return {str(k): validate.real(f"parameter {k}", v) for k, v in dict(parameters or {}).items()}

@@ -2,13 +2,19 @@
 
 from functools import lru_cache
 from itertools import pairwise
+from typing import overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import validate
+from .._types import Floats, Seed
 from ..core.domain import bounce
 from ..core.sde_steps import normals_per_step, steps
 from ..errors import ModelError, PropagationError
+from .domain import Domain
+from .measurements import GaussianMeasurement, LikelihoodMeasurement
+from .sde import SDE
 
 __all__ = ["advance", "noise_root", "rate_of_time", "simulate"]
 
@@ -19,7 +25,39 @@ _STEPS_PER_LOOK, _LOOKED_AT, _NORMALS_AT_ONCE = 16, 64, 1_000_000
 _MAX_STEPS = 10_000_000
 
 
-def simulate(model, measurement, x0, times, rng=None, n_paths=None, max_step=None):
+@overload
+def simulate(
+    model: SDE,
+    measurement: GaussianMeasurement | LikelihoodMeasurement,
+    x0: ArrayLike,
+    times: ArrayLike,
+    rng: Seed = None,
+    n_paths: int | None = None,
+    max_step: float | None = None,
+) -> tuple[Floats, Floats]: ...
+
+
+@overload
+def simulate(
+    model: SDE,
+    measurement: None,
+    x0: ArrayLike,
+    times: ArrayLike,
+    rng: Seed = None,
+    n_paths: int | None = None,
+    max_step: float | None = None,
+) -> tuple[Floats, None]: ...
+
+
+def simulate(
+    model: SDE,
+    measurement: GaussianMeasurement | LikelihoodMeasurement | None,
+    x0: ArrayLike,
+    times: ArrayLike,
+    rng: Seed = None,
+    n_paths: int | None = None,
+    max_step: float | None = None,
+) -> tuple[Floats, Floats | None]:
     """Draw paths of a model and readings of them.
 
     Linear models are drawn from their exact transition density. Others are stepped (`advance`).
@@ -82,7 +120,9 @@ def simulate(model, measurement, x0, times, rng=None, n_paths=None, max_step=Non
     return (truth[0], None if z is None else z[0]) if single else (truth, z)
 
 
-def advance(model, x, t0, t1, rng, max_step=None):
+def advance(
+    model: SDE, x: ArrayLike, t0: float, t1: float, rng: np.random.Generator, max_step: float | None = None
+) -> Floats:
     """Return the states x (N, n) of time t0 moved to t1, each with noise of its own, shape (N, n).
 
     A linear model takes one exact step. Otherwise the step is `max_step` or less, in equal parts; without it,
@@ -117,13 +157,15 @@ def advance(model, x, t0, t1, rng, max_step=None):
 
 
 @lru_cache(maxsize=256)
-def _transition(model, dt):
+def _transition(model: SDE, dt: float) -> tuple[Floats, Floats, Floats]:
     """Return the exact transition of a linear model and a root of its covariance; models never change."""
     Phi, offset, Qd = model.to_linear().discretize(dt)
     return Phi, offset, noise_root(Qd)
 
 
-def _take(model, x, t, dt, n_steps, L, rng):
+def _take(
+    model: SDE, x: Floats, t: float, dt: float, n_steps: int, L: Floats, rng: np.random.Generator
+) -> None:
     """Take equal steps, drawing the normals in parts."""
     additive = not model.state_dependent_noise
     n_normals = normals_per_step(len(L), additive)
@@ -140,7 +182,7 @@ def _take(model, x, t, dt, n_steps, L, rng):
             _check_walls(model.domain, x, t + first * dt)
 
 
-def _next_block(model, x, t, t1):
+def _next_block(model: SDE, x: Floats, t: float, t1: float) -> tuple[float, int]:
     """Return the end of the next block of steps and how many steps it takes."""
     courant = _COURANT_GENERAL if model.state_dependent_noise else _COURANT_ADDITIVE
     rates = _rates(model, x, t)
@@ -148,13 +190,13 @@ def _next_block(model, x, t, t1):
     rate = max(rates.max(), rate_of_time(model, stiffest, t, t1))
     length = min(t1 - t, _STEPS_PER_LOOK * courant / rate) if rate > 0 else t1 - t
     spread = np.sqrt(2.0 * length * np.abs(np.diagonal(model.diffusion(stiffest, t), axis1=1, axis2=2)))
-    moved = [stiffest + sign * spread * axis for axis in np.eye(model.dim) for sign in (-1.0, 1.0)]
-    moved = np.concatenate(moved)
+    axes = [sign * axis for axis in np.eye(model.dim) for sign in (-1.0, 1.0)]
+    moved = np.concatenate([stiffest + spread * axis for axis in axes])
     rate = max(rate, _rates(model, moved[np.isfinite(moved).all(axis=1)], t).max(initial=0.0))
     return (t1 if length >= t1 - t else t + length), _parts(length, courant / rate if rate > 0 else length)
 
 
-def _rates(model, X, t):
+def _rates(model: SDE, X: Floats, t: float) -> Floats:
     """Return the rate 1/s of each state: ‖∂f/∂x‖, and ‖∂σ/∂x‖² where the noise depends on the state."""
     if not len(X):
         return np.zeros(0)
@@ -171,7 +213,7 @@ def _rates(model, X, t):
     return np.nan_to_num(rates, nan=0.0, posinf=0.0)
 
 
-def rate_of_time(model, X, t, t1):
+def rate_of_time(model: SDE, X: Floats, t: float, t1: float) -> float:
     """Return how fast drift and noise change with time, 1/s, relative to their size on (t, t1)."""
     if model.autonomous:
         return 0.0
@@ -184,23 +226,23 @@ def rate_of_time(model, X, t, t1):
     return np.nan_to_num(rate)
 
 
-def _parts(length, longest):
+def _parts(length: float, longest: float) -> int:
     return max(1, int(np.ceil(length / longest * (1.0 - 1e-12))))
 
 
-def noise_root(Q):
+def noise_root(Q: Floats) -> Floats:
     """Return L with L Lᵀ = Q, for semidefinite Q too."""
     w, V = np.linalg.eigh(Q)
     return np.ascontiguousarray(V * np.sqrt(np.maximum(w, 0.0)))
 
 
-def _check_walls(domain, x, t):
+def _check_walls(domain: Domain, x: Floats, t: float) -> None:
     left = np.isfinite(x).all(axis=1) & ~domain.contains(x)
     if left.any():
         raise PropagationError(f"a path left the domain near t = {t:.6g}, at {x[left][0]}; it is {domain}")
 
 
-def _check_finite(x, before, t):
+def _check_finite(x: Floats, before: float, t: float) -> None:
     lost = np.flatnonzero(~np.isfinite(x).all(axis=1))
     if lost.size:
         raise PropagationError(

@@ -1,12 +1,17 @@
 """From the texts of a model to its batch functions and structure flags, with symbolic derivatives."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import sympy as sp
+from numpy.typing import ArrayLike
 
 from .. import validate
+from .._types import BatchFunction, Floats
 from ..errors import ExpressionError, ModelError
 from . import derived
-from .compile import compile_source, shared
+from .compile import Maker, compile_source, shared
 from .expressions import Names, parse
 from .symbols import source
 
@@ -16,7 +21,15 @@ __all__ = ["symbolic_model", "symbolic_rows"]
 MAX_OPERATIONS = 20_000
 
 
-def symbolic_model(states, drift, noise, diffusion, spectral_density, parameters, interpretation):
+def symbolic_model(
+    states: Sequence[str],
+    drift: Sequence[str | float],
+    noise: Any,
+    diffusion: Any,
+    spectral_density: ArrayLike | None,
+    parameters: Sequence[str],
+    interpretation: str,
+) -> tuple[dict[str, Maker], Floats, dict[str, Any]]:
     """Return (makers, Q, flags) of a model in text; arguments as in `SDE.from_expressions`."""
     if isinstance(states, str) or isinstance(drift, str):
         raise ModelError('states and drift are lists of text, one per state, for instance states=["x", "v"].')
@@ -47,7 +60,9 @@ def symbolic_model(states, drift, noise, diffusion, spectral_density, parameters
     return makers, Q, _flags(f, J, D if g is None else g, D, names)
 
 
-def symbolic_rows(states, texts, name, parameters=()):
+def symbolic_rows(
+    states: Sequence[str], texts: Sequence[str], name: str | Sequence[str], parameters: Sequence[str] = ()
+) -> BatchFunction:
     """Return the batch function of k expressions of the states and t: rows of states in, k columns out.
 
     Parameters
@@ -66,7 +81,9 @@ def symbolic_rows(states, texts, name, parameters=()):
     return _maker(name if isinstance(name, str) else name[0], rows, names)(None)
 
 
-def _noise(noise, diffusion, spectral_density, names, n):
+def _noise(
+    noise: Any, diffusion: Any, spectral_density: ArrayLike | None, names: Names, n: int
+) -> tuple[Any, sp.Matrix, Floats]:
     """Return g (None when D is given), D and Q."""
     if diffusion is not None:
         if noise is not None or spectral_density is not None:
@@ -88,7 +105,7 @@ def _noise(noise, diffusion, spectral_density, names, n):
     return g, g * q * g.T * sp.Rational(1, 2), Q
 
 
-def _matrix(rows, names, what, n):
+def _matrix(rows: Any, names: Names, what: str, n: int) -> sp.Matrix:
     """Return a nested sequence of texts or numbers as a sympy matrix of n rows."""
     rows = rows.tolist() if isinstance(rows, np.ndarray) else rows
     nested = isinstance(rows, list | tuple) and all(isinstance(r, list | tuple) for r in rows)
@@ -98,7 +115,7 @@ def _matrix(rows, names, what, n):
     return sp.Matrix(n, len(rows[0]), flat)
 
 
-def _stratonovich_term(f, g, D, Q, names):
+def _stratonovich_term(f: sp.Matrix, g: Any, D: sp.Matrix, Q: Floats, names: Names) -> sp.Matrix:
     """Return ½ Σ_jkl g_jk Q_kl ∂_j g_il (002 (4), erratum)."""
     n, m = len(f), len(Q)
     if g is None:
@@ -115,7 +132,7 @@ def _stratonovich_term(f, g, D, Q, names):
     )  # fmt: skip
 
 
-def _flags(f, J, g, D, names):
+def _flags(f: sp.Matrix, J: sp.Matrix, g: sp.Matrix, D: sp.Matrix, names: Names) -> dict[str, Any]:
     x, t = set(names.x), names.t
     noise_symbols = g.free_symbols
     constant = not (D.free_symbols & (x | {t}))
@@ -128,7 +145,7 @@ def _flags(f, J, g, D, names):
     }
 
 
-def _is_affine(f, J, names):
+def _is_affine(f: sp.Matrix, J: sp.Matrix, names: Names) -> bool:
     """Tell whether f = A x + b is proven, with A and b free of state and time."""
     varying = {*names.x, names.t}
     A = J.applyfunc(sp.expand)
@@ -138,10 +155,10 @@ def _is_affine(f, J, names):
     return not (rest.free_symbols & varying)
 
 
-def _maker(name, matrix, names):
+def _maker(name: str, matrix: sp.Matrix, names: Names) -> Maker:
     """Return the maker of one batch function: its code is printed and compiled when first asked for."""
 
-    def make(functions):
+    def make(functions: Any) -> BatchFunction:
         entries = [sp.powsimp(v) if _has_symbolic_power(v) else v for v in matrix]
         common, reduced = sp.cse(entries, symbols=sp.numbered_symbols("c_"))
         size = sum(int(sp.count_ops(v)) for _, v in common) + sum(int(sp.count_ops(v)) for v in reduced)
@@ -160,6 +177,6 @@ def _maker(name, matrix, names):
     return make
 
 
-def _has_symbolic_power(v):
+def _has_symbolic_power(v: sp.Expr) -> bool:
     """Tell whether a tree has x**a with a symbol a, whose derivative a x**a / x is 0/0 at zero."""
     return any(not power.exp.is_number for power in v.atoms(sp.Pow))

@@ -6,6 +6,8 @@ delta functions, and they try to simplify, which can take forever.
 
 import functools
 import math
+from collections.abc import Callable
+from typing import Any
 
 import sympy as sp
 
@@ -20,7 +22,7 @@ class _Function(sp.Function):
 class _Flat(_Function):
     """A function with zero derivative wherever it has one."""
 
-    def _eval_derivative(self, s):
+    def _eval_derivative(self, s: sp.Symbol) -> sp.Expr:
         return sp.S.Zero
 
 
@@ -51,14 +53,14 @@ class Sign(_Flat):
 class Abs(_Function):
     """|a|."""
 
-    def _eval_derivative(self, s):
+    def _eval_derivative(self, s: sp.Symbol) -> sp.Expr:
         return Sign(self.args[0]) * self.args[0].diff(s)
 
 
 class Atan2(_Function):
     """Angle of the point (b, a)."""
 
-    def _eval_derivative(self, s):
+    def _eval_derivative(self, s: sp.Symbol) -> sp.Expr:
         a, b = self.args
         return (b * a.diff(s) - a * b.diff(s)) / (a**2 + b**2)
 
@@ -66,7 +68,7 @@ class Atan2(_Function):
 class Where(_Function):
     """where(condition, a, b)."""
 
-    def _eval_derivative(self, s):
+    def _eval_derivative(self, s: sp.Symbol) -> sp.Expr:
         condition, a, b = self.args
         return _select(condition, a.diff(s), b.diff(s))
 
@@ -74,7 +76,7 @@ class Where(_Function):
 class Max(_Function):
     """The larger of two."""
 
-    def _eval_derivative(self, s):
+    def _eval_derivative(self, s: sp.Symbol) -> sp.Expr:
         a, b = self.args
         return _select(Ge(a, b), a.diff(s), b.diff(s))
 
@@ -82,21 +84,21 @@ class Max(_Function):
 class Min(_Function):
     """The smaller of two."""
 
-    def _eval_derivative(self, s):
+    def _eval_derivative(self, s: sp.Symbol) -> sp.Expr:
         a, b = self.args
         return _select(Ge(b, a), a.diff(s), b.diff(s))
 
 
-def _select(condition, a, b):
+def _select(condition: sp.Expr, a: sp.Expr, b: sp.Expr) -> sp.Expr:
     return a if a == b else Where(condition, a, b)
 
 
-def _fold(function):
+def _fold(function: Callable[[Any, Any], Any]) -> Callable[..., Any]:
     return lambda first, *others: functools.reduce(function, others, first)
 
 
 #: name: (symbolic form, numerical form, number of arguments or None for any)
-FUNCTIONS = {
+FUNCTIONS: dict[str, tuple[Callable[..., Any], Callable[..., Any], int | None]] = {
     "sin": (sp.sin, math.sin, 1),
     "cos": (sp.cos, math.cos, 1),
     "tan": (sp.tan, math.tan, 1),
@@ -123,7 +125,7 @@ _CALLS = {
 }  # fmt: skip
 
 
-def source(e):
+def source(e: Any) -> str:
     """Return Python source of a symbolic tree; functions are those of numpy, named ``np``.
 
     Raises
@@ -158,7 +160,7 @@ def source(e):
     raise ValueError(f"{e.func.__name__} has no numerical form")
 
 
-def _power(e):
+def _power(e: Any) -> str:
     base, k = source(e.base), e.exp
     if k.is_Integer:
         # small whole powers become products; a negative one divides

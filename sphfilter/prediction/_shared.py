@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from .._types import Floats
 from ..core.sph.march import Coefficients
+from ..model.sde import SDE
 
 __all__ = ["blow_up", "carried_off", "coefficients_of", "defect", "skip_notes"]
 
 
-def coefficients_of(model):
+def coefficients_of(model: SDE) -> Coefficients:
     """What the compiled marches know of a model besides its functions."""
     constant = model.constant_diffusion
     D = model.diffusion(np.zeros((1, model.dim)), 0.0)[0] if constant else np.zeros((model.dim, model.dim))
@@ -25,7 +27,7 @@ def coefficients_of(model):
     )
 
 
-def skip_notes(model, bypassed):
+def skip_notes(model: SDE, bypassed: int) -> tuple[str, ...]:
     """Sentences for `PredictInfo.skipped`: work that the model's structure or valid neighbour lists saved."""
     zero = np.flatnonzero(~model.diffusion_rows)
     notes = []
@@ -48,7 +50,7 @@ _OUT_OF_THE_TAIL = {
 }
 
 
-def blow_up(model, state, t, start, t1, scheme="log_density"):
+def blow_up(model: SDE, state: Floats, t: float, start: float, t1: float, scheme: str = "log_density") -> str:
     """Sentence for a model that left the finite numbers at a state (n,), between `start` and `t1`."""
     velocity = model.drift(state, t)
     what = (
@@ -64,11 +66,11 @@ def blow_up(model, state, t, start, t1, scheme="log_density"):
     )
 
 
-def carried_off(model, x, start, t1):
+def carried_off(model: SDE, x: Floats, start: float, t1: float) -> str:
     """`blow_up`'s sentence if the drift alone carries some of the states x (N, n) to infinity; else empty."""
     asked = itertools.count()
 
-    def velocity(t, y):
+    def velocity(t: float, y: Floats) -> Floats:
         if next(asked) > _ASKED:
             raise TimeoutError
         return model.drift(y.reshape(x.shape), t).ravel()
@@ -85,7 +87,7 @@ def carried_off(model, x, start, t1):
     return blow_up(model, ends[np.argmax(away)], paths.t[-1], start, t1)
 
 
-def defect(problem):
+def defect(problem: BaseException) -> bool:
     """Was an exception raised while compiling: a defect of this package, not one of the model?"""
     frames = traceback.extract_tb(problem.__traceback__)
     return any("numba" in Path(frame.filename).parts for frame in frames)

@@ -1,12 +1,18 @@
 """Again on more particles: the one ladder that predictions and updates climb, and what comes of a step."""
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
+from ..config import FilterConfig, SolverConfig
+from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code, PredictInfo, UpdateInfo
+from ..model.sde import SDE
 
 __all__ = ["FINEST", "MOST", "Ladder", "Outcome", "Rung", "predict_from_finer"]
+
+Info = TypeVar("Info", PredictInfo, UpdateInfo)
+Found = TypeVar("Found")
 
 #: How many times finer a lattice may be along an axis than that of the density it starts from: beyond, it
 #: sees the borders between that one's polynomials.
@@ -14,12 +20,12 @@ FINEST = 3
 MOST = 20_000  # particles of a step that is made again
 
 
-class Outcome(NamedTuple):
+class Outcome(NamedTuple, Generic[Info]):
     """What came of a step."""
 
-    before: object  # the ParticleDensity that the step began with: a finer one, where it had to be made anew
-    density: object  # the ParticleDensity that it ended with
-    info: PredictInfo | UpdateInfo
+    before: ParticleDensity  # that the step began with: a finer one, where it had to be made anew
+    density: ParticleDensity  # that it ended with
+    info: Info
     bound: int  # particles that the next lattice may have
 
 
@@ -51,7 +57,7 @@ class Ladder(NamedTuple):
         times = tuple(min(times, FINEST**dim) for times in self.times)
         return self._replace(times=times if self.deeper else tuple(dict.fromkeys(times)))
 
-    def climbed(self, n_particles: int, attempt: Callable[[Rung], tuple]) -> tuple[Rung, tuple] | None:
+    def climbed(self, n_particles: int, attempt: Callable[[Rung], Found]) -> tuple[Rung, Found] | None:
         """The first rung on which an attempt raises no `PropagationError`, with what it returned, or None."""
         for rung in self.rungs(n_particles):
             try:
@@ -61,7 +67,25 @@ class Ladder(NamedTuple):
         return None
 
 
-def predict_from_finer(predicted, model, density, origin, config, n_particles):
+class Origin(Protocol):
+    """The step that a density comes from."""
+
+    @property
+    def before(self) -> ParticleDensity | None:
+        """The density that the step began with."""
+
+    def repeated(self, config: SolverConfig | FilterConfig, n_particles: int, /) -> ParticleDensity:
+        """The density it ended with on another number of particles."""
+
+
+def predict_from_finer(
+    predicted: Callable[[ParticleDensity], Outcome[PredictInfo]],
+    model: SDE,
+    density: ParticleDensity,
+    origin: Origin | None,
+    config: SolverConfig | FilterConfig,
+    n_particles: int,
+) -> Outcome[PredictInfo]:
     """Predict; if the density is too coarse for that, repeat what led to it on more particles.
 
     Parameters

@@ -1,8 +1,10 @@
 """scheme="auto": the log-density, if need be on more particles, else moment-corrected SPH."""
 
 from ..config import CorrectedScheme, LogDensityScheme, PaperScheme
+from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
-from ..info import Code
+from ..info import Code, PredictInfo
+from ..model.sde import SDE
 from . import corrected, log_density, paper
 from ._shared import carried_off
 from .again import Ladder
@@ -14,7 +16,9 @@ MOST_FINER = 30_000  # particles on which a prediction is made again where the l
 SUMMED = PaperScheme(kernel="wendland_c2")
 
 
-def propagate(density, model, t1, n_particles, most=None):
+def propagate(
+    density: ParticleDensity, model: SDE, t1: float, n_particles: int, most: int | None = None
+) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1 by the log-density where that can be, else by sums over kernels.
 
     Parameters
@@ -49,7 +53,14 @@ def propagate(density, model, t1, n_particles, most=None):
     return moved, info.marked(Code.FALLBACK, f"not log_density: {reason}")
 
 
-def _on_more(density, model, t1, n_particles, problem, most):
+def _on_more(
+    density: ParticleDensity,
+    model: SDE,
+    t1: float,
+    n_particles: int,
+    problem: PropagationError,
+    most: int | None,
+) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density on more particles than allowed; the next update has as many as are.
 
     Where a lattice loses probability, the density is finer than its particles for a while: between two wells,

@@ -6,17 +6,21 @@ log-density: it may be flat, or rise towards the edge of the lattice that it is 
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
+from .._types import Floats, OfStates
 from ..core._addresses import address_of, function_at
 from ..core._jit import jit
 from ..core.characteristics.expectation import AIMED, BACK, Step
 from ..core.characteristics.noise_paths import Noise
+from ..core.field.field import Field
 from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
 from ..model.compile import shared
 from ..model.derived import zeros
+from ..model.sde import SDE
 from .log_density import noise_factor, paths
 
 __all__ = ["carried_back", "likelihood_field"]
@@ -28,7 +32,7 @@ _QUADRATURE = 7  # Gauss-Hermite points of one noise
 back_at, aim_at = BACK.at, AIMED.at
 
 
-def likelihood_field(field, values):
+def likelihood_field(field: Field, values: Floats) -> Field:
     """λ between the nodes of a lattice, as a `Field`: its values (N,) there, polynomials around them.
 
     Beyond the lattice the quadratic part goes on, where it is concave, as a plane else. `field` is that of
@@ -47,7 +51,7 @@ def likelihood_field(field, values):
     return found._replace(cap=math.inf)
 
 
-def carried_back(model, found, t0, t1, around):
+def carried_back(model: SDE, found: Field, t0: float, t1: float, around: Floats) -> OfStates:
     """Return λ at t0 as a function of states (M, n), from that at t1 as `likelihood_field` made it.
 
     Parameters
@@ -71,7 +75,7 @@ def carried_back(model, found, t0, t1, around):
     functions += [AIMED.address, BACK.address]
     rule, centre = paths(G.shape[1], _QUADRATURE), around.mean(axis=0)
 
-    def log_expected(X):
+    def log_expected(X: Floats) -> Floats:
         out = np.empty(len(X))
         _ahead(
             tuple(functions), noise, found, stencils(n), rule, centre, (-t0, h), (parts, not model.linear),
@@ -83,7 +87,18 @@ def carried_back(model, found, t0, t1, around):
 
 
 @jit
-def _ahead(functions, noise, field, sten, paths, centre, times, ways, X, out):
+def _ahead(
+    functions: Any,
+    noise: Any,
+    field: Any,
+    sten: Any,
+    paths: Any,
+    centre: Floats,
+    times: Any,
+    ways: Any,
+    X: Floats,
+    out: Floats,
+) -> None:
     """λ at the states X (M, n) before a step of the noise, into out (M,); times are reversed: (-t0, h)."""
     drift, divergence = function_at(functions[0]), function_at(functions[1])
     aim, back = aim_at(functions[2]), back_at(functions[3])

@@ -5,13 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from .._types import Floats, Ints
+from ..config import CorrectedScheme
 from ..core._jit import call
 from ..core.corrected import march as core
 from ..core.corrected.moment_correction import exponents
 from ..core.sph.kernels import KINDS, RADIUS, kernel_variance, normalisation
 from ..density.affine import uncut
+from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import Code, PredictInfo
+from ..model.sde import SDE
 from ._shared import blow_up, coefficients_of, skip_notes
 
 __all__ = ["propagate"]
@@ -23,7 +27,9 @@ _MIXED = 0.35  # nats: where the two read-outs differ by more, root mean square,
 _TOLERANCE = 1e-5  # of the smoothing lengths that the log-density is computed from
 
 
-def propagate(density, model, t1, scheme, n_particles=None):
+def propagate(
+    density: ParticleDensity, model: SDE, t1: float, scheme: CorrectedScheme, n_particles: int | None = None
+) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1 with v = f + u, u corrected so that the moment equations hold.
 
     The density comes back with its log-density at the particles, L = L0 - log(V / V0) with V the volume of
@@ -74,12 +80,19 @@ def propagate(density, model, t1, scheme, n_particles=None):
         invariant=None,
         log_density=known + before - after,
     )
-    log_density, mixed = _unmixed(moved.log_density, moved)
+    log_density, mixed = _unmixed(known + before - after, moved)
     moved = replace(moved, log_density=log_density)
     return moved, _info(model, scheme, counters, len(powers), mixed)
 
 
-def _march(cloud, model, options, powers, scheme, interval):
+def _march(
+    cloud: core.Cloud,
+    model: SDE,
+    options: core.Options,
+    powers: Ints,
+    scheme: CorrectedScheme,
+    interval: tuple[float, float],
+) -> Ints:
     """Run the compiled loop to the end; returns its counters."""
     counters = np.zeros(len(core.COUNTERS), np.int64)
     times = np.array([*interval, 0.0])
@@ -108,14 +121,14 @@ def _march(cloud, model, options, powers, scheme, interval):
     return counters
 
 
-def _log_volumes(cloud, options, t):
+def _log_volumes(cloud: core.Cloud, options: core.Options, t: float) -> Floats:
     """Logarithm of the volume of each particle, after its smoothing length has been solved for."""
     if not core.settle(cloud, options, _TOLERANCE):
         raise PropagationError(_flat(t))
     return cloud.x.shape[1] * np.log(cloud.h / options.eta)
 
 
-def _unmixed(L, density):
+def _unmixed(L: Floats, density: ParticleDensity) -> tuple[Floats, bool]:
     """Log-density, and whether it had to be read from the kernels.
 
     Where particles of different origin have mixed, mass over volume differs from one to the next. The kernel
@@ -127,14 +140,14 @@ def _unmixed(L, density):
     return (smooth if mixed else L), mixed
 
 
-def _flat(t):
+def _flat(t: float) -> str:
     return (
         f"at t = {t:.6g} the particles' covariance is singular to rounding: some combination of the states "
         f"has no spread left. Widen the initial covariance there, or add noise to that state"
     )
 
 
-def _degree(density, scheme):
+def _degree(density: ParticleDensity, scheme: CorrectedScheme) -> int:
     """Largest degree up to the scheme's with particles enough for its functions; one at least, unless 0.
 
     A few heavy particles cannot carry many functions either: their effective number counts.
@@ -145,7 +158,7 @@ def _degree(density, scheme):
     return max(affordable, default=min(scheme.degree, 1))
 
 
-def _options(density, model, t1, scheme):
+def _options(density: ParticleDensity, model: SDE, t1: float, scheme: CorrectedScheme) -> core.Options:
     kind, n = KINDS.index(scheme.kernel), density.dim
     return core.Options(
         kernel=kind,
@@ -159,7 +172,7 @@ def _options(density, model, t1, scheme):
     )
 
 
-def _info(model, scheme, counters, n_functions, mixed):
+def _info(model: SDE, scheme: CorrectedScheme, counters: Ints, n_functions: int, mixed: bool) -> PredictInfo:
     steps, rejected, evaluations, searches, used, _ = (int(c) for c in counters)
     status = "ok"
     if 0 < used < n_functions:

@@ -1,28 +1,35 @@
 """Closed-form propagation of a Gaussian through a linear model, for those who ask for it."""
 
+from typing import Any
+
 import numpy as np
 
+from .._types import Floats
 from ..density.distributions import gaussian_log_pdf
 from ..density.particle_density import ParticleDensity
 from ..info import PredictInfo
 from ..lattice.level_set import lattice_reach, lay
+from ..model.sde import SDE
 
 __all__ = ["propagate_exactly"]
 
 _GAUSSIAN = 1e-2  # largest distance of log p from a quadratic
 
 
-def propagate_exactly(density, model, t1, n_particles):
+def propagate_exactly(
+    density: ParticleDensity, model: SDE, t1: float, n_particles: int
+) -> tuple[ParticleDensity, PredictInfo] | None:
     """Return (density, info) at t1 by the matrix exponential, or None where the density is not Gaussian."""
     if density.field is None:
         return None
-    mean, cov = _quadratic(density)
-    if mean is None:
+    found = _quadratic(density)
+    if found is None:
         return None
+    mean, cov = found
     transition, offset, Q = model.to_linear().discretize(t1 - density.t)
     mean, cov = transition @ mean + offset, transition @ cov @ transition.T + Q
     depth = 0.5 * lattice_reach(None, density.dim) ** 2
-    factor = np.linalg.cholesky(cov)
+    factor: Any = np.linalg.cholesky(cov)
     laid = lay(gaussian_log_pdf(mean, cov), mean, factor, mean[None], n_particles, depth)
     info = PredictInfo(scheme="exact_linear", skipped=("everything: a Gaussian through a linear model",))
     return ParticleDensity.on_lattice(
@@ -30,20 +37,21 @@ def propagate_exactly(density, model, t1, n_particles):
     ), info
 
 
-def _quadratic(density):
-    """Mean and covariance of the quadratic that log p is, or (None, None) if it is none."""
+def _quadratic(density: ParticleDensity) -> tuple[Floats, Floats] | None:
+    """Mean and covariance of the quadratic that log p is, or None if it is none."""
+    log_density: Any = density.log_density
     n, d = density.dim, density.x - density.mean()
     scale = np.sqrt(np.diag(density.cov()))
     z = d / scale
     pairs = np.triu_indices(n)
     basis = np.hstack([np.ones((len(z), 1)), z, z[:, pairs[0]] * z[:, pairs[1]]])
-    c, *_ = np.linalg.lstsq(basis, density.log_density, rcond=None)
-    if np.abs(basis @ c - density.log_density).max() > _GAUSSIAN:
-        return None, None
+    c, *_ = np.linalg.lstsq(basis, log_density, rcond=None)
+    if np.abs(basis @ c - log_density).max() > _GAUSSIAN:
+        return None
     H = np.zeros((n, n))
     H[pairs] = c[1 + n :]
     precision = -(H + H.T)
     if np.linalg.eigvalsh(precision)[0] <= 0:
-        return None, None
+        return None
     cov = np.linalg.inv(precision)
     return density.mean() + scale * (cov @ c[1 : 1 + n]), scale[:, None] * cov * scale

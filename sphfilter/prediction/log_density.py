@@ -2,10 +2,13 @@
 
 import math
 from functools import cache
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from .._types import Floats, Ints
+from ..config import LogDensityScheme
 from ..core._addresses import address_of
 from ..core._jit import start_threads
 from ..core.characteristics.control import COUNTERS, LOST_MASS, STATUS, STEPS, VOLUME, Control
@@ -20,6 +23,7 @@ from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import PredictInfo
 from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, lattice_reach
+from ..model.sde import SDE
 from ._shared import blow_up, defect, skip_notes
 
 __all__ = ["fits", "load", "propagate"]
@@ -34,11 +38,12 @@ _THREADS_FROM = 20_000
 # path do not know of it, and what the paths' quadrature does not, fall with the error of the lattice.
 _BENT, _CURVED = 0.8, 0.018
 _TIME_SLICES = (17, 37, 79, 167, 347, 709)  # steps at least over an interval, where drift or noise change
-_CONSTANT = WeakKeyDictionary()  # what `noise_factor` returns, by model, where it never changes
+#: What `noise_factor` returns, by model, where it never changes.
+_CONSTANT: WeakKeyDictionary[SDE, tuple[Floats, int]] = WeakKeyDictionary()
 _NOISE_ERROR = 1e-3  # of its integral over the interval, relative, by the middles of so many steps
 
 
-def fits(model, density, n_particles):
+def fits(model: SDE, density: ParticleDensity, n_particles: int) -> str:
     """Can this scheme carry the density? Returns a reason why not, empty if it can."""
     if model.state_dependent_noise:
         return "the noise depends on the state"
@@ -51,7 +56,9 @@ def fits(model, density, n_particles):
     return ""
 
 
-def propagate(density, model, t1, scheme, n_particles):
+def propagate(
+    density: ParticleDensity, model: SDE, t1: float, scheme: LogDensityScheme, n_particles: int
+) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density that has a `field` to time t1.
 
     Returns
@@ -88,7 +95,8 @@ def propagate(density, model, t1, scheme, n_particles):
         np.array([start, t1]),
     )
     rule = paths(G.shape[1], scheme.quadrature)
-    field, status = density.field, "paused"
+    field: Any = density.field
+    status = "paused"
     threads = n_particles * len(rule.log_weight) >= _THREADS_FROM
     entries = _entries(model, threads)
     while status == "paused":
@@ -123,13 +131,13 @@ def propagate(density, model, t1, scheme, n_particles):
     return moved, _info(model, scheme, counters, float(state[LOST_MASS]), threads)
 
 
-def load(model):
+def load(model: SDE) -> None:
     """Compile or load the march on few particles and on many, which has threads."""
     for threads in (False, True):
         _entries(model, threads)
 
 
-def _entries(model, threads):
+def _entries(model: SDE, threads: bool) -> Entries:
     """Addresses of what the march calls; compiles or loads it."""
     if threads:
         start_threads()
@@ -145,7 +153,7 @@ _REASONS = {
 }
 
 
-def noise_factor(model, t0, t1):
+def noise_factor(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
     """G (n, m) with D = G Gᵀ / 2, as many columns as D ever has rank, and steps that see D change."""
     if not model.constant_diffusion:
         return _found_noise_factor(model, t0, t1)
@@ -154,7 +162,7 @@ def noise_factor(model, t0, t1):
     return _CONSTANT[model]
 
 
-def _found_noise_factor(model, t0, t1):
+def _found_noise_factor(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
     before = np.full((model.dim, model.dim), np.inf)
     for slices in _TIME_SLICES:
         times = t0 + (t1 - t0) * (np.arange(1 if model.constant_diffusion else slices) + 0.5) / slices
@@ -171,7 +179,7 @@ def _found_noise_factor(model, t0, t1):
 
 
 @cache
-def paths(m, order):
+def paths(m: int, order: int) -> Paths:
     """Weighted noise paths for m noises, as `Paths`.
 
     Each is straight to a point of dW, and bent so that the covariance of dW with the area under it is right.
@@ -191,7 +199,7 @@ def paths(m, order):
     return Paths(np.log(weights), np.hstack([dW, np.zeros_like(dW)]))
 
 
-def _hermite(order):
+def _hermite(order: int) -> Paths:
     """Gauss-Hermite points, bent both ways; the outermost two, whose weight is small, are straight."""
     x, weights = np.polynomial.hermite_e.hermegauss(order)
     weights = weights / weights.sum()
@@ -203,7 +211,7 @@ def _hermite(order):
     return Paths(np.log(table[:, 2]), np.ascontiguousarray(table[:, :2]))
 
 
-def _hexagon():
+def _hexagon() -> Paths:
     """Radon's seven points; bends alternate around the hexagon so that those of two noises do not covary."""
     angle = np.arange(6) * math.pi / 3
     rows = [(0.0, 0.0, a, b, 0.125) for a in (1.0, -1.0) for b in (1.0, -1.0)]
@@ -213,7 +221,7 @@ def _hexagon():
     return Paths(np.log(table[:, 4]), np.ascontiguousarray(table[:, :4]))
 
 
-def _icosahedron():
+def _icosahedron() -> tuple[Floats, Floats]:
     """Thirteen points (13, 3) and weights of degree five for three normal numbers."""
     golden = 0.5 * (1.0 + math.sqrt(5.0))
     corners = np.array([(0.0, a, b * golden) for a in (1.0, -1.0) for b in (1.0, -1.0)])
@@ -222,13 +230,13 @@ def _icosahedron():
     return points, np.array([0.4] + [0.05] * 12)
 
 
-def _fastest(model, x, t):
+def _fastest(model: SDE, x: Floats, t: float) -> Floats:
     """The state whose velocity is largest, or not finite."""
     speed = np.abs(model.drift(x, t)).sum(axis=1)
     return x[np.argmax(np.where(np.isfinite(speed), speed, np.inf))]
 
 
-def _info(model, scheme, counters, lost, threads):
+def _info(model: SDE, scheme: LogDensityScheme, counters: Ints, lost: float, threads: bool) -> PredictInfo:
     steps, rejected, evaluations, relaid = (int(c) for c in counters)
     skipped = ["neighbour search: the lattice knows its neighbours", "gradients: the expectation needs none"]
     skipped += [note for note in skip_notes(model, 0) if "evaluation of D" in note]
@@ -247,6 +255,6 @@ def _info(model, scheme, counters, lost, threads):
     )
 
 
-def _given_up(reason, t, start, t1):
+def _given_up(reason: str, t: float, start: float, t1: float) -> str:
     what = f"prediction from {start:g} to {t1:g} stopped at t = {t:.6g}: {reason}"
     return f"{what}, or predict over a shorter interval"

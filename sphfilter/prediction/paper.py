@@ -5,15 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..config import BUFFER_NEIGHBORS
+from .._types import Floats, Ints
+from ..config import BUFFER_NEIGHBORS, PaperScheme
 from ..core._jit import call
 from ..core.sph import march as core
 from ..core.sph.neighbors import METHODS, choose_method
 from ..core.sph.smoothing import SMOOTHING, Rule
 from ..density.initialize import on_equal_lattice
+from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
 from ..errors import PropagationError
 from ..info import PredictInfo
+from ..model.domain import Domain
+from ..model.sde import SDE
 from ._shared import blow_up, coefficients_of, skip_notes
 
 __all__ = ["propagate"]
@@ -28,7 +32,9 @@ _NO_LIMIT = 1e100  # of a step
 _RUN_AWAY = 1e3  # extents of the cloud
 
 
-def propagate(density, model, t1, scheme, n_particles):
+def propagate(
+    density: ParticleDensity, model: SDE, t1: float, scheme: PaperScheme, n_particles: int
+) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1 with v = f - div D - D grad p / p.
 
     Steps that have become too small mean that particles have run together (002 section 5.1): they are put on
@@ -81,7 +87,15 @@ def propagate(density, model, t1, scheme, n_particles):
     return density, info
 
 
-def _march(density, model, t1, scheme, counters, dt_max, up_to_date):
+def _march(
+    density: ParticleDensity,
+    model: SDE,
+    t1: float,
+    scheme: PaperScheme,
+    counters: Ints,
+    dt_max: float,
+    up_to_date: bool,
+) -> tuple[ParticleDensity, str, Floats]:
     """One call of the compiled loop.
 
     Returns the density as far as it came, a status, and what that is about: a state, or the masses left.
@@ -120,7 +134,9 @@ def _march(density, model, t1, scheme, counters, dt_max, up_to_date):
     return moved, status, cloud.m if status == "unsettled" else culprit
 
 
-def _without_unsettled(density, mass, scheme):
+def _without_unsettled(
+    density: ParticleDensity, mass: Floats, scheme: PaperScheme
+) -> tuple[ParticleDensity, int, float]:
     """A density without the particles that have no `mass` left (N,): the others share it (000 Algorithm 3).
 
     Returns it with the number and the probability of those that were.
@@ -135,16 +151,19 @@ def _without_unsettled(density, mass, scheme):
             f"leave discard_unconverged off"
         )
     # Lengths keep rho h^n: where all masses grow alike, they must not change.
-    return replace(density, mass=mass, invariant=density.invariant / (1.0 - share)), int((~kept).sum()), share
+    invariant = None if density.invariant is None else density.invariant / (1.0 - share)
+    return replace(density, mass=mass, invariant=invariant), int((~kept).sum()), share
 
 
-def _runs_away(model, density, state, t1):
+def _runs_away(model: SDE, density: ParticleDensity, state: Floats, t1: float) -> bool:
     """Would the drift at a state carry it out of all proportion to the cloud in the time that is left?"""
     extent = np.ptp(density.x, axis=0).max()
     return np.linalg.norm(model.drift(state, density.t)) * (t1 - density.t) > _RUN_AWAY * extent
 
 
-def _options(scheme, density, dt_max, up_to_date, steps_left):
+def _options(
+    scheme: PaperScheme, density: ParticleDensity, dt_max: float, up_to_date: bool, steps_left: int
+) -> core.Options:
     kind, constant = density.kernel_code
     n, N = density.dim, density.n_particles
     buffer = scheme.buffer_neighbors or BUFFER_NEIGHBORS.get(n, 110)
@@ -177,7 +196,7 @@ def _options(scheme, density, dt_max, up_to_date, steps_left):
     )
 
 
-def _left(domain, state, t):
+def _left(domain: Domain, state: Floats, t: float) -> str:
     axis = np.flatnonzero(~domain.fits(state))[0]
     return (
         f"a particle left the domain at t = {t:.6g}, at {state}: axis {axis} is bounded by "
@@ -185,7 +204,7 @@ def _left(domain, state, t):
     )
 
 
-def _given_up(status, t, start, t1, scheme):
+def _given_up(status: str, t: float, start: float, t1: float, scheme: PaperScheme) -> str:
     return (
         f"prediction from {start:g} to {t1:g} stopped at t = {t:.6g}: {status}. Use fewer particles, a "
         f"larger c_cfl (now {scheme.c_cfl:g}) or max_steps (now {scheme.max_steps}), or a shorter interval"

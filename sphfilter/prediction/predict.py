@@ -1,12 +1,15 @@
 """Prediction: a density carried through the Fokker-Planck-Kolmogorov equation."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from ..config import CorrectedScheme, LogDensityScheme, PaperScheme, SolverConfig
+from ..config import CorrectedScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
+from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
 from ..errors import ModelError
 from ..info import PredictInfo
+from ..model.domain import Domain
+from ..model.sde import SDE
 from ..validate import real
 from . import automatic, corrected, log_density, paper
 from .exact import propagate_exactly
@@ -14,7 +17,16 @@ from .exact import propagate_exactly
 __all__ = ["Prediction", "load", "predict"]
 
 
-def predict(density, model, dt=None, config=None, *, t=None, n_particles=None, most_particles=None):
+def predict(
+    density: ParticleDensity,
+    model: SDE,
+    dt: float | None = None,
+    config: SolverConfig | FilterConfig | None = None,
+    *,
+    t: float | None = None,
+    n_particles: int | None = None,
+    most_particles: int | None = None,
+) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density over dt seconds, or to time t.
 
     Parameters
@@ -63,7 +75,7 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None, m
     config = config or SolverConfig()
     scheme = config.scheme
     if target == density.t:
-        name = scheme if scheme == "auto" else scheme.name
+        name = scheme if isinstance(scheme, str) else scheme.name
         return density, PredictInfo(scheme=name, skipped=("everything: the interval is empty",))
     n_particles = particle_bound(density, n_particles)
     if config.exact_linear and model.linear:
@@ -72,23 +84,27 @@ def predict(density, model, dt=None, config=None, *, t=None, n_particles=None, m
             return exact
     if scheme == "auto":
         return automatic.propagate(density, model, target, n_particles, most_particles)
-    return _SCHEMES[type(scheme)](density, model, target, scheme, n_particles)
+    propagate: Any = _SCHEMES[type(scheme)]
+    return propagate(density, model, target, scheme, n_particles)
 
 
 class Prediction(NamedTuple):
     """The last prediction of a filter: where its density comes from."""
 
-    before: object = None  # the ParticleDensity it began with; None if there was none
+    before: ParticleDensity | None = None  # that it began with; None if there was none
     lost: float = 0.0  # probability that the lattices lost
-    model: object = None  # SDE
+    model: SDE | None = None
     t: float = 0.0  # seconds, where it ended
 
-    def repeated(self, config, n_particles):
+    def repeated(self, config: SolverConfig | FilterConfig, n_particles: int) -> ParticleDensity:
         """The density it ended with on another number of particles."""
+        assert self.before is not None and self.model is not None
         return predict(self.before, self.model, t=self.t, config=config, n_particles=n_particles)[0]
 
 
-def load(model, density, config):
+def load(
+    model: SDE, density: ParticleDensity, config: SolverConfig | FilterConfig
+) -> CorrectedScheme | PaperScheme | None:
     """Compile what predictions call only now and then; returns the scheme they may fall back on, or None."""
     if isinstance(config.scheme, PaperScheme | CorrectedScheme):
         return None
@@ -99,7 +115,7 @@ def load(model, density, config):
     return CorrectedScheme() if model.domain.unbounded else automatic.SUMMED
 
 
-def _in_domain(density, domain):
+def _in_domain(density: ParticleDensity, domain: Domain) -> ParticleDensity:
     """The density with the domain of a model."""
     if domain.unbounded:
         return density

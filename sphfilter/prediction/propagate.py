@@ -1,14 +1,21 @@
 """The transient FPK equation without measurements: a density carried to a list of times."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from ..config import CorrectedScheme, SolverConfig
+from .._types import Floats, ReadOut
+from ..config import CorrectedScheme, FilterConfig, RemeshRule, SolverConfig
+from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
 from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import LatticeError, ModelError, UnresolvedError
 from ..info import Code, PredictInfo
+from ..model.sde import SDE
 from ..validate import array
 from .again import Outcome, predict_from_finer
 from .predict import Prediction, predict
@@ -40,19 +47,19 @@ class Trajectory:
     [1.2131 0.7358] [0.64  0.346]
     """
 
-    times: np.ndarray
-    densities: tuple
-    infos: tuple
+    times: Floats
+    densities: tuple[ParticleDensity, ...]
+    infos: tuple[PredictInfo, ...]
 
-    def moment(self, powers, central=False, kind=None):
+    def moment(self, powers: Sequence[int], central: bool = False, kind: ReadOut | None = None) -> Floats:
         """`ParticleDensity.moment` at all times, shape (T,)."""
         return np.array([density.moment(powers, central, kind) for density in self.densities])
 
-    def probability(self, region, kind=None):
+    def probability(self, region: Callable[[Floats], ArrayLike], kind: ReadOut | None = None) -> Floats:
         """`ParticleDensity.probability` at all times, shape (T,)."""
         return np.array([density.probability(region, kind) for density in self.densities])
 
-    def save(self, path):
+    def save(self, path: str | PathLike[str]) -> None:
         """Write everything to one npz file, which `load` reads back to the last bit."""
         arrays = {"n_times": np.array(len(self.times))}
         for k, (density, info) in enumerate(zip(self.densities, self.infos, strict=True)):
@@ -61,7 +68,7 @@ class Trajectory:
         write_arrays(path, arrays)
 
     @classmethod
-    def load(cls, path):
+    def load(cls, path: str | PathLike[str]) -> "Trajectory":
         """Read a trajectory that `save` wrote."""
         arrays, steps = load_arrays(path), []
         for k in range(int(arrays["n_times"])):
@@ -74,11 +81,19 @@ class Trajectory:
         return cls(np.array([density.t for density in densities]), densities, infos)
 
 
-def _plain(value):
+def _plain(value: NDArray[Any]) -> Any:
     return value.item() if value.ndim == 0 else tuple(value.tolist())
 
 
-def propagate(density, model, times, config=None, *, n_particles=None, callback=None):
+def propagate(
+    density: ParticleDensity,
+    model: SDE,
+    times: ArrayLike,
+    config: SolverConfig | FilterConfig | None = None,
+    *,
+    n_particles: int | None = None,
+    callback: Callable[[ParticleDensity, PredictInfo], object] | None = None,
+) -> Trajectory:
     """Solve the transient FPK equation without measurements.
 
     Where a lattice proves too coarse for what comes, the interval before is repeated on 3 or 9 times the
@@ -124,7 +139,8 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
     if np.any(np.diff(times, prepend=density.t) < 0):
         raise ModelError(f"times must not decrease, nor begin before t = {density.t:g}, that of the density")
     n_particles = particle_bound(density, n_particles)
-    rule = getattr(config, "remesh", "never")  # filters have a new lattice at every measurement, and no rule
+    # filters have a new lattice at every measurement, and no rule
+    rule: RemeshRule = getattr(config, "remesh", "never")
     remeshing = Remeshing(rule, config.scheme, n_particles)
     densities, infos, origin = [], [], None
     for t in times:
@@ -136,9 +152,16 @@ def propagate(density, model, times, config=None, *, n_particles=None, callback=
     return Trajectory(times[: len(densities)], tuple(densities), tuple(infos))
 
 
-def _piecewise(density, model, t, config, remeshing, origin):
+def _piecewise(
+    density: ParticleDensity,
+    model: SDE,
+    t: float,
+    config: SolverConfig | FilterConfig,
+    remeshing: Remeshing,
+    origin: Prediction | None,
+) -> tuple[ParticleDensity, PredictInfo, Prediction | None]:
     """One interval, cut where a new lattice may be needed: its end, its info, and what led there."""
-    infos = []
+    infos: list[PredictInfo] = []
     while not infos or density.t < t:
         density, told, regridded = remeshing.renewed(density, model, t)
         stop = remeshing.stop(density, model, t)
@@ -151,12 +174,19 @@ def _piecewise(density, model, t, config, remeshing, origin):
     return density, PredictInfo.joined(infos), origin
 
 
-def _carried(density, model, t, config, n_particles, origin):
+def _carried(
+    density: ParticleDensity,
+    model: SDE,
+    t: float,
+    config: SolverConfig | FilterConfig,
+    n_particles: int,
+    origin: Prediction | None,
+) -> Outcome[PredictInfo]:
     """The `Outcome` of one interval, the one before made again where it left too coarse a density."""
     corrects = config.scheme == "auto" and density.domain is None
-    options = {"t": t, "n_particles": n_particles}
+    options: dict[str, Any] = {"t": t, "n_particles": n_particles}
 
-    def predicted(density):
+    def predicted(density: ParticleDensity) -> Outcome[PredictInfo]:
         most = _MOST_NODES if corrects else None
         return Outcome(
             density, *predict(density, model, config=config, most_particles=most, **options), n_particles

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..config import LogDensityScheme, PaperScheme
+from ..config import LogDensityScheme, PaperScheme, RemeshRule, Scheme
 from ..density.affine import with_moments
 from ..density.health import MIXED, health
+from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
 from ..errors import PropagationError
+from ..model.sde import SDE
 from .automatic import SUMMED
 from .log_density import fits
 
@@ -35,17 +37,17 @@ class Remeshing:
         Upper bound of a new lattice's.
     """
 
-    when: object
-    scheme: object
+    when: RemeshRule
+    scheme: Scheme
     n_particles: int
 
-    def applies(self, density, model):
+    def applies(self, density: ParticleDensity, model: SDE) -> bool:
         """Do sums over kernels carry the density from here? A log-density is on a lattice at every step."""
         if self.when == "never" or isinstance(self.scheme, LogDensityScheme):
             return False
         return self.scheme != "auto" or bool(fits(model, density, self.n_particles))
 
-    def stop(self, density, model, t):
+    def stop(self, density: ParticleDensity, model: SDE, t: float) -> float:
         """Time at which to look again, at most t, seconds.
 
         Neighbours part by about their distance in the time that the drift needs to turn or strain the density
@@ -53,13 +55,13 @@ class Remeshing:
         """
         if not self.applies(density, model):
             return t
-        if self.when == "health":
+        if isinstance(self.when, str):
             span, rate = t - density.t, _strain(density, model)
             return density.t + max(1.0 / rate, span / _MOST_LOOKS) if rate * span > 1.0 else t
         count = math.floor(density.t / self.when + _ON_TIME) + 1
         return t if count * self.when > t - _ON_TIME * self.when else count * self.when
 
-    def renewed(self, density, model, t):
+    def renewed(self, density: ParticleDensity, model: SDE, t: float) -> tuple[ParticleDensity, str, bool]:
         """The density on a new lattice if it is time for one, before it is carried to time t.
 
         Returns
@@ -81,15 +83,15 @@ class Remeshing:
             return density, f"{reason}, but a new lattice of so few particles is no better", False
         return new, f"re-gridded: {reason}", True
 
-    def _reason(self, density):
-        if self.when == "health":
+    def _reason(self, density: ParticleDensity) -> str:
+        if isinstance(self.when, str):
             return health(density).complaint
         carried = density.read_out == "shrunk" or density.invariant is not None
         due = abs(math.remainder(density.t, self.when)) <= _ON_TIME * self.when
         return f"every {self.when:g} s" if carried and due else ""
 
 
-def _strain(density, model):
+def _strain(density: ParticleDensity, model: SDE) -> float:
     """Gradient of the drift, states in standard deviations: rms over the mass and the states, 1/seconds."""
     std = np.maximum(np.sqrt(np.diag(density.cov("points"))), 1e-300)
     drift, total = model.drift(density.x, density.t), 0.0
@@ -99,7 +101,7 @@ def _strain(density, model):
     return math.sqrt(total / density.dim)
 
 
-def _on_new_lattice(density, scheme, n_particles):
+def _on_new_lattice(density: ParticleDensity, scheme: Scheme, n_particles: int) -> ParticleDensity:
     """The density on a lattice of its own: 002 4.7 for its scheme, else with mean and covariance kept."""
     if density.read_out != "shrunk":
         return regrid(density, n_particles, scheme if isinstance(scheme, PaperScheme) else SUMMED)[0]
@@ -112,7 +114,7 @@ def _on_new_lattice(density, scheme, n_particles):
     return with_moments(replace(density, **points), density.mean(), density.cov("points"))
 
 
-def _check_resolved(density, new):
+def _check_resolved(density: ParticleDensity, new: ParticleDensity) -> None:
     """Refuse a lattice that sees another density than the particles do: one of thin, folded sheets.
 
     Lattices that resolve the density change its logarithm by .002 to .04 nat, those that do not by .5 to 80.

@@ -1,11 +1,15 @@
 """How many particles a prediction needs: ``n_particles="auto"``."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
+from ..config import FilterConfig
+from ..density.particle_density import ParticleDensity
 from ..errors import ModelError, PropagationError
-from ..info import Code
+from ..info import Code, PredictInfo
 from ..lattice.level_set import fewest_particles
+from ..model.sde import SDE
 from .again import MOST, Outcome
 from .predict import predict
 
@@ -20,14 +24,23 @@ _TRIES = 4
 _HELPED = 0.8  # times the loss, which more particles have to bring it below
 
 
-def fewest(dim, n_particles):
+def fewest(dim: int, n_particles: object) -> int:
     """Number of particles that "auto" begins with and never goes below."""
     if n_particles != "auto":
         raise ModelError(f'n_particles must be a whole number or "auto", got {n_particles!r}')
     return max(60, 3 * fewest_particles(dim))
 
 
-def predict_to_target(density, model, dt, config, *, t, n_particles, fits=None):
+def predict_to_target(
+    density: ParticleDensity,
+    model: SDE,
+    dt: float | None,
+    config: FilterConfig,
+    *,
+    t: float | None,
+    n_particles: int,
+    fits: Callable[[int], bool] | None = None,
+) -> Outcome[PredictInfo]:
     """Predict, again with more particles where the error seen is above the target.
 
     Parameters
@@ -46,7 +59,8 @@ def predict_to_target(density, model, dt, config, *, t, n_particles, fits=None):
     -------
     Outcome
     """
-    best, ratio = None, math.inf
+    best: Outcome[PredictInfo] | None = None
+    ratio = math.inf
     for _ in range(_TRIES):
         try:
             moved, info = predict(density, model, dt, config, t=t, n_particles=n_particles)
@@ -57,7 +71,7 @@ def predict_to_target(density, model, dt, config, *, t, n_particles, fits=None):
         if info.scheme != "log_density":
             return Outcome(density, moved, info, n_particles)
         alike = best is not None and best.info.code == info.code == Code.OK
-        if alike and info.mass_error > _HELPED * best.info.mass_error:
+        if best is not None and alike and info.mass_error > _HELPED * best.info.mass_error:
             break  # the density itself is coarse, not what it becomes
         best = Outcome(density, moved, info, n_particles)
         ratio = _ERROR_PER_MASS * info.mass_error / config.target_error
@@ -69,6 +83,7 @@ def predict_to_target(density, model, dt, config, *, t, n_particles, fits=None):
             best = best._replace(info=replace(info, skipped=(*info.skipped, late)))
             break
         n_particles = more
+    assert best is not None  # the first try raises or is one
     if ratio < 1.0 / _SLACK:
         return best._replace(bound=max(fewest(model.dim, "auto"), int(0.8 * best.bound)))
     return best

@@ -1,19 +1,26 @@
 """Several detections, one at most the target's: what each says alone, and all of them together."""
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import logsumexp
+from stonesoup.types.hypothesis import Hypothesis
+from stonesoup.types.state import State
 
-from ...config import LogDensityScheme
+from ..._types import Floats
+from ...config import FilterConfig, LogDensityScheme
+from ...density.particle_density import ParticleDensity
 from ...density.resample import logarithm, particle_bound
 from ...errors import ModelError, PropagationError
 from ...filter.update import update
-from ...info import Code
+from ...filter.update_again import Update
+from ...info import Code, PredictInfo, UpdateInfo
 from ...lattice.level_set import lattice_reach
-from ...model.measurements import Reading
+from ...model.measurements import Reading, Sensor
 from ...prediction.again import Ladder, Outcome
 
 __all__ = ["Alone", "Association", "alone", "mixed_mean", "one_prediction", "predicted_apart",
@@ -39,26 +46,30 @@ class Association:
     parts : sequence of (sensor, z, b_i, log p(z_i))
     """
 
-    H = directly_observed = noise_cov = None
-    angles = ()
+    H: None = None
+    directly_observed: None = None
+    noise_cov: None = None
+    angles: tuple[int, ...] = ()
 
-    def __init__(self, missed, parts):
+    def __init__(self, missed: float, parts: Sequence[tuple[Sensor, Any, float, float]]) -> None:
         total = missed + sum(weight for _, _, weight, _ in parts)
         self._missed = missed / total
         self._parts = [(sensor, z, np.log(weight / total) - log_p) for sensor, z, weight, log_p in parts]
 
-    def reading(self, z):
+    def reading(self, z: Any) -> Reading:
         """The readings of all parts; something was seen."""
         return Reading(z, np.ones(1, dtype=bool))
 
-    def log_likelihood(self, z, X, t=0.0):
+    def log_likelihood(self, z: object, X: Floats, t: float = 0.0) -> Floats:
         """Logarithm of the sum above for each state X (N, n), shape (N,)."""
         with np.errstate(divide="ignore"):
             terms = [np.full(len(X), np.log(self._missed))]
         terms += [scale + sensor.log_likelihood(z, X, t) for sensor, z, scale in self._parts]
         return logsumexp(terms, axis=0)
 
-    def posteriors(self, prior, config, n_particles):
+    def posteriors(
+        self, prior: ParticleDensity, config: FilterConfig, n_particles: int
+    ) -> list[tuple[float, ParticleDensity]]:
         """What the sum is of: weights, and the prior or each detection's posterior."""
         found = [(self._missed, prior)]
         for sensor, z, scale in self._parts:
@@ -70,17 +81,19 @@ class Association:
 class Total:
     """The likelihood that makes a weighted sum of densities of one of them."""
 
-    H = directly_observed = noise_cov = None
-    angles = ()
+    H: None = None
+    directly_observed: None = None
+    noise_cov: None = None
+    angles: tuple[int, ...] = ()
 
-    def __init__(self, first, parts):
+    def __init__(self, first: ParticleDensity, parts: Sequence[tuple[float, ParticleDensity]]) -> None:
         self._first, self._parts = logarithm(first), [(np.log(w), logarithm(p)) for w, p in parts]
 
-    def reading(self, z):
+    def reading(self, z: Any) -> Reading:
         """No numbers, but something is there."""
         return Reading(z, np.ones(1, dtype=bool))
 
-    def log_likelihood(self, z, X, t=0.0):
+    def log_likelihood(self, z: object, X: Floats, t: float = 0.0) -> Floats:
         """Logarithm of the sum over the first density, for each state X (N, n), shape (N,)."""
         return logsumexp([scale + log_p(X) for scale, log_p in self._parts], axis=0) - self._first(X)
 
@@ -89,10 +102,17 @@ class Alone(NamedTuple):
     """The log-evidence of a detection, and the mean of its posterior; None where it would not be used."""
 
     log_evidence: float
-    mean: np.ndarray | None
+    mean: Floats | None
 
 
-def alone(density, sensor, z, config, n_particles, log_likelihood):
+def alone(
+    density: ParticleDensity,
+    sensor: Sensor,
+    z: ArrayLike,
+    config: FilterConfig,
+    n_particles: int | None,
+    log_likelihood: Floats,
+) -> Alone:
     """What a detection says alone, given its log-likelihood at the particles (N,)."""
     found = _LADDER.climbed(
         particle_bound(density, n_particles),
@@ -104,13 +124,18 @@ def alone(density, sensor, z, config, n_particles, log_likelihood):
     return Alone(info.log_evidence, posterior.mean() if info.accepted else None)
 
 
-def mixed_mean(parts):
+def mixed_mean(parts: Sequence[tuple[float, Floats]]) -> Floats:
     """Mean of a mixture of weights and means, shape (n,)."""
     weights, means = zip(*parts, strict=True)
     return np.average(means, axis=0, weights=weights)
 
 
-def resolved(multiplied, config, dim, expected):
+def resolved(
+    multiplied: Callable[[int, FilterConfig], Outcome[UpdateInfo]],
+    config: FilterConfig,
+    dim: int,
+    expected: Floats | None,
+) -> Outcome[UpdateInfo]:
     """A product, finer and further out until it has its mass and the mean of its parts.
 
     A part of little weight may be wide and flat beside the others, and lie below where a lattice ends.
@@ -160,7 +185,7 @@ def resolved(multiplied, config, dim, expected):
     return found._replace(info=found.info.marked(Code.FINER, told))
 
 
-def _reaching(config, dim, deeper):
+def _reaching(config: FilterConfig, dim: int, deeper: float) -> FilterConfig:
     """Settings whose lattices reach `deeper` standard deviations further, where they follow a level set."""
     scheme = LogDensityScheme() if config.scheme == "auto" else config.scheme
     if not deeper or not isinstance(scheme, LogDensityScheme):
@@ -168,14 +193,19 @@ def _reaching(config, dim, deeper):
     return replace(config, scheme=replace(scheme, reach=lattice_reach(scheme, dim) + deeper))
 
 
-def _error(density, expected, log_mass):
+def _error(density: ParticleDensity, expected: Floats | None, log_mass: float) -> float:
     """How far a posterior is off its mean, in standard deviations, or off the mass one."""
     if expected is None:
         return abs(log_mass)
     return max(abs(log_mass), np.abs((density.mean() - expected) / np.sqrt(np.diag(density.cov()))).max())
 
 
-def predicted_apart(origin, predicted, config, n_particles):
+def predicted_apart(
+    origin: Update,
+    predicted: Callable[[ParticleDensity], tuple[ParticleDensity, PredictInfo]],
+    config: FilterConfig,
+    n_particles: int,
+) -> tuple[ParticleDensity, PredictInfo]:
     """Predict an association part by part: the equation is linear, and sums of solutions solve it.
 
     For posteriors that are sharp and broad at once, which no lattice carries on as few particles.
@@ -191,15 +221,17 @@ def predicted_apart(origin, predicted, config, n_particles):
     -------
     ParticleDensity, PredictInfo
     """
-    posteriors = origin.measurement.posteriors(origin.before, config, n_particles)
+    association: Any = origin.measurement
+    posteriors = association.posteriors(origin.before, config, n_particles)
     moved = [(weight, *predicted(posterior)) for weight, posterior in posteriors]
     parts = [(weight, density) for weight, density, _ in moved]
     widest = max((density for _, density in parts), key=lambda density: np.linalg.det(density.cov()))
     total = Total(widest, parts)
 
-    def summed(times, config):
+    def summed(times: int, config: FilterConfig) -> Outcome[UpdateInfo]:
         more = times * n_particles
-        return Outcome(widest, *update(widest, total, None, config, n_particles=more), more)
+        posterior, info = update(widest, total, None, config, n_particles=more)
+        return Outcome(widest, posterior, info, more)
 
     mean = None if widest.domain is not None else mixed_mean([(w, p.mean()) for w, p in parts])
     _, density, sum_info, _ = resolved(summed, config, widest.dim, mean)
@@ -209,7 +241,7 @@ def predicted_apart(origin, predicted, config, n_particles):
     return density, info.marked(Code.REPEATED, told)
 
 
-def one_prediction(hypotheses):
+def one_prediction(hypotheses: Iterable[Hypothesis]) -> State:
     """The prediction that hypotheses share."""
     predictions = [hypothesis.prediction for hypothesis in hypotheses]
     if not predictions:
@@ -223,7 +255,7 @@ def one_prediction(hypotheses):
     return predictions[0]
 
 
-def probability_of(hypothesis):
+def probability_of(hypothesis: Hypothesis) -> float:
     """The probability of a hypothesis, as a float."""
     if not hasattr(hypothesis, "probability"):
         raise ModelError(

@@ -1,14 +1,19 @@
 """Probabilities of detections from the predicted density itself."""
 
+import datetime
+from collections.abc import Set
+from typing import Any
+
 import numpy as np
 from scipy.stats import chi2
 from stonesoup.base import Property
 from stonesoup.hypothesiser.base import Hypothesiser
 from stonesoup.measures import SquaredMahalanobis
-from stonesoup.types.detection import MissedDetection
+from stonesoup.types.detection import Detection, MissedDetection
 from stonesoup.types.hypothesis import SingleProbabilityHypothesis
 from stonesoup.types.multihypothesis import MultipleHypothesis
 from stonesoup.types.numeric import Probability
+from stonesoup.types.track import Track
 
 from ...errors import ModelError
 from ...validate import positive, real
@@ -21,8 +26,8 @@ __all__ = ["EvidenceHypothesiser"]
 class EvidenceHypothesiser(Hypothesiser):
     """Scores detections by their evidence, the integral of predicted density times likelihood.
 
-    As Stone Soup's PDAHypothesiser, with the predicted density of the detection where that has a Gaussian
-    of its mean and covariance: P_D p(z_i) / lambda for a detection, 1 - P_D P_G for a miss. For
+    It works as Stone Soup's PDAHypothesiser, with the predicted density of the detection in the place of a
+    Gaussian with its mean and covariance: P_D p(z_i) / lambda for a detection, 1 - P_D P_G for a miss. For
     NearestNeighbour, GNN, PDA and JPDA.
 
     Parameters
@@ -34,8 +39,8 @@ class EvidenceHypothesiser(Hypothesiser):
     prob_detect : Probability
         P_D.
     prob_gate : Probability
-        P_G: detections outside of the ellipse that would hold it, were the prediction Gaussian, are left out
-        to save the work. 1 leaves out none, and asks nothing of the sensor but a likelihood.
+        P_G: detections outside of the ellipse that holds this probability of a Gaussian prediction are left
+        out, which saves work. With 1 all detections are scored, and the sensor needs a likelihood only.
     normalise : bool
         Probabilities add up to one.
     """
@@ -49,7 +54,7 @@ class EvidenceHypothesiser(Hypothesiser):
     )
     normalise: bool = Property(default=True, doc="Whether probabilities add up to one.")
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         positive("clutter_spatial_density", self.clutter_spatial_density)
         for name in ("prob_detect", "prob_gate"):
@@ -57,7 +62,9 @@ class EvidenceHypothesiser(Hypothesiser):
             if not 0.0 < value <= 1.0:
                 raise ModelError(f"{name} must be above 0 and at most 1, got {value:g}")
 
-    def hypothesise(self, track, detections, timestamp, **kwargs):
+    def hypothesise(
+        self, track: Track, detections: Set[Detection], timestamp: datetime.datetime, **kwargs: Any
+    ) -> MultipleHypothesis:
         """Score a miss and every detection inside the gate.
 
         Parameters
@@ -80,7 +87,9 @@ class EvidenceHypothesiser(Hypothesiser):
                 hypotheses.append(scored)
         return MultipleHypothesis(hypotheses, normalise=self.normalise)
 
-    def _scored(self, track, detection, **kwargs):
+    def _scored(
+        self, track: Track, detection: Detection, **kwargs: Any
+    ) -> SingleProbabilityHypothesis | None:
         """The hypothesis of a detection, or None outside of the gate."""
         prediction = self.predictor.predict(track, timestamp=detection.timestamp, **kwargs)
         reading = None
@@ -94,5 +103,5 @@ class EvidenceHypothesiser(Hypothesiser):
         return SingleProbabilityHypothesis(prediction, detection, Probability(score, log_value=True), reading)
 
 
-def _place(detection):
+def _place(detection: Detection) -> tuple[float, ...]:
     return tuple(float(value) for value in detection.state_vector)

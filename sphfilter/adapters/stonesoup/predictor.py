@@ -1,23 +1,31 @@
 """Stone Soup's predictor interface to the solver."""
 
+import datetime
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 from stonesoup.base import Property
 from stonesoup.models.transition.base import TransitionModel
 from stonesoup.predictor.base import Predictor
 from stonesoup.types.prediction import Prediction
+from stonesoup.types.state import State
+from stonesoup.types.track import Track
 
 from ...config import FilterConfig, checked_filter_config
+from ...density.particle_density import ParticleDensity
 from ...errors import ModelError, PropagationError
+from ...info import PredictInfo
+from ...model.sde import SDE
 from ...prediction.again import Outcome, predict_from_finer
 from ...prediction.predict import Prediction as Origin
 from ...prediction.predict import predict
 from ...validate import count
 from .association import Association, predicted_apart
 from .recent import Recent
-from .states import SPHState, current, density_of, origin_of, remember, retimed
-from .transition import transition_of
+from .states import SPHState, SPHStatePrediction, current, density_of, origin_of, remember, retimed
+from .transition import SDETransitionModel, transition_of
 
 __all__ = ["SPHPredictor"]
 
@@ -39,8 +47,8 @@ class SPHPredictor(Predictor):
 
     Notes
     -----
-    Predictions are deterministic. Those of late are kept by what went into them (density, model, parameters,
-    interval), never by state objects, so that a state that is changed is predicted anew.
+    Predictions are deterministic. The last ones are kept under the values that went into them (density,
+    model, parameters, interval), never under state objects, so that a changed state is predicted anew.
     """
 
     transition_model: TransitionModel = Property(
@@ -49,17 +57,24 @@ class SPHPredictor(Predictor):
     n_particles: int = Property(default=200, doc="Upper bound of the number of particles.")
     config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
 
-    @transition_model.setter
-    def transition_model(self, model):
+    @transition_model.setter  # type: ignore[no-redef]  # Stone Soup makes a property of it
+    def transition_model(self, model: SDETransitionModel | SDE | TransitionModel) -> None:
         self._property_transition_model = transition_of(model)
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         if self.control_model is not None:
             raise ModelError(_NO_CONTROL.format("control_model"))
         self._kept = Recent(_KEPT)
 
-    def predict(self, prior, timestamp=None, *, control_input=None, **kwargs):
+    def predict(
+        self,
+        prior: State | Track,
+        timestamp: datetime.datetime | None = None,
+        *,
+        control_input: None = None,
+        **kwargs: Any,
+    ) -> SPHStatePrediction:
         """Predict to a timestamp.
 
         Parameters
@@ -67,7 +82,7 @@ class SPHPredictor(Predictor):
         prior : SPHState, GaussianState, or a Track that ends in one
         timestamp : datetime.datetime
         **kwargs
-            Of other predictors (such as measurement=); nothing here depends on them.
+            Options of other predictors (such as measurement=); nothing here depends on them.
 
         Returns
         -------
@@ -98,26 +113,36 @@ class SPHPredictor(Predictor):
         )
         return remember(prediction, Origin(before, info.mass_error, sde, moved.t))
 
-    def _carried(self, prior, density, dt, config, n_particles):
+    def _carried(
+        self, prior: State, density: ParticleDensity, dt: float, config: FilterConfig, n_particles: int
+    ) -> Outcome[PredictInfo]:
         """The `Outcome` of dt seconds; kept a while."""
         transition = self.transition_model
         sde, start = transition.sde, retimed(density, transition, prior.timestamp)
         key = start, sde, sde.p.tobytes(), dt, config, n_particles
 
-        def carried():
+        def carried() -> Outcome[PredictInfo]:
             found = self._predicted(start, origin_of(prior), predicted, n_particles)
             before, moved = retimed(found.before, transition, prior.timestamp), found.density
             if moved.capacity != n_particles:  # more particles for once are not more ever after
                 moved = replace(moved, capacity=n_particles)
             return found._replace(before=before, density=moved)
 
-        def predicted(density, most=None):
+        def predicted(
+            density: ParticleDensity, most: int | None = None
+        ) -> tuple[ParticleDensity, PredictInfo]:
             density = retimed(density, transition, prior.timestamp)
             return predict(density, sde, dt, config, n_particles=n_particles, most_particles=most)
 
         return self._kept.result(key, carried)
 
-    def _predicted(self, start, origin, predicted, n_particles):
+    def _predicted(
+        self,
+        start: ParticleDensity,
+        origin: Any,
+        predicted: Callable[..., tuple[ParticleDensity, PredictInfo]],
+        n_particles: int,
+    ) -> Outcome[PredictInfo]:
         """The `Outcome` of what `predicted` makes of a density.
 
         Associations that are sharp and broad at once are predicted part by part.
@@ -131,13 +156,13 @@ class SPHPredictor(Predictor):
                     found = predicted_apart(origin, predicted, config, n_particles)
                     return Outcome(start, *found, n_particles)
 
-        def bounded(density):
+        def bounded(density: ParticleDensity) -> Outcome[PredictInfo]:
             return Outcome(density, *predicted(density), n_particles)
 
         return predict_from_finer(bounded, sde, start, origin, config, n_particles)
 
 
-def _seconds(start, end):
+def _seconds(start: datetime.datetime | None, end: datetime.datetime | None) -> float:
     if start is None or end is None:
         raise ModelError(
             f"a prediction needs the timestamp of the state and one to predict to, got {start} and {end}"

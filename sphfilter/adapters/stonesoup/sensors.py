@@ -1,6 +1,10 @@
 """Stone Soup's measurement models and detections as sensors of the filter."""
 
+import datetime
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 from stonesoup.models.base import GaussianModel, LinearModel
 from stonesoup.models.measurement.base import MeasurementModel
 from stonesoup.types.angle import Bearing
@@ -8,8 +12,9 @@ from stonesoup.types.array import StateVector, StateVectors
 from stonesoup.types.detection import Detection
 from stonesoup.types.state import State
 
+from ..._types import Floats
 from ...errors import ModelError
-from ...model.measurements import GaussianMeasurement, Reading
+from ...model.measurements import GaussianMeasurement, Reading, Sensor
 from ...validate import covariance, short
 
 __all__ = ["ModelMeasurement", "reading_of", "sensor_for", "typed"]
@@ -24,7 +29,7 @@ class ModelMeasurement:
     ----------
     model : stonesoup.models.measurement.MeasurementModel
     timestamp : datetime.datetime or None
-        That of the states it is asked about.
+        The timestamp of the states that the sensor is asked about.
 
     Attributes
     ----------
@@ -35,52 +40,53 @@ class ModelMeasurement:
         Components that are angles of the whole circle; their differences are wrapped to (−π, π].
     """
 
-    H = directly_observed = None
+    H: None = None
+    directly_observed: None = None
 
-    def __init__(self, model, timestamp):
+    def __init__(self, model: MeasurementModel, timestamp: datetime.datetime | None) -> None:
         self._model, self._timestamp = model, timestamp
         self.dim_z = model.ndim_meas
         self.noise_cov = _noise_cov(model)
-        self.angles = ()
+        self.angles: tuple[int, ...] = ()
 
-    def predict(self, X, t=0.0):
+    def predict(self, X: Floats, t: float = 0.0) -> Floats:
         """Noise-free reading in each state X (N, n), shape (N, k)."""
         Z = self._model.function(self._state(X), noise=False)
         self.angles = tuple(i for i, value in enumerate(Z[:, 0]) if _turns(value))
         return np.asarray(Z, dtype=float).T
 
-    def residual(self, z, zhat):
+    def residual(self, z: ArrayLike, zhat: ArrayLike) -> Floats:
         """z − zhat (..., k), angles wrapped."""
         r = np.asarray(z, dtype=float) - np.asarray(zhat, dtype=float)
         for a in self.angles:
             r[..., a] -= 2 * np.pi * np.ceil((r[..., a] - np.pi) / (2 * np.pi))
         return r
 
-    def reading(self, z):
-        """All components: detections are whole."""
-        return Reading(np.asarray(z, dtype=float), np.ones(self.dim_z, dtype=bool))
+    def reading(self, z: ArrayLike | None) -> Reading:
+        """Return z as a `Reading` of k numbers; detections are whole."""
+        return Reading.of(z, self.dim_z)
 
-    def log_likelihood(self, z, X, t=0.0):
+    def log_likelihood(self, z: Any, X: Floats, t: float = 0.0) -> Floats:
         """log p(z | x) for each state X (N, n), shape (N,)."""
         detection = Detection(StateVector(z), timestamp=self._timestamp)
         values = self._model.logpdf(detection, self._state(X))
         return np.asarray(np.atleast_1d(values), dtype=float)
 
-    def types(self, x):
+    def types(self, x: Floats) -> list[type]:
         """Types of the components of a reading of one state (n,), such as Bearing."""
         return [type(value) for value in np.asarray(self._model.function(self._state(x), noise=False)).flat]
 
-    def _state(self, X):
+    def _state(self, X: Floats) -> State:
         return State(StateVectors(np.atleast_2d(X).T), timestamp=self._timestamp)
 
 
-def sensor_for(model, timestamp):
+def sensor_for(model: MeasurementModel | Sensor, timestamp: datetime.datetime | None) -> Sensor:
     """The sensor of a measurement model: Stone Soup's, or one of the filter's own.
 
     Raises
     ------
     ModelError
-        It is none, or has no noise covariance.
+        The model is no measurement model, or has no noise covariance.
     """
     if hasattr(model, "log_likelihood"):
         return model
@@ -90,17 +96,18 @@ def sensor_for(model, timestamp):
             f"GaussianMeasurement, got {short(model)}"
         )
     if isinstance(model, LinearModel) and isinstance(model, GaussianModel):
-        return GaussianMeasurement(h=np.asarray(model.matrix(), dtype=float), noise_cov=_noise_cov(model))
+        noise_cov: Any = _noise_cov(model)
+        return GaussianMeasurement(h=np.asarray(model.matrix(), dtype=float), noise_cov=noise_cov)
     return ModelMeasurement(model, timestamp)
 
 
-def reading_of(detection, sensor):
+def reading_of(detection: Detection, sensor: Any) -> Floats:
     """The numbers of a detection, shape (k,).
 
     Raises
     ------
     ModelError
-        They are not finite, or not as many as the sensor gives.
+        The numbers are not finite, or not as many as the sensor gives.
     """
     z = np.asarray(detection.state_vector, dtype=float).ravel()
     if not np.isfinite(z).all() or len(z) != (sensor.dim_z or len(z)):
@@ -110,7 +117,7 @@ def reading_of(detection, sensor):
     return z
 
 
-def typed(reading, sensor, x):
+def typed(reading: Floats, sensor: Sensor, x: Floats) -> StateVector:
     """A reading (k,) as a StateVector with the angle types of the sensor at a state x (n,)."""
     angles = getattr(sensor, "angles", ())
     if not angles:
@@ -119,13 +126,13 @@ def typed(reading, sensor, x):
     return StateVector([types[i](v) if i in angles else float(v) for i, v in enumerate(reading)])
 
 
-def _turns(value):
+def _turns(value: object) -> bool:
     """Is it an angle of the whole circle? Elevations and the like are not: their differences do not wrap."""
     mod = getattr(type(value), "mod_angle", None)
     return mod is not None and all(np.isclose(np.exp(1j * mod(a)), np.exp(1j * a)) for a in _PROBED)
 
 
-def _noise_cov(model):
+def _noise_cov(model: MeasurementModel) -> Floats | None:
     if not isinstance(model, GaussianModel):
         return None
     try:

@@ -2,7 +2,9 @@
 
 import base64
 import json
+from collections.abc import Callable
 from dataclasses import asdict
+from typing import Any, NoReturn
 
 import numpy as np
 from ruamel.yaml.constructor import ConstructorError
@@ -26,7 +28,7 @@ _CODE = (
 )
 
 
-def extend(yaml):
+def extend(yaml: Any) -> None:
     """Teach a `stonesoup.serialise.YAML` the classes of this package.
 
     Installed, the package has this done by its entry point in the group stonesoup.serialise.yaml.
@@ -38,16 +40,16 @@ def extend(yaml):
     yaml.constructor.add_multi_constructor(f"!{_OURS}", _component_from_yaml)
 
 
-def _representer(tag, write):
-    def represent(representer, value):
+def _representer(tag: str, write: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
+    def represent(representer: Any, value: Any) -> Any:
         text = write(value)
         return representer.represent_scalar(tag, text, style="|" if "\n" in text else None)
 
     return represent
 
 
-def _constructor(read):
-    def construct(constructor, node):
+def _constructor(read: Callable[[str], Any]) -> Callable[[Any, Any], Any]:
+    def construct(constructor: Any, node: Any) -> Any:
         try:
             return read(str(constructor.construct_scalar(node)))
         except (SphfilterError, ValueError, TypeError, KeyError) as problem:
@@ -56,7 +58,7 @@ def _constructor(read):
     return construct
 
 
-def _component_from_yaml(constructor, tag_suffix, node):
+def _component_from_yaml(constructor: Any, tag_suffix: str, node: Any) -> Base:
     """As Stone Soup makes its own components, of the classes of this package."""
     name = _OURS + tag_suffix
     found = [kind for kind in Base.subclasses if f"{kind.__module__}.{kind.__qualname__}" == name]
@@ -70,22 +72,22 @@ def _component_from_yaml(constructor, tag_suffix, node):
         raise ConstructorError("while reading a component", node.start_mark, str(problem)) from problem
 
 
-def _density_text(density):
+def _density_text(density: ParticleDensity) -> str:
     return base64.encodebytes(to_bytes(density)).decode()
 
 
-def _density_from(text):
+def _density_from(text: str) -> ParticleDensity:
     return from_bytes(base64.decodebytes(text.encode()))
 
 
-def _model_text(model):
+def _model_text(model: SDE) -> str:
     _, (constructor, arguments) = model.__reduce__()
     if constructor == SDE:
         raise ModelError(_CODE.format("the drift of this SDE"))
     return json.dumps({name: _plain(name, value) for name, value in arguments.items() if value is not None})
 
 
-def _sensor_text(sensor):
+def _sensor_text(sensor: GaussianMeasurement) -> str:
     _, (h, noise_cov, angles, _) = sensor.__reduce__()
     parts = {"noise_cov": noise_cov, "angles": angles}
     if hasattr(h, "expressions"):
@@ -95,38 +97,40 @@ def _sensor_text(sensor):
     return json.dumps({name: _plain(name, value) for name, value in parts.items()})
 
 
-def _sensor_from(text):
+def _sensor_from(text: str) -> GaussianMeasurement:
     parts = json.loads(text)
     return (
         GaussianMeasurement.from_expressions(**parts) if "states" in parts else GaussianMeasurement(**parts)
     )
 
 
-def _refused(sensor):
+def _refused(sensor: object) -> NoReturn:
     raise ModelError(_CODE.format("the likelihood of a LikelihoodMeasurement"))
 
 
-def _info_text(info):
+def _info_text(info: PredictInfo | UpdateInfo) -> str:
     return json.dumps(_plain("info", asdict(info)))
 
 
-def _prediction_from(text):
+def _prediction_from(text: str) -> PredictInfo:
     parts = json.loads(text)
     return PredictInfo(**parts | {"skipped": tuple(parts["skipped"])})
 
 
-def _update_from(text):
+def _update_from(text: str) -> UpdateInfo:
     parts = json.loads(text)
     for name in ("innovation", "innovation_cov"):
         if parts[name] is not None:
             parts[name] = np.array(parts[name])
     if parts["resample"] is not None:
-        whole = {k: tuple(v) if isinstance(v, list) else v for k, v in parts["resample"].items()}
+        whole: dict[str, Any] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in parts["resample"].items()
+        }
         parts["resample"] = ResampleInfo(**whole)
     return UpdateInfo(**parts)
 
 
-def _plain(name, value):
+def _plain(name: str, value: Any) -> Any:
     """Numbers, text, lists and mappings of a value."""
     if callable(value):
         raise ModelError(_CODE.format(f"the {name} of this model"))
@@ -140,12 +144,12 @@ def _plain(name, value):
 
 
 #: Class: how it becomes text, and is made of it.
-_FORMS = {
+_FORMS: dict[type, tuple[Callable[[Any], str], Callable[[str], Any]]] = {
     ParticleDensity: (_density_text, _density_from),
     SDE: (_model_text, lambda text: SDE.from_expressions(**json.loads(text))),
     LinearSDE: (_model_text, lambda text: LinearSDE(**json.loads(text))),
     GaussianMeasurement: (_sensor_text, _sensor_from),
-    LikelihoodMeasurement: (_refused, None),
+    LikelihoodMeasurement: (_refused, _refused),
     FilterConfig: (FilterConfig.to_toml, FilterConfig.from_toml),
     PredictInfo: (_info_text, _prediction_from),
     UpdateInfo: (_info_text, _update_from),

@@ -3,6 +3,7 @@
 import datetime
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from stonesoup.base import Property, clearable_cached_property
@@ -12,10 +13,13 @@ from stonesoup.types.prediction import Prediction
 from stonesoup.types.state import ParticleState, State, StateMutableSequence
 from stonesoup.types.update import Update
 
+from ..._types import Floats, Seed
+from ...config import FilterConfig
 from ...density.initialize import Gaussian, initialize
 from ...density.particle_density import ParticleDensity
 from ...errors import ModelError
 from ...info import PredictInfo, UpdateInfo
+from ...model.domain import Domain
 from ...validate import count, covariance, generator, short
 
 __all__ = ["SPHState", "SPHStatePrediction", "SPHStateUpdate", "current", "density_of", "origin_of",
@@ -41,7 +45,7 @@ class SPHState(Type):
     Raises
     ------
     ModelError
-        The density is none.
+        The density is no ParticleDensity.
     """
 
     density: ParticleDensity = Property(doc="Probability density of the state.")
@@ -49,8 +53,8 @@ class SPHState(Type):
 
     from_state = staticmethod(State.from_state)
 
-    @density.setter
-    def density(self, value):
+    @density.setter  # type: ignore[no-redef, attr-defined]  # Stone Soup makes a property of it
+    def density(self, value: ParticleDensity) -> None:
         if not isinstance(value, ParticleDensity):
             raise ModelError(
                 f"an SPHState takes a ParticleDensity such as sf.initialize makes, got {short(value)}"
@@ -58,26 +62,26 @@ class SPHState(Type):
         self._property_density = value
 
     @clearable_cached_property("density")
-    def state_vector(self):
+    def state_vector(self) -> StateVector:
         """The mean, shape (n, 1)."""
         return _frozen(self.density.mean()[:, None]).view(StateVector)
 
     @property
-    def mean(self):
+    def mean(self) -> StateVector:
         """The mean, shape (n, 1)."""
         return self.state_vector
 
     @clearable_cached_property("density")
-    def covar(self):
+    def covar(self) -> CovarianceMatrix:
         """The covariance, shape (n, n)."""
         return _frozen(self.density.cov()).view(CovarianceMatrix)
 
     @property
-    def ndim(self):
+    def ndim(self) -> int:
         """Number of states n."""
         return self.density.dim
 
-    def to_particle_state(self, n_particles, rng=None):
+    def to_particle_state(self, n_particles: int, rng: Seed = None) -> ParticleState:
         """Draw equally weighted particles from the density.
 
         Parameters
@@ -108,21 +112,23 @@ class SPHStateUpdate(Update, SPHState):
     """A posterior density; `info` says what was done with the detection (`UpdateInfo`).
 
     After one detection `info.log_evidence` is the logarithm of its predicted density. After an association of
-    several it is that of the integral of a posterior whose weights were given, zero but for what the lattice
-    does not resolve.
+    several detections it is the logarithm of the integral of a posterior whose weights were given: zero but
+    for the probability that the lattice does not resolve.
     """
 
     info: UpdateInfo = Property(default=None, doc="What the update did.")
 
 
-def current(state):
+def current(state: State | StateMutableSequence) -> State:
     """The last state of a track, or the state itself."""
     if isinstance(state, StateMutableSequence) and not isinstance(state, State):
         return state.state
     return state
 
 
-def density_of(state, n_particles, config, domain=None):
+def density_of(
+    state: State, n_particles: int, config: FilterConfig, domain: Domain | None = None
+) -> ParticleDensity:
     """The density of a state; that of a Gaussian state is put on particles, always the same for the same."""
     if isinstance(state, SPHState):
         return state.density
@@ -137,34 +143,38 @@ def density_of(state, n_particles, config, domain=None):
 
 
 @lru_cache(maxsize=64)  # by value: what a state is changed to later is another key
-def _on_particles(mean, cov, n, n_particles, config, domain):
-    mean, cov = np.frombuffer(mean), np.frombuffer(cov).reshape(n, n)
-    return initialize(Gaussian(mean, cov), n_particles, config, domain=domain)
+def _on_particles(
+    mean: bytes, cov: bytes, n: int, n_particles: int, config: FilterConfig, domain: Domain | None
+) -> ParticleDensity:
+    start = Gaussian(np.frombuffer(mean), np.frombuffer(cov).reshape(n, n))
+    return initialize(start, n_particles, config, domain=domain)
 
 
 @lru_cache(maxsize=64)  # the same density once more is the same object once more
-def _at(density, t):
+def _at(density: ParticleDensity, t: float) -> ParticleDensity:
     return replace(density, t=t)
 
 
-def retimed(density, transition, timestamp):
+def retimed(
+    density: ParticleDensity, transition: Any, timestamp: datetime.datetime | None
+) -> ParticleDensity:
     """The density with the time that a timestamp is for the model."""
     t = density.t if transition.epoch is None else transition.time_of(timestamp)
     return density if density.t == t else _at(density, t)
 
 
-def remember(state, origin):
+def remember(state: SPHState, origin: object) -> SPHState:
     """Note where the density of a state comes from, should it have to be made again more finely."""
     state._origin = state.density, origin
     return state
 
 
-def origin_of(state):
+def origin_of(state: State) -> Any:
     """What `remember` noted, unless the density is another by now; None if there is nothing."""
     density, origin = getattr(state, "_origin", (None, None))
     return origin if density is getattr(state, "density", None) else None
 
 
-def _frozen(array):
+def _frozen(array: Floats) -> Floats:
     array.flags.writeable = False
     return array

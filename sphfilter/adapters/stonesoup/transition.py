@@ -1,8 +1,10 @@
 """Stochastic differential equations as Stone Soup's transition models, and the way back for linear ones."""
 
 import datetime
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, logm
 from scipy.stats import multivariate_normal
@@ -11,7 +13,9 @@ from stonesoup.models.base import GaussianModel, LinearModel
 from stonesoup.models.transition.base import TransitionModel
 from stonesoup.types.array import CovarianceMatrix, StateVector, StateVectors
 from stonesoup.types.numeric import Probability
+from stonesoup.types.state import State
 
+from ..._types import Floats
 from ...errors import ModelError
 from ...model.sde import SDE, LinearSDE
 from ...model.simulate import advance
@@ -36,7 +40,7 @@ class SDETransitionModel(TransitionModel):
     epoch : datetime.datetime, optional
         Where the model's time is zero; needed if drift or noise depend on time.
     seed : int, optional
-        Of the noise that `function` draws.
+        Seed of the noise that `function` draws.
 
     Notes
     -----
@@ -51,7 +55,7 @@ class SDETransitionModel(TransitionModel):
     )
     seed: int = Property(default=None, doc="Seed of the noise that `function` draws.")
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         if not isinstance(self.sde, SDE):
             raise ModelError(f"sde must be an SDE or LinearSDE, got {short(self.sde)}")
@@ -62,19 +66,26 @@ class SDETransitionModel(TransitionModel):
         self._rng = generator(self.seed)
 
     @property
-    def ndim_state(self):
+    def ndim_state(self) -> int:
         """Number of states n."""
         return self.sde.dim
 
-    def time_of(self, timestamp):
-        """The model's time at a timestamp, seconds; zero for all where it does not depend on it."""
+    def time_of(self, timestamp: datetime.datetime | None) -> float:
+        """The model's time at a timestamp, seconds; zero for all timestamps where no time is needed."""
         if self.epoch is None:
             return 0.0
         if timestamp is None:
             raise ModelError("the model depends on time: states need a timestamp")
         return (timestamp - self.epoch).total_seconds()
 
-    def function(self, state, noise=False, *, time_interval, **kwargs):
+    def function(
+        self,
+        state: State,
+        noise: bool | ArrayLike | None = False,
+        *,
+        time_interval: datetime.timedelta,
+        **kwargs: Any,
+    ) -> StateVector | StateVectors:
         """Move states (n, N) over `time_interval`, with noise of their own if `noise`."""
         X = np.asarray(state.state_vector, dtype=float).T
         t, dt = self.time_of(state.timestamp), time_interval.total_seconds()
@@ -86,42 +97,46 @@ class SDETransitionModel(TransitionModel):
         moved = self.sde.domain.wrap(moved)
         return moved.T.view(StateVector if len(moved) == 1 else StateVectors)
 
-    def _flow(self, X, t, dt):
+    def _flow(self, X: Floats, t: float, dt: float) -> Floats:
         """States (N, n) moved along the drift alone."""
         if self.sde.linear:
             Phi, offset, _ = self.sde.to_linear().discretize(dt)
             return X @ Phi.T + offset
 
-        def rate(s, flat):
+        def rate(s: float, flat: Floats) -> Floats:
             return self.sde.drift(flat.reshape(X.shape), s).ravel()
 
         path = solve_ivp(rate, (t, t + dt), X.ravel(), rtol=_FLOW_TOLERANCE, atol=_FLOW_TOLERANCE)
         return path.y[:, -1].reshape(X.shape)
 
-    def _gaussian(self, dt):
+    def _gaussian(self, dt: float) -> tuple[Floats, Floats, Floats]:
         if not self.sde.linear:
             raise ModelError(
                 "the transition density of this model is not Gaussian: function(noise=True) draws from it"
             )
         return self.sde.to_linear().discretize(dt)
 
-    def jacobian(self, state, *, time_interval, **kwargs):
+    def jacobian(self, state: State, *, time_interval: datetime.timedelta, **kwargs: Any) -> Floats:
         """Derivative (n, n) of where a state goes without noise."""
         if self.sde.linear:
             return self._gaussian(time_interval.total_seconds())[0]
         return super().jacobian(state, time_interval=time_interval, **kwargs)
 
-    def covar(self, *, time_interval, **kwargs):
+    def covar(self, *, time_interval: datetime.timedelta, **kwargs: Any) -> CovarianceMatrix:
         """Covariance (n, n) of the noise over an interval, of linear models."""
         return self._gaussian(time_interval.total_seconds())[2].view(CovarianceMatrix)
 
-    def rvs(self, num_samples=1, *, time_interval, **kwargs):
+    def rvs(
+        self, num_samples: int = 1, *, time_interval: datetime.timedelta, **kwargs: Any
+    ) -> StateVector | StateVectors:
         """Draw noise (n, num_samples) of an interval, of linear models."""
         Q = self._gaussian(time_interval.total_seconds())[2]
         drawn = self._rng.multivariate_normal(np.zeros(len(Q)), Q, num_samples, method="eigh").T
         return drawn.view(StateVector if num_samples == 1 else StateVectors)
 
-    def pdf(self, state1, state2, *, time_interval, **kwargs):
+    def pdf(
+        self, state1: State, state2: State, *, time_interval: datetime.timedelta, **kwargs: Any
+    ) -> Probability | NDArray[Any]:
         """Density of state1 where state2 goes, of linear models."""
         expected = self.function(state2, time_interval=time_interval)
         off = np.asarray(state1.state_vector - expected, dtype=float)
@@ -131,14 +146,14 @@ class SDETransitionModel(TransitionModel):
         return p[0] if len(p) == 1 else p
 
 
-def transition_of(model):
+def transition_of(model: SDETransitionModel | SDE | TransitionModel) -> SDETransitionModel:
     """A transition model as `SDETransitionModel`: as it is, from an SDE, or from a linear Gaussian model."""
     if isinstance(model, SDETransitionModel):
         return model
     return SDETransitionModel(model if isinstance(model, SDE) else linear_sde(model))
 
 
-def linear_sde(model):
+def linear_sde(model: LinearModel) -> LinearSDE:
     """The equation dX = A X dt + g dW whose transitions are those of one of Stone Soup's linear models.
 
     Parameters
@@ -153,7 +168,8 @@ def linear_sde(model):
     Raises
     ------
     ModelError
-        There is none: the model is of another kind, of discrete time, or its noise is no white noise's.
+        There is no such equation: the model is of another kind or of discrete time, or its noise is not
+        white.
     """
     if not (isinstance(model, LinearModel) and isinstance(model, GaussianModel)):
         raise ModelError(
@@ -170,12 +186,12 @@ def linear_sde(model):
     )
 
 
-def _transition(model, dt):
+def _transition(model: LinearModel, dt: float) -> tuple[Floats, Floats]:
     step = {"time_interval": datetime.timedelta(seconds=dt)}
     return np.asarray(model.matrix(**step), dtype=float), np.asarray(model.covar(**step), dtype=float)
 
 
-def _read(F, Q, tau):
+def _read(F: Floats, Q: Floats, tau: float) -> LinearSDE | None:
     """The equation with transition matrix F and covariance Q over tau seconds, or None.
 
     F = exp(A tau), and Q is linear in the intensity q of the noise: vec Q = int_0^tau exp(K s) ds vec q with
@@ -198,10 +214,10 @@ def _read(F, Q, tau):
     return LinearSDE(A, noise=vectors[:, kept] * np.sqrt(values[kept])) if kept.any() else None
 
 
-def _same(sde, model, dt):
+def _same(sde: LinearSDE, model: LinearModel, dt: float) -> bool:
     """Do the transitions over dt agree, in the units of their own noise?"""
     F, Q = _transition(model, dt)
     Phi, _, Qd = sde.discretize(dt)
     scale = np.sqrt(np.diag(Q))
     unit = np.outer(scale, scale)
-    return np.allclose(Phi, F, rtol=_SAME, atol=_SAME) and np.all(np.abs(Qd - Q) <= _SAME * unit)
+    return np.allclose(Phi, F, rtol=_SAME, atol=_SAME) and bool(np.all(np.abs(Qd - Q) <= _SAME * unit))

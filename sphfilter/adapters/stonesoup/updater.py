@@ -1,29 +1,45 @@
 """Stone Soup's updater interface to the update: density times likelihood."""
 
+import datetime
 from dataclasses import replace
+from typing import Any
 
 from stonesoup.base import Property
 from stonesoup.models.measurement.base import MeasurementModel
 from stonesoup.types.array import CovarianceMatrix
+from stonesoup.types.detection import Detection
+from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.multihypothesis import MultipleHypothesis
 from stonesoup.types.prediction import GaussianMeasurementPrediction
+from stonesoup.types.state import State
 from stonesoup.types.update import Update
 from stonesoup.updater.base import Updater
 
+from ..._types import Floats
 from ...config import FilterConfig, checked_filter_config
+from ...density.particle_density import ParticleDensity
 from ...density.resample import particle_bound
 from ...errors import ModelError
 from ...filter.update import predicted_reading
 from ...filter.update_again import Update as UpdateOrigin
 from ...filter.update_again import update_or_predict_again
 from ...info import UpdateInfo
+from ...model.measurements import Sensor, is_gaussian
 from ...prediction.again import Outcome
 from ...prediction.predict import Prediction as PredictionOrigin
 from ...validate import count
-from .association import Association, alone, mixed_mean, one_prediction, probability_of, resolved
+from .association import (
+    Alone,
+    Association,
+    alone,
+    mixed_mean,
+    one_prediction,
+    probability_of,
+    resolved,
+)
 from .recent import Recent
 from .sensors import reading_of, sensor_for, typed
-from .states import SPHState, current, density_of, origin_of, remember
+from .states import SPHState, SPHStateUpdate, current, density_of, origin_of, remember
 
 __all__ = ["SPHUpdater"]
 
@@ -39,7 +55,7 @@ class SPHUpdater(Updater):
     measurement_model : MeasurementModel, GaussianMeasurement or LikelihoodMeasurement, optional
         For detections without one of their own.
     n_particles : int, optional
-        Upper bound of the number of particles; by default that of the prediction.
+        Upper bound of the number of particles; by default the bound of the prediction.
     config : FilterConfig, optional
     """
 
@@ -49,11 +65,17 @@ class SPHUpdater(Updater):
     n_particles: int = Property(default=None, doc="Upper bound of the number of particles.")
     config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._kept = Recent(_KEPT)
 
-    def predict_measurement(self, predicted_state, measurement_model=None, measurement_noise=True, **kwargs):
+    def predict_measurement(
+        self,
+        predicted_state: State,
+        measurement_model: MeasurementModel | Sensor | None = None,
+        measurement_noise: bool = True,
+        **kwargs: Any,
+    ) -> GaussianMeasurementPrediction:
         """Mean and covariance of the next detection, and its covariance with the state.
 
         Returns
@@ -68,7 +90,7 @@ class SPHUpdater(Updater):
         state = current(predicted_state)
         density = self._density(state)
         sensor = self._sensor(measurement_model, state.timestamp)
-        if sensor.noise_cov is None:
+        if not is_gaussian(sensor):
             raise ModelError(
                 "a measurement prediction needs a sensor with a noise covariance; associate detections of "
                 "others by EvidenceHypothesiser(prob_gate=1)"
@@ -82,21 +104,21 @@ class SPHUpdater(Updater):
             cross_covar=CovarianceMatrix(cross),
         )
 
-    def log_evidence(self, prediction, detection):
+    def log_evidence(self, prediction: State, detection: Detection) -> float:
         """Logarithm of the predicted density of a detection: of the integral of density times likelihood.
 
-        Where no lattice holds the product, which is next to nothing there, it is a sum over the particles.
+        Where no lattice holds the product, which is next to nothing there, a sum over the particles is taken.
         """
         return self._alone(prediction, *self._asked(prediction, detection)).log_evidence
 
-    def update(self, hypothesis, **kwargs):
+    def update(self, hypothesis: SingleHypothesis | MultipleHypothesis, **kwargs: Any) -> SPHStateUpdate:
         """The posterior of a hypothesis, or of an association of several (PDA, JPDA).
 
         Parameters
         ----------
         hypothesis : SingleHypothesis or MultipleHypothesis
-            Several have probabilities, and one prediction: the posterior is the mixture of theirs, of the
-            prior for a miss, itself and not merged into one Gaussian.
+            Several hypotheses have probabilities and share one prediction: the posterior is the mixture of
+            their posteriors (the prior, for a miss) as one density, not merged into a Gaussian.
 
         Returns
         -------
@@ -120,7 +142,7 @@ class SPHUpdater(Updater):
             prediction, hypothesis, self._multiplied(prediction, *asked), asked, detection.timestamp
         )
 
-    def _associated(self, hypotheses):
+    def _associated(self, hypotheses: MultipleHypothesis) -> SPHStateUpdate:
         prediction = one_prediction(hypotheses)
         density, missed, parts, means = self._density(prediction), 0.0, [], []
         for hypothesis in hypotheses:
@@ -135,16 +157,16 @@ class SPHUpdater(Updater):
                 means.append((weight, one.mean))
         if not parts:
             return self._posterior(prediction, hypotheses, _unused(density), None)
-        sensor, z = Association(missed, parts), tuple(part[1] for part in parts)
+        association, readings = Association(missed, parts), tuple(part[1] for part in parts)
         mixed = None if density.domain is not None else mixed_mean([(missed, density.mean()), *means])
 
-        def multiplied(times, config):
-            return self._multiplied(prediction, sensor, z, times, config)
+        def multiplied(times: int, config: FilterConfig) -> Outcome[UpdateInfo]:
+            return self._multiplied(prediction, association, readings, times, config)
 
         found = resolved(multiplied, checked_filter_config(self.config), density.dim, mixed)
-        return self._posterior(prediction, hypotheses, found, (sensor, z))
+        return self._posterior(prediction, hypotheses, found, (association, readings))
 
-    def _alone(self, prediction, sensor, z):
+    def _alone(self, prediction: State, sensor: Sensor, z: Floats) -> Alone:
         """What a detection says alone; kept for data association, which scores it first and uses it then."""
         density, config = self._density(prediction), checked_filter_config(self.config)
         log_likelihood = sensor.log_likelihood(z, density.x, density.t)
@@ -153,43 +175,56 @@ class SPHUpdater(Updater):
             key, lambda: alone(density, sensor, z, config, self.n_particles, log_likelihood)
         )
 
-    def _multiplied(self, prediction, sensor, z, times=1, config=None):
+    def _multiplied(
+        self, prediction: State, sensor: Sensor, z: Any, times: int = 1, config: FilterConfig | None = None
+    ) -> Outcome[UpdateInfo]:
         density, origin = self._density(prediction), origin_of(prediction)
         origin = origin if isinstance(origin, PredictionOrigin) else PredictionOrigin()
         n_particles = particle_bound(density, self.n_particles)
         config = checked_filter_config(self.config) if config is None else config
-        found = update_or_predict_again(origin, density, origin.model, sensor, z, config, times * n_particles)
+        model: Any = origin.model  # unknown where nothing was predicted, and not asked for then
+        found = update_or_predict_again(origin, density, model, sensor, z, config, times * n_particles)
         if times == 1:
             return found
         # on more particles now, not ever after
         return found._replace(density=replace(found.density, capacity=n_particles))
 
-    def _posterior(self, prediction, hypothesis, found, asked, timestamp=None):
+    def _posterior(
+        self,
+        prediction: State,
+        hypothesis: SingleHypothesis | MultipleHypothesis,
+        found: Outcome[UpdateInfo],
+        asked: tuple[Sensor, Any] | None,
+        timestamp: datetime.datetime | None = None,
+    ) -> SPHStateUpdate:
         prior, density, info, _ = found
         timestamp = prediction.timestamp if timestamp is None else timestamp
         state = prediction if isinstance(prediction, SPHState) else SPHState(prior, timestamp)
         posterior = Update.from_state(
             state, density=density, timestamp=timestamp, hypothesis=hypothesis, info=info
         )
-        if density is not prior:
+        if asked is not None and density is not prior:
             return remember(posterior, UpdateOrigin(prior, *asked))
         return remember(posterior, origin_of(prediction)) if density is state.density else posterior
 
-    def _asked(self, prediction, detection):
+    def _asked(self, prediction: State, detection: Detection) -> tuple[Sensor, Floats]:
         sensor = self._sensor(detection.measurement_model, prediction.timestamp)
         return sensor, reading_of(detection, sensor)
 
-    def _sensor(self, measurement_model, timestamp):
+    def _sensor(
+        self, measurement_model: MeasurementModel | Sensor | None, timestamp: datetime.datetime | None
+    ) -> Sensor:
         return sensor_for(
             self.measurement_model if measurement_model is None else measurement_model, timestamp
         )
 
-    def _density(self, state):
+    def _density(self, state: State) -> ParticleDensity:
         n_particles = _START if self.n_particles is None else count("n_particles", self.n_particles)
         return density_of(state, n_particles, checked_filter_config(self.config))
 
 
-def _unused(density):
+def _unused(density: ParticleDensity) -> Outcome[UpdateInfo]:
     """The `Outcome` of no detection."""
-    said = {"accepted": True, "log_evidence": 0.0, "reason": "no detection was used"}
-    return Outcome(density, density, UpdateInfo(n_particles=density.n_particles, **said), density.n_particles)
+    n, reason = density.n_particles, "no detection was used"
+    info = UpdateInfo(accepted=True, log_evidence=0.0, reason=reason, n_particles=n)
+    return Outcome(density, density, info, n)

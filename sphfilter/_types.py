@@ -1,0 +1,23 @@
+"""The types that many signatures share."""
+
+from collections.abc import Callable, Sequence
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["BatchFunction", "Bools", "Floats", "Ints", "OfStates", "ReadOut", "Readings", "Seed"]
+
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int64]
+Bools: TypeAlias = NDArray[np.bool_]
+#: A generator, or what numpy makes one of.
+Seed: TypeAlias = np.random.Generator | int | None
+#: One measurement for each time; None or NaN where none came.
+Readings: TypeAlias = Sequence[ArrayLike | None] | Floats
+#: A function of states (M, n), with a number for each, (M,).
+OfStates: TypeAlias = Callable[[Floats], Floats]
+#: How a density is read between its points.
+ReadOut: TypeAlias = Literal["points", "mixture", "shrunk", "log_density"]
+#: fill(x, t, p, out): rows of states in, rows of values out.
+BatchFunction: TypeAlias = Callable[[Floats, float, Floats, Floats], None]
