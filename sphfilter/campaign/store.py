@@ -10,8 +10,9 @@ import os
 import platform
 import re
 import zipfile
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -42,9 +43,12 @@ def manifest(scenario, filters, seed, first_case):
 
 
 def versions():
-    """Versions of what results come from, by name."""
-    others = {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")}
-    return {"sphfilter": __version__, "python": platform.python_version(), **others}
+    """Versions of what results come from, by name; what is not installed is left out."""
+    found = {"sphfilter": __version__, "python": platform.python_version()}
+    for name in ("numpy", "numba", "scipy", "filterpy"):
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def _text(thing):
@@ -80,10 +84,11 @@ def claim(folder, wanted):
         found = json.loads(path.read_text())
     except ValueError:
         raise ConfigError(f"{path} cannot be read. Give another folder, or delete it.") from None
-    other = [key for key in wanted if found.get(key) != wanted[key]]
+    entries = {key: _sides(key, found.get(key), wanted[key]) for key in wanted}
+    other = [key for key, (was, now) in entries.items() if was != now]
     if other:
         key = other[0]
-        sides = found.get(key), wanted[key]
+        sides = entries[key]
         names = [list(side) if isinstance(side, dict) else None for side in sides]
         if names[0] != names[1]:
             was, now = (", ".join(side or ["none"]) for side in names)
@@ -94,6 +99,17 @@ def claim(folder, wanted):
         raise ConfigError(
             f"{folder} holds another campaign: its {difference}. Give another folder, or delete this one."
         )
+
+
+def _sides(key, was, now):
+    """What a folder says and what is wanted, as far as they are compared.
+
+    A package that was not there, or is no more, had or has no part in the filters: their texts are the same.
+    """
+    if key != "versions" or not isinstance(was, dict):
+        return was, now
+    both = [name for name in now if name in was]
+    return {name: was[name] for name in both}, {name: now[name] for name in both}
 
 
 def _leaves(value):
