@@ -22,8 +22,8 @@ DUFFING = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"
 POSITION = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])
 READINGS = (2.1, 1.2, None, -0.5)
 SECONDS = 1.0
-#: Filters by the name of their file: the model, what the filter is made with, predictions and updates that
-#: are made before it is written (the last half is a prediction alone).
+#: Filters by the name of their file: the model, what the filter is made with, and how many steps it has made
+#: when it is written. A step is a prediction and an update, half a step a prediction of half the time.
 FILTERS = {
     "default": (DUFFING, {"n_particles": 80}, 2.0),
     "predicted": (DUFFING, {"n_particles": 80}, 1.5),
@@ -33,9 +33,9 @@ FILTERS = {
     "periodic": (PENDULUM, {"n_particles": 80}, 2.0),
 }
 CONFIG = {"scheme": "corrected", "target_error": 0.02, "time_budget": 0.5}
+CHANGES = {"times.end": 8.0, "filters.sph.n_particles": 60, "filters.sph_paper.n_particles": 60}
 COMMAND = ["campaign", "duffing", "--runs", "2", "--filters", "ekf,sph,sph_paper", "--referee", "none"]
-for change in ("times.end=8", "filters.sph.n_particles=60", "filters.sph_paper.n_particles=60"):
-    COMMAND += ["--set", change]
+COMMAND += [f"--set={key}={value}" for key, value in CHANGES.items()]
 STARTED = datetime.datetime(2026, 1, 1)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from files_of_before import (
+    CHANGES,
     COMMAND,
     CONFIG,
     DUFFING,
@@ -26,6 +27,7 @@ from files_of_before import (
 
 import sphfilter as sf
 from experiments.commands import main
+from experiments.scene.scenario import read_settings
 from sphfilter.campaign import store
 
 FOLDER = Path(__file__).parents[1] / "data" / "before_the_rooms"
@@ -87,6 +89,7 @@ def test_a_result_and_a_campaign_in_one_file():
 def test_settings():
     text = (FOLDER / "config.toml").read_text(encoding="utf-8")
     assert sf.FilterConfig.from_toml(text) == sf.FilterConfig(**CONFIG)
+    assert read_settings(FOLDER / "command" / "scenario.toml") == read_settings("duffing", CHANGES)
 
 
 def test_stone_soup():
