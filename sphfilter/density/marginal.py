@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,9 +12,9 @@ from scipy.special import logsumexp
 from .._types import Floats, Ints, OfStates
 from ..core.field import cells
 from ..core.field.field import Field
-from ..core.field.stencils import stencils
 from ..core.sph import kernels
 from ..lattice import field as lattice_field
+from ..lattice.flood import flood
 from ..lattice.level_set import Laid, lay
 from .mixture import narrowed
 
@@ -36,24 +37,13 @@ def around(field: Field) -> Floats:
     Those of nodes and, beyond them, down to where what is left counts no more: the cut is for the sake of
     those who carry the nodes along.
     """
-    n, depth = len(field.mu), np.ptp(field.log_p) + _FURTHER
-    ball = stencils(n).offsets[: stencils(n).size[0]]
+    depth, highest, n = np.ptp(field.log_p) + _FURTHER, field.log_p.max(), len(field.mu)
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
-    cells.box_of(field.node, 3, low, dims)
-    value = np.full(np.prod(dims), cells.UNKNOWN)
-    asked, found, highest = np.empty(0, np.int64), cells.seeded(field.node, low, dims), field.log_p.max()
-    while found.size:
-        value[found] = lattice_field.at(field, cells.states_of(found, field.mu, field.A, low, dims)[1])
-        asked = np.concatenate([asked, found])
-        found, beyond = cells.frontier(value, asked, highest - depth, dims, ball)
-        if beyond:
-            wider = cells.widen(value, low, dims, asked)
-            if wider[0].size == 0:
-                break
-            value, low, dims, asked = wider
-            found, _ = cells.frontier(value, asked, highest - depth, dims, ball)
-    kept = np.sort(asked[value[asked] > highest - depth])
-    return cells.states_of(kept, field.mu, field.A, low, dims)[1]
+    cells.box_of(field.node, cells.MARGIN, low, dims)
+    ask, start = partial(lattice_field.at, field), (field.node, low, dims)
+    found = flood(ask, field.mu, field.A, start, depth, highest=highest)
+    kept = np.sort(found.asked[found.value[found.asked] > found.highest - depth])
+    return cells.states_of(kept, field.mu, field.A, found.low, found.dims)[1]
 
 
 def laid_marginal(shape: "Polynomials", axes: Sequence[int]) -> Laid:

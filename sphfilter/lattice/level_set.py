@@ -7,18 +7,18 @@ density far away.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from .._types import Floats, Ints, OfStates
+from .._types import Floats, OfStates
 from ..core.field import cells
-from ..core.field.cells import UNKNOWN, frontier
 from ..core.field.field import Field
 from ..core.field.fitting import build_field
 from ..core.field.nodes import MOST_ASKED, relaid
 from ..core.field.stencils import stencils
 from ..errors import PropagationError
+from .flood import flood
 
 __all__ = ["Laid", "fewest_particles", "gaussian_volume", "lattice_reach", "lay"]
 
@@ -97,13 +97,20 @@ def lay(
         )
     volume = gaussian_volume(n, depth) if volume is None else volume
     best, count, too_fine, too_coarse = None, 0, 0.0, math.inf
+    seeds, low, dims = np.ascontiguousarray(seeds), np.empty(n, np.int64), np.empty(n, np.int64)
     for _ in range(_TRIES):
         spacing = (volume / (0.92 * n_particles)) ** (1.0 / n)
         A = np.ascontiguousarray(factor * spacing)
-        value, low, dims, highest, asked = _flood(log_p, mean, A, seeds, depth, sten, n_particles)
-        new = relaid(value, low, dims, highest, asked, mean, A, sten, depth)
-        closed = asked.size < MOST_ASKED * n_particles
-        count = len(new[0]) if closed else asked.size
+        start = cells.seeds_in_box(seeds, mean, np.linalg.inv(A), cells.furthest(n), low, dims), low, dims
+        most, at_once = MOST_ASKED * n_particles, _SMALL_BOX * n_particles
+        value, *box, asked, highest, fits = flood(log_p, mean, A, start, depth, most=most, at_once=at_once)
+        if not fits:
+            raise PropagationError(
+                f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces "
+                f"are much smaller than the distance between them, or it has no edge"
+            )
+        new = relaid(value, *box, highest, asked, mean, A, sten, depth)
+        count = len(new[0]) if asked.size < most else asked.size
         if 0 < count <= n_particles:
             best = A, count * spacing**n, *new
             if count >= 0.5 * n_particles:
@@ -121,61 +128,3 @@ def lay(
         )
     A, volume, node, x, log_density, mass, log_mass, new_mean, cov = best
     return Laid(x, mass, build_field(mean, A, node, log_density, sten), log_mass, volume, new_mean, cov)
-
-
-def _flood(
-    log_p: OfStates, mean: Floats, A: Floats, seeds: Floats, depth: float, sten: Any, n_particles: int
-) -> tuple[Floats, Ints, Ints, float, Ints]:
-    """Values of log p on all lattice cells within `depth` of the largest, from the seeds outwards."""
-    n = len(mean)
-    ball = sten.offsets[: sten.size[0]]
-    low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
-    seeds, reach = np.ascontiguousarray(seeds), cells.furthest(n)
-    at_seeds = cells.seeds_in_box(seeds, mean, np.linalg.inv(A), reach, low, dims)
-    if np.prod(dims.astype(float)) > cells.MOST_CELLS:
-        raise PropagationError(_spread(mean))
-    value, asked, highest = np.full(np.prod(dims), UNKNOWN), np.empty(0, np.int64), -np.inf
-    if value.size <= _SMALL_BOX * n_particles:
-        asked, highest, beyond = _asked_at_once(log_p, mean, A, value, low, dims, depth, ball)
-        if not beyond:
-            return value, low, dims, highest, asked
-        value, low, dims, asked = cells.widen(value, low, dims, asked)
-        found, _ = frontier(value, asked, highest - depth, dims, ball)
-    else:
-        found = cells.seeded(at_seeds, low, dims)
-    while found.size and asked.size < MOST_ASKED * n_particles:
-        _, states = cells.states_of(found, mean, A, low, dims)
-        value[found] = log_p(states)
-        highest = max(highest, value[found].max())
-        asked = np.concatenate([asked, found])
-        found, beyond = frontier(value, asked, highest - depth, dims, ball)
-        if beyond:
-            value, low, dims, asked = cells.widen(value, low, dims, asked)
-            if value.size == 0:
-                raise PropagationError(_spread(mean))
-            found, beyond = frontier(value, asked, highest - depth, dims, ball)
-    return value, low, dims, highest, asked
-
-
-def _asked_at_once(
-    log_p: OfStates, mean: Floats, A: Floats, value: Floats, low: Ints, dims: Ints, depth: float, ball: Ints
-) -> tuple[Ints, float, bool]:
-    """All cells of a small box: waves from the seeds would cost more than the cells they save.
-
-    Values of cells above the depth and of those beside go into `value`, as if the rest had not been asked.
-    """
-    _, states = cells.states_of(np.arange(value.size), mean, A, low, dims)
-    everywhere = log_p(states)
-    highest = everywhere.max()
-    kept = np.flatnonzero(everywhere > highest - depth)
-    value[kept] = everywhere[kept]
-    rim, beyond = frontier(value, kept, highest - depth, dims, ball)
-    value[rim] = everywhere[rim]
-    return np.concatenate([kept, rim]), highest, beyond
-
-
-def _spread(mean: Floats) -> str:
-    return (
-        f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces are "
-        f"much smaller than the distance between them, or it has no edge"
-    )

@@ -8,12 +8,14 @@ from .._jit import jit
 
 __all__ = [
     "LOWEST",
+    "MARGIN",
     "MOST_CELLS",
     "UNKNOWN",
     "box_of",
     "filled",
     "frontier",
     "furthest",
+    "grown",
     "inside",
     "joined",
     "marked",
@@ -29,7 +31,7 @@ __all__ = [
 
 UNKNOWN = -math.inf  # of a cell whose value has not been asked for; an impossible state is merely very low
 LOWEST = -1e300
-_MARGIN = 3  # cells around the seeds in the first box
+MARGIN = 3  # cells around the seeds in the first box
 MOST_CELLS = 20_000_000
 
 
@@ -114,7 +116,7 @@ def seeds_in_box(points, mu, inverse, reach, low, dims):
             for c in range(n):
                 t += inverse[a, c] * (points[i, c] - mu[c])
             cells[i, a] = math.floor(min(max(t, -reach), reach) + 0.5)
-    box_of(cells, _MARGIN, low, dims)
+    box_of(cells, MARGIN, low, dims)
     return cells
 
 
@@ -226,6 +228,21 @@ def widen(value, low, dims, asked):
             stride *= new_dims[a]
         new[at], moved[k] = value[asked[k]], at
     return new, new_low, new_dims, moved
+
+
+def grown(value, low, dims, asked, kept_above, ball):
+    """The next wave over a box, which is widened where that leaves it; asked once a wave, and not compiled.
+
+    Returns values, corner and size of the box, the cells asked, and those to ask: see `frontier` and `widen`.
+    None where the box outgrows the memory.
+    """
+    found, beyond = frontier(value, asked, kept_above, dims, ball)
+    if beyond:
+        value, low, dims, asked = widen(value, low, dims, asked)
+        if value.size == 0:
+            return None
+        found, _ = frontier(value, asked, kept_above, dims, ball)
+    return value, low, dims, asked, found
 
 
 @jit
