@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 from .._types import Floats, Ints, OfStates
 from ..core.field import cells
 from ..core.field.field import Field
+from ..core.field.stencils import stencils
 from ..core.sph import kernels
 from ..lattice import field as lattice_field
 from ..lattice.flood import flood
@@ -41,7 +42,8 @@ def around(field: Field) -> Floats:
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     cells.box_of(field.node, cells.MARGIN, low, dims)
     ask, start = partial(lattice_field.at, field), (field.node, low, dims)
-    found = flood(ask, field.mu, field.A, start, depth, highest=highest)
+    ball = stencils(n).offsets[: stencils(n).size[0]]
+    found = flood(ask, field.mu, field.A, start, ball, depth, highest=highest)
     kept = np.sort(found.asked[found.value[found.asked] > found.highest - depth])
     return cells.states_of(kept, field.mu, field.A, found.low, found.dims)[1]
 

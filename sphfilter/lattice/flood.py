@@ -7,7 +7,6 @@ import numpy as np
 
 from .._types import Floats, Ints, OfStates
 from ..core.field import cells
-from ..core.field.stencils import stencils
 
 __all__ = ["Flooded", "flood"]
 
@@ -24,7 +23,7 @@ class Flooded(NamedTuple):
 
 
 def flood(
-    ask: OfStates, mean: Floats, A: Floats, start: tuple[Ints, Ints, Ints], depth: float, *,
+    ask: OfStates, mean: Floats, A: Floats, start: tuple[Ints, Ints, Ints], ball: Ints, depth: float, *,
     most: float = math.inf, at_once: float = 0, highest: float = -math.inf,
 ) -> Flooded:  # fmt: skip
     """Values on all cells of a lattice that lie within a depth of the largest value, and on those beside.
@@ -37,6 +36,8 @@ def flood(
         The middle of cell zero, and the lattice's vectors in columns.
     start : tuple of ndarray of int, shapes (S, n), (n,), (n,)
         Cells to begin with, one at least in every piece of the region; corner and size of a box around them.
+    ball : ndarray of int, shape (B, n)
+        Steps from a cell to those beside it.
     depth : float
         How far below the largest value the region ends.
     most : float
@@ -46,8 +47,7 @@ def flood(
     highest : float
         The largest value, as far as it is known.
     """
-    sten, (found, low, dims) = stencils(len(mean)), start
-    ball = sten.offsets[: sten.size[0]]
+    found, low, dims = start
     if np.prod(dims.astype(float)) > cells.MOST_CELLS:
         return Flooded(np.empty(0), low, dims, np.empty(0, np.int64), highest, False)
     value, asked = np.full(np.prod(dims), cells.UNKNOWN), np.empty(0, np.int64)

@@ -97,13 +97,16 @@ def lay(
         )
     volume = gaussian_volume(n, depth) if volume is None else volume
     best, count, too_fine, too_coarse = None, 0, 0.0, math.inf
+    ball = sten.offsets[: sten.size[0]]
     seeds, low, dims = np.ascontiguousarray(seeds), np.empty(n, np.int64), np.empty(n, np.int64)
     for _ in range(_TRIES):
         spacing = (volume / (0.92 * n_particles)) ** (1.0 / n)
         A = np.ascontiguousarray(factor * spacing)
         start = cells.seeds_in_box(seeds, mean, np.linalg.inv(A), cells.furthest(n), low, dims), low, dims
         most, at_once = MOST_ASKED * n_particles, _SMALL_BOX * n_particles
-        value, *box, asked, highest, fits = flood(log_p, mean, A, start, depth, most=most, at_once=at_once)
+        value, *box, asked, highest, fits = flood(
+            log_p, mean, A, start, ball, depth, most=most, at_once=at_once
+        )
         if not fits:
             raise PropagationError(
                 f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces "
