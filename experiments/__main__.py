@@ -13,8 +13,13 @@ def main(argv=None):
 
 
 def _commands():
-    from . import commands  # takes seconds, in which Ctrl-C is to be answered already
-
+    try:
+        from . import commands  # takes seconds, in which Ctrl-C is to be answered already
+    except ModuleNotFoundError as problem:
+        if problem.name.startswith(("experiments", "reference_filters", "sphfilter")):
+            raise  # a mistake of ours
+        need = f"error: the experiments need {problem.name}, which is not installed"
+        raise SystemExit(f'{need}: pip install -e ".[experiments]"') from None
     return commands
 
 

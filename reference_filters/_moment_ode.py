@@ -174,7 +174,7 @@ def propagate_moments(model, scheme, m, P, t0, t1, kappa=0.0, rtol=1e-6):
 
     Parameters
     ----------
-    model : sphfilter.models.SDE
+    model : sphfilter.SDE
     scheme : int
     m, P : ndarray, shapes (n,), (n, n)
     t0, t1 : float

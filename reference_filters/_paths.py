@@ -92,7 +92,7 @@ class Paths:
 
     Parameters
     ----------
-    model : sphfilter.models.SDE
+    model : sphfilter.SDE
     order : {2, 4}
         4: RK4 along simple random paths, of weak order 3 as measured and of order 4 where there is no noise;
         2: jumps of noise between RK4 steps. Noise that depends on the state has Platen's scheme of weak

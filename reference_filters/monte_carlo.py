@@ -82,7 +82,7 @@ def simulate_statistics(model, start, times, *, moments=(), central=(), indicato
 
     Parameters
     ----------
-    model : sphfilter.models.SDE
+    model : sphfilter.SDE
     start : Gaussian, Uniform, array_like (n,), or object with draw(rng, N) -> (N, n)
         Law of the state at `t0`; an array is a state that is known.
     times : array_like, shape (T,)

@@ -11,8 +11,9 @@ import platform
 import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -45,9 +46,12 @@ def manifest(scenario: Any, filters: Mapping[str, Any], seed: int, first_case: s
 
 
 def versions() -> dict[str, str]:
-    """Versions of what results come from, by name."""
-    others = {name: version(name) for name in ("numpy", "numba", "scipy", "filterpy")}
-    return {"sphfilter": __version__, "python": platform.python_version(), **others}
+    """Versions of what results come from, by name; what is not installed is left out."""
+    found = {"sphfilter": __version__, "python": platform.python_version()}
+    for name in ("numpy", "numba", "scipy", "filterpy"):
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def _text(thing: Any) -> str:
@@ -83,10 +87,11 @@ def claim(folder: str | PathLike[str], wanted: dict[str, Any]) -> None:
         found = json.loads(path.read_text())
     except ValueError:
         raise ConfigError(f"{path} cannot be read. Give another folder, or delete it.") from None
-    other = [key for key in wanted if found.get(key) != wanted[key]]
+    entries = {key: _sides(key, found.get(key), wanted[key]) for key in wanted}
+    other = [key for key, (was, now) in entries.items() if was != now]
     if other:
         key = other[0]
-        sides = found.get(key), wanted[key]
+        sides = entries[key]
         names = [list(side) if isinstance(side, dict) else None for side in sides]
         if names[0] != names[1]:
             was, now = (", ".join(side or ["none"]) for side in names)
@@ -97,6 +102,17 @@ def claim(folder: str | PathLike[str], wanted: dict[str, Any]) -> None:
         raise ConfigError(
             f"{folder} holds another campaign: its {difference}. Give another folder, or delete this one."
         )
+
+
+def _sides(key: str, was: Any, now: Any) -> tuple[Any, Any]:
+    """What a folder says and what is wanted, as far as they are compared.
+
+    A package that was not there, or is no more, had or has no part in the filters: their texts are the same.
+    """
+    if key != "versions" or not isinstance(was, dict):
+        return was, now
+    both = [name for name in now if name in was]
+    return {name: was[name] for name in both}, {name: now[name] for name in both}
 
 
 def _leaves(value: object) -> str:

@@ -1,0 +1,150 @@
+"""Files that were written before the library had rooms are read, and what is in them goes on as it did.
+
+Numbers that a file holds come back to the last bit, those that are computed from it to rounding; other
+machines round otherwise, and filters that go on for some steps are compared with more room.
+"""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from files_of_before import (
+    CHANGES,
+    COMMAND,
+    CONFIG,
+    DUFFING,
+    FILTERS,
+    POSITION,
+    READINGS,
+    answers,
+    campaign,
+    go_on,
+    numbers_of,
+    tracked,
+)
+
+import sphfilter as sf
+from experiments.commands import main
+from experiments.scene.scenario import read_settings
+from sphfilter.campaign import store
+
+FOLDER = Path(__file__).parents[1] / "data" / "before_the_rooms"
+TOLD = json.loads((FOLDER / "numbers.json").read_text(encoding="utf-8"))
+IN_THE_FILE = "t", "x_prior", "P_prior", "log_evidence", "log_likelihood", "n"
+
+
+def same(found, told, rtol=1e-12):
+    """Compare numbers by name, of which those that a file holds have to be the same bits."""
+    assert found.keys() == told.keys()
+    for name in told:
+        exact = rtol == 1e-12 and name in IN_THE_FILE
+        room = {"rtol": 0.0} if exact else {"rtol": rtol, "atol": rtol}
+        np.testing.assert_allclose(found[name], told[name], **room, err_msg=name)
+
+
+def holds(new, old):
+    """Does an npz file hold all that an older one does? Masses are made to sum to one when they are read."""
+    with np.load(old) as before, np.load(new) as now:
+        for name in sorted(set(before.files) - {"sphfilter"}):
+            if name.endswith("about"):
+                about, today = (json.loads(str(file[name])) for file in (before, now))
+                assert about == {key: today[key] for key in about}
+            elif name.endswith("mass"):
+                np.testing.assert_allclose(now[name], before[name], rtol=1e-15, err_msg=name)
+            else:
+                np.testing.assert_array_equal(now[name], before[name], err_msg=name)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_filter(tmp_path, name):
+    path, (model, options, steps) = FOLDER / f"filter_{name}.npz", FILTERS[name]
+    flt = sf.SPHFilter.load(path, model, POSITION)
+    assert flt.config == options.get("config", sf.FilterConfig())
+    same(numbers_of(flt), TOLD[name]["read"])
+    flt.save(tmp_path / "again.npz")
+    holds(tmp_path / "again.npz", path)
+    for found, told in zip(go_on(flt, range(int(steps), len(READINGS))), TOLD[name]["gone on"], strict=True):
+        same(found, told, 1e-9)
+
+
+def test_a_trajectory():
+    path, told = sf.Trajectory.load(FOLDER / "trajectory.npz"), TOLD["trajectory"]
+    for density, numbers in zip(path.densities, told["densities"], strict=True):
+        same(answers(density), numbers)
+    assert [[info.scheme, info.n_steps, info.status] for info in path.infos] == told["infos"]
+    on = sf.propagate(path.densities[-1], DUFFING, [1.5])
+    same(answers(on.densities[0]), told["gone on"], 1e-9)
+
+
+def test_a_result_and_a_campaign_in_one_file():
+    result = sf.FilterResult.load(FOLDER / "result.npz")
+    walk = sf.CampaignResult.load(FOLDER / "campaign.npz").results["sph"]
+    for found, told in ((result, TOLD["result"]), (walk, TOLD["campaign"])):
+        np.testing.assert_array_equal(found.x, told["x"])
+        np.testing.assert_array_equal(found.log_evidence, told["log_evidence"])
+
+
+def test_settings():
+    text = (FOLDER / "config.toml").read_text(encoding="utf-8")
+    assert sf.FilterConfig.from_toml(text) == sf.FilterConfig(**CONFIG)
+    assert read_settings(FOLDER / "command" / "scenario.toml") == read_settings("duffing", CHANGES)
+
+
+def test_stone_soup():
+    pytest.importorskip("stonesoup")
+    from stonesoup.serialise import YAML
+
+    from sphfilter.adapters.stonesoup import extend
+
+    yaml = YAML()
+    extend(yaml)
+    predictor, updater, track = yaml.load((FOLDER / "stonesoup.yaml").read_text(encoding="utf-8"))
+    same(answers(track.state.density), TOLD["stonesoup"]["read"])
+    on = tracked(predictor, updater, track.state, [3, 4])
+    same(answers(on.density), TOLD["stonesoup"]["gone on"], 1e-9)
+
+
+def copied(name, tmp_path, **entries):
+    """A copy of a campaign's folder with versions of today, or other entries of its manifest."""
+    folder = shutil.copytree(FOLDER / name, tmp_path / name)
+    (path,) = folder.rglob("manifest.json")
+    manifest = json.loads(path.read_text(encoding="utf-8")) | {"versions": store.versions()} | entries
+    path.write_text(json.dumps(manifest), encoding="utf-8")
+    return folder
+
+
+def test_a_campaign_goes_on_from_its_folder(tmp_path):
+    seen = []
+    found = campaign(copied("campaign", tmp_path), 3, progress=lambda *counts: seen.append(counts))
+    assert seen == [(2, 3), (3, 3)] and not found.failures
+    np.testing.assert_array_equal(found.results["sph"].x[:2], TOLD["campaign"]["x"])
+
+
+def test_a_campaign_goes_on_where_filterpy_is_no_more_or_not_yet(tmp_path):
+    """It came with the library before; campaigns of other filters do not ask for it."""
+    versions = store.versions() | {"filterpy": "1.4.5"}
+    without = {name: version for name, version in versions.items() if name != "filterpy"}
+    wanted = json.loads((FOLDER / "campaign" / "manifest.json").read_text(encoding="utf-8"))
+    for k, (was, now) in enumerate([(versions, without), (without, versions)]):
+        store.claim(copied("campaign", tmp_path / str(k), versions=was), wanted | {"versions": now})
+    other = wanted | {"versions": versions | {"numpy": "0.1"}}
+    with pytest.raises(sf.ConfigError, match=r"versions is .*, now it is .*numpy 0\.1"):
+        store.claim(copied("campaign", tmp_path / "other", versions=without), other)
+
+
+def test_a_command_goes_on_from_its_folder(tmp_path, monkeypatch):
+    """The digest of run 0 is not asked for: compiled code draws it, whose last bits are the machine's."""
+    first = json.loads((FOLDER / "command" / "runs" / "manifest.json").read_text())["digest of run 0"]
+    monkeypatch.setattr(store, "case_digest", lambda case: first)
+    out = copied("command", tmp_path)
+    written = {path: path.read_bytes() for path in (out / "runs").glob("run_*.npz")}
+    assert len(written) == 2 and main([*COMMAND, "--out", str(out)]) == 0
+    assert {path: path.read_bytes() for path in (out / "runs").glob("run_*.npz")} == written
+    said, told = (json.loads((folder / "report.json").read_text()) for folder in (out, FOLDER / "command"))
+    assert said["settings"] == told["settings"]
+    for name, numbers in told["report"]["filters"].items():
+        judged = said["report"]["filters"][name]
+        for key in ("rms_error", "max_peak_error", "nees", "log_evidence", "run_time"):
+            np.testing.assert_allclose(judged[key], numbers[key], rtol=1e-9)

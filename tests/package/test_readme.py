@@ -1,0 +1,38 @@
+"""The README leads to files that are there, and names extras that can be installed."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+ROOMS = "sphfilter", "experiments", "reference_filters", "tests"
+PAGES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.md"))]
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_to_files(page):
+    links = re.findall(r"\]\((?!https?:)([^)\s]+)\)", page.read_text(encoding="utf-8"))
+    assert links or page != ROOT / "README.md"
+    for link in links:
+        name, _, heading = link.partition("#")
+        target = page.parent / name if name else page
+        assert target.exists(), link
+        if heading:
+            titles = re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.MULTILINE)
+            anchors = [re.sub(r"[^\w -]", "", title).lower().replace(" ", "-") for title in titles]
+            assert heading in anchors, link
+
+
+def test_extras_and_needs_are_those_of_the_project():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    needed, extras = project["dependencies"], project["optional-dependencies"]
+    named = set(",".join(re.findall(r"-e \"\.\[([\w,]+)\]\"", README)).split(","))
+    assert {"experiments", "test"} <= named <= extras.keys()
+    paragraph = next(text for text in README.split("\n\n") if text.startswith("`pip install .`"))
+    for line in needed + extras["experiments"]:
+        assert re.match(r"[\w-]+", line)[0] in paragraph, line
+    (own,) = (line for line in extras["test"] if line.startswith("sphfilter["))
+    assert set(re.findall(r"\w+", own)[1:]) == extras.keys() - {"test"}
