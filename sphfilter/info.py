@@ -28,7 +28,7 @@ class Code(IntFlag):
     True False
     """
 
-    OK = 0  # nothing was
+    OK = 0  # nothing was unusual
     FINER = auto()  # the density is on more particles than it may have
     REPEATED = auto()  # the step before was made again, on more particles
     FALLBACK = auto()  # another scheme than the first choice carried the density
@@ -38,7 +38,7 @@ class Code(IntFlag):
 
 
 class _Marked:
-    """What infos of all steps can."""
+    """Infos of all steps: a status in words, and a code for programs."""
 
     code: Code
     status: str

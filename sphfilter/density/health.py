@@ -40,7 +40,7 @@ class Health:
     rogue : float
         Share of the particles that have no neighbour within the support of either's kernel.
     rogue_mass : float
-        Probability that these carry.
+        Probability that the rogue particles carry.
     effective : float
         Effective number of particles, 1 / sum m². Only a new lattice changes it.
 
@@ -61,12 +61,12 @@ class Health:
 
     @property
     def severity(self) -> float:
-        """Largest of mixing, clumping and rogue particles, each over what is borne; above one is too much."""
+        """Largest of mixing, clumping and rogue particles over its tolerated value; above one is too much."""
         return max(self._severities().values())
 
     @property
     def complaint(self) -> str:
-        """What is worst, in words; empty where everything is borne."""
+        """The worst of the three in words; empty where all are tolerated."""
         severities = self._severities()
         worst = max(severities, key=severities.__getitem__)
         return worst if severities[worst] > 1.0 else ""
@@ -82,8 +82,8 @@ class Health:
 def health(density: ParticleDensity) -> Health:
     """Measure how far the particles of a density are from a regular lattice (002 5.1).
 
-    Distances are those that the kernels see: of whitened states where sums are taken of these, which is in
-    moment-corrected SPH, of the states as they are elsewhere; the short way round a periodic axis.
+    Distances are taken as the kernels see them: between whitened states in moment-corrected SPH, between the
+    states themselves in other schemes; the short way round a periodic axis.
 
     Parameters
     ----------

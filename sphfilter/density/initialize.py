@@ -52,14 +52,14 @@ def initialize(
     box : array_like, shape (n, 2), optional
         Where a callable pdf is not negligible; with a `spacing`, where a Gaussian is put on particles.
     spacing : float or array_like, shape (n,), optional
-        Of a lattice with nodes at both ends of the box, or the next smaller one that fits: all nodes where
-        the pdf is not zero carry a particle, of the density times the volume of a cell (000 5.2.3). For the
-        schemes that take particles as they lie: "paper", "corrected", and "auto", which takes the latter.
+        Spacing of a lattice with nodes at both ends of the box, or the next smaller one that fits: all nodes
+        where the pdf is not zero carry a particle, of the density times the volume of a cell (000 5.2.3). For
+        the schemes that take particles as they lie: "paper", "corrected", and "auto", which takes the latter.
     t : float
         Time of the density, seconds.
     domain : Domain, or sequence of its axes, optional
-        That of the model, if it has periodic axes or walls. The density is cut off at walls, and summed over
-        the turns of an angle.
+        Domain of the model, if it has periodic axes or walls. The density is cut off at walls, and summed
+        over the turns of an angle.
 
     Returns
     -------
@@ -68,8 +68,8 @@ def initialize(
     Raises
     ------
     ModelError
-        Neither or too small a number of particles, a box or spacing that is none, a pdf that is negative, not
-        finite or zero everywhere.
+        Neither or too small a number of particles, a box or spacing that cannot be one, a pdf that is
+        negative, not finite or zero everywhere.
 
     Examples
     --------

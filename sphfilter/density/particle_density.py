@@ -43,10 +43,10 @@ class ParticleDensity:
     read_out : str
         What mean, covariance and the like are computed from unless ``kind=`` says otherwise: "points"
         (sums over particles), "mixture" (integrals of p; its covariance is larger by the kernel's own),
-        "shrunk" (as "mixture", with what the kernels widen taken back: mean and covariance are those of the
-        points; with a domain it is the mixture) or "log_density" (sums over a lattice and the ring around
-        its cut edge; the pdf is the exponential of the `field`, tails included). Where the points do not say
-        how the density lies between them, they stand for the mixture.
+        "shrunk" (the mixture with the widening by the kernels taken back: mean and covariance are those of
+        the points; with a domain the mixture itself) or "log_density" (sums over a lattice and the ring
+        around its cut edge; the pdf is the exponential of the `field`, tails included). Questions about the
+        density between the points, read as "points", are answered by the mixture.
     represented_mass : float
         Probability of the region the particles cover, where the density was cut; one if unknown.
     log_density : ndarray, shape (N,), or None
@@ -58,9 +58,10 @@ class ParticleDensity:
     volume : float or None
         Volume the particles fill in whitened coordinates, from which the next lattice starts.
     moments : tuple or None
-        Mean (n,) and covariance (n, n) of the density beyond the cut too, where a lattice knows them.
+        Mean (n,) and covariance (n, n) of the density with its tails beyond the cut, where a lattice knows
+        them.
     gaussian : bool
-        Known to be Gaussian everywhere, by where it comes from.
+        Whether the density is known to be Gaussian everywhere, by its origin.
     capacity : int or None
         Bound of the number of particles at the next re-gridding, unless another is given.
     domain : Domain or None
@@ -192,7 +193,7 @@ class ParticleDensity:
         return self.shape.pdf(state_rows("X", X, self.dim))
 
     def logpdf(self, X: ArrayLike) -> Floats:
-        """Logarithm of `pdf`; minus infinity outside the kernels' supports, if it is a mixture's."""
+        """Logarithm of `pdf`; minus infinity outside the kernels' supports, if the density is a mixture."""
         return self.shape.logpdf(state_rows("X", X, self.dim))
 
     def gradient(self, X: ArrayLike) -> Floats:
@@ -200,7 +201,7 @@ class ParticleDensity:
         return self.shape.gradient(state_rows("X", X, self.dim))
 
     def mean(self) -> Floats:
-        """Mean, shape (n,); that of periodic axes is a direction."""
+        """Mean, shape (n,); the mean of a periodic axis is a direction."""
         return self.shape.mean()
 
     def cov(self, kind: ReadOut | None = None) -> Floats:
@@ -216,8 +217,9 @@ class ParticleDensity:
         powers : sequence of int, length n
         central : bool
         kind : str, optional
-            A `read_out`; "points" for a density that is "shrunk", for it is they whose moments a prediction
-            gets right. "shrunk" and "log_density" take a fixed set of points a kernel or cell.
+            A `read_out`; by default "points" for a density that is "shrunk", since a prediction gets the
+            moments of its points right. "shrunk" and "log_density" take a fixed set of points a kernel or
+            cell.
         """
         read = self._read("points" if kind is None and self.read_out == "shrunk" else kind)
         return statistics.moment(read, powers, self.mean() if central else None)
@@ -246,23 +248,25 @@ class ParticleDensity:
     def quantile(
         self, axis: int, probability: float | Sequence[float] | Floats, kind: ReadOut | None = None
     ) -> float | Floats:
-        """Value below which a state lies with `probability`, a float, or an array (K,) for an array of them.
+        """Value below which a state lies with a probability; an array (K,) for an array of probabilities.
 
-        It is counted from the low end of the domain, if the axis has one; `kind` is a `read_out`.
+        The probability is counted from the low end of the domain, if the axis has one; `kind` is a
+        `read_out`.
         """
         return statistics.quantile(self._between(kind), axis, probability)
 
     def entropy(self, kind: ReadOut | None = None) -> float:
         """Differential entropy -E[log p], nats; it depends on the units of the states.
 
-        Of "points" that of the log-density they carry, if they do; `kind` is a `read_out`.
+        Read as "points", the density has the entropy of the log-density that its particles carry, if they
+        carry one; `kind` is a `read_out`.
         """
         return statistics.entropy(self._between(kind))
 
     def hpd_region(self, probability: float, kind: ReadOut | None = None) -> statistics.Region:
         """The smallest region that holds `probability`, as a `statistics.Region`.
 
-        It is a function of states X (M, n) that returns booleans (M,), with its `level` and its `volume`;
+        The region is a function of states X (M, n) that returns booleans (M,), with a `level` and a `volume`;
         `kind` is a `read_out`.
         """
         return statistics.highest_region(self._between(kind), probability)
@@ -274,8 +278,8 @@ class ParticleDensity:
     def hpd_rank(self, X: ArrayLike, kind: ReadOut | None = None) -> Floats:
         """Probability of the region where the density is higher than at states X (M, n) or (n,), shape (M,).
 
-        Zero at the mode, one far away, and uniform for states drawn from the density: where a truth lies
-        outside of the 95 % region as often as one time in twenty, the density is calibrated.
+        The rank is zero at the mode, one far away, and uniform for states drawn from the density: where a
+        truth lies outside of the 95 % region as often as one time in twenty, the density is calibrated.
         """
         return statistics.hpd_rank(self._between(kind), X)
 

@@ -34,14 +34,14 @@ def resample(
 ) -> tuple[ParticleDensity, ResampleInfo]:
     """Put a density on a new lattice without a measurement (002 4.7).
 
-    Each time widens the density by the variance c_K h^2 of the kernels it is read through: resample to mend
-    a disordered cloud, not as a habit (002 5.3).
+    Every re-gridding widens the density by the variance c_K h^2 of the kernels it is read through: resample
+    to mend a disordered cloud, not as a habit (002 5.3).
 
     Parameters
     ----------
     density : ParticleDensity
     n_particles : int, optional
-        Upper bound of the number of particles; that of the density if not given.
+        Upper bound of the number of particles; the density's own if not given.
     config : SolverConfig or FilterConfig, optional
 
     Returns

@@ -50,7 +50,7 @@ class Region:
     density : ParticleDensity
     level : float
     volume : float
-        In the units of the state space.
+        Volume of the region, in the units of the state space.
 
     Examples
     --------
@@ -64,7 +64,7 @@ class Region:
     volume: float
 
     def __call__(self, X: ArrayLike) -> Bools:
-        """Which of the states X (M, n) lie in it, shape (M,)."""
+        """Which of the states X (M, n) lie in the region, shape (M,)."""
         return self.density.pdf(X) >= self.level
 
 

@@ -37,11 +37,12 @@ class FilterResult:
     accepted : ndarray of bool, shape (T,)
         False where a measurement came and the filter rejected it.
     innovation, innovation_cov : ndarray, shapes (T, k), (T, k, k)
-        z minus its prediction and the covariance of that; NaN where nothing came or the filter does not say.
+        Measurement minus its prediction, and the covariance of the difference; NaN where no measurement came
+        or the filter does not say.
     pit, state_pit, hpd_rank : ndarray, shapes (T, k), (T, n), (T,)
         Probability that the prediction gave to lower readings; probabilities that the posterior gave to lower
         values of each state than the truth, and to the region where it is higher than at the truth. All
-        uniform for a filter that is right, see `calibration`. NaN unless the run was told a truth.
+        uniform for a filter that is right, see `consistency.ranks`. NaN unless the run was told a truth.
 
     Examples
     --------

@@ -51,11 +51,11 @@ class SPHFilter(Shown):
     t0 : float
         Time of the initial density, seconds.
     n_particles : int or "auto"
-        Upper bound of the number of particles at every re-gridding. "auto" lets it follow the error that the
-        log-density scheme sees in itself towards the configuration's `target_error`.
+        Upper bound of the number of particles at every re-gridding. With "auto" the number follows the error
+        that the log-density scheme sees in itself towards the configuration's `target_error`.
     config : FilterConfig, optional
-        With `time_budget`, n_particles is what steps may have at most: they have as many as are expected to
-        end in time, 60 in two states at least. See `prepare`.
+        With `time_budget`, n_particles is the most that a step may have: a step has as many particles as are
+        expected to end in time, 60 in two states at least. See `prepare`.
     density : ParticleDensity, optional
         Initial density instead of x0, P0 and t0.
     dt : float, optional
@@ -73,7 +73,7 @@ class SPHFilter(Shown):
     log_likelihood : float
         Log-evidence of the last measurement, given all before; zero where none came.
     log_evidence : float
-        Sum of the above.
+        Sum of all log-likelihoods so far.
 
     Notes
     -----
@@ -212,7 +212,8 @@ class SPHFilter(Shown):
         """Compile all that predictions and updates call, before a loop in real time.
 
         Predictions and updates are rehearsed on a twin: the filter stays where it is. Under a `time_budget`
-        it learns from them what its particles cost. Without this, it does so in its first predict.
+        the filter learns from the rehearsal how long its particles take; without a call of `prepare` it
+        rehearses in its first predict.
 
         Parameters
         ----------

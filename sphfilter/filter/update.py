@@ -41,7 +41,7 @@ def update(
         NaN components are missing; None or all NaN leaves the density as it is.
     config : FilterConfig, optional
     n_particles : int, optional
-        Upper bound of the number of particles afterwards; that of the density if not given.
+        Upper bound of the number of particles afterwards; the density's own if not given.
 
     Returns
     -------

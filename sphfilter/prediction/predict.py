@@ -53,7 +53,7 @@ def predict(
     ModelError
         The interval is negative, or model and density differ in dimension.
     PropagationError
-        The model blew up; says when, where and what to change.
+        The model blew up; the sentence says when, where and what to change.
 
     Examples
     --------

@@ -96,8 +96,8 @@ def propagate(
 ) -> Trajectory:
     """Solve the transient FPK equation without measurements.
 
-    Where a lattice proves too coarse for what comes, the interval before is repeated on 3 or 9 times the
-    particles; where ``scheme="auto"`` finds no lattice of up to 10,000 nodes that holds the density,
+    Where a lattice proves too coarse for the density to come, the interval before is repeated on 3 or 9 times
+    the particles; where ``scheme="auto"`` finds no lattice of up to 10,000 nodes that holds the density,
     moment-corrected SPH goes on with the nodes as its particles. Particles are put on a new lattice on the
     way where ``config.remesh`` asks for it. The infos say so.
 
@@ -122,9 +122,9 @@ def propagate(
     Raises
     ------
     ModelError
-        Times that decrease, or lie before the density's.
+        Times that decrease, or lie before the time of the density.
     PropagationError
-        The model blew up, or no scheme could go on; says when, where and what to change.
+        The model blew up, or no scheme could go on; the sentence says when, where and what to change.
 
     Examples
     --------
