@@ -12,13 +12,14 @@ compiled once.
 from functools import cached_property
 from weakref import WeakKeyDictionary
 
+import numpy as np
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
 from ._jit import BATCH, BATCH_FUNCTION
 
-__all__ = ["ADDRESS", "Entry", "address_of", "function_at"]
+__all__ = ["ADDRESS", "Entry", "address_of", "addresses", "function_at"]
 
 #: Type of what `address_of` returns: entry for compiled callers, entry for C.
 ADDRESS = types.UniTuple(types.uint64, 2)
@@ -63,14 +64,24 @@ def _compiled(function, arguments):
 
 def _addresses(compiled):
     names = compiled.fndesc.llvm_func_name, compiled.fndesc.llvm_cfunc_wrapper_name
-    return tuple(compiled.library.get_pointer_to_function(name) for name in names)
+    return tuple(np.uint64(compiled.library.get_pointer_to_function(name)) for name in names)
 
 
 def address_of(function):
-    """Return the two addresses of a jitted function of signature `BATCH`; it must outlive their use."""
+    """Return the two addresses of an `Entry` or of a jitted function of signature `BATCH`.
+
+    The function must outlive their use.
+    """
+    if isinstance(function, Entry):
+        return function.address
     if function not in _KNOWN:
         _KNOWN[function] = _addresses(_compiled(function, BATCH.args))
     return _KNOWN[function]
+
+
+def addresses(functions):
+    """Return a named tuple of functions, as `address_of` takes them, as one of their addresses."""
+    return functions._make([address_of(function) for function in functions])
 
 
 def _function_of(type_of):

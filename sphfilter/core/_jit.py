@@ -9,14 +9,11 @@ import sys
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from threading import Lock
 from types import FunctionType
 
-from numba import get_num_threads, njit, typeof, types
-from numba.core.dispatcher import Dispatcher
+from numba import get_num_threads, njit, types
 
-__all__ = ["BATCH", "BATCH_FUNCTION", "MATRIX", "VECTOR", "call", "jit", "jit_for", "parallel_jit",
-           "start_threads"]  # fmt: skip
+__all__ = ["BATCH", "BATCH_FUNCTION", "MATRIX", "VECTOR", "jit", "jit_for", "parallel_jit", "start_threads"]
 
 #: Signature of every compiled model function: ``fill(x, t, p, out)`` writes one row of ``out`` (N, k)
 #: for each row of ``x`` (N, n) at time ``t`` with parameters ``p``.
@@ -37,9 +34,6 @@ def _fingerprint(package):
     folders = [core, *(Path(folder) for folder in own if Path(folder) != core.parent)]
     sources = (path.read_bytes() for folder in folders for path in sorted(folder.rglob("*.py")))
     return sha256(b"".join(sources)).hexdigest()[:10]
-
-
-_COMPILING = Lock()
 
 
 def _copy(function, suffix):
@@ -91,16 +85,3 @@ def start_threads():
     was in the cache already, and crashes at its first call.
     """
     get_num_threads()
-
-
-def call(dispatcher, *args):
-    """Call a `jit` function, with every jitted function among `args` passed as a `BATCH_FUNCTION`."""
-    signature = tuple(BATCH_FUNCTION if isinstance(a, Dispatcher) else typeof(a) for a in args)
-    if signature not in dispatcher.overloads:
-        with _COMPILING:
-            start_threads()
-            dispatcher.disable_compile(False)
-            dispatcher.compile(signature)
-            # Without this the next call would specialise for the dispatcher's own type, not convert it.
-            dispatcher.disable_compile(True)
-    return dispatcher(*args)

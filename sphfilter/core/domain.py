@@ -9,11 +9,14 @@ its owner.
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
-from ._jit import jit
+from ._jit import MATRIX, VECTOR, jit
 
 __all__ = [
+    "DOMAIN",
     "KINDS",
+    "VIEW",
     "Domain",
     "View",
     "bounce",
@@ -48,6 +51,12 @@ class View(NamedTuple):
     owner: np.ndarray  # (G,)
     sign: np.ndarray  # (G, n)
     shift: np.ndarray
+
+
+_INTEGERS = types.int64[::1]
+#: Numba's types of `Domain` and `View`.
+DOMAIN = types.NamedTuple([_INTEGERS, VECTOR, VECTOR], Domain)
+VIEW = types.NamedTuple([MATRIX, VECTOR, VECTOR, _INTEGERS, MATRIX, MATRIX], View)
 
 
 @jit

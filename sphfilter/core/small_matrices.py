@@ -10,19 +10,20 @@ __all__ = ["cholesky", "eigen", "extremes", "invert_lower", "moments", "times_lo
 
 
 @jit
-def moments(x, m, mean, cov):
-    """Mean and covariance of weighted points."""
+def moments(x, m, mean, cov, total=1.0):
+    """Fill mean (n,) and covariance (n, n) of points x (N, n) of masses m (N,) that sum to `total`."""
     N, n = x.shape
     for a in range(n):
         mean[a] = 0.0
         for i in range(N):
             mean[a] += m[i] * x[i, a]
+        mean[a] /= total
     for a in range(n):
         for b in range(a + 1):
             c = 0.0
             for i in range(N):
                 c += m[i] * (x[i, a] - mean[a]) * (x[i, b] - mean[b])
-            cov[a, b] = cov[b, a] = c
+            cov[a, b] = cov[b, a] = c / total
 
 
 @jit

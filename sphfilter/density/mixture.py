@@ -10,7 +10,7 @@ import numpy as np
 from scipy import special
 
 from .._types import Floats, Ints
-from ..core.corrected.moment_correction import correct, exponents
+from ..core.corrected.moment_correction import Diffusion, Polynomials, correct, exponents
 from ..core.sph import kernels
 from ..core.sph.neighbors import build_index, choose_method
 from ..core.sph.summation import sample_density, sample_density_parallel, sample_gradient
@@ -198,8 +198,10 @@ def _slope(z: Floats, mass: Floats) -> Floats:
     points = min(N, 1.0 / np.sum(mass**2))
     degree = max((p for p in (1, 2, 3) if _POINTS_A_TERM * math.comb(n + p, p) <= points), default=1)
     powers, u = exponents(n, degree), np.zeros((N, n))
-    room = np.empty((N, len(powers))), np.empty((len(powers), len(powers)))
-    correct(z, mass, np.eye(n), np.eye(n).reshape(1, -1), np.arange(n), powers, u, *room)
+    polynomials = Polynomials(powers, np.empty((N, len(powers))), np.empty((len(powers), len(powers))))
+    diffusion = Diffusion(np.eye(n).reshape(1, -1), np.arange(n), np.eye(n))
+    # Arrays like those of a march, for which it is compiled: a density's own masses are read-only.
+    correct(np.ascontiguousarray(z), mass.copy(), diffusion, polynomials, u)
     r2 = (z**2).sum(axis=1)
     near, far = _TRUSTED
     doubt = np.clip((np.sqrt(r2) - near) / (far - near), 0.0, 1.0)

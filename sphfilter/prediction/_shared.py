@@ -8,17 +8,21 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from .._types import Floats
-from ..core.sph.march import Coefficients
+from ..core._addresses import address_of
+from ..core.equations import Equations
 from ..model.sde import SDE
 
-__all__ = ["blow_up", "carried_off", "coefficients_of", "defect", "skip_notes"]
+__all__ = ["blow_up", "carried_off", "defect", "equations_of", "skip_notes"]
 
 
-def coefficients_of(model: SDE) -> Coefficients:
-    """What the compiled marches know of a model besides its functions."""
+def equations_of(model: SDE) -> Equations:
+    """A model as the compiled marches take it; it must outlive their use."""
     constant = model.constant_diffusion
     D = model.diffusion(np.zeros((1, model.dim)), 0.0)[0] if constant else np.zeros((model.dim, model.dim))
-    return Coefficients(
+    return Equations(
+        drift=address_of(model.drift_batch),
+        diffusion=address_of(model.diffusion_batch),
+        divergence=address_of(model.diffusion_divergence_batch),
         p=model.p,
         D=np.ascontiguousarray(D),
         rows=np.flatnonzero(model.diffusion_rows),

@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from .._types import Floats, Ints
 from ..config import CorrectedScheme
-from ..core._jit import call
+from ..core._jit import start_threads
+from ..core._records import packed
 from ..core.corrected import march as core
 from ..core.corrected.moment_correction import exponents
 from ..core.sph.kernels import KINDS, RADIUS, kernel_variance, normalisation
@@ -16,7 +18,7 @@ from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import Code, PredictInfo
 from ..model.sde import SDE
-from ._shared import blow_up, coefficients_of, skip_notes
+from ._shared import blow_up, equations_of, skip_notes
 
 __all__ = ["propagate"]
 
@@ -66,8 +68,9 @@ def propagate(
     options = _options(density, model, t1, scheme)
     powers = exponents(density.dim, max(options.degree, 1))[: None if options.degree else 0]
     cloud = core.Cloud(density.x.copy(), density.mass.copy(), density.h.copy())
+    start_threads()
     before = _log_volumes(cloud, options, density.t)
-    counters = _march(cloud, model, options, powers, scheme, (density.t, t1))
+    progress = _march(cloud, model, options, powers, scheme, (density.t, t1))
     after = _log_volumes(cloud, options, t1)
     known = np.log(cloud.m) - before if density.log_density is None else density.log_density
     moved = replace(
@@ -82,48 +85,46 @@ def propagate(
     )
     log_density, mixed = _unmixed(known + before - after, moved)
     moved = replace(moved, log_density=log_density)
-    return moved, _info(model, scheme, counters, len(powers), mixed)
+    return moved, _info(model, scheme, progress, len(powers), mixed)
 
 
 def _march(
     cloud: core.Cloud,
     model: SDE,
-    options: core.Options,
+    options: Any,
     powers: Ints,
     scheme: CorrectedScheme,
     interval: tuple[float, float],
-) -> Ints:
-    """Run the compiled loop to the end; returns its counters."""
-    counters = np.zeros(len(core.COUNTERS), np.int64)
-    times = np.array([*interval, 0.0])
-    functions = (model.drift_batch, model.diffusion_batch, model.diffusion_divergence_batch)
-    coefficients, status = coefficients_of(model), "paused"
+) -> Any:
+    """Run the compiled loop to the end; returns its `Progress`."""
+    progress, equations, status = packed(core.Progress(*interval)), equations_of(model), "paused"
+    parts = core.parts()
     while status == "paused":
-        if counters[0] >= scheme.max_steps:
+        if progress.steps >= scheme.max_steps:
             raise PropagationError(
-                f"prediction from {interval[0]:g} to {interval[1]:g} stopped at t = {times[0]:.6g}: too "
+                f"prediction from {interval[0]:g} to {interval[1]:g} stopped at t = {progress.t:.6g}: too "
                 f"many steps. Use fewer particles, a larger max_steps (now {scheme.max_steps}), or a shorter "
                 f"interval"
             )
         try:
-            code = call(core.march, *functions, coefficients, cloud, options, powers, times, counters)
+            code = core.march(parts, equations, cloud, options, powers, progress)
         except Exception as problem:  # a black-box drift may raise anything
             raise PropagationError(
-                f"the model failed between t = {times[0]:g} and {interval[1]:g} near "
+                f"the model failed between t = {progress.t:g} and {interval[1]:g} near "
                 f"{cloud.m @ cloud.x}: {problem}"
             ) from problem
         status = core.STATUS[code]
     if status == "flat":
-        raise PropagationError(_flat(times[0]))
+        raise PropagationError(_flat(progress.t))
     if status != "ok":
-        ahead = min(times[0] + 1e-6 * (interval[1] - interval[0]), interval[1])  # what the steps ran into
-        raise PropagationError(blow_up(model, cloud.x[counters[-1]], ahead, *interval, "corrected"))
-    return counters
+        ahead = min(progress.t + 1e-6 * (interval[1] - interval[0]), interval[1])  # what the steps ran into
+        raise PropagationError(blow_up(model, cloud.x[progress.culprit], ahead, *interval, "corrected"))
+    return progress
 
 
 def _log_volumes(cloud: core.Cloud, options: core.Options, t: float) -> Floats:
     """Logarithm of the volume of each particle, after its smoothing length has been solved for."""
-    if not core.settle(cloud, options, _TOLERANCE):
+    if not core.settle(core.parts().search, cloud, options, _TOLERANCE):
         raise PropagationError(_flat(t))
     return cloud.x.shape[1] * np.log(cloud.h / options.eta)
 
@@ -160,7 +161,7 @@ def _degree(density: ParticleDensity, scheme: CorrectedScheme) -> int:
 
 def _options(density: ParticleDensity, model: SDE, t1: float, scheme: CorrectedScheme) -> core.Options:
     kind, n = KINDS.index(scheme.kernel), density.dim
-    return core.Options(
+    numbers = core.Options(
         kernel=kind,
         normalisation=normalisation(kind, n),
         eta=scheme.support / RADIUS[kind],
@@ -170,10 +171,11 @@ def _options(density: ParticleDensity, model: SDE, t1: float, scheme: CorrectedS
         dt_max=math.inf if model.autonomous else (t1 - density.t) / _TIME_SLICES,
         pause_after=_PAUSE_AFTER,
     )
+    return packed(numbers)
 
 
-def _info(model: SDE, scheme: CorrectedScheme, counters: Ints, n_functions: int, mixed: bool) -> PredictInfo:
-    steps, rejected, evaluations, searches, used, _ = (int(c) for c in counters)
+def _info(model: SDE, scheme: CorrectedScheme, progress: Any, n_functions: int, mixed: bool) -> PredictInfo:
+    evaluations, searches, used = int(progress.evaluations), int(progress.searches), int(progress.functions)
     status = "ok"
     if 0 < used < n_functions:
         status = f"ok; the particles told {used} of {n_functions} polynomials apart"
@@ -182,10 +184,10 @@ def _info(model: SDE, scheme: CorrectedScheme, counters: Ints, n_functions: int,
             "; particles have mixed: log-densities are those of the kernels, shorter intervals do better"
         )
     return PredictInfo(
-        n_steps=steps,
+        n_steps=int(progress.steps),
         n_evaluations=evaluations,
         n_searches=searches,
-        n_rejected=rejected,
+        n_rejected=int(progress.rejected),
         n_bypassed=max(evaluations - searches, 0),
         skipped=skip_notes(model, max(evaluations - searches, 0)),
         scheme=scheme.name,

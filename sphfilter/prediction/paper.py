@@ -2,15 +2,17 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from .._types import Floats, Ints
+from .._types import Floats
 from ..config import BUFFER_NEIGHBORS, PaperScheme
-from ..core._jit import call
+from ..core._jit import start_threads
+from ..core._records import packed
 from ..core.sph import march as core
 from ..core.sph.neighbors import METHODS, choose_method
-from ..core.sph.smoothing import SMOOTHING, Rule
+from ..core.sph.smoothing import SMOOTHING
 from ..density.initialize import on_equal_lattice
 from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
@@ -18,7 +20,7 @@ from ..errors import PropagationError
 from ..info import PredictInfo
 from ..model.domain import Domain
 from ..model.sde import SDE
-from ._shared import blow_up, coefficients_of, skip_notes
+from ._shared import blow_up, equations_of, skip_notes
 
 __all__ = ["propagate"]
 
@@ -49,7 +51,7 @@ def propagate(
     PropagationError
         The state or its velocity is no longer finite, or re-gridding did not help; says when and where.
     """
-    start, counters, n_regrids = density.t, np.zeros(len(core.COUNTERS), np.int64), 0
+    start, progress, n_regrids = density.t, packed(core.Progress(density.t, t1)), 0
     n_discarded, share_kept, status = 0, 1.0, ""
     if density.field is not None:
         density = on_equal_lattice(density, n_particles, scheme)
@@ -57,10 +59,10 @@ def propagate(
     dt_max = math.inf if model.autonomous else (t1 - start) / _TIME_SLICES
     while density.t < t1:
         up_to_date = status == "unsettled"  # a step discards once, however few iterations it may take
-        density, status, about = _march(density, model, t1, scheme, counters, dt_max, up_to_date)
+        density, status, about = _march(density, model, scheme, progress, dt_max, up_to_date)
         if status == "not finite" or (status == "stalled" and _runs_away(model, density, about, t1)):
             raise PropagationError(blow_up(model, about, density.t, start, t1, "paper"))
-        if status == "paused" and counters[core.STEPS] >= scheme.max_steps:
+        if status == "paused" and progress.steps >= scheme.max_steps:
             raise PropagationError(_given_up("too many steps", density.t, start, t1, scheme))
         if status == "unsettled":
             density, n, share = _without_unsettled(density, about, scheme)
@@ -71,66 +73,51 @@ def propagate(
                 reason = f"steps fell to zero even after {_MOST_REGRIDS} re-griddings"
                 raise PropagationError(_given_up(reason, density.t, start, t1, scheme))
             density, _ = regrid(density, n_particles, scheme)
-    steps, evaluations, searches, bypassed, failed, _ = (int(c) for c in counters)
     info = PredictInfo(
-        n_steps=steps,
-        n_evaluations=evaluations,
-        n_searches=searches,
-        n_bypassed=bypassed,
+        n_steps=int(progress.steps),
+        n_evaluations=int(progress.evaluations),
+        n_searches=int(progress.searches),
+        n_bypassed=int(progress.bypassed),
         n_regrids=n_regrids,
-        n_smoothing_failed=failed,
+        n_smoothing_failed=int(progress.smoothing_failed),
         n_discarded=n_discarded,
         mass_discarded=1.0 - share_kept,
-        skipped=skip_notes(model, bypassed),
+        skipped=skip_notes(model, int(progress.bypassed)),
         scheme=scheme.name,
     )
     return density, info
 
 
 def _march(
-    density: ParticleDensity,
-    model: SDE,
-    t1: float,
-    scheme: PaperScheme,
-    counters: Ints,
-    dt_max: float,
-    up_to_date: bool,
+    density: ParticleDensity, model: SDE, scheme: PaperScheme, progress: Any, dt_max: float, up_to_date: bool
 ) -> tuple[ParticleDensity, str, Floats]:
-    """One call of the compiled loop.
+    """One call of the compiled loop, to progress.t1.
 
     Returns the density as far as it came, a status, and what that is about: a state, or the masses left.
     """
     invariant = np.zeros(density.n_particles) if density.invariant is None else density.invariant
     arrays = (density.x, density.mass, density.h, invariant, np.empty(density.n_particles))
     cloud = core.Cloud(*(a.copy() for a in arrays))
-    options = _options(scheme, density, dt_max, up_to_date, scheme.max_steps - int(counters[core.STEPS]))
-    times = np.array([density.t, t1])
-    functions = (model.drift_batch, model.diffusion_batch, model.diffusion_divergence_batch)
-    counters[core.CULPRIT] = 0  # the one of the last call may be gone
+    options = _options(scheme, density, dt_max, up_to_date, scheme.max_steps - int(progress.steps))
+    progress.culprit = 0  # the one of the last call may be gone
+    start_threads()
     try:
-        code = call(
-            core.march,
-            *functions,
-            coefficients_of(model),
-            cloud,
-            model.domain.codes,
-            options,
-            times,
-            counters,
+        code = core.march(
+            core.parts(), equations_of(model), cloud, model.domain.codes, packed(options), progress
         )
     except Exception as problem:  # a black-box drift may raise anything
         raise PropagationError(
-            f"the model failed between t = {density.t:g} and {t1:g} near {density.mean()}: {problem}"
+            f"the model failed between t = {density.t:g} and {progress.t1:g} near {density.mean()}: {problem}"
         ) from problem
-    status, culprit = core.STATUS[code], cloud.x[counters[-1]]
+    status, culprit, t = core.STATUS[code], cloud.x[progress.culprit], np.float64(progress.t)
     finite = np.isfinite(cloud.x).all(axis=1) & np.isfinite(cloud.h)
     if not finite.all():
         status, culprit = "not finite", cloud.x[~finite][0]
     if status == "left":
-        raise PropagationError(_left(model.domain, culprit, times[0]))
+        raise PropagationError(_left(model.domain, culprit, t))
     if status == "not finite":
-        return replace(density, t=times[0]), status, culprit
-    moved = replace(density, x=cloud.x, h=cloud.h, t=times[0], invariant=cloud.invariant)
+        return replace(density, t=t), status, culprit
+    moved = replace(density, x=cloud.x, h=cloud.h, t=t, invariant=cloud.invariant)
     return moved, status, cloud.m if status == "unsettled" else culprit
 
 
@@ -174,9 +161,9 @@ def _options(
         kernel=kind,
         normalisation=constant,
         kernel_variance=density.kernel_variance,
-        smoothing=Rule(
-            SMOOTHING.index(scheme.smoothing), scheme.smoothing_tolerance, scheme.smoothing_iterations
-        ),
+        smoothing=SMOOTHING.index(scheme.smoothing),
+        smoothing_tolerance=scheme.smoothing_tolerance,
+        smoothing_iterations=scheme.smoothing_iterations,
         discards=scheme.discard_unconverged,
         up_to_date=up_to_date,
         integrator=core.INTEGRATORS.index(scheme.integrator),

@@ -1,6 +1,7 @@
 """The compiler decorators: serial, parallel and signed code of one function do not share a cache file."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -69,10 +70,25 @@ def test_copies_keep_their_docstring(kind):
     assert COMPILED[kind].__doc__ == "Twice x."
 
 
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def told(program, folder):
+    """What a program prints in a process that finds packages in a folder and compiles into it."""
+    environment = os.environ | {
+        "NUMBA_CACHE_DIR": str(folder / "cache"),
+        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]),
+    }
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(words, env=environment, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
 _CALLER = """
 import numpy as np
 from numba import prange
-from sphfilter.core._jit import call, jit, parallel_jit
+from sphfilter.core._jit import jit, parallel_jit, start_threads
 
 
 @parallel_jit
@@ -93,8 +109,60 @@ def serial(x):
 def test_serial_code_linked_with_cached_threaded_code_can_be_loaded(tmp_path):
     """Compiled, linked and loaded in three processes; without the threads the third one crashed."""
     (tmp_path / "caller.py").write_text(_CALLER)
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
-    for line in ("threaded(np.zeros(3))", "call(serial, np.zeros(3))", "call(serial, np.zeros(3))"):
-        words = [sys.executable, "-c", f"from caller import *; {line}"]
-        done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
+    serial = "start_threads(); serial(np.zeros(3))"
+    for line in ("threaded(np.zeros(3))", serial, serial):
+        told(f"from caller import *; {line}", tmp_path)
+
+
+# --- a function that is edited is not run as it was, wherever its callers are ---
+
+
+def name_in_the_cache(module, function, folder):
+    return told(f"from {module} import {function} as f; print(f._cache._cache_file._index_name)", folder)
+
+
+def copied(folder, to):
+    shutil.copytree(ROOT / folder, to, ignore=shutil.ignore_patterns("__pycache__"))
+    return to
+
+
+@pytest.mark.parametrize("edited", ["sph/kernels.py", "field/cells.py", "small_matrices.py"])
+def test_names_in_the_cache_change_with_any_file_of_the_core(tmp_path, edited):
+    """Also with one in another folder of the core than the function's; files elsewhere do not matter."""
+    core = copied("sphfilter/core", tmp_path / "package" / "core")
+    other, edited = core.parent / "other.py", core / edited
+    function = "package.core.corrected.moment_correction", "correct"
+    (core.parent / "__init__.py").write_text("")
+    other.write_text("")
+    name = name_in_the_cache(*function, tmp_path)
+    other.write_text("edited = True")
+    assert name_in_the_cache(*function, tmp_path) == name
+    edited.write_text(edited.read_text() + "\n# edited\n")
+    assert name_in_the_cache(*function, tmp_path) != name
+
+
+def test_names_in_the_cache_change_with_any_file_of_the_references(tmp_path):
+    package = copied("reference_filters", tmp_path / "reference_filters")
+    function = "reference_filters._cumulant_rates", "fill_rates"
+    name = name_in_the_cache(*function, tmp_path)
+    edited = package / "_monomials.py"
+    edited.write_text(edited.read_text() + "\n# edited\n")
+    assert name_in_the_cache(*function, tmp_path) != name
+
+
+def test_a_function_edited_in_a_folder_below_its_caller_is_not_run_as_it_was(tmp_path):
+    """In a package of one's own, such as the references are: values, not names."""
+    package = tmp_path / "owned"
+    (package / "deep").mkdir(parents=True)
+    for folder in (package, package / "deep"):
+        (folder / "__init__.py").write_text("")
+    jitted = "from sphfilter.core._jit import jit\n\n\n@jit\ndef "
+    (package / "deep" / "callee.py").write_text(f"{jitted}told():\n    return 1\n")
+    (package / "caller.py").write_text(
+        f"from .deep.callee import told\n{jitted}asked():\n    return told()\n"
+    )
+    program = "from owned.caller import asked; print(asked())"
+    assert told(program, tmp_path) == "1"
+    callee = package / "deep" / "callee.py"
+    callee.write_text(callee.read_text().replace("return 1", "return 2"))
+    assert told(program, tmp_path) == "2"

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from sphfilter.core._records import packed
 from sphfilter.core.corrected import blocks, march, moment_correction, number_density, pairs
+from sphfilter.core.corrected.moment_correction import Diffusion, Polynomials
 from sphfilter.core.sph import kernels
 
 # --- the correction ---
@@ -15,8 +17,9 @@ def scattered(n, N=80, seed=0):
     return rng.normal(size=(N, n)), m / m.sum(), rng
 
 
-def workspace(N, q):
-    return np.empty((N, q)), np.empty((q, q))
+def functions(N, powers):
+    """The polynomials of a correction of N particles."""
+    return Polynomials(powers, np.empty((N, len(powers))), np.empty((len(powers), len(powers))))
 
 
 def test_exponents_are_ordered_by_degree():
@@ -71,8 +74,8 @@ def test_moment_equations_hold_after_the_correction(varies):
     u = rng.normal(size=(len(z), n))
     u[:, 1] = 0.0
     powers = moment_correction.exponents(n, 2)
-    arguments = (z, m, np.ascontiguousarray(inverse), D, rows, powers, u)
-    assert moment_correction.correct(*arguments, *workspace(len(z), 10)) == 10
+    diffusion = Diffusion(D, rows, np.ascontiguousarray(inverse))
+    assert moment_correction.correct(z, m, diffusion, functions(len(z), powers), u) == 10
     phi, dphi = np.empty(10), np.empty((10, n))
     defect = np.zeros((10, n))
     for i in range(len(z)):
@@ -90,7 +93,8 @@ def test_oblique_noise_stays_in_its_range():
     u = rng.normal(size=(len(z), 1)) @ g.T
     powers = moment_correction.exponents(2, 3)
     D = (g @ g.T).reshape(1, -1)
-    moment_correction.correct(z, m, np.eye(2), D, np.array([0, 1]), powers, u, *workspace(len(z), 10))
+    diffusion = Diffusion(D, np.array([0, 1]), np.eye(2))
+    moment_correction.correct(z, m, diffusion, functions(len(z), powers), u)
     assert u[:, 1] == pytest.approx(2.0 * u[:, 0], abs=1e-9)
 
 
@@ -99,7 +103,8 @@ def test_degree_falls_where_particles_cannot_tell_polynomials_apart():
     x = np.linspace(-2, 2, 40)
     z, m, D = np.column_stack([x, x**2]), np.full(40, 1 / 40), np.eye(2).reshape(1, -1)
     powers, u = moment_correction.exponents(2, 2), np.zeros((40, 2))
-    used = moment_correction.correct(z, m, np.eye(2), D, np.array([0, 1]), powers, u, *workspace(40, 6))
+    diffusion = Diffusion(D, np.array([0, 1]), np.eye(2))
+    used = moment_correction.correct(z, m, diffusion, functions(40, powers), u)
     assert used == 3
     assert np.isfinite(u).all()
 
@@ -134,8 +139,8 @@ def test_sums_against_direct_ones(kind, n, N):
     h = rng.uniform(0.8, 1.2, N) / kernels.RADIUS[kind] * 2.0 * (50 / N) ** (1 / n)
     C, K = kernels.normalisation(kind, n), kernels.RADIUS[kind]
     lists, _ = pairs.pair_lists(z, K * h, 20.0)
-    rho, grad, number = np.empty(N), np.empty((N, n)), np.empty(N)
-    number_density.density_sums(z, m, h, lists, (kind, C), rho, grad, number)
+    sums = rho, grad, number = number_density.Sums(np.empty(N), np.empty((N, n)), np.empty(N))
+    number_density.density_sums(z, m, h, lists, (kind, C), sums)
     mean = 0.5 * (h[:, None] + h[None])
     d = z[:, None] - z[None]
     q = np.linalg.norm(d, axis=2) / mean
@@ -153,8 +158,8 @@ def test_smoothing_lengths_solve_their_equation(guess, N):
     x = rng.normal(size=(N, 2)) * [1.0, 50.0]
     cloud = march.Cloud(x, np.full(N, 1 / N), np.full(N, guess))
     C = kernels.normalisation(3, 2)
-    options = march.Options(3, C, 3.5, 1, 0.07, 1e-4, np.inf, 10)
-    assert march.settle(cloud, options, 1e-8)
+    options = packed(march.Options(3, C, 3.5, 1, 0.07, 1e-4, np.inf, 10))
+    assert march.settle(march.parts().search, cloud, options, 1e-8)
     L = np.linalg.cholesky(np.cov(x.T, bias=True))
     z, h = x @ np.linalg.inv(L).T, cloud.h / np.sqrt(np.linalg.det(L))
     r = np.linalg.norm(z[:, None] - z[None], axis=2) / h[:, None]

@@ -3,17 +3,30 @@
 import numpy as np
 import pytest
 
+from sphfilter.core._records import packed
 from sphfilter.core.domain import unseen
 from sphfilter.core.sph import kernels, neighbors, smoothing, summation
-from sphfilter.core.sph.march import Cloud
+from sphfilter.core.sph.state import Cloud, Near, Options, Work
 
 KIND = 1
 MODES = smoothing.SMOOTHING
 
 
+def rule(mode, kind, constant, iterations):
+    """Options of a march, of which these matter here."""
+    numbers = dict.fromkeys(Options._fields, 0) | {
+        "kernel": kind,
+        "normalisation": constant,
+        "smoothing": MODES.index(mode),
+        "smoothing_tolerance": 1e-5,
+        "smoothing_iterations": iterations,
+    }
+    return packed(Options(**numbers))
+
+
 def squeezed(mode, sweeps=1, factor=0.8, kind=KIND, support=2.6, iterations=30):
     """A lattice in 2-D with equal masses, contracted by `factor`, and its h brought up to date."""
-    x = np.indices((12, 12)).reshape(2, -1).T.astype(float)
+    x = np.ascontiguousarray(np.indices((12, 12)).reshape(2, -1).T, dtype=float)
     N = len(x)
     h = np.full(N, support / kernels.RADIUS[kind])
     cloud = Cloud(x, np.full(N, 1.0 / N), h, np.empty(N), np.empty(N))
@@ -26,11 +39,12 @@ def squeezed(mode, sweeps=1, factor=0.8, kind=KIND, support=2.6, iterations=30):
     h0 = h.copy()
     x *= factor
     failed, settled = 0, np.ones(N, bool)
+    none = np.empty((N, 2))
+    work = Work(grad, none, np.empty((1, 4)), none, reach.copy(), reach, h0, settled)
+    near, options = Near(unseen(x, cloud.m, h), lists, r), rule(mode, *kernel, iterations)
     for _ in range(sweeps):
         summation.density_and_gradient(x, cloud.m, h, lists, kernel, cloud.rho, grad, r)
-        seen = unseen(x, cloud.m, h)
-        rule = smoothing.Rule(MODES.index(mode), 1e-5, iterations)
-        failed = smoothing.update_smoothing(rule, cloud, seen, reach, lists, kernel, grad, r, settled)
+        failed = smoothing.update_smoothing(summation.DENSITY.address, cloud, near, work, options)
     assert failed == np.sum(~settled)
     return cloud, h0, failed
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from .._jit import jit
 
-__all__ = ["BLOCKS", "PARALLEL_FROM", "even", "even_pairs"]
+__all__ = ["BLOCKS", "PARALLEL_FROM", "add_parts", "even", "even_pairs"]
 
 BLOCKS = 8
 #: Particles from which blocks pay; by their number alone, so that the thread count never changes results.
@@ -21,3 +21,16 @@ def even(N):
 def even_pairs(start):
     """As `even`, blocks of about as many pairs; those of row s begin at start[s]."""
     return np.searchsorted(start, np.arange(BLOCKS + 1) * start[-1] // BLOCKS)
+
+
+@jit
+def add_parts(parts, total):
+    """Add the sums of the blocks, shape (BLOCKS, ...), to the total, block by block.
+
+    Written out: numba compiles an array expression ten times as long.
+    """
+    size = total.size
+    part, sums = parts.reshape((BLOCKS, size)), total.reshape(size)
+    for b in range(BLOCKS):
+        for k in range(size):
+            sums[k] += part[b, k]

@@ -9,13 +9,20 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
-from .._jit import jit
+from .._addresses import Entry
+from .._jit import MATRIX, VECTOR, jit
+from .._records import type_of
+from ..small_matrices import cholesky, invert_lower, moments
 from ..sph.kernels import RADIUS
-from .number_density import cholesky, solve_lengths, whiten
+from .number_density import solve_lengths, transform
 from .pairs import pair_lists, pairs_expected
 
 __all__ = [
+    "FRAME",
+    "OPTIONS",
+    "SEARCH",
     "Cloud",
     "Frame",
     "Options",
@@ -23,7 +30,6 @@ __all__ = [
     "follow_spacing",
     "keep_lengths",
     "make_frame",
-    "search",
     "settle",
     "still_valid",
     "whiten_frame",
@@ -31,6 +37,7 @@ __all__ = [
 
 _SKIN = 1.25  # radius of the lists in units of the support
 _LIGHT = 1e-6  # particles of less mass may cross their neighbours
+_FLAT = 1e-14  # of a variance: what others do not explain of it, below which that is rounding
 _CLOSE = 0.1  # of h: spacing below which a pair of particles counts as one
 
 
@@ -43,19 +50,22 @@ class Cloud(NamedTuple):
 
 
 class Options(NamedTuple):
+    """Numbers of the scheme; passed as a record."""
+
     kernel: int
     normalisation: float
-    eta: float
-    degree: int
-    variance: float
-    tol: float
+    eta: float  # smoothing lengths over the spacing of the particles
+    degree: int  # of the polynomials of the correction
+    variance: float  # of the kernel of length one, along an axis
+    tol: float  # of a step, in standard deviations
     dt_max: float
-    pause_after: int
+    pause_after: int  # steps
 
 
 class Frame(NamedTuple):
-    """What is kept from one search to the next."""
+    """The coordinates that whiten a cloud, and what is kept from one search to the next."""
 
+    cloud: Cloud
     L: np.ndarray  # (n, n)
     inverse: np.ndarray
     z: np.ndarray  # (N, n) whitened positions at the time of the search
@@ -64,41 +74,38 @@ class Frame(NamedTuple):
     nearest: np.ndarray  # (N,) nearest neighbour
 
 
+#: Numba's types of a record of `Options`, and of `Frame`.
+OPTIONS = type_of(Options)
+_CLOUD = types.NamedTuple([MATRIX, VECTOR, VECTOR], Cloud)
+FRAME = types.NamedTuple([_CLOUD, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, types.int64[::1]], Frame)
+
+
 @jit
-def make_frame(N, n):
+def make_frame(cloud):
+    """Room for the frame of a cloud."""
+    N, n = cloud.x.shape
     matrices = (np.empty((n, n)), np.empty((n, n)), np.empty((N, n)))
-    return Frame(*matrices, np.empty(N), np.empty(N), np.empty(N, np.int64))
+    return Frame(cloud, *matrices, np.empty(N), np.empty(N), np.empty(N, np.int64))
 
 
 @jit
-def _covariance(z, m, C):
-    """C = sum m z z' / sum m for centred z."""
-    N, n = z.shape
-    C[:] = 0.0
-    total = 0.0
-    for i in range(N):
-        total += m[i]
-        for a in range(n):
-            for b in range(n):
-                C[a, b] += m[i] * z[i, a] * z[i, b]
-    for a in range(n):
-        for b in range(n):
-            C[a, b] /= total
-
-
-@jit
-def whiten_frame(cloud, frame):
+def whiten_frame(frame):
     """L of the covariance now, whitened positions and lengths; False where x has no spread somewhere."""
-    n = cloud.x.shape[1]
-    C = np.empty((n, n))
+    cloud, n, total = frame.cloud, frame.z.shape[1], 0.0
+    mean, C = np.empty(n), np.empty((n, n))
+    for i in range(cloud.m.size):
+        total += cloud.m[i]
+    moments(cloud.x, cloud.m, mean, C, total)
+    if not cholesky(C, frame.L):
+        return False
+    for a in range(n):
+        if not frame.L[a, a] ** 2 > _FLAT * C[a, a]:
+            return False
+    inverse = invert_lower(frame.L)
     for a in range(n):
         for b in range(n):
-            frame.inverse[a, b] = 1.0 if a == b else 0.0
-    whiten(cloud.x, cloud.m, frame.inverse, frame.z)
-    _covariance(frame.z, cloud.m, C)
-    if not cholesky(C, frame.L, frame.inverse):
-        return False
-    whiten(cloud.x, cloud.m, frame.inverse, frame.z)
+            frame.inverse[a, b] = inverse[a, b]
+    transform(cloud.x, mean, inverse, frame.z)
     scale = _scale(frame.L)
     for i in range(frame.h.size):
         frame.h[i] = cloud.h[i] / scale
@@ -106,10 +113,11 @@ def whiten_frame(cloud, frame):
 
 
 @jit
-def keep_lengths(cloud, frame):
+def keep_lengths(frame):
+    """Smoothing lengths of the cloud, in the units of x, from those of its frame."""
     scale = _scale(frame.L)
     for i in range(frame.h.size):
-        cloud.h[i] = frame.h[i] * scale
+        frame.cloud.h[i] = frame.h[i] * scale
 
 
 @jit
@@ -119,8 +127,14 @@ def search(frame, options):
         frame.reach[i] = _SKIN * RADIUS[options.kernel] * frame.h[i]
     expected = pairs_expected(_SKIN * RADIUS[options.kernel] * options.eta, frame.z.shape[1])
     pairs, nearest = pair_lists(frame.z, frame.reach, expected)
-    frame.nearest[:] = nearest
+    for i in range(nearest.size):
+        frame.nearest[i] = nearest[i]
     return pairs
+
+
+#: `search` by its address: it is compiled once, not at every level that calls it.
+SEARCH = Entry(search, (FRAME, OPTIONS))
+search_at = SEARCH.at
 
 
 @jit
@@ -133,7 +147,7 @@ def _scale(L):
 
 
 @jit
-def still_valid(z, m, frame, K):
+def still_valid(z, frame, K):
     """Do the lists hold every pair within its support?
 
     An unlisted pair was farther apart than its reach. Under z -> F z + rest it is still beyond
@@ -141,13 +155,15 @@ def still_valid(z, m, frame, K):
     regression on the old positions, whose covariance is the identity.
     """
     N, n = z.shape
-    F, total = np.zeros((n, n)), 0.0
+    m, F, total = frame.cloud.m, np.zeros((n, n)), 0.0
     for i in range(N):
         total += m[i]
         for a in range(n):
             for b in range(n):
                 F[a, b] += m[i] * z[i, a] * frame.z[i, b]
-    F /= total
+    for a in range(n):
+        for b in range(n):
+            F[a, b] /= total
     stretch2 = 0.0
     for a in range(n):
         for b in range(n):
@@ -170,11 +186,12 @@ def still_valid(z, m, frame, K):
 
 
 @jit
-def crosses(x0, x, m, frame):
+def crosses(x0, frame):
     """Part of the way to its nearest neighbour, relative to it, that a particle goes; (worst, particle).
 
     Not-a-number counts as infinitely far.
     """
+    x, m = frame.cloud.x, frame.cloud.m
     N, n = x.shape
     worst, culprit = 0.0, 0
     gap, way = np.empty(n), np.empty(n)
@@ -200,8 +217,9 @@ def crosses(x0, x, m, frame):
 
 
 @jit
-def follow_spacing(frame, number, options, n):
+def follow_spacing(frame, number, options):
     """One step of the fixed-point iteration h = eta n^(-1/n); lists decide whether they still suffice."""
+    n = frame.z.shape[1]
     for i in range(number.size):
         frame.h[i] = math.sqrt(frame.h[i] * options.eta * number[i] ** (-1.0 / n))
 
@@ -225,16 +243,27 @@ def _guess_lengths(frame, eta):
 
 
 @jit
-def settle(cloud, options, tolerance):
-    """Solve for h at the present positions; False where the cloud has no spread in some direction."""
-    frame = make_frame(*cloud.x.shape)
+def settle(search, cloud, options, tolerance):
+    """Solve for h at the present positions; False where the cloud has no spread in some direction.
+
+    Parameters
+    ----------
+    search : ADDRESS
+        Of `SEARCH`.
+    cloud : Cloud
+    options : record
+        `Options`, packed.
+    tolerance : float
+        Of the lengths, relative.
+    """
+    frame = make_frame(cloud)
     kernel = (options.kernel, options.normalisation)
-    if not whiten_frame(cloud, frame):
+    if not whiten_frame(frame):
         return False
     _guess_lengths(frame, options.eta)
     for _ in range(30):
-        pairs = search(frame, options)
+        pairs = search_at(search)(frame, options)
         if solve_lengths(frame.z, frame.h, options.eta, pairs, frame.reach, kernel, tolerance) == 0:
             break
-    keep_lengths(cloud, frame)
+    keep_lengths(frame)
     return True

@@ -9,14 +9,15 @@ The correction keeps to the range of a constant D by itself: D grad phi and u bo
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
 
 from .._jit import jit, parallel_jit
-from .blocks import BLOCKS, PARALLEL_FROM, even
+from .blocks import BLOCKS, PARALLEL_FROM, add_parts, even
 
-__all__ = ["basis", "correct", "exponents", "keep_affine"]
+__all__ = ["Diffusion", "Polynomials", "basis", "correct", "exponents", "keep_affine"]
 
 #: Radius, in standard deviations, beyond which polynomials of degree two and more stay what they are there.
 CLIP = 5.0
@@ -24,6 +25,22 @@ _RIDGE = 1e-10
 _LEAST_PIVOT = 1e-8
 _ROOT = np.sqrt(np.arange(8.0))
 _INVERSE_ROOT = 1.0 / np.sqrt(np.maximum(np.arange(8.0), 1.0))
+
+
+class Diffusion(NamedTuple):
+    """Diffusion matrix, and the coordinates that the correction is made in."""
+
+    D: np.ndarray  # (1, n n) or (N, n n), row-major, in the units of x
+    rows: np.ndarray  # int, numbers of the rows of D that are not zero
+    inverse: np.ndarray  # (n, n) L^-1 of z = L^-1 (x - mean)
+
+
+class Polynomials(NamedTuple):
+    """The functions that the moment equations are to hold for; the last two are written by `correct`."""
+
+    powers: np.ndarray  # (q, n) exponents
+    phi: np.ndarray  # (N, q) values at the particles
+    A: np.ndarray  # (q, q) Cholesky factor of their normal matrix, lower half
 
 
 def exponents(dim, degree):
@@ -94,33 +111,34 @@ def _project(z, i, r2, scale, powers, phi, dphi):
 
 
 @jit
-def _assemble(z, m, inverse, D, rows, powers, u, phi, A, b):
+def _assemble(z, m, diffusion, polynomials, u, b):
     """Normal matrix A_kl = sum m phi_k phi_l and right-hand sides b_cl = sum m (D grad phi_l - phi_l u)_c."""
-    N, q = phi.shape
+    A, N, q = polynomials.A, z.shape[0], polynomials.powers.shape[0]
     if N < PARALLEL_FROM:
-        _assemble_rows(z, m, inverse, D, rows, powers, u, phi, A, b)
+        _assemble_rows(z, m, diffusion, polynomials, u, b)
         return
-    parts = np.empty((BLOCKS, q, q)), np.empty((BLOCKS, rows.size, q))
-    _assemble_blocks(z, m, inverse, D, rows, powers, u, phi, even(N), *parts)
+    parts = np.empty((BLOCKS, q, q)), np.empty((BLOCKS, b.shape[0], q))
+    _assemble_blocks(z, m, diffusion, polynomials, u, even(N), *parts)
     A[:] = 0.0
     b[:] = 0.0
-    for k in range(BLOCKS):
-        A += parts[0][k]
-        b += parts[1][k]
+    add_parts(parts[0], A)
+    add_parts(parts[1], b)
 
 
 @parallel_jit
-def _assemble_blocks(z, m, inverse, D, rows, powers, u, phi, edges, A, b):
+def _assemble_blocks(z, m, diffusion, polynomials, u, edges, A, b):
     """As `_assemble_rows` for blocks of particles, each into sums of its own; spread over threads."""
+    (D, rows, inverse), (powers, phi, _) = diffusion, polynomials
     for k in prange(edges.size - 1):
         own = slice(edges[k], edges[k + 1])
-        D_own = D[own] if D.shape[0] > 1 else D
-        _assemble_rows(z[own], m[own], inverse, D_own, rows, powers, u[own], phi[own], A[k], b[k])
+        here = Diffusion(D[own] if D.shape[0] > 1 else D, rows, inverse)
+        _assemble_rows(z[own], m[own], here, Polynomials(powers, phi[own], A[k]), u[own], b[k])
 
 
 @jit
-def _assemble_rows(z, m, inverse, D, rows, powers, u, phi, A, b):
+def _assemble_rows(z, m, diffusion, polynomials, u, b):
     """The sums of `_assemble` over particles, one after the other."""
+    (D, rows, inverse), (powers, phi, A) = diffusion, polynomials
     N, n = z.shape
     q = powers.shape[0]
     h = np.empty((2, n, max(2, powers[q - 1].sum() + 1)))
@@ -207,7 +225,7 @@ def _solve(A, q, b):
 
 
 @jit
-def correct(z, m, inverse, D, rows, powers, u, phi, A):
+def correct(z, m, diffusion, polynomials, u):
     """Add to the rows of u the polynomials that make the moment equations hold.
 
     Parameters
@@ -215,29 +233,20 @@ def correct(z, m, inverse, D, rows, powers, u, phi, A):
     z : ndarray, shape (N, n)
         Whitened positions z = L^-1 (x - mean).
     m : ndarray, shape (N,)
-    inverse : ndarray, shape (n, n)
-        L^-1.
-    D : ndarray, shape (1, n n) or (N, n n)
-        Diffusion matrix, row-major, in the units of x.
-    rows : ndarray of int
-        Rows of D that are not zero.
-    powers : ndarray, shape (q, n)
-        Exponents of the polynomials.
+    diffusion : Diffusion
+    polynomials : Polynomials
+        `phi` and `A` are written.
     u : ndarray, shape (N, n), changed
         -div D - D grad p / p in the units of x.
-    phi : ndarray, shape (N, q), written
-        The polynomials at the particles.
-    A : ndarray, shape (q, q), written
-        Cholesky factor of their normal matrix, lower half.
 
     Returns
     -------
     int
         Number of functions used, at most q.
     """
-    q = powers.shape[0]
-    b = np.empty((rows.size, q))
-    _assemble(z, m, inverse, D, rows, powers, u, phi, A, b)
+    rows, (powers, phi, A) = diffusion.rows, polynomials
+    b = np.empty((rows.size, powers.shape[0]))
+    _assemble(z, m, diffusion, polynomials, u, b)
     used = _factor(A, powers)
     for c in range(rows.size):
         _solve(A, used, b[c])
@@ -248,8 +257,9 @@ def correct(z, m, inverse, D, rows, powers, u, phi, A):
 
 
 @jit
-def keep_affine(m, phi, A, v):
+def keep_affine(m, polynomials, v):
     """Replace vectors v (N, n) by the affine function of the state nearest to them, weighted by mass."""
+    phi, A = polynomials.phi, polynomials.A
     N, n = v.shape
     b = np.zeros((n, n + 1))
     for i in range(N):

@@ -6,16 +6,17 @@ exist and converge on clouds where light and heavy particles have mixed. The vol
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
 
 from .._jit import jit, parallel_jit
 from ..sph.kernels import GAUSSIAN, RADIUS, shape, slope
-from .blocks import BLOCKS, PARALLEL_FROM, even_pairs
+from .blocks import BLOCKS, PARALLEL_FROM, add_parts, even_pairs
 
 __all__ = [
-    "cholesky",
+    "Sums",
     "density_sums",
     "solve_lengths",
     "transform",
@@ -23,30 +24,12 @@ __all__ = [
 ]
 
 
-@jit
-def cholesky(C, L, inverse):
-    """Lower factor L of C and its inverse; False where C is not positive definite to rounding."""
-    n = C.shape[0]
-    L[:] = 0.0
-    inverse[:] = 0.0
-    for a in range(n):
-        for b in range(a + 1):
-            s = C[a, b]
-            for c in range(b):
-                s -= L[a, c] * L[b, c]
-            if a > b:
-                L[a, b] = s / L[b, b]
-            elif s > 1e-14 * C[a, a]:
-                L[a, a] = math.sqrt(s)
-            else:
-                return False
-        inverse[a, a] = 1.0 / L[a, a]
-        for b in range(a):
-            s = 0.0
-            for c in range(b, a):
-                s -= L[a, c] * inverse[c, b]
-            inverse[a, b] = s / L[a, a]
-    return True
+class Sums(NamedTuple):
+    """Kernel sums at the particles."""
+
+    rho: np.ndarray  # (N,) density
+    grad: np.ndarray  # (N, n) its gradient
+    number: np.ndarray  # (N,) number density
 
 
 @jit
@@ -70,12 +53,13 @@ def whiten(x, m, inverse, z):
         total += m[i]
         for d in range(n):
             mean[d] += m[i] * x[i, d]
-    mean /= total
+    for d in range(n):
+        mean[d] /= total
     transform(x, mean, inverse, z)
 
 
 @jit
-def density_sums(z, m, h, pairs, kernel, rho, grad, number):
+def density_sums(z, m, h, pairs, kernel, sums):
     """Density, its gradient, and number density at the particles, with kernels of the pair's mean h.
 
     Parameters
@@ -85,10 +69,10 @@ def density_sums(z, m, h, pairs, kernel, rho, grad, number):
     pairs : (order, start, neighbors)
         Every pair once, from `pairs.pair_lists`.
     kernel : (kind, C_n)
-    rho, number : ndarray, shape (N,), written
-    grad : ndarray, shape (N, n), written
+    sums : Sums, written
     """
     N, n = z.shape
+    rho, grad, number = sums
     W0 = kernel[1] * shape(kernel[0], 0.0)
     for i in range(N):
         number[i] = W0 / h[i] ** n
@@ -96,21 +80,19 @@ def density_sums(z, m, h, pairs, kernel, rho, grad, number):
         for d in range(n):
             grad[i, d] = 0.0
     if N < PARALLEL_FROM:
-        _add_rows(z, m, h, pairs, kernel, (0, N), rho, grad, number)
+        _add_rows(z, m, h, pairs, kernel, (0, N), sums)
         return
-    edges, (order, start, neighbors) = even_pairs(pairs[1]), pairs
-    parts = np.empty((BLOCKS, N)), np.empty((BLOCKS, N, n)), np.empty((BLOCKS, N))
-    _add_blocks(z, m, h, order, start, neighbors, kernel[0], kernel[1], edges, *parts)
-    for b in range(BLOCKS):
-        rho += parts[0][b]
-        grad += parts[1][b]
-        number += parts[2][b]
+    parts = Sums(np.empty((BLOCKS, N)), np.empty((BLOCKS, N, n)), np.empty((BLOCKS, N)))
+    _add_blocks(z, m, h, pairs, kernel, even_pairs(pairs[1]), parts)
+    add_parts(parts.rho, rho)
+    add_parts(parts.grad, grad)
+    add_parts(parts.number, number)
 
 
 @jit
-def _add_rows(z, m, h, pairs, kernel, rows, rho, grad, number):
+def _add_rows(z, m, h, pairs, kernel, rows, sums):
     """Add what the pairs of some rows give to both of their particles."""
-    order, start, neighbors = pairs
+    (order, start, neighbors), (rho, grad, number) = pairs, sums
     kind, C = kernel
     n, K = z.shape[1], RADIUS[kind]
     for row in range(rows[0], rows[1]):
@@ -147,14 +129,14 @@ def _add_rows(z, m, h, pairs, kernel, rows, rho, grad, number):
 
 
 @parallel_jit
-def _add_blocks(z, m, h, order, start, neighbors, kind, C, edges, rho, grad, number):
+def _add_blocks(z, m, h, pairs, kernel, edges, parts):
     """As `_add_rows` for blocks of rows, each into sums of its own; spread over threads."""
     for b in prange(edges.size - 1):
-        rho[b] = 0.0
-        grad[b] = 0.0
-        number[b] = 0.0
-        pairs, rows = (order, start, neighbors), (edges[b], edges[b + 1])
-        _add_rows(z, m, h, pairs, (kind, C), rows, rho[b], grad[b], number[b])
+        rho, grad, number = parts.rho[b], parts.grad[b], parts.number[b]
+        rho[:] = 0.0
+        grad[:] = 0.0
+        number[:] = 0.0
+        _add_rows(z, m, h, pairs, kernel, (edges[b], edges[b + 1]), Sums(rho, grad, number))
 
 
 @jit
@@ -181,12 +163,10 @@ def _own_sums(z, h, pairs, kind, total, steep):
     if N < PARALLEL_FROM:
         _own_rows(z, h, pairs, kind, (0, N), total, steep)
         return
-    edges, (order, start, neighbors) = even_pairs(pairs[1]), pairs
     parts = np.empty((BLOCKS, N)), np.empty((BLOCKS, N))
-    _own_blocks(z, h, order, start, neighbors, kind, edges, *parts)
-    for b in range(BLOCKS):
-        total += parts[0][b]
-        steep += parts[1][b]
+    _own_blocks(z, h, pairs, kind, even_pairs(pairs[1]), *parts)
+    add_parts(parts[0], total)
+    add_parts(parts[1], steep)
 
 
 @jit
@@ -209,13 +189,12 @@ def _own_rows(z, h, pairs, kind, rows, total, steep):
 
 
 @parallel_jit
-def _own_blocks(z, h, order, start, neighbors, kind, edges, total, steep):
+def _own_blocks(z, h, pairs, kind, edges, total, steep):
     """As `_own_rows` for blocks of rows, each into sums of its own; spread over threads."""
     for b in prange(edges.size - 1):
         total[b] = 0.0
         steep[b] = 0.0
-        pairs, rows = (order, start, neighbors), (edges[b], edges[b + 1])
-        _own_rows(z, h, pairs, kind, rows, total[b], steep[b])
+        _own_rows(z, h, pairs, kind, (edges[b], edges[b + 1]), total[b], steep[b])
 
 
 @jit

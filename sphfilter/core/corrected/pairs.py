@@ -1,16 +1,29 @@
 """Every pair of particles within reach, once, by sorting and sweeping along the first axis."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import prange
+from numba import prange, types
 
 from .._jit import jit, parallel_jit
 from .blocks import PARALLEL_FROM, even
 
-__all__ = ["pair_lists", "pairs_expected"]
+__all__ = ["PAIRS", "pair_lists", "pairs_expected"]
 
+#: Numba's type of the pairs that `pair_lists` returns.
+PAIRS = types.Tuple([types.int64[::1], types.int64[::1], types.int32[::1]])
 _SPARE = 1.5  # times the pairs that are expected of a block: some are denser than others
+
+
+class _Found(NamedTuple):
+    """What blocks of rows have found; rows and particles as they are sorted along the first axis."""
+
+    pairs: np.ndarray  # (blocks, room + N) partners, row after row
+    number: np.ndarray  # (blocks,) of pairs, those that found no room too
+    counts: np.ndarray  # (N,) partners of each row
+    partner: np.ndarray  # (blocks, N) the nearest, of what a block has seen
+    best: np.ndarray  # (blocks, N) squared distance from it
 
 
 @jit
@@ -45,30 +58,32 @@ def pair_lists(z, reach, expected):
             y[d, s] = z[order[s], d]
     edges = even(N) if N >= PARALLEL_FROM else np.array([0, N])
     blocks = edges.size - 1
-    counts, found = np.zeros(N, np.int64), np.zeros(blocks, np.int64)
+    counts, number = np.zeros(N, np.int64), np.zeros(blocks, np.int64)
     partner, best = np.empty((blocks, N), np.int64), np.empty((blocks, N))
     room = int(_SPARE * min(expected, 1.0 * N) * (N / blocks))
     while True:
-        pairs = np.empty((blocks, room + N), np.int32)
+        found = _Found(np.empty((blocks, room + N), np.int32), number, counts, partner, best)
         if blocks == 1:
-            _block(0, y, R2, reach.max(), edges, pairs, counts, partner, best, found)
+            _block(0, y, R2, reach.max(), edges, found)
         else:
-            _all_blocks(y, R2, reach.max(), edges, pairs, counts, partner, best, found)
-        if found.max() <= room:
+            _all_blocks(y, R2, reach.max(), edges, found)
+        if number.max() <= room:
             break
-        room = found.max()
+        room = number.max()
     start = np.zeros(N + 1, np.int64)
-    start[1:] = np.cumsum(counts)
-    return (order, start, _joined(order, pairs, found)), _nearest(order, partner, best)
+    for s in range(N):
+        start[s + 1] = start[s] + counts[s]
+    return (order, start, _joined(order, found)), _nearest(order, partner, best)
 
 
 @jit
-def _block(b, y, R2, widest, edges, pairs, counts, partner, best, found):
+def _block(b, y, R2, widest, edges, found):
     """Rows edges[b] to edges[b + 1]: partners by row, how many each row has, and the nearest of all rows.
 
     Pairs that find no room, beyond which there are N places left, are only counted.
     """
     n_pairs, last, N = 0, edges[b], R2.size
+    pairs, counts, partner, best = found.pairs, found.counts, found.partner, found.best
     r2, room = np.empty(N), pairs.shape[1] - N
     best[b] = np.inf
     for s in range(edges[b], edges[b + 1]):
@@ -89,14 +104,14 @@ def _block(b, y, R2, widest, edges, pairs, counts, partner, best, found):
                 best[b, s], partner[b, s] = r2[c], c
             if r2[c] < best[b, c]:
                 best[b, c], partner[b, c] = r2[c], s
-    found[b] = n_pairs
+    found.number[b] = n_pairs
 
 
 @parallel_jit
-def _all_blocks(y, R2, widest, edges, pairs, counts, partner, best, found):
+def _all_blocks(y, R2, widest, edges, found):
     """The blocks, spread over threads."""
-    for b in prange(found.size):
-        _block(b, y, R2, widest, edges, pairs, counts, partner, best, found)
+    for b in prange(edges.size - 1):
+        _block(b, y, R2, widest, edges, found)
 
 
 @jit
@@ -112,11 +127,11 @@ def _squares(y, s, last, gap2):
 
 
 @jit
-def _joined(order, pairs, found):
+def _joined(order, found):
     """The partners of all rows one after the other, as numbers of particles."""
-    joined, k = np.empty(found.sum(), np.int32), 0
-    for b in range(found.size):
-        for s in pairs[b, : found[b]]:
+    joined, k = np.empty(found.number.sum(), np.int32), 0
+    for b in range(found.number.size):
+        for s in found.pairs[b, : found.number[b]]:
             joined[k] = order[s]
             k += 1
     return joined

@@ -286,7 +286,8 @@ def neighbor_lists(x, support, reach, buffer, index):
         reach[i], n_found = _reach(x, i, support[i], max(reach[i], support[i]), buffer, index, found, r2)
         if n_pairs + n_found > pairs.size:
             more, more2 = np.empty(2 * pairs.size + N, np.int32), np.empty(2 * pairs.size + N)
-            more[:n_pairs], more2[:n_pairs] = pairs[:n_pairs], gaps2[:n_pairs]
+            for s in range(n_pairs):  # written out: numba compiles a copy of slices ten times as long
+                more[s], more2[s] = pairs[s], gaps2[s]
             pairs, gaps2 = more, more2
         for s in range(n_found):
             if found[s] != i:

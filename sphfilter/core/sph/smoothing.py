@@ -5,26 +5,20 @@ differ in the density they use.
 """
 
 import math
-from typing import NamedTuple
 
+from .._addresses import ADDRESS, Entry
 from .._jit import jit
-from ..domain import refresh
 from .kernels import RADIUS
-from .summation import density_and_gradient, own_density
+from .state import CLOUD, NEAR, OPTIONS, WORK
+from .summation import DENSITY, own_density
 
-__all__ = ["SMOOTHING", "Rule", "update_smoothing"]
+__all__ = ["SMOOTHING", "UPDATE", "update_smoothing"]
 
 SMOOTHING = ("fixed", "proportional", "fixed_point", "newton")
 FIXED, PROPORTIONAL, FIXED_POINT, NEWTON = range(4)
 _NEWTON_TOLERANCE = 1e-6
 
-
-class Rule(NamedTuple):
-    """How smoothing lengths follow: numbers of `PaperScheme`, a code instead of a word."""
-
-    mode: int
-    tolerance: float  # relative change of a sweep of the fixed point, below which it has settled
-    sweeps: int  # at most
+density_at = DENSITY.at
 
 
 @jit
@@ -39,17 +33,18 @@ def proportional(rho, invariant, n, h):
 
 
 @jit
-def newton(i, m, h_i, target, lists, r, kernel, n, limit, sweeps):
+def newton(i, near, h_i, target, limit, n, options):
     """Root of rho_i(h) h^n = target (000 (114), with the kernels of i's own h), or -1; and is it settled?
 
     The left side grows with h, so that a bracket always holds the root; h may not pass `limit`, beyond
     which the neighbour lists are blind. No root exists where the particle's own kernel fills the sum.
     """
-    low, high = 0.0, limit
+    m, lists, r = near.seen.m, near.lists, near.r
+    kernel, low, high = (options.kernel, options.normalisation), 0.0, limit
     rho, _ = own_density(i, m, limit, lists, r, kernel, n)
     if rho * limit**n < target:
         return -1.0, False
-    for _ in range(sweeps):
+    for _ in range(options.smoothing_iterations):
         rho, slope_h = own_density(i, m, h_i, lists, r, kernel, n)
         excess = rho * h_i**n - target
         if excess > 0.0:
@@ -67,47 +62,56 @@ def newton(i, m, h_i, target, lists, r, kernel, n, limit, sweeps):
 
 
 @jit
-def _density(cloud, seen, lists, kernel, grad, r):
-    refresh(seen, cloud.x, cloud.h)
-    density_and_gradient(seen.x, seen.m, seen.h, lists, kernel, cloud.rho, grad, r)
-
-
-@jit
-def _fixed_point(rule, cloud, seen, reach, lists, kernel, grad, r, settled):
-    """Sweeps of `proportional` until no h changes by more than the tolerance; `settled` says whose do not."""
-    for _ in range(rule.sweeps):
+def _fixed_point(density, cloud, near, work, options):
+    """Sweeps of `proportional` until no h changes by more than the tolerance; marks whose do not."""
+    settled, tolerance, K = work.settled, options.smoothing_tolerance, RADIUS[options.kernel]
+    for _ in range(options.smoothing_iterations):
         old = cloud.h.copy()
-        if proportional(cloud.rho, cloud.invariant, cloud.x.shape[1], cloud.h) < rule.tolerance:
+        if proportional(cloud.rho, cloud.invariant, cloud.x.shape[1], cloud.h) < tolerance:
             settled[:] = True
             return
         # The plain iteration oscillates where few neighbours carry the sum: go to the geometric mean.
         for i in range(old.size):
-            settled[i] = abs(cloud.h[i] - old[i]) < rule.tolerance * old[i]
-            cloud.h[i] = min(math.sqrt(old[i] * cloud.h[i]), reach[i] / RADIUS[kernel[0]])
-        _density(cloud, seen, lists, kernel, grad, r)
+            settled[i] = abs(cloud.h[i] - old[i]) < tolerance * old[i]
+            cloud.h[i] = min(math.sqrt(old[i] * cloud.h[i]), work.reach[i] / K)
+        density_at(density)(cloud, near, work, options)
 
 
 @jit
-def update_smoothing(rule, cloud, seen, reach, lists, kernel, grad, r, settled):
+def update_smoothing(density, cloud, near, work, options):
     """Bring h to the present positions; return how many particles' lengths have not settled.
 
-    Those that have are marked in `settled`. Where an equation has no root the old h is kept. `cloud.rho`
+    Those that have are marked in `work.settled`. Where an equation has no root the old h is kept. `cloud.rho`
     holds the density of the last evaluation, which the lagged proportional update uses.
+
+    Parameters
+    ----------
+    density : ADDRESS
+        Of `DENSITY`.
+    cloud : Cloud
+    near : Near
+        Lists made for the radii ``work.reach``, which no support may pass.
+    work : Work
+    options : Options
     """
-    if rule.mode == FIXED:
+    rule, n = options.smoothing, cloud.x.shape[1]
+    if rule == FIXED:
         return 0
-    n = cloud.x.shape[1]
-    if rule.mode == PROPORTIONAL:
+    if rule == PROPORTIONAL:
         proportional(cloud.rho, cloud.invariant, n, cloud.h)
         return 0
-    _density(cloud, seen, lists, kernel, grad, r)
-    if rule.mode == FIXED_POINT:
-        _fixed_point(rule, cloud, seen, reach, lists, kernel, grad, r, settled)
-    if rule.mode == NEWTON:
+    density_at(density)(cloud, near, work, options)
+    if rule == FIXED_POINT:
+        _fixed_point(density, cloud, near, work, options)
+    if rule == NEWTON:
         for i in range(cloud.h.size):
-            limit = reach[i] / RADIUS[kernel[0]]
+            limit = work.reach[i] / RADIUS[options.kernel]
             start, target = min(cloud.h[i], limit), cloud.invariant[i]
-            root, settled[i] = newton(i, seen.m, start, target, lists, r, kernel, n, limit, rule.sweeps)
+            root, work.settled[i] = newton(i, near, start, target, limit, n, options)
             if root > 0.0:
                 cloud.h[i] = root
-    return settled.size - settled.sum()
+    return work.settled.size - work.settled.sum()
+
+
+#: `update_smoothing` by its address.
+UPDATE = Entry(update_smoothing, (ADDRESS, CLOUD, NEAR, WORK, OPTIONS))

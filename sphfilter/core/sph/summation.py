@@ -10,11 +10,15 @@ import math
 import numpy as np
 from numba import prange
 
+from .._addresses import Entry
 from .._jit import jit, parallel_jit
+from ..domain import refresh
 from .kernels import GAUSSIAN, RADIUS, shape, slope
 from .neighbors import query
+from .state import CLOUD, NEAR, OPTIONS, WORK
 
 __all__ = [
+    "DENSITY",
     "density_and_gradient",
     "density_and_gradient_parallel",
     "deposit",
@@ -22,6 +26,7 @@ __all__ = [
     "sample_density",
     "sample_density_parallel",
     "sample_gradient",
+    "update_density",
 ]
 
 
@@ -81,6 +86,23 @@ def _density_and_gradient(x, m, h, lists, kernel, rho, grad, r):
 
 density_and_gradient = jit(_density_and_gradient)
 density_and_gradient_parallel = parallel_jit(_density_and_gradient)
+
+
+@jit
+def update_density(cloud, near, work, options):
+    """Bring densities and their gradients to where the particles of a march are now."""
+    seen, kernel = near.seen, (options.kernel, options.normalisation)
+    refresh(seen, cloud.x, cloud.h)
+    if options.parallel:
+        density_and_gradient_parallel(
+            seen.x, seen.m, seen.h, near.lists, kernel, cloud.rho, work.grad, near.r
+        )
+    else:
+        density_and_gradient(seen.x, seen.m, seen.h, near.lists, kernel, cloud.rho, work.grad, near.r)
+
+
+#: `update_density` by its address.
+DENSITY = Entry(update_density, (CLOUD, NEAR, WORK, OPTIONS))
 
 
 @jit
