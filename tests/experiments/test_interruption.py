@@ -18,7 +18,7 @@ run = partial(
 
 BEFORE = """
 import ctypes, os, signal, sys, time
-from experiments.interruption import stoppable
+from experiments.terminal.interruption import stoppable
 
 def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
