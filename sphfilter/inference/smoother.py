@@ -209,7 +209,7 @@ def _forward(filt, times, measurements, sensors):
 def _backward(epochs):
     """Density, log-evidence of all measurements, and extrapolated probability at every epoch."""
     last = epochs[-1].filt
-    scheme = LogDensityScheme(lattice_reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
+    scheme = LogDensityScheme(reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
     laid, _ = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
     found = likelihood_field(laid.field, epochs[-1].log_likelihood(laid.x))
     out = [(last.density, last.log_evidence, 0.0)]
