@@ -7,14 +7,14 @@ bounds the part of the posterior on edge kernels, f_edge of (62), is what refuse
 from dataclasses import replace
 from typing import NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 from scipy import stats
 
 from experiments.scene.filters import Factory
 from sphfilter.campaign.campaign import draw_case, run_campaign
 
-from ..show.style import ACCENT, INK, Picture, frame, quantity
+from ..show.style import ACCENT, INK, frame, legend_below, plt, quantity
+from .picture import Picture
 
 __all__ = ["Coverage", "Rate", "rejected_measurements", "rejection_rates"]
 
@@ -63,8 +63,7 @@ def rejected_measurements(scenario, seed, n_runs):
     axes["before"].sharex(axes["after"])
     axes["before"].sharey(axes["after"])
     axes["before"].set_xlabel("")
-    handles, labels = axes["before"].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    legend_below(figure, axes["before"], columns=5)
     _bars(axes["rates"], scenario.model.dim, rates, n_runs)
     what = f"run {run}: refused measurements, and a remedy"
     figure.suptitle(f"{scenario.name}, the paper's scheme, {what}", fontsize=11)

@@ -5,30 +5,19 @@ from time import perf_counter
 
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from sphfilter.campaign.campaign import run_campaign
 
 from ..scene.filters import name_of
+from .progress import Interrupted, bar
 
-__all__ = ["Interrupted", "duration", "new_console", "run_shown", "status", "warm_up"]
-
-
-class Interrupted(KeyboardInterrupt):
-    """The user stopped a campaign; the message says how to go on."""
+__all__ = ["duration", "new_console", "run_shown", "status", "warm_up"]
 
 
-def new_console():
+def new_console(width=132):
     """A console of the terminal's width, or of a table's where the output goes to a file."""
     console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=132)
+    return console if console.is_terminal else Console(highlight=False, width=width)
 
 
 def duration(seconds):
@@ -69,15 +58,8 @@ def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):
     """
     if any(folder.glob("run_*.npz")):
         console.print(f"going on from the runs that are in {folder}")
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(TextColumn("runs"), *columns, console=console, transient=True) as bar:
-        progress = _Progress(console, bar)
+    with bar(console, "runs", left=True) as move:
+        progress = _Progress(console, move)
         try:
             return run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, progress)
         except KeyboardInterrupt:
@@ -102,15 +84,12 @@ def _clear(folder):
 class _Progress:
     """Moves a bar, or prints lines where there is no terminal; runs that were found took no time."""
 
-    def __init__(self, console, bar):
-        self._console, self._bar, self._task = console, bar, bar.add_task("", total=None)
-        self._found, self._start = None, perf_counter()
+    def __init__(self, console, move):
+        self._console, self._move, self._found, self._start = console, move, None, perf_counter()
 
     def __call__(self, done, total):
-        if self._found is None:
-            self._found = done
-            self._bar.reset(self._task, total=total, completed=done)
-        self._bar.update(self._task, completed=done)
+        self._move(done, total, found=self._found is None)
+        self._found = done if self._found is None else self._found
         if self._console.is_terminal:
             return
         left = ""

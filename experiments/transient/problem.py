@@ -73,6 +73,11 @@ class Problem:
         return self.settings.model.labels or self.settings.model.states
 
     @property
+    def units(self):
+        """Units of the states, length n; empty where a state is a plain number."""
+        return self.settings.model.units or ("",) * len(self.settings.model.states)
+
+    @property
     def n_particles(self):
         """Upper bound of the number of particles; None for that of the start's lattice."""
         given, lattice = self.settings.solver.n_particles, self.settings.start.lattice
