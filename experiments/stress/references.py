@@ -129,11 +129,10 @@ def _at_most(seconds):
 def _particles(problem, seed):
     """Two runs, with steps of different kind and order: their mean, and half their distance as its error."""
     runs = []
+    start = problem.x0, problem.P0, problem.t0
     for order in (2, 4):
-        f = ParticleFilter(
-            problem.model, problem.measurement, problem.x0, problem.P0, problem.t0,
-            n_particles=_N_PARTICLES, rng=np.random.default_rng([seed, order]), resampling="ess", order=order,
-        )  # fmt: skip
+        how = {"rng": np.random.default_rng([seed, order]), "resampling": "ess", "order": order}
+        f = ParticleFilter(problem.model, problem.measurement, *start, n_particles=_N_PARTICLES, **how)
         runs.append(_watched(f, problem))
     (x1, P1, e1), (x2, P2, e2) = runs
     x, P = 0.5 * (x1 + x2), 0.5 * (P1 + P2)

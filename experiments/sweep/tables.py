@@ -110,5 +110,5 @@ def write(out, rows, name):
     """Write the rows to sweep.csv, table and sentences to sweep.md."""
     write_rows(out / "sweep.csv", rows)
     said = [f"- {sentence}" for sentence in sentences(rows)]
-    text = [f"# Sweep of {name}", "", *tables.markdown(*_text(rows)), "", *said, ""]
+    text = [f"# Sweep of {name}", "", *tables.markdown(*_text(rows), left=0), "", *said, ""]
     (out / "sweep.md").write_text("\n".join(text), encoding="utf-8")
