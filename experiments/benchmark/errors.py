@@ -4,47 +4,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.show.comparison import moment_errors, rms
+from experiments.show.comparison import Distance, moment_errors, rms
 from sphfilter import consistency
 
 __all__ = ["Errors", "errors", "root_mean_square", "truth_errors"]
 
 
 @dataclass(frozen=True)
-class Errors:
+class Errors(Distance):
     """Distance of a run from the reference, root mean squares over its epochs.
 
     Attributes
     ----------
-    mean : float
-        |L⁻¹ (m − m_ref)| with L Lᵀ = C_ref: posterior standard deviations.
     worst : float
-        The largest of it.
-    cov : float
-        ‖L⁻¹ (C − C_ref) L⁻ᵀ‖ (Frobenius) over √n.
-    evidence : float
-        Log-evidence of a measurement, nats.
+        The largest |L⁻¹ (m − m_ref)|, whose root mean square is `mean`.
     total : float
         |Log-evidence of the whole run|, nats.
     """
 
-    mean: float
     worst: float
-    cov: float
-    evidence: float
     total: float
 
 
 def errors(result, reference):
     """Errors of a `FilterResult` against that of the reference."""
     mean, cov = moment_errors(result.x, result.P, reference.x, reference.P)
-    return Errors(
-        mean=rms(mean),
-        worst=float(mean.max()),
-        cov=rms(cov),
-        evidence=rms(result.log_evidence - reference.log_evidence),
-        total=float(abs(np.sum(result.log_evidence) - np.sum(reference.log_evidence))),
-    )
+    evidence = rms(result.log_evidence - reference.log_evidence)
+    total = abs(np.sum(result.log_evidence) - np.sum(reference.log_evidence))
+    return Errors(rms(mean), rms(cov), evidence, float(mean.max()), float(total))
 
 
 def truth_errors(result, truth):

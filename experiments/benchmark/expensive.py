@@ -20,19 +20,7 @@ from .measure import warm_up
 from .methods import short, size_text
 from .watch import Watched
 
-__all__ = [
-    "BASE",
-    "COSTS",
-    "Check",
-    "burning_model",
-    "checks",
-    "cost_text",
-    "fastest",
-    "seconds_at",
-    "table",
-    "winners",
-    "write",
-]
+__all__ = ["BASE", "COSTS", "Check", "burning_model", "checks", "fastest", "seconds_at", "table", "write"]
 
 #: The scenario whose rows are used; seconds an evaluation; errors of the mean that are asked for.
 BASE = "van_der_pol"
@@ -157,7 +145,7 @@ def fastest(lines, cost, error):
 def table(lines, title):
     """Who wins, as a rich table."""
     headings = ["Cost of a drift", *(f"error ≤ {error:g}" for error in _LEVELS)]
-    rows = [(cost_text(cost), *map(_who, best.values())) for cost, best in winners(lines).items()]
+    rows = [(_cost_text(cost), *map(_who, best.values())) for cost, best in winners(lines).items()]
     return tables.table(title, headings, rows, left=len(headings))
 
 
@@ -169,7 +157,7 @@ def _who(found):
     return f"{short(line.family)}{', ' if size else ''}{size}: {seconds:.2g} s"
 
 
-def cost_text(cost):
+def _cost_text(cost):
     """A cost for people."""
     return "as compiled" if cost == 0 else f"{cost * 1e6:g} µs" if cost < 1e-3 else f"{cost * 1e3:g} ms"
 

@@ -142,27 +142,14 @@ def _grid(scenario, case, effort):
 
 def _particles(scenario, case, effort, folder):
     """Independent large particle runs; their spread is the error of their average."""
-    found = converged(
-        scenario.model,
-        scenario.measurement,
-        case,
-        n_particles=effort.n_paths,
-        n_runs=effort.n_runs,
-        rng=0,
-        cache=folder,
-    )
+    size = {"n_particles": effort.n_paths, "n_runs": effort.n_runs}
+    found = converged(scenario.model, scenario.measurement, case, **size, rng=0, cache=folder)
     prior = np.full_like(found.x, np.nan), np.full_like(found.P, np.nan)
     accepted = np.ones(len(found.t), dtype=bool)
     result = FilterResult(found.t, *prior, found.x, found.P, found.log_evidence, accepted)
-    paths = f"{effort.n_runs} particle runs of {effort.n_paths:g}"
-    return Reference(
-        f"{paths}, error bounded by their spread",
-        result,
-        *_white_errors(found),
-        root_mean_square(found.evidence_error),
-        found.total_error,
-        {},
-    )
+    kind = f"{effort.n_runs} particle runs of {effort.n_paths:g}, error bounded by their spread"
+    errors = (*_white_errors(found), root_mean_square(found.evidence_error), found.total_error)
+    return Reference(kind, result, *errors, {})
 
 
 def _white_errors(found):

@@ -115,5 +115,4 @@ class _Gridded:
 def _paths(problem, progress):
     """Moments over many paths; their density is not known."""
     found = reference_of(problem, progress)
-    mean, cov = zip(*(moments(row, problem.model.dim) for row in found.values), strict=True)
-    return Truth(found.name, np.array(mean), np.array(cov))
+    return Truth(found.name, *moments(found.values, problem.model.dim))

@@ -3,6 +3,7 @@
 import numpy as np
 
 from experiments.own_data.csv_data import LEVELS
+from experiments.show.histories import readings
 from experiments.show.style import COLOURS, filter_heading, grid, panels, quantity, save
 
 __all__ = ["draw", "draw_forecasts"]
@@ -21,17 +22,15 @@ def draw(path, scenario, data, results):
     n = scenario.model.dim
     size = (max(4.8 * n, 7.0), 1.9 * len(results) + 1.2)
     figure, axes = panels(len(results), n, size, sharex=True, sharey="col")
-    reads = scenario.measurement.directly_observed
+    dots = {"ms": 4.5, "color": "0.1", "mec": "w", "mew": 0.6, "zorder": 4}
     for row, (name, result) in zip(axes, results.items(), strict=True):
         for d, ax in enumerate(row):
             std = np.sqrt(result.P[:, d, d])
             low, high = result.x[:, d] - 2 * std, result.x[:, d] + 2 * std
             ax.fill_between(result.t, low, high, color=COLOURS[name], alpha=0.22, lw=0)
             ax.plot(result.t, result.x[:, d], color=COLOURS[name], lw=1.2)
-            if reads is not None and d in reads[0]:
-                j = list(reads[0]).index(d)
-                dots = {"ms": 4.5, "color": "0.1", "mec": "w", "mew": 0.6, "zorder": 4}
-                ax.plot(data.times, data.z[:, j] / reads[1][j], "o", **dots)
+            if (seen := readings(scenario.measurement, data.z, d)) is not None:
+                ax.plot(data.times, seen, "o", **dots)
             grid(ax)
             ax.margins(x=0.01)
         filter_heading(row[0], name)

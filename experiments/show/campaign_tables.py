@@ -1,18 +1,21 @@
 """The table of a campaign beside the published figures, and what it means in sentences."""
 
+from functools import partial
+
 import numpy as np
 
 from ..scene.filters import FILTERS, name_of
+from .style import quantity
 from .tables import number, percent, table
 
 __all__ = ["distance_table", "result_table", "sentences"]
 
 #: Rows of 002 Tables 7, 9 and 11: heading, field of the report, field of the publication.
 _PER_STATE = (
-    ("Max peak error", "max_peak_error", "max_peak"),
-    ("Avg peak error", "mean_peak_error", "avg_peak"),
-    ("RMS error", "rms_error", "rms"),
-    ("  ± sampling error", "rms_error_std", None),
+    ("Max peak error, {}", "max_peak_error", "max_peak"),
+    ("Avg peak error, {}", "mean_peak_error", "avg_peak"),
+    ("RMS error, {}", "rms_error", "rms"),
+    ("  ± sampling error", "rms_error_std", ""),
 )
 
 
@@ -31,38 +34,33 @@ def result_table(report, scenario):
         if name in published:
             made.add_column("(paper)", justify="right", style="dim")
 
-    def add(label, cell, paper=lambda figures: ""):
+    def add(label, cell, printed=lambda figures: ""):
         cells = []
         for name, f in report.filters.items():
-            cells.append(cell(f))
-            if name in published:
-                cells.append(paper(published[name]))
+            cells += [cell(f), printed(published[name])] if name in published else [cell(f)]
         made.add_row(label, *cells)
 
-    for d, (state, unit) in enumerate(zip(scenario.labels, scenario.units, strict=True)):
+    def of_state(field, d):
+        return lambda f: _number(getattr(f, field)[d]) if field else ""
+
+    for d in range(report.dim):
         for heading, field, printed in _PER_STATE:
-            of = "" if heading.startswith(" ") else f", {state}" + (f" ({unit})" if unit else "")
-            add(
-                heading + of,
-                lambda f, field=field, d=d: _number(getattr(f, field)[d]),
-                lambda figures, printed=printed, d=d: (
-                    _number(getattr(figures, printed)[d]) if printed else ""
-                ),
-            )
+            add(heading.format(quantity(scenario, d)), of_state(field, d), of_state(printed, d))
         made.add_section()
     add("Run time (s)", lambda f: _number(f.run_time), lambda figures: _number(figures.run_time))
     add(f"NEES, average ({report.dim} is right)", lambda f: _number(f.nees))
     add("NEES in its 95 % interval", lambda f: percent(f.nees_inside))
     add("Measurements rejected", lambda f: str(f.n_rejected))
-    of = scenario.settings.runs.published
-    add(
-        "Runs diverged",
-        lambda f: f"{f.n_diverged} of {f.n_runs}",
-        lambda figures: "" if figures.n_diverged is None else f"{figures.n_diverged} of {of}",
-    )
+    add("Runs diverged", lambda f: f"{f.n_diverged} of {f.n_runs}", partial(_diverged, scenario))
     add("Runs failed", lambda f: str(f.n_failed))
     add("Log-evidence of a run", lambda f: _number(f.log_evidence))
     return made
+
+
+def _diverged(scenario, figures):
+    """Runs that diverged in the publication."""
+    n = figures.n_diverged
+    return "" if n is None else f"{n} of {scenario.settings.runs.published}"
 
 
 def distance_table(distances, reference):

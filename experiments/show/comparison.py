@@ -6,7 +6,7 @@ import numpy as np
 
 from sphfilter import consistency
 
-__all__ = ["Distance", "distance", "distances", "moment_errors", "reference_name", "rms"]
+__all__ = ["Distance", "distance", "distances", "least_eigenvalue", "moment_errors", "reference_name", "rms"]
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,23 @@ def moment_errors(x, P, x_ref, P_ref):
         |L⁻¹ (x − x_ref)| and ‖L⁻¹ (P − P_ref) L⁻ᵀ‖ (Frobenius) over √n, with P_ref = L Lᵀ.
     """
     # in units of the standard deviations, so that metres and radians may share a state
-    scale = np.sqrt(np.diagonal(P_ref, axis1=-2, axis2=-1))
-    pairs = scale[..., :, None] * scale[..., None, :]
+    pairs = _scale_of(P_ref)
     L = np.linalg.cholesky(P_ref / pairs)
     half = np.linalg.solve(L, (P - P_ref) / pairs)
     off = np.linalg.solve(L, np.swapaxes(half, -1, -2))
-    return consistency.distance(x, x_ref, P_ref), np.linalg.norm(off, axis=(-2, -1)) / np.sqrt(len(scale.T))
+    n = P_ref.shape[-1]
+    return consistency.distance(x, x_ref, P_ref), np.linalg.norm(off, axis=(-2, -1)) / np.sqrt(n)
+
+
+def least_eigenvalue(P):
+    """Least eigenvalue of all covariances (T, n, n), each scaled to a unit diagonal; 1 of none."""
+    return float(np.linalg.eigvalsh(P / _scale_of(P)).min(initial=1.0))
+
+
+def _scale_of(P):
+    """Products of standard deviations, shape (..., n, n)."""
+    scale = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))
+    return scale[..., :, None] * scale[..., None, :]
 
 
 def rms(values):

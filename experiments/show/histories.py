@@ -10,7 +10,7 @@ from sphfilter.campaign.campaign import draw_case
 from ..scene.filters import name_of
 from .style import COLOURS, filter_heading, grid, legend_below, panels, quantity
 
-__all__ = ["example_runs", "history_figure", "losses"]
+__all__ = ["example_runs", "history_figure", "losses", "readings"]
 
 #: Room around the truth, in its spans, and how far a filter that lost it is followed.
 _ROOM, _FAR = 0.4, 4.0
@@ -90,20 +90,27 @@ def _verdict(lost):
 
 def _row(row, scenario, case, name, result, t_lost):
     """Truth, measurements and one filter, a panel a state."""
-    reads = scenario.measurement.directly_observed
+    dots = {"ms": 3.2, "mfc": "w", "mec": "k", "mew": 0.9, "label": "measurement", "zorder": 4}
     for d, ax in enumerate(row):
         ax.plot(case.times, case.truth[:, d], color="0.25", lw=1.0, label="truth")
         if result is not None:
             _band(ax, result, d, COLOURS[name])
-        if reads is not None and d in reads[0]:
-            j = list(reads[0]).index(d)
-            ax.plot(case.times, case.z[:, j] / reads[1][j], "o", ms=3.2, mfc="w", mec="k", mew=0.9,
-                    label="measurement", zorder=4)  # fmt: skip
+        if (seen := readings(scenario.measurement, case.z, d)) is not None:
+            ax.plot(case.times, seen, "o", **dots)
         strayed = result.x_prior[:, d] if t_lost is not None and result is not None else None
         _frame(ax, case.truth[:, d], strayed)
         if t_lost is not None:
             ax.axvline(t_lost, color="0.3", lw=1.0, ls=":")
     filter_heading(row[0], name, "" if t_lost is None else f", worst at {t_lost:g} s")
+
+
+def readings(measurement, z, state):
+    """What a sensor read of a state, shape (T,), of measurements z (T, k); None if it does not read it."""
+    reads = measurement.directly_observed
+    if reads is None or state not in reads[0]:
+        return None
+    j = list(reads[0]).index(state)
+    return z[:, j] / reads[1][j]
 
 
 def _rerun(make, case):

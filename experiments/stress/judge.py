@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.show.comparison import moment_errors, rms
+from experiments.show.comparison import least_eigenvalue, moment_errors, rms
 from sphfilter.consistency import nees
 
 __all__ = ["LIMITS", "VERDICTS", "Verdict", "judge", "trusted"]
@@ -87,10 +87,7 @@ def _fault(outcome):
     variance = np.diagonal(outcome.P, axis1=1, axis2=2)
     if not (variance > 0).all():
         return f"a variance is {variance.min():.3g}"
-    scale = np.sqrt(variance)
-    scaled = outcome.P / (scale[:, :, None] * scale[:, None, :])
-    least = np.linalg.eigvalsh(scaled).min(initial=1.0)
-    if least < _ROUNDING:
+    if (least := least_eigenvalue(outcome.P)) < _ROUNDING:
         return f"a covariance has a negative eigenvalue, {least:.2g} of its diagonal"
     if abs(outcome.mass - 1.0) > 1e-9:
         return f"the masses sum to {outcome.mass:.6g}"

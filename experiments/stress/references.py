@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from experiments.show.comparison import moment_errors, rms
+from experiments.show.comparison import least_eigenvalue, moment_errors, rms
 from reference_filters.grid import grid_convergence
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
@@ -78,11 +78,8 @@ def reference(problem, seed):
 
 def _definite(P):
     """Tell whether errors can be measured in units of these covariances (T, n, n)."""
-    variance = np.diagonal(P, axis1=1, axis2=2)
-    if not (np.isfinite(P).all() and (variance > 0).all()):
-        return False
-    scale = np.sqrt(variance)
-    return bool(np.linalg.eigvalsh(P / (scale[:, :, None] * scale[:, None, :])).min() > 1e-14)
+    positive = np.isfinite(P).all() and (np.diagonal(P, axis1=1, axis2=2) > 0).all()
+    return positive and least_eigenvalue(P) > 1e-14
 
 
 def _exact(problem, seed):

@@ -59,9 +59,8 @@ def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):
     if any(folder.glob("run_*.npz")):
         console.print(f"going on from the runs that are in {folder}")
     with bar(console, "runs", left=True) as move:
-        progress = _Progress(console, move)
         try:
-            return run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, progress)
+            return run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, _told(console, move))
         except KeyboardInterrupt:
             done = len(list(folder.glob("run_*.npz")))
             if not done:
@@ -81,19 +80,19 @@ def _clear(folder):
         folder.rmdir()
 
 
-class _Progress:
-    """Moves a bar, or prints lines where there is no terminal; runs that were found took no time."""
+def _told(console, move):
+    """What moves a bar, or prints lines where there is no terminal; runs that were found took no time."""
+    found, start = [], perf_counter()
 
-    def __init__(self, console, move):
-        self._console, self._move, self._found, self._start = console, move, None, perf_counter()
-
-    def __call__(self, done, total):
-        self._move(done, total, found=self._found is None)
-        self._found = done if self._found is None else self._found
-        if self._console.is_terminal:
+    def progress(done, total):
+        move(done, total, found=not found)
+        found.append(done)
+        if console.is_terminal:
             return
         left = ""
-        if done > self._found:
-            seconds = (perf_counter() - self._start) / (done - self._found) * (total - done)
+        if done > found[0]:
+            seconds = (perf_counter() - start) / (done - found[0]) * (total - done)
             left = f", about {duration(seconds)} left"
-        self._console.print(f"run {done} of {total} done{left}", style="dim")
+        console.print(f"run {done} of {total} done{left}", style="dim")
+
+    return progress

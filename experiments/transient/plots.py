@@ -55,11 +55,8 @@ def _densities(problem, solution):
         ax = figure.add_subplot(rows, columns, place, **({"projection": "3d"} if three else {}))
         density = solution.start if k < 0 else solution.trajectory.densities[k]
         artist = cloud(ax, density, axes, size=3.0 if three else 7.0)
-        frame(
-            ax,
-            f"t = {density.t:g}, {density.n_particles} particles",
-            *(quantity(problem, a) for a in axes[:2]),
-        )
+        title = f"t = {density.t:g}, {density.n_particles} particles"
+        frame(ax, title, *(quantity(problem, axis) for axis in axes[:2]))
         if three:
             ax.set_zlabel(quantity(problem, axes[2]))
     mass_bar(figure, artist, figure.axes, "density")

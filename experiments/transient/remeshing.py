@@ -120,4 +120,4 @@ def _variances(rules, reference):
 
 
 def _variance(values, n, axis):
-    return np.array([moments(row, n)[1][axis, axis] for row in values])
+    return moments(values, n)[1][:, axis, axis]

@@ -19,25 +19,18 @@ def comparison(problem, solution, reference):
     The mean's in standard deviations of the reference, the covariance's largest entry in units of its
     standard deviations' products.
     """
-    n, T = problem.model.dim, len(problem.times)
-    out = np.full((T, 2), np.nan)
-    for k in range(T):
-        mean, cov = moments(reference.values[k], n)
-        ours = moments(solution.values[k], n)
-        scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
-        out[k] = (
-            np.abs((ours[0] - mean) / scale).max(),
-            np.abs((ours[1] - cov) / np.outer(scale, scale)).max(),
-        )
-    return out
+    n = problem.model.dim
+    (ours, our_cov), (mean, cov) = moments(solution.values, n), moments(reference.values, n)
+    scale = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 1e-300))
+    off = np.abs(our_cov - cov) / (scale[:, :, None] * scale[:, None, :])
+    return np.stack([np.abs((ours - mean) / scale).max(axis=1), off.max(axis=(1, 2))], axis=1)
 
 
 def moments(values, n):
-    """Mean (n,) and covariance (n, n) from the first and second moments at the head of a row of values."""
-    mean, second = values[:n], np.empty((n, n))
-    second[np.triu_indices(n)] = values[n : n + n * (n + 1) // 2]
-    second = np.triu(second) + np.triu(second, 1).T
-    return mean, second - np.outer(mean, mean)
+    """Means (T, n) and covariances (T, n, n) from the first and second moments that rows (T, S) begin with."""
+    mean, second, (i, j) = values[:, :n], np.empty((len(values), n, n)), np.triu_indices(n)
+    second[:, i, j] = second[:, j, i] = values[:, n : n + len(i)]
+    return mean, second - mean[:, :, None] * mean[:, None, :]
 
 
 def table(problem, solution, reference):
