@@ -27,7 +27,7 @@ def comparison(problem, solution, reference):
 
 
 def moments(values, n):
-    """Means (T, n) and covariances (T, n, n) from the first and second moments that rows (T, S) begin with."""
+    """Means (T, n), covariances (T, n, n) of the first and second moments that rows (T, S) begin with."""
     mean, second, (i, j) = values[:, :n], np.empty((len(values), n, n)), np.triu_indices(n)
     second[:, i, j] = second[:, j, i] = values[:, n : n + len(i)]
     return mean, second - mean[:, :, None] * mean[:, None, :]
