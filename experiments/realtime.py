@@ -17,7 +17,7 @@ from .benchmark.watch import Watched
 from .scene.scenario import load_scenario
 from .show.tables import number, table
 from .terminal.options import names_of, numbers
-from .terminal.running import new_console, status
+from .terminal.running import new_console, status, tell
 
 __all__ = ["EPILOG", "add_arguments", "main"]
 
@@ -101,8 +101,7 @@ def main(args):
                 rows.append((scenario.name, f"{budget:g} ms", *_cells(outcome, 1e-3 * budget, args.runs)))
                 told += [f"{scenario.name}, {budget:g} ms: {text}" for text in outcome.failures]
     console.print(table("", _HEADINGS, rows))
-    for text in told:
-        console.print(f"• {text}")
+    tell(console, told)
 
 
 def _cases(scenario, args):

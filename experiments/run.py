@@ -16,7 +16,7 @@ from .show import plots
 from .show.campaign_tables import distance_table, result_table, sentences
 from .show.comparison import distances, reference_name
 from .terminal.options import add_run_options
-from .terminal.running import new_console, status
+from .terminal.running import new_console, status, tell
 
 __all__ = ["add_arguments", "main"]
 
@@ -95,8 +95,7 @@ def _tell(console, scenario, campaign, numbers, distance, reference):
     console.print(result_table(numbers, scenario))
     if distance:
         console.print(distance_table(distance, reference))
-    for sentence in sentences(numbers, scenario):
-        console.print(f"• {sentence}")
+    tell(console, sentences(numbers, scenario))
     tell_failures(console, campaign.failures)
     console.print()
 

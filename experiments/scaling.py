@@ -15,7 +15,7 @@ from .benchmark.watch import resident, watch_peak
 from .show.files import write_csv
 from .show.tables import table
 from .terminal.options import names_of, numbers
-from .terminal.running import new_console, status
+from .terminal.running import new_console, status, tell
 from .transient.problem import load_problem
 
 __all__ = ["add_arguments", "main"]
@@ -81,8 +81,7 @@ def main(args):
                 say(f"measuring {scheme} on {count} particles")
                 cells.append(_alone(measured, args.scenario, scheme, count, args.interval, args.samples))
     console.print(_table(args, cells))
-    for sentence in _sentences(schemes, cells):
-        console.print(f"• {sentence}")
+    tell(console, _sentences(schemes, cells))
     write_csv(args.out / "scaling.csv", [f.name for f in fields(Cell)], (asdict(c).values() for c in cells))
     console.print(f"Table: {args.out}/scaling.csv")
 

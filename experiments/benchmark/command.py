@@ -17,7 +17,7 @@ from experiments.scene.scenario import load_scenario
 from experiments.show.files import write_json
 from experiments.terminal.options import counted, names_of
 from experiments.terminal.progress import bar, resumable
-from experiments.terminal.running import new_console
+from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError, SphfilterError
@@ -126,8 +126,7 @@ def _measured(console, scenario, competitors, plan):
 
 def _tell(console, outcome):
     console.print(tables.table(outcome))
-    for sentence in tables.sentences(outcome):
-        console.print(f"• {sentence}")
+    tell(console, tables.sentences(outcome))
     console.print()
 
 

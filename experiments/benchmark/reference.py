@@ -6,13 +6,13 @@ states a grid, refined until it stands still; the rest many large particle runs.
 
 import hashlib
 import json
-import os
 from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
 from experiments.scene.filters import Factory
 from experiments.scene.settings import Grid
+from experiments.show.files import whole
 from reference_filters.big_particle import converged
 from reference_filters.grid_density import Box, GridDensity, fitted_box
 from sphfilter.campaign.store import case_digest
@@ -167,16 +167,14 @@ def _white_errors(found):
 
 
 def _save(path, reference):
-    """Write a reference to one file, which appears when it is complete."""
+    """Write a reference to one file."""
     arrays = {f"result_{f.name}": getattr(reference.result, f.name) for f in fields(FilterResult)}
     for i, p in reference.densities.items():
         arrays |= {f"p{i}_centre": p.box.centre, f"p{i}_axes": p.box.axes, f"p{i}_values": p.values}
     numbers = {name: getattr(reference, name) for name in ("kind", "mean", "cov", "evidence", "total")}
     text = json.dumps({"numbers": numbers, "epochs": list(reference.densities)})
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    with open(part, "wb") as file:
+    with whole(path) as file:
         np.savez_compressed(file, text=text, **arrays)
-    os.replace(part, path)
 
 
 def _load(path):

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from rich.markup import escape
 
 from experiments.scene.files import changes_of
 from experiments.show.tables import number, table
 from experiments.terminal.options import numbers
+from experiments.terminal.running import tell
 from sphfilter.errors import ConfigError
 
 from . import calibration_plots, tables
@@ -158,8 +158,7 @@ def study(args, console):
         pairs = pairs_of(setting, truth, plan, keys, told)
     measure = "l2" if truth.nodes else "cov"
     console.print(_table(f"{setting.problem.name} to {plan.end:g} s, published scheme", pairs, measure))
-    for sentence in sentences(pairs, plan, measure):
-        console.print(f"• {escape(sentence)}")
+    tell(console, sentences(pairs, plan, measure))
     draw = partial(calibration_plots.draw, pairs=pairs, plan=plan, truth=truth.name, measure=measure)
     cells, rows = (cell for pair in pairs for cell in (pair.off, pair.on)), [pair.row() for pair in pairs]
     tables.end(console, args, f"calibrate_{setting.problem.name}", "calibration", cells, rows, draw)

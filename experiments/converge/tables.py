@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import numpy as np
-from rich.markup import escape
 
 from experiments.show.files import write_rows
 from experiments.show.tables import number, table
+from experiments.terminal.running import tell
 
 from .errors import MEASURES
 from .fits import fitted_order
@@ -94,7 +94,7 @@ def end(console, args, name, stem, cells, rows, draw):
     for cell in cells:
         if cell.failure:
             label = ", ".join(f"{key} {value}" for key, value in cell.label.items())
-            console.print(f"• {escape(f'{label}: {cell.failure}')}")
+            tell(console, [f"{label}: {cell.failure}"])
     out = args.out or Path("results") / name
     write_rows(out / f"{stem}.csv", rows)
     console.print(f"Table and picture: {out / stem}.csv, {draw(out / f'{stem}.png')}")

@@ -2,11 +2,23 @@
 
 import csv
 import json
+import os
+from contextlib import contextmanager
 
 import numpy as np
 import tomli_w
 
-__all__ = ["write_csv", "write_json", "write_rows", "write_toml"]
+__all__ = ["whole", "write_csv", "write_json", "write_rows", "write_toml"]
+
+
+@contextmanager
+def whole(path):
+    """Open a binary file to write to, which appears at `path` when all is written; folders are made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    with open(part, "wb") as file:
+        yield file
+    os.replace(part, path)
 
 
 def write_csv(path, heading, rows):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from experiments.terminal.options import counted, names_of
 from experiments.terminal.progress import bar, resumable
-from experiments.terminal.running import new_console
+from experiments.terminal.running import new_console, tell
 from sphfilter.errors import ConfigError, nearest
 
 from . import plots, tables
@@ -69,8 +69,7 @@ def main(args):
     rows = _rows(grid, methods, args)
     tables.write(args.out, rows, args.seed)
     console.print(tables.table(rows))
-    for sentence in tables.sentences(rows):
-        console.print(f"• {sentence}")
+    tell(console, tables.sentences(rows))
     for row in rows:
         if row["verdict"] == "wrong" and row["method"] == "default":
             console.print(f"wrong: default, {row['cell']}: {row['sentence']}", style="red", soft_wrap=True)

@@ -24,7 +24,7 @@ from experiments.own_data.plots import draw_forecasts
 from experiments.scene.filters import FILTERS, factories, name_of
 from experiments.show.files import write_toml
 from experiments.terminal.options import names_of
-from experiments.terminal.running import new_console
+from experiments.terminal.running import new_console, tell
 from reference_filters.grid import GridFilter
 from sphfilter.errors import ConfigError, SphfilterError
 
@@ -66,8 +66,7 @@ def main(args):
     learnt, tested = split(data)
     history = {h: score_history(learnt.z[:, 0], tested.times, tested.z[:, 0]) for h in HORIZONS}
     console.print(score_table(scores | {"history": history}, HORIZONS))
-    for sentence in sentences(scores, history, FIRST):
-        console.print(f"• {sentence}")
+    tell(console, sentences(scores, history, FIRST))
     write_scores(args.out / "forecasts.csv", scores)
     draw_forecasts(args.out / "forecasts.png", scores)
     console.print(f"\nForecasts are in {args.out}/forecasts.csv and forecasts.png.")

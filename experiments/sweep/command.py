@@ -15,7 +15,7 @@ from experiments.scene.filters import factories
 from experiments.scene.scenario import load_scenario, read_settings
 from experiments.terminal.options import add_run_options, positive
 from experiments.terminal.progress import bar, resumable
-from experiments.terminal.running import new_console
+from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.campaign import run_campaign
 from sphfilter.campaign.report import report
 
@@ -84,8 +84,7 @@ def main(args):
     console.print(f"{effort}\n", style="dim")
     rows = _sweep(console, work, n_runs, seed, args.jobs, out)
     console.print(tables.table(rows, name))
-    for sentence in tables.sentences(rows):
-        console.print(f"• {sentence}")
+    tell(console, tables.sentences(rows))
     tables.write(out, rows, name)
     drawn = plots.draw(out, rows, name)
     console.print(f"\nNumbers are in {out}/sweep.csv and sweep.md. Pictures: {', '.join(map(str, drawn))}")

@@ -5,19 +5,26 @@ from time import perf_counter
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 
 from sphfilter.campaign.campaign import run_campaign
 
 from ..scene.filters import name_of
 from .progress import Interrupted, bar
 
-__all__ = ["duration", "new_console", "run_shown", "status", "warm_up"]
+__all__ = ["duration", "new_console", "run_shown", "status", "tell", "warm_up"]
 
 
 def new_console(width=132):
     """A console of the terminal's width, or of a table's where the output goes to a file."""
     console = Console(highlight=False)
     return console if console.is_terminal else Console(highlight=False, width=width)
+
+
+def tell(console, sentences):
+    """Print sentences, each behind a dot."""
+    for sentence in sentences:
+        console.print(f"• {escape(sentence)}")
 
 
 def duration(seconds):

@@ -12,7 +12,7 @@ import sphfilter as sf
 from experiments.scene.files import add_change_option, changes_of
 from experiments.show.files import write_json, write_toml
 from experiments.terminal.progress import bar, resumable
-from experiments.terminal.running import new_console
+from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError, SphfilterError
 
@@ -84,8 +84,7 @@ def _solve(console, args, changes, film):
         console.print(steady_table(problem, solution, rivals))
     for rival in rivals:
         console.print(f"• {rival.name}: {rival.seconds:.2g} s{'; ' * bool(rival.diverged)}{rival.diverged}")
-    for sentence in sentences(problem, solution, reference):
-        console.print(f"• {escape(sentence)}")
+    tell(console, sentences(problem, solution, reference))
     _write(out, problem, solution, reference)
     shutil.rmtree(folder)
     drawn = plots.draw(out, problem, solution, reference, rivals) + _probed(out, problem, solution)
@@ -123,8 +122,8 @@ def _compare_remeshing(console, args, changes):
     reference = _reference(console, first)
     console.print(remeshing.table(rules, reference))
     for rule in rules:
-        for sentence in sentences(rule.problem, rule.solution, reference):
-            console.print(f"• {rule.name}: {escape(sentence)}")
+        told = sentences(rule.problem, rule.solution, reference)
+        tell(console, (f"{rule.name}: {sentence}" for sentence in told))
     drawn = remeshing.draw(out, rules, reference)
     for folder in folders.values():
         shutil.rmtree(folder)
