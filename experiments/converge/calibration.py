@@ -183,7 +183,7 @@ def _table(title, pairs, measure):
         off, apart = getattr(pair.off.errors, measure), getattr(pair.difference, measure)
         seconds = pair.seconds_off, pair.seconds_on
         values = (off, _change(pair, measure), apart, pair.on.bypass_ratio, *seconds)
-        saved = number(pair.saved, ".0f") + " %" * np.isfinite(pair.saved)
+        saved = number(pair.saved, ".0f", " %")
         label = (f"{pair.label[key]:g}" for key in ("particles", "c_cfl", "c_nns", "buffer"))
         made.add_row(*label, *(number(value, ".2g") for value in values), saved)
     return made

@@ -121,7 +121,7 @@ def _table(title, runs):
     for run in runs:
         cell, (problem, kind) = run.cell, run.cell.label.values()
         errors = (number(value, ".2g") for value in (cell.errors.cov, cell.errors.l2))
-        steady = (number(100 * value, ".2g") + " %" * np.isfinite(value) for value in run.steady)
+        steady = (number(100 * value, ".2g", " %") for value in run.steady)
         cost = ("", "failed") if cell.failure else (str(cell.n_steps), f"{cell.cpu_seconds:.3g}")
         numbers = (number(cell.n_particles, ".0f"), *errors, *steady, *cost, _seconds(run.published))
         made.add_row(_short(problem), kind, *numbers, end_section=kind == "relative")

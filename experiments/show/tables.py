@@ -10,9 +10,9 @@ __all__ = ["UNKNOWN", "markdown", "number", "percent", "table"]
 UNKNOWN = "–"
 
 
-def number(value, form=".3g", unknown=UNKNOWN):
-    """A number in a format of Python's, or a dash where it is not finite."""
-    return format(value, form) if np.isfinite(value) else unknown
+def number(value, form=".3g", unit="", unknown=UNKNOWN):
+    """A number in a format of Python's with its unit, or a dash where it is not finite."""
+    return format(value, form) + unit if np.isfinite(value) else unknown
 
 
 def percent(value):

@@ -76,7 +76,7 @@ def steady_table(problem, solution, rivals):
 
 
 def _relative(value, exact):
-    return number(100 * abs(value - exact) / abs(exact), ".2g") + " %" * np.isfinite(value)
+    return number(100 * abs(value - exact) / abs(exact), ".2g", " %")
 
 
 def sentences(problem, solution, reference):
