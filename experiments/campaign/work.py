@@ -33,7 +33,9 @@ class Work:
 
     def run(self, console, n_jobs, folder):
         """Compile, and run all with a progress bar; finished runs are kept in `folder`."""
-        console.print(f"[bold]{self.scenario.name}[/]: {self.scenario.settings.description}\n")
+        settings = self.scenario.settings
+        console.print(f"[bold]{self.scenario.name}[/]: {settings.description}")
+        console.print(f"{settings.source}\n", style="dim")
         if len(list(folder.glob("run_*.npz"))) < self.n_runs:
             warm_up(console, self.scenario, self.filters)
         return run_shown(console, self.scenario, self.filters, self.n_runs, self.seed, n_jobs, folder)
