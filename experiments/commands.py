@@ -42,9 +42,7 @@ MEASURED = {"sunspots": sunspots}
 
 def parser():
     """The command line."""
-    summaries = {
-        name: module.__doc__.partition("`: ")[2].splitlines()[0] for name, module in COMMANDS.items()
-    }
+    summaries = {name: _summary(module) for name, module in COMMANDS.items()}
     top = argparse.ArgumentParser(
         prog="python -m experiments",
         usage="python -m experiments COMMAND [options]",
@@ -56,11 +54,16 @@ def parser():
         dest="command", required=True, metavar="COMMAND", help=argparse.SUPPRESS, prog="python -m experiments"
     )
     for name, module in COMMANDS.items():
-        command = commands.add_parser(name, description=summaries[name], epilog=_epilog(name, module))
-        command.formatter_class = argparse.RawDescriptionHelpFormatter
-        module.add_arguments(command)
-        command.set_defaults(main=module.main)
+        _filled(commands.add_parser(name, description=summaries[name], epilog=_epilog(name, module)), module)
     return top
+
+
+def _filled(parser, module):
+    """A command's parser with the options of its module."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    module.add_arguments(parser)
+    parser.set_defaults(main=module.main)
+    return parser
 
 
 def _epilog(name, module):
@@ -69,18 +72,13 @@ def _epilog(name, module):
 
 def _measured_parser(name):
     """The command line of `run` with a name of `MEASURED`."""
-    module = MEASURED[name]
-    description = module.__doc__.partition("`: ")[2].splitlines()[0]
-    example = f"Example:\n  python -m experiments run {name} --out results/{name}"
-    made = argparse.ArgumentParser(
-        prog=f"python -m experiments run {name}",
-        description=description,
-        epilog=example,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    module.add_arguments(made)
-    made.set_defaults(main=module.main)
-    return made
+    module, prog = MEASURED[name], f"python -m experiments run {name}"
+    example = f"Example:\n  {prog} --out results/{name}"
+    return _filled(argparse.ArgumentParser(prog, description=_summary(module), epilog=example), module)
+
+
+def _summary(module):
+    return module.__doc__.partition("`: ")[2].splitlines()[0]
 
 
 def main(argv=None):

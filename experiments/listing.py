@@ -16,23 +16,18 @@ def add_arguments(parser):
 
 def main(args):
     """Print name and description of every scenario."""
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column()
-    for name in scenario_names():
-        table.add_row(name, read_settings(name).description)
-    table.add_row("sunspots", sunspots.SUMMARY)
+    scenarios = [(name, read_settings(name).description) for name in scenario_names()]
     console = Console(highlight=False)
-    console.print(table)
+    console.print(_listed([*scenarios, ("sunspots", sunspots.SUMMARY)]))
     console.print("\nRun one with: python -m experiments run NAME\n", style="dim")
-    console.print(_transients())
+    console.print(_listed([(name, load_problem(name).settings.description) for name in problem_names()]))
     console.print("\nSolve one without measurements with: python -m experiments transient NAME", style="dim")
 
 
-def _transients():
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column()
-    for name in problem_names():
-        table.add_row(name, load_problem(name).settings.description)
-    return table
+def _listed(rows):
+    made = Table(box=None, show_header=False, pad_edge=False)
+    made.add_column(style="bold", no_wrap=True)
+    made.add_column()
+    for row in rows:
+        made.add_row(*row)
+    return made

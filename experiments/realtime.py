@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich import box
-from rich.table import Table
 
 import sphfilter as sf
 from sphfilter.campaign.campaign import draw_case
@@ -16,9 +14,10 @@ from sphfilter.filter import budget as timing
 from .benchmark import reference
 from .benchmark.errors import errors, root_mean_square
 from .benchmark.watch import Watched
-from .converge.tables import numbers
 from .scene.scenario import load_scenario
-from .terminal.running import new_console, status
+from .show.tables import number, table
+from .terminal.options import names_of, numbers
+from .terminal.running import new_console, status, tell
 
 __all__ = ["EPILOG", "add_arguments", "main"]
 
@@ -73,7 +72,8 @@ class Outcome:
 def add_arguments(parser):
     """Add the options of `realtime`."""
     names = f"names from `list`, comma-separated (default: {SCENARIOS})"
-    parser.add_argument("scenarios", nargs="?", default=SCENARIOS, metavar="NAME,NAME", help=names)
+    own = {"type": names_of, "default": names_of(SCENARIOS), "metavar": "NAME,NAME"}
+    parser.add_argument("scenarios", nargs="?", help=names, **own)
     budgets = f"milliseconds a predict and update may take, comma-separated (default: {_BUDGETS})"
     parser.add_argument("--budgets", default=_BUDGETS, help=budgets)
     parser.add_argument("--runs", type=int, default=3, help="simulated runs (default: 3)")
@@ -89,9 +89,8 @@ def main(args):
     console = new_console()
     timing.clock = _CLOCKS[args.clock]
     budgets = numbers("--budgets", args.budgets, float, _BUDGETS)
-    scenarios = [load_scenario(name.strip()) for name in args.scenarios.split(",")]
-    table = Table(*_HEADINGS, box=box.SIMPLE, pad_edge=False)
-    told = []
+    scenarios = [load_scenario(name) for name in args.scenarios]
+    rows, told = [], []
     with status(console) as say:
         for scenario in scenarios:
             say(f"{scenario.name}: references")
@@ -99,11 +98,10 @@ def main(args):
             for budget in budgets:
                 say(f"{scenario.name}: {budget:g} ms")
                 outcome = _outcome(scenario, pairs, 1e-3 * budget)
-                table.add_row(scenario.name, f"{budget:g} ms", *_cells(outcome, 1e-3 * budget, args.runs))
+                rows.append((scenario.name, f"{budget:g} ms", *_cells(outcome, 1e-3 * budget, args.runs)))
                 told += [f"{scenario.name}, {budget:g} ms: {text}" for text in outcome.failures]
-    console.print(table)
-    for text in told:
-        console.print(f"• {text}")
+    console.print(table("", _HEADINGS, rows))
+    tell(console, told)
 
 
 def _cases(scenario, args):
@@ -143,7 +141,7 @@ def _cells(outcome, budget, n_runs):
         f"{100 * outcome.within(budget):.0f} % of {len(outcome.seconds)}",
         f"{1e3 * np.median(outcome.seconds):.1f} ms",
         f"{np.median(outcome.n_particles):.0f}",
-        f"{outcome.error:.2g}" if np.isfinite(outcome.error) else "",
+        number(outcome.error, ".2g", unknown=""),
         str(outcome.repeated),
         f"{len(outcome.failures)} of {n_runs}",
     ]

@@ -1,39 +1,29 @@
 """`python -m experiments run NAME`: simulate a scenario, run filters on it, tell and draw what came out."""
 
-import argparse
 import hashlib
-import json
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
-import tomli_w
-
 from sphfilter.campaign.report import report
-from sphfilter.campaign.store import versions
 from sphfilter.errors import SphfilterError
 
-from . import pictures
+from .campaign.work import exit_code, tell_failures, work_of
+from .pictures import drawing
 from .scene.files import add_change_option, changes_of
-from .scene.filters import FILTERS, factories, name_of
 from .scene.scenario import load_scenario
 from .show import plots
+from .show.campaign_tables import distance_table, result_table, sentences
 from .show.comparison import distances, reference_name
-from .show.tables import distance_table, result_table, sentences
-from .terminal.running import new_console, run_shown, status, warm_up
+from .terminal.options import add_run_options
+from .terminal.running import new_console, status, tell
 
-__all__ = ["add_arguments", "counted", "main", "without_nan", "without_none"]
+__all__ = ["add_arguments", "main"]
 
 
 def add_arguments(parser):
     """Add the options of `run`."""
-    parser.add_argument("scenario", help="a name from `list`, or the path of a scenario's TOML file")
-    parser.add_argument("--filters", help=f"comma-separated, of {', '.join(FILTERS)}")
-    parser.add_argument("--runs", type=counted, help="number of simulated runs")
-    parser.add_argument("--seed", type=int, help="seed of everything random")
-    parser.add_argument("--out", type=Path, help="folder for results (default: results/NAME)")
-    parser.add_argument("--jobs", type=counted, default=1, help="processes")
+    add_run_options(parser, "the scenario's", "results/NAME")
     parser.add_argument("--n-particles", type=int, help="particles of the SPH filters, at most")
     parser.add_argument(
         "--pictures",
@@ -44,12 +34,6 @@ def add_arguments(parser):
     add_change_option(parser)
 
 
-def counted(text):
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"a whole number of at least 1 is needed, not {text!r}")
-    return int(text)
-
-
 def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter failed in every run, else 0."""
     console = new_console()
@@ -57,30 +41,35 @@ def main(args):
     if args.n_particles is not None:
         changes |= {f"filters.{name}.n_particles": args.n_particles for name in ("sph", "sph_paper")}
     scenario = load_scenario(args.scenario, **changes)
-    names = None if args.filters is None else [name.strip() for name in args.filters.split(",")]
-    filters = factories(names, scenario)
-    n_runs = scenario.settings.runs.default if args.runs is None else args.runs
-    seed = scenario.settings.runs.seed if args.seed is None else args.seed
-    wanted = pictures.chosen(scenario, args.pictures if "sph_paper" in filters else args.pictures or "none")
-    out = args.out or Path("results") / scenario.name
+    n_runs = args.runs or scenario.settings.runs.default
+    work = work_of(args, scenario, args.filters, n_runs, Path("results") / scenario.name)
+    asked = args.pictures if "sph_paper" in work.filters else args.pictures or "none"
+    wanted = drawing.chosen(scenario, asked)
 
-    console.print(f"[bold]{scenario.name}[/]: {scenario.settings.description}")
-    console.print(f"{scenario.settings.source}\n", style="dim")
-    warm_up(console, scenario, filters)
-    campaign = _campaign(console, scenario, filters, n_runs, seed, args.jobs, out)
+    campaign = _campaign(console, work, args.jobs)
     numbers = report(campaign)
-    reference = reference_name(scenario, filters)
+    reference = reference_name(scenario, work.filters)
     distance = distances(campaign.results, reference) if reference else {}
     _tell(console, scenario, campaign, numbers, distance, reference)
-    _write(out, scenario, campaign, numbers, distance)
+    _write(work, campaign, numbers, distance)
     with status(console) as say:
-        drawn = plots.draw(out, scenario, filters, campaign, say)
-    console.print(f"Numbers are in {out}/campaign.npz and run.json, the scenario as run in scenario.toml.")
+        drawn = plots.draw(work.out, scenario, work.filters, campaign, say)
+    kept = f"{work.out}/campaign.npz and run.json, the scenario as run in scenario.toml"
+    console.print(f"Numbers are in {kept}.")
     for name in wanted:
-        drawn += _picture(console, name, scenario, out, seed, n_runs)
+        drawn += _picture(console, name, work)
     console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
-    _mention_unfinished(console, out)
-    return int(any(f.n_failed == f.n_runs for f in numbers.filters.values()))
+    _mention_unfinished(console, work.out)
+    return exit_code(numbers)
+
+
+def _campaign(console, work, n_jobs):
+    """Run the campaign. Finished runs wait in a folder of its own until all are done."""
+    which = hashlib.sha256(f"{work.scenario} {work.filters} {work.seed}".encode()).hexdigest()[:8]
+    folder = work.out / f"unfinished-{which}"
+    campaign = work.run(console, n_jobs, folder)
+    shutil.rmtree(folder)
+    return campaign
 
 
 def _mention_unfinished(console, out):
@@ -90,68 +79,32 @@ def _mention_unfinished(console, out):
         console.print(f"{text} {left}", style="dim")
 
 
-def _picture(console, name, scenario, out, seed, n_runs):
+def _picture(console, name, work):
     """Draw a picture of the paper; one that cannot be drawn costs none of the results."""
     with status(console) as say:
         say(f"drawing {name} (up to half a minute; the numbers are safe)")
         try:
-            return pictures.draw(name, scenario, out, seed, n_runs, lambda text: console.print(f"• {text}"))
+            told = work.scenario, work.out, work.seed, work.n_runs
+            return drawing.draw(name, *told, lambda text: console.print(f"• {text}"))
         except SphfilterError as problem:
             console.print(f"picture {name}: {problem}", style="red")
             return []
-
-
-def _campaign(console, scenario, filters, n_runs, seed, n_jobs, out):
-    """Run the campaign with a progress bar. Finished runs wait in a folder of its own until all are done."""
-    which = hashlib.sha256(f"{scenario} {filters} {seed}".encode()).hexdigest()[:8]
-    folder = out / f"unfinished-{which}"
-    campaign = run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder)
-    shutil.rmtree(folder)
-    return campaign
 
 
 def _tell(console, scenario, campaign, numbers, distance, reference):
     console.print(result_table(numbers, scenario))
     if distance:
         console.print(distance_table(distance, reference))
-    for sentence in sentences(numbers, scenario):
-        console.print(f"• {sentence}")
-    for run, name, message in campaign.failures:
-        console.print(f"run {run}, {name_of(name)}: {message}", style="red")
+    tell(console, sentences(numbers, scenario))
+    tell_failures(console, campaign.failures)
     console.print()
 
 
-def _write(out, scenario, campaign, numbers, distance):
+def _write(work, campaign, numbers, distance):
     """Write numbers, settings and versions."""
-    out.mkdir(parents=True, exist_ok=True)
-    campaign.save(out / "campaign.npz")
-    runs = replace(scenario.settings.runs, default=numbers.n_runs, seed=campaign.seed)
-    filters = replace(scenario.settings.filters, default=tuple(campaign.results))
-    settings = replace(scenario.settings, runs=runs, filters=filters)
-    text = tomli_w.dumps(without_none(asdict(settings)))
-    (out / "scenario.toml").write_text(text, encoding="utf-8")
-    record = {
-        "scenario": scenario.name,
-        "seed": campaign.seed,
-        "n_runs": numbers.n_runs,
-        "filters": list(campaign.results),
-        "versions": versions(),
-        "report": numbers.as_dict(),
-        "distance": {name: asdict(d) for name, d in distance.items()},
-        "failures": [failure._asdict() for failure in campaign.failures],
-        "settings": asdict(settings),
-    }
-    text = json.dumps(without_nan(record), indent=1, allow_nan=False)
-    (out / "run.json").write_text(text, encoding="utf-8")
-
-
-def without_none(tree):
-    return {k: without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
-
-
-def without_nan(tree):
-    if isinstance(tree, dict):
-        return {k: without_nan(v) for k, v in tree.items()}
-    if isinstance(tree, list | tuple):
-        return [without_nan(v) for v in tree]
-    return None if isinstance(tree, float) and not np.isfinite(tree) else tree
+    settings = work.scenario.settings
+    runs = replace(settings.runs, default=numbers.n_runs, seed=campaign.seed)
+    filters = replace(settings.filters, default=tuple(campaign.results))
+    settings = replace(settings, runs=runs, filters=filters)
+    apart = {name: asdict(d) for name, d in distance.items()}
+    work.write("run", campaign, numbers, settings, n_runs=numbers.n_runs, distance=apart)

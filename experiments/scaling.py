@@ -1,6 +1,5 @@
 """`python -m experiments scaling`: cost of a particle and step, threads and memory, as particles grow."""
 
-import csv
 import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -8,15 +7,15 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import sphfilter as sf
 from sphfilter.errors import ConfigError
 
 from .benchmark.watch import resident, watch_peak
-from .converge.tables import numbers
-from .terminal.running import status
+from .show.files import write_csv
+from .show.tables import table
+from .terminal.options import names_of, numbers
+from .terminal.running import new_console, status, tell
 from .transient.problem import load_problem
 
 __all__ = ["add_arguments", "main"]
@@ -57,7 +56,8 @@ def add_arguments(parser):
     """Add the options of `scaling`."""
     transient = "a transient scenario with a Gaussian start (default: van_der_pol)"
     parser.add_argument("scenario", nargs="?", default="van_der_pol", help=transient)
-    parser.add_argument("--schemes", default=",".join(SCHEMES), help="comma-separated (default: all)")
+    schemes = "comma-separated (default: all)"
+    parser.add_argument("--schemes", type=names_of, default=list(SCHEMES), help=schemes)
     parser.add_argument("--counts", default=_COUNTS, help=f"particles, comma-separated (default: {_COUNTS})")
     parser.add_argument("--interval", type=float, default=0.2, help="seconds to predict (default: 0.2)")
     parser.add_argument("--samples", type=int, default=3, help="samples a median is taken of (default: 3)")
@@ -66,7 +66,7 @@ def add_arguments(parser):
 
 def main(args):
     """Run the command; prints to standard output."""
-    schemes, counts = args.schemes.split(","), numbers("--counts", args.counts, int, _COUNTS)
+    schemes, counts = args.schemes, numbers("--counts", args.counts, int, _COUNTS)
     unknown = [s for s in schemes if s not in SCHEMES]
     if unknown:
         raise ConfigError(f"no scheme {unknown[0]!r}; there are {', '.join(SCHEMES)}")
@@ -74,20 +74,15 @@ def main(args):
         raise ConfigError("scaling needs an --interval above 0 and one sample at least")
     if load_problem(args.scenario).settings.start.kind != "gaussian":
         raise ConfigError(f"{args.scenario} does not start from a Gaussian, which all schemes can carry")
-    console, cells = Console(highlight=False), []
+    console, cells = new_console(), []
     with status(console) as say:
         for scheme in schemes:
             for count in counts:
                 say(f"measuring {scheme} on {count} particles")
                 cells.append(_alone(measured, args.scenario, scheme, count, args.interval, args.samples))
     console.print(_table(args, cells))
-    for sentence in _sentences(schemes, cells):
-        console.print(f"• {sentence}")
-    args.out.mkdir(parents=True, exist_ok=True)
-    with open(args.out / "scaling.csv", "w", newline="", encoding="utf-8") as file:
-        lines = csv.writer(file)
-        lines.writerow([f.name for f in fields(Cell)])
-        lines.writerows(asdict(cell).values() for cell in cells)
+    tell(console, _sentences(schemes, cells))
+    write_csv(args.out / "scaling.csv", [f.name for f in fields(Cell)], (asdict(c).values() for c in cells))
     console.print(f"Table: {args.out}/scaling.csv")
 
 
@@ -118,22 +113,12 @@ def measured(scenario, scheme, count, interval, n_samples):
 
 
 def _table(args, cells):
-    table = Table(title=f"{args.scenario}, {args.interval:g} s")
-    table.add_column("scheme")
-    for head in (
-        "particles",
-        "steps",
-        "seconds",
-        "µs / particle, step",
-        "2 threads, times",
-        "MB (own)",
-    ):
-        table.add_column(head, justify="right")
+    rows = []
     for c in cells:
         row = (str(c.n_particles), str(c.n_steps), f"{c.seconds:.3g}", f"{1e6 * c.cost:.3g}")
-        speed, memory = f"{c.seconds / c.threaded:.2f}", f"{c.memory:.0f} ({c.own:.0f})"
-        table.add_row(c.scheme, *row, speed, memory)
-    return table
+        rows.append((c.scheme, *row, f"{c.seconds / c.threaded:.2f}", f"{c.memory:.0f} ({c.own:.0f})"))
+    headings = ("particles", "steps", "seconds", "µs / particle, step", "2 threads, times", "MB (own)")
+    return table(f"{args.scenario}, {args.interval:g} s", ("scheme", *headings), rows)
 
 
 def _sentences(schemes, cells):

@@ -1,7 +1,7 @@
 """A benchmark of one scenario: all competitors on the same cases, kept row by row."""
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -61,31 +61,29 @@ def run_scenario(scenario, competitors, plan, say):
         Smaller sizes of a family first.
     plan : Plan
     say : callable
-        say(text, advance) → None, for each piece of work done or begun.
+        say(text, done) → None, for each piece of work begun, and how many are done.
 
     Returns
     -------
     Outcome
     """
     cases = [draw_case(scenario, plan.seed, run) for run in range(plan.n_runs)]
-    references = []
+    references, done = [], count()
     for run, case in enumerate(cases):
-        say(f"reference of run {run + 1}", 0)
+        say(f"reference of run {run + 1}", next(done))
         references.append(reference.find(scenario, case, plan.effort, plan.folder / "references"))
-        say("", 1)
     work = _Work(scenario, competitors, plan, cases, references)
     for run in range(plan.n_runs):  # a busy spell of the machine meets all competitors alike
         for method in competitors:
-            say(f"run {run + 1}, {method.key}", 0)
+            say(f"run {run + 1}, {method.key}", next(done))
             if not work.left_out(method):
                 work.row(method, run)
-            say("", 1)
-    together = ReferenceError.of(references)
+    together, n_done = ReferenceError.of(references), next(done)
     lines = []
     for method in competitors:
         if not work.left_out(method):
             if scenario.name in plan.counted:
-                say(f"drift evaluations of {method.key}", 0)
+                say(f"drift evaluations of {method.key}", n_done)
             rows = [work.row(method, run) for run in range(plan.n_runs)]
             lines.append(summarise(scenario, method, rows, work.drift(method), together))
     return Outcome(scenario.name, lines, together, [m.key for m in competitors if work.left_out(m)])
@@ -126,12 +124,12 @@ class _Work:
         if not counted or "failure" in self.row(method, 0):
             return np.nan
         n_steps = self.row(method, 0)["steps"]
+        limit = 60.0 + 3 * self._plan.limit  # black boxes are slow, and compile anew
 
-        def count():
-            limit = 60.0 + 3 * self._plan.limit  # black boxes are slow, and compile anew
+        def evaluations():
             return {"drift": drift_evaluations(method, self._scenario, self._cases[0], n_steps, limit)}
 
-        return self._kept(method, "-drift", count)["drift"]
+        return self._kept(method, "-drift", evaluations)["drift"]
 
     def _measured(self, method, run):
         if method.key not in self._warm:

@@ -3,8 +3,6 @@
 Every competitor is compared with a converged reference whose own error is bounded and printed.
 """
 
-import argparse
-import json
 import os
 import platform
 from contextlib import nullcontext
@@ -13,12 +11,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numba
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from experiments.scene.files import add_change_option, changes_of
 from experiments.scene.scenario import load_scenario
-from experiments.terminal.running import Interrupted
+from experiments.show.files import write_json
+from experiments.terminal.options import counted, names_of
+from experiments.terminal.progress import bar, resumable
+from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError, SphfilterError
@@ -48,10 +47,10 @@ def add_arguments(parser):
     names = f"names from `list` or paths of TOML files, or {_EXPENSIVE} (default: all of them)"
     parser.add_argument("scenarios", nargs="*", metavar="NAME", help=names)
     families = f"comma-separated, of {', '.join(FAMILIES)}, sph:SCHEME (default: all that fit)"
-    parser.add_argument("--filters", help=families)
+    parser.add_argument("--filters", type=names_of, help=families)
     counts = "particles of the SPH and particle filters, comma-separated, instead of the usual ones"
     parser.add_argument("--counts", type=_counts, metavar="N,N", help=counts)
-    parser.add_argument("--runs", type=_positive_int, help="simulated runs (default 5)")
+    parser.add_argument("--runs", type=counted, help="simulated runs (default 5)")
     parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
     limit = "seconds a run may take; larger sizes are left out (default 10)"
     parser.add_argument("--limit", type=float, help=limit)
@@ -64,28 +63,21 @@ def add_arguments(parser):
     add_change_option(parser)
 
 
-def _positive_int(text):
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"a whole number of at least 1 is needed, not {text!r}")
-    return int(text)
-
-
 def _counts(text):
-    return tuple(sorted({_positive_int(part.strip()) for part in text.split(",")}))
+    return tuple(sorted({counted(part) for part in names_of(text)}))
 
 
 def main(args):
     """Run the command; prints to standard output."""
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=140)
+    console = new_console(width=140)
     changes = changes_of(args)
     names = args.scenarios or [*SCENARIOS, _EXPENSIVE]
     scenarios = {name: load_scenario(name, **changes) for name in names if name != _EXPENSIVE}
     if _EXPENSIVE in names:
         scenarios.setdefault(expensive.BASE, load_scenario(expensive.BASE, **changes))
     work = [(scenario, _competitors(scenario, args)) for scenario in scenarios.values()]
-    counted = tuple(scenarios) if args.full else (expensive.BASE,) * (_EXPENSIVE in names)
-    plan, machine, outcomes = _plan(args, counted), {"start": _machine()}, []
+    evaluations = tuple(scenarios) if args.full else (expensive.BASE,) * (_EXPENSIVE in names)
+    plan, machine, outcomes = _plan(args, evaluations), {"start": _machine()}, []
     for scenario, competitors in work:
         try:
             outcomes.append(_measured(console, scenario, competitors, plan))
@@ -104,20 +96,20 @@ def main(args):
     console.print(f"Pictures: {', '.join(map(str, drawn))}")
 
 
-def _plan(args, counted):
+def _plan(args, evaluations):
     effort = _QUICK if args.quick else _FULL if args.full else Effort()
     if args.reference_paths:
         effort = replace(effort, n_runs=max(2, round(args.reference_paths / effort.n_paths)))
     runs = args.runs or (2 if args.quick else 5)
     limit = args.limit or (120.0 if args.full else 10.0)
-    return Plan(folder=args.out, n_runs=runs, seed=args.seed, limit=limit, effort=effort, counted=counted)
+    return Plan(folder=args.out, n_runs=runs, seed=args.seed, limit=limit, effort=effort, counted=evaluations)
 
 
 def _competitors(scenario, args):
     """Those asked for that fit the scenario; two threads only where numba has them."""
     families = default_families(scenario)
     if args.filters:
-        asked = [name.strip() for name in args.filters.split(",")]
+        asked = args.filters
         exact = set(families) | {name for name in asked if name.startswith("sph:")}
         families = [name for name in asked if name in exact or name not in FAMILIES]
     made = methods(families, scenario, args.counts, args.full)
@@ -127,26 +119,14 @@ def _competitors(scenario, args):
 def _measured(console, scenario, competitors, plan):
     """Run one scenario with a progress bar."""
     console.print(f"[bold]{scenario.name}[/]: {scenario.settings.description}")
-    columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}")
-    total = plan.n_runs * (len(competitors) + 1)
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=total)
-
-        def say(text, advance):
-            bar.update(task, description=text, advance=advance)
-
-        try:
-            return run_scenario(scenario, competitors, plan, say)
-        except KeyboardInterrupt:
-            raise Interrupted(
-                f"Stopped; what was measured is kept in {plan.folder}. The same command goes on from there."
-            ) from None
+    kept = f"what was measured is kept in {plan.folder}. The same command goes on from there."
+    with bar(console, "", plan.n_runs * (len(competitors) + 1)) as move, resumable(lambda: kept):
+        return run_scenario(scenario, competitors, plan, lambda text, done: move(done, text=text))
 
 
 def _tell(console, outcome):
     console.print(tables.table(outcome))
-    for sentence in tables.sentences(outcome):
-        console.print(f"• {sentence}")
+    tell(console, tables.sentences(outcome))
     console.print()
 
 
@@ -184,7 +164,7 @@ def _write(args, plan, outcomes, machine, work):
         "scenarios": {scenario.name: repr(scenario.settings) for scenario, _ in work},
         "competitors": {s.name: {m.key: repr(m.factory.settings) for m in made} for s, made in work},
     }
-    (plan.folder / "benchmark.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+    write_json(plan.folder / "benchmark.json", record)
     return plots.draw(plan.folder, outcomes)
 
 

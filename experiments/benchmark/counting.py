@@ -81,10 +81,5 @@ def _counting(model, count):
     noise = model.noise(np.zeros((1, model.dim)), 0.0)[0]
     if model.state_dependent_noise:
         noise = model.noise
-    return sf.SDE(
-        autonomous_drift if model.autonomous else drift,
-        model.dim,
-        noise,
-        model.spectral_density,
-        vectorized=True,
-    )
+    chosen = autonomous_drift if model.autonomous else drift
+    return sf.SDE(chosen, model.dim, noise, model.spectral_density, vectorized=True)

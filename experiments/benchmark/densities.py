@@ -11,19 +11,7 @@ from reference_filters.closed_forms import BenesFilter
 from reference_filters.grid_density import Box, GridDensity
 from reference_filters.particle import ParticleFilter
 
-__all__ = ["Cloud", "Normal", "hellinger", "snapshot"]
-
-
-@dataclass(frozen=True)
-class Normal:
-    """N(mean, cov), what a Kalman filter believes."""
-
-    mean: np.ndarray
-    cov: np.ndarray
-
-    def on(self, box):
-        """Density on the nodes of a box."""
-        return multivariate_normal(self.mean, self.cov).pdf(box.nodes()).reshape(box.shape)
+__all__ = ["Cloud", "hellinger", "normal", "snapshot"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +46,11 @@ class _Function:
         return self.pdf(box.nodes()).reshape(box.shape)
 
 
+def normal(mean, cov):
+    """N(mean, cov), what a Kalman filter believes."""
+    return _Function(multivariate_normal(mean, cov).pdf)
+
+
 def snapshot(filt):
     """The density a filter has now, as an object with ``on(box)``."""
     if isinstance(filt, ParticleFilter):
@@ -68,7 +61,7 @@ def snapshot(filt):
         now = copy(filt)
         return _Function(lambda X: now.pdf(X[:, 0]))
     density = getattr(filt, "density", None)
-    return Normal(filt.x.copy(), filt.P.copy()) if density is None else _Function(density.pdf)
+    return normal(filt.x.copy(), filt.P.copy()) if density is None else _Function(density.pdf)
 
 
 def _boxed(filt):

@@ -4,36 +4,23 @@ A competitor's run takes its time on a cheap drift plus its evaluations times th
 one scenario; real runs with a drift that burns that time check the sum wherever they are short enough.
 """
 
-import csv
 import math
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from time import perf_counter
 
 import numpy as np
 from numba import njit
-from rich import box
-from rich.table import Table
 
 import sphfilter as sf
+from experiments.show import tables
+from experiments.show.files import write_csv
 
 from .counting import OtherModel
 from .measure import warm_up
 from .methods import short, size_text
 from .watch import Watched
 
-__all__ = [
-    "BASE",
-    "COSTS",
-    "Check",
-    "burning_model",
-    "checks",
-    "cost_text",
-    "fastest",
-    "seconds_at",
-    "table",
-    "winners",
-    "write",
-]
+__all__ = ["BASE", "COSTS", "Check", "burning_model", "checks", "fastest", "seconds_at", "table", "write"]
 
 #: The scenario whose rows are used; seconds an evaluation; errors of the mean that are asked for.
 BASE = "van_der_pol"
@@ -157,13 +144,9 @@ def fastest(lines, cost, error):
 
 def table(lines, title):
     """Who wins, as a rich table."""
-    made = Table(box=box.SIMPLE, pad_edge=False, title=title)
-    made.add_column("Cost of a drift")
-    for error in _LEVELS:
-        made.add_column(f"error ≤ {error:g}")
-    for cost, best in winners(lines).items():
-        made.add_row(cost_text(cost), *(_who(found) for found in best.values()))
-    return made
+    headings = ["Cost of a drift", *(f"error ≤ {error:g}" for error in _LEVELS)]
+    rows = [(_cost_text(cost), *map(_who, best.values())) for cost, best in winners(lines).items()]
+    return tables.table(title, headings, rows, left=len(headings))
 
 
 def _who(found):
@@ -174,23 +157,18 @@ def _who(found):
     return f"{short(line.family)}{', ' if size else ''}{size}: {seconds:.2g} s"
 
 
-def cost_text(cost):
+def _cost_text(cost):
     """A cost for people."""
     return "as compiled" if cost == 0 else f"{cost * 1e6:g} µs" if cost < 1e-3 else f"{cost * 1e3:g} ms"
 
 
 def write(folder, lines, checked):
     """Write who wins, and the real runs, as files."""
-    with open(folder / "expensive.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["cost", "error", "filter", "size", "seconds"])
-        for cost, best in winners(lines).items():
-            for error, found in best.items():
-                writer.writerow(
-                    [cost, error, *((found[0].series, found[0].size, found[1]) if found else ("", "", ""))]
-                )
-    with open(folder / "expensive_checks.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["filter", "size", "cost", "predicted", "measured"])
-        for c in checked:
-            writer.writerow([c.series, c.size, c.cost, c.predicted, c.measured])
+    best = [(cost, error, found) for cost, of in winners(lines).items() for error, found in of.items()]
+    rows = [
+        (cost, error, *((found[0].series, found[0].size, found[1]) if found else ("", "", "")))
+        for cost, error, found in best
+    ]
+    write_csv(folder / "expensive.csv", ["cost", "error", "filter", "size", "seconds"], rows)
+    heading = ["filter", "size", "cost", "predicted", "measured"]
+    write_csv(folder / "expensive_checks.csv", heading, (astuple(check) for check in checked))

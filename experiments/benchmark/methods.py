@@ -126,59 +126,41 @@ def methods(families, scenario, counts=None, full=False):
 
 
 def _family(family, scenario, counts, full):
-    scheme = family.removeprefix("sph:") if family.startswith("sph:") else None
-    if scheme is None and family not in FAMILIES:
-        known = [*FAMILIES, "sph:SCHEME"]
-        raise ConfigError(f"no competitor {family!r}{nearest(family, known)}; there are {', '.join(known)}")
-    n = min(scenario.model.dim, 3)
-    if scheme is not None or family in ("sph", "paper"):
-        config = _config(family, scheme, n)
-        sizes = counts or (_PAPER[n] + (5204,) * (full and n == 3) if family == "paper" else _SPH[n])
-        return [
-            _method(family, "sph", scenario, Sph(n_particles=size, config=config), size) for size in sizes
-        ]
-    if family == "auto":
-        return [_auto(scenario, size) for size in counts or _AUTO]
+    """The competitors of one family; the kernels of the paper are those of 002 Tables 6, 8 and 10."""
+    n, scheme = min(scenario.model.dim, 3), family.removeprefix("sph:")
     if family in ("pf", "pf4"):
         return _particle(family, scenario, counts or (_PF4 if family == "pf4" else _PF) + (10**6,) * full)
     if family == "grid":
-        return _boxed(scenario)
+        interval = scenario.settings.times.interval
+        made = {size: boxed.Boxed(size=size, step=interval / parts) for size, parts in _GRID}
+        return [Method(family, size, 1, boxed.BoxedFactory(scenario, own)) for size, own in made.items()]
     if family == "referee":
-        return [_method(family, "grid", scenario, Grid(size=size), size) for size in _REFEREE]
-    return [_method(family, family, scenario, MomentFilter() if family in ("ekf", "ukf") else None, 0)]
+        name, made = "grid", {size: Grid(size=size) for size in _REFEREE}
+    elif family == "auto":
+        own = {size: FilterConfig(target_error=1.0 / size) for size in counts or _AUTO}
+        name, made = "sph", {size: Sph(n_particles="auto", config=config) for size, config in own.items()}
+    elif family == "paper":
+        config = FilterConfig.paper(kernel="lucy" if n <= 2 else "gaussian")
+        name, made = "sph", _sized(counts or _PAPER[n] + (5204,) * (full and n == 3), config)
+    elif family == "sph" or scheme != family:
+        config = FilterConfig() if scheme == family else FilterConfig(scheme=scheme)
+        name, made = "sph", _sized(counts or _SPH[n], config)
+    elif family in FAMILIES:
+        name, made = family, {0: MomentFilter() if family in ("ekf", "ukf") else None}
+    else:
+        known = [*FAMILIES, "sph:SCHEME"]
+        raise ConfigError(f"no competitor {family!r}{nearest(family, known)}; there are {', '.join(known)}")
+    return [Method(family, size, 1, Factory(name, scenario, own)) for size, own in made.items()]
 
 
-def _auto(scenario, size):
-    settings = Sph(n_particles="auto", config=FilterConfig(target_error=1.0 / size))
-    return _method("auto", "sph", scenario, settings, size)
-
-
-def _config(family, scheme, n):
-    """Configuration of an SPH filter; the kernels of the paper are those of 002 Tables 6, 8 and 10."""
-    if family == "paper":
-        return FilterConfig.paper(kernel="lucy" if n <= 2 else "gaussian")
-    return FilterConfig() if scheme is None else FilterConfig(scheme=scheme)
+def _sized(sizes, config):
+    return {size: Sph(n_particles=size, config=config) for size in sizes}
 
 
 def _particle(family, scenario, sizes):
-    made = []
+    made, order = [], 4 if family == "pf4" else 2
     for size in sizes:
         for threads in (1, 2) if size >= _TWO_THREADS_FROM and family == "pf4" else (1,):
-            settings = Particle(
-                n_particles=size, order=4 if family == "pf4" else 2, n_threads=threads, step=None
-            )
-            made.append(_method(family, "pf", scenario, settings, size, threads))
+            settings = Particle(n_particles=size, order=order, n_threads=threads, step=None)
+            made.append(Method(family, size, threads, Factory("pf", scenario, settings)))
     return made
-
-
-def _boxed(scenario):
-    interval = scenario.settings.times.interval
-    made = []
-    for size, parts in _GRID:
-        settings = boxed.Boxed(size=size, step=interval / parts)
-        made.append(Method("grid", size, 1, boxed.BoxedFactory(scenario, settings)))
-    return made
-
-
-def _method(family, name, scenario, settings, size, threads=1):
-    return Method(family, size, threads, Factory(name, scenario, settings))

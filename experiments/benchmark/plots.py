@@ -1,14 +1,9 @@
 """Pictures of a benchmark: run time against error, one panel a scenario."""
 
-import matplotlib
-
-matplotlib.use("Agg")  # files only: no window system is asked for
-
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
-from experiments.show.plots import COLOURS
+from experiments.show.style import COLOURS, frame, grid, legend_below, logarithmic, panels, save
 
 from .expensive import COSTS, fastest
 from .methods import label
@@ -16,7 +11,6 @@ from .summary import MEASURES, particle_law
 
 __all__ = ["draw", "draw_expensive", "expensive_figure", "frontier_figure", "style"]
 
-_DPI = 130
 #: Smaller errors are drawn here: the exact filters have some.
 _FLOOR = 1e-5
 _EXPENSIVE_LEVELS = (0.1, 0.03, 0.01)
@@ -52,10 +46,7 @@ def draw(folder, outcomes):
     for measure in MEASURES:
         shown = [o for o in outcomes if any(_points(o.lines, s, measure) for s in _series(o.lines))]
         if shown:
-            drawn.append(folder / f"frontier_{measure}.png")
-            figure = frontier_figure(shown, measure)
-            figure.savefig(drawn[-1], dpi=_DPI)
-            plt.close(figure)
+            drawn.append(save(frontier_figure(shown, measure), folder / f"frontier_{measure}.png"))
     return drawn
 
 
@@ -64,18 +55,15 @@ def frontier_figure(outcomes, measure):
     n_columns = min(len(outcomes), 3 if len(outcomes) <= 6 else 4)
     n_rows = -(-len(outcomes) // n_columns)
     size = (max(4.1 * n_columns, 6.4), 3.5 * n_rows + 1.0)
-    figure, axes = plt.subplots(n_rows, n_columns, figsize=size, squeeze=False, layout="constrained")
-    for ax, outcome in zip(axes.flat, outcomes, strict=False):
+    figure, axes = panels(n_rows, n_columns, size, len(outcomes))
+    for i, (ax, outcome) in enumerate(zip(axes.flat, outcomes, strict=False)):
         _panel(ax, outcome, measure)
-    for ax in axes.flat[len(outcomes) :]:
-        ax.remove()
-    for i, ax in enumerate(axes.flat[: len(outcomes)]):
         ax.set_xlabel(MEASURES[measure] if i + n_columns >= len(outcomes) else "", fontsize=8.5)
     for ax in axes[:, 0]:
         ax.set_ylabel("run time (s)", fontsize=9)
     figure.suptitle(f"Run time and {MEASURES[measure].partition(' (')[0]}, by filter and number of particles",
                     fontsize=11)  # fmt: skip
-    _legend(figure, axes.flat)
+    _legend(figure, axes.flat[: len(outcomes)])
     return figure
 
 
@@ -110,8 +98,7 @@ def _panel(ax, outcome, measure):
             _sizes(ax, points, error, colour)
     _law(ax, lines, measure)
     _unreliable(ax, outcome, measure)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
+    logarithmic(ax)
     here = [e for s in _series(lines) for e in _errors(_points(lines, s, measure), measure)]
     ax.set_xlim(0.5 * min(here), 2.0 * max(here))
     for axis in (ax.xaxis, ax.yaxis):
@@ -119,8 +106,7 @@ def _panel(ax, outcome, measure):
         axis.set_major_formatter(LogFormatterSciNotation())
         axis.set_minor_formatter(NullFormatter())
     ax.set_title(outcome.scenario.replace("_", " "), loc="left", fontsize=10, fontweight="bold")
-    ax.grid(alpha=0.25, lw=0.5)
-    ax.set_axisbelow(True)
+    grid(ax)
     ax.tick_params(labelsize=8)
 
 
@@ -156,27 +142,17 @@ def _unreliable(ax, outcome, measure):
 
 
 def _legend(figure, axes):
-    entries = {}
-    for ax in axes:
-        if ax.figure is not None:
-            for handle, text in zip(*ax.get_legend_handles_labels(), strict=True):
-                entries.setdefault(text, handle)
-    columns = max(2, int(figure.get_figwidth() / 3.2))
-    figure.legend(
-        entries.values(), entries, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5
-    )
+    legend_below(figure, *axes, columns=max(2, int(figure.get_figwidth() / 3.2)), fontsize=8.5)
 
 
 def expensive_figure(lines, checked, scenario):
     """Run time against the cost of one evaluation of the drift, a panel an error that is to be reached."""
     n = len(_EXPENSIVE_LEVELS)
-    figure, axes = plt.subplots(1, n, figsize=(3.4 * n, 4.3), sharey=True, layout="constrained")
+    figure, (axes,) = panels(1, n, (3.4 * n, 4.3), sharey=True)
     for ax, error in zip(axes, _EXPENSIVE_LEVELS, strict=True):
         for series in _series(lines):
             _expensive_series(ax, [i for i in lines if i.series == series], checked, error)
-        ax.set_title(f"error of the mean ≤ {error:g}", loc="left", fontsize=10)
-        ax.set_xlabel("seconds an evaluation of the drift")
-        ax.grid(alpha=0.25, lw=0.5)
+        frame(ax, f"error of the mean ≤ {error:g}", "seconds an evaluation of the drift", "")
     axes[0].set_ylabel("run time (s)")
     figure.suptitle(
         f"{scenario.replace('_', ' ')} with an expensive drift, each filter at its best size\n"
@@ -207,8 +183,4 @@ def _expensive_series(ax, lines, checked, error):
 
 def draw_expensive(folder, lines, checked, scenario):
     """Draw the picture of an expensive drift; returns its path."""
-    figure = expensive_figure(lines, checked, scenario)
-    path = folder / "expensive.png"
-    figure.savefig(path, dpi=_DPI)
-    plt.close(figure)
-    return path
+    return save(expensive_figure(lines, checked, scenario), folder / "expensive.png")

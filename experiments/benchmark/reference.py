@@ -6,13 +6,13 @@ states a grid, refined until it stands still; the rest many large particle runs.
 
 import hashlib
 import json
-import os
 from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
 from experiments.scene.filters import Factory
 from experiments.scene.settings import Grid
+from experiments.show.files import whole
 from reference_filters.big_particle import converged
 from reference_filters.grid_density import Box, GridDensity, fitted_box
 from sphfilter.campaign.store import case_digest
@@ -142,27 +142,14 @@ def _grid(scenario, case, effort):
 
 def _particles(scenario, case, effort, folder):
     """Independent large particle runs; their spread is the error of their average."""
-    found = converged(
-        scenario.model,
-        scenario.measurement,
-        case,
-        n_particles=effort.n_paths,
-        n_runs=effort.n_runs,
-        rng=0,
-        cache=folder,
-    )
+    size = {"n_particles": effort.n_paths, "n_runs": effort.n_runs}
+    found = converged(scenario.model, scenario.measurement, case, **size, rng=0, cache=folder)
     prior = np.full_like(found.x, np.nan), np.full_like(found.P, np.nan)
     accepted = np.ones(len(found.t), dtype=bool)
     result = FilterResult(found.t, *prior, found.x, found.P, found.log_evidence, accepted)
-    paths = f"{effort.n_runs} particle runs of {effort.n_paths:g}"
-    return Reference(
-        f"{paths}, error bounded by their spread",
-        result,
-        *_white_errors(found),
-        root_mean_square(found.evidence_error),
-        found.total_error,
-        {},
-    )
+    kind = f"{effort.n_runs} particle runs of {effort.n_paths:g}, error bounded by their spread"
+    errors = (*_white_errors(found), root_mean_square(found.evidence_error), found.total_error)
+    return Reference(kind, result, *errors, {})
 
 
 def _white_errors(found):
@@ -180,16 +167,14 @@ def _white_errors(found):
 
 
 def _save(path, reference):
-    """Write a reference to one file, which appears when it is complete."""
+    """Write a reference to one file."""
     arrays = {f"result_{f.name}": getattr(reference.result, f.name) for f in fields(FilterResult)}
     for i, p in reference.densities.items():
         arrays |= {f"p{i}_centre": p.box.centre, f"p{i}_axes": p.box.axes, f"p{i}_values": p.values}
     numbers = {name: getattr(reference, name) for name in ("kind", "mean", "cov", "evidence", "total")}
     text = json.dumps({"numbers": numbers, "epochs": list(reference.densities)})
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    with open(part, "wb") as file:
+    with whole(path) as file:
         np.savez_compressed(file, text=text, **arrays)
-    os.replace(part, path)
 
 
 def _load(path):

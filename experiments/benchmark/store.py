@@ -2,12 +2,12 @@
 
 import hashlib
 import json
-import os
 from functools import cache
 from pathlib import Path
 
 import reference_filters
 import sphfilter
+from experiments.show.files import whole
 
 __all__ = ["Rows", "code_digest", "digest"]
 
@@ -47,12 +47,9 @@ class Rows:
         return row if row.pop("made_of") == made_of else None
 
     def write(self, scenario, key, run, made_of, row):
-        """Keep a row; the file appears when it is complete."""
-        path = self._path(scenario, key, run)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f"{path.name}.{os.getpid()}.part")
-        part.write_text(json.dumps({"made_of": made_of} | row), encoding="utf-8")
-        os.replace(part, path)
+        """Keep a row."""
+        with whole(self._path(scenario, key, run)) as file:
+            file.write(json.dumps({"made_of": made_of} | row).encode())
 
     def _path(self, scenario, key, run):
         return self._folder / scenario / f"{key}-run{run}.json"

@@ -1,4 +1,4 @@
-"""From rows of single runs to one line a competitor, and to the frontier of run time and error."""
+"""From rows of single runs to one line a competitor, and what is best of several lines."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 
 from .errors import root_mean_square
 
-__all__ = ["MEASURES", "Line", "ReferenceError", "fastest_to_reach", "frontier", "particle_law", "summarise"]
+__all__ = ["MEASURES", "Line", "ReferenceError", "fastest_to_reach", "particle_law", "summarise"]
 
 #: What is measured against the reference, and in what unit.
 MEASURES = {
@@ -126,9 +126,8 @@ def summarise(scenario, method, rows, drift, reference):
     """
     done = [row for row in rows if "failure" not in row]
     times = np.array([t for row in done for t in row["seconds"]])
-    rms = {
-        k: root_mean_square([r[k] for r in done]) for k in ("mean", "cov", "evidence", "total", "hellinger")
-    }
+    measures = ("mean", "cov", "evidence", "total", "hellinger")
+    rms = {key: root_mean_square([row[key] for row in done]) for key in measures}
     schemes = sum((Counter(row["schemes"]) for row in done), Counter())
     return Line(
         scenario=scenario.name,
@@ -138,15 +137,15 @@ def summarise(scenario, method, rows, drift, reference):
         threads=method.threads,
         runs=len(rows),
         failed=len(rows) - len(done),
-        n_used=_median(done, "n_used"),
+        n_used=_median(row["n_used"] for row in done),
         **rms,
         worst=max((row["worst"] for row in done), default=np.nan),
         rmse=_rmse([row["rmse"] for row in done], scenario.model.dim),
         nees=float(np.mean([row["nees"] for row in done])) if done else np.nan,
-        seconds=float(np.median(times)) if done else np.nan,
-        cpu_seconds=float(np.median([t for row in done for t in row["cpu_seconds"]])) if done else np.nan,
+        seconds=_median(times),
+        cpu_seconds=_median(t for row in done for t in row["cpu_seconds"]),
         spread=float(np.subtract(*np.quantile(times, [0.75, 0.25])) / np.median(times)) if done else np.nan,
-        evaluations=_median(done, "evaluations"),
+        evaluations=_median(row["evaluations"] for row in done),
         drift=drift,
         schemes=dict(schemes),
         fallbacks=_fallbacks(done, schemes),
@@ -157,8 +156,9 @@ def summarise(scenario, method, rows, drift, reference):
     )
 
 
-def _median(rows, key):
-    return float(np.median([row[key] for row in rows])) if rows else np.nan
+def _median(values):
+    values = list(values)
+    return float(np.median(values)) if values else np.nan
 
 
 def _rmse(values, n):
@@ -172,20 +172,6 @@ def _fallbacks(done, schemes):
         return 0.0
     others = n - max(schemes.values())
     return max(others, sum(len(row["troubles"]) for row in done)) / n
-
-
-def frontier(lines, measure="mean"):
-    """Lines that no other beats in both run time and error, fastest first.
-
-    Competitors that failed in a run are left out.
-    """
-    best, kept = np.inf, []
-    for line in sorted((i for i in lines if not i.failed), key=lambda i: i.seconds):
-        error = getattr(line, measure)
-        if error < best:
-            best = error
-            kept.append(line)
-    return kept
 
 
 def particle_law(lines, measure="mean"):

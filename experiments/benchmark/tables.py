@@ -1,11 +1,11 @@
 """What a benchmark found, as tables, as sentences, and as files."""
 
-import csv
 from dataclasses import fields
 
 import numpy as np
-from rich import box
-from rich.table import Table
+
+from experiments.show import tables
+from experiments.show.files import write_csv as write_lines
 
 from .methods import label, short, size_text
 from .summary import Line, fastest_to_reach, particle_law
@@ -56,7 +56,9 @@ def rows(outcome, leave_out=()):
         if heading not in leave_out
     }
     filled = {
-        heading: cells for heading, cells in filled.items() if any(cell not in ("", "–") for cell in cells)
+        heading: cells
+        for heading, cells in filled.items()
+        if any(cell not in ("", tables.UNKNOWN) for cell in cells)
     }
     return list(filled), [list(cells) for cells in zip(*filled.values(), strict=True)]
 
@@ -64,11 +66,9 @@ def rows(outcome, leave_out=()):
 def table(outcome):
     """The most telling columns of a scenario's table, as a rich table."""
     headings, lines = rows(outcome, leave_out=("Worst", "RMSE", "Evaluations", "MB"))
-    made = Table(
-        box=box.SIMPLE, pad_edge=False, title=f"{outcome.scenario}: reference {outcome.reference.kind}"
-    )
-    for i, heading in enumerate(headings):
-        made.add_column(heading, justify="right" if i else "left", no_wrap=True)
+    made = tables.table(f"{outcome.scenario}: reference {outcome.reference.kind}", headings)
+    for column in made.columns:
+        column.no_wrap = True
     family = None
     for line, cells in zip(outcome.lines, lines, strict=True):
         if family not in (None, line.family):
@@ -128,8 +128,7 @@ def markdown(outcomes, title):
     for outcome in outcomes:
         headings, lines = rows(outcome)
         said += [f"## {outcome.scenario}", "", f"Reference: {outcome.reference.kind}.", ""]
-        said += ["| " + " | ".join(headings) + " |", "|---" + "|---:" * (len(headings) - 1) + "|"]
-        said += ["| " + " | ".join(cells) + " |" for cells in lines] + [""]
+        said += [*tables.markdown(headings, lines), ""]
         said += [f"- {sentence}" for sentence in sentences(outcome)] + [""]
     return "\n".join(said)
 
@@ -139,19 +138,16 @@ def write_csv(path, outcomes):
     names = [f.name for f in fields(Line) if f.name not in ("rmse", "schemes", "failure")]
     own = ("mean", "cov", "evidence", "total")
     heading = [*names, "rmse", "schemes", "failure", *(f"reference_{name}" for name in own)]
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(heading)
-        for outcome in outcomes:
-            for line in outcome.lines:
-                rmse = " ".join(f"{v:.6g}" for v in line.rmse)
-                schemes = " ".join(f"{name}:{count}" for name, count in line.schemes.items())
-                numbers = [getattr(line, name) for name in names]
-                reference = [getattr(outcome.reference, name) for name in own]
-                writer.writerow([*numbers, rmse, schemes, line.failure, *reference])
+    found = []
+    for outcome in outcomes:
+        reference = [getattr(outcome.reference, name) for name in own]
+        for line in outcome.lines:
+            rmse = " ".join(f"{v:.6g}" for v in line.rmse)
+            schemes = " ".join(f"{name}:{count}" for name, count in line.schemes.items())
+            numbers = [getattr(line, name) for name in names]
+            found.append([*numbers, rmse, schemes, line.failure, *reference])
+    write_lines(path, heading, found)
 
 
 def _number(value):
-    if not np.isfinite(value):
-        return "–"
-    return f"{value:,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
+    return tables.number(value, ",.0f" if 1000 <= abs(value) < 1e6 else ".3g")

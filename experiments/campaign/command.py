@@ -1,25 +1,22 @@
 """`python -m experiments campaign NAME`: many runs of all filters, and a page on which can be believed."""
 
-import json
 import shlex
 import sys
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 
 import joblib
-import tomli_w
 
-from experiments.run import counted, without_nan, without_none
 from experiments.scene.files import add_change_option, changes_of
-from experiments.scene.filters import FILTERS, factories, name_of, takes_grid
+from experiments.scene.filters import name_of, takes_grid
 from experiments.scene.scenario import load_scenario, read_settings
-from experiments.terminal.running import new_console, run_shown, status, warm_up
+from experiments.terminal.options import add_run_options
+from experiments.terminal.running import new_console, status
 from sphfilter.campaign.report import report
-from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError
 
 from . import page, plots
+from .work import exit_code, tell_failures, work_of
 
 __all__ = ["EPILOG", "add_arguments", "main"]
 
@@ -33,14 +30,9 @@ _RUNS = 100
 
 def add_arguments(parser):
     """Add the options of `campaign`."""
-    parser.add_argument("scenario", help="a name from `list`, or the path of a scenario's TOML file")
-    parser.add_argument("--runs", type=counted, default=_RUNS, help=f"simulated runs (default: {_RUNS})")
-    parser.add_argument("--jobs", type=counted, default=1, help="processes (default: 1)")
-    parser.add_argument("--seed", type=int, help="seed of everything random (default: the scenario's)")
-    parser.add_argument(
-        "--filters",
-        help=f"comma-separated, of {', '.join(FILTERS)} (default: the scenario's, and grid if it can)",
-    )
+    own = "the scenario's, and grid if it can"
+    add_run_options(parser, str(_RUNS), "results/campaign/NAME", own)
+    parser.set_defaults(runs=_RUNS)
     parser.add_argument(
         "--referee", help="the filter that is right, or none (default: the scenario's exact one, else grid)"
     )
@@ -55,7 +47,6 @@ def add_arguments(parser):
         metavar="ADDRESS",
         help="run on the machines of a dask scheduler (extra: dask), which have sphfilter installed",
     )
-    parser.add_argument("--out", type=Path, help="folder (default: results/campaign/NAME)")
     add_change_option(parser)
 
 
@@ -66,35 +57,31 @@ def main(args):
     if args.own_prior and read_settings(args.scenario, changes).start.kind == "tpd":
         changes |= {"start.kind": "gaussian", "start.pairs": (), "start.burn_in": 0.0}
     scenario = load_scenario(args.scenario, **changes)
-    filters = factories(_names(args.filters, scenario), scenario)
-    referee = _referee(args.referee, scenario, filters)
-    seed = scenario.settings.runs.seed if args.seed is None else args.seed
-    out = args.out or Path("results") / "campaign" / scenario.name
+    folder = Path("results") / "campaign" / scenario.name
+    work = work_of(args, scenario, _names(args.filters, scenario), args.runs, folder)
+    referee, out = _referee(args.referee, scenario, work.filters), work.out
 
-    console.print(f"[bold]{scenario.name}[/]: {scenario.settings.description}\n")
-    if len(list((out / "runs").glob("run_*.npz"))) < args.runs:
-        warm_up(console, scenario, filters)
     with _workers(args.dask):
-        jobs = None if args.dask else args.jobs
-        campaign = run_shown(console, scenario, filters, args.runs, seed, jobs, out / "runs")
+        campaign = work.run(console, None if args.dask else args.jobs, out / "runs")
     numbers = report(campaign, referee=referee, labels=scenario.labels)
-    facts = _write(out, scenario, campaign, numbers, referee)
+    facts = {"runs": numbers.n_runs, "referee": referee}
+    facts["command"] = shlex.join(["python", "-m", "experiments", *sys.argv[1:]])
+    facts = work.write("report", campaign, numbers, scenario.settings, **facts)
     with status(console) as say:
         say("drawing")
         pictures = plots.draw(out, scenario, campaign, numbers)
     written = page.write(out, scenario, numbers, facts, campaign.failures, pictures)
     for name, f in numbers.filters.items():
         console.print(f"[bold]{name_of(name)}[/]: {f.verdict}")
-    for run, name, message in campaign.failures[:5]:
-        console.print(f"run {run}, {name_of(name)}: {message}", style="red")
+    tell_failures(console, campaign.failures[:5])
     console.print(f"\nThe report is {written}; {out}/campaign.npz holds every run's histories.")
-    return int(any(f.n_failed == f.n_runs for f in numbers.filters.values()))
+    return exit_code(numbers)
 
 
 def _names(given, scenario):
     """Names asked for, or the scenario's own with the grid, the referee where nothing is exact."""
     if given is not None:
-        return [name.strip() for name in given.split(",")]
+        return given
     names = list(scenario.settings.filters.default)
     wanted = takes_grid(scenario.model) and not scenario.settings.exact and "grid" not in names
     return [*names, "grid"] if wanted else names
@@ -127,28 +114,3 @@ def _workers(address):
         raise ConfigError(f"no dask scheduler answers at {address}: {problem}") from None
     with client, joblib.parallel_config(backend="dask", wait_for_workers_timeout=30):
         yield
-
-
-def _write(out, scenario, campaign, numbers, referee):
-    """Write numbers, settings and versions; returns the facts that the page tells too."""
-    campaign.save(out / "campaign.npz")
-    settings = without_none(asdict(scenario.settings))
-    (out / "scenario.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
-    facts = {
-        "scenario": scenario.name,
-        "seed": campaign.seed,
-        "runs": numbers.n_runs,
-        "filters": list(campaign.results),
-        "referee": referee,
-        "command": shlex.join(["python", "-m", "experiments", *sys.argv[1:]]),
-        "versions": versions(),
-    }
-    failures = [failure._asdict() for failure in campaign.failures]
-    record = facts | {
-        "report": numbers.as_dict(),
-        "failures": failures,
-        "settings": asdict(scenario.settings),
-    }
-    text = json.dumps(without_nan(record), indent=1, allow_nan=False)
-    (out / "report.json").write_text(text, encoding="utf-8")
-    return facts

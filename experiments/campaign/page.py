@@ -5,10 +5,11 @@ import html
 import re
 from operator import attrgetter
 
-import numpy as np
 from markdown_it import MarkdownIt
 
 from experiments.scene.filters import name_of
+from experiments.show.style import quantity
+from experiments.show.tables import UNKNOWN, markdown, number
 
 __all__ = ["write"]
 
@@ -134,21 +135,17 @@ def _refereed(numbers, referee):
 
 
 def _table(numbers, scenario, rows):
-    table = [["", *map(name_of, numbers.filters)], ["---", *["---:"] * len(numbers.filters)]]
+    table = []
     for heading, field, form, each in rows:
         values = [attrgetter(field)(f) for f in numbers.filters.values()]
         if not each:
             table.append([heading.format(dim=numbers.dim), *(_cell(v, form) for v in values)])
             continue
         for d in range(len(values[0])):
-            label = _quantity(scenario, d, form) if each == "state" else str(d + 1)
+            state = quantity(scenario, d) if form == "number" else scenario.labels[d]
+            label = state if each == "state" else str(d + 1)
             table.append([heading.format(label), *(_cell(v[d], form) for v in values)])
-    return ["| " + " | ".join(row) + " |" for row in table]
-
-
-def _quantity(scenario, d, form):
-    unit = scenario.units[d] if form == "number" else ""
-    return f"{scenario.labels[d]} ({unit})" if unit else scenario.labels[d]
+    return markdown(["", *map(name_of, numbers.filters)], table)
 
 
 def _escaped(message):
@@ -158,10 +155,6 @@ def _escaped(message):
 
 
 def _cell(value, form):
-    if not np.isfinite(value):
-        return "–"
-    if form == "p":
-        return f"{value:.2f}" if value >= 0.01 else f"**{max(value, 1e-99):.0e}**"
-    if form == "percent":
-        return f"{value:.0%}"
-    return str(int(value)) if form == "count" else f"{value:.3g}"
+    text = number(value, {"p": ".2f", "percent": ".0%", "count": ".0f", "number": ".3g"}[form])
+    rare = form == "p" and text != UNKNOWN and value < 0.01
+    return f"**{max(value, 1e-99):.0e}**" if rare else text

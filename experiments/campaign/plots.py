@@ -1,15 +1,10 @@
 """Pictures of a consistency campaign: NEES, NIS, errors over time, and histograms of ranks."""
 
-import matplotlib
-
-matplotlib.use("Agg")  # files only: no window system is asked for
-
-import matplotlib.pyplot as plt
 import numpy as np
 
 from experiments.scene.filters import name_of
-from experiments.show.plots import COLOURS, consistency_figure, plain_numbers
-from experiments.show.style import save
+from experiments.show.plots import consistency_figure
+from experiments.show.style import COLOURS, filter_heading, grid, panels, plain_numbers, plt, save
 from sphfilter import consistency
 
 __all__ = ["draw"]
@@ -42,15 +37,14 @@ def _truth_figure(scenario, numbers):
     for d, label in enumerate(scenario.labels):
         rows[label] = lambda ranks, d=d: ranks.state_pit[d]
     n_counts = numbers.n_runs * numbers.n_epochs
-    figure, axes = _panels(len(rows), len(numbers.filters))
+    n = len(numbers.filters)
+    figure, axes = panels(len(rows), n, (max(2.1 * n, 7.0), 1.7 * len(rows) + 0.9), sharex=True)
     for column, (name, f) in enumerate(numbers.filters.items()):
         p_values = [f.ranks.hpd_p, *f.ranks.state_pit_p]
         for ax, (label, of), p in zip(axes[:, column], rows.items(), p_values, strict=True):
             _histogram(ax, of(f.ranks), name, p, n_counts)
             ax.set_ylabel("" if column else label)
-        axes[0, column].set_title(
-            name_of(name), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10
-        )
+        filter_heading(axes[0, column], name)
     figure.supxlabel(
         "rank: probability of a higher density, or of a lower value, than the truth's", fontsize=9
     )
@@ -63,8 +57,8 @@ def _measurement_figure(campaign, numbers):
     k = campaign.z.shape[-1]
     filters = numbers.filters
     figure = plt.figure(figsize=(max(2.1 * len(filters), 7.0), 3.2 + 1.7 * k), layout="constrained")
-    grid = figure.add_gridspec(1 + k, len(filters), height_ratios=[1.7] + [1.0] * k)
-    top = figure.add_subplot(grid[0, :])
+    places = figure.add_gridspec(1 + k, len(filters), height_ratios=[1.7] + [1.0] * k)
+    top = figure.add_subplot(places[0, :])
     for name, result in campaign.results.items():
         nis = consistency.run_average(consistency.nis(result.innovation, result.innovation_cov))[0]
         top.plot(campaign.times, nis, color=COLOURS[name], lw=1.3, marker="o", ms=2.5, label=name_of(name))
@@ -73,23 +67,18 @@ def _measurement_figure(campaign, numbers):
     top.axhline(k, color="0.5", lw=0.8, ls="--")
     top.set(yscale="log", xlabel="time (s)", ylabel="normalised innovation\nsquared (NIS)")
     plain_numbers(top.yaxis)
-    top.grid(alpha=0.25, lw=0.5)
+    grid(top)
     top.margins(x=0.01)
     top.legend(frameon=False, fontsize=8, ncols=len(filters) + 1, loc="upper left", bbox_to_anchor=(0, 1.2))
     n_counts = numbers.n_runs * numbers.n_epochs
     for column, (name, f) in enumerate(filters.items()):
         for reading in range(k):
-            ax = figure.add_subplot(grid[1 + reading, column])
+            ax = figure.add_subplot(places[1 + reading, column])
             _histogram(ax, f.ranks.pit[reading], name, f.ranks.pit_p[reading], n_counts)
             if reading == 0:
-                ax.set_title(name_of(name), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
+                filter_heading(ax, name)
             ax.set_ylabel("" if column else f"PIT, reading {reading + 1}" if k > 1 else "PIT")
     return figure
-
-
-def _panels(n_rows, n_columns):
-    size = max(2.1 * n_columns, 7.0), 1.7 * n_rows + 0.9
-    return plt.subplots(n_rows, n_columns, figsize=size, sharex=True, squeeze=False, layout="constrained")
 
 
 def _histogram(ax, fractions, name, p, n_counts):

@@ -1,13 +1,14 @@
 """C_CFL, C_NNS and M_B of the published scheme, with the search bypassed and not (002 4.4-4.5)."""
 
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
 
 from experiments.scene.files import changes_of
+from experiments.show.tables import number, table
+from experiments.terminal.options import numbers
+from experiments.terminal.running import tell
 from sphfilter.errors import ConfigError
 
 from . import calibration_plots, tables
@@ -157,13 +158,10 @@ def study(args, console):
         pairs = pairs_of(setting, truth, plan, keys, told)
     measure = "l2" if truth.nodes else "cov"
     console.print(_table(f"{setting.problem.name} to {plan.end:g} s, published scheme", pairs, measure))
-    for sentence in sentences(pairs, plan, measure):
-        console.print(f"• {escape(sentence)}")
-    out = args.out or Path("results") / f"calibrate_{setting.problem.name}"
-    out.mkdir(parents=True, exist_ok=True)
-    tables.write_rows(out / "calibration.csv", [pair.row() for pair in pairs])
-    picture = calibration_plots.draw(out / "calibration.png", pairs, plan, truth.name, measure)
-    console.print(f"Table and picture: {out}/calibration.csv, {picture}")
+    tell(console, sentences(pairs, plan, measure))
+    draw = partial(calibration_plots.draw, pairs=pairs, plan=plan, truth=truth.name, measure=measure)
+    cells, rows = (cell for pair in pairs for cell in (pair.off, pair.on)), [pair.row() for pair in pairs]
+    tables.end(console, args, f"calibrate_{setting.problem.name}", "calibration", cells, rows, draw)
 
 
 def _plan(args):
@@ -172,30 +170,22 @@ def _plan(args):
     if changes.get("repeats", 1) < 1:
         raise ConfigError("--repeats is one at least")
     if args.counts:
-        changes["counts"] = tuple(tables.numbers("--counts", args.counts, int))
+        changes["counts"] = tuple(numbers("--counts", args.counts, int))
         changes["buffer_count"] = changes["counts"][0]
     return Plan(**(vars(plan) | changes))
 
 
 def _table(title, pairs, measure):
-    made = Table(title=escape(title))
-    for head in ("particles", "C_CFL", "C_NNS", "M_B", MEASURES[measure], "change of it", "on from off",
-                 "ratio", "off, cpu s", "on, cpu s", "saved"):  # fmt: skip
-        made.add_column(head, justify="right")
+    headings = ("particles", "C_CFL", "C_NNS", "M_B", MEASURES[measure], "change of it", "on from off",
+                "ratio", "off, cpu s", "on, cpu s", "saved")  # fmt: skip
+    made = table(title, headings, left=0)
     for pair in pairs:
-        label, off, apart = pair.label, getattr(pair.off.errors, measure), getattr(pair.difference, measure)
-        numbers = (
-            off,
-            _change(pair, measure),
-            apart,
-            pair.on.bypass_ratio,
-            pair.seconds_off,
-            pair.seconds_on,
-        )
-        made.add_row(
-            str(label["particles"]), f"{label['c_cfl']:g}", f"{label['c_nns']:g}", str(label["buffer"]),
-            *map(tables.number, numbers), f"{pair.saved:.0f} %" if np.isfinite(pair.saved) else "-",
-        )  # fmt: skip
+        off, apart = getattr(pair.off.errors, measure), getattr(pair.difference, measure)
+        seconds = pair.seconds_off, pair.seconds_on
+        values = (off, _change(pair, measure), apart, pair.on.bypass_ratio, *seconds)
+        saved = number(pair.saved, ".0f", " %")
+        label = (f"{pair.label[key]:g}" for key in ("particles", "c_cfl", "c_nns", "buffer"))
+        made.add_row(*label, *(number(value, ".2g") for value in values), saved)
     return made
 
 
@@ -206,7 +196,6 @@ def _change(pair, measure):
 
 def sentences(pairs, plan, measure):
     """What came out, beside what was published."""
-    yield from tables.failures([cell for pair in pairs for cell in (pair.off, pair.on)])
     done = [pair for pair in pairs if np.isfinite(pair.saved)]
     for count in plan.counts:
         saved = [pair.saved for pair in done if pair.label["particles"] == count]

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from experiments.show.plots import plain_numbers
-from experiments.show.style import INK, frame, plt, save
+from experiments.show.style import INK, frame, legend_below, logarithmic, panels, plt, save
 
 __all__ = ["PUBLISHED_BUFFER", "draw"]
 
@@ -26,7 +25,7 @@ def draw(path, pairs, plan, truth, measure):
     measure : str
         The error drawn, "l2" or "cov".
     """
-    figure, axes = plt.subplots(2, 3, figsize=(13.5, 7.6), layout="constrained")
+    figure, axes = panels(2, 3, (13.5, 7.6))
     n_last = len(plan.buffers)
     grid, buffers = pairs[:-n_last], pairs[-n_last:]
     _over_courant(axes[0, 0], axes[0, 1], grid, plan, measure)
@@ -36,8 +35,7 @@ def draw(path, pairs, plan, truth, measure):
         frame(ax, "", "C_NNS", label)
     axes[1, 2].set_yscale("symlog", linthresh=1e-16)  # zero is on it
     axes[1, 2].set_ylim(bottom=-1e-17)
-    handles = axes[1, 0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside lower center", ncols=4, frameon=False)
+    legend_below(figure, axes[1, 0], columns=4)
     figure.suptitle(f"Published scheme, Gaussian kernel, against the {truth}, to {plan.end:g} s", fontsize=11)
     return save(figure, path)
 
@@ -61,25 +59,17 @@ def _over_courant(errors, seconds, pairs, plan, measure):
     for count, dash in zip(plan.counts, _DASHES, strict=False):
         chosen = [p for p in pairs if p.label["particles"] == count and p.label["c_nns"] == 1.0]
         c = [pair.label["c_cfl"] for pair in chosen]
-        off, on = (
-            [getattr(p.off.errors, measure) for p in chosen],
-            [getattr(p.on.errors, measure) for p in chosen],
-        )
+        off = [getattr(pair.off.errors, measure) for pair in chosen]
+        on = [getattr(pair.on.errors, measure) for pair in chosen]
         errors.plot(c, off, color=INK, ls=dash, label=f"{count} particles, off")
         errors.plot(c, on, "o", mfc="w", ms=6, color="C0" if dash == "-" else "C1", label=f"{count}, on")
-        seconds.plot(
-            c, [pair.seconds_off for pair in chosen], color=INK, ls=dash, marker=".", label=f"{count}, off"
-        )
-        seconds.plot(
-            c, [pair.seconds_on for pair in chosen], color="C0", ls=dash, marker=".", label=f"{count}, on"
-        )
+        for which, colour in (("off", INK), ("on", "C0")):
+            took = [getattr(pair, f"seconds_{which}") for pair in chosen]
+            seconds.plot(c, took, color=colour, ls=dash, marker=".", label=f"{count}, {which}")
     frame(errors, "", "C_CFL", _ERROR[measure])
     frame(seconds, "", "C_CFL", "processor time (s)")
     for ax in (errors, seconds):
-        ax.set_xscale("log")
-        ax.set_yscale("log")
-        plain_numbers(ax.xaxis)
-        plain_numbers(ax.yaxis)
+        logarithmic(ax, plain="xy")
         ax.legend(frameon=False, fontsize=8)
     low, high = errors.get_ylim()
     errors.set_ylim(0.5 * low, 3.0 * high)  # nearly equal errors are to look so

@@ -4,12 +4,12 @@ from pathlib import Path
 
 from experiments.scene.files import add_change_option
 from experiments.scene.scenario import scenario_names
+from experiments.terminal.options import numbers
 from experiments.terminal.running import new_console
 from experiments.transient.problem import problem_names
 from sphfilter.errors import ConfigError
 
 from . import calibration, courant, filters, transient
-from .tables import numbers
 
 __all__ = ["EPILOG", "add_arguments", "main"]
 

@@ -1,19 +1,17 @@
 """Absolute against relative CFL on Duffing's oscillator in five regimes (000 4.2, Table 4)."""
 
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
 
 from experiments.scene.files import changes_of
-from experiments.show.plots import COLOURS
-from experiments.show.style import frame, plt, save
+from experiments.show.style import COLOURS, frame, legend_below, panels, save
+from experiments.show.tables import number, table
 from sphfilter.errors import ConfigError
 
 from . import tables
-from .cells import Cell
+from .cells import Cell, row_of
 from .studies import scheme_change
 from .transient import progress, scheme_keys, setting_of, told_truth
 
@@ -95,19 +93,15 @@ def study(args, console):
         runs = [run for pair in zip(settings, truths, strict=True) for run in compare(*pair, keys, told)]
     title = f"S = .1, Euler, to {end:g} s (published: to 50 s on 64 cores with 1789 or 4049 particles)"
     console.print(_table(title, runs))
-    for sentence in tables.failures([run.cell for run in runs]):
-        console.print(f"• {escape(sentence)}")
-    out = args.out or Path("results") / "converge_cfl"
-    out.mkdir(parents=True, exist_ok=True)
-    steady = ("steady_x2", "steady_v2")
-    written = [
-        tables.row_of(run.cell)
-        | dict(zip(steady, run.steady, strict=True))
-        | {"published_seconds": run.published}
-        for run in runs
-    ]
-    tables.write_rows(out / "cfl.csv", written)
-    console.print(f"Table and picture: {out}/cfl.csv, {_draw(out / 'cfl.png', title, runs)}")
+    draw = partial(_draw, title=title, runs=runs)
+    rows = [_row(run) for run in runs]
+    tables.end(console, args, "converge_cfl", "cfl", [run.cell for run in runs], rows, draw)
+
+
+def _row(run):
+    """A flat dict, for a file."""
+    steady = dict(zip(("steady_x2", "steady_v2"), run.steady, strict=True))
+    return row_of(run.cell) | steady | {"published_seconds": run.published}
 
 
 def _names(name):
@@ -121,19 +115,16 @@ def _names(name):
 
 
 def _table(title, runs):
-    made = Table(title=escape(title))
-    for head in ("Duffing", "CFL", "particles", "covariance", "density, L2", "steady E[x²]",
-                 "steady E[v²]", "steps", "cpu s", "published, s"):  # fmt: skip
-        made.add_column(escape(head), justify="left" if head in ("Duffing", "CFL") else "right")
+    headings = ("Duffing", "CFL", "particles", "covariance", "density, L2", "steady E[x²]", "steady E[v²]",
+                "steps", "cpu s", "published, s")  # fmt: skip
+    made = table(title, headings, left=2)
     for run in runs:
-        cell, errors = run.cell, asdict(run.cell.errors)
-        steady = (f"{100 * value:.2g} %" if np.isfinite(value) else "-" for value in run.steady)
+        cell, (problem, kind) = run.cell, run.cell.label.values()
+        errors = (number(value, ".2g") for value in (cell.errors.cov, cell.errors.l2))
+        steady = (number(100 * value, ".2g", " %") for value in run.steady)
         cost = ("", "failed") if cell.failure else (str(cell.n_steps), f"{cell.cpu_seconds:.3g}")
-        made.add_row(
-            _short(cell.label["problem"]), cell.label["cfl"], f"{cell.n_particles:.0f}",
-            *(tables.number(errors[m]) for m in ("cov", "l2")), *steady, *cost, _seconds(run.published),
-            end_section=cell.label["cfl"] == "relative",
-        )  # fmt: skip
+        numbers = (number(cell.n_particles, ".0f"), *errors, *steady, *cost, _seconds(run.published))
+        made.add_row(_short(problem), kind, *numbers, end_section=kind == "relative")
     return made
 
 
@@ -147,7 +138,7 @@ def _short(name):
 
 def _draw(path, title, runs):
     """Bars of run times and errors, a group a regime."""
-    figure, axes = plt.subplots(1, 3, figsize=(13.0, 4.8), layout="constrained")
+    figure, (axes,) = panels(1, 3, (13.0, 4.8))
     names = list(dict.fromkeys(run.cell.label["problem"] for run in runs))
     place = np.arange(len(names))
     for k, (kind, colour) in enumerate(zip(_KINDS, (COLOURS["ekf"], COLOURS["sph"]), strict=True)):
@@ -167,6 +158,6 @@ def _draw(path, title, runs):
         frame(ax, "", "", label)
         ax.set_xticks(place, [_short(name).replace(" ", "\n") for name in names])
     axes[0].set_yscale("log")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    legend_below(figure, axes[0], columns=4)
     figure.suptitle(title, fontsize=10)
     return save(figure, path)

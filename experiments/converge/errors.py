@@ -4,6 +4,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from experiments.show.comparison import moment_errors
+
 __all__ = ["MEASURES", "Errors", "Truth", "errors_of", "moments_of"]
 
 
@@ -77,7 +79,7 @@ class Truth:
 def errors_of(densities, truth):
     """`Errors` of T densities, which know `mean`, `cov` and `pdf`."""
     of_moments = [
-        _of_moments(*moments_of(density), mean, cov)
+        moment_errors(*moments_of(density), mean, cov)
         for density, mean, cov in zip(densities, truth.mean, truth.cov, strict=True)
     ]
     known = zip(densities, truth.nodes, truth.values, truth.weights, strict=False)
@@ -99,13 +101,6 @@ def moments_of(density):
     w /= w.sum()
     mean = w @ X
     return mean, ((X - mean) * w[:, None]).T @ (X - mean)
-
-
-def _of_moments(mean, cov, mean_ref, cov_ref):
-    L = np.linalg.cholesky(cov_ref)
-    half = np.linalg.solve(L, cov - cov_ref)
-    off = np.linalg.solve(L, half.T)
-    return np.linalg.norm(np.linalg.solve(L, mean - mean_ref)), np.linalg.norm(off) / np.sqrt(len(mean))
 
 
 def _of_values(p, p_ref, w):

@@ -1,21 +1,22 @@
 """The SPH filter against an exact filter as particles grow."""
 
-import csv
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from experiments.scene.files import changes_of
 from experiments.scene.filters import factories, name_of
 from experiments.scene.scenario import load_scenario
-from experiments.show import plots
 from experiments.show.comparison import distances
+from experiments.show.files import write_csv
+from experiments.show.tables import table
+from experiments.terminal.progress import bar
 from sphfilter.campaign.campaign import run_campaign
 from sphfilter.errors import ConfigError
+
+from .plots import draw_filter
 
 __all__ = ["convergence", "orders", "study"]
 
@@ -86,21 +87,19 @@ def study(args, console, name, counts):
     rows = _shown(console, args, name, counts)
     slopes = orders(rows, load_scenario(name).model.dim)
     console.print(_table(name, name_of(args.filter), rows, slopes))
-    out = args.out or Path("results") / name
-    out.mkdir(parents=True, exist_ok=True)
-    _write(out / "convergence.csv", rows)
-    console.print(f"Table and picture: {out}/convergence.csv, {plots.draw_convergence(out, rows, slopes)}")
+    path = (args.out or Path("results") / name) / "convergence.csv"
+    lines = ([count, *asdict(distance).values(), *rest] for count, distance, *rest in rows)
+    write_csv(path, ["particles", *MEASURES, "seconds", "refused"], lines)
+    console.print(f"Table and picture: {path}, {draw_filter(path.with_suffix('.png'), rows, slopes)}")
 
 
 def _shown(console, args, name, counts):
     """Run `convergence` with a progress bar, or a line for each run where there is no terminal."""
     console.print("running (the first time compiles, for a minute)", style="dim")
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=len(counts) * args.runs)
+    with bar(console, "", len(counts) * args.runs) as move:
 
         def progress(count, done, n_runs):
-            bar.update(task, completed=counts.index(count) * n_runs + done, description=f"{count} particles")
+            move(counts.index(count) * n_runs + done, text=f"{count} particles")
             if not console.is_terminal and done:
                 console.print(f"{count} particles: run {done} of {n_runs} done", style="dim")
 
@@ -110,19 +109,11 @@ def _shown(console, args, name, counts):
 
 
 def _table(name, who, rows, slopes):
-    table = Table(title=f"{name}: {who} against the exact filter")
-    for head in ("particles", "mean (std)", "covariance", "evidence (nat)", "seconds", "refused"):
-        table.add_column(head, justify="right")
+    headings = ("particles", "mean (std)", "covariance", "evidence (nat)", "seconds", "refused")
+    made = table(f"{name}: {who} against the exact filter", headings, left=0)
     for count, distance, seconds, refused in rows:
         errors = (f"{getattr(distance, m):.2e}" for m in MEASURES)
-        table.add_row(str(count), *errors, f"{seconds:.2f}", str(refused))
-    table.add_section()
-    table.add_row("order in dx", *(f"{slopes[m]:.2f}" for m in MEASURES), "", "")
-    return table
-
-
-def _write(path, rows):
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["particles", *MEASURES, "seconds", "refused"])
-        writer.writerows([count, *asdict(distance).values(), *rest] for count, distance, *rest in rows)
+        made.add_row(str(count), *errors, f"{seconds:.2f}", str(refused))
+    made.add_section()
+    made.add_row("order in dx", *(f"{slopes[m]:.2f}" for m in MEASURES), "", "")
+    return made

@@ -1,14 +1,13 @@
-"""Pictures of the studies of transient solutions over particles, schemes and time steps."""
+"""Pictures of the studies over particles, schemes and time steps."""
 
 import numpy as np
 
-from experiments.show.plots import COLOURS, plain_numbers
-from experiments.show.style import INK, frame, plt, save
+from experiments.show.style import COLOURS, INK, frame, logarithmic, panels, plain_numbers, plt, save
 
 from .studies import RULES
 from .tables import groups, orders_of
 
-__all__ = ["draw_schemes", "draw_steps"]
+__all__ = ["draw_filter", "draw_schemes", "draw_steps"]
 
 _SCHEMES = {
     "auto": COLOURS["sph"],
@@ -25,9 +24,36 @@ _LABELS = {
 }
 
 
+def draw_filter(path, rows, slopes):
+    """Draw a filter's errors against the number of particles, both logarithmic; returns the path.
+
+    Parameters
+    ----------
+    path : Path
+    rows : list of (int, Distance, ...)
+    slopes : dict of str to float
+        Order of each error in the particle spacing.
+    """
+    labels = {
+        "mean": "mean (posterior std)",
+        "cov": "covariance (relative)",
+        "evidence": "log-evidence of a measurement (nat)",
+    }
+    figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    counts = [count for count, *_ in rows]
+    for (measure, label), mark in zip(labels.items(), "os^", strict=True):
+        errors = [getattr(distance, measure) for _, distance, *_ in rows]
+        ax.loglog(counts, errors, f"{mark}-", label=f"{label}, order {slopes[measure]:.1f}")
+    ax.set_xticks(counts, map(str, counts), minor=False)
+    ax.xaxis.minorticks_off()
+    frame(ax, "", "particles at most", "rms error against the exact filter")
+    ax.legend(frameon=False)
+    return save(figure, path)
+
+
 def draw_schemes(path, title, cells, truth, dim):
     """Draw errors against particles, and against run time, of every scheme; returns the path."""
-    figure, axes = plt.subplots(2, 2, figsize=(9.6, 7.2), layout="constrained")
+    figure, axes = panels(2, 2, (9.6, 7.2))
     last = "l2" if truth.nodes else "cov"
     for name, group in groups(cells, "scheme").items():
         group = [cell for cell in group if not cell.failure]
@@ -55,7 +81,7 @@ def draw_schemes(path, title, cells, truth, dim):
 def draw_steps(path, title, rows, truth, rule):
     """Draw errors of every integrator against the time step; returns the path."""
     drawn = [m for m in _DRAWN if m != "l2" or truth.nodes]
-    figure, axes = plt.subplots(1, len(drawn), figsize=(4.3 * len(drawn), 4.4), layout="constrained")
+    figure, (axes,) = panels(1, len(drawn), (4.3 * len(drawn), 4.4))
     for name, group in groups(rows, "integrator").items():
         group = [(cell, own) for cell, own in group if not cell.failure]
         steps, colour = [cell.label[rule] for cell, _ in group], _STEPPERS[name]
@@ -83,8 +109,7 @@ def _legend(ax):
 
 def _finish(ax, truth, measure):
     doubt = np.nan if truth.doubt is None else getattr(truth.doubt, measure)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
+    logarithmic(ax)
     if np.isfinite(doubt):
         ax.axhline(doubt, color=INK, lw=0.8, ls=":")
     frame(ax, "", "", _LABELS[measure])

@@ -1,19 +1,18 @@
 """Tables and files of the studies of transient solutions."""
 
-import csv
+from pathlib import Path
 
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
 
-from sphfilter.errors import ConfigError
+from experiments.show.files import write_rows
+from experiments.show.tables import number, table
+from experiments.terminal.running import tell
 
-from .cells import row_of
 from .errors import MEASURES
 from .fits import fitted_order
 from .studies import RULES
 
-__all__ = ["failures", "groups", "number", "numbers", "orders_of", "scheme_table", "step_table", "write_rows"]
+__all__ = ["end", "groups", "orders_of", "scheme_table", "step_table"]
 
 
 def orders_of(group, size, dim=None):
@@ -35,15 +34,12 @@ def orders_of(group, size, dim=None):
 
 def scheme_table(title, cells, dim):
     """Errors, steps and time of every scheme and number of particles, and the orders in the spacing."""
-    made = Table(title=escape(title))
-    for head in ("scheme", "particles", *MEASURES.values(), "steps", "seconds"):
-        made.add_column(head, justify="left" if head == "scheme" else "right")
+    made = table(title, ("scheme", "particles", *MEASURES.values(), "steps", "seconds"))
     for name, group in groups(cells, "scheme").items():
         for cell in group:
-            if not cell.failure:
-                made.add_row(name, f"{cell.n_particles:.0f}", *_numbers(cell.errors), *_cost(cell))
-            else:
-                made.add_row(name, str(cell.label["particles"]), *4 * ("-",), "", "failed")
+            count = str(cell.label["particles"]) if cell.failure else f"{cell.n_particles:.0f}"
+            errors = (number(getattr(cell.errors, m), ".2g") for m in MEASURES)
+            made.add_row(name, count, *errors, *_cost(cell))
         found = orders_of([(cell.n_particles, cell.errors) for cell in group], "particles", dim)
         made.add_row("", "order", *map(str, found.values()), "", "", style="bold", end_section=True)
     return made
@@ -51,15 +47,14 @@ def scheme_table(title, cells, dim):
 
 def step_table(title, rows, rule):
     """Errors of every integrator and step: against the truth, and of the step alone with its orders."""
-    made = Table(title=escape(title))
     alone = [f"step's {MEASURES[m]}" for m in ("mean", "cov", "l2")]
-    for head in ("integrator", RULES[rule][0], "covariance", "density, L2", *alone, "steps", "seconds"):
-        made.add_column(head, justify="left" if head == "integrator" else "right")
+    errors = ("covariance", "density, L2", *alone)
+    made = table(title, ("integrator", RULES[rule][0], *errors, "steps", "seconds"))
     for name, group in groups(rows, "integrator").items():
         for cell, own in group:
-            numbers = [cell.errors.cov, cell.errors.l2, own.mean, own.cov, own.l2]
-            cost = ("", "failed") if cell.failure else _cost(cell)
-            made.add_row(name, f"{cell.label[rule]:.4g}", *map(number, numbers), *cost)
+            values = (cell.errors.cov, cell.errors.l2, own.mean, own.cov, own.l2)
+            numbers = (number(value, ".2g") for value in values)
+            made.add_row(name, f"{cell.label[rule]:.4g}", *numbers, *_cost(cell))
         found = orders_of([(cell.label[rule], own) for cell, own in group], "step")
         slopes = (str(found[m]) for m in ("mean", "cov", "l2"))
         made.add_row("", "order", "", "", *slopes, "", "", style="bold", end_section=True)
@@ -75,42 +70,31 @@ def groups(rows, key):
     return found
 
 
-def failures(cells):
-    """A sentence for each cell without result."""
+def _cost(cell):
+    return ("", "failed") if cell.failure else (str(cell.n_steps), f"{cell.seconds:.3g}")
+
+
+def end(console, args, name, stem, cells, rows, draw):
+    """Tell which cells failed, write the rows, draw, and say where both are.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+    args : Namespace
+        With out.
+    name : str
+        Of the folder in results, if no other is asked for.
+    stem : str
+        Of the table's and the picture's file.
+    cells : iterable of Cell
+    rows : list of dict
+    draw : callable(path)
+        Draws the picture.
+    """
     for cell in cells:
         if cell.failure:
-            yield f"{', '.join(f'{key} {value}' for key, value in cell.label.items())}: {cell.failure}"
-
-
-def number(value):
-    """A small number for a table, - where there is none."""
-    return f"{value:.2g}" if np.isfinite(value) else "-"
-
-
-def _numbers(errors):
-    return [number(getattr(errors, m)) for m in MEASURES]
-
-
-def _cost(cell):
-    return str(cell.n_steps), f"{cell.seconds:.3g}"
-
-
-def write_rows(path, rows):
-    """Write flat dicts, or cells, as CSV; the columns are those of the first."""
-    rows = [row if isinstance(row, dict) else row_of(row) for row in rows]
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def numbers(option, text, kind, example=None):
-    """Different numbers from a comma-separated list, rising; errors show an `example`."""
-    try:
-        numbers = sorted({kind(part) for part in text.split(",")})
-    except ValueError:
-        example = example or ("100,200,400" if kind is int else "0.1,0.05,0.025")
-        raise ConfigError(f"{option} takes numbers such as {example}, not {text!r}") from None
-    if numbers[0] <= 0:
-        raise ConfigError(f"{option} takes numbers above zero, not {numbers[0]:g}")
-    return numbers
+            label = ", ".join(f"{key} {value}" for key, value in cell.label.items())
+            tell(console, [f"{label}: {cell.failure}"])
+    out = args.out or Path("results") / name
+    write_rows(out / f"{stem}.csv", rows)
+    console.print(f"Table and picture: {out / stem}.csv, {draw(out / f'{stem}.png')}")

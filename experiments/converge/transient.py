@@ -1,16 +1,18 @@
 """Studies of a transient solution over particles, schemes and time steps: run, shown and written."""
 
 from contextlib import contextmanager
-from pathlib import Path
+from functools import partial
 
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from experiments.scene.files import changes_of
+from experiments.show.tables import number
+from experiments.terminal.progress import bar
 from sphfilter.errors import ConfigError
 
 from . import plots, tables
-from .cells import SCHEME, Setting, cut
+from .cells import SCHEME, Setting, cut, row_of
+from .errors import MEASURES
 from .studies import INTEGRATORS, by_scheme, by_step, default_steps, scheme_change, variants
 from .truth import truth_of
 
@@ -34,10 +36,9 @@ def study_schemes(args, console, counts):
         cells = by_scheme(setting, truth, counts, schemes, told)
     dim, title = setting.problem.model.dim, _title(setting, truth)
     console.print(tables.scheme_table(title, cells, dim))
-    out = _folder(args, setting)
-    tables.write_rows(out / "convergence.csv", cells)
-    drawn = plots.draw_schemes(out / "convergence.png", title, cells, truth, dim)
-    _end(console, cells, out / "convergence.csv", drawn)
+    draw = partial(plots.draw_schemes, title=title, cells=cells, truth=truth, dim=dim)
+    rows = [row_of(cell) for cell in cells]
+    tables.end(console, args, _folder(setting), "convergence", cells, rows, draw)
 
 
 def study_steps(args, console, rule, values):
@@ -54,12 +55,9 @@ def study_steps(args, console, rule, values):
         rows = by_step(setting, truth, rule, values, keys, told)
     title = f"{_title(setting, truth)}, published scheme"
     console.print(tables.step_table(title, rows, rule))
-    out, cells = _folder(args, setting), [cell for cell, _ in rows]
-    written = [
-        tables.row_of(cell) | {f"step_{m}": getattr(own, m) for m in tables.MEASURES} for cell, own in rows
-    ]
-    tables.write_rows(out / "steps.csv", written)
-    _end(console, cells, out / "steps.csv", plots.draw_steps(out / "steps.png", title, rows, truth, rule))
+    draw = partial(plots.draw_steps, title=title, rows=rows, truth=truth, rule=rule)
+    written = [row_of(cell) | {f"step_{m}": getattr(own, m) for m in MEASURES} for cell, own in rows]
+    tables.end(console, args, _folder(setting), "steps", (cell for cell, _ in rows), written, draw)
 
 
 def setting_of(name, changes, end, limit):
@@ -91,13 +89,10 @@ def told_truth(console, setting):
     """The truth of a setting's problem; the console is told what it is."""
     problem = setting.problem
     console.print(f"[bold]{problem.name}[/]: {escape(problem.settings.description)}")
-    with Progress(TextColumn("reference"), BarColumn(), console=console, transient=True) as bar:
-        task = bar.add_task("", total=None)
-        truth = truth_of(problem, lambda done, total: bar.update(task, completed=done, total=total))
+    with bar(console, "reference") as move:
+        truth = truth_of(problem, move)
     if truth.doubt is not None:
-        known = ", ".join(
-            f"{name} {tables.number(getattr(truth.doubt, m))}" for m, name in tables.MEASURES.items()
-        )
+        known = ", ".join(f"{name} {number(getattr(truth.doubt, m), '.2g')}" for m, name in MEASURES.items())
         console.print(f"{truth.name}, its own errors at most: {known}", style="dim")
     return truth
 
@@ -106,9 +101,7 @@ def told_truth(console, setting):
 def progress(console, n_cells):
     """A bar, or a line a cell where there is no terminal; yields what is to be told of each cell."""
     console.print("running (the first time compiles, for a minute a scheme)", style="dim")
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=n_cells)
+    with bar(console, "", n_cells) as move:
         count = iter(range(n_cells + 1))
 
         def told(label):
@@ -116,7 +109,7 @@ def progress(console, n_cells):
                 f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
                 for key, value in label.items()
             )
-            bar.update(task, completed=next(count, n_cells), description=text)
+            move(next(count, n_cells), text=text)
             if not console.is_terminal:
                 console.print(text, style="dim")
 
@@ -128,13 +121,5 @@ def _title(setting, truth):
     return f"{setting.problem.name} against the {truth.name}, rms over {len(times)} times to {times[-1]:g} s"
 
 
-def _folder(args, setting):
-    out = args.out or Path("results") / f"converge_{setting.problem.name}"
-    out.mkdir(parents=True, exist_ok=True)
-    return out
-
-
-def _end(console, cells, *paths):
-    for sentence in tables.failures(cells):
-        console.print(f"• {escape(sentence)}")
-    console.print(f"Table and picture: {', '.join(str(path) for path in paths)}")
+def _folder(setting):
+    return f"converge_{setting.problem.name}"

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.stats import multivariate_normal, qmc
 
 from experiments.transient.references import drifted, gaussians, grid_densities, reference_of
+from experiments.transient.tables import moments
 from reference_filters.closed_forms import drifted_uniform
 from sphfilter.errors import ConfigError
 
@@ -113,10 +114,5 @@ class _Gridded:
 
 def _paths(problem, progress):
     """Moments over many paths; their density is not known."""
-    found, n = reference_of(problem, progress), problem.model.dim
-    means = found.values[:, :n]
-    covs = np.empty((len(means), n, n))
-    upper = np.triu_indices(n)
-    covs[:, upper[0], upper[1]] = found.values[:, n : n + len(upper[0])]
-    covs[:, upper[1], upper[0]] = covs[:, upper[0], upper[1]]
-    return Truth(found.name, means, covs - means[:, :, None] * means[:, None, :])
+    found = reference_of(problem, progress)
+    return Truth(found.name, *moments(found.values, problem.model.dim))

@@ -5,17 +5,17 @@ the fit its profiles are computed, the largest log-evidence for fixed values of 
 model is fitted to the same measurements.
 """
 
-import json
 import time
 from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
-from rich import box
-from rich.table import Table
 
 import sphfilter as sf
 from experiments.scene.files import add_change_option, changes_of
+from experiments.show.files import write_json
+from experiments.show.tables import table
+from experiments.terminal.options import names_of
 from experiments.terminal.running import new_console, status
 from sphfilter.errors import ConfigError, SphfilterError
 
@@ -37,9 +37,8 @@ _FEW = 3  # parameters, up to which profiles are fine
 def add_arguments(parser):
     """Add the options of `estimate`."""
     parser.add_argument("scenario", metavar="NAME", help="a scenario with parameters, or sunspots")
-    parser.add_argument(
-        "--parameters", metavar="NAMES", help=f"comma-separated; {SENSOR} is the sensor's noise"
-    )
+    names = f"comma-separated; {SENSOR} is the sensor's noise"
+    parser.add_argument("--parameters", metavar="NAMES", type=names_of, help=names)
     parser.add_argument("--guess", action="append", default=[], metavar="NAME=VALUE", help="where to begin")
     parser.add_argument("--n-particles", type=int, help="of the filter, at most (default: 400)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated measurements")
@@ -57,8 +56,7 @@ def add_arguments(parser):
 def main(args):
     """Run the command; prints to standard output."""
     console = new_console()
-    names = None if args.parameters is None else [name.strip() for name in args.parameters.split(",")]
-    problem = problem_of(args.scenario, names, changes_of(args), args.seed, args.n_particles)
+    problem = problem_of(args.scenario, args.parameters, changes_of(args), args.seed, args.n_particles)
     guess = guess_of(problem, _guesses(args.guess))
     rival = rival_of(problem)
     if args.compare and rival is None:
@@ -80,7 +78,7 @@ def main(args):
             k: {"value": list(x), "log_evidence": list(y)} for k, (x, y) in profiles.items()
         }
         draw_profiles(out / "profiles.png", fit, profiles, truth, _title(args, fit))
-    (out / "fit.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+    write_json(out / "fit.json", record)
     console.print(
         f"Numbers are in {out}/fit.json" + ("." if args.no_profile else ", profiles in profiles.png.")
     )
@@ -119,18 +117,14 @@ def _fitted(console, problem, guess):
 
 
 def _table(fit, truth):
-    table = Table(box=box.SIMPLE, pad_edge=False)
-    table.add_column("parameter", style="bold")
     columns = ["estimate", "standard error", *(["truth", "off (s.e.)"] if truth else [])]
-    for text in (*columns, *(f"corr. {name}" for name in fit.names)):
-        table.add_column(text, justify="right")
+    rows = []
     for k, name in enumerate(fit.names):
         value, error = fit.estimate[name], fit.standard_error[name]
         known = [f"{truth[name]:.5g}", f"{(value - truth[name]) / error:+.2f}"] if truth else []
-        table.add_row(
-            name, f"{value:.5g}", f"{error:.2g}", *known, *(f"{c:+.2f}" for c in fit.correlation[k])
-        )
-    return table
+        correlations = (f"{c:+.2f}" for c in fit.correlation[k])
+        rows.append((name, f"{value:.5g}", f"{error:.2g}", *known, *correlations))
+    return table("", ["parameter", *columns, *(f"corr. {name}" for name in fit.names)], rows)
 
 
 def _sentence(fit):
@@ -155,8 +149,8 @@ def _record(args, fit, truth):
         "scenario": args.scenario,
         "seed": args.seed if truth else None,
         "estimate": dict(fit.estimate),
-        "standard_error": {k: v if np.isfinite(v) else None for k, v in fit.standard_error.items()},
-        "covariance": [[v if np.isfinite(v) else None for v in row] for row in fit.covariance.tolist()],
+        "standard_error": dict(fit.standard_error),
+        "covariance": fit.covariance.tolist(),
         "truth": truth or None,
         "log_evidence": fit.log_evidence,
         "aic": fit.aic,

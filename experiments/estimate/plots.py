@@ -1,18 +1,12 @@
 """Pictures of profile log-evidences."""
 
-import matplotlib
-
-matplotlib.use("Agg")  # files only: no window system is asked for
-
-import matplotlib.pyplot as plt
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from experiments.show.plots import COLOURS
+from experiments.show.style import COLOURS, frame, legend_below, panels, save
 
 __all__ = ["draw_profiles"]
 
-_DPI = 130
 _OURS = COLOURS["sph"]
 
 
@@ -31,7 +25,7 @@ def draw_profiles(path, fit, profiles, truth, title):
     columns = min(3, len(profiles))
     rows = -(-len(profiles) // columns)
     size = (3.6 * columns + 0.6, 2.9 * rows + 0.7)
-    figure, axes = plt.subplots(rows, columns, figsize=size, sharey=True, squeeze=False, layout="constrained")
+    figure, axes = panels(rows, columns, size, len(profiles), sharey=True)
     for ax, (name, (values, evidence)) in zip(axes.flat, profiles.items(), strict=False):
         best, error = fit.estimate[name], fit.standard_error[name]
         x = np.linspace(values.min(), values.max(), 200)
@@ -46,18 +40,11 @@ def draw_profiles(path, fit, profiles, truth, title):
         if name in truth:
             ax.axvline(truth[name], color="0.1", lw=1.2, ls=":", label="truth")
         ax.axhline(-1.92, color="0.75", lw=0.8, zorder=0)  # half of chi square's 95 % point
-        ax.set_title(f"{name} = {best:.4g} ± {error:.2g}", loc="left", fontsize=10)
-        ax.set_xlabel(name)
-        ax.grid(alpha=0.25, lw=0.5)
-        for side in ("top", "right"):
-            ax.spines[side].set_visible(False)
-    for ax in axes.flat[len(profiles) :]:
-        ax.set_visible(False)
+        frame(ax, f"{name} = {best:.4g} ± {error:.2g}", name, "")
+        ax.spines[["top", "right"]].set_visible(False)
     for ax in axes[:, 0]:
         ax.set_ylabel("below the maximum (nat)")
         ax.set_ylim(-5.0, 0.4)
-    lines, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(lines, labels, frameon=False, loc="outside lower center", ncols=3)
+    legend_below(figure, axes[0, 0], columns=3)
     figure.suptitle(title, x=0.01, ha="left", fontsize=10)
-    figure.savefig(path, dpi=_DPI)
-    plt.close(figure)
+    save(figure, path)

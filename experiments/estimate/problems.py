@@ -7,10 +7,10 @@ import numpy as np
 
 import sphfilter as sf
 from experiments.own_data.command import case_of
-from experiments.own_data.csv_data import Measurements, read_measurements
+from experiments.own_data.csv_data import read_measurements
 from experiments.own_data.model_file import load_model
 from experiments.scene.scenario import Scenario, load_scenario
-from experiments.sunspots.command import FIRST, roots
+from experiments.sunspots.command import roots, split
 from experiments.sunspots.forecast import fold
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import ConfigError, nearest
@@ -143,10 +143,8 @@ def problem_of(name, names, changes, seed, n_particles=None):
         if changes:
             raise ConfigError("the sunspots' model takes no --set; change a copy of its file with `filter`")
         scenario = load_model(_DATA / "sunspots.toml")
-        data = roots(read_measurements(_DATA / "sunspots.csv", 1))
-        learnt = data.times < FIRST
-        data = Measurements(data.time_name, data.names, data.times[learnt], data.z[learnt])
-        build = Build(scenario, case_of(scenario, data), n_particles or _PARTICLES, folded=True)
+        learnt, _ = split(roots(read_measurements(_DATA / "sunspots.csv", 1)))
+        build = Build(scenario, case_of(scenario, learnt), n_particles or _PARTICLES, folded=True)
     else:
         scenario = _longer(load_scenario(name, **changes), changes)
         if scenario.settings.start.kind == "benes":

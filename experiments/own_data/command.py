@@ -3,15 +3,15 @@
 The model, the sensor and the start come from a TOML file (see `model_file.ModelFile`).
 """
 
-import csv
 import time
 from pathlib import Path
 
 import numpy as np
-from rich import box
-from rich.table import Table
 
 from experiments.scene.filters import FILTERS, factories, name_of
+from experiments.show.files import write_csv
+from experiments.show.tables import table
+from experiments.terminal.options import names_of
 from experiments.terminal.running import new_console
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import SphfilterError
@@ -66,7 +66,7 @@ def add_arguments(parser):
     """Add the options of `filter`."""
     parser.add_argument("--model", type=Path, required=True, help="TOML file with model, sensor and start")
     parser.add_argument("--data", type=Path, required=True, help="CSV file: a time and measurements a line")
-    parser.add_argument("--filters", help=f"comma-separated, of {', '.join(FILTERS)}")
+    parser.add_argument("--filters", type=names_of, help=f"comma-separated, of {', '.join(FILTERS)}")
     parser.add_argument("--seed", type=int, default=1, help="seed of the particle filter")
     parser.add_argument("--out", type=Path, help="folder for results (default: results/NAME of the data)")
 
@@ -77,8 +77,7 @@ def main(args):
     scenario = load_model(args.model)
     columns = scenario.settings.data
     data = read_measurements(args.data, scenario.measurement.dim_z, columns.time, columns.columns)
-    names = None if args.filters is None else [name.strip() for name in args.filters.split(",")]
-    filters = factories(names, scenario)
+    filters = factories(args.filters, scenario)
     out = args.out or Path("results") / args.data.stem
 
     n_missing = int(np.isnan(data.z).sum())
@@ -90,7 +89,6 @@ def main(args):
     if not results:
         raise SphfilterError("no filter came to the end of the data")
     _tell(console, results, seconds)
-    out.mkdir(parents=True, exist_ok=True)
     for name, result in results.items():
         write_result(out / f"{name}.csv", result, scenario.settings.model.states, data.time_name)
     draw(out / "estimates.png", scenario, data, results)
@@ -126,14 +124,11 @@ def _run(filters, case, seed):
 
 
 def _tell(console, results, seconds):
-    table = Table(box=box.SIMPLE, pad_edge=False)
-    for heading in ("filter", "log-evidence (nat)", "lines rejected", "run time (s)"):
-        table.add_column(heading, justify="left" if heading == "filter" else "right")
+    rows = []
     for name, result in results.items():
-        rejected = int(np.sum(~result.accepted))
-        evidence = f"{result.log_evidence.sum():.2f}"
-        table.add_row(name_of(name), evidence, str(rejected), f"{seconds[name]:.2f}")
-    console.print(table)
+        evidence, rejected = f"{result.log_evidence.sum():.2f}", str(int(np.sum(~result.accepted)))
+        rows.append((name_of(name), evidence, rejected, f"{seconds[name]:.2f}"))
+    console.print(table("", ("filter", "log-evidence (nat)", "lines rejected", "run time (s)"), rows))
     console.print(
         "• The log-evidence is the log-density that a filter gave to all measurements before it saw them. "
         "Compare models by it (one filter, the same data): the larger explains the data better, and a "
@@ -159,9 +154,6 @@ def write_result(path, result, states, time_name="t"):
     for name in states:
         heading += [name, f"{name}_std"]
     pairs = np.stack([result.x, std], axis=2).reshape(len(result.t), -1)
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*heading, "log_evidence", "accepted"])
-        for i, t in enumerate(result.t):
-            numbers = [float(v) for v in (t, *pairs[i], result.log_evidence[i])]
-            writer.writerow([*numbers, int(result.accepted[i])])
+    numbers = np.column_stack([result.t, pairs, result.log_evidence]).tolist()
+    rows = ([*row, int(used)] for row, used in zip(numbers, result.accepted, strict=True))
+    write_csv(path, [*heading, "log_evidence", "accepted"], rows)

@@ -1,19 +1,12 @@
 """Pictures of filters on measured data: estimates over time, and bands of forecasts."""
 
-import matplotlib
-
-matplotlib.use("Agg")  # files only: no window system is asked for
-
-import matplotlib.pyplot as plt
 import numpy as np
 
 from experiments.own_data.csv_data import LEVELS
-from experiments.scene.filters import name_of
-from experiments.show.plots import COLOURS
+from experiments.show.histories import readings
+from experiments.show.style import COLOURS, filter_heading, grid, panels, quantity, save
 
 __all__ = ["draw", "draw_forecasts"]
-
-_DPI = 130
 
 
 def draw(path, scenario, data, results):
@@ -28,38 +21,27 @@ def draw(path, scenario, data, results):
     """
     n = scenario.model.dim
     size = (max(4.8 * n, 7.0), 1.9 * len(results) + 1.2)
-    figure, axes = plt.subplots(
-        len(results), n, figsize=size, sharex=True, sharey="col", squeeze=False, layout="constrained"
-    )
-    reads = scenario.measurement.directly_observed
+    figure, axes = panels(len(results), n, size, sharex=True, sharey="col")
+    dots = {"ms": 4.5, "color": "0.1", "mec": "w", "mew": 0.6, "zorder": 4}
     for row, (name, result) in zip(axes, results.items(), strict=True):
         for d, ax in enumerate(row):
             std = np.sqrt(result.P[:, d, d])
             low, high = result.x[:, d] - 2 * std, result.x[:, d] + 2 * std
             ax.fill_between(result.t, low, high, color=COLOURS[name], alpha=0.22, lw=0)
             ax.plot(result.t, result.x[:, d], color=COLOURS[name], lw=1.2)
-            if reads is not None and d in reads[0]:
-                j = list(reads[0]).index(d)
-                ax.plot(
-                    data.times,
-                    data.z[:, j] / reads[1][j],
-                    "o",
-                    ms=4.5,
-                    color="0.1",
-                    mec="w",
-                    mew=0.6,
-                    zorder=4,
-                )
-            _plain(ax)
-        row[0].set_title(name_of(name), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
-    for ax, label, unit in zip(axes[0], scenario.labels, scenario.units, strict=True):
-        ax.set_title(f"{label} ({unit})" if unit else label, fontsize=10)
+            if (seen := readings(scenario.measurement, data.z, d)) is not None:
+                ax.plot(data.times, seen, "o", **dots)
+            grid(ax)
+            ax.margins(x=0.01)
+        filter_heading(row[0], name)
+    for d, ax in enumerate(axes[0]):
+        ax.set_title(quantity(scenario, d), fontsize=10)
     unit = scenario.settings.data.time_unit
     for ax in axes[-1]:
         ax.set_xlabel(f"{data.time_name} ({unit})" if unit else data.time_name)
     title = f"{scenario.name}: estimate after each line ± 2σ (band), measurements (dots)"
     figure.suptitle(title, fontsize=11)
-    _save(figure, path)
+    save(figure, path)
 
 
 def draw_forecasts(path, scores):
@@ -72,10 +54,7 @@ def draw_forecasts(path, scores):
     """
     horizons = list(next(iter(scores.values())))
     shape = (len(scores), len(horizons))
-    size = (6.2 * shape[1], 1.9 * shape[0] + 1.2)
-    figure, axes = plt.subplots(
-        *shape, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained"
-    )
+    figure, axes = panels(*shape, (6.2 * shape[1], 1.9 * shape[0] + 1.2), sharex=True, sharey=True)
     for row, (name, of) in zip(axes, scores.items(), strict=True):
         for ax, h in zip(row, horizons, strict=True):
             score = of[h]
@@ -86,8 +65,9 @@ def draw_forecasts(path, scores):
             ax.plot(score.year, score.observed, "o", ms=3.0, mfc="w", mec="k", mew=0.8)
             inside = ", ".join(f"{c:.0%}" for c in score.coverage[:2])
             ax.set_title(f"inside: {inside}", loc="right", fontsize=9)
-            _plain(ax)
-        row[0].set_title(name_of(name), loc="left", color=COLOURS[name], fontweight="bold", fontsize=10)
+            grid(ax)
+            ax.margins(x=0.01)
+        filter_heading(row[0], name)
         row[0].set_ylabel("sunspot number")
     top = max(np.max(of[h].observed) for of in scores.values() for h in horizons)
     axes[0, 0].set_ylim(0, 1.5 * top)
@@ -97,14 +77,4 @@ def draw_forecasts(path, scores):
         ax.set_xlabel("year")
     levels = " and ".join(f"{level:.0%}" for level in LEVELS[:2])
     figure.suptitle(f"Forecasts: median and central {levels} intervals; circles: what came", fontsize=11)
-    _save(figure, path)
-
-
-def _plain(ax):
-    ax.margins(x=0.01)
-    ax.grid(alpha=0.25, lw=0.5)
-
-
-def _save(figure, path):
-    figure.savefig(path, dpi=_DPI)
-    plt.close(figure)
+    save(figure, path)

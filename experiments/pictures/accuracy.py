@@ -3,16 +3,15 @@
 from functools import partial
 from typing import NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import sphfilter as sf
-from experiments.show.plots import plain_numbers
 from reference_filters.closed_forms import linear_moments
 from reference_filters.grid import GridFilter
 from sphfilter.lattice.regular import fit_support, place_gaussian
 
-from ..show.style import ACCENT, Picture, frame
+from ..show.style import ACCENT, frame, panels, plain_numbers
+from .picture import Picture
 from .transient import KERNEL, start_of, transient_model
 
 __all__ = ["initial_accuracy", "rms_error", "support_sweep", "swept"]
@@ -28,7 +27,7 @@ _REACH = 3.25
 
 def support_sweep(scenario, seed, n_runs):
     """Error of a standard normal density on particles against the kernels' support (Fig 9)."""
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.4), sharey=True, layout="constrained")
+    figure, (axes,) = panels(1, 2, (11, 4.4), sharey=True)
     for ax, kernel in zip(axes, ("gaussian", "lucy"), strict=True):
         fit = swept(_N_SUPPORT, kernel)
         best = fit.support[np.argmin(fit.error)]
@@ -71,7 +70,7 @@ def initial_accuracy(scenario, seed, n_runs):
     error = partial(_history, model, start, references)
     best = swept(_N_SUPPORT, KERNEL, steps=9)
     fitted = best.support[np.argmin(best.error)]
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained")
+    figure, (axes,) = panels(1, 2, (11, 4.4))
     fixed = {"support_range": (_COMMON, _COMMON), "support_steps": 1}
     axes[0].plot(times, error(_N_SUPPORT, {}), color="k", label=rf"fitted, $\Lambda$ = {fitted:g}")
     axes[0].plot(times, error(_N_SUPPORT, fixed), color=ACCENT["other"], label=rf"$\Lambda$ = {_COMMON:g}")

@@ -1,12 +1,13 @@
 """Densities on particles: resampling without a measurement, and one Bayesian update (002 Figs 13, 14, 21)."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import sphfilter as sf
 from sphfilter.lattice.regular import heaviest
 
-from ..show.style import ACCENT, INK, Picture, frame, mass_bar, mass_field, quantity
+from ..show.particles import mass_bar, mass_field
+from ..show.style import ACCENT, INK, frame, panels, quantity
+from .picture import Picture
 from .transient import KERNEL, start_of, transient_model
 
 __all__ = ["bayes_figure", "resampling_figure", "transient_densities"]
@@ -38,7 +39,7 @@ def transient_densities(scenario, seed, n_runs):
 def resampling_figure(scenario, density, config):
     """A density and the same density on a new lattice (002 4.7, Figs 13 and 14)."""
     new, info = sf.resample(density, config=config)
-    figure, axes = plt.subplots(1, 3, figsize=(13.5, 4.6), sharex=True, sharey=True, layout="constrained")
+    figure, (axes,) = panels(1, 3, (13.5, 4.6), sharex=True, sharey=True)
     mass_field(axes[0], density.x, density.mass)
     axes[1].scatter(*density.x.T, s=16, lw=0, color=ACCENT["third"], alpha=0.35, label="as propagated")
     axes[1].scatter(*new.x.T, s=4, lw=0, color=ACCENT["other"], label="resampled")
@@ -67,7 +68,7 @@ def bayes_figure(scenario, prior, config):
     posterior, info = sf.update(prior, measurement, [_Z], config)
     raw = raw_posterior(prior, measurement)
     kept = heaviest(raw, config.scheme.domain_mass)
-    figure, axes = plt.subplots(2, 3, figsize=(13.5, 8.4), layout="constrained")
+    figure, axes = panels(2, 3, (13.5, 8.4))
     a, b, c, d, e, f = axes.ravel()
     mass_field(a, prior.x, prior.mass)
     likelihood = np.exp(measurement.log_likelihood([_Z], prior.x, prior.t))

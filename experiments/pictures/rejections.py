@@ -7,14 +7,14 @@ bounds the part of the posterior on edge kernels, f_edge of (62), is what refuse
 from dataclasses import replace
 from typing import NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 from scipy import stats
 
 from experiments.scene.filters import Factory
 from sphfilter.campaign.campaign import draw_case, run_campaign
 
-from ..show.style import ACCENT, INK, Picture, frame, quantity
+from ..show.style import ACCENT, INK, frame, legend_below, plt, quantity
+from .picture import Picture
 
 __all__ = ["Coverage", "Rate", "rejected_measurements", "rejection_rates"]
 
@@ -49,12 +49,8 @@ def rejected_measurements(scenario, seed, n_runs):
     run = int(np.argmax(refused[shown].sum(axis=1)))
     remedy = min((_WIDE, loose), key=lambda c: refused[c][run].sum())
     case = draw_case(replace(scenario, between=True), seed, run)
-    figure, axes = plt.subplot_mosaic(
-        [["before", "rates"], ["after", "rates"]],
-        figsize=(13, 6.2),
-        width_ratios=[2.4, 1],
-        layout="constrained",
-    )
+    places, look = [["before", "rates"], ["after", "rates"]], {"figsize": (13, 6.2), "layout": "constrained"}
+    figure, axes = plt.subplot_mosaic(places, width_ratios=[2.4, 1], **look)
     for key, coverage in (("before", shown), ("after", remedy)):
         _history(axes[key], scenario, case, results[coverage], run)
         n = int(refused[coverage][run].sum())
@@ -63,8 +59,7 @@ def rejected_measurements(scenario, seed, n_runs):
     axes["before"].sharex(axes["after"])
     axes["before"].sharey(axes["after"])
     axes["before"].set_xlabel("")
-    handles, labels = axes["before"].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    legend_below(figure, axes["before"], columns=5)
     _bars(axes["rates"], scenario.model.dim, rates, n_runs)
     what = f"run {run}: refused measurements, and a remedy"
     figure.suptitle(f"{scenario.name}, the paper's scheme, {what}", fontsize=11)
@@ -146,22 +141,12 @@ def _bars(ax, dim, rates, n_runs):
         share, low, high = (100 * v for v in _interval(rate))
         ax.bar(k, share, width=0.6, color=ACCENT["other"], alpha=0.75)
         ax.errorbar(k, share, [[share - low], [high - share]], color=INK, capsize=4, lw=1.2)
-        ax.annotate(
-            f"{rate.refused} of {rate.total}",
-            (k, high),
-            (0, 4),
-            textcoords="offset points",
-            ha="center",
-            fontsize=9,
-        )
+        place = {"xytext": (0, 4), "textcoords": "offset points", "ha": "center"}
+        ax.annotate(f"{rate.refused} of {rate.total}", (k, high), fontsize=9, **place)
     labels = [f"{c.z_t(dim):.2f}\n{c.represented_mass:g}\n{c.domain_mass:g}\n{c.f_edge:.2g}" for c in rates]
     ax.set_xticks(range(len(rates)), labels)
-    frame(
-        ax,
-        f"{n_runs} runs: refused, 95 % interval",
-        r"$Z_T$ ; $P_T$ ; $\tilde P_T$ ; $f_{edge}$",
-        "measurements refused (%)",
-    )
+    settings = r"$Z_T$ ; $P_T$ ; $\tilde P_T$ ; $f_{edge}$"
+    frame(ax, f"{n_runs} runs: refused, 95 % interval", settings, "measurements refused (%)")
     ax.grid(axis="x", visible=False)
     ax.margins(y=0.12)
     ax.set_ylim(bottom=0)

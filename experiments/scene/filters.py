@@ -1,6 +1,7 @@
 """The filters an experiment can run, by name, as factories for `run_campaign`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 
@@ -31,36 +32,11 @@ class Factory:
         return build(self.scenario, self.settings, case, rng)
 
 
-def _kalman(scenario, settings, case, rng):
-    return KalmanFilter(scenario.model, scenario.measurement, case.x0, case.P0, case.t0)
-
-
-def _extended(scenario, settings, case, rng):
-    return ExtendedKalmanFilter(
-        scenario.model, scenario.measurement, case.x0, case.P0, case.t0, rtol=settings.rtol
-    )
-
-
-def _unscented(scenario, settings, case, rng):
-    return UnscentedKalmanFilter(
-        scenario.model, scenario.measurement, case.x0, case.P0, case.t0, rtol=settings.rtol
-    )
-
-
-def _particle(scenario, settings, case, rng):
-    return ParticleFilter(
-        scenario.model,
-        scenario.measurement,
-        case.x0,
-        case.P0,
-        case.t0,
-        n_particles=settings.n_particles,
-        rng=rng,
-        resampling=settings.resampling,
-        step=settings.step,
-        order=settings.order,
-        n_threads=settings.n_threads,
-    )
+def _reference(kind, scenario, settings, case, rng):
+    """A filter that starts from the case's mean and covariance, and takes its settings by name."""
+    own = {} if settings is None else {f.name: getattr(settings, f.name) for f in fields(settings)}
+    own |= {"rng": rng} if kind is ParticleFilter else {}
+    return kind(scenario.model, scenario.measurement, case.x0, case.P0, case.t0, **own)
 
 
 def _sph(scenario, settings, case, rng):
@@ -75,12 +51,12 @@ def _sph(scenario, settings, case, rng):
 
 
 def _grid(scenario, settings, case, rng):
-    shape = {"size": settings.size, "tol": settings.tol}
     if scenario.settings.start.kind != "benes":
-        return GridFilter(scenario.model, scenario.measurement, case.x0, case.P0, case.t0, **shape)
+        return _reference(GridFilter, scenario, settings, case, rng)
     exact = _benes(scenario, None, case, rng)
     box = fitted_box(exact.x[None], np.ones(1), exact.P, settings.size)
     density = GridDensity.sampled(lambda X: exact.pdf(X[:, 0]), box)
+    shape = {"size": settings.size, "tol": settings.tol}
     return GridFilter(scenario.model, scenario.measurement, t0=case.t0, density=density, **shape)
 
 
@@ -103,10 +79,10 @@ FILTERS = {
     "benes": "closed form of the Beneš problem",
 }
 _BUILDERS = {
-    "kf": _kalman,
-    "ekf": _extended,
-    "ukf": _unscented,
-    "pf": _particle,
+    "kf": partial(_reference, KalmanFilter),
+    "ekf": partial(_reference, ExtendedKalmanFilter),
+    "ukf": partial(_reference, UnscentedKalmanFilter),
+    "pf": partial(_reference, ParticleFilter),
     "sph": _sph,
     "sph_paper": _sph,
     "grid": _grid,

@@ -18,9 +18,9 @@ from .settings import ScenarioSettings
 
 __all__ = [
     "Scenario",
+    "Scene",
     "check_parts",
     "load_scenario",
-    "model_of",
     "read_settings",
     "scenario_names",
 ]
@@ -30,8 +30,27 @@ _FOLDER = Path(__file__).parents[1] / "scenarios"
 _PARTS = 20
 
 
+class Scene:
+    """What a scenario and a transient problem share, both of `settings` with a `ModelText`."""
+
+    @property
+    def model(self):
+        """The `SDE`."""
+        return _model(json.dumps(asdict(self.settings.model), sort_keys=True))
+
+    @property
+    def labels(self):
+        """Names of the states for people, length n."""
+        return self.settings.model.labels or self.settings.model.states
+
+    @property
+    def units(self):
+        """Units of the states, length n; empty where a state is a plain number."""
+        return self.settings.model.units or ("",) * len(self.settings.model.states)
+
+
 @dataclass(frozen=True)
-class Scenario:
+class Scenario(Scene):
     """A model, a sensor, measurement times and a start: what a campaign draws its runs from.
 
     Only the settings travel to worker processes; each compiles the model once.
@@ -49,24 +68,9 @@ class Scenario:
     between: bool = False
 
     @property
-    def model(self):
-        """The `SDE`."""
-        return model_of(json.dumps(asdict(self.settings.model), sort_keys=True))
-
-    @property
     def measurement(self):
         """The `GaussianMeasurement`."""
         return _measurement(self.settings.model.states, self.settings.sensor)
-
-    @property
-    def labels(self):
-        """Names of the states for people, length n."""
-        return self.settings.model.labels or self.settings.model.states
-
-    @property
-    def units(self):
-        """Units of the states, length n; empty where a state is a plain number."""
-        return self.settings.model.units or ("",) * len(self.settings.model.states)
 
     def draw(self, rng):
         """Simulate one run, as a `Case`."""
@@ -85,7 +89,7 @@ class Scenario:
 
 
 @cache
-def model_of(text):
+def _model(text):
     """The `SDE` of a `ModelText` as JSON."""
     values = json.loads(text)
     return sf.SDE.from_expressions(**{k: v for k, v in values.items() if k not in ("labels", "units")})

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from reference_filters.closed_forms import BenesFilter
+from sphfilter.consistency import nees
 from sphfilter.errors import ConfigError
 from sphfilter.model.simulate import simulate
 
@@ -48,8 +49,7 @@ def two_point(model, measurement, start, t0, times, rng):
         first = rng.multivariate_normal(np.array(start.mean), np.array(start.cov))
         truth, z = simulate(model, measurement, first, path, rng)
         x0, P0 = two_point_estimate(model, measurement, start, z[1], z[2])
-        error = truth[2] - x0
-        if error @ np.linalg.solve(P0, error) <= chi2.ppf(_ACCEPTED, model.dim):
+        if nees(truth[2], x0, P0) <= chi2.ppf(_ACCEPTED, model.dim):
             return truth[3:], z[3:], x0, P0
     raise ConfigError(f"no start in {_MAX_REDRAWS} was consistent; is start.interval too long?")
 

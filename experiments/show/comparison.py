@@ -1,10 +1,12 @@
-"""Distance of every filter from the one that is exact (or the referee), epoch by epoch."""
+"""Distances from a reference: of means and covariances, and of filters from the one that is exact."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Distance", "distance", "distances", "reference_name"]
+from sphfilter import consistency
+
+__all__ = ["Distance", "distance", "distances", "least_eigenvalue", "moment_errors", "reference_name", "rms"]
 
 
 @dataclass(frozen=True)
@@ -51,14 +53,38 @@ def distance(result, reference):
     done = np.isfinite(result.x).all(axis=(1, 2)) & np.isfinite(reference.x).all(axis=(1, 2))
     if not done.any():
         return Distance(np.nan, np.nan, np.nan)
-    L = np.linalg.cholesky(reference.P[done])
-    mean = np.linalg.solve(L, (result.x - reference.x)[done][..., None])
-    half = np.linalg.solve(L, (result.P - reference.P)[done])
-    cov = np.linalg.solve(L, np.swapaxes(half, -1, -2))
-    n = result.x.shape[-1]
-    evidence = (result.log_evidence - reference.log_evidence)[done]
-    return Distance(
-        mean=float(np.sqrt(np.mean(np.sum(mean**2, axis=(-2, -1))))),
-        cov=float(np.sqrt(np.mean(np.sum(cov**2, axis=(-2, -1))) / n)),
-        evidence=float(np.sqrt(np.mean(evidence**2))),
-    )
+    mean, cov = moment_errors(result.x[done], result.P[done], reference.x[done], reference.P[done])
+    return Distance(rms(mean), rms(cov), rms((result.log_evidence - reference.log_evidence)[done]))
+
+
+def moment_errors(x, P, x_ref, P_ref):
+    """Errors of means (..., n) and covariances (..., n, n) in the reference's standard deviations.
+
+    Returns
+    -------
+    mean, cov : ndarray, shape (...)
+        |L⁻¹ (x − x_ref)| and ‖L⁻¹ (P − P_ref) L⁻ᵀ‖ (Frobenius) over √n, with P_ref = L Lᵀ.
+    """
+    # in units of the standard deviations, so that metres and radians may share a state
+    pairs = _scale_of(P_ref)
+    L = np.linalg.cholesky(P_ref / pairs)
+    half = np.linalg.solve(L, (P - P_ref) / pairs)
+    off = np.linalg.solve(L, np.swapaxes(half, -1, -2))
+    n = P_ref.shape[-1]
+    return consistency.distance(x, x_ref, P_ref), np.linalg.norm(off, axis=(-2, -1)) / np.sqrt(n)
+
+
+def least_eigenvalue(P):
+    """Least eigenvalue of all covariances (T, n, n), each scaled to a unit diagonal; 1 of none."""
+    return float(np.linalg.eigvalsh(P / _scale_of(P)).min(initial=1.0))
+
+
+def _scale_of(P):
+    """Products of standard deviations, shape (..., n, n)."""
+    scale = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))
+    return scale[..., :, None] * scale[..., None, :]
+
+
+def rms(values):
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,65 +1,67 @@
-"""One look for all pictures of particles and errors."""
-
-from typing import NamedTuple
+"""One look for all pictures: colours, axes, headings, legends, and how a figure becomes a file."""
 
 import matplotlib
 
 matplotlib.use("Agg")  # files only: no window system is asked for
 
 import matplotlib.pyplot as plt
-import numpy as np
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from experiments.show.plots import COLOURS
+from ..scene.filters import name_of
 
-__all__ = ["ACCENT", "DECADES", "INK", "Picture", "frame", "mass_bar", "mass_field", "quantity", "save"]
+__all__ = ["ACCENT", "COLOURS", "INK", "filter_heading", "frame", "grid", "legend_below", "logarithmic",
+           "panels", "plain_numbers", "plt", "quantity", "save"]  # fmt: skip
 
+#: One colour a filter in every picture (Okabe & Ito: distinct for the colour-blind too).
+COLOURS = {
+    "kf": "#000000",
+    "ekf": "#D55E00",
+    "ukf": "#CC79A7",
+    "pf": "#0072B2",
+    "sph": "#009E73",
+    "sph_paper": "#E69F00",
+    "grid": "#56B4E9",
+    "benes": "#000000",
+}
 INK = "0.2"
 ACCENT = {"sph": COLOURS["sph"], "other": COLOURS["ekf"], "third": COLOURS["pf"]}
-#: Decades of mass told apart by colour; lighter particles have the colour of the lightest.
-DECADES = 6
 _DPI = 130
 
 
-class Picture(NamedTuple):
-    """Figures by file stem, and sentences that say what they show."""
-
-    figures: dict
-    sentences: tuple
-
-
-def save(figure, path):
+def save(figure, path, dpi=_DPI):
     """Write a figure, close it, and return the path."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=_DPI)
+    figure.savefig(path, dpi=dpi)
     plt.close(figure)
     return path
 
 
-def mass_field(ax, x, mass, size=6.0):
-    """Scatter particles x (N, 2), coloured by the logarithm of their mass over the heaviest's.
+def panels(n_rows, n_columns, size, n=None, **shared):
+    """A figure of `size` inches with panels, of which the first `n` (all if None) stay.
 
-    Heavy particles lie on top. Returns the artist, for `mass_bar`.
+    Returns
+    -------
+    figure
+    axes : ndarray, shape (n_rows, n_columns)
     """
-    order = np.argsort(mass)
-    with np.errstate(divide="ignore"):
-        shade = np.log10(mass[order] / mass.max())
-    return ax.scatter(
-        *x[order].T, c=np.maximum(shade, -DECADES), s=size, lw=0, cmap="viridis", vmin=-DECADES, vmax=0
+    figure, axes = plt.subplots(
+        n_rows, n_columns, figsize=size, squeeze=False, layout="constrained", **shared
     )
+    for ax in axes.flat[axes.size if n is None else n :]:
+        ax.remove()
+    return figure, axes
 
 
-def mass_bar(figure, artist, axes, what="mass of a particle"):
-    """One colour bar of `mass_field` for several axes."""
-    bar = figure.colorbar(artist, ax=axes, shrink=0.85, aspect=30, extend="min", pad=0.015)
-    ticks = range(-DECADES, 1, 2)
-    bar.set_ticks(list(ticks), labels=["1" if k == 0 else f"$10^{{{k}}}$" for k in ticks])
-    bar.set_label(f"{what}, highest = 1")
+def quantity(scene, state):
+    """Axis label of a state of a scenario or a transient problem."""
+    label, unit = scene.labels[state], scene.units[state]
+    return f"{label} ({unit})" if unit else label
 
 
-def quantity(scenario, state):
-    """Axis label of a state."""
-    unit = scenario.units[state]
-    return f"{scenario.labels[state]} ({unit})" if unit else scenario.labels[state]
+def grid(ax):
+    """A light grid behind what is drawn."""
+    ax.grid(alpha=0.25, lw=0.5)
+    ax.set_axisbelow(True)
 
 
 def frame(ax, title, xlabel, ylabel):
@@ -67,5 +69,40 @@ def frame(ax, title, xlabel, ylabel):
     ax.set_title(title, loc="left", fontsize=10)
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
-    ax.grid(alpha=0.25, lw=0.5)
-    ax.set_axisbelow(True)
+    grid(ax)
+
+
+def filter_heading(ax, name, more=""):
+    """The name of a filter in its colour, above its panels."""
+    look = {"color": COLOURS[name], "fontweight": "bold", "fontsize": 10}
+    ax.set_title(name_of(name) + more, loc="left", **look)
+
+
+def logarithmic(ax, plain=""):
+    """Both axes logarithmic; those named in `plain`, "x" or "xy", with plain numbers."""
+    ax.set(xscale="log", yscale="log")
+    for axis in plain:
+        plain_numbers({"x": ax.xaxis, "y": ax.yaxis}[axis])
+
+
+def plain_numbers(axis):
+    """Ticks of a logarithmic axis at 1, 2 and 5 of each decade, as plain numbers."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def legend_below(figure, *axes, columns=None, **look):
+    """One legend under all panels, of what `axes` show, each label once; as wide as there is room for.
+
+    Returns
+    -------
+    Legend
+    """
+    entries = {}
+    for ax in axes:
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    place = {"loc": "outside lower center", "frameon": False}
+    place["ncols"] = columns or max(min(len(entries), int(figure.get_figwidth() / 1.5)), 1)
+    return figure.legend(entries.values(), entries, **place | look)

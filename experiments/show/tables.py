@@ -1,166 +1,52 @@
-"""The table of a campaign beside the published figures, and what it means in sentences."""
+"""Tables for the terminal and for markdown, and numbers as they stand in them."""
 
 import numpy as np
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 
-from ..scene.filters import FILTERS, name_of
+__all__ = ["UNKNOWN", "markdown", "number", "percent", "table"]
 
-__all__ = ["distance_table", "result_table", "sentences"]
-
-#: Rows of 002 Tables 7, 9 and 11: heading, field of the report, field of the publication.
-_PER_STATE = (
-    ("Max peak error", "max_peak_error", "max_peak"),
-    ("Avg peak error", "mean_peak_error", "avg_peak"),
-    ("RMS error", "rms_error", "rms"),
-    ("  ± sampling error", "rms_error_std", None),
-)
+UNKNOWN = "–"
 
 
-def result_table(report, scenario):
-    """Rows of 002 Tables 7, 9, 11 for every filter, with the published figure beside, as a rich table.
+def number(value, form=".3g", unit="", unknown=UNKNOWN):
+    """A number in a format of Python's with its unit, or a dash where it is not finite."""
+    return format(value, form) + unit if np.isfinite(value) else unknown
+
+
+def percent(value):
+    """A part of one in per cent."""
+    return number(value, ".0%")
+
+
+def table(title, headings, rows=(), left=1, frame=box.SIMPLE):
+    """A table for the terminal.
 
     Parameters
     ----------
-    report : sphfilter.report.Report
-    scenario : Scenario
+    title : str
+        Empty for none.
+    headings : sequence of str
+    rows : iterable of sequences of str
+    left : int
+        So many columns begin at the left; the others end at the right.
+    frame : rich.box.Box or None
+
+    Returns
+    -------
+    rich.table.Table
+        More rows can be added to it.
     """
-    published = scenario.settings.published
-    table = Table(box=box.SIMPLE, pad_edge=False, title=f"{scenario.name}: {report.n_runs} runs")
-    table.add_column("")
-    for name in report.filters:
-        table.add_column(name_of(name), justify="right", style="bold")
-        if name in published:
-            table.add_column("(paper)", justify="right", style="dim")
-
-    def add(label, cell, paper=lambda figures: ""):
-        cells = []
-        for name, f in report.filters.items():
-            cells.append(cell(f))
-            if name in published:
-                cells.append(paper(published[name]))
-        table.add_row(label, *cells)
-
-    for d, (state, unit) in enumerate(zip(scenario.labels, scenario.units, strict=True)):
-        for heading, field, printed in _PER_STATE:
-            label = (
-                heading if heading.startswith(" ") else f"{heading}, {state}" + (f" ({unit})" if unit else "")
-            )
-            add(
-                label,
-                lambda f, field=field, d=d: _number(getattr(f, field)[d]),
-                lambda figures, printed=printed, d=d: (
-                    _number(getattr(figures, printed)[d]) if printed else ""
-                ),
-            )
-        table.add_section()
-    add("Run time (s)", lambda f: _number(f.run_time), lambda figures: _number(figures.run_time))
-    add(f"NEES, average ({report.dim} is right)", lambda f: _number(f.nees))
-    add("NEES in its 95 % interval", lambda f: _percent(f.nees_inside))
-    add("Measurements rejected", lambda f: str(f.n_rejected))
-    of = scenario.settings.runs.published
-    add(
-        "Runs diverged",
-        lambda f: f"{f.n_diverged} of {f.n_runs}",
-        lambda figures: "" if figures.n_diverged is None else f"{figures.n_diverged} of {of}",
-    )
-    add("Runs failed", lambda f: str(f.n_failed))
-    add("Log-evidence of a run", lambda f: _number(f.log_evidence))
-    return table
+    made = Table(box=frame, pad_edge=False, title=escape(title) or None, header_style="bold")
+    for k, heading in enumerate(headings):
+        made.add_column(escape(heading), justify="left" if k < left else "right")
+    for row in rows:
+        made.add_row(*row)
+    return made
 
 
-def distance_table(distances, reference):
-    """Distance of each filter from the reference, as a rich table."""
-    title = f"Distance from the {FILTERS[reference]}, root mean square"
-    table = Table(box=box.SIMPLE, pad_edge=False, title=title)
-    table.add_column("")
-    for name in distances:
-        table.add_column(name_of(name), justify="right", style="bold")
-    rows = (
-        ("Mean (exact standard deviations)", "mean"),
-        ("Covariance (relative)", "cov"),
-        ("Log-evidence of a measurement (nat)", "evidence"),
-    )
-    for label, field in rows:
-        table.add_row(label, *(f"{getattr(d, field):.2g}" for d in distances.values()))
-    return table
-
-
-def sentences(report, scenario):
-    """What the table means, as a list of sentences."""
-    said = [
-        f"Errors are those of the estimate right after each of the {report.n_epochs} measurements of a run. "
-        "A filter is consistent if its errors are as large as its covariance says: "
-        f"its NEES is then {report.dim} on average, and its average over the runs lies in the 95 % interval "
-        "at 95 % of the measurements."
-    ]
-    said += [
-        s for name, f in report.filters.items() if (s := _verdict(name, f, report, scenario.settings.exact))
-    ]
-    said += _against_particles(report, scenario)
-    published = scenario.settings.runs.published
-    if scenario.settings.published and published and report.n_runs < published:
-        said.append(
-            f"The paper's figures are from {published} runs with truths of its own; {report.n_runs} runs "
-            f"agree with them to within the sampling error at best. For as many runs add --runs {published}."
-        )
-    return said
-
-
-def _verdict(name, f, report, exact):
-    """What is wrong with a filter, or an empty string; what befalls the exact filter too is bad luck."""
-    who = name_of(name)
-    unlucky = report.filters[exact].n_diverged if exact in report.filters else 0
-    if f.n_failed:
-        return f"{who} failed in {f.n_failed} of {f.n_runs} runs: see the messages below."
-    if name == exact and unlucky:
-        return (
-            f"{who} is exact, and yet its NEES averaged over five measurements passed its 99.99 % point in "
-            f"{unlucky} of {f.n_runs} runs: bad luck in the noise, for every filter."
-        )
-    if f.n_diverged > unlucky:
-        return (
-            f"{who} lost the truth in {f.n_diverged} of {f.n_runs} runs (the NEES averaged over five "
-            "measurements passed its 99.99 % point): it believes in an estimate that is wrong."
-        )
-    if f.n_rejected:
-        share = f.n_rejected / (f.n_runs * report.n_epochs)
-        return (
-            f"{who} rejected {f.n_rejected} of the measurements ({share:.1%}): too far out for its "
-            "particles, by its own acceptance test. A larger acceptance.f_edge or domain_mass makes it "
-            "rarer."
-        )
-    return ""
-
-
-def _against_particles(report, scenario):
-    """Compare the SPH filter with the particle filter, and its speed with the published one."""
-    said = []
-    sph, pf = report.filters.get("sph"), report.filters.get("pf")
-    if sph and pf and np.all(np.isfinite([*sph.rms_error, *pf.rms_error])):
-        ratio = (sph.rms_error / pf.rms_error - 1) * 100
-        listed = ", ".join(f"{r:+.1f} % ({s})" for r, s in zip(ratio, scenario.labels, strict=True))
-        n = scenario.settings.filters
-        said.append(
-            f"RMS error of SPH with at most {n.sph.n_particles} particles against PF with "
-            f"{n.pf.n_particles}: {listed}."
-        )
-    published = scenario.settings.published.get("sph_paper")
-    for name in ("sph", "sph_paper"):
-        f = report.filters.get(name)
-        if f and published and np.isfinite(f.run_time):
-            said.append(
-                f"{name_of(name)} took {f.run_time:.3g} s a run, the paper's {published.run_time:.3g} s on "
-                f"its machine: a ratio of {published.run_time / f.run_time:.2g}."
-            )
-    return said
-
-
-def _number(value):
-    if not np.isfinite(value):
-        return "–"
-    return f"{value:.3f}" if 0.01 <= abs(value) < 100 else f"{value:.4g}"
-
-
-def _percent(value):
-    return f"{value:.0%}" if np.isfinite(value) else "–"
+def markdown(headings, rows, left=1):
+    """Lines of a markdown table, whose columns stand as those of `table`."""
+    rule = ["---" if k < left else "---:" for k in range(len(headings))]
+    return [f"| {' | '.join(row)} |" for row in (headings, rule, *rows)]

@@ -102,25 +102,13 @@ def _whole_verbs():
     p, linear = _gaussian(2, 200), _oscillator()
     flat = sf.LikelihoodMeasurement(lambda z, X, t: np.zeros(len(X)))
     exact = sf.SolverConfig(exact_linear=True)
+    still = partial(_predicted, p, linear, 0.0), lambda: _moments(sf.resample(p))
+    updates = (partial(lambda z: _moments(sf.update(p, flat, z)), z) for z in (None, [0.0]))
+    closed = (partial(_predicted, p, linear, 1.0, config) for config in (exact, None))
     return [
-        Case(
-            "empty interval",
-            "against a new lattice",
-            lambda: _moments(sf.predict(p, linear, 0.0)),
-            lambda: _moments(sf.resample(p)),
-        ),
-        Case(
-            "no measurement",
-            "against a flat likelihood",
-            lambda: _moments(sf.update(p, flat, None)),
-            lambda: _moments(sf.update(p, flat, [0.0])),
-        ),
-        Case(
-            "exact_linear",
-            "linear oscillator, one second",
-            lambda: _moments(sf.predict(p, linear, 1.0, exact)),
-            lambda: _moments(sf.predict(p, linear, 1.0)),
-        ),
+        Case("empty interval", "against a new lattice", *still),
+        Case("no measurement", "against a flat likelihood", *updates),
+        Case("exact_linear", "linear oscillator, one second", *closed),
     ]
 
 

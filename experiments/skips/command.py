@@ -3,11 +3,10 @@
 Every shortcut is run with and without on a scene that can use it. Times are processor time of one thread.
 """
 
-import csv
 from pathlib import Path
 
-from rich.table import Table
-
+from experiments.show.files import write_csv
+from experiments.show.tables import markdown, table
 from experiments.terminal.running import new_console, status
 from sphfilter.errors import ConfigError
 
@@ -47,31 +46,15 @@ def main(args):
             say(f"measuring {case.name}, {case.scene}")
             rows.append(_cells(measured(case, args.samples)))
         lattices = [tuple(map(str, (n, *lattice_against_box(n, N)))) for n, N in _LATTICES]
-    args.out.mkdir(parents=True, exist_ok=True)
-    parts = (("skips", _HEADS, rows), ("particles", _LATTICE_HEADS, lattices))
-    for name, heads, body in parts:
-        console.print(_table(_TITLES[name], heads, body))
-        with open(args.out / f"{name}.csv", "w", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows([heads, *body])
-    text = "\n\n".join(_markdown(heads, body) for _, heads, body in parts)
-    (args.out / "skips.md").write_text(text + "\n", encoding="utf-8")
+    text = []
+    for name, heads, body, left in (("skips", _HEADS, rows, 2), ("particles", _LATTICE_HEADS, lattices, 0)):
+        console.print(table(_TITLES[name], heads, body, left))
+        write_csv(args.out / f"{name}.csv", heads, body)
+        text += [*markdown(heads, body, left), ""]
+    (args.out / "skips.md").write_text("\n".join(text), encoding="utf-8")
     console.print(f"Tables: {args.out}/skips.md, skips.csv, particles.csv", soft_wrap=True)
 
 
 def _cells(row):
     times = (f"{1e3 * row.on:.3g}", f"{1e3 * row.off:.3g}", f"{row.ratio:.2f}")
     return (row.name, row.scene, *times, f"{row.difference:.1e}")
-
-
-def _table(title, heads, body):
-    table = Table(title=title)
-    for head in heads:
-        table.add_column(head, justify="left" if head in ("shortcut", "scene") else "right")
-    for row in body:
-        table.add_row(*row)
-    return table
-
-
-def _markdown(heads, body):
-    lines = [heads, ["---"] * len(heads), *body]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -8,9 +8,9 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-from experiments.terminal.running import Interrupted, new_console
+from experiments.terminal.options import counted, names_of
+from experiments.terminal.progress import bar, resumable
+from experiments.terminal.running import new_console, tell
 from sphfilter.errors import ConfigError, nearest
 
 from . import plots, tables
@@ -34,11 +34,11 @@ def add_arguments(parser):
     only = "cells to run: a family, or FAMILY/SYSTEM/LEVEL with * and ?; may be repeated"
     parser.add_argument("--only", action="append", default=[], metavar="CELL", help=only)
     names = f"comma-separated, of {', '.join(METHODS)} (default: all)"
-    parser.add_argument("--methods", default=",".join(METHODS), help=names)
+    parser.add_argument("--methods", type=names_of, default=list(METHODS), help=names)
     parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
     parser.add_argument("--limit", type=_seconds, default=60.0, help="seconds a run may take (default: 60)")
     parser.add_argument("--out", type=Path, default=Path("results/stress"), help="folder for results")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--jobs", type=counted, default=1, help="processes")
     parser.add_argument("--list", action="store_true", help="print the names of the cells and stop")
 
 
@@ -60,7 +60,7 @@ def main(args):
         for cell in grid:
             console.print(cell.name, soft_wrap=True)
         return
-    methods = [name.strip() for name in args.methods.split(",")]
+    methods = args.methods
     for name in methods:
         if name not in METHODS:
             raise ConfigError(f"no method {name!r}{nearest(name, METHODS)}; there are {', '.join(METHODS)}")
@@ -69,8 +69,7 @@ def main(args):
     rows = _rows(grid, methods, args)
     tables.write(args.out, rows, args.seed)
     console.print(tables.table(rows))
-    for sentence in tables.sentences(rows):
-        console.print(f"• {sentence}")
+    tell(console, tables.sentences(rows))
     for row in rows:
         if row["verdict"] == "wrong" and row["method"] == "default":
             console.print(f"wrong: default, {row['cell']}: {row['sentence']}", style="red", soft_wrap=True)
@@ -100,15 +99,8 @@ def _walk(console, grid, methods, args):
     if tasks:
         _warm_up(console, methods)
     by_name = {cell.name: cell for cell in grid}
-    columns = (
-        TextColumn("runs"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-    )
-    with Progress(*columns, console=console, transient=True) as bar:
-        shown, count = bar.add_task("", total=len(tasks)), 0
+    kept, count = f"finished runs are kept in {args.out}. The same command goes on from there.", 0
+    with bar(console, "runs", len(tasks)) as move, resumable(lambda: kept):
 
         def done(task, result):
             nonlocal count
@@ -116,16 +108,11 @@ def _walk(console, grid, methods, args):
             name, method = task[:2]
             if isinstance(result, Lost):
                 _save_lost(by_name[name], method, args, result)
-            bar.update(shown, advance=1, description=f"{name} {method}")
+            move(count, text=f"{name} {method}")
             if not console.is_terminal and count % 50 == 0:
                 console.print(f"{count} of {len(tasks)} runs done", style="dim")
 
-        limit = partial(_limit, args.limit)
-        try:
-            run_tasks(_task, tasks, args.jobs, limit, done)
-        except KeyboardInterrupt:
-            kept = f"finished runs are kept in {args.out}. The same command goes on from there."
-            raise Interrupted(f"Stopped; {kept}") from None
+        run_tasks(_task, tasks, args.jobs, partial(_limit, args.limit), done)
 
 
 def _limit(seconds, task):

@@ -3,6 +3,9 @@
 import numpy as np
 from scipy.special import logsumexp
 
+import sphfilter as sf
+from reference_filters.kalman import KalmanFilter
+
 __all__ = ["benes_posterior", "forced_posterior"]
 
 #: Start nodes reach this many standard deviations (outliers push the start's posterior far out).
@@ -18,19 +21,16 @@ def forced_posterior(problem):
     -------
     means (T, 1), covariances (T, 1, 1), log-evidence (T,)
     """
-    k, q = problem.model.p[0], problem.model.spectral_density[0, 0]
-    R = problem.measurement.noise_cov[0, 0]
-    forced = lambda t: (k**2 * np.sin(t) - k * np.cos(t)) / (k**2 + 1.0)  # noqa: E731
-    m, s, before = problem.x0[0] - forced(problem.t0), problem.P0[0, 0], problem.t0
-    rows = []
-    for t, z in zip(problem.times, problem.z[:, 0], strict=True):
-        decay = np.exp(-k * (t - before))
-        m, s, before = decay * m, decay**2 * s + q * (1.0 - decay**2) / (2.0 * k), t
-        innovation, S = z - forced(t) - m, s + R
-        m, s = m + s / S * innovation, s * R / S
-        rows.append((m + forced(t), s, -0.5 * (innovation**2 / S + np.log(2 * np.pi * S))))
-    x, P, evidence = np.array(rows).T
-    return x[:, None], P[:, None, None], evidence
+    k, q = problem.model.p[0], problem.model.spectral_density
+    model = sf.LinearSDE([[-k]], noise=[[1.0]], spectral_density=q)
+
+    def forced(t):
+        return (k**2 * np.sin(t) - k * np.cos(t)) / (k**2 + 1.0)
+
+    s = forced(problem.times)[:, None]
+    start = (problem.x0 - forced(problem.t0), problem.P0, problem.t0)
+    found = KalmanFilter(model, problem.measurement, *start).run(problem.times, problem.z - s)
+    return found.x + s, found.P, found.log_evidence
 
 
 def benes_posterior(problem):

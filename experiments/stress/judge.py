@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from experiments.show.comparison import least_eigenvalue, moment_errors, rms
 from sphfilter.consistency import nees
 
-__all__ = ["LIMITS", "VERDICTS", "Verdict", "distance", "judge", "trusted"]
+__all__ = ["LIMITS", "VERDICTS", "Verdict", "judge", "trusted"]
 
 #: Verdicts from good to bad, and what each means.
 VERDICTS = {
@@ -34,23 +35,6 @@ class Verdict:
     cov: float = np.nan
     worst: float = np.nan
     evidence: float = np.nan
-
-
-def distance(x, P, x_ref, P_ref):
-    """Errors of means (T, n) and covariances (T, n, n) in the reference's standard deviations.
-
-    Returns
-    -------
-    mean, cov : ndarray, shape (T,)
-        |L⁻¹ (x - x_ref)| and ‖L⁻¹ (P - P_ref) L⁻ᵀ‖ / √n with P_ref = L Lᵀ.
-    """
-    scale = np.sqrt(np.diagonal(P_ref, axis1=1, axis2=2))
-    pairs = scale[:, :, None] * scale[:, None, :]
-    L = np.linalg.cholesky(P_ref / pairs)
-    mean = np.linalg.solve(L, ((x - x_ref) / scale)[..., None])[..., 0]
-    half = np.linalg.solve(L, (P - P_ref) / pairs)
-    cov = np.linalg.solve(L, np.swapaxes(half, 1, 2))
-    return np.linalg.norm(mean, axis=1), np.linalg.norm(cov, axis=(1, 2)) / np.sqrt(x.shape[1])
 
 
 def trusted(reference):
@@ -103,10 +87,7 @@ def _fault(outcome):
     variance = np.diagonal(outcome.P, axis1=1, axis2=2)
     if not (variance > 0).all():
         return f"a variance is {variance.min():.3g}"
-    scale = np.sqrt(variance)
-    scaled = outcome.P / (scale[:, :, None] * scale[:, None, :])
-    least = np.linalg.eigvalsh(scaled).min(initial=1.0)
-    if least < _ROUNDING:
+    if (least := least_eigenvalue(outcome.P)) < _ROUNDING:
         return f"a covariance has a negative eigenvalue, {least:.2g} of its diagonal"
     if abs(outcome.mass - 1.0) > 1e-9:
         return f"the masses sum to {outcome.mass:.6g}"
@@ -116,8 +97,8 @@ def _fault(outcome):
 def _errors(outcome, reference):
     """Errors over the updates done, and a sentence if they are larger than allowed."""
     k = len(outcome.x)
-    mean, cov = distance(outcome.x, outcome.P, reference.x[:k], reference.P[:k])
-    errors = {"mean": _rms(mean), "cov": _rms(cov), "worst": float(mean.max())}
+    mean, cov = moment_errors(outcome.x, outcome.P, reference.x[:k], reference.P[:k])
+    errors = {"mean": rms(mean), "cov": rms(cov), "worst": float(mean.max())}
     errors["evidence"] = float(abs(outcome.log_evidence.sum() - reference.log_evidence[:k].sum()))
     far = [f"{what} error {errors[what]:.2g}" for what in LIMITS if not errors[what] < LIMITS[what]]
     return errors, ", ".join(far)
@@ -130,7 +111,3 @@ def _without_reference(outcome, reference):
         if not level < _NEES_PER_STATE:
             return Verdict("wrong", f"no reference, and a NEES of {level:.3g} a state where one is expected")
     return Verdict("no reference", reference.why)
-
-
-def _rms(values):
-    return float(np.sqrt(np.mean(values**2)))

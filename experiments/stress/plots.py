@@ -1,11 +1,8 @@
 """The heat map of the stress grid: a panel a method, a row a family and system, a square a level."""
 
-import matplotlib
-
-matplotlib.use("Agg")  # files only: no window system is asked for
-
-import matplotlib.pyplot as plt
 from matplotlib.patches import FancyBboxPatch, Patch
+
+from experiments.show.style import plt, save
 
 from .judge import VERDICTS
 
@@ -59,10 +56,7 @@ def draw(path, rows):
         _heading(ax, method, here, x0, y0)
     ax.text(0.15, 0.36, "Where the filters hold", size=15, weight="bold", color="#1f2a33")
     _legend(ax, width, height)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150, facecolor="white")
-    plt.close(figure)
-    return path
+    return save(figure, path, dpi=150)
 
 
 def _names(ax, lines, units, y0, width):

@@ -1,15 +1,15 @@
-"""A pool of processes whose work has a time limit: what does not return is killed, the rest goes on.
+"""Processes whose work has a time limit: what does not return is killed, the rest goes on.
 
-Compiled code cannot be interrupted from within its process, and executors of the standard library cannot
-kill one worker.
+Compiled code cannot be interrupted from within its process, and an executor cannot kill one of its workers:
+each process has an executor of its own.
 """
 
 import multiprocessing as mp
 import os
 import signal
 import time
-from contextlib import contextmanager
-from multiprocessing.connection import wait
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from contextlib import contextmanager, suppress
 
 __all__ = ["Lost", "run_tasks"]
 
@@ -39,25 +39,22 @@ def run_tasks(function, tasks, n_jobs, limit, done):
         Gets `Lost` in place of the result of a task that was given up.
     """
     queue = list(tasks)[::-1]
-    with _single_threaded():
-        workers = [_Worker(function) for _ in range(min(n_jobs, len(queue)))]
+    workers = [_Worker(function) for _ in range(min(n_jobs, len(queue)))]
     try:
         while workers:
-            for worker in [w for w in workers if w.idle]:
-                if queue:
-                    worker.give(queue.pop(), limit)
-                else:
+            wait([w.future for w in workers], timeout=0.2, return_when=FIRST_COMPLETED)
+            for worker in [w for w in workers if w.finished]:
+                result = worker.result()
+                if worker.task is not None:
+                    done(worker.task, result)
+                if not queue:
                     workers.remove(worker)
                     worker.stop()
-            wait([w.connection for w in workers], timeout=0.2) if workers else None
-            for i, worker in enumerate(workers):
-                finished = worker.result()
-                if finished is None:
-                    continue
-                done(*finished)
-                if isinstance(finished[1], Lost):
-                    with _single_threaded():
-                        workers[i] = _Worker(function)
+                elif isinstance(result, Lost):
+                    worker.start()
+                else:
+                    task = queue.pop()
+                    worker.give(limit(task), function, task)
     finally:
         for worker in workers:
             worker.stop()
@@ -77,62 +74,53 @@ def _single_threaded():
 
 
 class _Worker:
-    """One process, its pipe, and the task it has."""
+    """One process, and the task it has."""
 
     def __init__(self, function):
-        context = mp.get_context("spawn")
-        self.connection, other = context.Pipe()
-        self.process = context.Process(target=_serve, args=(other, function), daemon=True)
-        self.process.start()
-        other.close()
-        self.ready, self.task, self.deadline = False, None, time.monotonic() + _START
+        self._function = function
+        self.start()
+
+    def start(self):
+        """Begin a process; the first thing it does is to tell its number."""
+        self._pool = ProcessPoolExecutor(1, mp.get_context("spawn"), _prepare, (self._function,))
+        self._process = None
+        with _single_threaded():
+            self.give(_START, os.getpid)
+        self.task = None
+
+    def give(self, seconds, function, *task):
+        """Let the process call a function, for so many seconds at most."""
+        self._allowed, self._deadline = seconds, time.monotonic() + seconds
+        self.task, self.future = task[0] if task else None, self._pool.submit(function, *task)
 
     @property
-    def idle(self):
-        return self.ready and self.task is None
-
-    def give(self, task, limit):
-        """Send a task."""
-        self.task, self.allowed = task, limit(task)
-        self.deadline = time.monotonic() + self.allowed
-        self.connection.send(task)
+    def finished(self):
+        """Whether there is a result, or will be none."""
+        return self.future.done() or time.monotonic() > self._deadline
 
     def result(self):
-        """Return (task, result) if there is one, else None; a task past its limit costs the process."""
+        """The result, or `Lost`; a task past its limit costs the process."""
         try:
-            if self.connection.poll():
-                message = self.connection.recv()
-                if not self.ready:
-                    self.ready = True
-                    return None
-                task, self.task = self.task, None
-                return task, message
-        except EOFError:
-            return self._lost("the process died", False)
-        if time.monotonic() > self.deadline and not self.idle:
-            return self._lost(f"stopped after {self.allowed:g} s", True)
-        return None
-
-    def _lost(self, sentence, timeout):
-        if not self.ready:
-            raise RuntimeError("a process of the campaign does not start")
-        self.stop()
-        return self.task, Lost(sentence, timeout)
+            found = self.future.result(timeout=0)
+        except TimeoutError:
+            found = Lost(f"stopped after {self._allowed:g} s", True)
+        except Exception:
+            found = Lost("the process died", False)
+        if isinstance(found, Lost):
+            if self._process is None:
+                raise RuntimeError("a process of the campaign does not start")
+            self.stop()
+        self._process = found if self._process is None else self._process
+        return found
 
     def stop(self):
         """End the process."""
-        self.process.kill()
-        self.process.join()
-        self.connection.close()
+        if self._process is not None:
+            with suppress(ProcessLookupError):
+                os.kill(self._process, signal.SIGTERM)
+        self._pool.shutdown(wait=False)
 
 
-def _serve(connection, function):
-    """Work off what comes, in the process; an interruption is the parent's business."""
+def _prepare(function):
+    """Begin a process, which imported `function` for this call; Ctrl-C is the parent's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    connection.send("ready")
-    while True:
-        try:
-            task = connection.recv()
-        except EOFError:
-            return
-        connection.send(function(task))

@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from experiments.show.comparison import least_eigenvalue, moment_errors, rms
 from reference_filters.grid import grid_convergence
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
+from sphfilter import consistency
 from sphfilter.errors import SphfilterError
 
-from .judge import distance, trusted
+from .judge import trusted
 
 __all__ = ["Reference", "reference"]
 
@@ -76,11 +78,8 @@ def reference(problem, seed):
 
 def _definite(P):
     """Tell whether errors can be measured in units of these covariances (T, n, n)."""
-    variance = np.diagonal(P, axis1=1, axis2=2)
-    if not (np.isfinite(P).all() and (variance > 0).all()):
-        return False
-    scale = np.sqrt(variance)
-    return bool(np.linalg.eigvalsh(P / (scale[:, :, None] * scale[:, None, :])).min() > 1e-14)
+    positive = np.isfinite(P).all() and (np.diagonal(P, axis1=1, axis2=2) > 0).all()
+    return positive and least_eigenvalue(P) > 1e-14
 
 
 def _exact(problem, seed):
@@ -100,10 +99,9 @@ def _grid(problem, seed):
     with np.errstate(all="ignore"), _at_most(_GRID_SECONDS):
         c = grid_convergence(problem.model, problem.measurement, start, problem.times, problem.z)
     r = c.result
-    if distance(r.x, r.P, r.x_prior, r.P_prior)[0].max() > _GRID_REACH:
+    if consistency.distance(r.x, r.x_prior, r.P_prior).max() > _GRID_REACH:
         raise SphfilterError("a posterior lies in the tail of its prior, which the grid cuts")
-    errors = np.sqrt(np.mean(c.mean_change**2)), np.sqrt(np.mean(c.cov_change**2))
-    return Reference("grid", r.x, r.P, r.log_evidence, *map(float, errors))
+    return Reference("grid", r.x, r.P, r.log_evidence, rms(c.mean_change), rms(c.cov_change))
 
 
 @contextmanager
@@ -128,17 +126,15 @@ def _at_most(seconds):
 def _particles(problem, seed):
     """Two runs, with steps of different kind and order: their mean, and half their distance as its error."""
     runs = []
+    start = problem.x0, problem.P0, problem.t0
     for order in (2, 4):
-        f = ParticleFilter(
-            problem.model, problem.measurement, problem.x0, problem.P0, problem.t0,
-            n_particles=_N_PARTICLES, rng=np.random.default_rng([seed, order]), resampling="ess", order=order,
-        )  # fmt: skip
+        how = {"rng": np.random.default_rng([seed, order]), "resampling": "ess", "order": order}
+        f = ParticleFilter(problem.model, problem.measurement, *start, n_particles=_N_PARTICLES, **how)
         runs.append(_watched(f, problem))
     (x1, P1, e1), (x2, P2, e2) = runs
     x, P = 0.5 * (x1 + x2), 0.5 * (P1 + P2)
-    mean, cov = distance(x1, P1, x, P)
-    errors = np.sqrt(np.mean(mean**2)), np.sqrt(np.mean(cov**2))
-    return Reference(f"{_N_PARTICLES:,} particles, twice", x, P, 0.5 * (e1 + e2), *map(float, errors))
+    errors = map(rms, moment_errors(x1, P1, x, P))
+    return Reference(f"{_N_PARTICLES:,} particles, twice", x, P, 0.5 * (e1 + e2), *errors)
 
 
 def _watched(f, problem):

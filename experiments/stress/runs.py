@@ -3,6 +3,7 @@
 import time
 import warnings
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -63,24 +64,23 @@ def _default(problem, seed):
 
 
 def _sph(problem, config):
-    return sf.SPHFilter(
-        problem.model, problem.measurement, problem.x0, problem.P0, t0=problem.t0,
-        n_particles=problem.n_particles, config=config,
-    )  # fmt: skip
+    start, shape = (problem.x0, problem.P0), {"n_particles": problem.n_particles, "config": config}
+    return sf.SPHFilter(problem.model, problem.measurement, *start, t0=problem.t0, **shape)
 
 
-def _particle(n):
-    def make(problem, seed):
-        return ParticleFilter(
-            problem.model, problem.measurement, problem.x0, problem.P0, problem.t0,
-            n_particles=n, rng=np.random.default_rng([seed, n]),
-        )  # fmt: skip
-
-    return make
+def _particle(n, problem, seed):
+    start = problem.x0, problem.P0, problem.t0
+    rng = np.random.default_rng([seed, n])
+    return ParticleFilter(problem.model, problem.measurement, *start, n_particles=n, rng=rng)
 
 
 #: Filters on trial: make(problem, seed).
-METHODS = {"default": _default, "paper": _paper, "pf1e3": _particle(1000), "pf1e4": _particle(10_000)}
+METHODS = {
+    "default": _default,
+    "paper": _paper,
+    "pf1e3": partial(_particle, 1000),
+    "pf1e4": partial(_particle, 10_000),
+}
 
 
 def run(problem, method, seed=0):

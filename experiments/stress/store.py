@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 
 import reference_filters
 import sphfilter
+from experiments.show.files import whole
 
 __all__ = ["load", "path_of", "save", "sources"]
 
@@ -40,15 +40,12 @@ def path_of(out, cell, seed, method):
 
 
 def save(path, result, digest):
-    """Write a dataclass of arrays, numbers, texts and None; it appears under its name when complete."""
+    """Write a dataclass of arrays, numbers, texts and None."""
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     arrays = {name: v for name, v in values.items() if isinstance(v, np.ndarray)}
     rest = {name: v for name, v in values.items() if name not in arrays}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_suffix(f".{os.getpid()}.part")
-    with open(draft, "wb") as file:
+    with whole(path) as file:
         np.savez_compressed(file, **arrays, _rest=json.dumps(rest), _digest=digest)
-    draft.replace(path)
 
 
 def load(path, kind, digest):

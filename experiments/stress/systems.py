@@ -6,8 +6,10 @@ import numpy as np
 
 import sphfilter as sf
 
-__all__ = ["chain", "drift_1d", "duffing", "linear_chain", "multiplicative", "nonlinear_chain", "oscillator",
-           "position", "relaxation", "square", "van_der_pol"]  # fmt: skip
+from .cell import drawn
+
+__all__ = ["LINE", "OSCILLATORS", "START", "chain", "drift_1d", "linear_chain", "multiplicative",
+           "oscillator", "position", "relaxation", "square", "usual"]  # fmt: skip
 
 _ON_VELOCITY = [[0.0], [1.0]]
 
@@ -132,3 +134,13 @@ def _square(x, t):
 def square(R):
     """Sensor z = x₀² + error: cannot tell x₀ from −x₀."""
     return sf.GaussianMeasurement(h=_square, noise_cov=[[R]])
+
+
+OSCILLATORS = {"linear": oscillator, "Van der Pol": van_der_pol, "Duffing": duffing}
+#: Starts of the models of two states, and of those of one.
+START, LINE = {"x0": [1.0, 0.0], "P0": np.diag([0.2, 0.4])}, {"x0": [0.3], "P0": [[0.5]]}
+
+
+def usual(rng, model, **changes):
+    """A problem as most families have it: `START`, its first state read every half second; see `drawn`."""
+    return drawn(rng, model, **{"sensor": position(2, 0.2), "interval": 0.5} | START | changes)

@@ -1,11 +1,11 @@
 """What the stress grid found: rows, table, sentences and files."""
 
-import csv
 from collections import Counter
 
 import numpy as np
-from rich import box
-from rich.table import Table
+
+from experiments.show import tables
+from experiments.show.files import write_rows
 
 from .judge import LIMITS, VERDICTS, judge
 
@@ -36,15 +36,11 @@ def _counts(rows):
 
 def table(rows):
     """Return the verdicts of each method as a rich table."""
-    made = Table(box=box.SIMPLE, pad_edge=False, title="verdicts")
-    made.add_column("method")
-    for verdict in VERDICTS:
-        made.add_column(verdict, justify="right")
-    made.add_column("median s", justify="right")
+    lines = []
     for method, counts in _counts(rows).items():
         seconds = np.median([row["seconds"] for row in rows if row["method"] == method])
-        made.add_row(method, *(str(counts[verdict]) for verdict in VERDICTS), f"{seconds:.2g}")
-    return made
+        lines.append((method, *(str(counts[verdict]) for verdict in VERDICTS), f"{seconds:.2g}"))
+    return tables.table("verdicts", ("method", *VERDICTS, "median s"), lines)
 
 
 def sentences(rows):
@@ -62,11 +58,7 @@ def sentences(rows):
 
 def write(out, rows, seed):
     """Write stress.csv (all rows) and stress.md (counts by family, every cell that is not ok)."""
-    out.mkdir(parents=True, exist_ok=True)
-    with open(out / "stress.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(out / "stress.csv", rows)
     text = ["# Stress grid", "", *(f"- {s}" for s in sentences(rows)), "", *_family_lines(rows), ""]
     for verdict in ("wrong", "timeout", "refused", "no reference"):
         text += _listing(rows, verdict, seed)
@@ -75,15 +67,13 @@ def write(out, rows, seed):
 
 def _family_lines(rows):
     """Markdown table: a line a family, a column a method, counts in the order of `VERDICTS`."""
-    methods = list(_counts(rows))
-    lines = [f"Counts: {' / '.join(VERDICTS)}.", "", f"| family | {' | '.join(methods)} |"]
-    lines += ["|---|" + "---:|" * len(methods)]
-    for family in dict.fromkeys(row["family"] for row in rows):
-        counts = _counts([row for row in rows if row["family"] == family])
-        texts = [" / ".join(str(counts.get(m, Counter())[v]) for v in VERDICTS) for m in methods]
-        lines.append(f"| {family} | {' | '.join(texts)} |")
-    texts = [" / ".join(str(counts[v]) for v in VERDICTS) for counts in _counts(rows).values()]
-    return [*lines, f"| **all** | {' | '.join(texts)} |"]
+    methods, families = list(_counts(rows)), dict.fromkeys(row["family"] for row in rows)
+    of = {family: _counts([row for row in rows if row["family"] == family]) for family in families}
+    lines = []
+    for name, counts in (of | {"**all**": _counts(rows)}).items():
+        told = (" / ".join(str(counts.get(m, Counter())[v]) for v in VERDICTS) for m in methods)
+        lines.append((name, *told))
+    return [f"Counts: {' / '.join(VERDICTS)}.", "", *tables.markdown(["family", *methods], lines)]
 
 
 def _listing(rows, verdict, seed):
@@ -95,6 +85,5 @@ def _listing(rows, verdict, seed):
     if verdict in ("wrong", "timeout"):
         again = f"`python -m experiments stress --only CELL --methods METHOD --seed {seed}`"
         lines += [f"Again: {again}", ""]
-    lines += ["| method | cell | sentence |", "|---|---|---|"]
-    cleaned = [(row["method"], row["cell"], row["sentence"].replace("|", "\\|")) for row in found]
-    return [*lines, *(f"| {m} | `{c}` | {s} |" for m, c, s in cleaned), ""]
+    cells = [(row["method"], f"`{row['cell']}`", row["sentence"].replace("|", "\\|")) for row in found]
+    return [*lines, *tables.markdown(("method", "cell", "sentence"), cells, left=3), ""]

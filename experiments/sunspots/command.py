@@ -11,25 +11,27 @@ that the minimum had been reached, which was known years later.
 
 import time
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import tomli_w
 from scipy.optimize import minimize
 
 from experiments.own_data.command import case_of
-from experiments.own_data.csv_data import Measurements, read_measurements
+from experiments.own_data.csv_data import read_measurements
 from experiments.own_data.model_file import load_model
 from experiments.own_data.plots import draw_forecasts
 from experiments.scene.filters import FILTERS, factories, name_of
-from experiments.terminal.running import new_console
+from experiments.show.files import write_toml
+from experiments.terminal.options import names_of
+from experiments.terminal.running import new_console, tell
 from reference_filters.grid import GridFilter
 from sphfilter.errors import ConfigError, SphfilterError
 
 from .forecast import fold, score_forecasts, score_history
 from .tables import score_table, sentences, write_scores
 
-__all__ = ["add_arguments", "fit", "main", "roots", "training_evidence"]
+__all__ = ["add_arguments", "fit", "main", "roots", "split", "training_evidence"]
 
 _DATA = Path(__file__).parents[1] / "data"
 #: One line for `list`.
@@ -43,7 +45,7 @@ _STEP, _MAX_EVALUATIONS = 0.2, 250
 def add_arguments(parser):
     """Add the options of `run sunspots`."""
     names = ", ".join(name for name in FILTERS if name not in ("kf", "benes"))
-    parser.add_argument("--filters", help=f"comma-separated, of {names}")
+    parser.add_argument("--filters", type=names_of, help=f"comma-separated, of {names}")
     parser.add_argument("--model", type=Path, default=_DATA / "sunspots.toml", help="another model file")
     parser.add_argument("--fit", action="store_true", help="fit the model again first (about ten minutes)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the particle filter")
@@ -59,14 +61,12 @@ def main(args):
     console.print(f"[bold]sunspots[/]: {scenario.settings.description}\n")
     if args.fit:
         scenario = _fitted(console, args.model, scenario, data, args.out / "sunspots.toml")
-    names = None if args.filters is None else [name.strip() for name in args.filters.split(",")]
-    filters = factories(names, scenario)
+    filters = factories(args.filters, scenario)
     scores = _scores(console, filters, scenario, data, args.seed)
-    learnt, tested = _split(data)
+    learnt, tested = split(data)
     history = {h: score_history(learnt.z[:, 0], tested.times, tested.z[:, 0]) for h in HORIZONS}
     console.print(score_table(scores | {"history": history}, HORIZONS))
-    for sentence in sentences(scores, history, FIRST):
-        console.print(f"• {sentence}")
+    tell(console, sentences(scores, history, FIRST))
     write_scores(args.out / "forecasts.csv", scores)
     draw_forecasts(args.out / "forecasts.png", scores)
     console.print(f"\nForecasts are in {args.out}/forecasts.csv and forecasts.png.")
@@ -78,13 +78,13 @@ def roots(data):
     if np.any(data.z < 0):
         year = data.times[np.argmax(np.any(data.z < 0, axis=1))]
         raise ConfigError(f"the sunspot number of {year:g} is negative")
-    return Measurements(data.time_name, data.names, data.times, np.sqrt(data.z))
+    return replace(data, z=np.sqrt(data.z))
 
 
-def _split(data):
+def split(data):
     """Years before `FIRST`, and from it on."""
     before = data.times < FIRST
-    return (Measurements(data.time_name, data.names, data.times[b], data.z[b]) for b in (before, ~before))
+    return (replace(data, times=data.times[part], z=data.z[part]) for part in (before, ~before))
 
 
 def _scores(console, filters, scenario, data, seed):
@@ -174,7 +174,7 @@ def fit(scenario, data, max_evaluations=_MAX_EVALUATIONS, report=None):
 
 def _fitted(console, path, scenario, data, out):
     """Fit, write the model file with the parameters found, and read it."""
-    learnt, _ = _split(data)
+    learnt, _ = split(data)
 
     def report(n, best):
         if n % 10 == 0:
@@ -183,7 +183,7 @@ def _fitted(console, path, scenario, data, out):
     parameters, variance, evidence = fit(scenario, learnt, report=report)
     tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     tree["model"]["parameters"], tree["sensor"]["noise_cov"] = parameters, [[variance]]
-    out.write_text(tomli_w.dumps(tree), encoding="utf-8")
+    write_toml(out, tree)
     listed = ", ".join(f"{name} = {value:.4g}" for name, value in parameters.items())
     console.print(f"fitted: {listed}, R = {variance:.4g}; log-evidence {evidence:.2f}; written to {out}\n")
     return load_model(out)

@@ -1,13 +1,11 @@
 """Table and sentences about forecasts, and their numbers in a file."""
 
-import csv
-
 import numpy as np
-from rich import box
-from rich.table import Table
 from scipy.stats import binom
 
 from experiments.scene.filters import name_of
+from experiments.show.files import write_csv
+from experiments.show.tables import table
 
 from ..own_data.csv_data import LEVELS
 
@@ -26,20 +24,19 @@ def score_table(scores, horizons):
     -------
     rich.table.Table
     """
-    table = Table(box=box.SIMPLE, pad_edge=False)
-    table.add_column("")
+    made = table("", [""])
     for name in scores:
-        table.add_column(name_of(name), justify="right", style="dim" if name == "history" else "bold")
+        made.add_column(name_of(name), justify="right", style="dim" if name == "history" else "bold")
     rows = [("Log score (nat a year)", lambda s: f"{s.log_score.mean():.3f}")]
     rows.append(("Median absolute error", lambda s: f"{np.median(np.abs(s.median - s.observed)):.1f}"))
     for k, level in enumerate(LEVELS):
         rows.append((f"Inside the {level:.0%} interval", lambda s, k=k: f"{s.coverage[k]:.0%}"))
     rows.append(("Width of the 90% interval", lambda s: f"{np.mean(np.diff(s.intervals[:, 1])):.0f}"))
     for h in horizons:
-        table.add_row(f"[bold]{h} year{'s' if h > 1 else ''} ahead[/]")
+        made.add_row(f"[bold]{h} year{'s' if h > 1 else ''} ahead[/]")
         for label, text in rows:
-            table.add_row(f"  {label}", *(text(of[h]) for of in scores.values()))
-    return table
+            made.add_row(f"  {label}", *(text(of[h]) for of in scores.values()))
+    return made
 
 
 def sentences(scores, history, first):
@@ -83,12 +80,10 @@ def write_scores(path, scores):
     heading = ["filter", "horizon", "year", "observed", "log_score", "pit", "median"]
     for level in LEVELS:
         heading += [f"low_{level:.0%}", f"high_{level:.0%}"]
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(heading)
-        for name, of in scores.items():
-            for h, s in of.items():
-                columns = np.column_stack([s.year, s.observed, s.log_score, s.pit, s.median])
-                numbers = np.hstack([columns, s.intervals.reshape(len(s.year), -1)])
-                for row in numbers:
-                    writer.writerow([name, h, *(f"{v:.6g}" for v in row)])
+    rows = []
+    for name, of in scores.items():
+        for h, s in of.items():
+            columns = np.column_stack([s.year, s.observed, s.log_score, s.pit, s.median])
+            numbers = np.hstack([columns, s.intervals.reshape(len(s.year), -1)])
+            rows += [[name, h, *(f"{v:.6g}" for v in row)] for row in numbers]
+    write_csv(path, heading, rows)

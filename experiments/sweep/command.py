@@ -4,18 +4,18 @@ Varies the interval between measurements, the process noise and the measurement 
 section 7) and runs a campaign at each combination.
 """
 
-import argparse
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from experiments.scene.files import add_change_option, changes_of
-from experiments.scene.filters import FILTERS, factories
+from experiments.scene.filters import factories
 from experiments.scene.scenario import load_scenario, read_settings
-from experiments.terminal.running import Interrupted, new_console
+from experiments.terminal.options import add_run_options, positive
+from experiments.terminal.progress import bar, resumable
+from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.campaign import run_campaign
 from sphfilter.campaign.report import report
 
@@ -52,31 +52,18 @@ class Cell:
 
 def add_arguments(parser):
     """Add the options of `sweep`."""
-    parser.add_argument("scenario", help="a name from `list`, or the path of a scenario's TOML file")
+    filters = ["ekf", "ukf", "pf", "sph"]
+    more = " at each combination"
+    add_run_options(parser, "the scenario's", "results/sweep_NAME", ",".join(filters), more)
+    parser.set_defaults(filters=filters)
     for key, what, default in (
         ("interval", "seconds between measurements", "0.5, 1, 1.5 and 2 times the scenario's"),
         ("q", "factors on the scenario's process noise Q", "0.5,1,2"),
         ("r", "factors on the scenario's measurement noise R", "1"),
     ):
         text = f"{what}, comma-separated (default: {default})"
-        parser.add_argument(f"--{key}", type=_positive_list, metavar="NUMBERS", help=text)
-    names = f"comma-separated, of {', '.join(FILTERS)} (default: ekf,ukf,pf,sph)"
-    parser.add_argument("--filters", default="ekf,ukf,pf,sph", help=names)
-    parser.add_argument("--runs", type=int, help="simulated runs at each combination")
-    parser.add_argument("--seed", type=int, help="seed of everything random")
-    parser.add_argument("--out", type=Path, help="folder for results (default: results/sweep_NAME)")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
+        parser.add_argument(f"--{key}", type=positive, metavar="NUMBERS", help=text)
     add_change_option(parser, "change a key of the scenario or of the SPH filter; may be repeated")
-
-
-def _positive_list(text):
-    try:
-        values = sorted({float(part) for part in text.split(",")})
-    except ValueError:
-        values = []
-    if not values or not all(0 < v < np.inf for v in values):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a list of positive numbers like 0.5,1,2")
-    return values
 
 
 def main(args):
@@ -87,8 +74,7 @@ def main(args):
     intervals = args.interval or [factor * base.times.interval for factor in _INTERVAL_FACTORS]
     cells = [Cell(*values) for values in product(intervals, args.q or _Q, args.r or _R)]
     scenarios = [load_scenario(args.scenario, **changes | cell.changes(base)) for cell in cells]
-    names = [name.strip() for name in args.filters.split(",")]
-    work = [(cell, s, factories(names, s)) for cell, s in zip(cells, scenarios, strict=True)]
+    work = [(cell, s, factories(args.filters, s)) for cell, s in zip(cells, scenarios, strict=True)]
     name, n_runs = scenarios[0].name, base.runs.default if args.runs is None else args.runs
     seed = base.runs.seed if args.seed is None else args.seed
     out = args.out or Path("results") / f"sweep_{name}"
@@ -98,8 +84,7 @@ def main(args):
     console.print(f"{effort}\n", style="dim")
     rows = _sweep(console, work, n_runs, seed, args.jobs, out)
     console.print(tables.table(rows, name))
-    for sentence in tables.sentences(rows):
-        console.print(f"• {sentence}")
+    tell(console, tables.sentences(rows))
     tables.write(out, rows, name)
     drawn = plots.draw(out, rows, name)
     console.print(f"\nNumbers are in {out}/sweep.csv and sweep.md. Pictures: {', '.join(map(str, drawn))}")
@@ -107,22 +92,15 @@ def main(args):
 
 def _sweep(console, work, n_runs, seed, n_jobs, out):
     """Run the campaign of every cell; finished runs stay in the folder of their cell."""
-    rows, columns = [], (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=n_runs * len(work))
+    rows, kept = [], f"finished runs are kept in {out}/runs. The same command goes on from there."
+    with bar(console, "runs", n_runs * len(work)) as move, resumable(lambda: kept):
         for i, (cell, scenario, filters) in enumerate(work):
 
             def progress(done, total, i=i):
-                bar.update(task, completed=i * total + done)
+                move(i * total + done)
 
-            try:
-                campaign = run_campaign(
-                    scenario, filters, n_runs, seed, n_jobs, out / "runs" / cell.name, progress, ranks=False
-                )
-            except KeyboardInterrupt:
-                raise Interrupted(
-                    f"Stopped; finished runs are kept in {out}/runs. The same command goes on from there."
-                ) from None
+            folder = out / "runs" / cell.name
+            campaign = run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, progress, ranks=False)
             rows += tables.rows_of(cell, report(campaign))
             if not console.is_terminal:
                 console.print(f"{cell.name}: {i + 1} of {len(work)} combinations done", style="dim")

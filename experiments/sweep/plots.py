@@ -1,10 +1,10 @@
 """Heat maps of a sweep."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 
 from experiments.scene.filters import name_of
+from experiments.show.style import panels, save
 
 __all__ = ["draw"]
 
@@ -49,10 +49,9 @@ def _draw(path, rows, key, title, colouring):
     names = list(dict.fromkeys(row["filter"] for row in rows))
     xs, ys, third = (sorted({row[axis] for row in rows}) for axis in (x, y, panel))
     size = (2.2 + len(names) * (0.3 + 0.5 * len(xs)), 1.4 + len(third) * (0.5 + 0.45 * len(ys)))
-    fig, panels = plt.subplots(len(third), len(names), figsize=size, squeeze=False, sharex=True, sharey=True,
-                               layout="constrained")  # fmt: skip
-    for i, value in enumerate(third):
-        for ax, name in zip(panels[i], names, strict=True):
+    figure, axes = panels(len(third), len(names), size, sharex=True, sharey=True)
+    for row, value in zip(axes, third, strict=True):
+        for ax, name in zip(row, names, strict=True):
             here = [row for row in rows if row["filter"] == name and row[panel] == value]
             cells = {(row[x], row[y]): row[key] for row in here}
             image = _panel(ax, np.array([[cells[a, b] for a in xs] for b in ys]), *colouring)
@@ -60,13 +59,11 @@ def _draw(path, rows, key, title, colouring):
             ax.set_title(name_of(name) + where, size=9)
             ax.set_xticks(range(len(xs)), [f"{v:g}" for v in xs])
             ax.set_yticks(range(len(ys)), [f"{v:g}" for v in ys])
-    fig.supxlabel(_AXES[x], size=9)
-    fig.supylabel(_AXES[y], size=9)
-    fig.suptitle(title, size=10)
-    _colour_bar(fig, image, panels)
-    fig.savefig(path, dpi=130)
-    plt.close(fig)
-    return path
+    figure.supxlabel(_AXES[x], size=9)
+    figure.supylabel(_AXES[y], size=9)
+    figure.suptitle(title, size=10)
+    _colour_bar(figure, image, axes)
+    return save(figure, path)
 
 
 def _panel(ax, values, norm, colors):
@@ -81,8 +78,8 @@ def _panel(ax, values, norm, colors):
     return image
 
 
-def _colour_bar(fig, image, panels):
-    bar = fig.colorbar(image, ax=panels, shrink=0.9)
+def _colour_bar(figure, image, axes):
+    bar = figure.colorbar(image, ax=axes, shrink=0.9)
     if isinstance(image.norm, LogNorm):
         ticks = np.geomspace(image.norm.vmin, image.norm.vmax, 5)
         bar.set_ticks(ticks, labels=[f"{v:.2f}" for v in ticks])

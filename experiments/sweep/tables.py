@@ -1,12 +1,10 @@
 """What a sweep found: rows, table and sentences."""
 
-import csv
-
 import numpy as np
-from rich import box
-from rich.table import Table
 
 from experiments.scene.filters import name_of
+from experiments.show import tables
+from experiments.show.files import write_rows
 
 __all__ = ["rows_of", "sentences", "table", "write"]
 
@@ -79,13 +77,7 @@ def _text(rows):
 
 def table(rows, name):
     """Return runs lost and RMS ratios of all filters as a rich table, a line a combination."""
-    headings, lines = _text(rows)
-    made = Table(box=box.SIMPLE, pad_edge=False, title=f"{name}: runs lost, and RMS error against the PF's")
-    for heading in headings:
-        made.add_column(heading, justify="right")
-    for line in lines:
-        made.add_row(*line)
-    return made
+    return tables.table(f"{name}: runs lost, and RMS error against the PF's", *_text(rows), left=0)
 
 
 def sentences(rows):
@@ -116,13 +108,7 @@ def _where_hard(name, hard):
 
 def write(out, rows, name):
     """Write the rows to sweep.csv, table and sentences to sweep.md."""
-    out.mkdir(parents=True, exist_ok=True)
-    with open(out / "sweep.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    headings, lines = _text(rows)
-    rule = ["---:"] * len(headings)
-    text = [f"| {' | '.join(cells)} |" for cells in (headings, rule, *lines)]
-    text = [f"# Sweep of {name}", "", *text, "", *(f"- {sentence}" for sentence in sentences(rows)), ""]
+    write_rows(out / "sweep.csv", rows)
+    said = [f"- {sentence}" for sentence in sentences(rows)]
+    text = [f"# Sweep of {name}", "", *tables.markdown(*_text(rows), left=0), "", *said, ""]
     (out / "sweep.md").write_text("\n".join(text), encoding="utf-8")

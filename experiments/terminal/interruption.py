@@ -14,7 +14,7 @@ __all__ = ["STOPPED", "stoppable"]
 
 #: Exit code of a program that Ctrl-C ended.
 STOPPED = 130
-#: Seconds after which an interruption is tried again: one that could not be raised, and one that was, should
+#: Seconds after which an interruption comes again: one that could not be raised, and one that was, should
 #: somebody have swallowed it.
 _SOON, _LATER = 0.02, 1.0
 #: Functions that C or compiled code calls. What is raised in those of llvmlite is lost, with what they were
@@ -30,6 +30,8 @@ _CALLED_FROM_C = frozenset(
 )
 #: How the name of a named tuple's own module begins: compiled code makes some, and crashes if it gets none.
 _NAMED_TUPLE = "namedtuple_"
+#: Set when an interruption comes that is not the user's, but one that is tried again.
+_AGAIN = threading.Event()
 
 
 def stoppable(prepare, work):
@@ -43,9 +45,7 @@ def stoppable(prepare, work):
         return work()
     signal.signal(signal.SIGINT, _leave)
     prepare()
-    interruptions = _Interruptions()
-    sys.unraisablehook = interruptions.unraised
-    signal.signal(signal.SIGINT, interruptions.answer)
+    signal.signal(signal.SIGINT, _raise)
     try:
         code = work()
     except KeyboardInterrupt as stop:
@@ -53,7 +53,6 @@ def stoppable(prepare, work):
         if not isinstance(stop.__context__, KeyboardInterrupt):  # else it came while one was answered
             print("Stopped.", file=sys.stderr)
     signal.signal(signal.SIGINT, lambda signum, frame: os._exit(code))
-    interruptions.end()
     sys.stdout.flush()
     return code
 
@@ -63,46 +62,21 @@ def _leave(signum, frame):
     os._exit(STOPPED)
 
 
-class _Interruptions:
-    """Raises KeyboardInterrupt where it can be caught, and again if it was not."""
-
-    def __init__(self):
-        self._timer, self._again, self._raised = None, False, False
-
-    def answer(self, signum, frame):
-        """Handle a signal of the user's, or one that is tried again."""
-        again, self._again = self._again, False
-        if _called_from_c(frame):
-            return self._try_again(_SOON)
-        self._try_again(_LATER)
-        if again and isinstance(sys.exc_info()[1], KeyboardInterrupt):
-            return None  # not swallowed: it is being answered
-        self._raised = True
+def _raise(signum, frame):
+    """Raise KeyboardInterrupt where it can be caught, and again unless it is being answered."""
+    again, hidden = _AGAIN.is_set(), _called_from_c(frame)
+    _AGAIN.clear()
+    timer = threading.Timer(_SOON if hidden else _LATER, _try_again)
+    timer.daemon = True
+    timer.start()
+    if not hidden and not (again and isinstance(sys.exc_info()[1], KeyboardInterrupt)):
+        sys.unraisablehook = lambda problem: None  # only half-made objects complain from here on
         raise KeyboardInterrupt
 
-    def unraised(self, problem):
-        """What Python calls for exceptions that nobody can catch, as those of destructors.
 
-        After an interruption only half-made objects complain, which nobody wants to know.
-        """
-        if issubclass(problem.exc_type, KeyboardInterrupt):
-            self._try_again(_SOON)
-        elif not self._raised:
-            sys.__unraisablehook__(problem)
-
-    def end(self):
-        """Stop trying again."""
-        if self._timer is not None:
-            self._timer.cancel()
-
-    def _try_again(self, seconds):
-        self.end()
-        self._timer = threading.Timer(seconds, self._interrupt)
-        self._timer.daemon = True
-        self._timer.start()
-
-    def _interrupt(self):
-        self._again = True
+def _try_again():
+    if signal.getsignal(signal.SIGINT) is _raise:
+        _AGAIN.set()
         _thread.interrupt_main()
 
 

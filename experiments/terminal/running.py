@@ -5,30 +5,26 @@ from time import perf_counter
 
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.markup import escape
 
 from sphfilter.campaign.campaign import run_campaign
 
 from ..scene.filters import name_of
+from .progress import Interrupted, bar
 
-__all__ = ["Interrupted", "duration", "new_console", "run_shown", "status", "warm_up"]
-
-
-class Interrupted(KeyboardInterrupt):
-    """The user stopped a campaign; the message says how to go on."""
+__all__ = ["duration", "new_console", "run_shown", "status", "tell", "warm_up"]
 
 
-def new_console():
+def new_console(width=132):
     """A console of the terminal's width, or of a table's where the output goes to a file."""
     console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=132)
+    return console if console.is_terminal else Console(highlight=False, width=width)
+
+
+def tell(console, sentences):
+    """Print sentences, each behind a dot."""
+    for sentence in sentences:
+        console.print(f"• {escape(sentence)}")
 
 
 def duration(seconds):
@@ -69,17 +65,9 @@ def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):
     """
     if any(folder.glob("run_*.npz")):
         console.print(f"going on from the runs that are in {folder}")
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(TextColumn("runs"), *columns, console=console, transient=True) as bar:
-        progress = _Progress(console, bar)
+    with bar(console, "runs", left=True) as move:
         try:
-            return run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, progress)
+            return run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, _told(console, move))
         except KeyboardInterrupt:
             done = len(list(folder.glob("run_*.npz")))
             if not done:
@@ -99,22 +87,19 @@ def _clear(folder):
         folder.rmdir()
 
 
-class _Progress:
-    """Moves a bar, or prints lines where there is no terminal; runs that were found took no time."""
+def _told(console, move):
+    """What moves a bar, or prints lines where there is no terminal; runs that were found took no time."""
+    found, start = [], perf_counter()
 
-    def __init__(self, console, bar):
-        self._console, self._bar, self._task = console, bar, bar.add_task("", total=None)
-        self._found, self._start = None, perf_counter()
-
-    def __call__(self, done, total):
-        if self._found is None:
-            self._found = done
-            self._bar.reset(self._task, total=total, completed=done)
-        self._bar.update(self._task, completed=done)
-        if self._console.is_terminal:
+    def progress(done, total):
+        move(done, total, found=not found)
+        found.append(done)
+        if console.is_terminal:
             return
         left = ""
-        if done > self._found:
-            seconds = (perf_counter() - self._start) / (done - self._found) * (total - done)
+        if done > found[0]:
+            seconds = (perf_counter() - start) / (done - found[0]) * (total - done)
             left = f", about {duration(seconds)} left"
-        self._console.print(f"run {done} of {total} done{left}", style="dim")
+        console.print(f"run {done} of {total} done{left}", style="dim")
+
+    return progress

@@ -1,23 +1,19 @@
 """`python -m experiments transient NAME`: a density without measurements, beside exact values or paths."""
 
-import json
-import platform
 import shutil
 from contextlib import suppress
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-import tomli_w
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 import sphfilter as sf
-from experiments.run import without_none
 from experiments.scene.files import add_change_option, changes_of
-from experiments.terminal.running import Interrupted, new_console
-from sphfilter import __version__
+from experiments.show.files import write_json, write_toml
+from experiments.terminal.progress import bar, resumable
+from experiments.terminal.running import new_console, tell
+from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError, SphfilterError
 
 from . import plots, remeshing
@@ -88,8 +84,7 @@ def _solve(console, args, changes, film):
         console.print(steady_table(problem, solution, rivals))
     for rival in rivals:
         console.print(f"• {rival.name}: {rival.seconds:.2g} s{'; ' * bool(rival.diverged)}{rival.diverged}")
-    for sentence in sentences(problem, solution, reference):
-        console.print(f"• {escape(sentence)}")
+    tell(console, sentences(problem, solution, reference))
     _write(out, problem, solution, reference)
     shutil.rmtree(folder)
     drawn = plots.draw(out, problem, solution, reference, rivals) + _probed(out, problem, solution)
@@ -127,8 +122,8 @@ def _compare_remeshing(console, args, changes):
     reference = _reference(console, first)
     console.print(remeshing.table(rules, reference))
     for rule in rules:
-        for sentence in sentences(rule.problem, rule.solution, reference):
-            console.print(f"• {rule.name}: {escape(sentence)}")
+        told = sentences(rule.problem, rule.solution, reference)
+        tell(console, (f"{rule.name}: {sentence}" for sentence in told))
     drawn = remeshing.draw(out, rules, reference)
     for folder in folders.values():
         shutil.rmtree(folder)
@@ -162,31 +157,23 @@ def _probed(out, problem, solution):
 
 
 def _followed(console, problem, folder, watches=()):
-    columns = TextColumn("times"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=len(problem.times))
+    def watch(number, density):
+        for each in watches:
+            each(number, density)
 
-        def watch(number, density):
-            for each in watches:
-                each(number, density)
+    def kept():
+        done = len(list(folder.glob("density_*.npz")))
+        return f"{done} of {len(problem.times)} times are in {folder}. The same command goes on."
 
-        try:
-            return solve(problem, folder, lambda done, total: bar.update(task, completed=done), watch)
-        except KeyboardInterrupt:
-            done = len(list(folder.glob("density_*.npz")))
-            raise Interrupted(
-                f"Stopped; {done} of {len(problem.times)} times are in {folder}. The same command goes on."
-            ) from None
+    with bar(console, "times", len(problem.times)) as move, resumable(kept):
+        return solve(problem, folder, move, watch)
 
 
 def _reference(console, problem):
     if problem.settings.reference.kind == "none":
         return None
-    with Progress(
-        TextColumn("reference"), BarColumn(), TimeElapsedColumn(), console=console, transient=True
-    ) as bar:
-        task = bar.add_task("", total=None)
-        return reference_of(problem, lambda done, total: bar.update(task, completed=done, total=total))
+    with bar(console, "reference") as move:
+        return reference_of(problem, move)
 
 
 def _write(out, problem, solution, reference):
@@ -197,20 +184,12 @@ def _write(out, problem, solution, reference):
     sf.Trajectory(way.times[kept], *chosen).save(out / "trajectory.npz")
     write_csv(out / "statistics.csv", problem, solution, reference)
     settings = asdict(problem.settings)
-    (out / "transient.toml").write_text(tomli_w.dumps(_plain(settings)), encoding="utf-8")
+    write_toml(out / "transient.toml", settings)
     record = {
         "problem": problem.name,
-        "versions": {"sphfilter": __version__, "python": platform.python_version()}
-        | {name: version(name) for name in ("numpy", "numba", "scipy")},
+        "versions": versions(),
         "seconds": float(np.sum(solution.seconds)),
         "reference": None if reference is None else reference.name,
         "settings": settings,
     }
-    (out / "run.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
-
-
-def _plain(tree):
-    """Settings without what is None, deep in lists too."""
-    if isinstance(tree, dict):
-        return {k: _plain(v) for k, v in without_none(tree).items()}
-    return [_plain(v) for v in tree] if isinstance(tree, list | tuple) else tree
+    write_json(out / "run.json", record)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from experiments.show.style import ACCENT, INK, frame, plt, save
+from experiments.show.particles import mass_bar, mass_field
+from experiments.show.style import ACCENT, INK, frame, legend_below, panels, plt, quantity, save
 
-__all__ = ["axes_of", "cloud", "draw", "drawn_of", "ends", "label"]
+__all__ = ["axes_of", "cloud", "draw", "drawn_of", "ends"]
 
-_DECADES = 6
 _MOST_DRAWN = 6
 _OURS, _THEIRS = ACCENT["sph"], INK
 
@@ -24,12 +24,6 @@ def draw(out, problem, solution, reference, rivals=()):
     if problem.settings.steady:
         figures["steady"] = _steady(problem, solution, rivals)
     return [save(figure, out / f"{name}.png") for name, figure in figures.items()]
-
-
-def label(problem, state):
-    """Axis label of a state."""
-    unit = (problem.settings.model.units or ("",) * problem.model.dim)[state]
-    return f"{problem.labels[state]} ({unit})" if unit else problem.labels[state]
 
 
 def axes_of(problem):
@@ -61,27 +55,19 @@ def _densities(problem, solution):
         ax = figure.add_subplot(rows, columns, place, **({"projection": "3d"} if three else {}))
         density = solution.start if k < 0 else solution.trajectory.densities[k]
         artist = cloud(ax, density, axes, size=3.0 if three else 7.0)
-        frame(
-            ax, f"t = {density.t:g}, {density.n_particles} particles", *(label(problem, a) for a in axes[:2])
-        )
+        title = f"t = {density.t:g}, {density.n_particles} particles"
+        frame(ax, title, *(quantity(problem, axis) for axis in axes[:2]))
         if three:
-            ax.set_zlabel(label(problem, axes[2]))
-    bar = figure.colorbar(artist, ax=figure.axes, shrink=0.8, pad=0.02, extend="min")
-    bar.set_ticks(range(-_DECADES, 1, 2), labels=[f"$10^{{{k}}}$" for k in range(-_DECADES, 1, 2)])
-    bar.set_label("density, highest = 1")
+            ax.set_zlabel(quantity(problem, axes[2]))
+    mass_bar(figure, artist, figure.axes, "density")
     figure.suptitle(problem.title, fontsize=11)
     return figure
 
 
 def cloud(ax, density, axes, size):
     """Particles coloured by the logarithm of the density there, the highest on top."""
-    with np.errstate(divide="ignore"):
-        level = np.log10(density.pdf(density.x))
-    level = np.maximum(level - level.max(), -_DECADES)
-    order = np.argsort(level)
     x = density.x if density.domain is None else density.domain.fold(density.x)
-    x = x[order][:, list(axes)]
-    return ax.scatter(*x.T, c=level[order], s=size, lw=0, cmap="viridis", vmin=-_DECADES, vmax=0)
+    return mass_field(ax, x[:, list(axes)], density.pdf(density.x), size)
 
 
 def _curves(problem, solution, axis):
@@ -98,13 +84,13 @@ def _curves(problem, solution, axis):
         ax.plot(x, alone.pdf(x[:, None]), color=plt.cm.viridis(shade), label=f"t = {density.t:g}")
     ax.legend(frameon=False)
     ax.set_ylim(bottom=0)
-    frame(ax, problem.title, label(problem, axis), "density")
+    frame(ax, problem.title, quantity(problem, axis), "density")
     return figure
 
 
 def _moments(problem, solution, reference, rivals):
-    figure, panels = _panels(problem, "moments")
-    for ax, j in panels:
+    figure, shown = _panels(problem, "moments")
+    for ax, j in shown:
         if reference is not None:
             value, width = reference.values[:, j], reference.half_width[:, j]
             ax.fill_between(problem.times, value - width, value + width, color=_THEIRS, alpha=0.25, lw=0)
@@ -114,18 +100,15 @@ def _moments(problem, solution, reference, rivals):
         for shade, rival in zip(np.linspace(0.3, 0.9, len(rivals)), rivals, strict=True):
             ax.plot(problem.times, rival.values[:, j], color=plt.cm.plasma(shade), lw=0.9, label=rival.name)
         ax.set_ylim(room)  # equations that diverge leave the picture
-    figure.legend(
-        *panels[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False
-    )
+    legend_below(figure, shown[0][0], columns=3)
     return figure
 
 
 def _confidence(problem, solution, reference):
     """Ẑ of every moment, 000 (144): within ±1 where the 95 % interval of the paths holds it."""
-    figure, panels = _panels(
-        problem, f"error of the moments in half widths of the 95 % interval of {reference.name}"
-    )
-    for ax, j in panels:
+    title = f"error of the moments in half widths of the 95 % interval of {reference.name}"
+    figure, shown = _panels(problem, title)
+    for ax, j in shown:
         with np.errstate(divide="ignore", invalid="ignore"):
             Z = (solution.values[:, j] - reference.values[:, j]) / reference.half_width[:, j]
         ax.axhspan(-1.0, 1.0, color=_THEIRS, alpha=0.15, lw=0)
@@ -141,16 +124,13 @@ def _panels(problem, title):
     shown = [j for j, q in enumerate(problem.quantities) if q.powers is not None and _shown(problem, q)]
     columns = min(len(shown), 3)
     rows = -(-len(shown) // columns)
-    size = 3.9 * columns, 2.5 * rows + 0.6
-    figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False, sharex=True)
-    for ax, j in zip(axes.ravel(), shown, strict=False):
+    figure, axes = panels(rows, columns, (3.9 * columns, 2.5 * rows + 0.6), len(shown), sharex=True)
+    for ax, j in zip(axes.flat, shown, strict=False):
         frame(ax, problem.quantities[j].name, "", "")
-    for ax in axes.ravel()[len(shown) :]:
-        ax.remove()
     for ax in axes[-1]:
         ax.set_xlabel("t")
     figure.suptitle(f"{problem.name}: {title}", fontsize=11)
-    return figure, list(zip(axes.ravel(), shown, strict=False))
+    return figure, list(zip(axes.flat, shown, strict=False))
 
 
 def _shown(problem, quantity):
@@ -191,10 +171,8 @@ def _exceedances(problem, solution, reference):
 def _steady(problem, solution, rivals):
     """Relative errors against the steady state, 000 (158)."""
     rows = problem.settings.steady
-    figure, axes = plt.subplots(
-        1, len(rows), figsize=(3.9 * len(rows), 3.6), layout="constrained", squeeze=False, sharey=True
-    )
-    for ax, row in zip(axes[0], rows, strict=True):
+    figure, (axes,) = panels(1, len(rows), (3.9 * len(rows), 3.6), sharey=True)
+    for ax, row in zip(axes, rows, strict=True):
         j = [q.powers for q in problem.quantities].index(row.powers)
         for shade, rival in zip(np.linspace(0.3, 0.9, len(rivals)), rivals, strict=True):
             _error_curve(ax, problem, rival.values[:, j], row.value, plt.cm.plasma(shade), rival.name)
@@ -202,9 +180,8 @@ def _steady(problem, solution, rivals):
         ax.axhline(0.01, color=INK, lw=0.8, ls=":")
         ax.set_yscale("log")
         ax.set_ylim(1e-6, 10)
-        frame(ax, problem.quantities[j].name, "t", "relative error" if ax is axes[0, 0] else "")
-    handles = axes[0, 0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside lower center", ncols=5, frameon=False)
+        frame(ax, problem.quantities[j].name, "t", "relative error" if ax is axes[0] else "")
+    legend_below(figure, axes[0], columns=5)
     figure.suptitle(f"{problem.name}: distance from the steady state; dotted: 1 %", fontsize=11)
     return figure
 

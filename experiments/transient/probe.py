@@ -1,10 +1,10 @@
 """What densities are at fixed points, and at their particles: arrays, npz and CSV files."""
 
-import csv
 from dataclasses import replace
 
 import numpy as np
 
+from experiments.show.files import write_csv
 from sphfilter.density import mixture
 from sphfilter.density.storage import write_arrays
 
@@ -98,7 +98,6 @@ def write_particles(path, problem, density):
         "smoothing_length": density.h,
     }
     values |= probed(problem, density, density.x, ("density", "density_gradient"))
-    path.parent.mkdir(parents=True, exist_ok=True)
     _write(path, problem.settings.model.states, density.x, values)
 
 
@@ -108,7 +107,4 @@ def _write(path, states, X, values):
     for name, value in values.items():
         header += [name] if value.ndim == 1 else [f"{name}_{state}" for state in states]
         columns.append(value.reshape(len(X), -1))
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        lines = csv.writer(file)
-        lines.writerow(header)
-        lines.writerows(np.hstack(columns).tolist())
+    write_csv(path, header, np.hstack(columns).tolist())

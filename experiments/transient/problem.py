@@ -1,7 +1,6 @@
 """A transient problem: model, start, output times and the statistics that are asked of the densities."""
 
-import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -10,7 +9,7 @@ import numpy as np
 
 import sphfilter as sf
 from experiments.scene.files import change, file_names, find_file, read_toml
-from experiments.scene.scenario import model_of
+from experiments.scene.scenario import Scene
 from sphfilter.settings import from_table
 
 from .checks import check, named
@@ -45,7 +44,7 @@ class Quantity(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(Scene):
     """A transient scenario.
 
     Attributes
@@ -57,20 +56,10 @@ class Problem:
     name: str
     settings: TransientSettings
 
-    @cached_property
-    def model(self):
-        """The `SDE`."""
-        return model_of(json.dumps(asdict(self.settings.model), sort_keys=True))
-
     @property
     def title(self):
         """Name, and description if there is one."""
         return ": ".join(filter(None, (self.name, self.settings.description)))
-
-    @property
-    def labels(self):
-        """Names of the states for people, length n."""
-        return self.settings.model.labels or self.settings.model.states
 
     @property
     def n_particles(self):

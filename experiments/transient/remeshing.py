@@ -4,11 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.ticker import LogLocator
-from rich.table import Table
 
 import sphfilter as sf
 from experiments.scene.files import parse_change
-from experiments.show.style import INK, frame, mass_bar, mass_field, plt, save
+from experiments.show import tables
+from experiments.show.comparison import rms
+from experiments.show.particles import mass_bar, mass_field
+from experiments.show.style import INK, frame, legend_below, panels, plt, save
 from sphfilter.errors import ConfigError
 
 from .tables import comparison, moments
@@ -51,29 +53,19 @@ def rules_of(text):
 
 def table(rules, reference):
     """A row a rule: what it did, what it cost, how far off it was and how the cloud looks in the end."""
-    made = Table(box=None, pad_edge=False, header_style="bold")
-    made.add_column("new lattices")
-    for name in ("how many", "steps", "s"):
-        made.add_column(name, justify="right")
-    if reference is not None:
-        for name in ("mean off: rms", "most", "cov off: rms", "most", "at the end"):
-            made.add_column(name, justify="right")
-    for name in ("mixing, nat", "spacing", "astray"):
-        made.add_column(name, justify="right")
+    compared = () if reference is None else ("mean off: rms", "most", "cov off: rms", "most", "at the end")
+    headings = ("how many", "steps", "s", *compared, "mixing, nat", "spacing", "astray")
+    made = tables.table("", ("new lattices", *headings), frame=None)
     for rule in rules:
         infos = rule.solution.trajectory.infos
         row = [rule.name, *(str(sum(getattr(i, key) for i in infos)) for key in ("n_regrids", "n_steps"))]
         row.append(f"{rule.solution.seconds.sum():.2g}")
         if reference is not None:
             mean, cov = comparison(rule.problem, rule.solution, reference).T
-            row += [f"{v:.2g}" for v in (_rms(mean), mean.max(), _rms(cov), cov.max(), cov[-1])]
+            row += [f"{v:.2g}" for v in (rms(mean), mean.max(), rms(cov), cov.max(), cov[-1])]
         end = sf.health(rule.solution.trajectory.densities[-1])
         made.add_row(*row, f"{end.mixing:.2g}", f"{end.spacing:.2g}", f"{100 * end.rogue:.1f} %")
     return made
-
-
-def _rms(values):
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def draw(out, rules, reference):
@@ -84,15 +76,7 @@ def draw(out, rules, reference):
 
 def _clouds(rules):
     problem = rules[0].problem
-    figure, axes = plt.subplots(
-        1,
-        len(rules),
-        figsize=(4.2 * len(rules) + 0.6, 4.0),
-        layout="constrained",
-        squeeze=False,
-        sharex=True,
-        sharey=True,
-    )
+    figure, axes = panels(1, len(rules), (4.2 * len(rules) + 0.6, 4.0), sharex=True, sharey=True)
     for ax, rule in zip(axes[0], rules, strict=True):
         density = rule.solution.trajectory.densities[-1]
         drawn = list((problem.settings.axes or (0, min(1, density.dim - 1)))[:2])
@@ -108,7 +92,7 @@ def _clouds(rules):
 def _variances(rules, reference):
     problem = rules[0].problem
     n, t = problem.model.dim, problem.times
-    figure, axes = plt.subplots(2, 2, figsize=(10, 6), layout="constrained", sharex=True)
+    figure, axes = panels(2, 2, (10, 6), sharex=True)
     ranks = np.linspace(0.0, 1.0, len(rules))  # rules that do the same are both seen
     looks = [{"color": plt.cm.viridis(0.8 * rank), "lw": 3.0 - 1.8 * rank} for rank in ranks]
     for axis, ax in enumerate(axes[0, : min(n, 2)]):
@@ -130,10 +114,10 @@ def _variances(rules, reference):
     for ax in axes[1]:
         ax.set_yscale("log")
         ax.yaxis.set_major_locator(LogLocator())
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
+    legend_below(figure, axes[0, 0], columns=5)
     figure.suptitle(f"{problem.name}: new lattices on the way", fontsize=11)
     return figure
 
 
 def _variance(values, n, axis):
-    return np.array([moments(row, n)[1][axis, axis] for row in values])
+    return moments(values, n)[1][:, axis, axis]

@@ -1,10 +1,11 @@
 """What a transient solution says, in tables, sentences and files."""
 
-import csv
-
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
+
+from experiments.show import tables
+from experiments.show.files import write_csv as write_lines
+from experiments.show.tables import number
 
 __all__ = ["comparison", "moments", "sentences", "steady_table", "table", "write_csv"]
 
@@ -18,37 +19,25 @@ def comparison(problem, solution, reference):
     The mean's in standard deviations of the reference, the covariance's largest entry in units of its
     standard deviations' products.
     """
-    n, T = problem.model.dim, len(problem.times)
-    out = np.full((T, 2), np.nan)
-    for k in range(T):
-        mean, cov = moments(reference.values[k], n)
-        ours = moments(solution.values[k], n)
-        scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
-        out[k] = (
-            np.abs((ours[0] - mean) / scale).max(),
-            np.abs((ours[1] - cov) / np.outer(scale, scale)).max(),
-        )
-    return out
+    n = problem.model.dim
+    (ours, our_cov), (mean, cov) = moments(solution.values, n), moments(reference.values, n)
+    scale = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 1e-300))
+    off = np.abs(our_cov - cov) / (scale[:, :, None] * scale[:, None, :])
+    return np.stack([np.abs((ours - mean) / scale).max(axis=1), off.max(axis=(1, 2))], axis=1)
 
 
 def moments(values, n):
-    """Mean (n,) and covariance (n, n) from the first and second moments at the head of a row of values."""
-    mean, second = values[:n], np.empty((n, n))
-    second[np.triu_indices(n)] = values[n : n + n * (n + 1) // 2]
-    second = np.triu(second) + np.triu(second, 1).T
-    return mean, second - np.outer(mean, mean)
+    """Means (T, n), covariances (T, n, n) of the first and second moments that rows (T, S) begin with."""
+    mean, second, (i, j) = values[:, :n], np.empty((len(values), n, n)), np.triu_indices(n)
+    second[:, i, j] = second[:, j, i] = values[:, n : n + len(i)]
+    return mean, second - mean[:, :, None] * mean[:, None, :]
 
 
 def table(problem, solution, reference):
     """Quantities at some of the times, each with the reference's value and half width below."""
-    made = Table(box=None, pad_edge=False, header_style="bold")
-    made.add_column("t", justify="right")
     errors = None if reference is None else comparison(problem, solution, reference)
-    if reference is not None:
-        made.add_column("mean off", justify="right")
-        made.add_column("cov off", justify="right")
-    for quantity in problem.quantities:
-        made.add_column(escape(quantity.name), justify="right")
+    off = () if reference is None else ("mean off", "cov off")
+    made = tables.table("", ("t", *off, *(q.name for q in problem.quantities)), left=0, frame=None)
     sizes = np.nanmax(np.abs(solution.values), axis=0)
     for k in _shown(len(problem.times)):
         off = [] if reference is None else [f"{v:.1g}" for v in errors[k]]
@@ -62,14 +51,12 @@ def table(problem, solution, reference):
 
 def _number(value, size):
     """A number to four digits; what is nothing beside the size of its column is 0."""
-    return "0" if abs(value) < 1e-5 * size else f"{value:.4g}"
+    return "0" if abs(value) < 1e-5 * size else number(value, ".4g")
 
 
 def _with_width(value, width, size):
-    if not np.isfinite(value):
-        return "-"
     text = _number(value, size)
-    return text if width <= 1e-4 * max(abs(value), 0.01 * size) else f"{text}±{width:.1g}"
+    return f"{text}±{width:.1g}" if width > 1e-4 * max(abs(value), 0.01 * size) else text
 
 
 def _shown(n):
@@ -78,20 +65,18 @@ def _shown(n):
 
 def steady_table(problem, solution, rivals):
     """Relative errors against the steady state's moments at the last time, 000 (158)."""
-    made = Table(box=None, pad_edge=False, header_style="bold")
-    last = f"SPH, t = {problem.times[-1]:g}"
-    for name in ("steady state", "exact", last, "error", *(rival.name for rival in rivals)):
-        made.add_column(name, justify="right")
+    last, rows = f"SPH, t = {problem.times[-1]:g}", []
     for row in problem.settings.steady:
         at = [q.powers for q in problem.quantities].index(row.powers)
         value = solution.values[-1, at]
         errors = (_relative(v, row.value) for v in (value, *(rival.values[-1, at] for rival in rivals)))
-        made.add_row(escape(problem.quantities[at].name), f"{row.value:.5g}", f"{value:.5g}", *errors)
-    return made
+        rows.append((escape(problem.quantities[at].name), f"{row.value:.5g}", f"{value:.5g}", *errors))
+    headings = ("steady state", "exact", last, "error", *(rival.name for rival in rivals))
+    return tables.table("", headings, rows, left=0, frame=None)
 
 
 def _relative(value, exact):
-    return f"{100 * abs(value - exact) / abs(exact):.2g} %" if np.isfinite(value) else "-"
+    return number(100 * abs(value - exact) / abs(exact), ".2g", " %")
 
 
 def sentences(problem, solution, reference):
@@ -142,15 +127,11 @@ def write_csv(path, problem, solution, reference):
     if reference is not None:
         header += [f"{name} reference" for name in names] + [f"{name} half width" for name in names]
     header += ["n_particles", "n_steps", "scheme", "status", "seconds"]
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        lines = csv.writer(file)
-        lines.writerow(header)
-        for k, (density, info) in enumerate(
-            zip(solution.trajectory.densities, solution.trajectory.infos, strict=True)
-        ):
-            row = [problem.times[k], *solution.values[k]]
-            if reference is not None:
-                row += [*reference.values[k], *reference.half_width[k]]
-            lines.writerow(
-                [*row, density.n_particles, info.n_steps, info.scheme, info.status, solution.seconds[k]]
-            )
+    lines, way = [], solution.trajectory
+    for k, (density, info) in enumerate(zip(way.densities, way.infos, strict=True)):
+        row = [problem.times[k], *solution.values[k]]
+        if reference is not None:
+            row += [*reference.values[k], *reference.half_width[k]]
+        done = [density.n_particles, info.n_steps, info.scheme, info.status, solution.seconds[k]]
+        lines.append([*row, *done])
+    write_lines(path, header, lines)

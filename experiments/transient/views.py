@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from experiments.show.style import ACCENT, frame, plt, save
+from experiments.show.style import ACCENT, frame, panels, quantity, save
 
-from .plots import axes_of, cloud, ends, label
+from .plots import axes_of, cloud, ends
 from .probe import points_of, probed
 
 __all__ = ["Views", "probe_picture"]
@@ -71,7 +71,7 @@ class Views:
         shown = axes_of(self.problem)[:2]
         self._see(density)
         limits = [ends(self.seen[:, axis]) for axis in shown]
-        title, names = f"t = {density.t:g}", [label(self.problem, axis) for axis in shown]
+        title, names = f"t = {density.t:g}", [quantity(self.problem, axis) for axis in shown]
         if len(shown) == 2:
             cloud(ax, density, shown, size=7.0)
             ax.set(xlim=limits[0], ylim=limits[1])
@@ -100,7 +100,7 @@ def panel(ax, problem, name, value):
     """Draw one quantity: a curve along one side, an image along two, with arrows where it has a direction."""
     probe = problem.settings.probe
     sides, axes = probe.long, [probe.axes[d] for d in probe.long]
-    names = [label(problem, d) for d in sides]
+    names = [quantity(problem, d) for d in sides]
     if name == "log_density":
         value = np.where(value > value.max() - _DEPTH, value, np.nan)
     if len(sides) == 1:
@@ -134,13 +134,7 @@ def probe_picture(path, problem, densities):
     """Draw what the probe sees of some densities, one a row; returns the path."""
     data = problem.settings.probe.data
     densities = densities[:_MOST]
-    figure, axes = plt.subplots(
-        len(densities),
-        len(data),
-        figsize=(4.6 * len(data), 3.6 * len(densities)),
-        layout="constrained",
-        squeeze=False,
-    )
+    figure, axes = panels(len(densities), len(data), (4.6 * len(data), 3.6 * len(densities)))
     for row, density in zip(axes, densities, strict=True):
         for ax, (name, value) in zip(row, _values(problem, density).items(), strict=True):
             panel(ax, problem, name, value)

@@ -1,6 +1,7 @@
 """Is a filter as good as it says? Normalised errors over runs, and the intervals they must fall in."""
 
 from .normalised import (
+    distance,
     diverged,
     fraction_inside,
     lagged_products,
@@ -13,5 +14,5 @@ from .normalised import (
     whiteness,
 )
 
-__all__ = ["diverged", "fraction_inside", "lagged_products", "nees", "nees_bounds", "nis", "nmee",
-           "nmee_bounds", "run_average", "whiteness"]  # fmt: skip
+__all__ = ["distance", "diverged", "fraction_inside", "lagged_products", "nees", "nees_bounds", "nis",
+           "nmee", "nmee_bounds", "run_average", "whiteness"]  # fmt: skip

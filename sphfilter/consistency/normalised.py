@@ -15,8 +15,42 @@ from scipy.special import gammaincinv, ndtri
 from .._types import Bools, Floats, Ints
 from ..errors import ModelError
 
-__all__ = ["diverged", "fraction_inside", "lagged_products", "nees", "nees_bounds", "nis", "nmee",
-           "nmee_bounds", "run_average", "whiteness"]  # fmt: skip
+__all__ = ["distance", "diverged", "fraction_inside", "lagged_products", "nees", "nees_bounds", "nis",
+           "nmee", "nmee_bounds", "run_average", "whiteness"]  # fmt: skip
+
+
+def distance(x, mean, cov):
+    """Mahalanobis distance: how many standard deviations x lies from the mean of N(mean, cov).
+
+    It is |L⁻¹ (x − mean)| with L Lᵀ = cov; its square is what `nees` and `nis` are.
+
+    Parameters
+    ----------
+    x, mean : array_like, shape (..., n)
+    cov : array_like, shape (..., n, n)
+        The leading axes of the three are broadcast.
+
+    Returns
+    -------
+    float or ndarray, shape (...)
+        NaN where an argument is; infinite where a covariance is not positive definite.
+
+    Raises
+    ------
+    ModelError
+        Shapes that do not fit.
+
+    Examples
+    --------
+    >>> from sphfilter import consistency
+    >>> print(consistency.distance([[1.5, 2.0], [1.0, 5.0]], [1.0, 2.0], [[0.25, 0.0], [0.0, 1.0]]))
+    [1. 3.]
+    """
+    e, cov = np.subtract(x, mean, dtype=float), np.asarray(cov, dtype=float)
+    leading = np.broadcast_shapes(e.shape[:-1], cov.shape[:-2])
+    e, cov = np.broadcast_to(e, leading + e.shape[-1:]), np.broadcast_to(cov, leading + cov.shape[-2:])
+    _, e, cov = _checked(np.zeros_like(e), e, cov)
+    return np.sqrt(_normalised_square(e, cov))[()]
 
 
 def nees(truth: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Floats:

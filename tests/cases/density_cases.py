@@ -1,8 +1,9 @@
-"""Models, and how far a density is from an exact one, for the tests of the log-density scheme."""
+"""Models, and how far moments are from exact ones."""
 
 import numpy as np
 
 import sphfilter as sf
+from sphfilter import consistency
 
 #: T4: particles at most by dimension.
 COUNTS = {1: 100, 2: 200, 3: 400, 4: 800}
@@ -30,11 +31,17 @@ def start(n):
     return np.linspace(1.0, 0.0, n), 0.3 * np.eye(n) + 0.1
 
 
+def whitened(P, exact_P):
+    """L⁻¹ (P − exact_P) L⁻ᵀ with exact_P = L Lᵀ, over the leading axes."""
+    L = np.linalg.cholesky(exact_P)
+    half = np.linalg.solve(L, P - exact_P)
+    return np.linalg.solve(L, np.swapaxes(half, -1, -2))
+
+
 def off(x, P, exact_x, exact_P):
     """Norm of the whitened mean error, and of the whitened covariance error over sqrt(n)."""
-    whiten = np.linalg.inv(np.linalg.cholesky(exact_P))
-    cov = whiten @ P @ whiten.T - np.eye(len(x))
-    return np.linalg.norm(whiten @ (x - exact_x)), np.linalg.norm(cov) / np.sqrt(len(x))
+    cov = np.linalg.norm(whitened(P, exact_P), axis=(-2, -1)) / np.sqrt(np.shape(x)[-1])
+    return consistency.distance(x, exact_x, exact_P), cov
 
 
 def moved(model, mean, cov, t, N, config=None):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.spatial.distance import mahalanobis
 
 from sphfilter import consistency as c
 from sphfilter.errors import ModelError
@@ -53,6 +54,19 @@ def test_nees_is_the_quadratic_form_and_ignores_units():
     scaled = c.nees(truth * units, mean * units, P * np.outer(units, units))
     np.testing.assert_allclose(scaled, expected, rtol=1e-9)
     np.testing.assert_allclose(c.nis(e, P), expected, rtol=1e-9)
+
+
+def test_distance_is_mahalanobis_and_broadcasts():
+    rng = np.random.default_rng(2)
+    x, mean, P = rng.standard_normal((6, 1, 3)), rng.standard_normal((4, 3)), spd(rng, 4, 3)
+    found = c.distance(x, mean, P)
+    assert found.shape == (6, 4)
+    exact = mahalanobis(x[5, 0], mean[2], np.linalg.inv(P[2]))
+    assert found[5, 2] == pytest.approx(exact, rel=1e-9)
+    assert c.distance([3.0], [1.0], [[4.0]]) == 1.0
+    assert np.isnan(c.distance([np.nan], [0.0], [[1.0]])) and c.distance([1.0], [0.0], [[0.0]]) == np.inf
+    with pytest.raises(ModelError, match=r"covariance \(..., n, n\)"):
+        c.distance(np.zeros(3), np.zeros(3), np.eye(2))
 
 
 def test_nmee_is_signed_and_a_single_run_needs_no_run_axis():

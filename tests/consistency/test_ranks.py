@@ -9,6 +9,7 @@ from reference_filters.closed_forms import BenesFilter
 from reference_filters.grid import GridFilter
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
+from sphfilter import consistency
 from sphfilter.consistency import p_values
 from sphfilter.consistency.ranks import ranked_reading
 from sphfilter.density.weighted import WeightedStates, hpd_rank, state_rank
@@ -26,7 +27,7 @@ def test_ranks_in_a_gaussian_density():
     P = np.array([[0.5, 0.2], [0.2, 0.8]])
     density = sf.initialize(sf.Gaussian(X0, P), n_particles=400)
     X = X0 + np.random.default_rng(0).standard_normal((50, 2)) @ np.linalg.cholesky(P).T * 1.3
-    square = np.einsum("ij,jk,ik->i", X - X0, np.linalg.inv(P), X - X0)
+    square = consistency.distance(X, X0, P) ** 2
     np.testing.assert_allclose(density.hpd_rank(X), stats.chi2.cdf(square, 2), atol=3e-3)
     assert density.hpd_rank(density.mode())[0] < 1e-3 and density.hpd_rank([30.0, 0.0])[0] > 0.999
     region = density.hpd_region(0.9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.converge import orders
+from experiments.converge.filters import orders
 from experiments.show.comparison import Distance
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments import __main__ as commands
-from experiments import run
+from experiments.campaign import work
 from experiments.scene.filters import Factory
 from sphfilter.campaign.campaign import CampaignResult
 
@@ -126,7 +126,7 @@ def test_interruption_before_the_first_run_leaves_nothing(tmp_path, capsys, monk
     def interrupted(self, case, rng):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(run, "warm_up", lambda *arguments: None)
+    monkeypatch.setattr(work, "warm_up", lambda *arguments: None)
     monkeypatch.setattr(Factory, "__call__", interrupted)
     assert _run("run", "linear_critical", "--filters", "kf", "--out", str(tmp_path)) == 130
     assert capsys.readouterr().err == "Stopped.\n"

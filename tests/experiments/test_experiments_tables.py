@@ -8,9 +8,9 @@ import pytest
 from rich.console import Console
 
 from experiments.scene.scenario import load_scenario
-from experiments.show import plots
+from experiments.show import histories
+from experiments.show.campaign_tables import result_table, sentences
 from experiments.show.comparison import distances, reference_name
-from experiments.show.tables import result_table, sentences
 from sphfilter import FilterResult
 from sphfilter.campaign.campaign import CampaignResult
 from sphfilter.campaign.report import report
@@ -80,25 +80,25 @@ def test_examples_show_the_ekf_keep_and_lose_the_truth():
     x = np.zeros((4, 15, 2))
     x[:, :, 0] = np.array([0.1, 0.2, 0.3, 50.0])[:, None]
     campaign = _campaign({"ekf": _result(x, np.eye(2)), "sph": _result(0 * x, np.eye(2))})
-    assert plots.example_runs(campaign) == {"consistent": 1, "diverged": 3}
+    assert histories.example_runs(campaign) == {"consistent": 1, "diverged": 3}
     campaign = _campaign({"ekf": _result(x[:3], np.eye(2))}, n_runs=3)
-    assert plots.example_runs(campaign) == {"consistent": 1}
+    assert histories.example_runs(campaign) == {"consistent": 1}
     campaign = _campaign({"sph": _result(x, np.eye(2)), "pf": _result(0 * x, np.eye(2))})
-    assert plots.example_runs(campaign)["diverged"] == 3
+    assert histories.example_runs(campaign)["diverged"] == 3
 
 
 def test_the_time_of_a_loss_is_that_of_the_largest_error():
     x = np.zeros((4, 15, 2))
     x[3, 6:, 0], x[3, 8, 0] = 20.0, 50.0
     campaign = _campaign({"ekf": _result(x, np.eye(2)), "sph": _result(0 * x, np.eye(2))})
-    assert plots.losses(campaign, 3) == {"ekf": 9.0}
-    assert plots.losses(campaign, 2) == {}
+    assert histories.losses(campaign, 3) == {"ekf": 9.0}
+    assert histories.losses(campaign, 2) == {}
 
 
 def test_limits_follow_an_estimate_that_strayed_but_not_forever():
     _, ax = plt.subplots()
     for strayed, limits in ((None, (-0.4, 1.4)), ([0.5, 3.0], (-0.4, 3.4)), ([-1e9, 0.5], (-4.4, 1.4))):
-        plots._frame(ax, np.array([0.0, 1.0]), None if strayed is None else np.array(strayed))
+        histories._frame(ax, np.array([0.0, 1.0]), None if strayed is None else np.array(strayed))
         assert ax.get_ylim() == pytest.approx(limits)
     plt.close("all")
 

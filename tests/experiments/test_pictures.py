@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from experiments import pictures
-from experiments.pictures import accuracy, densities, rejections, transient
+from experiments.pictures import accuracy, densities, drawing, rejections, transient
 from experiments.scene.scenario import load_scenario
 from sphfilter.errors import ConfigError
 
@@ -66,7 +65,7 @@ def test_update_and_resampling_figures(tmp_path, monkeypatch):
     monkeypatch.setattr(densities, "_TIMES", (0.4, 0.5))
     monkeypatch.setattr(densities, "_Z", 3.5)
     said = []
-    paths = pictures.draw("densities", load_scenario("duffing"), tmp_path / "new", 1, say=said.append)
+    paths = drawing.draw("densities", load_scenario("duffing"), tmp_path / "new", 1, say=said.append)
     assert {p.name for p in paths} == {"bayes_update.png", "resampling_t0.4.png", "resampling_t0.5.png"}
     assert all(p.stat().st_size > 20_000 for p in paths)
     assert len(said) == 2
@@ -143,18 +142,18 @@ def test_coverage_reaches_the_filter(short_duffing):
 
 def test_rejection_figure(short_duffing, tmp_path):
     said = []
-    (path,) = pictures.draw("rejections", short_duffing, tmp_path, 1, 1, said.append)
+    (path,) = drawing.draw("rejections", short_duffing, tmp_path, 1, 1, said.append)
     assert path.stat().st_size > 20_000
     assert said[0].count(" of 2 with Z_T") == 4
 
 
 def test_names_of_pictures():
     duffing = load_scenario("duffing")
-    assert pictures.chosen(duffing, None) == ("densities", "rejections")
-    assert pictures.chosen(duffing, "none") == ()
-    assert pictures.chosen(duffing, "rejections, densities") == ("rejections", "densities")
-    assert pictures.names(load_scenario("benes")) == ()
+    assert drawing.chosen(duffing, None) == ("densities", "rejections")
+    assert drawing.chosen(duffing, "none") == ()
+    assert drawing.chosen(duffing, "rejections, densities") == ("rejections", "densities")
+    assert drawing.names(load_scenario("benes")) == ()
     with pytest.raises(ConfigError, match="densities"):
-        pictures.chosen(duffing, "densitys")
+        drawing.chosen(duffing, "densitys")
     with pytest.raises(ConfigError, match="benes has no picture 'support'"):
-        pictures.draw("support", load_scenario("benes"), None, 1)
+        drawing.draw("support", load_scenario("benes"), None, 1)

@@ -9,11 +9,12 @@ import pytest
 
 import sphfilter as sf
 from experiments.__main__ import main
+from experiments.show.comparison import moment_errors
 from experiments.stress import pool, references, runs
 from experiments.stress.cell import Problem, drawn
 from experiments.stress.exact import benes_posterior, forced_posterior
 from experiments.stress.grid import cells, chosen
-from experiments.stress.judge import distance, judge
+from experiments.stress.judge import judge
 from experiments.stress.references import Reference, reference
 from experiments.stress.runs import METHODS, Outcome, run
 from experiments.stress.systems import drift_1d, oscillator, position
@@ -48,7 +49,7 @@ def test_closed_forms_agree_with_the_grid(exact, problem):
     x, P, evidence = exact(problem)
     start = (problem.x0, problem.P0)
     grid = grid_convergence(problem.model, problem.measurement, start, problem.times, problem.z).result
-    mean, cov = distance(grid.x, grid.P, x, P)
+    mean, cov = moment_errors(grid.x, grid.P, x, P)
     assert mean.max() < 2e-4 and cov.max() < 2e-4
     np.testing.assert_allclose(grid.log_evidence, evidence, atol=2e-4)
 
@@ -136,7 +137,7 @@ def test_particle_reference_agrees_with_the_kalman_filter(monkeypatch):
     problem = drawn(rng, model, position(2, 0.2), [1.0, 0.0], np.diag([0.2, 0.4]), interval=0.5)
     found, exact = references._particles(problem, 0), reference(problem, 0)
     assert exact.name == "Kalman filter"
-    mean, cov = distance(found.x, found.P, exact.x, exact.P)
+    mean, cov = moment_errors(found.x, found.P, exact.x, exact.P)
     # both are sampled: the claimed error has as few degrees of freedom as there are numbers
     assert np.sqrt(np.mean(mean**2)) < 4 * found.mean_error < 0.1
     assert np.sqrt(np.mean(cov**2)) < 4 * found.cov_error < 0.2

@@ -6,8 +6,9 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 import sphfilter as sf
+from experiments.show.comparison import moment_errors
 from experiments.stress.cell import Problem
-from experiments.stress.judge import distance, judge
+from experiments.stress.judge import judge
 from experiments.stress.references import reference
 from experiments.stress.runs import run
 from sphfilter.errors import ModelError, SphfilterError
@@ -119,7 +120,7 @@ def _check_equivariant(problem, B, c):
     """Runs in both coordinates agree within what either may err, or one of them is refused."""
     first, second = _run(problem), _run(_changed(problem, B, c))
     assume(first.end == second.end == "finished")
-    mean, cov = distance(second.x, second.P, first.x @ B.T + c, B @ first.P @ B.T)
+    mean, cov = moment_errors(second.x, second.P, first.x @ B.T + c, B @ first.P @ B.T)
     assert np.sqrt(np.mean(mean**2)) < 0.1 and np.sqrt(np.mean(cov**2)) < 0.25
     det = -np.sum(first.log_evidence) + np.sum(second.log_evidence)
     assert abs(det) < 0.1  # the measurement is the same, and so is its density

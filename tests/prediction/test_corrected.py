@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from density_cases import off
 from scipy import stats
 
 import sphfilter as sf
@@ -27,9 +28,7 @@ def gaussian(mean, cov, spacing, radius=5.0, factor=None):
 
 def errors(density, mean, cov):
     """Errors of mean and covariance in units of the reference's own spread."""
-    L_inv = np.linalg.inv(np.linalg.cholesky(cov))
-    off = L_inv @ (density.cov() - cov) @ L_inv.T
-    return np.linalg.norm(L_inv @ (density.mean() - mean)), np.linalg.norm(off) / np.sqrt(len(mean))
+    return off(density.mean(), density.cov(), mean, cov)
 
 
 def random_linear(n, rng):

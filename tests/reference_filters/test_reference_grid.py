@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from density_cases import whitened
 from scipy.integrate import solve_ivp
 
 from reference_filters.closed_forms import BenesFilter, DuffingSteadyState
@@ -9,6 +10,7 @@ from reference_filters.grid import GridFilter, grid_convergence
 from reference_filters.grid_density import Box, GridDensity
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
+from sphfilter import consistency
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.model.measurements import GaussianMeasurement, LikelihoodMeasurement
 from sphfilter.model.sde import SDE, LinearSDE
@@ -35,10 +37,9 @@ DUFFING = (
 
 def _errors(result, truth):
     """Largest errors of mean (standard deviations), covariance (relative) and log-evidence (nats)."""
-    to_white = np.linalg.inv(np.linalg.cholesky(truth.P))
     return (
-        np.linalg.norm(np.einsum("tij,tj->ti", to_white, result.x - truth.x), axis=1).max(),
-        np.abs(to_white @ (result.P - truth.P) @ np.swapaxes(to_white, 1, 2)).max(),
+        consistency.distance(result.x, truth.x, truth.P).max(),
+        np.abs(whitened(result.P, truth.P)).max(),
         np.abs(result.log_evidence - truth.log_evidence).max(),
     )
 

@@ -1,0 +1,59 @@
+"""Progress bars, and what an interruption of long work says is kept."""
+
+from contextlib import contextmanager
+
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+__all__ = ["Interrupted", "bar", "resumable"]
+
+
+class Interrupted(KeyboardInterrupt):
+    """The user stopped long work; the message says how to go on."""
+
+
+@contextmanager
+def bar(console, text, total=None, left=False):
+    """Show a bar while something runs, and take it away in the end.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+    text : str
+        What stands before the bar.
+    total : int, optional
+        How much there is to do, if it is known already.
+    left : bool
+        Whether the time that is left is shown, too.
+
+    Yields
+    ------
+    callable(done, total=None, text=None, found=False)
+        Moves the bar; what was `found` done took no time.
+    """
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
+    columns += [TextColumn("left"), TimeRemainingColumn()] if left else []
+    with Progress(*columns, console=console, transient=True) as shown:
+        task = shown.add_task(text, total=total)
+
+        def move(done, total=None, text=None, found=False):
+            if found:
+                shown.reset(task)
+            shown.update(task, completed=done, total=total, description=text)
+
+        yield move
+
+
+@contextmanager
+def resumable(kept):
+    """Turn Ctrl-C into `Interrupted`, whose message is "Stopped; " and what the function `kept` returns."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Interrupted(f"Stopped; {kept()}") from None
