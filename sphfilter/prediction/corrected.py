@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -91,11 +90,11 @@ def propagate(
 def _march(
     cloud: core.Cloud,
     model: SDE,
-    options: Any,
+    options: np.record,
     powers: Ints,
     scheme: CorrectedScheme,
     interval: tuple[float, float],
-) -> Any:
+) -> np.record:
     """Run the compiled loop to the end; returns its `Progress`."""
     progress, equations, status = packed(core.Progress(*interval)), equations_of(model), "paused"
     parts = core.parts()
@@ -122,7 +121,7 @@ def _march(
     return progress
 
 
-def _log_volumes(cloud: core.Cloud, options: core.Options, t: float) -> Floats:
+def _log_volumes(cloud: core.Cloud, options: np.record, t: float) -> Floats:
     """Logarithm of the volume of each particle, after its smoothing length has been solved for."""
     if not core.settle(core.parts().search, cloud, options, _TOLERANCE):
         raise PropagationError(_flat(t))
@@ -159,7 +158,7 @@ def _degree(density: ParticleDensity, scheme: CorrectedScheme) -> int:
     return max(affordable, default=min(scheme.degree, 1))
 
 
-def _options(density: ParticleDensity, model: SDE, t1: float, scheme: CorrectedScheme) -> core.Options:
+def _options(density: ParticleDensity, model: SDE, t1: float, scheme: CorrectedScheme) -> np.record:
     kind, n = KINDS.index(scheme.kernel), density.dim
     numbers = core.Options(
         kernel=kind,
@@ -174,7 +173,9 @@ def _options(density: ParticleDensity, model: SDE, t1: float, scheme: CorrectedS
     return packed(numbers)
 
 
-def _info(model: SDE, scheme: CorrectedScheme, progress: Any, n_functions: int, mixed: bool) -> PredictInfo:
+def _info(
+    model: SDE, scheme: CorrectedScheme, progress: np.record, n_functions: int, mixed: bool
+) -> PredictInfo:
     evaluations, searches, used = int(progress.evaluations), int(progress.searches), int(progress.functions)
     status = "ok"
     if 0 < used < n_functions:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -89,7 +88,12 @@ def propagate(
 
 
 def _march(
-    density: ParticleDensity, model: SDE, scheme: PaperScheme, progress: Any, dt_max: float, up_to_date: bool
+    density: ParticleDensity,
+    model: SDE,
+    scheme: PaperScheme,
+    progress: np.record,
+    dt_max: float,
+    up_to_date: bool,
 ) -> tuple[ParticleDensity, str, Floats]:
     """One call of the compiled loop, to progress.t1.
 
