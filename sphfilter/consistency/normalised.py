@@ -19,7 +19,7 @@ __all__ = ["distance", "diverged", "fraction_inside", "lagged_products", "nees",
            "nmee", "nmee_bounds", "run_average", "whiteness"]  # fmt: skip
 
 
-def distance(x, mean, cov):
+def distance(x: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Floats:
     """Mahalanobis distance: how many standard deviations x lies from the mean of N(mean, cov).
 
     It is |L⁻¹ (x − mean)| with L Lᵀ = cov; its square is what `nees` and `nis` are.
