@@ -20,8 +20,7 @@ from math import comb, prod
 import numpy as np
 
 from sphfilter.core._jit import jit
-
-from ._monomials import up_to
+from sphfilter.core.monomials import up_to
 
 __all__ = ["CumulantRates", "central_recursion"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from sphfilter.core._jit import jit
 from sphfilter.errors import ModelError
 
-__all__ = ["checked_powers", "down_set", "moment_name", "recentred", "sum_monomials", "up_to"]
+__all__ = ["checked_powers", "down_set", "moment_name", "recentred", "sum_monomials"]
 
 #: States taken at a time: as many as keep all monomials of a block near the processor.
 _BLOCK = 64
@@ -27,12 +27,6 @@ def checked_powers(name, powers, dim):
         if len(a) != dim or any(k != int(k) or k < 0 for k in a):
             raise ModelError(f"{name} holds {a}; give {dim} whole numbers >= 0, the power of each state.")
     return [tuple(int(k) for k in a) for a in values]
-
-
-def up_to(order, dim):
-    """All powers of `dim` variables of total order 0 to `order`, lowest order first, as tuples."""
-    every = (a for a in product(range(order + 1), repeat=dim) if sum(a) <= order)
-    return sorted(every, key=lambda a: (sum(a), tuple(-k for k in a)))
 
 
 def down_set(powers, dim):

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sphfilter.core.monomials import up_to
 from sphfilter.errors import ModelError
 from sphfilter.model.compile import compile_source
 from sphfilter.model.sde import SDE
-
-from ._monomials import up_to
 
 __all__ = ["Polynomials", "polynomials_of"]
 

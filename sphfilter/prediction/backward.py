@@ -6,12 +6,12 @@ log-density: it may be flat, or rise towards the edge of the lattice that it is 
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._types import Floats, OfStates
-from ..core._addresses import address_of, function_at
+from ..core._addresses import addresses, function_at
 from ..core._jit import jit
 from ..core.characteristics.expectation import AIMED, BACK, Step
 from ..core.characteristics.noise_paths import Noise
@@ -30,6 +30,24 @@ _TURN = 0.2  # Runge-Kutta step times the largest rate of the drift's Jacobian
 _QUADRATURE = 7  # Gauss-Hermite points of one noise
 
 back_at, aim_at = BACK.at, AIMED.at
+
+
+class _Entries(NamedTuple):
+    """Addresses of what a step back calls."""
+
+    drift: tuple[int, int]
+    divergence: tuple[int, int]
+    aim: tuple[int, int]
+    back: tuple[int, int]
+
+
+class _Leg(NamedTuple):
+    """A step of the noise, in reversed time."""
+
+    t: float  # at its end, seconds
+    h: float
+    parts: int  # Runge-Kutta steps of a path
+    blurred: bool  # what paths leave of the noise counts
 
 
 def likelihood_field(field: Field, values: Floats) -> Field:
@@ -71,37 +89,24 @@ def carried_back(model: SDE, found: Field, t0: float, t1: float, around: Floats)
     model.jacobian_batch(np.array(around), t0, model.p, rates)
     rate = np.linalg.norm(rates[np.isfinite(rates).all(axis=1)].reshape(-1, n, n), axis=(1, 2)).max(initial=0)
     parts = max(1, math.ceil(h * rate / _TURN))
-    functions = [address_of(f) for f in (model.reversed_drift_batch, shared(zeros))]
-    functions += [AIMED.address, BACK.address]
+    entries = addresses(_Entries(model.reversed_drift_batch, shared(zeros), AIMED, BACK))
     rule, centre = paths(G.shape[1], _QUADRATURE), around.mean(axis=0)
 
     def log_expected(X: Floats) -> Floats:
-        out = np.empty(len(X))
-        _ahead(
-            tuple(functions), noise, found, stencils(n), rule, centre, (-t0, h), (parts, not model.linear),
-            np.array(X), out,
-        )  # fmt: skip
-        return out
+        leg = _Leg(-t0, h, parts, not model.linear)  # made here: the model must outlive its addresses
+        return _ahead(entries, noise, found, stencils(n), rule, centre, leg, np.array(X))
 
     return log_expected
 
 
 @jit
 def _ahead(
-    functions: Any,
-    noise: Any,
-    field: Any,
-    sten: Any,
-    paths: Any,
-    centre: Floats,
-    times: Any,
-    ways: Any,
-    X: Floats,
-    out: Floats,
-) -> None:
-    """λ at the states X (M, n) before a step of the noise, into out (M,); times are reversed: (-t0, h)."""
-    drift, divergence = function_at(functions[0]), function_at(functions[1])
-    aim, back = aim_at(functions[2]), back_at(functions[3])
-    response = aim(drift, noise, field, centre, times[0], times[1], ways[0])
-    step = Step(drift, divergence, noise, field, sten, paths, response, times[0], times[1], ways[0], ways[1])
-    back(step, X, -np.inf, out)
+    entries: _Entries, noise: Noise, field: Field, sten: Any, paths: Any, centre: Floats, leg: _Leg, X: Floats
+) -> Floats:
+    """λ (M,) at the states X (M, n) before a step of the noise."""
+    drift, divergence = function_at(entries.drift), function_at(entries.divergence)
+    response = aim_at(entries.aim)(drift, noise, field, centre, leg.t, leg.h, leg.parts)
+    step = Step(drift, divergence, noise, field, sten, paths, response, *leg)
+    out = np.empty(X.shape[0])
+    back_at(entries.back)(step, X, -np.inf, out)
+    return out

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..config import LogDensityScheme
-from ..core._addresses import address_of
+from ..core._addresses import addresses
 from ..core._jit import start_threads
 from ..core.characteristics.control import COUNTERS, LOST_MASS, STATUS, STEPS, VOLUME, Control
 from ..core.characteristics.expectation import AIMED, BACK, BACK_IN_BLOCKS
@@ -141,9 +141,8 @@ def _entries(model: SDE, threads: bool) -> Entries:
     """Addresses of what the march calls; compiles or loads it."""
     if threads:
         start_threads()
-    own = [address_of(f) for f in (model.drift_batch, model.divergence_batch, model.diffusion_batch)]
-    parts = BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, LAY, BUILD
-    return Entries(*own, *[part.address for part in parts])
+    own = model.drift_batch, model.divergence_batch, model.diffusion_batch
+    return addresses(Entries(*own, BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, LAY, BUILD))
 
 
 _REASONS = {

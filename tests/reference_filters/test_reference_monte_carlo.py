@@ -6,9 +6,10 @@ from scipy.stats import norm
 
 import sphfilter as sf
 from reference_filters import monte_carlo
-from reference_filters._monomials import down_set, moment_name, recentred, sum_monomials, up_to
+from reference_filters._monomials import down_set, moment_name, recentred, sum_monomials
 from reference_filters.closed_forms import linear_moments
 from reference_filters.monte_carlo import simulate_statistics
+from sphfilter.core.monomials import up_to
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.model.sde import SDE, LinearSDE
 

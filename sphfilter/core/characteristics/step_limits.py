@@ -92,7 +92,7 @@ def path_error(once, twice, m, L):
 def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
     """Mean and covariance after a step: of the cloud undisturbed, and pushed to and fro by every noise.
 
-    Straight n_pushes and bent ones: their covariance with each other is what keeps a thin density from being
+    Straight pushes and bent ones: their covariance with each other is what keeps a thin density from being
     taken for a still thinner one.
     """
     N, n = x.shape

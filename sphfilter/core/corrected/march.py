@@ -13,9 +13,6 @@ import numpy as np
 
 from .._addresses import addresses, function_at
 from .._jit import jit
-from ..dormand_prince import A as _A
-from ..dormand_prince import C as _C
-from ..dormand_prince import E as _E
 from ..sph.kernels import RADIUS
 from .diffusion import VELOCITY, room_for, stable_steps
 from .frame import (
@@ -30,8 +27,8 @@ from .frame import (
     still_valid,
     whiten_frame,
 )
-from .moment_correction import keep_affine
-from .number_density import transform, whiten
+from .multistep import History, drift_step, put_right, rms, size, surprise
+from .number_density import whiten
 
 __all__ = ["STATUS", "Cloud", "Options", "Progress", "march", "parts", "settle"]
 
@@ -71,16 +68,6 @@ class Progress(NamedTuple):
     plain: float = math.inf  # largest stable step, see `stable_steps`
     put_right: float = math.inf
     affine: float = math.inf
-
-
-class History(NamedTuple):
-    """Diffusion velocity now and at the end of the step, its rate of change, and Runge-Kutta stages."""
-
-    u: np.ndarray  # (N, n)
-    new: np.ndarray  # (N, n)
-    slope: np.ndarray  # (N, n)
-    K: np.ndarray  # (7, N, n)
-    x0: np.ndarray  # (N, n) where the step began
 
 
 @jit
@@ -147,8 +134,8 @@ def step(parts, equations, frame, pairs, work, history, options, progress):
     dt = _next_step(progress, options)
     if not dt > progress.shortest:
         return pairs, STALLED if dt > 0.0 else NOT_FINITE
-    _drift_step(equations, progress.t, dt, x, history)
-    error = _size(history.K[6], frame, work.z) / options.tol
+    drift_step(equations, progress.t, dt, x, history)
+    error = size(history.K[6], frame, work.z) / options.tol
     way, progress.culprit = crosses(history.x0, frame)
     way = way if interacting or not math.isfinite(way) else 0.0
     factor = min(0.9 * max(error, 1e-6) ** -0.2, 0.45 / max(way, 0.01))
@@ -166,12 +153,15 @@ def step(parts, equations, frame, pairs, work, history, options, progress):
             equations, end, x, frame, pairs, work, options, history.new
         )
         progress.evaluations += 1
-        error = _surprise(dt, progress.ago, history, frame, work.z) / options.tol
+        error = surprise(dt, progress.ago, history, frame, work.z) / options.tol
         factor = min(factor, 0.9 * max(error, 1e-6) ** (-1 / 3))
         accepted = error <= 1.0
     if accepted:
         if interacting:
-            _accept(dt, frame, work, history, options, progress)
+            put_right(dt, frame, work.polynomials, history, progress)
+            follow_spacing(frame, work.sums.number, options)
+            progress.ago = dt
+            progress.plain, progress.put_right, progress.affine = stable_steps(frame, work.D, options)
         _advance(dt, factor, progress)
     else:
         _reject(x, dt, factor, history, progress)
@@ -208,33 +198,6 @@ def _reject(x, dt, factor, history, progress):
 
 
 @jit
-def _drift_step(equations, t, dt, x, history):
-    """x after dt of x' = f(x, t) + u + slope (t - t0); K[6] becomes the error of order four against five."""
-    u, _, slope, K, x0 = history
-    N, n = x.shape
-    for i in range(N):
-        for d in range(n):
-            x0[i, d] = x[i, d]
-    for stage in range(7):
-        for i in range(N):
-            for d in range(n):
-                s = 0.0
-                for k in range(stage):
-                    s += _A[stage, k] * K[k, i, d]
-                x[i, d] = x0[i, d] + dt * s
-        function_at(equations.drift)(x, t + _C[stage] * dt, equations.p, K[stage])
-        for i in range(N):
-            for d in range(n):
-                K[stage, i, d] += u[i, d] + _C[stage] * dt * slope[i, d]
-    for i in range(N):
-        for d in range(n):
-            s = 0.0
-            for k in range(7):
-                s += _E[k] * K[k, i, d]
-            K[6, i, d] = dt * s
-
-
-@jit
 def _begin(parts, equations, frame, pairs, work, history, options, progress):
     """u and its rate of change at the start, the step to try, and the largest stable steps.
 
@@ -252,7 +215,7 @@ def _begin(parts, equations, frame, pairs, work, history, options, progress):
         for d in range(n):
             K[0, i, d] += history.u[i, d]
     whiten(K[0], m, frame.inverse, work.z)
-    first = 0.1 / max(_rms(work.z, m), 1e-300)  # a tenth of the time in which the cloud deforms by its size
+    first = 0.1 / max(rms(work.z, m), 1e-300)  # a tenth of the time in which the cloud deforms by its size
     if progress.planned == 0.0:
         progress.planned = first
     if interacting:
@@ -266,54 +229,3 @@ def _begin(parts, equations, frame, pairs, work, history, options, progress):
                 history.slope[i, d] = (history.u[i, d] - history.new[i, d]) / ago
         progress.searches += 1
         progress.evaluations += 2
-
-
-@jit
-def _rms(z, m):
-    """Root mean square of whitened vectors, over the mass and the axes."""
-    square, total = 0.0, 0.0
-    for i in range(m.size):
-        total += m[i]
-        for d in range(z.shape[1]):
-            square += m[i] * z[i, d] * z[i, d]
-    return math.sqrt(square / (total * z.shape[1]))
-
-
-@jit
-def _size(v, frame, z):
-    """Root mean square of displacements v, in whitened coordinates."""
-    transform(v, np.zeros(v.shape[1]), frame.inverse, z)
-    return _rms(z, frame.cloud.m)
-
-
-@jit
-def _surprise(dt, ago, history, frame, z):
-    """What Adams-Moulton adds to the extrapolated step, into K[0]; returns its size."""
-    u, new, slope, K = history.u, history.new, history.slope, history.K
-    weight = dt * (dt / 3.0 + ago / 2.0) / (dt + ago)
-    for i in range(u.shape[0]):
-        for d in range(u.shape[1]):
-            K[0, i, d] = weight * (new[i, d] - u[i, d] - dt * slope[i, d])
-    return _size(K[0], frame, z)
-
-
-@jit
-def _accept(dt, frame, work, history, options, progress):
-    """Put the step right as far as that is stable, make the new u the present one, and look ahead.
-
-    The whole of the correction damps short waves less than the extrapolation alone. Its affine part, which
-    is what mean and covariance see of it, has no short waves.
-    """
-    x, u, new, slope, K = frame.cloud.x, history.u, history.new, history.slope, history.K
-    corrects, put_right = work.polynomials.A.shape[0] > 0, dt <= progress.put_right
-    if corrects and not put_right:
-        keep_affine(frame.cloud.m, work.polynomials, K[0])
-        put_right = dt <= progress.affine
-    for i in range(x.shape[0]):
-        for d in range(x.shape[1]):
-            x[i, d] += K[0, i, d] if put_right else 0.0
-            slope[i, d] = (new[i, d] - u[i, d]) / dt
-            u[i, d] = new[i, d]
-    follow_spacing(frame, work.sums.number, options)
-    progress.ago = dt
-    progress.plain, progress.put_right, progress.affine = stable_steps(frame, work.D, options)

@@ -15,6 +15,7 @@ import numpy as np
 from numba import prange
 
 from .._jit import jit, parallel_jit
+from ..monomials import up_to
 from .blocks import BLOCKS, PARALLEL_FROM, add_parts, even
 
 __all__ = ["Diffusion", "Polynomials", "basis", "correct", "exponents", "keep_affine"]
@@ -45,9 +46,7 @@ class Polynomials(NamedTuple):
 
 def exponents(dim, degree):
     """Exponents (q, dim) of the monomials of total degree 0 .. degree, lower degrees first."""
-    rows = np.indices((degree + 1,) * dim).reshape(dim, -1).T
-    rows = rows[rows.sum(axis=1) <= degree]
-    return np.ascontiguousarray(rows[np.lexsort((*rows.T, rows.sum(axis=1)))])
+    return np.array(sorted(up_to(degree, dim), key=lambda a: (sum(a), a[::-1])))
 
 
 @jit

@@ -79,6 +79,7 @@ def inside(cell, offset, dims, strides, flat):
 
 @jit
 def unravel(flat, strides, cell):
+    """Write where a cell of a flat number is, counted from the box's corner, to cell (n,)."""
     for a in range(strides.size):
         cell[a] = flat // strides[a]
         flat -= cell[a] * strides[a]
@@ -107,7 +108,10 @@ def furthest(n):
 
 @jit
 def seeds_in_box(points, mu, inverse, reach, low, dims):
-    """Box around the lattice cells of some points, and the flat numbers of those cells."""
+    """Lattice cells (N, n) that some points lie in, at most `reach` from the origin; and a box around them.
+
+    The box's lowest cell and its size along every axis are written to low and dims (n,).
+    """
     N, n = points.shape
     cells = np.empty((N, n), np.int64)
     for i in range(N):

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import typeof
 
+from ..monomials import up_to
+
 __all__ = ["STENCILS", "Stencils", "stencils"]
 
 _TREND = {3: 4, 4: 4}  # degree of the polynomial through all nodes by dimension, 3 beyond
@@ -45,17 +47,12 @@ def _neighborhoods(n):
     return levels
 
 
-def _exponents(n, degree):
-    """Exponents of the monomials up to a degree, by degree, without the constant."""
-    every = itertools.product(range(degree + 1), repeat=n)
-    return sorted((e for e in every if 1 <= sum(e) <= degree), key=lambda e: (sum(e), [-k for k in e]))
-
-
 @cache
 def stencils(n):
     """The `Stencils` of n dimensions."""
     levels = _neighborhoods(n)
-    exponents = _exponents(n, max(_TREND.get(n, 3) if n > 2 else 0, *(degree for _, degree, _ in levels)))
+    degree = max(_TREND.get(n, 3) if n > 2 else 0, *(degree for _, degree, _ in levels))
+    exponents = up_to(degree, n)[1:]  # the constant is the node's own value
     E = np.array(exponents)
     size = np.array([len(g) for g, _, _ in levels])
     rank = {tuple(o): level for level in reversed(range(len(levels))) for o in levels[level][0]}

@@ -79,15 +79,3 @@ def trend(node, log_p, sten):
         if p > 0:
             out[p - 1] = right[p] * scale[p]
     return out
-
-
-@jit
-def _fewest_layers(node):
-    """Nodes from one end of the lattice to the other, along the axis where these are fewest."""
-    fewest = node.shape[0]
-    for a in range(node.shape[1]):
-        low, high = node[0, a], node[0, a]
-        for i in range(node.shape[0]):
-            low, high = min(low, node[i, a]), max(high, node[i, a])
-        fewest = min(fewest, high - low + 1)
-    return fewest
