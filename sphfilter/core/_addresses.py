@@ -79,9 +79,9 @@ def address_of(function):
     return _KNOWN[function]
 
 
-def addresses(functions):
-    """Return a named tuple of functions, as `address_of` takes them, as one of their addresses."""
-    return functions._make([address_of(function) for function in functions])
+def addresses(kind, *functions):
+    """Return a named tuple of a kind that holds the addresses of functions, as `address_of` takes them."""
+    return kind(*[address_of(function) for function in functions])
 
 
 def _function_of(type_of):

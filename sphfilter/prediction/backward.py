@@ -89,7 +89,7 @@ def carried_back(model: SDE, found: Field, t0: float, t1: float, around: Floats)
     model.jacobian_batch(np.array(around), t0, model.p, rates)
     rate = np.linalg.norm(rates[np.isfinite(rates).all(axis=1)].reshape(-1, n, n), axis=(1, 2)).max(initial=0)
     parts = max(1, math.ceil(h * rate / _TURN))
-    entries = addresses(_Entries(model.reversed_drift_batch, shared(zeros), AIMED, BACK))
+    entries = addresses(_Entries, model.reversed_drift_batch, shared(zeros), AIMED, BACK)
     rule, centre = paths(G.shape[1], _QUADRATURE), around.mean(axis=0)
 
     def log_expected(X: Floats) -> Floats:

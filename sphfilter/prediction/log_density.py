@@ -142,7 +142,7 @@ def _entries(model: SDE, threads: bool) -> Entries:
     if threads:
         start_threads()
     own = model.drift_batch, model.divergence_batch, model.diffusion_batch
-    return addresses(Entries(*own, BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, LAY, BUILD))
+    return addresses(Entries, *own, BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, LAY, BUILD)
 
 
 _REASONS = {

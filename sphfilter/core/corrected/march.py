@@ -48,7 +48,7 @@ class Parts(NamedTuple):
 
 def parts():
     """The `Parts` of a march; compiles or loads them."""
-    return addresses(Parts(SEARCH, VELOCITY))
+    return addresses(Parts, SEARCH, VELOCITY)
 
 
 class Progress(NamedTuple):

@@ -38,7 +38,7 @@ class Parts(NamedTuple):
 
 def parts():
     """The `Parts` of a march; compiles or loads them."""
-    return addresses(Parts(SEARCH, DENSITY, UPDATE))
+    return addresses(Parts, SEARCH, DENSITY, UPDATE)
 
 
 @jit
