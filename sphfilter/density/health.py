@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import Bools, Floats
-from ..core.sph.kernels import RADIUS
 from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
 from ..errors import ModelError
 from .interpolant import smoothed
@@ -127,7 +126,7 @@ def health(density: ParticleDensity) -> Health:
 def _as_kernels_see(density: ParticleDensity) -> tuple[Floats, Floats, Floats]:
     """States, masses and supports of the particles, and after them of their images beyond ends."""
     x, mass, h = density.x, density.mass, density.h
-    K = RADIUS[density.kernel_code[0]]
+    K = density.sph_kernel.radius
     if density.read_out in ("points", "mixture"):
         if density.domain is not None:
             reach = _FIT_REACH * K * h.max()

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from .._types import Floats, OfStates
 from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
-from ..core.sph.kernels import KINDS, RADIUS
+from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
 from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
@@ -151,7 +151,7 @@ def _spaced(
         scheme = _FOR_CORRECTED
     first, last = scheme.support_range
     if first == last or scheme.support_steps == 1:  # nothing to choose from
-        h = first * lattice.cell_volume ** (1.0 / len(box)) / RADIUS[KINDS.index(scheme.kernel)]
+        h = first * lattice.cell_volume ** (1.0 / len(box)) / Kernel.of(scheme.kernel, len(box)).radius
         return particles_with(h, lattice, values / scale, scheme, about)
     between = np.asarray(pdf(lattice.half_shifted().nodes), dtype=float) / scale
     return particles_on(lattice, values / scale, between, values > 0, scheme, about)

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .._types import Floats, OfStates
-from ..core.sph.kernels import RADIUS
 from ..core.sph.neighbors import build_index, choose_method
 from ..core.sph.summation import sample_density
 
@@ -141,12 +140,12 @@ def normalised(density: "ParticleDensity") -> OfStates:
     n, log_p = density.dim, interpolant(density.x, known, factor)
     scale = np.prod(np.diag(factor)) ** (1.0 / n)
     z = np.ascontiguousarray(np.linalg.solve(factor, (density.x - density.mean()).T).T)
-    h, (kind, constant) = density.h / scale, density.kernel_code
-    offsets = math.sqrt(n * density.kernel_variance) * np.concatenate([np.eye(n), -np.eye(n)])
+    h, kernel = density.h / scale, density.sph_kernel
+    offsets = math.sqrt(n * kernel.variance) * np.concatenate([np.eye(n), -np.eye(n)])
     y = (z[:, None] + h[:, None, None] * offsets).reshape(-1, n)
     p = np.empty(len(y))
-    index = build_index(z, RADIUS[kind] * np.median(h), choose_method(len(z), n))
-    sample_density(y, z, density.mass, h, index, (kind, constant), p)
+    index = build_index(z, kernel.radius * np.median(h), choose_method(len(z), n))
+    sample_density(y, z, density.mass, h, index, kernel.pair, p)
     ratio = np.exp(log_p(density.mean() + y @ factor.T)) * scale**n / p
     log_total = math.log(np.repeat(density.mass, 2 * n) @ ratio / (2 * n))
     return lambda X: log_p(X) - log_total

@@ -108,8 +108,8 @@ def _summed(field: Field, order: Ints, factor: Floats, others: Floats) -> OfStat
 
 def projected_lengths(shape: "Kernels", axes: Sequence[int]) -> Floats:
     """Smoothing lengths (N,) with which `Kernels` seen along some axes have the variance they have there."""
-    code, n = shape.kernel[0], shape.x.shape[1]
-    ratio = math.sqrt(kernels.kernel_variance(code, n) / kernels.kernel_variance(code, len(axes)))
+    kernel = shape.kernel
+    ratio = math.sqrt(kernel.variance / kernels.kernel_variance(kernel.kind, len(axes)))
     if shape.kind == "shrunk":
         ratio *= narrowed(shape.mixture, axes)
     return ratio * shape.h

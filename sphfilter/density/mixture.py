@@ -34,7 +34,7 @@ class Mixture(NamedTuple):
     z: Floats  # (N, n)
     mass: Floats  # (N,)
     h: Floats  # (N,)
-    kernel: tuple[int, float]  # code and C_n
+    kernel: kernels.Kernel
     index: Any  # of the search
 
 
@@ -42,7 +42,7 @@ def mixture(
     x: Floats,
     mass: Floats,
     h: Floats,
-    kernel: tuple[int, float],
+    kernel: kernels.Kernel,
     centre: Floats | None = None,
     factor: Floats | None = None,
 ) -> Mixture:
@@ -51,7 +51,7 @@ def mixture(
     centre = np.zeros(n) if centre is None else centre
     factor = np.eye(n) if factor is None else factor
     x = np.ascontiguousarray(x)
-    index = build_index(x, kernels.RADIUS[kernel[0]] * np.median(h), choose_method(len(x), n))
+    index = build_index(x, kernel.radius * np.median(h), choose_method(len(x), n))
     return Mixture(centre, factor, x, mass, h, kernel, index)
 
 
@@ -65,7 +65,7 @@ def gradient(mix: Mixture, X: Floats) -> Floats:
     """Gradient of `pdf` at the states X (M, n), shape (M, n)."""
     z = np.ascontiguousarray(np.linalg.solve(mix.factor, (X - mix.centre).T).T)
     out = np.empty_like(z)
-    sample_gradient(z, mix.z, mix.mass, mix.h, mix.index, mix.kernel, out)
+    sample_gradient(z, mix.z, mix.mass, mix.h, mix.index, mix.kernel.pair, out)
     return np.linalg.solve(mix.factor.T, out.T).T / abs(np.linalg.det(mix.factor))
 
 
@@ -119,7 +119,7 @@ def raw_moment(mix: Mixture, powers: Sequence[int] | Ints, centre: Floats) -> fl
     moments of the normal distribution with variance 1 / (2 pi), for the integrals of W r^|k| over n
     dimensions are those of W over n + |k|.
     """
-    code, constant = mix.kernel
+    code, constant = mix.kernel.pair
     n, d, total = len(powers), mix.z - centre, 0.0
     for even in itertools.product(*(range(0, int(power) + 1, 2) for power in powers)):
         order = sum(even)
@@ -130,7 +130,7 @@ def raw_moment(mix: Mixture, powers: Sequence[int] | Ints, centre: Floats) -> fl
     return float(total)
 
 
-def shrunk(x: Floats, mass: Floats, h: Floats, kernel: tuple[int, float]) -> Mixture | None:
+def shrunk(x: Floats, mass: Floats, h: Floats, kernel: kernels.Kernel) -> Mixture | None:
     """The mixture with the kernels' own variance taken back, for points that have the density's covariance.
 
     Kernels of variance s² move what a density carries by -s²/2 times the slope of its logarithm, as heat
@@ -143,8 +143,7 @@ def shrunk(x: Floats, mass: Floats, h: Floats, kernel: tuple[int, float]) -> Mix
     ----------
     x : ndarray, shape (N, n)
     mass, h : ndarray, shape (N,)
-    kernel : tuple
-        Code and C_n.
+    kernel : Kernel
 
     Returns
     -------
@@ -166,7 +165,7 @@ def shrunk(x: Floats, mass: Floats, h: Floats, kernel: tuple[int, float]) -> Mix
     values, axes = np.linalg.eigh((slope * mass[:, None]).T @ slope)
     within = np.linalg.cholesky((axes / np.maximum(values, 1.0)) @ axes.T)
     h = h * (np.prod(np.diag(whole)) * np.prod(np.diag(within))) ** (-1.0 / n)
-    variance = kernels.kernel_variance(kernel[0], n) * (mass @ h**2)
+    variance = kernel.variance * (mass @ h**2)
     a = 1.0 / math.sqrt(1.0 + variance)
     z = np.linalg.solve(within, z.T).T + (1.0 - a) * slope @ within
     z -= mass @ z
@@ -214,5 +213,5 @@ def _at(mix: Mixture, z: Floats) -> Floats:
     out = np.empty(len(z))
     # Threads only for long sums: a process that has used them cannot be forked.
     sums = sample_density_parallel if len(z) * len(mix.z) > _PARALLEL_FROM else sample_density
-    sums(z, mix.z, mix.mass, mix.h, mix.index, mix.kernel, out)
+    sums(z, mix.z, mix.mass, mix.h, mix.index, mix.kernel.pair, out)
     return out

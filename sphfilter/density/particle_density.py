@@ -153,20 +153,19 @@ class ParticleDensity:
         return len(self.x)
 
     @property
-    def kernel_code(self) -> tuple[int, float]:
-        """The kernel as compiled functions take it: its code and its constant C_n."""
-        code = kernels.KINDS.index(self.kernel)
-        return code, kernels.normalisation(code, self.dim)
+    def sph_kernel(self) -> kernels.Kernel:
+        """The kernel in numbers."""
+        return kernels.Kernel.of(self.kernel, self.dim)
 
     @property
     def kernel_variance(self) -> float:
         """c_K: the variance of one kernel is c_K h² along each axis."""
-        return kernels.kernel_variance(self.kernel_code[0], self.dim)
+        return self.sph_kernel.variance
 
     @property
     def mean_support(self) -> float:
         """K h averaged over the particles: how far a kernel reaches, in the units of the state."""
-        return float(kernels.RADIUS[self.kernel_code[0]] * self.h.mean())
+        return float(self.sph_kernel.radius * self.h.mean())
 
     @cached_property
     def shape(self) -> Shape:
@@ -179,7 +178,7 @@ class ParticleDensity:
             shape: Kernels | Polynomials = Polynomials(self.field, self.x, self.mass, self.moments)
         else:
             kind = "points" if kind == "log_density" else kind
-            shape = Kernels(self.x, self.mass, self.h, self.kernel_code, kind)
+            shape = Kernels(self.x, self.mass, self.h, self.sph_kernel, kind)
         return shape if self.domain is None else Folded(shape, self.domain)
 
     @property

@@ -178,7 +178,7 @@ def _product(
     density: ParticleDensity, log_weight: OfStates, lattice: Lattice, log_scale: float | None = None
 ) -> Product:
     """Interpolated density (16) times the weight on a lattice (002 (58)-(59))."""
-    values = lattice.density_of(density.x, density.mass, density.h, density.kernel_code)
+    values = lattice.density_of(density.x, density.mass, density.h, density.sph_kernel)
     log_w = log_weight(lattice.nodes)
     if log_scale is None:
         log_scale = log_w[values > 0].max(initial=-np.inf)

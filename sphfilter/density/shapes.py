@@ -15,7 +15,7 @@ from scipy import optimize, special
 
 from .._types import Floats, Ints
 from ..core.field.field import Field
-from ..core.sph import kernels
+from ..core.sph.kernels import Kernel
 from ..lattice import field as lattice_field
 from ..lattice.level_set import Laid
 from ..model.domain import Domain
@@ -72,7 +72,7 @@ class Kernels:
     x: Floats  # (N, n)
     mass: Floats  # (N,)
     h: Floats  # (N,)
-    kernel: tuple[int, float]  # code and C_n
+    kernel: Kernel
     kind: str
     images: mixture.Mixture | None = field(default=None, repr=False)  # with those that stand beyond ends
 
@@ -91,7 +91,7 @@ class Kernels:
         """Variance along each axis by which the covariance exceeds that of the points."""
         if self.kind != "mixture":
             return 0.0
-        return kernels.kernel_variance(self.kernel[0], self.x.shape[1]) * (self.mass @ self.h**2)
+        return float(self.kernel.variance * (self.mass @ self.h**2))
 
     def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,)."""
@@ -119,14 +119,14 @@ class Kernels:
         """Particles for "points"; else `count` states a kernel, spread evenly, always the same ones."""
         if self.kind == "points":
             return self.x, self.mass
-        offsets = mixture.standing_for(self.kernel[0], self.x.shape[1], count)
+        offsets = mixture.standing_for(self.kernel.kind, self.x.shape[1], count)
         X = mixture.points(self.mixture, offsets, slice(len(self.x)))  # images are seen, but carry nothing
         return X, np.repeat(self.mass / count, count)
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
         chosen = rng.choice(len(self.x), size=size, p=self.mass)
-        offsets = mixture.drawn(self.kernel[0], rng.random((size, self.x.shape[1] + 1)))
+        offsets = mixture.drawn(self.kernel.kind, rng.random((size, self.x.shape[1] + 1)))
         return mixture.points(self.mixture, offsets, chosen)
 
     def raw_moment(self, powers: Ints, centre: Floats) -> float | None:
@@ -142,12 +142,12 @@ class Kernels:
         """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
         mix = self.mixture
         width = mix.factor[0, 0] * mix.h
-        middle, reach = mix.centre + mix.factor[0, 0] * mix.z[:, 0], kernels.RADIUS[mix.kernel[0]] * width
+        middle, reach = mix.centre + mix.factor[0, 0] * mix.z[:, 0], mix.kernel.radius * width
         return middle - reach, middle + reach, width
 
     def around(self, domain: Domain) -> "Kernels":
         """The same kernels with their images beyond the ends of a domain."""
-        reach = kernels.RADIUS[self.kernel[0]] * self.h.max()
+        reach = self.kernel.radius * self.h.max()
         seen = domain.seen(domain.fold(self.x), self.mass, self.h, reach)
         return replace(self, images=mixture.mixture(*seen, self.kernel))
 

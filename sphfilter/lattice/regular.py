@@ -10,7 +10,7 @@ from scipy import optimize, sparse
 
 from .._types import Bools, Floats, Ints
 from ..config import PaperScheme
-from ..core.sph.kernels import KINDS, RADIUS, normalisation, shape
+from ..core.sph.kernels import Kernel, shape
 from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
 from ..core.sph.summation import deposit
 from ..errors import ModelError
@@ -82,12 +82,12 @@ class Lattice:
         """The interstitial lattice: half a cell off along every axis, inscribed (002 4.6.1)."""
         return replace(self, origin=self.origin + 0.5 * self.spacing, dims=self.dims - 1)
 
-    def density_of(self, x: Floats, mass: Floats, h: Floats, kernel: tuple[int, float]) -> Floats:
+    def density_of(self, x: Floats, mass: Floats, h: Floats, kernel: Kernel) -> Floats:
         """Mixture density of particles at every node, shape (M,)."""
         out = np.empty(int(np.prod(self.dims)))
         if self.domain is not None:
-            x, mass, h = self.domain.seen(x, mass, h, RADIUS[kernel[0]] * h.max())
-        deposit(self.origin, self.spacing, self.dims, x, mass, h, kernel, out)
+            x, mass, h = self.domain.seen(x, mass, h, kernel.radius * h.max())
+        deposit(self.origin, self.spacing, self.dims, x, mass, h, kernel.pair, out)
         return out
 
 
@@ -233,15 +233,14 @@ def fit_support(
         Nodes that count.
     scheme : PaperScheme
     """
-    kind = KINDS.index(scheme.kernel)
-    kernel = (kind, normalisation(kind, len(lattice.dims)))
+    kernel = Kernel.of(scheme.kernel, len(lattice.dims))
     dx = lattice.cell_volume ** (1.0 / len(lattice.dims))
     x, m = lattice.nodes[mass > 0], mass[mass > 0]
     between = lattice.half_shifted()
     supports = np.linspace(*scheme.support_range, scheme.support_steps)
     squares = np.empty((2, len(supports)))
     for k, support in enumerate(supports):
-        h = np.full(len(x), support * dx / RADIUS[kind])
+        h = np.full(len(x), support * dx / kernel.radius)
         off = lattice.density_of(x, m, h, kernel) - target
         off_between = between.density_of(x, m, h, kernel) - target_between
         squares[:, k] = (off[interior] ** 2).sum(), (off_between[interior_between] ** 2).sum()
@@ -249,7 +248,7 @@ def fit_support(
     both = np.sqrt(squares.sum(axis=0) / counts.sum())
     best = supports[np.argmin(both)]
     own, shifted = np.sqrt(squares / counts[:, None])
-    return SupportFit(best * dx / RADIUS[kind], supports, own, shifted, both)
+    return SupportFit(best * dx / kernel.radius, supports, own, shifted, both)
 
 
 def heaviest(values: Floats, share: float) -> Bools:
@@ -262,13 +261,13 @@ def heaviest(values: Floats, share: float) -> Bools:
 
 def collocation_masses(x: Floats, h: float, target: Floats, kernel_name: str) -> Floats | None:
     """Masses whose mixture takes the target values at the particles (002 (48)); None if any is negative."""
-    kind, n = KINDS.index(kernel_name), x.shape[1]
-    support = np.full(len(x), RADIUS[kind] * h)
+    kernel, n = Kernel.of(kernel_name, x.shape[1]), x.shape[1]
+    support = np.full(len(x), kernel.radius * h)
     index = build_index(x, support[0], choose_method(len(x), n))
     start, neighbors = neighbor_lists(x, support, support.copy(), 0, index)
     rows = np.repeat(np.arange(len(x)), np.diff(start))
     r = np.linalg.norm(x[rows] - x[neighbors], axis=1)
-    weights = np.array([shape(kind, q) for q in np.append(r / h, 0.0)]) * normalisation(kind, n) / h**n
+    weights = np.array([shape(kernel.kind, q) for q in np.append(r / h, 0.0)]) * kernel.constant / h**n
     matrix = sparse.csc_array((weights[:-1], (rows, neighbors)), shape=(len(x), len(x)))
     mass = sparse.linalg.spsolve(matrix + weights[-1] * sparse.eye_array(len(x), format="csc"), target)
     return mass if np.all(np.isfinite(mass)) and mass.min() >= 0.0 else None

@@ -11,7 +11,7 @@ from ..core._jit import start_threads
 from ..core._records import packed
 from ..core.corrected import march as core
 from ..core.corrected.moment_correction import exponents
-from ..core.sph.kernels import KINDS, RADIUS, kernel_variance, normalisation
+from ..core.sph.kernels import Kernel
 from ..density.affine import uncut
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
@@ -159,13 +159,13 @@ def _degree(density: ParticleDensity, scheme: CorrectedScheme) -> int:
 
 
 def _options(density: ParticleDensity, model: SDE, t1: float, scheme: CorrectedScheme) -> np.record:
-    kind, n = KINDS.index(scheme.kernel), density.dim
+    kernel = Kernel.of(scheme.kernel, density.dim)
     numbers = core.Options(
-        kernel=kind,
-        normalisation=normalisation(kind, n),
-        eta=scheme.support / RADIUS[kind],
+        kernel=kernel.kind,
+        normalisation=kernel.constant,
+        eta=scheme.support / kernel.radius,
         degree=_degree(density, scheme),
-        variance=kernel_variance(kind, n),
+        variance=kernel.variance,
         tol=scheme.tol,
         dt_max=math.inf if model.autonomous else (t1 - density.t) / _TIME_SLICES,
         pause_after=_PAUSE_AFTER,

@@ -155,16 +155,16 @@ def _runs_away(model: SDE, density: ParticleDensity, state: Floats, t1: float) -
 def _options(
     scheme: PaperScheme, density: ParticleDensity, dt_max: float, up_to_date: bool, steps_left: int
 ) -> core.Options:
-    kind, constant = density.kernel_code
+    kernel = density.sph_kernel
     n, N = density.dim, density.n_particles
     buffer = scheme.buffer_neighbors or BUFFER_NEIGHBORS.get(n, 110)
     buffer = min(buffer, N - 1) if scheme.bypass else 0
     fixed = scheme.cfl == "fixed"
     search = choose_method(N, n) if scheme.search == "auto" else METHODS.index(scheme.search)
     return core.Options(
-        kernel=kind,
-        normalisation=constant,
-        kernel_variance=density.kernel_variance,
+        kernel=kernel.kind,
+        normalisation=kernel.constant,
+        kernel_variance=kernel.variance,
         smoothing=SMOOTHING.index(scheme.smoothing),
         smoothing_tolerance=scheme.smoothing_tolerance,
         smoothing_iterations=scheme.smoothing_iterations,

@@ -360,7 +360,7 @@ def test_tails_beyond_the_cut_of_a_lattice(reach):
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_moments_of_one_kernel(kernel, n):
     one = sf.ParticleDensity(x=np.zeros((1, n)), mass=[1.0], h=[0.7], kernel=kernel, read_out="mixture")
-    code, reach = one.kernel_code[0], kernels.RADIUS[kernels.KINDS.index(kernel)]
+    code, reach = one.sph_kernel.kind, kernels.RADIUS[kernels.KINDS.index(kernel)]
 
     def radial(power):
         pieces = itertools.pairwise(np.arange(reach + 1))

@@ -83,7 +83,7 @@ def test_a_uniform_ring_has_the_density_of_the_ring_and_no_support_beyond_half_o
         x=x, mass=np.full(10, 0.1), h=np.full(10, 2.0), kernel="gaussian", domain=domain
     )
     end, _ = sf.predict(ring, model, 0.1, SUMS)
-    assert kernels.RADIUS[end.kernel_code[0]] * end.h.max() <= 0.5 + 1e-12
+    assert end.sph_kernel.radius * end.h.max() <= 0.5 + 1e-12
     assert end.pdf(np.linspace(0, 1, 7)[:, None]) == pytest.approx(1.0, rel=1e-3)
 
 

@@ -7,12 +7,13 @@ at K = 3, integrates to one; 002 (27) leaves the constant of the uncut Gaussian 
 
 import math
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from .._jit import jit
 
-__all__ = ["KINDS", "RADIUS", "kernel_variance", "normalisation", "shape", "slope"]
+__all__ = ["KINDS", "RADIUS", "Kernel", "kernel_variance", "normalisation", "shape", "slope"]
 
 #: Kernel names; the position of a name is its integer code in compiled functions.
 KINDS = ("gaussian", "lucy", "cubic", "wendland_c2", "wendland_c4")
@@ -76,3 +77,23 @@ def normalisation(kind, n):
 def kernel_variance(kind, n):
     """c_K: the variance of the kernel along each axis is c_K h^2."""
     return float(_radial_moment(kind, n + 1) / (n * _radial_moment(kind, n - 1)))
+
+
+class Kernel(NamedTuple):
+    """A kernel in n dimensions, in numbers; compiled sums take its `pair`."""
+
+    kind: int  # its place in `KINDS`
+    constant: float  # C_n
+    radius: float  # K, in units of h
+    variance: float  # c_K, in units of h^2 along each axis
+
+    @classmethod
+    def of(cls, name: str, n: int) -> "Kernel":
+        """The kernel of a name."""
+        kind = KINDS.index(name)
+        return cls(kind, normalisation(kind, n), float(RADIUS[kind]), kernel_variance(kind, n))
+
+    @property
+    def pair(self) -> tuple[int, float]:
+        """Code and constant."""
+        return self.kind, self.constant
