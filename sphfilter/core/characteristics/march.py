@@ -47,10 +47,26 @@ class Entries(NamedTuple):
 
 @jit
 def march(entries, noise, field, sten, paths, control, times, state, counters):
-    """Carry a field from times[0] to times[1]; times[0], `state` and the counters are kept up to date.
+    """Carry a field from times[0] to times[1].
 
-    Returns the field, its states and masses, their mean and covariance, and a code of `STATUS`. On failure
-    they are as far as they came.
+    Parameters
+    ----------
+    entries : Entries
+    noise : Noise
+    field : Field
+    sten : Stencils
+    paths : Paths
+    control : Control
+    times : ndarray, shape (2,)
+        Seconds; times[0] is kept up to date.
+    state, counters : ndarray
+        As `control` names them; kept up to date.
+
+    Returns
+    -------
+    tuple
+        The field, its states and masses, their mean and covariance, and a code of `STATUS`. On failure they
+        are as far as they came.
     """
     drift, divergence = function_at(entries.drift), function_at(entries.divergence)
     diffusion, back = function_at(entries.diffusion), back_at(entries.back)

@@ -64,8 +64,26 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
 
     Noise displaces them on the way, by u straight + 6 u (1 - u) bend after a part u of the time. Such a path
     leaves a bridge of the noise: drift and divergence are averaged over it, along `blur`.
-    `f1` and `d1` are drift and divergence at the start; `action`, shape (M,), takes the integral of the
-    divergence unless that is None.
+
+    Parameters
+    ----------
+    drift, divergence : function
+        Of signature `BATCH`; the divergence may be None.
+    noise : Noise
+    x : ndarray, shape (M, n)
+        States where the paths start.
+    f1 : ndarray, shape (M, n)
+    d1 : ndarray, shape (M, 1)
+        Drift and divergence there.
+    t, h : float
+        Seconds.
+    parts : int
+    pull : Pull
+        How noise displaces each path.
+    end : ndarray, shape (M, n), written
+        States where the paths end.
+    action : ndarray, shape (M,), written
+        Integral of the divergence along each path, unless the divergence is None.
     """
     M, n = x.shape
     y, z, f, step = np.empty((M, n)), x.copy(), f1.copy(), h / parts

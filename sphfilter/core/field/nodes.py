@@ -20,6 +20,22 @@ def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
     Mean, covariance and the integral are sums over all cells that were asked for, the ring just below the
     depth included: what the cut would take away from them is below rounding of what the lattice resolves.
 
+    Parameters
+    ----------
+    value : ndarray, shape (cells,)
+        log p of the box's cells, `UNKNOWN` where it was not asked for.
+    low, dims : ndarray of int, shape (n,)
+        Lowest cell of the box, and its size along every axis.
+    highest : float
+        Largest value.
+    cells : ndarray of int
+        Flat numbers of the cells that were asked for.
+    mu, A : ndarray, shapes (n,) and (n, n)
+        Origin and vectors of the lattice.
+    sten : Stencils
+    depth : float
+        log p of the lightest nodes below the highest.
+
     Returns
     -------
     node (N, n), x (N, n), log_p (N,), m (N,), log of the integral, mean (n,), covariance (n, n)

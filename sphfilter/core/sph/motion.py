@@ -40,7 +40,19 @@ def velocity(equations, t, cloud, work, v):
 
 @jit
 def evaluate(density, equations, t, cloud, near, work, options, v):
-    """Density, gradient and velocity v (N, n) of the particles at time t; `density` by its address."""
+    """Density, gradient and velocity of the particles at a time.
+
+    Parameters
+    ----------
+    density : ADDRESS
+        Of `DENSITY`.
+    equations : Equations
+    t : float
+        Seconds.
+    cloud, near, work, options
+        As the march holds them; densities and gradients are written.
+    v : ndarray, shape (N, n), written
+    """
     density_at(density)(cloud, near, work, options)
     velocity(equations, t, cloud, work, v)
 
@@ -49,10 +61,25 @@ def evaluate(density, equations, t, cloud, near, work, options, v):
 def stable_step(cloud, v, near, work, options):
     """Step size of 002 (18), absolute or relative to the nearest neighbour, within the diffusion limit.
 
-    v are the velocities of the particles and, after them, of their images.
+    The diffusion limit is that of an explicit step on kernels of variance c_K h^2 (unstable from about
+    2.7 c_K h^2 / D on).
 
-    Returns (dt, the particle that limits it); dt is NaN where a velocity is not finite. The diffusion limit
-    is that of an explicit step on kernels of variance c_K h^2 (unstable from about 2.7 c_K h^2 / D on).
+    Parameters
+    ----------
+    cloud : Cloud
+    v : ndarray, shape (N + G, n)
+        Velocities of the particles and, after them, of their images.
+    near : Near
+    work : Work
+        With D as it is now.
+    options : record
+
+    Returns
+    -------
+    dt : float
+        Seconds; NaN where a velocity is not finite.
+    int
+        The particle that limits it.
     """
     (start, neighbors), r, D = near.lists, near.r, work.D
     N, n = cloud.x.shape
@@ -91,9 +118,24 @@ def _displace(x, x0, dt, v):
 
 @jit
 def move(density, equations, t, dt, cloud, near, work, options):
-    """One Euler, midpoint or RK4 step; `work.v` holds the velocity at (t, x). Returns evaluations made.
+    """One Euler, midpoint or RK4 step from time t over dt seconds.
 
     Smoothing lengths stay as they are within a step. 001 (29) prints the midpoint rule as "leapfrog".
+
+    Parameters
+    ----------
+    density, equations, near, options
+        As `evaluate` takes them.
+    t, dt : float
+    cloud : Cloud
+        Its x is moved.
+    work : Work
+        Its v holds the velocity at the start.
+
+    Returns
+    -------
+    int
+        Evaluations made.
     """
     x, v = cloud.x, work.v
     if options.integrator == EULER:
