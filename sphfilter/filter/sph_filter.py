@@ -19,7 +19,7 @@ from ..density.weighted import WeightedStates
 from ..errors import ModelError
 from ..info import PredictInfo, UpdateInfo
 from ..model.compile import StateFunction
-from ..model.measurements import Sensor
+from ..model.measurements import Sensor, read_by
 from ..model.sde import SDE
 from ..prediction.again import Outcome, predict_from_finer
 from ..prediction.predict import Prediction, predict
@@ -250,7 +250,7 @@ class SPHFilter(Shown):
         if R is not None and measurement is not None:
             raise ModelError("give R= or another sensor, not both")
         measurement = sensor_of(self.measurement, measurement if R is None else R, H, self.model)
-        state, seen = self._state, measurement.reading(z).seen.any()
+        state, seen = self._state, read_by(measurement, z).seen.any()
         prediction = state.origin if isinstance(state.origin, Prediction) else Prediction()
         self._budget.begin()
         options: dict[str, Any] = {"n_particles": self._most(), "fits": self._budget.fits}

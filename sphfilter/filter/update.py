@@ -12,7 +12,7 @@ from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import UpdateInfo
 from ..lattice.field import extrapolated_mass
-from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
+from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian, read_by
 from .acceptance import Acceptance, test_measurement
 
 __all__ = ["predicted_reading", "update"]
@@ -87,7 +87,7 @@ class _Asked(NamedTuple):
     @classmethod
     def of(cls, density: ParticleDensity, measurement: Sensor, z: ArrayLike | None) -> "_Asked":
         """A measurement z asked of a density."""
-        reading = measurement.reading(z)
+        reading = read_by(measurement, z)
         off = _innovation(density, measurement, reading) if reading.seen.any() else (None, None)
         return cls(measurement, reading, density.t, *off)
 

@@ -14,7 +14,7 @@ from ..errors import ModelError
 from .compile import StateFunction, compile_rows, probe
 
 __all__ = ["GaussianMeasurement", "GaussianSensor", "LikelihoodMeasurement", "Reading", "Sensor",
-           "is_gaussian"]  # fmt: skip
+           "is_gaussian", "read_by"]  # fmt: skip
 
 #: loglik(z, X, t) → (N,), and sample(X, t, rng) → (N, k).
 LogLikelihood: TypeAlias = Callable[[Floats, Floats, float], ArrayLike]
@@ -97,6 +97,14 @@ class GaussianSensor(Sensor, Protocol):
 def is_gaussian(sensor: Sensor) -> TypeGuard[GaussianSensor]:
     """Whether a sensor has a noise covariance."""
     return sensor.noise_cov is not None
+
+
+def read_by(sensor: Any, z: ArrayLike | None) -> Reading:
+    """What a sensor makes of a measurement; one of a user's own may only say which components came."""
+    if hasattr(sensor, "reading"):
+        return sensor.reading(z)
+    seen = np.asarray(sensor.observed(z), dtype=bool)
+    return Reading(np.full(len(seen), np.nan) if z is None else np.array(z, dtype=float, ndmin=1), seen)
 
 
 class GaussianMeasurement:

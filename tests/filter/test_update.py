@@ -269,3 +269,28 @@ def test_too_few_particles_for_a_lattice(config, message):
     density = sf.initialize(sf.Gaussian(np.zeros(4), np.eye(4)), 3000, config)
     with pytest.raises(sf.PropagationError, match=message):
         sf.resample(density, 8, config)
+
+
+class Scale:
+    """A sensor of one's own: what components came, and a likelihood."""
+
+    H = noise_cov = directly_observed = None
+    angles = ()
+
+    def observed(self, z):
+        return np.isfinite(np.atleast_1d(np.nan if z is None else z))
+
+    def log_likelihood(self, z, X, t=0.0):
+        return stats.norm.logpdf(np.atleast_1d(z)[0], X[:, 0], 0.5)
+
+
+def test_a_sensor_of_ones_own_is_asked_which_components_came():
+    flt = sf.SPHFilter(sf.LinearSDE([[-1.0]], noise=[[1.0]]), Scale(), [0.0], [[1.0]], n_particles=100)
+    known = sf.SPHFilter(
+        flt.model, sf.GaussianMeasurement([[1.0]], [[0.25]]), [0.0], [[1.0]], n_particles=100
+    )
+    for z in (0.4, None, -0.3):
+        info = flt.update(z)
+        assert info.log_evidence == pytest.approx(known.update(z).log_evidence, abs=1e-9)
+        assert flt.x == pytest.approx(known.x, abs=1e-9)
+    assert flt.z == [-0.3]
