@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
@@ -13,16 +12,11 @@ from .._types import Floats, Ints, OfStates
 from ..core.field import cells
 from ..core.field.field import Field
 from ..core.field.stencils import stencils
-from ..core.sph import kernels
 from ..lattice import field as lattice_field
 from ..lattice.flood import flood
 from ..lattice.level_set import Laid, lay
-from .mixture import narrowed
 
-if TYPE_CHECKING:
-    from .shapes import Kernels, Polynomials
-
-__all__ = ["around", "laid_marginal", "projected_lengths"]
+__all__ = ["around", "laid_marginal"]
 
 _FURTHER = 11.0  # nats below the cut of a lattice to which its tails are summed
 _RINGS = 2  # of cells beyond its nodes that a density has in planes through it
@@ -48,8 +42,8 @@ def around(field: Field) -> Floats:
     return cells.states_of(kept, field.mu, field.A, found.low, found.dims)[1]
 
 
-def laid_marginal(shape: "Polynomials", axes: Sequence[int]) -> Laid:
-    """The density of some axes of `Polynomials`, on a lattice.
+def laid_marginal(field: Field, x: Floats, mass: Floats, axes: Sequence[int]) -> Laid:
+    """The density of some axes of a field, on a lattice.
 
     In coordinates that whiten the field's lattice, those axes first, the states with given values there fill
     planes; sums over the points of a lattice in such a plane are spectrally accurate, as those over the
@@ -57,26 +51,23 @@ def laid_marginal(shape: "Polynomials", axes: Sequence[int]) -> Laid:
 
     Parameters
     ----------
-    shape : Polynomials
+    field : Field
+    x, mass : ndarray, shape (N, n), (N,)
+        States and masses of its nodes.
     axes : list of int, length k
 
     Returns
     -------
     Laid
     """
-    field, x, k = shape.field, shape.x, len(axes)
-    order = np.array([*axes, *(axis for axis in range(x.shape[1]) if axis not in axes)])
+    k, order = len(axes), np.array([*axes, *(axis for axis in range(x.shape[1]) if axis not in axes)])
     factor = np.linalg.cholesky((field.A @ field.A.T)[np.ix_(order, order)])
     z = np.linalg.solve(factor, (x - field.mu)[:, order].T).T
     shadow = len(np.unique(np.floor(z[:, :k] + 0.5), axis=0))
     n_nodes = max(_FEWEST.get(k, _FEWEST[3]), math.ceil(_FINER**k * shadow))
-    mean, own = (shape.mass @ x)[axes], np.ascontiguousarray(factor[:k, :k])
+    mean, own = (mass @ x)[axes], np.ascontiguousarray(factor[:k, :k])
     seeds, depth = np.unique(x[:, axes], axis=0), np.ptp(field.log_p)
-    laid = lay(_summed(field, order, factor, z[:, k:]), mean, own, seeds, n_nodes, depth, float(shadow))
-    if shape.moments is None:
-        return laid
-    mean, cov = shape.moments  # beyond the cut too
-    return laid._replace(mean=mean[axes], cov=cov[np.ix_(axes, axes)])
+    return lay(_summed(field, order, factor, z[:, k:]), mean, own, seeds, n_nodes, depth, float(shadow))
 
 
 def _summed(field: Field, order: Ints, factor: Floats, others: Floats) -> OfStates:
@@ -104,15 +95,6 @@ def _summed(field: Field, order: Ints, factor: Floats, others: Floats) -> OfStat
         return out + log_cell
 
     return log_p
-
-
-def projected_lengths(shape: "Kernels", axes: Sequence[int]) -> Floats:
-    """Smoothing lengths (N,) with which `Kernels` seen along some axes have the variance they have there."""
-    kernel = shape.kernel
-    ratio = math.sqrt(kernel.variance / kernels.kernel_variance(kernel.kind, len(axes)))
-    if shape.kind == "shrunk":
-        ratio *= narrowed(shape.mixture, axes)
-    return ratio * shape.h
 
 
 def _plane(z: Floats) -> tuple[Floats, float]:

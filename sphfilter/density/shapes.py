@@ -5,6 +5,7 @@ covariance; weighted states that stand for it; samples; marginals; where it ends
 and return arrays without checking them.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +16,7 @@ from scipy import optimize, special
 
 from .._types import Floats, Ints
 from ..core.field.field import Field
-from ..core.sph.kernels import Kernel
+from ..core.sph.kernels import Kernel, kernel_variance
 from ..lattice import field as lattice_field
 from ..lattice.level_set import Laid
 from ..model.domain import Domain
@@ -135,8 +136,10 @@ class Kernels:
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: the same kernel, with its variance there."""
-        h = marginal.projected_lengths(self, axes)
-        return {"x": self.x[:, axes], "mass": self.mass, "h": h, "read_out": self.kind}
+        ratio = math.sqrt(self.kernel.variance / kernel_variance(self.kernel.kind, len(axes)))
+        if self.kind == "shrunk":
+            ratio *= mixture.narrowed(self.mixture, axes)
+        return {"x": self.x[:, axes], "mass": self.mass, "h": ratio * self.h, "read_out": self.kind}
 
     def ends(self) -> tuple[Floats, Floats, Floats]:
         """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
@@ -217,7 +220,11 @@ class Polynomials:
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: summed over the others, on a lattice of its own."""
-        return lattice_particles(marginal.laid_marginal(self, axes))
+        laid = marginal.laid_marginal(self.field, self.x, self.mass, axes)
+        if self.moments is not None:
+            mean, cov = self.moments  # beyond the cut too
+            laid = laid._replace(mean=mean[axes], cov=cov[np.ix_(axes, axes)])
+        return lattice_particles(laid)
 
     def ends(self) -> tuple[Floats, Floats, Floats]:
         """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
