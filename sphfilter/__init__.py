@@ -1,4 +1,15 @@
-"""Bayes filters that carry the probability density itself, solved with smoothed particle hydrodynamics."""
+"""Bayes filters that carry the probability density itself, solved with smoothed particle hydrodynamics.
+
+The rooms, from what is given to what is made of it; each imports only from those before it:
+
+core         compiled: kernel sums (sph, corrected), log-densities on lattices (field, characteristics)
+model        equations, sensors, where states live, simulated truths
+lattice      where particles lie
+density      what a filter carries
+prediction   how it is carried; beside it consistency: is a filter as good as it says?
+filter       Bayes' rule and the loop
+inference    whole records; beside it campaign, many runs, and adapters, other toolkits
+"""
 
 from . import consistency
 from ._version import __version__
