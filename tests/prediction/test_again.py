@@ -1,0 +1,53 @@
+"""Steps made again on more particles: which rungs a ladder has, and what infos of several steps say."""
+
+import pytest
+
+import sphfilter as sf
+from sphfilter.errors import PropagationError
+from sphfilter.prediction.again import Ladder
+
+
+def test_rungs_are_as_many_particles_as_may_be():
+    assert [rung.n_particles for rung in Ladder((3, 9, 27), most=5000).rungs(200)] == [600, 1800]
+    assert [(rung.level, rung.deeper) for rung in Ladder(deeper=0.5).rungs(10)] == [(1, 0.5), (2, 1.0)]
+
+
+@pytest.mark.parametrize(("dim", "times"), [(1, (3,)), (2, (3, 9)), (3, (3, 9, 27))])
+def test_no_rung_is_finer_than_a_lattice_allows_nor_tried_twice(dim, times):
+    assert Ladder((3, 9, 27)).within(dim).times == times
+
+
+def test_rungs_that_reach_deeper_are_tried_on_as_many_particles():
+    assert Ladder((3, 9), deeper=0.7).within(1).times == (3, 3)
+
+
+def test_the_first_rung_that_holds_is_taken():
+    tried = []
+
+    def attempt(rung):
+        tried.append(rung.times)
+        if rung.times < 9:
+            raise PropagationError("too few")
+        return "held"
+
+    rung, found = Ladder((3, 9, 27)).climbed(100, attempt)
+    assert (rung.times, found, tried) == (9, "held", [3, 9])
+    assert Ladder((3,)).climbed(100, attempt) is None
+
+
+def test_errors_that_no_number_of_particles_cures_come_through():
+    def defect(rung):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        Ladder().climbed(100, defect)
+
+
+def test_infos_of_several_steps_say_all_that_was_unusual():
+    usual = sf.PredictInfo(scheme="log_density")
+    finer = usual.marked(sf.Code.FINER, "on 3 times the particles")
+    other = usual.marked(sf.Code.FALLBACK, "not log_density: edges")
+    joined = sf.PredictInfo.joined([usual, finer, other])
+    assert joined.code == sf.Code.FINER | sf.Code.FALLBACK
+    assert joined.status == "on 3 times the particles; not log_density: edges"
+    assert sf.PredictInfo.joined([usual, usual]).code == sf.Code.OK
