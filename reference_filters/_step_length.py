@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from sphfilter.core._jit import jit
-from sphfilter.core.sde_steps import root_noise, root_now, spread
+from sphfilter.core.sde_steps import root_noise, root_now, scaled_noise
 
 __all__ = ["BIAS_PER_ERROR", "PLATEN", "SHIFTED_PATH", "SPLIT", "step_length"]
 
@@ -125,7 +125,7 @@ def _additive_trial(x, t, h, functions, p, L, work):
     (N, n), m = x.shape, L.shape[0]
     g, sigma = np.empty((1, n * m)), np.empty((n, m))
     root_now(noise, x, t, p, L, g, sigma)
-    spread(sigma, _signs(m, N), slope)
+    scaled_noise(sigma, _signs(m, N), slope)
     X, Y, S = x.reshape(-1), y.reshape(-1), slope.reshape(-1)
     C, M, B, root = change.reshape(-1), moved.reshape(-1), bend.reshape(-1), 1.0 / np.sqrt(h)
     drift(x, t, p, bend)

@@ -13,8 +13,14 @@ from numba import types
 from ._jit import BATCH_FUNCTION, jit, jit_for
 
 __all__ = [
-    "normals_per_step", "platen_steps", "root_noise", "root_now", "shifted_path_steps", "split_steps",
-    "spread", "steps",
+    "normals_per_step",
+    "platen_steps",
+    "root_noise",
+    "root_now",
+    "scaled_noise",
+    "shifted_path_steps",
+    "split_steps",
+    "steps",
 ]  # fmt: skip
 
 _SIGNATURE = types.void(
@@ -64,7 +70,7 @@ def root_now(noise, x, t, p, L, g, sigma):
 
 
 @jit
-def spread(sigma, w, out):
+def scaled_noise(sigma, w, out):
     """Fill σ w_i at every path: w (m, N), out (N, n)."""
     N = out.shape[0]
     for a in range(out.shape[1]):
@@ -105,7 +111,7 @@ def _runge_kutta(x, t, dt, drift, p, slopes, work):
 @jit
 def _jump(sigma, w, work, x):
     """Add σ w_i to every path, w (m, N)."""
-    spread(sigma, w, work[0])
+    scaled_noise(sigma, w, work[0])
     X, change = x.reshape(-1), work[0].reshape(-1)
     for i in range(X.size):
         X[i] += change[i]
@@ -147,12 +153,12 @@ def shifted_path_steps(x, t0, dt, drift, noise, p, L, normals):
             root_now(noise, x, t + 0.5 * i * dt, p, L, g, sigma[i])
         _draw_path(normals[s], dt, path)
         _jump(sigma[0], path[0], work, x)
-        spread(sigma[0], path[1], slopes[0])
+        scaled_noise(sigma[0], path[1], slopes[0])
         middle = end = slopes[0]
         if np.any(sigma[1] != sigma[0]) or np.any(sigma[2] != sigma[0]):
             middle, end = slopes[1], slopes[2]
-            spread(sigma[1], path[1], middle)
-            spread(sigma[2], path[1], end)
+            scaled_noise(sigma[1], path[1], middle)
+            scaled_noise(sigma[2], path[1], end)
         _runge_kutta(x, t, dt, drift, p, (slopes[0], middle, end), work)
         _jump(sigma[2], path[2], work, x)
 

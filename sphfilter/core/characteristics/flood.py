@@ -9,11 +9,11 @@ from .._jit import MATRIX, VECTOR, jit
 from ..field.cells import (
     MOST_CELLS,
     UNKNOWN,
+    cells_in,
     filled,
     frontier,
     furthest,
     joined,
-    product,
     seeded,
     seeds_in_box,
     states_of,
@@ -92,9 +92,9 @@ def flooded(back, step, mu, A, points, control, counters):
     ball = step.sten.offsets[: step.sten.size[0]]
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     cells = seeds_in_box(points, mu, invert_lower(A), furthest(n), low, dims)
-    if product(dims) > MOST_CELLS:
+    if cells_in(dims) > MOST_CELLS:
         return np.empty(0), low, dims, 0.0, np.empty(0, np.int64)
-    value, asked = filled(int(product(dims)), UNKNOWN), np.empty(0, np.int64)
+    value, asked = filled(int(cells_in(dims)), UNKNOWN), np.empty(0, np.int64)
     found, highest = seeded(cells, low, dims), -np.inf
     while found.size > 0:
         _, Y = states_of(found, mu, A, low, dims)

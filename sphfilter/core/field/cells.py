@@ -12,6 +12,7 @@ __all__ = [
     "MOST_CELLS",
     "UNKNOWN",
     "box_of",
+    "cells_in",
     "filled",
     "frontier",
     "furthest",
@@ -20,7 +21,6 @@ __all__ = [
     "joined",
     "marked",
     "opened",
-    "product",
     "seeded",
     "seeds_in_box",
     "states_of",
@@ -36,11 +36,11 @@ MOST_CELLS = 20_000_000
 
 
 @jit
-def product(values):
-    """Product of numbers, as a float: it may be beyond any integer."""
+def cells_in(dims):
+    """Number of cells of a box, as a float: it may be beyond any integer."""
     total = 1.0
-    for k in range(values.size):
-        total *= values[k]
+    for k in range(dims.size):
+        total *= dims[k]
     return total
 
 
@@ -138,7 +138,7 @@ def box_of(cells, margin, low, dims):
 @jit
 def seeded(cells, low, dims):
     """Flat numbers of cells, each once."""
-    mark = np.zeros(int(product(dims)), np.bool_)
+    mark = np.zeros(int(cells_in(dims)), np.bool_)
     for i in range(cells.shape[0]):
         flat = 0
         for a in range(dims.size):
@@ -221,9 +221,9 @@ def widen(value, low, dims, asked):
     for a in range(n):
         grow[a] = max(dims[a] // 4, 2)
         new_low[a], new_dims[a] = low[a] - grow[a], dims[a] + 2 * grow[a]
-    if product(new_dims) > MOST_CELLS:
+    if cells_in(new_dims) > MOST_CELLS:
         return np.empty(0), new_low, new_dims, asked
-    new, moved = filled(int(product(new_dims)), UNKNOWN), np.empty(asked.size, np.int64)
+    new, moved = filled(int(cells_in(new_dims)), UNKNOWN), np.empty(asked.size, np.int64)
     for k in range(asked.size):
         rest, at, stride = asked[k], 0, 1
         for a in range(n - 1, -1, -1):

@@ -15,7 +15,7 @@ from numba import types
 from .._addresses import Entry
 from .._jit import MATRIX, VECTOR, jit
 from ..small_matrices import eigen, extremes, invert_lower
-from .cells import box_of, product, strides_of, unravel
+from .cells import box_of, cells_in, strides_of, unravel
 from .field import Field
 from .stencils import STENCILS
 from .trend import recentred, trend, value_at
@@ -36,7 +36,7 @@ def build_field(mu, A, node, log_p, sten):
     for k in range(ahead.size):
         for a in range(n):
             ahead[k] += sten.offsets[k, a] * strides[a]
-    index = _nobody(int(product(dims)))
+    index = _nobody(int(cells_in(dims)))
     flats = np.zeros(N, np.int64)
     for i in range(N):
         for a in range(n):
