@@ -35,12 +35,12 @@ def bar(console, text, total=None, left=False):
     Yields
     ------
     callable(done, total=None, text=None, found=False)
-        Moves the bar; what was `found` done took no time.
+        Moves the bar, with another text behind it; what was `found` done took no time.
     """
-    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
+    columns = [TextColumn(text), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     columns += [TextColumn("left"), TimeRemainingColumn()] if left else []
-    with Progress(*columns, console=console, transient=True) as shown:
-        task = shown.add_task(text, total=total)
+    with Progress(*columns, TextColumn("{task.description}"), console=console, transient=True) as shown:
+        task = shown.add_task("", total=total)
 
         def move(done, total=None, text=None, found=False):
             if found:
