@@ -33,8 +33,8 @@ class Factory:
 
 
 def _reference(kind, scenario, settings, case, rng):
-    """A filter that starts from the case's mean and covariance, and takes its settings by name."""
-    own = {} if settings is None else {f.name: getattr(settings, f.name) for f in fields(settings)}
+    """A filter that starts from the case's mean and covariance, and takes its settings by name, if any."""
+    own = {} if kind is KalmanFilter else {f.name: getattr(settings, f.name) for f in fields(settings)}
     own |= {"rng": rng} if kind is ParticleFilter else {}
     return kind(scenario.model, scenario.measurement, case.x0, case.P0, case.t0, **own)
 

@@ -189,7 +189,7 @@ def test_failure_of_a_competitor_is_a_row_of_its_own(tmp_path):
     method = methods(["pf"], scenario, counts=(100,))[0]
     assert measure(method, case, exact, [1], limit=0.0)["failure"].startswith("stopped at t = 0 s")
     broken = replace(method, factory=replace(method.factory, settings=None))
-    assert measure(broken, case, exact, [1], 10.0)["failure"].startswith("AttributeError")
+    assert measure(broken, case, exact, [1], 10.0)["failure"].startswith("TypeError")
 
 
 def test_a_watched_run_stops_at_its_limit():
