@@ -48,8 +48,10 @@ def velocity(model, density, X):
 
 def _smoothing_length(model, density, X):
     """Mean of h over the kernels that reach a point, by what they carry there."""
-    kernels = replace(density, read_out="mixture").mixture
-    X = X if density.domain is None else density.domain.fold(X)
+    shape = replace(density, read_out="mixture", domain=None).shape
+    if density.domain is not None:
+        shape, X = shape.around(density.domain), density.domain.fold(X)
+    kernels = shape.mixture
     p = mixture.pdf(kernels, X)
     total = mixture.pdf(kernels._replace(mass=kernels.mass * kernels.h), X)
     return np.divide(total, p, out=np.full(len(X), np.nan), where=p > 0)
