@@ -106,8 +106,7 @@ def _ahead(
     """λ (M,) at the states X (M, n) before a step of the noise."""
     drift, divergence = function_at(entries.drift), function_at(entries.divergence)
     response = aim_at(entries.aim)(drift, noise, field, centre, leg.t, leg.h, leg.parts)
-    way = leg.t, leg.h, leg.parts, leg.blurred
-    step = Step(drift, divergence, noise, field, sten, paths, response, *way)
+    step = Step(drift, divergence, noise, field, sten, paths, response, leg.t, leg.h, leg.parts, leg.blurred)
     out = np.empty(X.shape[0])
     back_at(entries.back)(step, X, -np.inf, out)
     return out
