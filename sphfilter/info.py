@@ -43,6 +43,9 @@ class _Marked:
     code: Code
     status: str
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "code", Code(self.code))  # files know it as a number
+
     def marked(self, code: Code, status: str) -> Self:
         """The info with another status, whose flags come to those it has."""
         return replace(self, code=self.code | code, status=status)  # type: ignore[type-var]
@@ -118,7 +121,7 @@ class PredictInfo(_Marked):
             skipped=tuple(dict.fromkeys(note for info in infos for note in info.skipped)),
             scheme=", ".join(dict.fromkeys(info.scheme for info in infos)),
             status="; ".join(dict.fromkeys(filter(None, statuses))) or "ok",
-            code=reduce(or_, (info.code for info in infos)),
+            code=reduce(or_, (info.code for info in infos), Code.OK),
         )
 
     @property

@@ -48,7 +48,7 @@ def velocity(model, density, X):
 
 def _smoothing_length(model, density, X):
     """Mean of h over the kernels that reach a point, by what they carry there."""
-    shape = replace(density, read_out="mixture", domain=None).shape
+    shape = replace(density, read_out="mixture", domain=None).form
     if density.domain is not None:
         shape, X = shape.around(density.domain), density.domain.fold(X)
     kernels = shape.mixture

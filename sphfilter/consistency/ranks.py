@@ -56,8 +56,8 @@ class Ranker:
     def before(self, filt: Ranked, z: ArrayLike | None, k: int) -> tuple[Floats, Floats, Floats]:
         """Return what `ranked_reading` tells of the next measurement, k numbers, in the prediction."""
         start, sensor = perf_counter(), filt.measurement
-        if isinstance(sensor, GaussianMeasurement) and (reading := sensor.reading(z)).seen.any():
-            found = ranked_reading(filt.spread(), sensor, reading.z, filt.t)
+        if isinstance(sensor, GaussianMeasurement) and sensor.observed(z).any():
+            found = ranked_reading(filt.spread(), sensor, sensor.reading(z).z, filt.t)
         else:
             found = np.full(k, np.nan), np.full(k, np.nan), np.full((k, k), np.nan)
         self.seconds += perf_counter() - start

@@ -16,6 +16,7 @@ from ..lattice.level_set import Laid
 from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
 from . import statistics
+from .marginal import around
 from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
 from .weighted import WeightedStates
 
@@ -168,7 +169,7 @@ class ParticleDensity:
         return float(self.sph_kernel.radius * self.h.mean())
 
     @cached_property
-    def shape(self) -> Shape:
+    def form(self) -> Shape:
         """What answers for the density: `Kernels` or `Polynomials`, `Folded` if its states have a domain."""
         return self._shape(self.read_out)
 
@@ -181,31 +182,32 @@ class ParticleDensity:
             shape = Kernels(self.x, self.mass, self.h, self.sph_kernel, kind)
         return shape if self.domain is None else Folded(shape, self.domain)
 
-    @property
+    @cached_property
     def cells(self) -> Floats:
         """Middles (M, n) of the lattice's cells in which the density is more than nothing."""
-        lattice: Any = self.shape
-        return lattice.cells
+        if self.field is None:
+            raise ModelError("the density lies on no lattice of level sets, and has no cells")
+        return around(self.field)
 
     def pdf(self, X: ArrayLike) -> Floats:
         """Density at the states X (M, n) or (n,); an array (M,), per unit volume of the state space."""
-        return self.shape.pdf(state_rows("X", X, self.dim))
+        return self.form.pdf(state_rows("X", X, self.dim))
 
     def logpdf(self, X: ArrayLike) -> Floats:
         """Logarithm of `pdf`; minus infinity outside the kernels' supports, if the density is a mixture."""
-        return self.shape.logpdf(state_rows("X", X, self.dim))
+        return self.form.logpdf(state_rows("X", X, self.dim))
 
     def gradient(self, X: ArrayLike) -> Floats:
         """Gradient of `pdf` at the states X (M, n) or (n,), shape (M, n)."""
-        return self.shape.gradient(state_rows("X", X, self.dim))
+        return self.form.gradient(state_rows("X", X, self.dim))
 
     def mean(self) -> Floats:
         """Mean, shape (n,); the mean of a periodic axis is a direction."""
-        return self.shape.mean()
+        return self.form.mean()
 
     def cov(self, kind: ReadOut | None = None) -> Floats:
         """Covariance, shape (n, n); `kind` is a `read_out`."""
-        shape = self.shape if kind is None else self._shape(choice("kind", kind, READ_OUTS))
+        shape = self.form if kind is None else self._shape(choice("kind", kind, READ_OUTS))
         return shape.cov(self.mean())
 
     def moment(self, powers: Sequence[int], central: bool = False, kind: ReadOut | None = None) -> float:
@@ -292,7 +294,7 @@ class ParticleDensity:
 
     def sample(self, size: int, rng: Seed = None) -> Floats:
         """Draw states, shape (size, n), from the density; `rng` is a numpy Generator or a seed."""
-        return self.shape.sample(size, generator(rng))
+        return self.form.sample(size, generator(rng))
 
     def marginal(self, axes: Sequence[int]) -> "ParticleDensity":
         """Density of the states in `axes` alone, a `ParticleDensity` with the domain of those axes.
@@ -304,9 +306,12 @@ class ParticleDensity:
         if axes == list(range(self.dim)):
             return self
         domain = None if self.domain is None else Domain(*[self.domain.axes[axis] for axis in axes])
-        given = self.shape.marginal(axes) | {"t": self.t, "kernel": self.kernel, "domain": domain}
-        gaussian = self.gaussian and "field" in given
-        return ParticleDensity(**given, represented_mass=self.represented_mass, gaussian=gaussian)
+        about: dict[str, Any] = {"t": self.t, "domain": domain}
+        given = self.form.marginal(axes)
+        if "field" in given:
+            return ParticleDensity(**given, **about, gaussian=self.gaussian)
+        about |= {"kernel": self.kernel, "represented_mass": self.represented_mass}
+        return ParticleDensity(**given, **about)
 
     def _read(self, kind: ReadOut | None) -> "ParticleDensity":
         """The density with another read-out, or itself."""

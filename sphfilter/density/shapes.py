@@ -262,12 +262,6 @@ class Folded:
     def _seen(self) -> Kernels | Polynomials:
         return self.shape.around(self.domain)
 
-    @property
-    def cells(self) -> Floats:
-        """Middles (M, n) of the cells of a lattice."""
-        lattice: Any = self.shape
-        return lattice.cells
-
     def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,); zero beyond the ends."""
         turns = self._seen.turns(self.domain, X)
@@ -276,12 +270,11 @@ class Folded:
         return out
 
     def logpdf(self, X: Floats) -> Floats:
-        """Logarithm of the density, shape (M,)."""
+        """Logarithm of the density, shape (M,); minus infinity beyond the ends."""
         turns = self._seen.turns(self.domain, X)
-        if len(turns) > 1:
-            return self._summed(turns)
-        with np.errstate(divide="ignore"):
-            return np.log(self.pdf(X))
+        out = self._seen.logpdf(turns[0]) if len(turns) == 1 else self._summed(turns)
+        out[~self.domain.contains(X)] = -np.inf
+        return out
 
     def _summed(self, turns: list[Floats]) -> Floats:
         return special.logsumexp([self._seen.logpdf(Y) for Y in turns], axis=0)
@@ -298,7 +291,7 @@ class Folded:
         return self.domain.mean(self.shape.x, self.shape.mass)
 
     def cov(self, centre: Floats | None = None) -> Floats:
-        """Covariance of differences from the mean the short way round, shape (n, n)."""
+        """Covariance of differences from the mean direction, whatever the centre, shape (n, n)."""
         d, mass = self.domain.nearest(self.shape.x - self.mean()), self.shape.mass
         return (d * mass[:, None]).T @ d + self.shape.widening * np.eye(d.shape[1])
 

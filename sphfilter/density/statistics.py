@@ -75,7 +75,7 @@ def states(
 
     Particles for "points"; else points spread evenly over kernels or cells, always the same ones.
     """
-    return density.shape.states(count, smooth)
+    return density.form.states(count, smooth)
 
 
 def expectation(density: "ParticleDensity", function: OfStates, smooth: bool = True) -> float:
@@ -91,7 +91,7 @@ def moment(density: "ParticleDensity", powers: Sequence[int], centre: Floats | N
         raise ModelError(f"powers must be {density.dim} whole numbers >= 0, one a state, got {orders!r}")
     if orders.sum() <= 2 and density.domain is None:  # a lattice knows these beyond its cut too
         return _low_moment(density, orders.astype(int), centre)
-    exact = density.shape.raw_moment(orders, np.zeros(density.dim) if centre is None else centre)
+    exact = density.form.raw_moment(orders, np.zeros(density.dim) if centre is None else centre)
     if exact is not None:
         return exact
 
@@ -186,7 +186,7 @@ def _checked_part(probability: ArrayLike) -> Floats:
 
 def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:
     """Distribution function of a density of one state: places (K,) and its values there."""
-    lows, highs, width = one.shape.ends()
+    lows, highs, width = one.form.ends()
     low, high = float(lows.min()), float(highs.max())
     count = int(min(_FINE * (high - low) / float(np.median(width)), _MOST_FINE))
     y = np.linspace(low, high, max(count, _FINE) + 1)

@@ -32,14 +32,14 @@ def write(path: str | PathLike[str], state: FilterState, filt: Any) -> None:
 
 def restored(
     path: str | PathLike[str], model: SDE, measurement: Sensor | None
-) -> tuple[dict[str, Any], bool, dict[str, Any]]:
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Read what `write` wrote.
 
     Returns
     -------
-    dict, bool, dict
-        Arguments that make a filter of the model and the measurement, whether it adapts its number of
-        particles, and what is to be replaced in its state.
+    dict, dict, dict
+        Arguments that make a filter of the model and the measurement, attributes that it is given then, and
+        what is to be replaced in its state.
 
     Raises
     ------
@@ -53,14 +53,14 @@ def restored(
         "density": density_from(part("density", arrays)),
         "n_particles": int(arrays["n_particles"]),
         "config": FilterConfig.from_toml(str(arrays["config"])),
-        "dt": float(arrays["dt"]) if "dt" in arrays else None,
     }
     state: dict[str, Any] = {name: arrays.get(name) for name in _STATE}
     for name in _MOMENTS:
         state[name].flags.writeable = False
     state = {k: v.item() if v is not None and v.ndim == 0 else v for k, v in state.items()}
     state["origin"] = _origin(part("origin", arrays), model, measurement)
-    return options, bool(arrays["adapts"]), state
+    about = {"_adapts": bool(arrays["adapts"]), "dt": float(arrays["dt"]) if "dt" in arrays else None}
+    return options, about, state
 
 
 def _stored_origin(origin: Prediction | Update | None, measurement: Sensor | None) -> Arrays:
@@ -81,6 +81,6 @@ def _origin(arrays: Arrays, model: SDE, measurement: Sensor | None) -> Predictio
     if not arrays:
         return None
     before = density_from(part("before", arrays))
-    if "z" in arrays and measurement is not None:
-        return Update(before, measurement, arrays["z"])
+    if "z" in arrays:
+        return None if measurement is None else Update(before, measurement, arrays["z"])
     return Prediction(before, float(arrays["lost"]), model, float(arrays["t"]))

@@ -22,7 +22,7 @@ _FILTERPY = {
     "residual_x": "say which states go round with SDE(..., domain=)",
     "residual_z": "say which readings are angles with GaussianMeasurement(..., angles=)",
 }
-_PARTS = {"x": "mean", "P": "covariance"}
+_MIXED = {"x": "mean", "P": "covariance"}
 _NEAR = 0.75  # likeness of two names from which one is taken for the other mistyped
 
 
@@ -33,28 +33,29 @@ def check_assigned(name: str, cls: type, base: type) -> None:
     ----------
     name : str
     cls : type
-        The filter's: subclasses of `base` may carry what attributes they like, and those of filterpy's names
-        that they declare.
+        The filter's: subclasses of `base` may carry what attributes they like.
     base : type
         The library's own filter.
     """
-    if name.startswith("_"):
+    subclasses = (parent for parent in cls.__mro__ if parent not in base.__mro__)
+    own = (known for parent in subclasses for known in _declared(parent))
+    if name.startswith("_") or name in _SETTABLE or name in own:
         return
-    if hasattr(Shown, name):
+    if name in _MIXED:
         raise ModelError(
-            f"the {_PARTS.get(name, name)} of a density filter cannot be overwritten (IMM mixing does that); "
+            f"the {_MIXED[name]} of a density filter cannot be overwritten (IMM mixing does that); "
             f"make a new {base.__name__} with x0 and P0"
         )
-    own = {known for parent in cls.__mro__ if parent not in base.__mro__ for known in _declared(parent)}
-    if name in _FILTERPY and name not in own:
+    if hasattr(Shown, name):
+        raise ModelError(f"{name} is what a density filter has found: it is read, not set")
+    if cls is base and name in _FILTERPY:
         raise ModelError(f"{base.__name__} has no {name} to be set: {_FILTERPY[name]}")
-    known = sorted({*_SETTABLE, *(known for known in dir(base) if not known.startswith("_"))})
-    near = get_close_matches(name, known, n=1, cutoff=_NEAR)
-    if cls is base and near and name not in known:
+    near = get_close_matches(name, _SETTABLE, n=1, cutoff=_NEAR)
+    if cls is base and near:
         raise ModelError(f"{base.__name__} has no attribute {name!r} (did you mean {near[0]!r}?)")
 
 
-_SETTABLE = "model", "measurement", "config", "dt", "n_particles"
+_SETTABLE = "model", "measurement", "config", "dt", "n_particles", "log_evidence"
 
 
 def _declared(cls: type) -> Iterable[str]:

@@ -4,7 +4,7 @@ import math
 from copy import copy
 from dataclasses import replace
 from os import PathLike
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from ..density.weighted import WeightedStates
 from ..errors import ModelError
 from ..info import PredictInfo, UpdateInfo
 from ..model.compile import StateFunction
-from ..model.measurements import Sensor, read_by
+from ..model.measurements import Sensor
 from ..model.sde import SDE
 from ..prediction.again import Outcome, predict_from_finer
 from ..prediction.predict import Prediction, predict
@@ -170,7 +170,9 @@ class SPHFilter(Shown):
 
     @n_particles.setter
     def n_particles(self, value: int) -> None:
-        self._state = replace(self._state, n_particles=count("n_particles", value))
+        value = count("n_particles", value)
+        if "_state" in vars(self):  # else a subclass sets it before it is made
+            self._state = replace(self._state, n_particles=value)
 
     def predict(self, dt: float | None = None, *, t: float | None = None) -> PredictInfo:
         """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo.
@@ -200,8 +202,9 @@ class SPHFilter(Shown):
         outcome = predict_from_finer(predicted, self.model, state.density, state.origin, self.config, most)
         moved = "predict" if outcome.density.t > self.t and not rehearses else ""
         repeated = outcome.before is not state.density
+        state = state.predicted(outcome, self.model)
         info = self._budget.end(moved, outcome.info, outcome.density.n_particles, repeated)
-        self._state = state.predicted(outcome, self.model)
+        self._state = state
         return info
 
     def _most(self) -> int:
@@ -250,7 +253,7 @@ class SPHFilter(Shown):
         if R is not None and measurement is not None:
             raise ModelError("give R= or another sensor, not both")
         measurement = sensor_of(self.measurement, measurement if R is None else R, H, self.model)
-        state, seen = self._state, read_by(measurement, z).seen.any()
+        state, seen = self._state, measurement.observed(z).any()
         prediction = state.origin if isinstance(state.origin, Prediction) else Prediction()
         self._budget.begin()
         options: dict[str, Any] = {"n_particles": self._most(), "fits": self._budget.fits}
@@ -259,8 +262,9 @@ class SPHFilter(Shown):
         )
         repeated = outcome.before is not state.density
         n_particles = outcome.density.n_particles
+        state = state.updated(outcome, measurement, z)
         info = self._budget.end("update" if seen else "", outcome.info, n_particles, repeated)
-        self._state = state.updated(outcome, measurement, z)
+        self._state = state
         return info
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -268,7 +272,7 @@ class SPHFilter(Shown):
         write(path, self._state, self)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], model: SDE, measurement: Sensor | None) -> "SPHFilter":
+    def load(cls, path: str | PathLike[str], model: SDE, measurement: Sensor | None) -> Self:
         """Read a filter that `save` wrote, with the model and sensor it had: it goes on to the same bits.
 
         Raises
@@ -276,9 +280,11 @@ class SPHFilter(Shown):
         ModelError
             The file cannot be read or holds no filter, or the model has other states.
         """
-        options, adapts, state = restored(path, model, measurement)
+        options, about, state = restored(path, model, measurement)
         filt = cls(model, measurement, **options)
-        filt._adapts, filt._state = adapts, replace(filt._state, **state)
+        for name, value in about.items():
+            setattr(filt, name, value)
+        filt._state = replace(filt._state, **state)
         return filt
 
     def spread(self) -> WeightedStates:

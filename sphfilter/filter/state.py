@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from .._types import Floats
 from ..density.particle_density import ParticleDensity
 from ..info import PredictInfo, UpdateInfo, innovation_of
-from ..model.measurements import GaussianMeasurement, Sensor, read_by
+from ..model.measurements import GaussianMeasurement, Sensor
 from ..model.sde import SDE
 from ..prediction.again import Outcome
 from ..prediction.predict import Prediction
@@ -155,6 +155,10 @@ class Shown:
         """Log-evidence of all measurements."""
         return self._state.log_evidence
 
+    @log_evidence.setter
+    def log_evidence(self, value: float) -> None:
+        self._state = replace(self._state, log_evidence=float(value))
+
     @property
     def density(self) -> ParticleDensity:
         """The density now."""
@@ -180,7 +184,7 @@ def _moments(density: ParticleDensity) -> tuple[Floats, Floats]:
 def _said(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo) -> dict[str, Any]:
     """A measurement, its innovation and the covariance of that, in shapes of the sensor, by name."""
     if not isinstance(measurement, GaussianMeasurement):
-        return {"z": None if z is None else read_by(measurement, z).z, "y": None, "S": None}
+        return {"z": None if z is None else np.atleast_1d(np.array(z, dtype=float)), "y": None, "S": None}
     numbers, seen = measurement.reading(z)
     y, S = innovation_of(info, seen, measurement.dim_z)
     return {"z": numbers, "y": y, "S": S}

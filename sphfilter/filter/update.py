@@ -5,14 +5,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Floats
+from .._types import Bools, Floats
 from ..config import AcceptanceTest, FilterConfig, PaperScheme, checked_filter_config
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import UpdateInfo
 from ..lattice.field import extrapolated_mass
-from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian, read_by
+from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from .acceptance import Acceptance, test_measurement
 
 __all__ = ["predicted_reading", "update"]
@@ -63,13 +63,14 @@ def update(
     >>> print(f"{posterior.mean()[0]:.4f} {posterior.cov()[0, 0]:.4f} {info.log_evidence:.4f}")
     1.0000 0.5000 -2.2655
     """
-    config, asked = checked_filter_config(config), _Asked.of(density, measurement, z)
-    if not asked.reading.seen.any():
+    config, n_particles = checked_filter_config(config), particle_bound(density, n_particles)
+    asked = _Asked.of(density, measurement, z)
+    if not asked.seen.any():
         said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": "no measurement came"}
         return density, UpdateInfo(n_particles=density.n_particles, **said)
     regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
     by = _by_regridding if regrids else _by_product
-    posterior, said = by(density, asked, particle_bound(density, n_particles), config)
+    posterior, said = by(density, asked, n_particles, config)
     return posterior, UpdateInfo(
         n_particles=posterior.n_particles, innovation=asked.innovation, innovation_cov=asked.S, **said
     )
@@ -79,7 +80,8 @@ class _Asked(NamedTuple):
     """What a reading asks of a prior: its likelihood there, and how far it is from what was predicted."""
 
     measurement: Sensor
-    reading: Reading
+    z: Any  # as given
+    seen: Bools  # which of its components came
     t: float
     innovation: np.ndarray | None  # of the components that came; None for a sensor that is not Gaussian
     S: Floats | None
@@ -87,17 +89,17 @@ class _Asked(NamedTuple):
     @classmethod
     def of(cls, density: ParticleDensity, measurement: Sensor, z: ArrayLike | None) -> "_Asked":
         """A measurement z asked of a density."""
-        reading = read_by(measurement, z)
-        off = _innovation(density, measurement, reading) if reading.seen.any() else (None, None)
-        return cls(measurement, reading, density.t, *off)
+        seen = measurement.observed(z)
+        off = _innovation(density, measurement, z, seen) if seen.any() else (None, None)
+        return cls(measurement, z, seen, density.t, *off)
 
     def log_weight(self, X: Floats) -> Floats:
         """Log-likelihood of the states X (M, n), shape (M,)."""
-        values = self.measurement.log_likelihood(self.reading.z, X, self.t)
+        values = self.measurement.log_likelihood(self.z, X, self.t)
         if np.isnan(values).any():
-            where, z = X[np.isnan(values)][0], self.reading.z
+            where = X[np.isnan(values)][0]
             raise ModelError(
-                f"the likelihood of z = {z} is NaN at the state {where}; check the sensor function"
+                f"the likelihood of z = {self.z} is NaN at the state {where}; check the sensor function"
             )
         return values
 
@@ -186,7 +188,7 @@ def _kernel_ratio(density: ParticleDensity) -> float:
 
 def _verdict(density: ParticleDensity, asked: _Asked, settings: AcceptanceTest) -> Acceptance:
     """The `Acceptance` of a reading; the test of 002 is defined for directly observed states only."""
-    measurement, (z, seen) = asked.measurement, asked.reading
+    measurement, seen = asked.measurement, asked.seen
     if not settings.enabled:
         return Acceptance(True, "acceptance test off")
     if measurement.directly_observed is None or not is_gaussian(measurement):
@@ -194,19 +196,19 @@ def _verdict(density: ParticleDensity, asked: _Asked, settings: AcceptanceTest) 
     states, scales = measurement.directly_observed
     states, scales = states[seen], scales[seen]
     variance = np.diag(measurement.noise_cov)[seen] / scales**2
-    return test_measurement(density, z[seen] / scales, variance, states, settings)
+    z = Reading.of(asked.z).z[seen]
+    return test_measurement(density, z / scales, variance, states, settings)
 
 
 def _innovation(
-    density: ParticleDensity, measurement: Sensor, reading: Reading
+    density: ParticleDensity, measurement: Sensor, z: Any, seen: Bools
 ) -> tuple[Floats, Floats] | tuple[None, None]:
     """z minus its predicted mean, and the predicted covariance plus R; None for a general likelihood."""
     if not is_gaussian(measurement):
         return None, None
-    z, seen = reading
     predicted, S, _ = predicted_reading(density, measurement)
     both = np.ix_(seen, seen)
-    return measurement.residual(z, predicted)[seen], S[both] + measurement.noise_cov[both]
+    return measurement.residual(Reading.of(z).z, predicted)[seen], S[both] + measurement.noise_cov[both]
 
 
 def predicted_reading(density: ParticleDensity, measurement: GaussianSensor) -> tuple[Floats, Floats, Floats]:

@@ -24,7 +24,7 @@ from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..lattice.field import extrapolated_mass
 from ..lattice.level_set import lattice_reach
-from ..model.measurements import Sensor, read_by
+from ..model.measurements import Sensor
 from ..prediction.backward import carried_back, likelihood_field
 from ..prediction.log_density import fits
 from ..validate import short
@@ -216,7 +216,7 @@ def _forward(
         if not epochs or t > epochs[-1].filt.t:
             epochs.append(_Epoch(filt, steps, [], 0))
         epochs[-1].rows += 1
-        if info.accepted and read_by(sensor, z).seen.any():
+        if info.accepted and sensor.observed(z).any():
             epochs[-1].seen.append((sensor, z))
         epochs[-1].filt = copy.copy(filt)
         rows.append((filt.x_prior, filt.P_prior, filt.x, filt.P))

@@ -14,7 +14,7 @@ from ..errors import ModelError
 from .compile import StateFunction, compile_rows, probe
 
 __all__ = ["GaussianMeasurement", "GaussianSensor", "LikelihoodMeasurement", "Reading", "Sensor",
-           "is_gaussian", "read_by"]  # fmt: skip
+           "is_gaussian"]  # fmt: skip
 
 #: loglik(z, X, t) → (N,), and sample(X, t, rng) → (N, k).
 LogLikelihood: TypeAlias = Callable[[Floats, Floats, float], ArrayLike]
@@ -73,8 +73,8 @@ class Sensor(Protocol):
     def directly_observed(self) -> tuple[Ints, Floats] | None:
         """State indices and scales (k,), where every component of z reads one state of its own."""
 
-    def reading(self, z: ArrayLike | None) -> Reading:
-        """Return what the sensor said."""
+    def observed(self, z: ArrayLike | None) -> Bools:
+        """Return which components of z came, shape (k,)."""
 
     def log_likelihood(self, z: ArrayLike | None, X: Floats, t: float = 0.0) -> Floats:
         """Return log p(z | x) for each state X (N, n), shape (N,)."""
@@ -97,14 +97,6 @@ class GaussianSensor(Sensor, Protocol):
 def is_gaussian(sensor: Sensor) -> TypeGuard[GaussianSensor]:
     """Whether a sensor has a noise covariance."""
     return sensor.noise_cov is not None
-
-
-def read_by(sensor: Any, z: ArrayLike | None) -> Reading:
-    """What a sensor makes of a measurement; one of a user's own may only say which components came."""
-    if hasattr(sensor, "reading"):
-        return sensor.reading(z)
-    seen = np.asarray(sensor.observed(z), dtype=bool)
-    return Reading(np.full(len(seen), np.nan) if z is None else np.array(z, dtype=float, ndmin=1), seen)
 
 
 class GaussianMeasurement:

@@ -10,7 +10,7 @@ from ..errors import ModelError
 from ..info import PredictInfo
 from ..model.domain import Domain
 from ..model.sde import SDE
-from ..validate import real
+from ..validate import count, real
 from . import automatic, corrected, log_density, paper
 from .exact import propagate_exactly
 
@@ -78,6 +78,8 @@ def predict(
         name = scheme if isinstance(scheme, str) else scheme.name
         return density, PredictInfo(scheme=name, skipped=("everything: the interval is empty",))
     n_particles = particle_bound(density, n_particles)
+    if most_particles is not None:
+        most_particles = count("most_particles", most_particles, least=0)
     if config.exact_linear and model.linear:
         exact = propagate_exactly(density, model, target, n_particles)
         if exact is not None:

@@ -76,7 +76,7 @@ class Trajectory:
             said = part("info", own)
             known = (f.name for f in fields(PredictInfo) if f.name in said)  # an older file has less
             info = PredictInfo(**{name: _plain(said[name]) for name in known})
-            steps.append((density_from(own), replace(info, code=Code(info.code))))
+            steps.append((density_from(own), info))
         densities, infos = zip(*steps, strict=True) if steps else ((), ())
         return cls(np.array([density.t for density in densities]), densities, infos)
 

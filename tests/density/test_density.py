@@ -138,3 +138,13 @@ def test_a_density_tells_itself_in_a_line(domain):
         assert text in said
     assert ("periodic" in said) is (domain is not None)
     assert len(said) < 250
+
+
+def test_a_density_is_no_array_and_its_tails_have_logarithms_within_walls():
+    density = sf.initialize(sf.Gaussian([0.0], [[0.05]]), 60)
+    assert np.shape(density) == ()
+    model = sf.SDE.from_expressions(["x"], ["-x"], [["1"]], domain=[("bounded", -10.0, 10.0)])
+    walled, _ = sf.predict(density, model, 0.0)
+    assert walled.logpdf([[9.0]]) == pytest.approx(density.logpdf([[9.0]]))
+    assert walled.logpdf([[11.0]]) == -np.inf
+    assert walled.pdf([[11.0]]) == 0.0

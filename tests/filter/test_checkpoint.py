@@ -97,3 +97,21 @@ def test_files_that_hold_no_filter(tmp_path):
     made().save(path)
     with pytest.raises(sf.ModelError, match="3 states"):
         sf.SPHFilter.load(path, sf.LinearSDE(A=-np.eye(3), noise=np.eye(3)), None)
+
+
+def test_a_filter_is_read_without_its_sensor_and_by_subclasses_without_dt(tmp_path):
+    class Plain(sf.SPHFilter):
+        def __init__(self, model, measurement, *, density, n_particles, config):
+            super().__init__(model, measurement, density=density, n_particles=n_particles, config=config)
+
+    model = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
+    sensor = sf.GaussianMeasurement([[1.0]], [[0.1]])
+    flt = sf.SPHFilter(model, sensor, [0.0], [[0.5]], n_particles=60, dt=0.5)
+    flt.predict()
+    flt.update(0.3)
+    flt.save(tmp_path / "filter.npz")
+    again = Plain.load(tmp_path / "filter.npz", model, None)
+    assert (again.dt, again.z) == (0.5, flt.z)
+    flt.predict(), again.predict()
+    flt.update(-0.2), again.update(-0.2, sensor)
+    assert np.array_equal(flt.x, again.x)

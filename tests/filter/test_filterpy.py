@@ -20,8 +20,6 @@ _, Z = sf.simulate(MODEL, POSITION, x0=X0, times=np.arange(0.0, 4.1, DT), rng=3)
 class Labelled(sf.SPHFilter):
     """A filter with attributes of its own, two of them with names that would be refused elsewhere."""
 
-    R: float
-
     def __init__(self, *args, **options):
         super().__init__(*args, **options)
         self.densities, self.R = [], 3.0
@@ -115,8 +113,8 @@ def test_what_mixes_filters_is_refused():
         ("K", "no gain"),
         ("hx", "h=hx"),
         ("x", "the mean of a density filter cannot be overwritten"),
-        ("density", "the density of a density filter cannot be overwritten"),
-        ("log_evidence", "the log_evidence of a density filter cannot be overwritten"),
+        ("density", "density is what a density filter has found"),
+        ("x_prior", "x_prior is what a density filter has found"),
         ("n_particle", "did you mean 'n_particles'"),
         ("measurment", "did you mean 'measurement'"),
     ],
@@ -125,7 +123,7 @@ def test_names_that_would_do_nothing_are_refused_with_the_one_to_use(name, sente
     flt = ours()
     with pytest.raises(sf.ModelError, match=sentence):
         setattr(flt, name, np.eye(2))
-    assert not hasattr(flt, name) or name in ("x", "density", "log_evidence")
+    assert not hasattr(flt, name) or name in ("x", "density", "x_prior")
 
 
 def test_what_may_be_set_and_what_subclasses_carry():
@@ -133,11 +131,14 @@ def test_what_may_be_set_and_what_subclasses_carry():
     flt.predict(DT)
     assert (flt.densities, flt.R) == ([], 3.0)
     assert copy.deepcopy(flt).R == pickle.loads(pickle.dumps(flt)).R == 3.0
-    with pytest.raises(sf.ModelError, match="spectral_density=Q"):
-        flt.Q = 1.0
+    with pytest.raises(sf.ModelError, match="IMM mixing"):
+        flt.x = X0
     plain = ours()
-    plain.label, plain.dt, plain.n_particles = "left", 2.0, 150
-    assert (plain.label, plain.dt, plain.n_particles) == ("left", 2.0, 150)
+    plain.predictions, plain.dt, plain.n_particles = "notes", 2.0, 150
+    assert (plain.predictions, plain.dt, plain.n_particles) == ("notes", 2.0, 150)
+    plain.update(Z[1])
+    plain.log_evidence = 0.0
+    assert plain.log_evidence == 0.0 != plain.log_likelihood
     with pytest.raises(sf.ModelError, match="n_particles"):
         plain.n_particles = 0
     assert plain.n_particles == 150

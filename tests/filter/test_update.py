@@ -294,3 +294,30 @@ def test_a_sensor_of_ones_own_is_asked_which_components_came():
         assert info.log_evidence == pytest.approx(known.update(z).log_evidence, abs=1e-9)
         assert flt.x == pytest.approx(known.x, abs=1e-9)
     assert flt.z == [-0.3]
+
+
+class Table(Scale):
+    """A sensor whose reading is a place in a table."""
+
+    def observed(self, z):
+        return np.ones(1, dtype=bool)
+
+    def log_likelihood(self, z, X, t=0.0):
+        return np.log([0.2, 0.5, 0.3][z]) + stats.norm.logpdf(X[:, 0], z, 1.0)
+
+
+class Gated(sf.GaussianMeasurement):
+    """A sensor that takes large readings for missing."""
+
+    def observed(self, z):
+        return super().observed(z) & (np.abs(z) < 5.0)
+
+
+def test_a_sensor_of_ones_own_is_given_the_reading_as_it_came():
+    density = sf.initialize(sf.Gaussian([0.0], [[1.0]]), 60)
+    posterior, info = sf.update(density, Table(), 2)
+    assert info.accepted and posterior.mean()[0] == pytest.approx(1.0, abs=1e-3)
+    same, info = sf.update(density, Gated([[1.0]], [[1.0]]), [9.0])
+    assert same is density and info.reason == "no measurement came"
+    with pytest.raises(sf.ModelError, match="n_particles"):
+        sf.update(density, Gated([[1.0]], [[1.0]]), None, n_particles=-5)

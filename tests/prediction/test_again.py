@@ -51,3 +51,5 @@ def test_infos_of_several_steps_say_all_that_was_unusual():
     assert joined.code == sf.Code.FINER | sf.Code.FALLBACK
     assert joined.status == "on 3 times the particles; not log_density: edges"
     assert sf.PredictInfo.joined([usual, usual]).code == sf.Code.OK
+    assert sf.PredictInfo.joined([]).status == "ok"
+    assert sf.PredictInfo(code=2).code is sf.Code.REPEATED

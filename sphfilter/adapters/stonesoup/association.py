@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 from stonesoup.types.hypothesis import Hypothesis
 from stonesoup.types.state import State
 
-from ..._types import Floats
+from ..._types import Bools, Floats
 from ...config import FilterConfig, LogDensityScheme
 from ...density.particle_density import ParticleDensity
 from ...density.resample import logarithm, particle_bound
@@ -20,7 +20,7 @@ from ...filter.update import update
 from ...filter.update_again import Update
 from ...info import Code, PredictInfo, UpdateInfo
 from ...lattice.level_set import lattice_reach
-from ...model.measurements import Reading, Sensor
+from ...model.measurements import Sensor
 from ...prediction.again import Ladder, Outcome
 
 __all__ = ["Alone", "Association", "alone", "mixed_mean", "one_prediction", "predicted_apart",
@@ -56,9 +56,9 @@ class Association:
         self._missed = missed / total
         self._parts = [(sensor, z, np.log(weight / total) - log_p) for sensor, z, weight, log_p in parts]
 
-    def reading(self, z: Any) -> Reading:
-        """The readings of all parts; something was seen."""
-        return Reading(z, np.ones(1, dtype=bool))
+    def observed(self, z: Any) -> Bools:
+        """Something was."""
+        return np.ones(1, dtype=bool)
 
     def log_likelihood(self, z: object, X: Floats, t: float = 0.0) -> Floats:
         """Logarithm of the sum above for each state X (N, n), shape (N,)."""
@@ -89,9 +89,9 @@ class Total:
     def __init__(self, first: ParticleDensity, parts: Sequence[tuple[float, ParticleDensity]]) -> None:
         self._first, self._parts = logarithm(first), [(np.log(w), logarithm(p)) for w, p in parts]
 
-    def reading(self, z: Any) -> Reading:
-        """No numbers, but something is there."""
-        return Reading(z, np.ones(1, dtype=bool))
+    def observed(self, z: Any) -> Bools:
+        """Something is there."""
+        return np.ones(1, dtype=bool)
 
     def log_likelihood(self, z: object, X: Floats, t: float = 0.0) -> Floats:
         """Logarithm of the sum over the first density, for each state X (N, n), shape (N,)."""

@@ -12,9 +12,9 @@ from stonesoup.types.array import StateVector, StateVectors
 from stonesoup.types.detection import Detection
 from stonesoup.types.state import State
 
-from ..._types import Floats
+from ..._types import Bools, Floats
 from ...errors import ModelError
-from ...model.measurements import GaussianMeasurement, Reading, Sensor
+from ...model.measurements import GaussianMeasurement, Sensor
 from ...validate import covariance, short
 
 __all__ = ["ModelMeasurement", "reading_of", "sensor_for", "typed"]
@@ -62,9 +62,9 @@ class ModelMeasurement:
             r[..., a] -= 2 * np.pi * np.ceil((r[..., a] - np.pi) / (2 * np.pi))
         return r
 
-    def reading(self, z: ArrayLike | None) -> Reading:
-        """Return z as a `Reading` of k numbers; detections are whole."""
-        return Reading.of(z, self.dim_z)
+    def observed(self, z: ArrayLike | None) -> Bools:
+        """All components: detections are whole."""
+        return np.ones(self.dim_z, dtype=bool)
 
     def log_likelihood(self, z: Any, X: Floats, t: float = 0.0) -> Floats:
         """log p(z | x) for each state X (N, n), shape (N,)."""
