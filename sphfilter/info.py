@@ -11,7 +11,11 @@ import numpy as np
 
 from ._types import Bools, Floats
 
-__all__ = ["Code", "PredictInfo", "ResampleInfo", "UpdateInfo", "innovation_of"]
+__all__ = ["NOTHING_CAME", "Code", "PredictInfo", "ResampleInfo", "UpdateInfo", "innovation_of"]
+
+
+#: The reason of an update without a reading, which is none to worry about.
+NOTHING_CAME = "no measurement came"
 
 
 class Code(IntFlag):
@@ -35,6 +39,8 @@ class Code(IntFlag):
     REGRIDDED = auto()  # the particles were put on a new lattice on the way, or should have been
     MIXED = auto()  # the particles carry less than the scheme asks of them
     LATE = auto()  # the time budget was exceeded, or left no time for a try on more particles
+    CLOUD = auto()  # the density goes on as a cloud of weighted points
+    UNRESOLVED = auto()  # the estimated error is above what the answer may be trusted with
 
 
 class _Marked:
@@ -49,6 +55,11 @@ class _Marked:
     def marked(self, code: Code, status: str) -> Self:
         """The info with another status, whose flags come to those it has."""
         return replace(self, code=self.code | code, status=status)  # type: ignore[type-var]
+
+    @property
+    def flagged(self) -> bool:
+        """Was anything unusual: a status other than "ok"?"""
+        return self.status != "ok"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +86,14 @@ class PredictInfo(_Marked):
     n_discarded, mass_discarded : int, float
         Particles dropped because their iteration had not converged, and the probability they carried, which
         the other particles share; zero unless `PaperScheme.discard_unconverged` asks for it.
+    residual : float
+        Error of the representation that the prediction ended with: the mean over the mass of |p/p' - 1|,
+        where p' is the density and p what was asked between its nodes (log-density scheme).
+    error : float
+        Estimated error of the mean after the prediction, in standard deviations, accumulated over the record;
+        NaN where a scheme makes no estimate.
+    mass_left_out : float
+        Probability that lies beyond the cut of the density.
     skipped : tuple of str
         Work the scene made unnecessary.
     scheme, status : str
@@ -103,6 +122,9 @@ class PredictInfo(_Marked):
     n_smoothing_failed: int = 0
     n_discarded: int = 0
     mass_discarded: float = 0.0
+    residual: float = 0.0
+    error: float = 0.0
+    mass_left_out: float = 0.0
     skipped: tuple[str, ...] = ()
     scheme: str = "paper"
     status: str = "ok"
@@ -116,6 +138,7 @@ class PredictInfo(_Marked):
             return infos[0]
         statuses = (info.status.removeprefix("ok").removeprefix("; ") for info in infos)
         totals = {f.name: sum(getattr(i, f.name) for i in infos) for f in fields(cls) if f.name not in _WORDS}
+        totals |= {name: getattr(infos[-1], name) for name in _LATEST}
         return cls(
             **totals,
             skipped=tuple(dict.fromkeys(note for info in infos for note in info.skipped)),
@@ -131,6 +154,7 @@ class PredictInfo(_Marked):
 
 
 _WORDS = "skipped", "scheme", "status", "code"
+_LATEST = "residual", "error", "mass_left_out"  # of the last of several predictions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,6 +200,15 @@ class UpdateInfo(_Marked):
     extrapolated : float
         Probability of the posterior where the prior had no particles (log-density scheme): the share that
         rests on a guess about the prior's tails.
+    residual : float
+        Error of the representation of the posterior: the mean over the mass of |p/p' - 1| between its nodes.
+    error : float
+        Estimated error of the posterior mean, in posterior standard deviations, accumulated over the record;
+        NaN where a scheme makes no estimate.
+    evidence_error : float
+        Estimated error of `log_evidence`, in nats.
+    mass_left_out : float
+        Probability that lies beyond the cut of the posterior, remote modes that were found included.
     status : str
         "ok", or that the prediction before was repeated (`SPHFilter` does that where much is extrapolated).
     code : Code
@@ -203,11 +236,20 @@ class UpdateInfo(_Marked):
     reason: str = ""
     n_particles: int = 0
     extrapolated: float = 0.0
+    residual: float = 0.0
+    error: float = 0.0
+    evidence_error: float = 0.0
+    mass_left_out: float = 0.0
     status: str = "ok"
     code: Code = Code.OK
     seconds: float = 0.0
     kernel_ratio: float = 0.0
     resample: ResampleInfo | None = field(default=None, repr=False)
+
+    @property
+    def flagged(self) -> bool:
+        """Was anything unusual: refused, a status other than "ok", or a reason where a reading came."""
+        return not self.accepted or self.status != "ok" or self.reason not in ("", NOTHING_CAME)
 
 
 def innovation_of(info: UpdateInfo, seen: Bools, k: int) -> tuple[Floats, Floats]:

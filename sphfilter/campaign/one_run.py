@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._types import Floats
 from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
-from ..filter.results import AnyFilter, shapes
+from ..filter.results import TRUTHS, AnyFilter, shapes
 
 __all__ = ["Case", "Factory", "Scenario", "draw", "run"]
 
@@ -149,7 +149,7 @@ def _outcome(
         for name in [
             name for name in blank if name not in arrays
         ]:  # what a filter of one's own need not tell
-            value = np.asarray(getattr(result, name, np.nan))
+            value = np.asarray(getattr(result, name, blank[name]), blank[name].dtype)
             arrays[name] = value.reshape(blank[name].shape) if value.size == blank[name].size else blank[name]
         if ranks and observer is None:
             moments = [arrays[name] for name in ("x", "P", "innovation", "innovation_cov")]
@@ -165,4 +165,4 @@ def _blank(case: Case) -> dict[str, NDArray[Any]]:
     """What a result of this case would hold, not known yet."""
     T, n = np.shape(case.truth)
     empty = {name: np.full((T, *shape), np.nan) for name, shape in shapes(n, np.size(case.z[0])).items()}
-    return empty | {"accepted": np.zeros(T, bool)}
+    return empty | {name: np.zeros(T, bool) for name in TRUTHS}

@@ -69,6 +69,10 @@ class ParticleDensity:
         Where the states live, if an axis is periodic or ends. Means of periodic axes are mean directions,
         covariances those of the differences the short way round. A log-density may lie several times round.
 
+    error : float
+        Estimated error of the mean, in standard deviations, accumulated over the record that led to the
+        density; NaN where a scheme on the way made no estimate.
+
     Arrays are read-only; particles without mass are left out.
 
     Examples
@@ -97,6 +101,7 @@ class ParticleDensity:
     gaussian: bool = False
     capacity: int | None = None
     domain: Domain | None = None
+    error: float = 0.0
 
     def __post_init__(self) -> None:
         x = array("x", self.x, (None, None))

@@ -13,10 +13,12 @@ from ..errors import ModelError
 from ..info import innovation_of
 from ..model.measurements import Reading
 
-__all__ = ["AnyFilter", "FilterResult", "run_filter", "shapes"]
+__all__ = ["TRUTHS", "AnyFilter", "FilterResult", "run_filter", "shapes"]
 
 #: What a run keeps only if it was told a truth.
 RANKS = "pit", "state_pit", "hpd_rank"
+#: What is true or false of an epoch.
+TRUTHS = "accepted", "flagged"
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,11 @@ class FilterResult:
         log-evidence of the run.
     accepted : ndarray of bool, shape (T,)
         False where a measurement came and the filter rejected it.
+    error : ndarray, shape (T,)
+        Estimated error of the posterior mean, in posterior standard deviations; NaN where the filter does not
+        say.
+    flagged : ndarray of bool, shape (T,)
+        True where prediction or update said that something was unusual: a status other than "ok", a reason.
     innovation, innovation_cov : ndarray, shapes (T, k), (T, k, k)
         Measurement minus its prediction, and the covariance of the difference; NaN where no measurement came
         or the filter does not say.
@@ -67,13 +74,16 @@ class FilterResult:
     pit: Floats = None  # type: ignore[assignment]
     state_pit: Floats = None  # type: ignore[assignment]
     hpd_rank: Floats = None  # type: ignore[assignment]
+    error: Floats = None  # type: ignore[assignment]
+    flagged: Bools = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         lead, n = np.shape(self.x)[:-1], np.shape(self.x)[-1]
         k = 1 if self.innovation is None else np.shape(self.innovation)[-1]
         for name, shape in shapes(n, k).items():
             if getattr(self, name) is None:
-                object.__setattr__(self, name, np.full((*lead, *shape), np.nan))
+                blank = False if name in TRUTHS else np.nan
+                object.__setattr__(self, name, np.full((*lead, *shape), blank))
 
     def __repr__(self) -> str:
         *lead, n = np.shape(self.x)
@@ -112,6 +122,8 @@ def shapes(n: int, k: int) -> dict[str, tuple[int, ...]]:
         "pit": (k,),
         "state_pit": (n,),
         "hpd_rank": (),
+        "error": (),
+        "flagged": (),
     }
 
 
@@ -165,7 +177,7 @@ def run_filter(
     ]
     kept = {name: shape for name, shape in shapes(len(filt.x), k).items() if looks or name not in RANKS}
     columns = {
-        name: np.array([row[name] for row in rows], bool if name == "accepted" else float).reshape(-1, *shape)
+        name: np.array([row[name] for row in rows], bool if name in TRUTHS else float).reshape(-1, *shape)
         for name, shape in kept.items()
     }
     if observer is not None and not looks:
@@ -178,8 +190,7 @@ def _epoch(
     filt: Any, t: float, z: ArrayLike | None, k: int, epoch: int, observer: Ranker | None
 ) -> dict[str, Any]:
     """Predict to t, update with z, and return what the result keeps of it."""
-    if t > filt.t:
-        filt.predict(t=t)
+    predicted_by = filt.predict(t=t) if t > filt.t else None
     row = {"x_prior": filt.x.copy(), "P_prior": filt.P.copy()}
     if observer is not None:
         pit, *predicted = observer.before(filt, z, k)
@@ -189,4 +200,7 @@ def _epoch(
         row["pit"], (row["state_pit"], row["hpd_rank"]) = pit, observer.after(filt, epoch)
         y, S = predicted if info.innovation is None else (y, S)
     row |= {"x": filt.x.copy(), "P": filt.P.copy(), "log_evidence": filt.log_likelihood}
+    said = predicted_by, info  # filters of others say nothing
+    row["error"] = getattr(info, "error", np.nan)
+    row["flagged"] = any(getattr(step, "flagged", False) for step in said)
     return row | {"accepted": info.accepted, "innovation": y, "innovation_cov": S}

@@ -10,7 +10,7 @@ from ..config import AcceptanceTest, FilterConfig, PaperScheme, checked_filter_c
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
-from ..info import UpdateInfo
+from ..info import NOTHING_CAME, UpdateInfo
 from ..lattice.field import extrapolated_mass
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from .acceptance import Acceptance, test_measurement
@@ -66,7 +66,7 @@ def update(
     config, n_particles = checked_filter_config(config), particle_bound(density, n_particles)
     asked = _Asked.of(density, measurement, z)
     if not asked.seen.any():
-        said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": "no measurement came"}
+        said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
         return density, UpdateInfo(n_particles=density.n_particles, **said)
     regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
     by = _by_regridding if regrids else _by_product
