@@ -10,6 +10,7 @@ from .._types import Floats, OfStates
 from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
 from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
+from ..lattice.check import misfit
 from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
@@ -223,7 +224,9 @@ def _on_level_set(
         mean, cov = distribution.mean, distribution.cov
         factor: Any = np.linalg.cholesky(cov)
         laid = _laid(gaussian_log_pdf(mean, cov), mean, factor, mean[None], n_particles, depth)
-        return ParticleDensity.on_lattice(laid, t, n_particles, gaussian=True, domain=domain)
+        return replace(
+            ParticleDensity.on_lattice(laid, t, n_particles, gaussian=True, domain=domain), residual=0.0
+        )
     coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), PaperScheme(), t)
 
     def log_p(X: Floats) -> Floats:
@@ -233,7 +236,7 @@ def _on_level_set(
     factor = np.linalg.cholesky(coarse.cov("points"))
     seeds = coarse.x[coarse.mass > coarse.mass.max() * np.exp(-depth)]
     laid = _laid(log_p, coarse.mean(), factor, seeds, n_particles, depth)
-    return ParticleDensity.on_lattice(laid, t, n_particles)
+    return replace(ParticleDensity.on_lattice(laid, t, n_particles), residual=misfit(laid, log_p).residual)
 
 
 def _laid(

@@ -69,6 +69,9 @@ class ParticleDensity:
         Where the states live, if an axis is periodic or ends. Means of periodic axes are mean directions,
         covariances those of the differences the short way round. A log-density may lie several times round.
 
+    residual : float or None
+        Mean over the mass of |p/p' - 1| between the nodes of a lattice, where p' is what its polynomials say
+        and p what was laid; None if unknown.
     error : float
         Estimated error of the mean, in standard deviations, accumulated over the record that led to the
         density; NaN where a scheme on the way made no estimate.
@@ -101,6 +104,7 @@ class ParticleDensity:
     gaussian: bool = False
     capacity: int | None = None
     domain: Domain | None = None
+    residual: float | None = None
     error: float = 0.0
 
     def __post_init__(self) -> None:

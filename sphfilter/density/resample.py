@@ -12,6 +12,7 @@ from ..errors import PropagationError
 from ..info import ResampleInfo
 from ..lattice import field
 from ..lattice.candidates import NO_OVERLAP, Product, Sought, best_candidate
+from ..lattice.check import Misfit, misfit
 from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
 from ..lattice.regular import Lattice
@@ -74,16 +75,19 @@ def logarithm(density: ParticleDensity) -> OfStates:
 
 def times_likelihood(
     density: ParticleDensity, log_weight: OfStates, n_particles: int, scheme: Scheme, gaussian: bool = False
-) -> tuple[ParticleDensity, float]:
-    """Density times exp(log_weight(X)) on a lattice that follows its level set, and the log of
-    its integral; `gaussian` if it is known to be one.
+) -> tuple[ParticleDensity, float, Misfit]:
+    """Density times exp(log_weight(X)) on a lattice that follows its level set, the log of its integral, and
+    what the lattice gets wrong; `gaussian` if it is known to be one.
     """
     depth = 0.5 * lattice_reach(scheme, density.dim) ** 2
     cell = None if density.field is None else density.field.A
     domain = density.domain
     weight = log_weight if domain is None else lambda X: log_weight(domain.wrap(X))
-    laid = posterior(density.x, density.mass, logarithm(density), weight, n_particles, depth, cell)
-    return ParticleDensity.on_lattice(laid, density.t, n_particles, gaussian, domain), laid.log_mass
+    log_p = logarithm(density)
+    laid = posterior(density.x, density.mass, log_p, weight, n_particles, depth, cell)
+    off = Misfit(0.0, 0.0, 0.0) if gaussian else misfit(laid, lambda X: log_p(X) + weight(X))
+    new = ParticleDensity.on_lattice(laid, density.t, n_particles, gaussian, domain)
+    return replace(new, residual=off.residual), laid.log_mass, off
 
 
 def particle_bound(density: ParticleDensity, n_particles: int | None = None) -> int:
@@ -137,7 +141,7 @@ def _relaid(
 ) -> tuple[ParticleDensity, ResampleInfo]:
     """As `regrid` on a level-set lattice."""
     weight = log_weight or (lambda X: np.zeros(len(X)))
-    new, log_evidence = times_likelihood(density, weight, n_particles, scheme)
+    new, log_evidence, _ = times_likelihood(density, weight, n_particles, scheme)
     laid: Any = new.field
     span = np.ptp(laid.node, axis=0) + 1
     info = ResampleInfo(

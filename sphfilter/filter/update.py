@@ -1,5 +1,6 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import NOTHING_CAME, UpdateInfo
+from ..lattice.check import Misfit, left_out
 from ..lattice.field import extrapolated_mass
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from .acceptance import Acceptance, test_measurement
@@ -128,14 +130,26 @@ def _by_product(
     linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
     gaussian, flag = density.gaussian and linear, asked.outlying
     try:
-        new, log_evidence = times_likelihood(density, asked.log_weight, n_particles, config.scheme, gaussian)
+        new, log_evidence, off = times_likelihood(
+            density, asked.log_weight, n_particles, config.scheme, gaussian
+        )
+        new = replace(new, error=float(np.hypot(_kept(density, new) * density.error, off.mean)))
         unknown = _beyond(density, new)
     except PropagationError:
         if not flag:
             raise
-        new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
+        off, new, unknown = (
+            Misfit(0.0, 0.0, 0.0),
+            density,
+            f"not used: {flag}, where no lattice holds a posterior",
+        )
         log_evidence = asked.gaussian_evidence
-    return density if unknown else new, {
+    new = density if unknown else new
+    return new, {
+        "residual": new.residual or 0.0,
+        "error": new.error,
+        "evidence_error": off.log_mass,
+        "mass_left_out": 0.0 if new.field is None else left_out(new.field),
         "accepted": not unknown,
         "log_evidence": log_evidence,
         "reason": unknown or flag,
@@ -163,6 +177,12 @@ def _by_regridding(
         "kernel_ratio": _kernel_ratio(new),
         "resample": resampled,
     }
+
+
+def _kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:
+    """Part of an error of the mean, in standard deviations, that an update leaves of it."""
+    ratio = np.trace(np.linalg.solve(prior.cov(), posterior.cov())) / prior.dim
+    return float(np.sqrt(np.clip(ratio, 0.0, 1.0)))
 
 
 def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> str:

@@ -230,7 +230,7 @@ def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float]
     """Density, log-evidence of all measurements, and extrapolated probability at every epoch."""
     last = epochs[-1].filt
     scheme = LogDensityScheme(reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
-    laid, _ = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
+    laid, *_ = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
     found = likelihood_field(_field(laid), epochs[-1].log_likelihood(laid.x))
     out = [(last.density, last.log_evidence, 0.0)]
     for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
@@ -256,7 +256,7 @@ def _one_back(
     priors = _between(before.filt, after.filt.t, max(after.n_steps, 1))
     for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
         log_beta = carried_back(before.filt.model, found, prior.t, t, prior.x)
-        smoothed, future = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
+        smoothed, future, _ = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
         values = log_beta(smoothed.x)
         if prior is not priors[0]:
             found = likelihood_field(_field(smoothed), values)

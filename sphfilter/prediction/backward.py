@@ -13,7 +13,8 @@ import numpy as np
 from .._types import Floats, OfStates
 from ..core._addresses import addresses, function_at
 from ..core._jit import jit
-from ..core.characteristics.expectation import AIMED, BACK, Step
+from ..core.characteristics.aim import AIMED
+from ..core.characteristics.expectation import BACK, Step
 from ..core.characteristics.noise_paths import Noise
 from ..core.field.field import Field
 from ..core.field.fitting import build_field

@@ -1,6 +1,7 @@
 """The log-density scheme: from lattice to lattice along backward stochastic characteristics."""
 
 import math
+from dataclasses import replace
 from functools import cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -11,10 +12,22 @@ from .._types import Floats, Ints
 from ..config import LogDensityScheme
 from ..core._addresses import addresses
 from ..core._jit import start_threads
-from ..core.characteristics.control import COUNTERS, LOST_MASS, STATUS, STEPS, VOLUME, Control
-from ..core.characteristics.expectation import AIMED, BACK, BACK_IN_BLOCKS
+from ..core.characteristics.control import (
+    COUNTERS,
+    LOST_MASS,
+    RESIDUAL,
+    SQUARES,
+    STATUS,
+    STEP_ERRORS,
+    STEPS,
+    VOLUME,
+    Control,
+)
+from ..core.characteristics.aim import AIMED
+from ..core.characteristics.expectation import BACK, BACK_IN_BLOCKS
 from ..core.characteristics.flood import LAY
-from ..core.characteristics.march import Entries, march
+from ..core.characteristics.judge import BETWEEN, JUDGE
+from ..core.characteristics.march import Entries, march, needed
 from ..core.characteristics.noise_paths import Noise, Paths
 from ..core.characteristics.step_choice import CHOOSE
 from ..core.field.fitting import BUILD
@@ -22,6 +35,7 @@ from ..core.field.stencils import stencils
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import PredictInfo
+from ..lattice.check import left_out
 from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, lattice_reach
 from ..model.sde import SDE
 from ._shared import blow_up, defect, skip_notes
@@ -29,14 +43,13 @@ from ._shared import blow_up, defect, skip_notes
 __all__ = ["fits", "load", "propagate"]
 
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
-_TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
-_TOLERANCES = 1e-5, 3e-4
+_PART = 0.6  # of what is wrong with a density, that is wrong with its mean
+_SHARE = 0.5  # of the residual of a lattice, that a step's error may be
+# Residual that steps go by at least, in units of the spacing's fourth power; and its bounds.
+_LEAST, _LEASTS = 0.02, (1e-7, 1e-2)
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
 #: changes a bit of the result.
 _THREADS_FROM = 20_000
-# What noise may do within a step, in units of the density's variance and standard deviation: what two bends a
-# path do not know of it, and what the paths' quadrature does not, fall with the error of the lattice.
-_BENT, _CURVED = 0.8, 0.018
 _TIME_SLICES = (17, 37, 79, 167, 347, 709)  # steps at least over an interval, where drift or noise change
 #: What `noise_factor` returns, by model, where it never changes.
 _CONSTANT: WeakKeyDictionary[SDE, tuple[Floats, int]] = WeakKeyDictionary()
@@ -76,22 +89,23 @@ def propagate(
     noise = Noise(G, model.p, not model.constant_diffusion, model.linear)
     depth = 0.5 * lattice_reach(scheme, n) ** 2
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
-    tolerance = scheme.tolerance or float(np.clip(_TIME_PART * spacing**4, *_TOLERANCES))
+    least = float(np.clip(_LEAST * spacing**4, *_LEASTS))
+    residual = float(np.clip(least if density.residual is None else density.residual, least, _LEASTS[1]))
+    nodes = n_particles if not density.residual else needed(density.residual, float(n_particles), n_particles, n)
     control = Control(
         n_particles=n_particles,
         depth=depth,
-        tolerance=tolerance,
-        noise_share=scheme.noise_share,
+        tolerance=_SHARE,
+        least=least,
+        noise_share=math.inf,
         pause_after=_PAUSE_AFTER,
-        bent_share=_BENT * min(spacing, 1.0) ** 1.5,
         most_lost=scheme.most_lost,
-        curved=_CURVED * spacing,
     )
     counters = np.zeros(len(COUNTERS), np.int64)
     volume = density.volume or gaussian_volume(n, depth)
     longest = math.inf if model.autonomous else (t1 - start) / slices
     state, times = (
-        np.array([volume, min(t1 - start, longest), 0.0, longest, t1 - start]),
+        np.array([volume, min(t1 - start, longest), 0.0, longest, 0.0, residual, 0.0, 0.0, nodes]),
         np.array([start, t1]),
     )
     rule = paths(G.shape[1], scheme.quadrature)
@@ -128,7 +142,20 @@ def propagate(
     laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov)
     gaussian = density.gaussian and model.linear
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain)
-    return moved, _info(model, scheme, counters, float(state[LOST_MASS]), threads)
+    error = math.hypot(_kept(noise.G, t1 - start, cov) * density.error, _gone_wrong(state))
+    moved = replace(moved, residual=0.0 if gaussian else float(state[RESIDUAL]), error=error)
+    return moved, _info(model, scheme, counters, moved, float(state[LOST_MASS]), threads)
+
+
+def _gone_wrong(state: Floats) -> float:
+    """Error of the mean, in standard deviations, by what steps and lattices of a march got wrong."""
+    return _PART * (float(state[STEP_ERRORS]) + math.sqrt(state[SQUARES]))
+
+
+def _kept(G: Floats, dt: float, cov: Floats) -> float:
+    """Part of an error of the mean, in standard deviations, that is left where noise has widened a density."""
+    widened = np.trace(np.linalg.solve(cov, G @ G.T * dt)) / len(cov)
+    return math.sqrt(max(0.0, 1.0 - widened))
 
 
 def load(model: SDE) -> None:
@@ -142,7 +169,9 @@ def _entries(model: SDE, threads: bool) -> Entries:
     if threads:
         start_threads()
     own = model.drift_batch, model.divergence_batch, model.diffusion_batch
-    return addresses(Entries, *own, BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, LAY, BUILD)
+    return addresses(
+        Entries, *own, BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, JUDGE, LAY, BETWEEN, BUILD
+    )
 
 
 _REASONS = {
@@ -235,7 +264,9 @@ def _fastest(model: SDE, x: Floats, t: float) -> Floats:
     return x[np.argmax(np.where(np.isfinite(speed), speed, np.inf))]
 
 
-def _info(model: SDE, scheme: LogDensityScheme, counters: Ints, lost: float, threads: bool) -> PredictInfo:
+def _info(
+    model: SDE, scheme: LogDensityScheme, counters: Ints, moved: ParticleDensity, lost: float, threads: bool
+) -> PredictInfo:
     steps, rejected, evaluations, relaid = (int(c) for c in counters)
     skipped = ["neighbour search: the lattice knows its neighbours", "gradients: the expectation needs none"]
     skipped += [note for note in skip_notes(model, 0) if "evaluation of D" in note]
@@ -249,6 +280,9 @@ def _info(model: SDE, scheme: LogDensityScheme, counters: Ints, lost: float, thr
         n_evaluations=evaluations,
         n_regrids=steps + relaid,
         mass_error=lost,
+        residual=moved.residual or 0.0,
+        error=moved.error,
+        mass_left_out=left_out(moved.field),
         skipped=tuple(skipped),
         scheme=scheme.name,
     )

@@ -13,6 +13,7 @@ __all__ = [
     "LONGEST",
     "LOST",
     "LOST_MASS",
+    "NODES",
     "NOT_FINITE",
     "OK",
     "OUTGROWN",
@@ -20,10 +21,13 @@ __all__ = [
     "PAUSED",
     "REJECTED",
     "RELAID",
+    "RESIDUAL",
+    "SQUARES",
     "STALLED",
     "STATE",
     "STATUS",
     "STEPS",
+    "STEP_ERRORS",
     "TOO_FEW",
     "VOLUME",
     "Control",
@@ -34,8 +38,9 @@ OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN, LOST = range(7)
 COUNTERS = ("steps", "rejected", "evaluations", "relaid")
 STEPS, REJECTED, EVALUATIONS, RELAID = range(4)
 #: What a march's `state` holds: filled volume of the whitened lattice, next step of the paths, sum of
-#: |log mass| lost, longest step, next step of the lattice.
-VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP = range(5)
+#: |log mass| lost, longest step, next step of the lattice, residual of the last lattice, the sum of the steps' errors,
+#: that of the squares of the lattices', and the nodes that the next lattice needs.
+VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP, RESIDUAL, STEP_ERRORS, SQUARES, NODES = range(9)
 
 
 class Control(NamedTuple):
@@ -43,14 +48,13 @@ class Control(NamedTuple):
 
     n_particles: int
     depth: float  # Z^2 / 2: log p of the lightest nodes below that of the heaviest
-    tolerance: float  # of one step's paths, in standard deviations
+    tolerance: float  # of a step's error, in units of the last lattice's residual
+    least: float  # residual that steps go by where the lattice's own is smaller
     noise_share: float  # largest variance a step's noise may have, in units of the density's own
-    bent_share: float  # the same of noise that the drift has sheared
-    curved: float  # how far from linear the paths' ends may be in their noise, in standard deviations
     most_lost: float  # sum over steps of |log of the lattice's integral| at which to stop
     pause_after: int  # steps
 
 
 #: Numba's types of a `Control`, of the counters, and of the state.
-CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0))
+CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0))
 COUNTS, STATE = types.int64[::1], types.float64[::1]

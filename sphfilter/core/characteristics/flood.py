@@ -1,5 +1,6 @@
 """A density's new lattice: values wherever they lie above a level, found from seeds outwards."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from ..field.cells import (
 )
 from ..field.nodes import MOST_ASKED, relaid
 from ..small_matrices import invert_lower
-from .control import CONTROL, COUNTS, EVALUATIONS, OK, OUTGROWN, RELAID, STATE, TOO_FEW, VOLUME
+from .control import CONTROL, COUNTS, EVALUATIONS, NODES, OK, OUTGROWN, RELAID, STATE, TOO_FEW, VOLUME
 from .expectation import BACK, STEP
 
 __all__ = ["LAY", "Lattice", "flooded", "lattice_after"]
@@ -54,14 +55,14 @@ def lattice_after(back, step, mean, shape, seeds, control, state, counters):
     mean, shape: (n,), (n, n), origin and lower factor of a covariance: the coordinates that are whitened.
     seeds: (S, n), states of which some lie in every piece of the region.
     """
-    n, most = mean.size, control.n_particles
+    n, most = mean.size, math.ceil(state[NODES])
     A = np.empty((n, n))
     for _ in range(_TRIES):
         spacing = (state[VOLUME] / (_FILL * most)) ** (1.0 / n)
         for a in range(n):
             for b in range(n):
                 A[a, b] = shape[a, b] * spacing
-        value, low, dims, highest, asked = flooded(back, step, mean, A, seeds, control, counters)
+        value, low, dims, highest, asked = flooded(back, step, mean, A, seeds, most, control, counters)
         if value.size == 0:
             return _no_lattice(OUTGROWN, n)
         new = relaid(value, low, dims, highest, asked, mean, A, step.sten, control.depth)
@@ -84,7 +85,7 @@ def _no_lattice(code, n):
 
 
 @jit
-def flooded(back, step, mu, A, points, control, counters):
+def flooded(back, step, mu, A, points, most, control, counters):
     """Values on the new lattice wherever they lie above the depth: seeds, then their neighbours,
     until closed. `back` is the function of that name, in blocks or not.
     """
@@ -107,7 +108,7 @@ def flooded(back, step, mu, A, points, control, counters):
             value[found[k]] = log_p[k]
             highest = max(highest, log_p[k])
         asked = joined(asked, found)
-        if asked.size > MOST_ASKED * control.n_particles:
+        if asked.size > MOST_ASKED * most:
             break  # far too fine a lattice: the caller takes a coarser one
         found, beyond = frontier(value, asked, highest - control.depth, dims, ball)
         if beyond:

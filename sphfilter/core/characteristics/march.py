@@ -19,17 +19,37 @@ from .._jit import jit
 from ..field.fitting import BUILD
 from ..field.shape import local_shape, nodes_of
 from ..small_matrices import cholesky, moments
-from .control import LATTICE_STEP, LOST, LOST_MASS, NOT_FINITE, OK, PAUSED, REJECTED, STEPS, VOLUME
-from .expectation import AIMED, BACK, Step
+from .aim import AIMED
+from .control import (
+    LATTICE_STEP,
+    LOST,
+    LOST_MASS,
+    NODES,
+    NOT_FINITE,
+    OK,
+    PAUSED,
+    REJECTED,
+    RESIDUAL,
+    SQUARES,
+    STALLED,
+    STEPS,
+    STEP_ERRORS,
+    VOLUME,
+)
+from .expectation import BACK, Step
 from .flood import LAY
+from .judge import BETWEEN, JUDGE
 from .step_choice import CHOOSE
 
-__all__ = ["Entries", "march"]
+__all__ = ["Entries", "march", "needed"]
 
-_STEP_LOSS = 0.13  # of all that may be lost, from which a step is tried again in halves
-_SMALLER = 2  # times a step that loses probability is halved
+_MOST = 1e-2  # residual that steps go by where the lattice's own is larger
+_SHORTEST = 1e-6  # of the interval
+_SPARE, _ORDER = 1e-8, 6.0  # residual that more nodes need not make smaller; its order in the spacing
+_FEWEST = 40
 
 back_at, choose_at, aim_at, lay_at, build_at = BACK.at, CHOOSE.at, AIMED.at, LAY.at, BUILD.at
+judge_at, between_at = JUDGE.at, BETWEEN.at
 
 
 class Entries(NamedTuple):
@@ -41,8 +61,17 @@ class Entries(NamedTuple):
     back: tuple  # or `back_in_blocks`
     choose: tuple
     aim: tuple
+    judge: tuple
     lay: tuple
+    between: tuple
     build: tuple
+
+
+@jit
+def needed(residual, count, most, n):
+    """Nodes that a lattice needs after one of `count`, whose residual tells; at most `most`."""
+    times = (residual / _SPARE) ** (n / _ORDER)
+    return min(max(count * min(4.0, max(0.25, times)), float(_FEWEST)), float(most))
 
 
 @jit
@@ -72,12 +101,12 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
     diffusion, back = function_at(entries.diffusion), back_at(entries.back)
     choose, aim = choose_at(entries.choose), aim_at(entries.aim)
     lay, build = lay_at(entries.lay), build_at(entries.build)
+    judge, between = judge_at(entries.judge), between_at(entries.between)
     n = field.mu.size
     mean, P, L, Q = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     x, m = nodes_of(field)
     span, first = times[1] - times[0], counters[STEPS]
     moments(x, m, mean, P)
-    tried, before, coarse = 0, np.inf, False
     while times[0] < times[1]:
         if counters[STEPS] - first >= control.pause_after:
             return field, x, m, mean, P, PAUSED
@@ -90,23 +119,27 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
         h, parts, t1 = pick.h, pick.parts, times[0] + pick.h
         response = aim(drift, noise, field, pick.mean, t1, h, parts)
         step = Step(drift, divergence, noise, field, sten, paths, response, t1, h, parts, pick.blurred)
+        error = judge(back, step, pick.mean, m, pick.ends)
+        allowed = control.tolerance * state[RESIDUAL]
+        state[LATTICE_STEP] = h * min(4.0, max(0.2, 0.9 * (allowed / max(error, 1e-300)) ** (1.0 / 3.0)))
+        if error > allowed:
+            counters[REJECTED] += 1
+            if state[LATTICE_STEP] < _SHORTEST * span:
+                return field, x, m, mean, P, STALLED
+            continue
         new = lay(back, step, pick.mean, pick.shape, pick.ends, control, state, counters)
         if new.code != OK:
             return field, x, m, mean, P, new.code
-        lost = abs(new.log_mass)
-        coarse |= lost > 0.5 * before  # a shorter step did not help: it is the lattice
-        if lost > _STEP_LOSS * control.most_lost and tried < _SMALLER and not coarse:
-            tried, before, state[LATTICE_STEP] = tried + 1, lost, 0.5 * h
-            counters[REJECTED] += 1
-            continue
-        tried, before = 0, np.inf
-        if (
-            new.x.shape[0] < 0.6 * control.n_particles
-        ):  # else the next lattice has this one's spacing: it fits
+        if new.x.shape[0] < 0.6 * state[NODES]:  # else the next lattice has this one's spacing: it fits
             state[VOLUME] = new.volume
-        state[LOST_MASS] += lost
+        state[LOST_MASS] += abs(new.log_mass)
         x, m, mean, P = new.x, new.mass, new.mean, new.cov
         field = build(new.mu, new.A, new.node, new.log_p, sten)
+        residual = between(back, step, field, new.log_mass)
+        state[RESIDUAL] = min(max(residual, control.least), _MOST)
+        state[SQUARES] += residual**2
+        state[STEP_ERRORS] += error
+        state[NODES] = needed(residual, state[NODES], control.n_particles, x.shape[1])
         counters[STEPS] += 1
         times[0] = times[1] if pick.last else t1
         if not state[LOST_MASS] < control.most_lost:

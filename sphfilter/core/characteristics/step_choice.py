@@ -19,17 +19,19 @@ from .control import (
     OK,
     PATH_STEP,
     REJECTED,
+    RESIDUAL,
     STALLED,
     STATE,
 )
 from .noise_paths import NOISE, along, noise_factor_at, unblurred
-from .step_limits import bentness, blur_share, noise_limit, path_error, predicted, sheared
+from .step_limits import blur_share, noise_limit, path_error, predicted
 
 __all__ = ["CHOOSE", "Choice", "chosen"]
 
 _MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice
 _SHARP = 0.1  # of the tolerance, below which nothing is averaged over what paths leave of the noise
 _SHORTEST = 1e-9  # of the interval
+_FIRST = 1.0  # variance of the noise of the first step tried, in units of the density's own
 
 
 class Choice(NamedTuple):
@@ -77,42 +79,41 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     mean, P, own, S = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     once, twice = np.empty(x.shape), np.empty(x.shape)
     f, still = np.empty(x.shape), unblurred(*x.shape)
+    allowed = control.tolerance * state[RESIDUAL]
     drift(x, t, noise.p, f)
     while True:
         times_lower(L, Q, S)
-        h = min(_MOST_PARTS * state[PATH_STEP], left, state[LONGEST], state[LATTICE_STEP])
+        limit = control.noise_share / max(noise_limit(noise.G, S), 1e-300)
+        if state[LATTICE_STEP] == 0.0:
+            state[LATTICE_STEP] = _FIRST / max(noise_limit(noise.G, S), 1e-300)
+        h = min(left, state[LONGEST], limit, state[LATTICE_STEP])
         if noise.time_dependent:
             noise_factor_at(diffusion, x, t + 0.5 * h, noise)
-        limit = control.noise_share / max(noise_limit(noise.G, S), 1e-300)
-        bent = control.bent_share / max(sheared(drift, noise, x, m, t, S), 1e-300)
-        h = min(h, limit, bent ** (1.0 / 3.0))
         pieces = math.ceil(left / h - 1e-9)
         h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
         parts = max(1, math.ceil(h / state[PATH_STEP] - 1e-9))
+        if parts > _MOST_PARTS:
+            state[LATTICE_STEP] = _MOST_PARTS * state[PATH_STEP]
+            continue
         along(drift, None, noise, x, f, f, t, h, parts, still, once, m)
         along(drift, None, noise, x, f, f, t, h, 2 * parts, still, twice, m)
-        counters[EVALUATIONS] += (12 * parts + 2 * noise.G.shape[1]) * x.shape[0]
-        error = path_error(once, twice, m, S) / control.tolerance
+        counters[EVALUATIONS] += 12 * parts * x.shape[0]
+        error = path_error(once, twice, m, S) / allowed
         factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.25)) if error < np.inf else 0.1
         state[PATH_STEP] = min(h / parts * factor, 1e300)
-        if error > 1.0:
-            counters[REJECTED] += 1
-            if state[PATH_STEP] < _SHORTEST * span:
-                code = NOT_FINITE if error == np.inf else STALLED
-                return Choice(code, h, parts, False, False, twice, mean, S)
-            continue
-        X = predicted(drift, noise, x, f, twice, m, t, h, parts, mean, P)
-        counters[EVALUATIONS] += 16 * parts * noise.G.shape[1] * x.shape[0]
-        if not cholesky(P, own):
-            return Choice(NOT_FINITE, h, parts, False, False, twice, mean, S)
-        times_lower(own, Q, S)
-        curved = bentness(X, m, S) / control.curved
-        state[LATTICE_STEP] = h * min(3.0, max(0.2, 0.9 / math.sqrt(max(curved, 1e-6))))
-        if curved <= 1.0:
-            counters[EVALUATIONS] += 2 * noise.G.shape[1] * x.shape[0]
-            blurred = not blur_share(drift, noise, x, f, m, t, h, S) < _SHARP * control.tolerance
-            return Choice(OK, h, parts, pieces <= 1, blurred, twice, mean, S)
+        if error <= 1.0:
+            break
         counters[REJECTED] += 1
+        if state[PATH_STEP] < _SHORTEST * span:
+            code = NOT_FINITE if error == np.inf else STALLED
+            return Choice(code, h, parts, False, False, twice, mean, S)
+    predicted(drift, noise, x, f, twice, m, t, h, parts, mean, P)
+    counters[EVALUATIONS] += (16 * parts + 2) * noise.G.shape[1] * x.shape[0]
+    if not cholesky(P, own):
+        return Choice(NOT_FINITE, h, parts, False, False, twice, mean, S)
+    times_lower(own, Q, S)
+    blurred = not blur_share(drift, noise, x, f, m, t, h, S) < _SHARP * allowed
+    return Choice(OK, h, parts, pieces <= 1, blurred, twice, mean, S)
 
 
 #: `chosen` by its address.

@@ -25,37 +25,6 @@ def noise_limit(G, L):
 
 
 @jit
-def sheared(drift, noise, x, m, t, L):
-    """Sum over the noises of |L^-1 J g|^2, mass-weighted mean: how fast the drift carries noise into
-    directions without any.
-    """
-    N, n = x.shape
-    y, f, g = np.empty((2 * N, n)), np.empty((2 * N, n)), np.empty(n)
-    total, v = 0.0, np.empty(n)
-    for k in range(noise.G.shape[1]):
-        scale = 0.0
-        for a in range(n):
-            v[a] = noise.G[a, k]
-        whiten(L, v)
-        for a in range(n):
-            scale += v[a] * v[a]
-        step = 1e-3 / math.sqrt(max(scale, 1e-300))  # a thousandth of a standard deviation along g
-        for a in range(n):
-            g[a] = step * noise.G[a, k]
-        for i in range(N):
-            for a in range(n):
-                y[i, a], y[N + i, a] = x[i, a] - g[a], x[i, a] + g[a]
-        drift(y, t, noise.p, f)
-        for i in range(N):
-            for a in range(n):
-                v[a] = 0.5 * (f[N + i, a] - f[i, a]) / step
-            whiten(L, v)
-            for a in range(n):
-                total += m[i] * v[a] * v[a]
-    return total
-
-
-@jit
 def blur_share(drift, noise, x, f, m, t, h, L):
     """What averaging the drift over the bridge that a path leaves of the noise does to the path's end: rms
     over the mass, in standard deviations, all noises together.
@@ -136,22 +105,3 @@ def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
             M[first + i] = m[i] * share
     moments(X, M, mean, cov)
     return X
-
-
-@jit
-def bentness(X, m, L):
-    """How far from linear paths' ends are in their noise of one standard deviation: mass-weighted rms of the
-    second difference, in standard deviations of the density, all noises together.
-    """
-    N, n = m.size, X.shape[1]
-    pushes = X.shape[0] // N - 1
-    width = max(3.0, 0.5 * pushes)
-    total, v = 0.0, np.empty(n)
-    for push in range(0, pushes, 2):
-        for i in range(N):
-            for a in range(n):
-                v[a] = 0.5 * (X[(push + 1) * N + i, a] + X[(push + 2) * N + i, a]) - X[i, a]
-            whiten(L, v)
-            for a in range(n):
-                total += m[i] * (v[a] / width) ** 2
-    return math.sqrt(total)

@@ -1,0 +1,56 @@
+"""How well a lattice knows the density that was laid on it: its polynomials against the density between nodes."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+
+from .._types import OfStates
+from ..core.field.field import Field
+from . import field as lattice_field
+from .level_set import Laid
+
+__all__ = ["Misfit", "left_out", "misfit"]
+
+_FARTHEST = 50.0  # nats by which a value may be too low before it counts as lost
+
+
+class Misfit(NamedTuple):
+    """What the polynomials of a lattice get wrong between its nodes."""
+
+    residual: float  # mean over the mass of |p / p' - 1|
+    mean: float  # error of the mean, in standard deviations
+    log_mass: float  # error of the logarithm of the integral
+
+
+def misfit(laid: Laid, log_p: OfStates) -> Misfit:
+    """Compare a lattice's polynomials with what was laid, in the middles of its cells.
+
+    Parameters
+    ----------
+    laid : Laid
+    log_p : callable
+        States (M, n) to the logarithms (M,) that were laid.
+
+    Returns
+    -------
+    Misfit
+    """
+    n = laid.x.shape[1]
+    corners = np.array(list(itertools.product((0, 1), repeat=n)))
+    cells = np.unique((laid.field.node[:, None] + corners).reshape(-1, n), axis=0)  # by their upper nodes
+    X = laid.field.mu + (cells - 0.5) @ laid.field.A.T
+    asked, fitted = log_p(X) - laid.log_mass, lattice_field.at(laid.field, X)
+    highest = max(asked.max(), fitted.max())
+    p, q = np.exp(asked - highest), np.exp(np.maximum(fitted - highest, -_FARTHEST))
+    if not p.sum() > 0.0:
+        return Misfit(1.0, 1.0, 1.0)
+    apart = p @ X / p.sum() - q @ X / q.sum()
+    whitened = np.linalg.solve(np.linalg.cholesky(laid.cov), apart)
+    residual = min(1.0, float(np.abs(q - p).sum() / p.sum()))
+    return Misfit(residual, float(np.linalg.norm(whitened)), abs(float(np.log(p.sum() / q.sum()))))
+
+
+def left_out(field: Field) -> float:
+    """Probability in the cells that were asked beyond those that were kept."""
+    return max(0.0, 1.0 - float(np.exp(field.log_p).sum() * abs(np.linalg.det(field.A))))
