@@ -32,7 +32,7 @@ def around(field: Field) -> Floats:
     Those of nodes and, beyond them, down to where what is left counts no more: the cut is for the sake of
     those who carry the nodes along.
     """
-    depth, highest, n = np.ptp(field.log_p) + _FURTHER, field.log_p.max(), len(field.mu)
+    depth, highest, n = np.ptp(field.log_p[: field.kept]) + _FURTHER, field.log_p.max(), len(field.mu)
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     cells.box_of(field.node, cells.MARGIN, low, dims)
     ask, start = partial(lattice_field.at, field), (field.node, low, dims)
@@ -66,7 +66,7 @@ def laid_marginal(field: Field, x: Floats, mass: Floats, axes: Sequence[int]) ->
     shadow = len(np.unique(np.floor(z[:, :k] + 0.5), axis=0))
     n_nodes = max(_FEWEST.get(k, _FEWEST[3]), math.ceil(_FINER**k * shadow))
     mean, own = (mass @ x)[axes], np.ascontiguousarray(factor[:k, :k])
-    seeds, depth = np.unique(x[:, axes], axis=0), np.ptp(field.log_p)
+    seeds, depth = np.unique(x[:, axes], axis=0), np.ptp(field.log_p[: field.kept])
     return lay(_summed(field, order, factor, z[:, k:]), mean, own, seeds, n_nodes, depth, float(shadow))
 
 

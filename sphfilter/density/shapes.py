@@ -352,7 +352,7 @@ def lattice_particles(laid: Laid) -> dict[str, Any]:
         "mass": laid.mass,
         "h": np.full(len(laid.x), LATTICE_SUPPORT * spacing),
         "read_out": "log_density",
-        "log_density": laid.field.log_p,
+        "log_density": laid.field.log_p[: laid.field.kept],
         "field": laid.field,
         "volume": laid.volume,
         "moments": (laid.mean, laid.cov),

@@ -33,7 +33,7 @@ __all__ = [
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 FORMAT = 1
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
-_FIELD = "mu", "A", "node", "log_p"  # what a field is built from
+_FIELD = "mu", "A", "node", "kept", "log_p"  # what a field is built from
 
 
 def stored(density: ParticleDensity) -> Arrays:
@@ -58,8 +58,9 @@ def density_from(arrays: Arrays) -> ParticleDensity:
         about["domain"] = Domain(*about["domain"])
     if "field.mu" in arrays:
         n = len(arrays["field.mu"])
-        parts = (np.ascontiguousarray(arrays[f"field.{name}"]) for name in _FIELD)
-        about["field"] = build_field(*parts, stencils(n))
+        arrays = {"field.kept": np.array(len(arrays["field.node"]))} | arrays  # which older files do not have
+        mu, A, node, kept, log_p = (np.ascontiguousarray(arrays[f"field.{name}"]) for name in _FIELD)
+        about["field"] = build_field(mu, A, node, kept.item(), log_p, stencils(n))
     if "moments.mean" in arrays:
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
     about |= {name: arrays[name] for name in _ARRAYS if name in arrays}

@@ -22,7 +22,7 @@ from ..errors import ModelError, PropagationError
 from ..filter.readings import checked_sensor
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
-from ..lattice.field import extrapolated_mass
+from ..lattice.field import extrapolated_mass, nodes
 from ..lattice.level_set import lattice_reach
 from ..model.measurements import Sensor
 from ..prediction.backward import carried_back, likelihood_field
@@ -231,7 +231,7 @@ def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float]
     last = epochs[-1].filt
     scheme = LogDensityScheme(reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
     laid, *_ = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
-    found = likelihood_field(_field(laid), epochs[-1].log_likelihood(laid.x))
+    found = likelihood_field(_field(laid), epochs[-1].log_likelihood(nodes(_field(laid))))
     out = [(last.density, last.log_evidence, 0.0)]
     for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
         try:
@@ -257,10 +257,10 @@ def _one_back(
     for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
         log_beta = carried_back(before.filt.model, found, prior.t, t, prior.x)
         smoothed, future, _ = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
-        values = log_beta(smoothed.x)
+        values = log_beta(nodes(_field(smoothed)))
         if prior is not priors[0]:
             found = likelihood_field(_field(smoothed), values)
-    return smoothed, likelihood_field(_field(smoothed), values + before.log_likelihood(smoothed.x)), future
+    return smoothed, likelihood_field(_field(smoothed), values + before.log_likelihood(nodes(_field(smoothed)))), future
 
 
 def _field(density: ParticleDensity) -> Field:

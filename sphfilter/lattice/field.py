@@ -8,7 +8,7 @@ from ..core.field.field import Field, evaluate
 from ..core.field.field import gradient as field_gradient
 from ..core.field.stencils import stencils
 
-__all__ = ["at", "extrapolated_mass", "gradient"]
+__all__ = ["at", "extrapolated_mass", "gradient", "nodes"]
 
 
 def at(field: Field, X: ArrayLike) -> Floats:
@@ -24,6 +24,11 @@ def gradient(field: Field, X: Floats) -> Floats:
     out = np.empty(X.shape)
     field_gradient(field, stencils(field.mu.size), np.ascontiguousarray(X, dtype=float), out)
     return out @ field.inverse
+
+
+def nodes(field: Field) -> Floats:
+    """States (M, n) of a field's nodes, those beside the density's included."""
+    return np.asarray(field.mu + field.node @ field.A.T)
 
 
 def extrapolated_mass(field: Field, x: Floats, mass: Floats) -> float:

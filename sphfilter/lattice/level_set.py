@@ -113,7 +113,7 @@ def lay(
                 f"are much smaller than the distance between them, or it has no edge"
             )
         new = relaid(value, *box, highest, asked, mean, A, sten, depth)
-        count = len(new[0]) if asked.size < most else asked.size
+        count = len(new[1]) if asked.size < most else asked.size
         if 0 < count <= n_particles:
             best = A, count * spacing**n, *new
             if count >= 0.5 * n_particles:
@@ -130,4 +130,4 @@ def lay(
             f"(the last one had {count}); use more particles"
         )
     A, volume, node, x, log_density, mass, log_mass, new_mean, cov = best
-    return Laid(x, mass, build_field(mean, A, node, log_density, sten), log_mass, volume, new_mean, cov)
+    return Laid(x, mass, build_field(mean, A, node, len(x), log_density, sten), log_mass, volume, new_mean, cov)

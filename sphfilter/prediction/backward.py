@@ -59,7 +59,7 @@ def likelihood_field(field: Field, values: Floats) -> Field:
     """
     n = field.mu.size
     sten = stencils(n)
-    found = build_field(field.mu, field.A, field.node, np.ascontiguousarray(values), sten)
+    found = build_field(field.mu, field.A, field.node, field.kept, np.ascontiguousarray(values), sten)
     complete = np.flatnonzero(found.tail[:, 0, 0] != 0.0)
     second = np.zeros((len(complete), n, n))
     for k in range(n, n + n * (n + 1) // 2):

@@ -39,7 +39,7 @@ def lower(n):
 def field_of(function, n, radius):
     """A field with `function` of the lattice coordinates (N, n) as its log p."""
     node, mu = disc(n, radius), np.linspace(-1.0, 2.0, n)
-    return build_field(mu, lower(n), node, function(node.astype(float)), stencils(n))
+    return build_field(mu, lower(n), node, len(node), function(node.astype(float)), stencils(n))
 
 
 def ask(field, d):

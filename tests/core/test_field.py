@@ -86,7 +86,7 @@ def test_a_tail_unlike_the_nodes_covariance_is_its_own():
     def log_p(d):
         return -0.7 * np.minimum(((d - offset) ** 2).sum(axis=1), ((d + offset) ** 2).sum(axis=1))
 
-    field = build_field(np.zeros(2), np.eye(2), node, log_p(node.astype(float)), stencils(2))
+    field = build_field(np.zeros(2), np.eye(2), node, len(node), log_p(node.astype(float)), stencils(2))
     far = np.array([[8.0, 30.0], [-8.0, -25.0], [20.0, 0.5]])
     assert np.allclose(ask(field, far), log_p(far), rtol=1e-9)
 
@@ -168,7 +168,7 @@ def test_every_cell_is_owned_by_a_complete_node_nearby(n):
     ball = disc(n, 3.0)
     node = np.concatenate([ball, ball + np.array([9] + [1] * (n - 1))])
     sten = stencils(n)
-    field = build_field(np.zeros(n), np.eye(n), node, np.zeros(len(node)), sten)
+    field = build_field(np.zeros(n), np.eye(n), node, len(node), np.zeros(len(node)), sten)
     nodes = {tuple(row) for row in node}
     first = sten.offsets[: sten.size[0]]
     own = [i for i, row in enumerate(node) if all(tuple(row + o) in nodes for o in first)]

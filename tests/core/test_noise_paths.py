@@ -94,7 +94,7 @@ def gaussian_field(mean, cov):
     node = disc(n, RADIUS[n])
     A = np.linalg.cholesky(cov) * REACH / RADIUS[n]
     log_p = np.atleast_1d(multivariate_normal(mean, cov).logpdf(mean + node @ A.T))
-    return build_field(np.asarray(mean, float), A, node, log_p, stencils(n))
+    return build_field(np.asarray(mean, float), A, node, len(node), log_p, stencils(n))
 
 
 def near(rng, mean, cov, count=60):

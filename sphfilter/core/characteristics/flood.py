@@ -100,7 +100,7 @@ def flooded(back, step, mu, A, points, most, control, counters):
     while found.size > 0:
         _, Y = states_of(found, mu, A, low, dims)
         log_p = np.empty(found.size)
-        floor = highest - control.depth
+        floor = highest - 2.0 * control.depth
         full = back(step, Y, floor, log_p)
         one = 4 * step.parts - 1  # a path's evaluations
         counters[EVALUATIONS] += found.size * (2 * one + 1) + full * one * step.paths.log_weight.size

@@ -134,7 +134,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
             state[VOLUME] = new.volume
         state[LOST_MASS] += abs(new.log_mass)
         x, m, mean, P = new.x, new.mass, new.mean, new.cov
-        field = build(new.mu, new.A, new.node, new.log_p, sten)
+        field = build(new.mu, new.A, new.node, new.x.shape[0], new.log_p, sten)
         residual = between(back, step, field, new.log_mass)
         state[RESIDUAL] = min(max(residual, control.least), _MOST)
         state[SQUARES] += residual**2

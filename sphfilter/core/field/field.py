@@ -33,6 +33,7 @@ class Field(NamedTuple):
     dims: np.ndarray  # (n,) int, cells of the box along every axis
     owner: np.ndarray  # (cells,) int, whose polynomial is used there; its complement (~) where no node lies
     node: np.ndarray  # (N, n) int
+    kept: int  # of the nodes are above the density's depth, the first ones; the others lie beside them
     log_p: np.ndarray  # (N,)
     coefficient: np.ndarray  # (N, M), in units of the lattice
     cap: float  # log p is below it wherever no node lies
@@ -43,7 +44,7 @@ _INTEGERS, _NUMBERS, _MATRIX = np.empty(1, np.int64), np.empty(1), np.empty((1, 
 #: Numba's type of a `Field`.
 FIELD = typeof(
     Field(
-        _NUMBERS, _MATRIX, _MATRIX, _INTEGERS, _INTEGERS, _INTEGERS, np.empty((1, 1), np.int64), _NUMBERS,
+        _NUMBERS, _MATRIX, _MATRIX, _INTEGERS, _INTEGERS, _INTEGERS, np.empty((1, 1), np.int64), 1, _NUMBERS,
         _MATRIX, 0.0, np.empty((1, 1, 1)),
     )
 )  # fmt: skip

@@ -26,8 +26,10 @@ _NEARLY = 0.2  # relative distance of second derivatives from a Gaussian's that 
 
 
 @jit
-def build_field(mu, A, node, log_p, sten):
-    """Fit the polynomials of an opened set of nodes (N, n). Every node must have a complete one nearby."""
+def build_field(mu, A, node, kept, log_p, sten):
+    """Fit the polynomials of an opened set of nodes (N, n), whose first ones are `kept`. Every node must have a
+    complete one nearby.
+    """
     N, n = node.shape
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     box_of(node, sten.widest, low, dims)
@@ -81,8 +83,8 @@ def build_field(mu, A, node, log_p, sten):
     for flat in range(owner.size):
         if index[flat] < 0:
             owner[flat] = ~owner[flat]
-    cap = _cap(log_p, gaussian)
-    return Field(mu, A, invert_lower(A), low, dims, owner, node, log_p, coefficient, cap, tail)
+    cap = _cap(log_p[:kept], gaussian)
+    return Field(mu, A, invert_lower(A), low, dims, owner, node, kept, log_p, coefficient, cap, tail)
 
 
 @jit
@@ -238,4 +240,4 @@ def _nearest_of(cell, owner, node, low, dims, strides, flat, best):
 
 
 #: `build_field` by its address.
-BUILD = Entry(build_field, (VECTOR, MATRIX, types.int64[:, ::1], VECTOR, STENCILS))
+BUILD = Entry(build_field, (VECTOR, MATRIX, types.int64[:, ::1], types.int64, VECTOR, STENCILS))

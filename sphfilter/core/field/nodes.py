@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import jit
 from ..small_matrices import moments
-from .cells import UNKNOWN, marked, opened, states_of
+from .cells import UNKNOWN, joined, marked, opened, states_of
 
 __all__ = ["MOST_ASKED", "relaid"]
 
@@ -15,7 +15,7 @@ MOST_ASKED = 12  # cells asked for, over the number of particles wanted
 
 @jit
 def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
-    """The nodes of a flooded box above the depth, normalised.
+    """The nodes of a flooded box above the depth, normalised, and those beside them.
 
     Mean, covariance and the integral are sums over all cells that were asked for, the ring just below the
     depth included: what the cut would take away from them is below rounding of what the lattice resolves.
@@ -38,11 +38,12 @@ def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
 
     Returns
     -------
-    node (N, n), x (N, n), log_p (N,), m (N,), log of the integral, mean (n,), covariance (n, n)
+    node (M, n), x (N, n), log_p (M,), m (N,), log of the integral, mean (n,), covariance (n, n)
+        The first N of the M nodes lie above the depth. The others were asked beside them: polynomials are
+        fitted to them too, where log p does not fall there by more than the depth once more.
     """
     n = mu.size
     found = opened(value, cells, highest - depth, dims, sten.offsets[: sten.size[0]])
-    node, x = states_of(found, mu, A, low, dims)
     known = np.empty(value.size, np.bool_)
     for flat in range(value.size):
         known[flat] = value[flat] != UNKNOWN
@@ -59,11 +60,26 @@ def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
     log_mass = highest + math.log(total * cell)
     mean, cov = np.empty(n), np.empty((n, n))
     moments(everywhere, weight, mean, cov)
-    log_p, m, inside = np.empty(found.size), np.empty(found.size), 0.0
+    both = joined(found, _beside(value, asked, found, highest - 2.0 * depth))
+    node, x = states_of(both, mu, A, low, dims)
+    log_p, m, inside = np.empty(both.size), np.empty(found.size), 0.0
+    for k in range(both.size):
+        log_p[k] = value[both[k]] - log_mass
     for k in range(found.size):
-        log_p[k] = value[found[k]] - log_mass
         m[k] = math.exp(value[found[k]] - highest)
         inside += m[k]
     for k in range(found.size):
         m[k] /= inside
-    return node, x, log_p, m, log_mass, mean, cov
+    return node, x[: found.size], log_p, m, log_mass, mean, cov
+
+
+@jit
+def _beside(value, asked, found, level):
+    """Cells that were asked, are not among those found, and lie above a level."""
+    kept = np.zeros(value.size, np.bool_)
+    for k in range(found.size):
+        kept[found[k]] = True
+    mark = np.zeros(value.size, np.bool_)
+    for k in range(asked.size):
+        mark[asked[k]] = not kept[asked[k]] and value[asked[k]] > level
+    return marked(mark)
