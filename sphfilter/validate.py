@@ -11,8 +11,23 @@ from numpy.typing import ArrayLike
 from ._types import Floats, Seed
 from .errors import ModelError, nearest
 
-__all__ = ["array", "choice", "count", "covariance", "generator", "positive", "onwards", "real", "row", "seconds",
-           "short", "square", "state_rows", "times", "unmasked"]  # fmt: skip
+__all__ = [
+    "array",
+    "choice",
+    "count",
+    "covariance",
+    "generator",
+    "onwards",
+    "positive",
+    "real",
+    "row",
+    "seconds",
+    "short",
+    "square",
+    "state_rows",
+    "times",
+    "unmasked",
+]  # fmt: skip
 
 Word = TypeVar("Word")
 

@@ -180,7 +180,8 @@ class SPHFilter(Shown):
         filterpy's banks call ``predict(0)``, for no control: a filter with a dt of its own advances by it.
         """
         self._budget.begin(step=True)
-        if t is None and (dt is None or (self.dt is not None and np.ndim(dt) == 0 and dt == 0)):
+        given: Any = dt
+        if t is None and (dt is None or (self.dt is not None and np.ndim(given) == 0 and given == 0)):
             if self.dt is None:
                 raise ModelError("predict needs dt or t=, or a filter made with dt=")
             dt = self.dt
@@ -232,9 +233,9 @@ class SPHFilter(Shown):
             raise ModelError("prepare needs dt, the interval between measurements, or a filter made with dt=")
         twin, budget = copy(self), Budget(self.config.time_budget or math.inf)
         budget.prepared, twin._budget = True, budget
-        seconds = rehearse(twin, budget, positive("dt", seconds("dt", self.dt if dt is None else dt)))
+        taken = rehearse(twin, budget, positive("dt", seconds("dt", self.dt if dt is None else dt)))
         self._budget.adopt(budget)
-        return seconds
+        return taken
 
     def update(
         self,

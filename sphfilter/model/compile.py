@@ -33,7 +33,7 @@ Maker: TypeAlias = Callable[[Any], BatchFunction]
 
 #: Vectorised numpy callables by number: compiled code can hold a number, not a Python object.
 _BLACK_BOXES: list[BatchFunction] = []
-#: What user's functions raised while compiled code ran, the first by thread; 0 for the threads of compiled code.
+#: What users' functions raised while compiled code ran, the first by thread; 0 for compiled code's threads.
 _RAISED: dict[int, BaseException] = {}
 
 

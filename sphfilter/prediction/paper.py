@@ -17,8 +17,8 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
 from ..errors import PropagationError
 from ..info import PredictInfo
-from ..model.domain import Domain
 from ..model.compile import surfacing
+from ..model.domain import Domain
 from ..model.sde import SDE
 from ._shared import blow_up, equations_of, skip_notes
 
