@@ -82,8 +82,8 @@ class SDE:
         The drift is affine in the state with constant coefficients, the noise constant (provably), and no
         axis ends.
     max_step : float
-        Longest step, seconds: the one given, or an eighth of the period of a text's fastest sine of t; infinite
-        without either.
+        Longest step, seconds: the one given, or an eighth of the period of a text's fastest sine of t;
+        infinite without either.
     events : ndarray, shape (E,)
     diffusion_rows : ndarray of bool, shape (n,)
         Rows of D that may differ from zero; exact when D is constant.
@@ -270,12 +270,10 @@ class SDE:
         return self._evaluate(self._functions[name], np.zeros(self.dim), t, k)[0]
 
     def breaks(self, t0: float, t1: float) -> Floats:
-        """Return the times in [t0, t1] at which the model jumps by itself, sorted: events, and jumps of text."""
-        own = (
-            roots(lambda t: self._at("switches", t), t0, t1, self.max_step)
-            if self._flags.get("switches")
-            else []
-        )
+        """Return the times in [t0, t1] at which the model jumps by itself, sorted: events, jumps of text."""
+        own: list[float] = []
+        if self._flags.get("switches"):
+            own = roots(lambda t: self._at("switches", t), t0, t1, self.max_step)
         return np.unique([*self.events[(self.events >= t0) & (self.events <= t1)], *own])
 
     def with_parameters(self, **changes: float) -> Self:

@@ -33,7 +33,7 @@ class Faulty:
 
 def turn(X, t):
     """Coordinated turn: x, vx, y, vy, rate."""
-    x, vx, y, vy, w = X.T
+    _, vx, _, vy, w = X.T
     return np.stack([vx, -w * vy, vy, w * vx, -0.1 * w], axis=1)
 
 

@@ -29,11 +29,11 @@ def exact(T, drift=lambda t: 0.0, noise=lambda t: 0.2, at=()):
     return mean, 0.2 * np.exp(-2.0 * RATE * T) + variance
 
 
-def noisy():
-    def pulse(X, t):
-        return np.full((len(X), 1, 1), 0.5 * pulse_of_noise(t))
+def callable_noise():
+    def diffusion(x, t):
+        return ((0.1 + 25.0 * np.exp(-(((t - 0.7) / 0.02) ** 2)),),)
 
-    return sf.SDE(lambda X, t: -RATE * X, 1, diffusion=lambda X, t: pulse(X, t) + 0.0 * t, vectorized=True)
+    return sf.SDE(lambda x: (-RATE * x[0],), 1, diffusion=diffusion)
 
 
 def callable_drift(f, **options):
@@ -49,6 +49,7 @@ def text_noise():
 
 
 CASES = {
+    "callable noise": (callable_noise, 2.0, {"noise": pulse_of_noise, "at": (0.66, 0.7, 0.74)}),
     "noise": (text_noise, 2.0, {"noise": pulse_of_noise, "at": (0.66, 0.7, 0.74)}),
     "drift": (lambda: callable_drift(pulse_of_drift), 2.0, {"drift": pulse_of_drift, "at": (0.4, 0.45)}),
     "events": (

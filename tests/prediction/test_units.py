@@ -75,8 +75,11 @@ def test_a_diffusion_has_noise_in_every_state(unit):
     unit = np.asarray(unit)
     scaled = D * np.outer(unit, unit)
     constant = sf.SDE(lambda x: (0.0, 0.0, 0.0), 3, diffusion=scaled)
-    changing = sf.SDE(lambda x: (0.0, 0.0, 0.0), 3, diffusion=lambda X, t: np.array([scaled] * len(X)) * (1 + t),
-                      vectorized=True)  # fmt: skip
+
+    def growing(X, t):
+        return np.array([scaled] * len(X)) * (1 + t)
+
+    changing = sf.SDE(lambda X, t: 0.0 * X, 3, diffusion=growing, vectorized=True)
     for system in (constant, changing):
         g = system.noise(np.zeros((1, 3)), 0.0)[0]
         found = 0.5 * g @ system.spectral_density @ g.T
