@@ -91,7 +91,7 @@ class ReferenceFilter(ABC):
         if measurement is None:
             raise ModelError("update needs a measurement model: give one here or at construction")
         if np.any(measurement.observed(z)):
-            z = np.atleast_1d(np.asarray(z, dtype=float))
+            z = np.atleast_1d(np.asarray(validate.unmasked(z), dtype=float))
             belief, facts = self._updated(self._belief, z, measurement)
             info = UpdateInfo(accepted=True, **facts)
         else:
@@ -118,7 +118,9 @@ class ReferenceFilter(ABC):
             dt = self.dt if dt is None else dt
             if dt is None:
                 raise ModelError("predict needs dt or t (or dt at construction)")
-            t = self.t + dt
+            t = self.t + validate.seconds("dt", dt)
+        else:
+            (t,) = validate.onwards(np.atleast_1d(np.asarray(t, dtype=float)), self.t)
         if not np.isfinite(t) or t < self.t:
             raise ModelError(f"cannot predict from t = {self.t:g} to {t:g}: times must not decrease")
         return float(t)

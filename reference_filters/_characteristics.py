@@ -7,6 +7,7 @@ from numba import types
 
 from sphfilter.core._addresses import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit_for
+from sphfilter.model.compile import surfacing
 
 __all__ = ["follow"]
 
@@ -59,5 +60,6 @@ def follow(model, X, t, dt):
     """
     feet, dilation = np.array(X, dtype=float, order="C"), np.empty(len(X))
     addresses = address_of(model.drift_batch), address_of(model.divergence_batch)
-    _compiled_follow()(feet, dilation, (float(t), float(dt)), model.p, addresses)
+    with surfacing():
+        _compiled_follow()(feet, dilation, (float(t), float(dt)), model.p, addresses)
     return feet, dilation

@@ -16,6 +16,7 @@ from sphfilter.core.dormand_prince import A as _A
 from sphfilter.core.dormand_prince import C as _C
 from sphfilter.core.dormand_prince import E as _E
 from sphfilter.errors import PropagationError
+from sphfilter.model.compile import surfacing
 
 __all__ = ["LINEARISED", "SIGMA_POINTS", "propagate_moments"]
 
@@ -197,7 +198,8 @@ def propagate_moments(model, scheme, m, P, t0, t1, kappa=0.0, rtol=1e-6):
     y = np.concatenate([m, P.ravel()])
     functions = model.drift_batch, model.jacobian_batch, model.diffusion_batch
     addresses = tuple([address_of(f) for f in functions])
-    status, n_steps, t = _compiled_integrate()(scheme, y, (t0, t1), model.p, addresses, (kappa, rtol))
+    with surfacing():
+        status, n_steps, t = _compiled_integrate()(scheme, y, (t0, t1), model.p, addresses, (kappa, rtol))
     if status != _DONE:
         raise PropagationError(
             f"moment equations stopped at t = {t:g} s between {t0:g} and {t1:g} s after {n_steps} steps: "

@@ -15,6 +15,7 @@ from sphfilter.core._addresses import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit, jit_for
 from sphfilter.core.sde_steps import platen_steps, shifted_path_steps, split_steps
 from sphfilter.errors import PropagationError
+from sphfilter.model.compile import surfacing
 from sphfilter.model.simulate import noise_root, rate_of_time
 
 from ._normals import LANES, fill_normals, seed_lanes
@@ -161,7 +162,8 @@ class Paths:
 
         def share(first, last):
             stream = (self._scheme, seed, first, last)
-            _compiled_blocks()(x, report, span, limits, addresses, constants, stream)
+            with surfacing():
+                _compiled_blocks()(x, report, span, limits, addresses, constants, stream)
 
         n_shares = max(1, min(self.n_threads, n_blocks // _BLOCKS_PER_THREAD))
         edges = [n_blocks * i // n_shares for i in range(n_shares + 1)]

@@ -1,12 +1,13 @@
 """The types that many signatures share."""
 
 from collections.abc import Callable, Sequence
+from datetime import timedelta
 from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["BatchFunction", "Bools", "Floats", "Ints", "OfStates", "ReadOut", "Readings", "Seed"]
+__all__ = ["BatchFunction", "Bools", "Floats", "Interval", "Ints", "OfStates", "ReadOut", "Readings", "Seed"]
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
@@ -15,6 +16,8 @@ Bools: TypeAlias = NDArray[np.bool_]
 Seed: TypeAlias = np.random.Generator | int | None
 #: One measurement for each time; None or NaN where none came.
 Readings: TypeAlias = Sequence[ArrayLike | None] | Floats
+#: Seconds, or as Python and numpy keep them.
+Interval: TypeAlias = float | timedelta | np.timedelta64
 #: A function of states (M, n), with a number for each, (M,).
 OfStates: TypeAlias = Callable[[Floats], Floats]
 #: How a density is read between its points.

@@ -1,7 +1,9 @@
 """Exceptions of the package. Each sentence says what was given, what is allowed, and what to do."""
 
+import unicodedata
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Any
 
 __all__ = [
     "CampaignError",
@@ -13,6 +15,7 @@ __all__ = [
     "SphfilterError",
     "UnresolvedError",
     "nearest",
+    "plain",
 ]
 
 
@@ -113,6 +116,11 @@ class StoppedError(PropagationError):
 
 class UnresolvedError(PropagationError):
     """No scheme can be trusted with this density on so few particles."""
+
+
+def plain(name: Any) -> Any:
+    """Return a name as Python itself reads it in a text: the micro sign is a mu there, and so on (NFKC)."""
+    return unicodedata.normalize("NFKC", name) if isinstance(name, str) else name
 
 
 def nearest(name: object, allowed: Iterable[object]) -> str:

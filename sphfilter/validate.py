@@ -2,7 +2,8 @@
 
 import numbers
 from collections.abc import Iterable
-from typing import TypeVar
+from datetime import timedelta
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,10 +11,27 @@ from numpy.typing import ArrayLike
 from ._types import Floats, Seed
 from .errors import ModelError, nearest
 
-__all__ = ["array", "choice", "count", "covariance", "generator", "positive", "real", "row", "short",
-           "square", "state_rows", "times"]  # fmt: skip
+__all__ = [
+    "array",
+    "choice",
+    "count",
+    "covariance",
+    "generator",
+    "onwards",
+    "positive",
+    "real",
+    "row",
+    "seconds",
+    "short",
+    "square",
+    "state_rows",
+    "times",
+    "unmasked",
+]  # fmt: skip
 
 Word = TypeVar("Word")
+
+_ROUNDING = 16 * float(np.finfo(float).eps)  # of a time that is a sum of intervals, relative
 
 
 def array(name: str, value: object, shape: tuple[int | None, ...], what: str = "") -> Floats:
@@ -105,6 +123,37 @@ def real(name: str, value: object) -> float:
     return float(value)
 
 
+def seconds(name: str, value: object) -> float:
+    """Return a time or an interval as a finite float, seconds; a timedelta, Python's or numpy's, is one."""
+    if isinstance(value, timedelta):
+        return value.total_seconds()
+    if isinstance(value, np.timedelta64):
+        value = float(value / np.timedelta64(1, "s"))
+    return real(name, value)
+
+
+def onwards(times: Floats, start: float) -> Floats:
+    """Return times (T,) of which those are equal to the one before that differ by rounding alone.
+
+    Times are sums of intervals, as a rule: what differs in the last few bits is the same time.
+    """
+    out, before = np.array(times, dtype=float), float(start)
+    for i, t in enumerate(out):
+        if abs(t - before) <= _ROUNDING * max(abs(t), abs(before)):
+            out[i] = before
+        before = out[i]
+    return out
+
+
+def unmasked(z: Any) -> Any:
+    """Return a reading with NaN where it is masked; anything that has no mask as it is."""
+    if np.ma.isMA(z):
+        return np.ma.filled(np.ma.asarray(z, dtype=float), np.nan)
+    if isinstance(z, list | tuple):
+        return [np.nan if number is np.ma.masked else number for number in z]
+    return z
+
+
 def count(name: str, value: object, least: int = 1) -> int:
     """Return an int that is at least `least`."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
@@ -121,10 +170,11 @@ def choice(name: str, value: Word, allowed: Iterable[Word]) -> Word:
 
 
 def times(name: str, value: ArrayLike) -> Floats:
-    """Return a non-empty, finite, non-decreasing array of times, shape (T,)."""
+    """Return a non-empty, finite, non-decreasing array of times, shape (T,); see `onwards`."""
     t = array(name, value, (None,))
     if t.size == 0:
         raise ModelError(f"{name} is empty; give at least one time.")
+    t = onwards(t, t[0])
     back = np.flatnonzero(np.diff(t) < 0)
     if back.size:
         i = int(back[0])

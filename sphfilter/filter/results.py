@@ -12,6 +12,7 @@ from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
 from ..info import innovation_of
 from ..model.measurements import Reading
+from ..validate import onwards
 
 __all__ = ["TRUTHS", "AnyFilter", "FilterResult", "run_filter", "shapes"]
 
@@ -160,6 +161,7 @@ def run_filter(
             f"run needs as many measurements as times; got times of shape {times.shape} "
             f"and {len(measurements)} measurements"
         )
+    times = onwards(times, filt.t)
     if len(times) and (not np.all(np.isfinite(times)) or np.any(np.diff(times) < 0) or times[0] < filt.t):
         raise ModelError(
             f"times must be finite, not decreasing and not before the filter's own time {filt.t:g}"

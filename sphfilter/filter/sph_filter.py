@@ -9,7 +9,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Readings
+from .._types import Interval, Readings
 from ..config import FilterConfig, checked_filter_config
 from ..consistency.ranks import Ranker
 from ..density.distributions import Gaussian
@@ -24,7 +24,7 @@ from ..model.sde import SDE
 from ..prediction.again import Outcome, predict_from_finer
 from ..prediction.predict import Prediction, predict
 from ..prediction.to_target import fewest, predict_to_target
-from ..validate import array, count, covariance, positive, real, row, short
+from ..validate import array, count, covariance, positive, real, row, seconds, short
 from .budget import Budget, rehearse
 from .checkpoint import restored, write
 from .names import check_assigned
@@ -58,7 +58,7 @@ class SPHFilter(Shown):
         expected to end in time, 60 in two states at least. See `prepare`.
     density : ParticleDensity, optional
         Initial density instead of x0, P0 and t0.
-    dt : float, optional
+    dt : float or timedelta, optional
         Makes ``predict()`` advance by dt seconds when called without argument, as in filterpy.
 
     Attributes
@@ -112,7 +112,7 @@ class SPHFilter(Shown):
         n_particles: int | Literal["auto"] = 200,
         config: FilterConfig | None = None,
         density: ParticleDensity | None = None,
-        dt: float | None = None,
+        dt: Interval | None = None,
     ) -> None:
         if not isinstance(model, SDE):
             raise ModelError(f"model must be an SDE or LinearSDE, got {short(model)}")
@@ -121,7 +121,7 @@ class SPHFilter(Shown):
         self.config = checked_filter_config(config)
         self._adapts = isinstance(n_particles, str)
         n_particles = count("n_particles", fewest(model.dim, n_particles) if self._adapts else n_particles)
-        self.dt = None if dt is None else positive("dt", dt)
+        self.dt = None if dt is None else positive("dt", seconds("dt", dt))
         self._budget = Budget(self.config.time_budget)
         self._state = FilterState.begun(self._start(x0, P0, t0, density, n_particles), n_particles)
 
@@ -174,19 +174,20 @@ class SPHFilter(Shown):
         if "_state" in vars(self):  # else a subclass sets it before it is made
             self._state = replace(self._state, n_particles=value)
 
-    def predict(self, dt: float | None = None, *, t: float | None = None) -> PredictInfo:
+    def predict(self, dt: Interval | None = None, *, t: float | None = None) -> PredictInfo:
         """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo.
 
         filterpy's banks call ``predict(0)``, for no control: a filter with a dt of its own advances by it.
         """
         self._budget.begin(step=True)
-        if t is None and (dt is None or (self.dt is not None and np.ndim(dt) == 0 and dt == 0)):
+        given: Any = dt
+        if t is None and (dt is None or (self.dt is not None and np.ndim(given) == 0 and given == 0)):
             if self.dt is None:
                 raise ModelError("predict needs dt or t=, or a filter made with dt=")
             dt = self.dt
         rehearses = not self._budget.prepared
         if rehearses:
-            interval = real("dt", dt) if t is None else real("t", t) - self.t
+            interval = seconds("dt", dt) if t is None else real("t", t) - self.t
             if interval > 0.0:
                 self.prepare(interval)
         state, most = self._state, self._most()
@@ -211,7 +212,7 @@ class SPHFilter(Shown):
         """Particles that a call may have."""
         return self._budget.bound(self.n_particles, fewest(self.model.dim, "auto"))
 
-    def prepare(self, dt: float | None = None) -> float:
+    def prepare(self, dt: Interval | None = None) -> float:
         """Compile all that predictions and updates call, before a loop in real time.
 
         Predictions and updates are rehearsed on a twin: the filter stays where it is. Under a `time_budget`
@@ -232,9 +233,9 @@ class SPHFilter(Shown):
             raise ModelError("prepare needs dt, the interval between measurements, or a filter made with dt=")
         twin, budget = copy(self), Budget(self.config.time_budget or math.inf)
         budget.prepared, twin._budget = True, budget
-        seconds = rehearse(twin, budget, positive("dt", self.dt if dt is None else dt))
+        taken = rehearse(twin, budget, positive("dt", seconds("dt", self.dt if dt is None else dt)))
         self._budget.adopt(budget)
-        return seconds
+        return taken
 
     def update(
         self,

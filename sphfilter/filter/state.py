@@ -13,6 +13,7 @@ from ..model.measurements import GaussianMeasurement, Sensor
 from ..model.sde import SDE
 from ..prediction.again import Outcome
 from ..prediction.predict import Prediction
+from ..validate import unmasked
 from .update_again import Update
 
 __all__ = ["FilterState", "Shown"]
@@ -184,7 +185,11 @@ def _moments(density: ParticleDensity) -> tuple[Floats, Floats]:
 def _said(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo) -> dict[str, Any]:
     """A measurement, its innovation and the covariance of that, in shapes of the sensor, by name."""
     if not isinstance(measurement, GaussianMeasurement):
-        return {"z": None if z is None else np.atleast_1d(np.array(z, dtype=float)), "y": None, "S": None}
+        return {
+            "z": None if z is None else np.atleast_1d(np.array(unmasked(z), dtype=float)),
+            "y": None,
+            "S": None,
+        }
     numbers, seen = measurement.reading(z)
     y, S = innovation_of(info, seen, measurement.dim_z)
     return {"z": numbers, "y": y, "S": S}

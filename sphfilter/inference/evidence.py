@@ -127,7 +127,11 @@ def _builder(filt: SPHFilter, names: Sequence[str]) -> Builder:
 
 def n_readings(measurements: Readings) -> int:
     """How many numbers were measured, NaN not counted."""
-    return sum(0 if z is None else int(np.isfinite(np.asarray(z, dtype=float)).sum()) for z in measurements)
+    return sum(0 if z is None else int(np.isfinite(_numbers(z)).sum()) for z in measurements)
+
+
+def _numbers(z: ArrayLike) -> Floats:
+    return np.asarray(validate.unmasked(z), dtype=float)
 
 
 def fingerprint(times: ArrayLike, measurements: Readings) -> str:

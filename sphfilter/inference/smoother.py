@@ -260,7 +260,11 @@ def _one_back(
         values = log_beta(nodes(_field(smoothed)))
         if prior is not priors[0]:
             found = likelihood_field(_field(smoothed), values)
-    return smoothed, likelihood_field(_field(smoothed), values + before.log_likelihood(nodes(_field(smoothed)))), future
+    return (
+        smoothed,
+        likelihood_field(_field(smoothed), values + before.log_likelihood(nodes(_field(smoothed)))),
+        future,
+    )
 
 
 def _field(density: ParticleDensity) -> Field:

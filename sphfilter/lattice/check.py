@@ -38,7 +38,9 @@ def misfit(laid: Laid, log_p: OfStates) -> Misfit:
     """
     n = laid.x.shape[1]
     corners = np.array(list(itertools.product((0, 1), repeat=n)))
-    cells = np.unique((laid.field.node[: laid.field.kept, None] + corners).reshape(-1, n), axis=0)  # by their upper nodes
+    cells = np.unique(
+        (laid.field.node[: laid.field.kept, None] + corners).reshape(-1, n), axis=0
+    )  # by their upper nodes
     X = laid.field.mu + (cells - 0.5) @ laid.field.A.T
     asked, fitted = log_p(X) - laid.log_mass, lattice_field.at(laid.field, X)
     highest = max(asked.max(), fitted.max())

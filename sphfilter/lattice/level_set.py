@@ -130,4 +130,6 @@ def lay(
             f"(the last one had {count}); use more particles"
         )
     A, volume, node, x, log_density, mass, log_mass, new_mean, cov = best
-    return Laid(x, mass, build_field(mean, A, node, len(x), log_density, sten), log_mass, volume, new_mean, cov)
+    return Laid(
+        x, mass, build_field(mean, A, node, len(x), log_density, sten), log_mass, volume, new_mean, cov
+    )

@@ -7,8 +7,10 @@ that signature, accept every model.
 import dis
 import functools
 import inspect
+import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,7 +24,7 @@ from ..core._jit import BATCH
 from ..errors import ModelError
 
 __all__ = ["Maker", "StateFunction", "accepts", "batch", "compile_rows", "compile_source", "probe",
-           "probe_states", "reads_argument"]  # fmt: skip
+           "probe_states", "reads_argument", "surfacing"]  # fmt: skip
 
 #: A user's function of (x), (x, t) or (x, t, p): of one state in numba's types, or of rows of states.
 StateFunction: TypeAlias = Callable[..., Any]
@@ -31,6 +33,23 @@ Maker: TypeAlias = Callable[[Any], BatchFunction]
 
 #: Vectorised numpy callables by number: compiled code can hold a number, not a Python object.
 _BLACK_BOXES: list[BatchFunction] = []
+#: What users' functions raised while compiled code ran, the first by thread; 0 for compiled code's threads.
+_RAISED: dict[int, BaseException] = {}
+
+
+@contextmanager
+def surfacing() -> Iterator[None]:
+    """Run compiled code: what a user's function raises in it is raised when it returns, as it was raised.
+
+    No exception passes through compiled frames, whose threads it would end together with Python. After the
+    first one the user's functions are not called any more, and give NaN.
+    """
+    try:
+        yield
+    finally:
+        problem = _RAISED.pop(threading.get_ident(), None) or _RAISED.pop(0, None)
+        if problem is not None:
+            raise problem
 
 
 def batch(function: Callable[..., None]) -> BatchFunction:
@@ -123,7 +142,11 @@ def compile_rows(
     lines = [f"r = f({arguments})"]
     for column, index in enumerate(np.ndindex(*shape)):
         lines.append(f"out[i, {column}] = r" + ("" if scalar else "".join(f"[{j}]" for j in index)))
-    return compile_source([], lines, f=core)
+    if not _may_raise(core):
+        return compile_source([], lines, f=core)
+    lines = ["try:", *(f"    {line}" for line in lines)]
+    lines += ["except Exception:", "    again(x[i : i + 1], t, p, out[i : i + 1])"]
+    return compile_source([], lines, f=core, again=_raised_again(core, n_args, p.size))
 
 
 def compile_source(before: Sequence[str], per_row: Sequence[str], **names: Any) -> BatchFunction:
@@ -155,6 +178,24 @@ def _compile_one(function: Any, n_args: int, name: str) -> tuple[Any, Any]:
             f"{name} could not be compiled by numba ({reason[:200]}). Use plain arithmetic and math "
             "functions of one state, or pass a numpy function of many states (rows) with vectorized=True."
         ) from error
+
+
+def _may_raise(core: Any) -> bool:
+    """Whether compiled code of one state contains an exception, which it keeps in pickled form."""
+    try:
+        return any("picklebuf" in code for code in core.inspect_llvm().values())
+    except RuntimeError:  # code from a cache on disk shows nothing
+        return True
+
+
+def _raised_again(core: Any, n_args: int, k: int) -> BatchFunction:
+    """Batch function that asks a compiled function of one state once more, from Python, for its exception."""
+
+    def call(x: Floats, t: float, p: Floats, out: Floats) -> None:
+        out[0] = np.nan
+        core(*(x[0], t, p[:k])[:n_args])
+
+    return _through_python(call)
 
 
 def _check_shape(returned: Any, shape: tuple[int, ...], name: str) -> None:
@@ -252,22 +293,38 @@ def _compile_vectorized(
     function: Callable[..., Any], n_args: int, shape: tuple[int, ...], name: str, k: int
 ) -> BatchFunction:
     """Wrap a numpy function of many states; compiled loops reach it through the interpreter."""
-    index = len(_BLACK_BOXES)
 
     def call(x: Floats, t: float, p: Floats, out: Floats) -> None:
         out[:] = _rows_of(function(*(x, t, p[:k])[:n_args]), len(x), shape, name)
 
+    return _through_python(call)
+
+
+def _through_python(call: Callable[..., None]) -> BatchFunction:
+    """Batch function that enters the interpreter; with no rows there is nothing to ask."""
+    index = len(_BLACK_BOXES)
     _BLACK_BOXES.append(call)
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
-        with objmode():
-            _call_black_box(index, x, t, p, out)
+        if x.shape[0] > 0:
+            with objmode():
+                _call_black_box(index, x, t, p, out)
 
     return batch(fill)
 
 
 def _call_black_box(index: int, x: Floats, t: float, p: Floats, out: Floats) -> None:
-    _BLACK_BOXES[index](x, t, p, out)
+    """Call a user's function, and keep what it raises for `surfacing`."""
+    own = threading.get_ident()
+    thread = own if any(own == known.ident for known in threading.enumerate()) else 0
+    if thread in _RAISED:
+        out[:] = np.nan
+        return
+    try:
+        _BLACK_BOXES[index](x, t, p, out)
+    except BaseException as problem:
+        _RAISED[thread] = problem
+        out[:] = np.nan
 
 
 @functools.cache

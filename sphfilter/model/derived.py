@@ -13,17 +13,28 @@ from .compile import batch
 __all__ = [
     "constant_diffusion", "constant_noise", "diffusion_from_noise", "jacobian_from", "linear_divergence",
     "linear_drift", "linear_jacobian", "noise_from_diffusion", "reversed_drift", "row_divergence_from",
-    "stratonovich_drift", "symmetric_root", "trace_from", "zeros",
+    "scales", "stratonovich_drift", "symmetric_root", "trace_from", "zeros",
 ]  # fmt: skip
 
 #: Relative step of central differences: balances rounding (eps/h) against truncation (h²).
 _STEP = np.finfo(float).eps ** (1 / 3)
 
 
+@njit(error_model="numpy")
+def scales(D: Floats) -> Floats:
+    """Return roots of the diagonal of D (n, n), one where it is zero: in units of them D has a unit diagonal.
+
+    States have units of their own: what is small, or rounding, is judged in these.
+    """
+    d = np.sqrt(np.abs(np.diag(D)))
+    return np.where(d > 0.0, d, 1.0)
+
+
 def symmetric_root(D: Floats) -> Floats:
-    """Return g, shape (n, n), with g gᵀ = 2 D: the symmetric root, smooth in D where D is definite."""
-    w, V = np.linalg.eigh(D)
-    return (V * np.sqrt(2.0 * np.maximum(w, 0.0))) @ V.T
+    """Return g, shape (n, n), with g gᵀ = 2 D: the symmetric root of D of unit diagonal, smooth in D."""
+    d = scales(D)
+    w, V = np.linalg.eigh(D / np.outer(d, d))
+    return ((V * np.sqrt(2.0 * np.maximum(w, 0.0))) @ V.T) * d.reshape((-1, 1))
 
 
 # --- constants, read from the tail of p: [parameters, g (n m), D (n n)] ---

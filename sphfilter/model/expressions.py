@@ -13,7 +13,7 @@ from typing import Any
 
 import sympy as sp
 
-from ..errors import ExpressionError, nearest
+from ..errors import ExpressionError, nearest, plain
 from .symbols import FUNCTIONS, And, Ge, Gt, Not, Or, Where
 
 __all__ = ["Names", "parse"]
@@ -43,6 +43,7 @@ class Names:
     """
 
     def __init__(self, states: Sequence[str], parameters: Sequence[str] = ()) -> None:
+        states, parameters = [*map(plain, states)], [*map(plain, parameters)]
         seen = set()
         for name in (*states, *parameters):
             if not isinstance(name, str) or not name.isidentifier():

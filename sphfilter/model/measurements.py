@@ -11,7 +11,7 @@ from scipy.linalg import solve_triangular
 from .. import validate
 from .._types import Bools, Floats, Ints, Seed
 from ..errors import ModelError
-from .compile import StateFunction, compile_rows, probe
+from .compile import StateFunction, compile_rows, probe, surfacing
 
 __all__ = ["GaussianMeasurement", "GaussianSensor", "LikelihoodMeasurement", "Reading", "Sensor",
            "is_gaussian"]  # fmt: skip
@@ -44,7 +44,7 @@ class Reading(NamedTuple):
         if z is None:
             return cls(np.full(k or 1, np.nan), np.zeros(k or 1, dtype=bool))
         try:
-            z = np.array(z, dtype=float, ndmin=1)
+            z = np.array(validate.unmasked(z), dtype=float, ndmin=1)
         except (TypeError, ValueError) as error:
             raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
         if z.ndim != 1 or (k is not None and len(z) != k):
@@ -225,7 +225,8 @@ class GaussianMeasurement:
         if self.H is not None:
             return X @ self.H.T
         out = np.empty((len(X), self.dim_z))
-        self._fill(X, float(t), _NO_PARAMETERS, out)
+        with surfacing():
+            self._fill(X, float(t), _NO_PARAMETERS, out)
         return out
 
     def check_dim(self, n: int) -> None:
@@ -388,7 +389,7 @@ class LikelihoodMeasurement:
         z, seen = self.reading(z)
         if not seen.any():
             return np.zeros(len(X))
-        value = np.array(self._loglik(z, X, t), dtype=float)
+        value = np.array(self._loglik(z, X, t) if len(X) else [], dtype=float)
         if value.shape != (len(X),):
             raise ModelError(f"loglik returned shape {value.shape}; ({len(X)},) is needed, one per state.")
         wrong = np.flatnonzero(np.isnan(value) | (value == np.inf))

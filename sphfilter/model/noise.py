@@ -105,8 +105,9 @@ def _spectral_density(value: ArrayLike, m: int | None) -> Floats:
 
 def _constant_root(D: Floats) -> Floats:
     """Return g with g gᵀ = 2 D and as many columns as D has rank; rows of D that are zero stay exactly so."""
-    w, V = np.linalg.eigh(D)
+    d = derived.scales(D)
+    w, V = np.linalg.eigh(D / np.outer(d, d))
     keep = w > 1e-14 * max(w.max(), 0.0)
-    g = V[:, keep] * np.sqrt(2.0 * w[keep]) if keep.any() else np.zeros((len(D), 1))
+    g = d[:, None] * V[:, keep] * np.sqrt(2.0 * w[keep]) if keep.any() else np.zeros((len(D), 1))
     g[~D.any(axis=1)] = 0.0
     return g

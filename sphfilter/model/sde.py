@@ -9,19 +9,21 @@ from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
+from scipy.linalg import expm, matrix_balance
 
 from .. import validate
 from .._types import BatchFunction, Bools, Floats
-from ..errors import ModelError, nearest
+from ..errors import ModelError, nearest, plain
 from . import derived
-from .compile import Maker, StateFunction, compile_rows, shared
+from .compile import Maker, StateFunction, compile_rows, shared, surfacing
 from .domain import Domain, DomainLike
 from .noise import Noise, noise_parts, reads_time
+from .timing import roots
 
 __all__ = ["SDE", "LinearSDE"]
 
 Interpretation: TypeAlias = Literal["ito", "stratonovich"]
+_PART_OF_PERIOD = 1.0 / 8.0  # of a sine, that a step may take
 #: Rows of expressions or numbers.
 Texts: TypeAlias = Sequence[Sequence[str | float]] | Floats
 
@@ -53,6 +55,10 @@ class SDE:
     interpretation : {"ito", "stratonovich"}
     domain : Domain or sequence of its axes, optional
         Periodic axes (angles), and axes that end.
+    max_step : float, optional
+        Longest step of any scheme, seconds, where the model changes faster with time than it tells.
+    events : array_like, shape (E,)
+        Times at which the model jumps, seconds: no step goes over one.
 
     Attributes
     ----------
@@ -75,6 +81,10 @@ class SDE:
     linear : bool
         The drift is affine in the state with constant coefficients, the noise constant (provably), and no
         axis ends.
+    max_step : float
+        Longest step, seconds: the one given, or an eighth of the period of a text's fastest sine of t;
+        infinite without either.
+    events : ndarray, shape (E,)
     diffusion_rows : ndarray of bool, shape (n,)
         Rows of D that may differ from zero; exact when D is constant.
 
@@ -109,6 +119,8 @@ class SDE:
     autonomous: bool
     linear: bool
     diffusion_rows: Bools
+    max_step: float
+    events: Floats
 
     def __init__(
         self,
@@ -123,6 +135,8 @@ class SDE:
         vectorized: bool = False,
         interpretation: Interpretation = "ito",
         domain: DomainLike = None,
+        max_step: float | None = None,
+        events: ArrayLike = (),
     ) -> None:
         recipe = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         n = validate.count("dim", dim)
@@ -140,7 +154,8 @@ class SDE:
             given = compile_rows(divergence, (), "divergence", n, p, vectorized)
             makers["divergence"] = lambda fs: given
         flags["autonomous"] = flags["autonomous"] and not reads_time(drift, "drift")
-        self._assemble((SDE, recipe), [f"x{i}" for i in range(n)], values, Q, makers, tail, flags, domain)
+        names = [f"x{i}" for i in range(n)]
+        self._assemble((SDE, recipe), names, values, Q, makers, tail, flags, domain, max_step, events)
 
     @classmethod
     def from_expressions(
@@ -153,6 +168,8 @@ class SDE:
         interpretation: Interpretation = "ito",
         diffusion: Texts | None = None,
         domain: DomainLike = None,
+        max_step: float | None = None,
+        events: ArrayLike = (),
     ) -> "SDE":
         """Build a model from text; derivatives are symbolic.
 
@@ -169,6 +186,9 @@ class SDE:
         diffusion : nested sequence of str or float, shape (n, n), optional
             D itself instead of noise.
         domain : Domain or sequence of its axes, optional
+        max_step, events
+            As for the constructor. Text knows by itself when conditions on t alone change, and how fast sines
+            of t are.
 
         Raises
         ------
@@ -197,7 +217,8 @@ class SDE:
         makers, Q, flags = symbolic_model(states, drift, noise, diffusion, spectral_density, tuple(values),
                                           interpretation)  # fmt: skip
         self = cls.__new__(cls)
-        self._assemble((SDE.from_expressions, recipe), states, values, Q, makers, np.empty(0), flags, domain)
+        made = (SDE.from_expressions, recipe)
+        self._assemble(made, states, values, Q, makers, np.empty(0), flags, domain, max_step, events)
         return self
 
     def _assemble(
@@ -210,6 +231,8 @@ class SDE:
         tail: Floats,
         flags: dict[str, Any],
         domain: DomainLike = None,
+        max_step: float | None = None,
+        events: ArrayLike = (),
     ) -> None:
         """Set every attribute; the derived functions are compiled when first used."""
         self._recipe, self._tail, self._flags = recipe, tail, flags
@@ -219,6 +242,9 @@ class SDE:
         self.domain = Domain.of(domain, self.dim)
         flags["linear"] = flags["linear"] and not self.domain.walled.any()
         self._functions = _Functions(makers, self.dim)
+        self._longest = np.inf if max_step is None else validate.positive("max_step", max_step)
+        self.events = np.unique(validate.array("events", events, (None,)))
+        self.events.setflags(write=False)
         for name in ("constant_diffusion", "state_dependent_noise", "autonomous", "linear"):
             setattr(self, name, bool(flags[name]))
         self._set_parameters(values)
@@ -233,6 +259,22 @@ class SDE:
             rows = np.any(self.diffusion(np.zeros((1, self.dim)), 0.0)[0] != 0.0, axis=1)
         rows.setflags(write=False)
         self.diffusion_rows = rows
+        fastest = np.abs(self._at("frequencies", 0.0)).max(initial=0.0)
+        self.max_step = min(self._longest, _PART_OF_PERIOD * 2.0 * np.pi / fastest if fastest else np.inf)
+
+    def _at(self, name: str, t: float) -> Floats:
+        """What text knows about its times: "switches" or "frequencies", as many numbers as it has of them."""
+        k = self._flags.get(name, 0)
+        if not k:
+            return np.empty(0)
+        return self._evaluate(self._functions[name], np.zeros(self.dim), t, k)[0]
+
+    def breaks(self, t0: float, t1: float) -> Floats:
+        """Return the times in [t0, t1] at which the model jumps by itself, sorted: events, jumps of text."""
+        own: list[float] = []
+        if self._flags.get("switches"):
+            own = roots(lambda t: self._at("switches", t), t0, t1, self.max_step)
+        return np.unique([*self.events[(self.events >= t0) & (self.events <= t1)], *own])
 
     def with_parameters(self, **changes: float) -> Self:
         """Return the model with other parameter values; nothing is compiled again.
@@ -242,6 +284,8 @@ class SDE:
         ModelError
             Unknown name, or a value that is not one finite number.
         """
+        known_as = {plain(name): name for name in self.parameters}
+        changes = {known_as.get(plain(name), name): value for name, value in changes.items()}
         for name in changes:
             if name not in self.parameters:
                 known = ", ".join(self.parameters) or "none"
@@ -306,7 +350,8 @@ class SDE:
         if X.ndim != 2 or X.shape[1] != self.dim:
             raise ModelError(f"States have shape {np.shape(X)}, but the model needs (N, {self.dim}).")
         out = np.empty((len(X), int(np.prod(shape))))
-        fill(X, float(t), self.p, out)
+        with surfacing():
+            fill(X, float(t), self.p, out)
         return out.reshape(len(X), *shape)
 
     def drift(self, X: ArrayLike, t: float) -> Floats:
@@ -413,19 +458,25 @@ class LinearSDE(SDE):
         if dt < 0:
             raise ModelError(f"dt must not be negative, got {dt!r}.")
         n = self.dim
-        doublings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(self.A, 1)) * dt, 1.0)))))
+        # in units in which the rows of A are like its columns: norms say nothing in those of the states
+        A, (unit, _) = matrix_balance(self.A, permute=False, separate=True)
+        doublings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(A, 1)) * dt, 1.0)))))
         h = dt / 2**doublings
-        g = self.noise(np.zeros((1, n)), 0.0)[0]
-        loan = np.block([[-self.A, g @ self.spectral_density @ g.T], [np.zeros((n, n)), self.A.T]])
-        E = expm(loan * h)
-        affine = expm(np.block([[self.A, self.b[:, None]], [np.zeros((1, n + 1))]]) * h)
+        g = self.noise(np.zeros((1, n)), 0.0)[0] / unit[:, None]
+        gQg = g @ self.spectral_density @ g.T
+        size = np.abs(gQg).max() or 1.0
+        b = self.b / unit
+        length = np.abs(b).max() or 1.0
+        E = expm(np.block([[-A, gQg / size], [np.zeros((n, n)), A.T]]) * h)
+        affine = expm(np.block([[A, b[:, None] / length], [np.zeros((1, n + 1))]]) * h)
         Phi, offset = affine[:n, :n], affine[:n, n]
         Qd = E[n:, n:].T @ E[:n, n:]
         for _ in range(doublings):
             offset = Phi @ offset + offset
             Qd = Phi @ Qd @ Phi.T + Qd
             Phi = Phi @ Phi
-        return Phi, offset, 0.5 * (Qd + Qd.T)
+        Qd = 0.5 * size * (Qd + Qd.T) * np.outer(unit, unit)
+        return Phi * unit[:, None] / unit, offset * length * unit, Qd
 
 
 class _Functions:

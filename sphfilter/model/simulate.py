@@ -1,5 +1,6 @@
 """Simulated truths and measurements, with an error in distribution far below that of any filter."""
 
+import math
 from functools import lru_cache
 from itertools import pairwise
 from typing import overload
@@ -12,9 +13,12 @@ from .._types import Floats, Seed
 from ..core.domain import bounce
 from ..core.sde_steps import normals_per_step, steps
 from ..errors import ModelError, PropagationError
+from .compile import surfacing
+from .derived import scales
 from .domain import Domain
 from .measurements import GaussianMeasurement, LikelihoodMeasurement
 from .sde import SDE
+from .timing import beside
 
 __all__ = ["advance", "noise_root", "rate_of_time", "simulate"]
 
@@ -140,10 +144,23 @@ def advance(
     if model.linear:
         Phi, offset, root = _transition(model, t1 - t0)
         return x @ Phi.T + offset + rng.standard_normal(x.shape) @ root.T
+    for stop in model.breaks(t0, t1):
+        before, after = beside(stop, t0, t1)
+        if t0 < before:
+            x = _advance(model, x, t0, before, rng, max_step)
+        t0 = after
+    return _advance(model, x, t0, t1, rng, max_step) if t0 < t1 else x
+
+
+def _advance(
+    model: SDE, x: Floats, t0: float, t1: float, rng: np.random.Generator, max_step: float | None
+) -> Floats:
+    """`advance` over an interval in which the model does not jump."""
     L = noise_root(model.spectral_density)
     t, taken = float(t0), 0
     while t < t1:
-        end, n_steps = (t1, _parts(t1 - t, max_step)) if max_step else _next_block(model, x, t, t1)
+        end, n_steps = (t1, 1) if max_step else _next_block(model, x, t, t1)
+        n_steps = max(n_steps, _parts(end - t, min(max_step or math.inf, model.max_step)))
         taken += n_steps
         if taken > _MAX_STEPS:
             raise PropagationError(
@@ -176,7 +193,8 @@ def _take(
     for first in range(0, n_steps, at_once):
         normals = rng.standard_normal((min(at_once, n_steps - first), len(x), n_normals))
         rows = np.ascontiguousarray(normals.transpose(0, 2, 1))
-        loop(x, t + first * dt, dt, model.drift_batch, model.noise_batch, model.p, L, rows)
+        with surfacing():
+            loop(x, t + first * dt, dt, model.drift_batch, model.noise_batch, model.p, L, rows)
         if walled:
             bounce(model.domain.codes, x)
             _check_walls(model.domain, x, t + first * dt)
@@ -201,7 +219,8 @@ def _rates(model: SDE, X: Floats, t: float) -> Floats:
     if not len(X):
         return np.zeros(0)
     J = np.empty((len(X), model.dim**2))
-    model.jacobian_batch(np.ascontiguousarray(X), t, model.p, J)
+    with surfacing():
+        model.jacobian_batch(np.ascontiguousarray(X), t, model.p, J)
     rates = np.linalg.norm(J, axis=1)
     if model.state_dependent_noise:
         L = noise_root(model.spectral_density)
@@ -232,8 +251,9 @@ def _parts(length: float, longest: float) -> int:
 
 def noise_root(Q: Floats) -> Floats:
     """Return L with L Lᵀ = Q, for semidefinite Q too."""
-    w, V = np.linalg.eigh(Q)
-    return np.ascontiguousarray(V * np.sqrt(np.maximum(w, 0.0)))
+    d = scales(Q)
+    w, V = np.linalg.eigh(Q / np.outer(d, d))
+    return np.ascontiguousarray(d[:, None] * V * np.sqrt(np.maximum(w, 0.0)))
 
 
 def _check_walls(domain: Domain, x: Floats, t: float) -> None:

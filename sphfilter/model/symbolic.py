@@ -13,7 +13,7 @@ from ..errors import ExpressionError, ModelError
 from . import derived
 from .compile import Maker, compile_source, shared
 from .expressions import Names, parse
-from .symbols import source
+from .symbols import Abs, Ge, Gt, Max, Min, Sign, source
 
 __all__ = ["symbolic_model", "symbolic_rows"]
 
@@ -57,7 +57,11 @@ def symbolic_model(
         makers["noise"] = lambda fs: derived.noise_from_diffusion(fs["diffusion"])
     if all(v.is_zero for v in entries["diffusion_divergence"]):
         makers["diffusion_divergence"] = lambda fs: shared(derived.zeros)
-    return makers, Q, _flags(f, J, D if g is None else g, D, names)
+    own = [*f, *(D if g is None else g)]
+    timing = {"switches": _switches(own, names), "frequencies": _frequencies(own, names)}
+    makers |= {name: _maker(name, sp.Matrix(found), names) for name, found in timing.items() if found}
+    flags = _flags(f, J, D if g is None else g, D, names)
+    return makers, Q, flags | {name: len(found) for name, found in timing.items()}
 
 
 def symbolic_rows(
@@ -143,6 +147,28 @@ def _flags(f: sp.Matrix, J: sp.Matrix, g: sp.Matrix, D: sp.Matrix, names: Names)
         "linear": not (noise_symbols & (x | {t})) and _is_affine(f, J, names),
         "diffusion_rows": [any(not v.is_zero for v in D.row(i)) for i in range(len(f))],
     }
+
+
+def _switches(entries: Sequence[sp.Expr], names: Names) -> list[sp.Expr]:
+    """Functions of t and parameters alone at whose zeros an entry of the model jumps or has a kink."""
+    found: set[sp.Expr] = set()
+    for entry in entries:
+        for atom in entry.atoms(Gt, Ge, Sign, Abs, Max, Min):
+            switch = atom.args[0] - (atom.args[1] if len(atom.args) > 1 else 0)
+            if names.t in switch.free_symbols and not switch.free_symbols & set(names.x):
+                found.add(switch)
+    return sorted(found, key=str)
+
+
+def _frequencies(entries: Sequence[sp.Expr], names: Names) -> list[sp.Expr]:
+    """Angular frequencies, of parameters alone, at which an entry of the model oscillates in t."""
+    found: set[sp.Expr] = set()
+    for entry in entries:
+        for atom in entry.atoms(sp.sin, sp.cos, sp.tan):
+            rate = atom.args[0].diff(names.t)
+            if not rate.is_zero and not rate.free_symbols & {names.t, *names.x}:
+                found.add(rate)
+    return sorted(found, key=str)
 
 
 def _is_affine(f: sp.Matrix, J: sp.Matrix, names: Names) -> bool:

@@ -1,8 +1,6 @@
 """What the schemes share: the model as compiled marches take it, and sentences about a prediction."""
 
 import itertools
-import traceback
-from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -12,7 +10,7 @@ from ..core._addresses import address_of
 from ..core.equations import Equations
 from ..model.sde import SDE
 
-__all__ = ["blow_up", "carried_off", "defect", "equations_of", "skip_notes"]
+__all__ = ["blow_up", "carried_off", "equations_of", "skip_notes"]
 
 
 def equations_of(model: SDE) -> Equations:
@@ -76,13 +74,13 @@ def carried_off(model: SDE, x: Floats, start: float, t1: float) -> str:
 
     def velocity(t: float, y: Floats) -> Floats:
         if next(asked) > _ASKED:
-            raise TimeoutError
+            raise _Stiff
         return model.drift(y.reshape(x.shape), t).ravel()
 
     try:
         with np.errstate(all="ignore"):
             paths = solve_ivp(velocity, (start, t1), x.ravel(), rtol=1e-3, atol=1e-6 * np.ptp(x))
-    except Exception:  # too stiff to tell, or a model that raises out there
+    except _Stiff:
         return ""
     ends = paths.y[:, -1].reshape(x.shape)
     if paths.success and np.isfinite(ends).all():
@@ -91,10 +89,8 @@ def carried_off(model: SDE, x: Floats, start: float, t1: float) -> str:
     return blow_up(model, ends[np.argmax(away)], paths.t[-1], start, t1)
 
 
-def defect(problem: BaseException) -> bool:
-    """Was an exception raised while compiling: a defect of this package, not one of the model?"""
-    frames = traceback.extract_tb(problem.__traceback__)
-    return any("numba" in Path(frame.filename).parts for frame in frames)
+class _Stiff(Exception):
+    """A drift that takes too many steps to be followed."""
 
 
 _ASKED = 3000  # evaluations of the drift, of all states at once

@@ -19,7 +19,7 @@ from ..core.characteristics.noise_paths import Noise
 from ..core.field.field import Field
 from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
-from ..model.compile import shared
+from ..model.compile import shared, surfacing
 from ..model.derived import zeros
 from ..model.sde import SDE
 from .log_density import noise_factor, paths
@@ -87,7 +87,8 @@ def carried_back(model: SDE, found: Field, t0: float, t1: float, around: Floats)
     G, _ = noise_factor(model, t0, t1)
     noise = Noise(G, model.p, not model.constant_diffusion, True)
     rates = np.empty((len(around), n * n))
-    model.jacobian_batch(np.array(around), t0, model.p, rates)
+    with surfacing():
+        model.jacobian_batch(np.array(around), t0, model.p, rates)
     rate = np.linalg.norm(rates[np.isfinite(rates).all(axis=1)].reshape(-1, n, n), axis=(1, 2)).max(initial=0)
     parts = max(1, math.ceil(h * rate / _TURN))
     entries = addresses(_Entries, model.reversed_drift_batch, shared(zeros), AIMED, BACK)
@@ -95,7 +96,8 @@ def carried_back(model: SDE, found: Field, t0: float, t1: float, around: Floats)
 
     def log_expected(X: Floats) -> Floats:
         leg = _Leg(-t0, h, parts, not model.linear)  # made here: the model must outlive its addresses
-        return _ahead(entries, noise, found, stencils(n), rule, centre, leg, np.array(X))
+        with surfacing():
+            return _ahead(entries, noise, found, stencils(n), rule, centre, leg, np.array(X))
 
     return log_expected
 

@@ -16,6 +16,7 @@ from ..density.affine import uncut
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import Code, PredictInfo
+from ..model.compile import surfacing
 from ..model.sde import SDE
 from ._shared import blow_up, equations_of, skip_notes
 
@@ -105,13 +106,8 @@ def _march(
                 f"many steps. Use fewer particles, a larger max_steps (now {scheme.max_steps}), or a shorter "
                 f"interval"
             )
-        try:
+        with surfacing():
             code = core.march(parts, equations, cloud, options, powers, progress)
-        except Exception as problem:  # a black-box drift may raise anything
-            raise PropagationError(
-                f"the model failed between t = {progress.t:g} and {interval[1]:g} near "
-                f"{cloud.m @ cloud.x}: {problem}"
-            ) from problem
         status = core.STATUS[code]
     if status == "flat":
         raise PropagationError(_flat(progress.t))
@@ -167,7 +163,7 @@ def _options(density: ParticleDensity, model: SDE, t1: float, scheme: CorrectedS
         degree=_degree(density, scheme),
         variance=kernel.variance,
         tol=scheme.tol,
-        dt_max=math.inf if model.autonomous else (t1 - density.t) / _TIME_SLICES,
+        dt_max=min(model.max_step, math.inf if model.autonomous else (t1 - density.t) / _TIME_SLICES),
         pause_after=_PAUSE_AFTER,
     )
     return packed(numbers)

@@ -12,6 +12,7 @@ from .._types import Floats, Ints
 from ..config import LogDensityScheme
 from ..core._addresses import addresses
 from ..core._jit import start_threads
+from ..core.characteristics.aim import AIMED
 from ..core.characteristics.control import (
     COUNTERS,
     LOST_MASS,
@@ -23,7 +24,6 @@ from ..core.characteristics.control import (
     VOLUME,
     Control,
 )
-from ..core.characteristics.aim import AIMED
 from ..core.characteristics.expectation import BACK, BACK_IN_BLOCKS
 from ..core.characteristics.flood import LAY
 from ..core.characteristics.judge import BETWEEN, JUDGE
@@ -37,8 +37,11 @@ from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedErr
 from ..info import PredictInfo
 from ..lattice.check import left_out
 from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, lattice_reach
+from ..model.compile import surfacing
+from ..model.derived import scales
 from ..model.sde import SDE
-from ._shared import blow_up, defect, skip_notes
+from ._shared import blow_up, skip_notes
+from .time_slices import drift_slices, noise_samples
 
 __all__ = ["fits", "load", "propagate"]
 
@@ -50,10 +53,8 @@ _LEAST, _LEASTS = 0.02, (1e-7, 1e-2)
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
 #: changes a bit of the result.
 _THREADS_FROM = 20_000
-_TIME_SLICES = (17, 37, 79, 167, 347, 709)  # steps at least over an interval, where drift or noise change
 #: What `noise_factor` returns, by model, where it never changes.
 _CONSTANT: WeakKeyDictionary[SDE, tuple[Floats, int]] = WeakKeyDictionary()
-_NOISE_ERROR = 1e-3  # of its integral over the interval, relative, by the middles of so many steps
 
 
 def fits(model: SDE, density: ParticleDensity, n_particles: int) -> str:
@@ -91,7 +92,9 @@ def propagate(
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
     least = float(np.clip(_LEAST * spacing**4, *_LEASTS))
     residual = float(np.clip(least if density.residual is None else density.residual, least, _LEASTS[1]))
-    nodes = n_particles if not density.residual else needed(density.residual, float(n_particles), n_particles, n)
+    nodes = (
+        n_particles if not density.residual else needed(density.residual, float(n_particles), n_particles, n)
+    )
     control = Control(
         n_particles=n_particles,
         depth=depth,
@@ -103,7 +106,9 @@ def propagate(
     )
     counters = np.zeros(len(COUNTERS), np.int64)
     volume = density.volume or gaussian_volume(n, depth)
-    longest = math.inf if model.autonomous else (t1 - start) / slices
+    longest = model.max_step
+    if not model.autonomous:
+        longest = min(longest, (t1 - start) / max(slices, drift_slices(model, density, t1)))
     state, times = (
         np.array([volume, min(t1 - start, longest), 0.0, longest, 0.0, residual, 0.0, 0.0, nodes]),
         np.array([start, t1]),
@@ -118,16 +123,10 @@ def propagate(
             reason = f"{scheme.max_steps} steps were not enough; allow more with scheme="
             reason += "LogDensityScheme(max_steps=...)"
             raise StoppedError(_given_up(reason, times[0], start, t1))
-        try:
+        with surfacing():
             field, x, mass, mean, cov, code = march(
                 entries, noise, field, stencils(n), rule, control, times, state, counters
             )
-        except Exception as problem:  # a black-box drift may raise anything
-            if defect(problem):
-                raise
-            raise PropagationError(
-                f"the model failed between t = {times[0]:g} and {t1:g} near {density.mean()}: {problem}"
-            ) from problem
         status = STATUS[code]
     if status == "not finite":
         raise PropagationError(blow_up(model, _fastest(model, x, times[0]), times[0], start, t1))
@@ -191,18 +190,12 @@ def noise_factor(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
 
 
 def _found_noise_factor(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
-    before = np.full((model.dim, model.dim), np.inf)
-    for slices in _TIME_SLICES:
-        times = t0 + (t1 - t0) * (np.arange(1 if model.constant_diffusion else slices) + 0.5) / slices
-        D = np.array([model.diffusion(np.zeros((1, model.dim)), t)[0] for t in times])
-        mean = D.mean(axis=0)
-        if model.constant_diffusion or np.abs(mean - before).max() <= _NOISE_ERROR * np.abs(mean).max():
-            break
-        before = mean
-    w, V = np.linalg.eigh(D)
+    D, slices = noise_samples(model, t0, t1)
+    d = scales(np.abs(D).max(axis=0))
+    w, V = np.linalg.eigh(D / np.outer(d, d))
     rank = (w > 1e-14 * max(w.max(), 1e-300)).sum(axis=1).max()
     middle = len(D) // 2
-    G = (V[middle] * np.sqrt(2.0 * np.maximum(w[middle], 0.0)))[:, ::-1][:, :rank]
+    G = (d[:, None] * V[middle] * np.sqrt(2.0 * np.maximum(w[middle], 0.0)))[:, ::-1][:, :rank]
     return np.ascontiguousarray(G), slices
 
 

@@ -17,6 +17,7 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
 from ..errors import PropagationError
 from ..info import PredictInfo
+from ..model.compile import surfacing
 from ..model.domain import Domain
 from ..model.sde import SDE
 from ._shared import blow_up, equations_of, skip_notes
@@ -55,7 +56,7 @@ def propagate(
     if density.field is not None:
         density = on_equal_lattice(density, n_particles, scheme)
     # A step is chosen by what it sees at its start: it must not stride over a change in time.
-    dt_max = math.inf if model.autonomous else (t1 - start) / _TIME_SLICES
+    dt_max = min(model.max_step, math.inf if model.autonomous else (t1 - start) / _TIME_SLICES)
     while density.t < t1:
         up_to_date = status == "unsettled"  # a step discards once, however few iterations it may take
         density, status, about = _march(density, model, scheme, progress, dt_max, up_to_date)
@@ -105,14 +106,9 @@ def _march(
     options = _options(scheme, density, dt_max, up_to_date, scheme.max_steps - int(progress.steps))
     progress.culprit = 0  # the one of the last call may be gone
     start_threads()
-    try:
-        code = core.march(
-            core.parts(), equations_of(model), cloud, model.domain.codes, packed(options), progress
-        )
-    except Exception as problem:  # a black-box drift may raise anything
-        raise PropagationError(
-            f"the model failed between t = {density.t:g} and {progress.t1:g} near {density.mean()}: {problem}"
-        ) from problem
+    equations = equations_of(model)
+    with surfacing():
+        code = core.march(core.parts(), equations, cloud, model.domain.codes, packed(options), progress)
     status, culprit, t = core.STATUS[code], cloud.x[progress.culprit], np.float64(progress.t)
     finite = np.isfinite(cloud.x).all(axis=1) & np.isfinite(cloud.h)
     if not finite.all():

@@ -3,6 +3,9 @@
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from .._types import Interval
 from ..config import CorrectedScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
@@ -10,7 +13,8 @@ from ..errors import ModelError
 from ..info import PredictInfo
 from ..model.domain import Domain
 from ..model.sde import SDE
-from ..validate import count, real
+from ..model.timing import beside
+from ..validate import count, onwards, real, seconds
 from . import automatic, corrected, log_density, paper
 from .exact import propagate_exactly
 
@@ -20,7 +24,7 @@ __all__ = ["Prediction", "load", "predict"]
 def predict(
     density: ParticleDensity,
     model: SDE,
-    dt: float | None = None,
+    dt: Interval | None = None,
     config: SolverConfig | FilterConfig | None = None,
     *,
     t: float | None = None,
@@ -33,7 +37,7 @@ def predict(
     ----------
     density : ParticleDensity
     model : SDE
-    dt : float, optional
+    dt : float or timedelta, optional
         Interval, seconds, >= 0.
     config : SolverConfig or FilterConfig, optional
     t : float, optional
@@ -68,7 +72,10 @@ def predict(
         raise ModelError("predict takes either dt or t=, one of them")
     if model.dim != density.dim:
         raise ModelError(f"the model has {model.dim} states, the density {density.dim}")
-    target = real("t", t) if dt is None else density.t + real("dt", dt)
+    if dt is None:
+        (target,) = onwards(np.array([real("t", t)]), density.t).tolist()
+    else:
+        target = density.t + seconds("dt", dt)
     if target < density.t:
         raise ModelError(f"cannot predict back in time: from t = {density.t:g} to {target:g}")
     density = _in_domain(density, model.domain)
@@ -80,14 +87,36 @@ def predict(
     n_particles = particle_bound(density, n_particles)
     if most_particles is not None:
         most_particles = count("most_particles", most_particles, least=0)
+    infos, start = [], density.t
+    for stop in model.breaks(start, target):
+        before, after = beside(stop, start, target)
+        if density.t < before:
+            density, info = _without_breaks(density, model, before, config, n_particles, most_particles)
+            infos.append(info)
+        density = replace(density, t=after)
+    if density.t < target:
+        density, info = _without_breaks(density, model, target, config, n_particles, most_particles)
+        infos.append(info)
+    return (density if density.t == target else replace(density, t=target)), PredictInfo.joined(infos)
+
+
+def _without_breaks(
+    density: ParticleDensity,
+    model: SDE,
+    t1: float,
+    config: SolverConfig | FilterConfig,
+    n_particles: int,
+    most_particles: int | None,
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density to time t1, up to which the model does not jump."""
     if config.exact_linear and model.linear:
-        exact = propagate_exactly(density, model, target, n_particles)
+        exact = propagate_exactly(density, model, t1, n_particles)
         if exact is not None:
             return exact
-    if scheme == "auto":
-        return automatic.propagate(density, model, target, n_particles, most_particles)
-    propagate: Any = _SCHEMES[type(scheme)]
-    return propagate(density, model, target, scheme, n_particles)
+    if config.scheme == "auto":
+        return automatic.propagate(density, model, t1, n_particles, most_particles)
+    propagate: Any = _SCHEMES[type(config.scheme)]
+    return propagate(density, model, t1, config.scheme, n_particles)
 
 
 class Prediction(NamedTuple):

@@ -16,7 +16,7 @@ from ..density.storage import density_from, load_arrays, part, stored, under, wr
 from ..errors import LatticeError, ModelError, UnresolvedError
 from ..info import Code, PredictInfo
 from ..model.sde import SDE
-from ..validate import array
+from ..validate import array, onwards
 from .again import Outcome, predict_from_finer
 from .predict import Prediction, predict
 from .remesh import Remeshing
@@ -136,6 +136,7 @@ def propagate(
     ['0.632', '0.788', '0.830']
     """
     times, config = array("times", np.atleast_1d(times), (None,)), config or SolverConfig()
+    times = onwards(times, density.t)
     if np.any(np.diff(times, prepend=density.t) < 0):
         raise ModelError(f"times must not decrease, nor begin before t = {density.t:g}, that of the density")
     n_particles = particle_bound(density, n_particles)

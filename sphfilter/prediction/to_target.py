@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+from .._types import Interval
 from ..config import FilterConfig
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError, PropagationError
@@ -34,7 +35,7 @@ def fewest(dim: int, n_particles: object) -> int:
 def predict_to_target(
     density: ParticleDensity,
     model: SDE,
-    dt: float | None,
+    dt: Interval | None,
     config: FilterConfig,
     *,
     t: float | None,

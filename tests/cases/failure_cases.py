@@ -62,10 +62,6 @@ def lost(n_times):
     return flt.predict(t=case.times[n_times]).status
 
 
-def fails(X, t):
-    raise RuntimeError("no coefficients there")
-
-
 def silent(x, t):
     x[0] + t
 
@@ -124,7 +120,6 @@ SAID = [
     lambda: sf.predict(laid(ROUND), wells(), 1.0, sf.SolverConfig(scheme="log_density"), n_particles=6),
     lambda: predicted(line("-x - x**3"), 400.0, STEEP),
     lambda: predicted(line("-x"), scheme=sf.PaperScheme(max_steps=1)),
-    lambda: predicted(sf.SDE(fails, 1, [[1.0]], vectorized=True)),
     lambda: predicted(line("-x", domain=[("periodic", -9.0, 9.0)]), scheme="corrected"),
     lambda: predicted(line("4*x", domain=WALLS), 2.0, "paper", domain=WALLS),
     lambda: predicted(line("-x"), -1.0),

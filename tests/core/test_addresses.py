@@ -6,6 +6,7 @@ from numba import types
 
 from sphfilter.core._addresses import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit_for
+from sphfilter.model.compile import surfacing
 from sphfilter.model.sde import SDE
 
 _MATRIX, _VECTOR = types.float64[:, ::1], types.float64[::1]
@@ -36,5 +37,5 @@ def test_exceptions_come_through():
     model, out = SDE(careful, 2, vectorized=True), np.empty((2, 2))
     FILLED(address_of(model.drift_batch), X, model.p, out)
     np.testing.assert_array_equal(out, X)
-    with pytest.raises(ValueError, match="too far"):
+    with pytest.raises(ValueError, match="too far"), surfacing():
         FILLED(address_of(model.drift_batch), X + 2.0, model.p, out)

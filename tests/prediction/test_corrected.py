@@ -253,14 +253,14 @@ def test_too_many_steps_end_in_a_sentence():
         propagate(gaussian([5.0, 5.0], np.eye(2), 0.8), OSCILLATOR, 100.0, CorrectedScheme(max_steps=200))
 
 
-def test_any_error_of_a_black_box_says_when_and_where():
+def test_an_error_of_a_black_box_surfaces_as_itself():
     def drift(X, t):
         if t > 0.2:
             raise KeyError("table ends here")
         return -X
 
     model = sf.SDE(drift=drift, dim=1, noise=[[1.0]], vectorized=True)
-    with pytest.raises(sf.PropagationError, match=r"between t = .*near .*table ends here"):
+    with pytest.raises(KeyError, match="table ends here"):
         propagate(gaussian([1.0], [[0.1]], 0.3), model, 1.0, CorrectedScheme())
 
 

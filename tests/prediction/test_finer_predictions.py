@@ -132,7 +132,8 @@ def test_nothing_is_told_of_a_drift_that_cannot_be_followed():
     stiff = text(["x"], ["-1e9*(x - sin(1000*t))"], [["1"]])
     x = np.array([[2.0], [-1.0]])
     assert carried_off(stiff, x, 0.0, 20.0) == ""
-    assert carried_off(sf.SDE(fails, 1, [[1.0]], vectorized=True), x, 0.0, 1.0) == ""
+    with pytest.raises(ValueError, match="table ends here"):
+        carried_off(sf.SDE(fails, 1, [[1.0]], vectorized=True), x, 0.0, 1.0)
 
 
 def test_a_prediction_over_a_blow_up_says_so_at_once():

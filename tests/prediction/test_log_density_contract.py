@@ -55,12 +55,12 @@ def failing(kind):
     return sf.SDE(drift=drift, dim=1, noise=[[1.0]], divergence=divergence, vectorized=True)
 
 
-@pytest.mark.parametrize(("kind", "raised"), [(ValueError, PropagationError), (KeyboardInterrupt,) * 2])
-def test_a_prediction_that_fails_leaves_the_filter(kind, raised):
+@pytest.mark.parametrize("kind", [ValueError, KeyboardInterrupt])
+def test_a_prediction_that_fails_leaves_the_filter(kind):
     flt = sf.SPHFilter(failing(kind), position(1), [1.0], [[0.3]], n_particles=60)
     before = flt.density, flt.x, flt.t, flt.log_evidence, flt.x_prior
     content = before[0].x.copy(), before[0].mass.copy(), before[0].field.coefficient.copy()
-    with pytest.raises(raised):
+    with pytest.raises(kind, match="enough"):
         flt.predict(20.0)
     assert flt.density is before[0]
     assert (flt.t, flt.log_evidence) == (0.0, 0.0)

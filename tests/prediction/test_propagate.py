@@ -216,14 +216,14 @@ def test_undefined_drift_is_named_as_such():
         solve(50, 1.0, model=model, start=sf.Gaussian([1.0], [[0.1]]))
 
 
-def test_any_error_of_a_black_box_says_when_and_where():
+def test_an_error_of_a_black_box_surfaces_as_itself():
     def drift(X, t):
         if t > 0.2:
             raise KeyError("table ends here")
         return -X
 
     model = sf.SDE(drift=drift, dim=1, noise=[[1.0]], vectorized=True)
-    with pytest.raises(sf.PropagationError, match=r"between t = .*near .*table ends here"):
+    with pytest.raises(KeyError, match="table ends here"):
         solve(50, 1.0, model=model, start=sf.Gaussian([1.0], [[0.1]]))
 
 

@@ -64,8 +64,8 @@ def leg_ends(drift, noise, Y, t1, h, parts, legs, w, end):
 
 @jit
 def response(drift, noise, field, y, t1, h, parts, legs):
-    """B (n, K): what a standard deviation of each noise does to the end of a path back from y, in units of the
-    lattice.
+    """B (n, K): what one standard deviation of each noise does to the end of a path back from y, in units of
+    the lattice.
     """
     n, K = field.mu.size, 2 * noise.G.shape[1] * legs
     Y, w, end = np.empty((2 * K, n)), np.zeros((2 * K, K)), np.empty((2 * K, n))
@@ -114,7 +114,7 @@ def rooted(B, tail):
 
 @jit
 def centred(aim, owner, slope):
-    """The noise (M, K) that leads to where the density is, as far as a quadratic knows; at most _FAR from zero.
+    """The noise (M, K) that leads to where the density is, as far as a quadratic knows; at most _FAR away.
 
     owner, slope: (M,), (M, n), whose polynomial paths without noise end in, and the slope of log p there.
     """

@@ -130,9 +130,9 @@ def _rows(values, which):
 
 @jit
 def _expected(step, aim, Y, f1, d1, centre, owner, out):
-    """Logarithm of the expectation over the paths back from states Y (M, n), in as many legs as an aim is of.
+    """Logarithm of the expectation over the paths back from states Y (M, n), in the legs that an aim is for.
 
-    Of two legs, the first one's noise stands last in the aim: it does not depend on what the second one draws.
+    Of two legs, the first one's noise stands last in the aim: it does not hang on what the second one draws.
     """
     paths, K = step.paths, step.paths.w.shape[1]
     M, n = Y.shape

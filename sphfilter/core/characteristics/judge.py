@@ -1,7 +1,7 @@
 """What a step would get wrong, known before a lattice is laid for it.
 
 On a few states that stand for the density after the step, log p by one step is compared with that by two
-halves of it, which draw noise of their own: the difference is what the paths' quadrature and their bends miss.
+halves of it, which draw noise of their own: they differ by what the paths' quadrature and their bends miss.
 """
 
 import math
@@ -22,7 +22,7 @@ _GOLDEN = 0.6180339887498949
 
 @jit
 def witnesses(m, ends, G, h):
-    """States (M, n) that stand for a density after a step: ends of its nodes' paths, to the sides by the noise.
+    """States (M, n) that stand for a density after a step: ends of its nodes' paths, pushed by the noise.
 
     Nodes are taken evenly over the sum of the roots of their masses: tails are seen too.
     """
@@ -46,7 +46,7 @@ def witnesses(m, ends, G, h):
 
 @jit
 def judged(back, step, around, m, ends):
-    """Error of a step: the mean of |p / p' - 1| over states that stand for the density p', by two halves of it.
+    """Error of a step: the mean of |p / p' - 1| over states that stand for p', which is that of two halves.
 
     Parameters
     ----------
@@ -71,8 +71,8 @@ def judged(back, step, around, m, ends):
 
 @jit
 def between(back, step, field, log_mass):
-    """Residual of the lattice laid after a step: `judged`'s mean over states in the middle of cells, p' of its
-    polynomials and p asked anew.
+    """Residual of the lattice laid after a step: the mean of |p / p' - 1| over states in the middle of cells,
+    p of its polynomials and p' asked anew.
 
     field : Field
         log p on the new lattice.

@@ -32,8 +32,8 @@ from .control import (
     RESIDUAL,
     SQUARES,
     STALLED,
-    STEPS,
     STEP_ERRORS,
+    STEPS,
     VOLUME,
 )
 from .expectation import BACK, Step

@@ -181,18 +181,28 @@ def blurring(push, w, blur):
 
 @jit
 def noise_factor_at(diffusion, x, t, noise):
-    """G of D = G G^T / 2 at time t, its columns the axes of D; noise that does not depend on the state."""
+    """G of D = G G^T / 2 at time t; noise that does not depend on the state.
+
+    Its columns are the axes of D with a unit diagonal: which of them are noise does not hang on units.
+    """
     n = x.shape[1]
-    D = np.empty((1, n * n))
-    diffusion(x[:1], t, noise.p, D)
+    row = np.empty((1, n * n))
+    diffusion(x[:1], t, noise.p, row)
+    D, scale = row.reshape((n, n)), np.ones(n)
+    for a in range(n):
+        if D[a, a] > 0.0:
+            scale[a] = math.sqrt(D[a, a])
+    for a in range(n):
+        for b in range(n):
+            D[a, b] /= scale[a] * scale[b]
     w, V = np.empty(n), np.empty((n, n))
-    eigen(D.reshape((n, n)), w, V)
+    eigen(D, w, V)
     for k in range(noise.G.shape[1]):
         largest = 0
         for a in range(n):
             largest = a if w[a] > w[largest] else largest
         for a in range(n):
-            noise.G[a, k] = V[a, largest] * math.sqrt(2.0 * max(w[largest], 0.0))
+            noise.G[a, k] = scale[a] * V[a, largest] * math.sqrt(2.0 * max(w[largest], 0.0))
         w[largest] = -np.inf
 
 

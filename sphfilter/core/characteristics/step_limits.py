@@ -8,7 +8,7 @@ from .._jit import jit
 from ..small_matrices import moments, whiten
 from .noise_paths import along, averaged, displace, pushes, unblurred
 
-__all__ = ["bentness", "blur_share", "noise_limit", "path_error", "predicted", "sheared"]
+__all__ = ["blur_share", "noise_limit", "path_error", "predicted"]
 
 
 @jit

@@ -27,8 +27,9 @@ _NEARLY = 0.2  # relative distance of second derivatives from a Gaussian's that 
 
 @jit
 def build_field(mu, A, node, kept, log_p, sten):
-    """Fit the polynomials of an opened set of nodes (N, n), whose first ones are `kept`. Every node must have a
-    complete one nearby.
+    """Fit the polynomials of an opened set of nodes (N, n), whose first ones are `kept`.
+
+    Every node must have a complete one nearby.
     """
     N, n = node.shape
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)

@@ -1,0 +1,35 @@
+"""Times at which a model jumps by itself."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy.optimize import brentq
+
+from .._types import Floats
+
+__all__ = ["beside", "roots"]
+
+_SAMPLES = 1024  # at which a condition is looked at for changes of its sign, over any interval
+_BESIDE = 64 * float(np.finfo(float).eps)  # of a time, relative: farther than its rounding in a step
+
+
+def beside(t: float, t0: float, t1: float) -> tuple[float, float]:
+    """Return times just before and just after t that steps between t0 and t1 do not confuse by rounding."""
+    gap = _BESIDE * max(abs(t0), abs(t1))
+    return t - gap, t + gap
+
+
+def roots(value: Callable[[float], Floats], t0: float, t1: float, step: float) -> list[float]:
+    """Times in [t0, t1] at which one of the numbers that `value` returns changes its sign.
+
+    They are looked at every `step` seconds at least; a number that does not oscillate may change at any time.
+    """
+    parts = _SAMPLES + (0 if math.isinf(step) else math.ceil((t1 - t0) / step))
+    times = np.linspace(t0, t1, parts + 1)
+    above = np.array([value(t) for t in times]) >= 0.0
+    found = [
+        float(brentq(lambda t, k=k: value(t)[k], times[i], times[i + 1], xtol=1e-300, rtol=1e-15))
+        for i, k in zip(*np.nonzero(above[1:] != above[:-1]), strict=True)
+    ]
+    return sorted(found)
