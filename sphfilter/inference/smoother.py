@@ -257,14 +257,11 @@ def _one_back(
     for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
         log_beta = carried_back(before.filt.model, found, prior.t, t, prior.x)
         smoothed, future, _ = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
-        values = log_beta(nodes(_field(smoothed)))
+        X = nodes(_field(smoothed))
+        values = log_beta(X)
         if prior is not priors[0]:
             found = likelihood_field(_field(smoothed), values)
-    return (
-        smoothed,
-        likelihood_field(_field(smoothed), values + before.log_likelihood(nodes(_field(smoothed)))),
-        future,
-    )
+    return smoothed, likelihood_field(_field(smoothed), values + before.log_likelihood(X)), future
 
 
 def _field(density: ParticleDensity) -> Field:

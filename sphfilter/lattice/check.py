@@ -1,4 +1,4 @@
-"""How well a lattice knows the density that was laid on it: its polynomials against the density between nodes."""
+"""How well a lattice knows the density laid on it: its polynomials against the density between nodes."""
 
 import itertools
 from typing import NamedTuple

@@ -152,7 +152,7 @@ def _gone_wrong(state: Floats) -> float:
 
 
 def _kept(G: Floats, dt: float, cov: Floats) -> float:
-    """Part of an error of the mean, in standard deviations, that is left where noise has widened a density."""
+    """Part of an error of the mean, in standard deviations, that is left after noise has widened it."""
     widened = np.trace(np.linalg.solve(cov, G @ G.T * dt)) / len(cov)
     return math.sqrt(max(0.0, 1.0 - widened))
 
@@ -275,7 +275,7 @@ def _info(
         mass_error=lost,
         residual=moved.residual or 0.0,
         error=moved.error,
-        mass_left_out=left_out(moved.field),
+        mass_left_out=0.0 if moved.field is None else left_out(moved.field),
         skipped=tuple(skipped),
         scheme=scheme.name,
     )

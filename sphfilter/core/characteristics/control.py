@@ -38,8 +38,8 @@ OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN, LOST = range(7)
 COUNTERS = ("steps", "rejected", "evaluations", "relaid")
 STEPS, REJECTED, EVALUATIONS, RELAID = range(4)
 #: What a march's `state` holds: filled volume of the whitened lattice, next step of the paths, sum of
-#: |log mass| lost, longest step, next step of the lattice, residual of the last lattice, the sum of the steps'
-#: errors, that of the squares of the lattices', and the nodes that the next lattice needs.
+#: |log mass| lost, longest step, next step of the lattice, residual of the last lattice, the sum of the
+#: steps' errors, that of the squares of the lattices', and the nodes that the next lattice needs.
 VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP, RESIDUAL, STEP_ERRORS, SQUARES, NODES = range(9)
 
 
