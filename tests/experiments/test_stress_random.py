@@ -16,6 +16,7 @@ from random_cases import (
 from scipy.integrate import trapezoid
 
 from experiments.__main__ import main
+from experiments.stress.pool import Lost
 from experiments.stress.random import command, referees
 from experiments.stress.random.equations import Equation
 from experiments.stress.random.problems import RandomCase
@@ -196,6 +197,21 @@ def test_command_writes_its_files_and_resumes(tmp_path, capsys, monkeypatch):
     assert stamps == [p.stat().st_mtime_ns for p in sorted(tmp_path.rglob("*.npz"))] and len(stamps) == 4
     assert main(["stress", "--random", "1", "--only", "units"]) == 1
     assert "choose from the grid" in capsys.readouterr().err
+
+
+def test_a_process_that_dies_is_a_verdict(tmp_path, capsys, monkeypatch):
+    lost = Lost("the process died", timeout=False)
+
+    def all_die(function, tasks, n_jobs, limit, done):
+        for task in tasks:
+            done(task, lost)
+
+    monkeypatch.setattr(command, "run_tasks", all_die)
+    monkeypatch.setattr(command, "_WARM", ())
+    assert main(["stress", "--random", "1", "--seed", "1", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "crash: --random-case 1:0: the process died [2 states" in said
+    assert "| 1:0 | 2 |" in (tmp_path / "random.md").read_text()
 
 
 #: A case that is right and quick, in the words of the command line.

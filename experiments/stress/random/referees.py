@@ -18,11 +18,12 @@ __all__ = ["LIMITS", "Referee", "errors_of", "referee"]
 #: Errors that are wrong: of the mean in posterior standard deviations, of a variance relative to itself, of
 #: the log-evidence of the record in nats. And the share of them that a reference's own error may have.
 LIMITS = {"mean": 0.2, "variance": 0.2, "evidence": 0.3}
-_OWN = 0.2
+_ALLOWED = 0.2 * np.array(list(LIMITS.values()))[:, None]
 #: Nodes an axis of the coarser of two grids, by the number of states; seconds that the grids may take.
 _NODES, _GRID_SECONDS = {1: 256, 2: 64}, 20.0
-#: Particles in each of several clouds: to check a grid, then as few and as many as are needed.
-_CLOUDS, _CHECK, _SIZES = 4, 20_000, (60_000, 250_000)
+#: Particles in each of several clouds: to check a grid, then as few and as many as are needed, unless the few
+#: are so far apart that the many will be, too.
+_CLOUDS, _CHECK, _SIZES, _HOPELESS = 4, 20_000, (60_000, 250_000), 4.0
 #: Standard errors by which a grid and clouds may differ.
 _SIGMAS = 5.0
 
@@ -59,7 +60,7 @@ def referee(problem, seed):
     each other and with small clouds; four clouds of particles that agree.
     """
     found, reasons = Referee(), []
-    for make in (_kalman, _grids, _small_clouds, _large_clouds):
+    for make in (_kalman, _grids, _few_or_many):
         try:
             other = make(problem, seed)
         # the referees are not on trial: whatever stops one, there is none
@@ -87,8 +88,7 @@ def errors_of(x, P, log_evidence, reference):
 
 def _trusted(name, x, P, log_evidence, own):
     """A `Referee`, trusted up to the first epoch at which its own error is too large."""
-    limits = _OWN * np.array(list(LIMITS.values()))[:, None]
-    good = (own <= limits).all(axis=0) & _definite(P)
+    good = (own <= _ALLOWED).all(axis=0) & _definite(P)
     n = len(good) if good.all() else int(np.argmin(good))
     why = "" if n == len(good) else f"then errors {', '.join(f'{e:.2g}' for e in own[:, n])}"
     return Referee(name, x, P, log_evidence, own, n, why)
@@ -130,19 +130,19 @@ def _grids(problem, seed):
             for m, e in ((size, 1e-3), (2 * size, 1.25e-4))
         )
     found = _trusted("grid", *fine, errors_of(*coarse, Referee("", *fine)))
+    # two grids may both overlook a peak of a likelihood, which clouds do not without knowing
     check = _clouds(problem, seed, _CHECK)
-    limits = _OWN * np.array(list(LIMITS.values()))[:, None] + _SIGMAS * check.own
-    if not (errors_of(*fine, check) <= limits)[:, : check.n_trusted].all():
-        raise SphfilterError("it differs from clouds of particles")
+    apart = errors_of(check.x, check.P, check.log_evidence, found)
+    if not (apart <= _ALLOWED + _SIGMAS * check.own)[:, : found.n_trusted].all():
+        raise SphfilterError("they differ from clouds of particles")
     return found
 
 
-def _small_clouds(problem, seed):
-    return _clouds(problem, seed, _SIZES[0])
-
-
-def _large_clouds(problem, seed):
-    return _clouds(problem, seed, _SIZES[1])
+def _few_or_many(problem, seed):
+    few = _clouds(problem, seed, _SIZES[0])
+    if few.n_trusted == len(problem.times) or (few.own[:, :1] > _HOPELESS * _ALLOWED).any():
+        return few
+    return max(few, _clouds(problem, seed, _SIZES[1]), key=lambda r: r.n_trusted)
 
 
 def _clouds(problem, seed, size):
