@@ -37,15 +37,13 @@ def test_a_problem_is_made_alone_from_its_seed_and_number():
     assert len({str(p) for p in (first, other, seed)}) == 3
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "bearing"])  # which is wrapped
 def test_likelihoods_are_densities_of_what_is_sampled(kind):
     """Integrated over the reading they give one, and their mean is that of samples."""
     rng = np.random.default_rng(5)
     paths = rng.normal(0.5, 0.8, (64, 5, 1))
     reader, x = KINDS[kind](rng, paths.reshape(-1, 1), kind), np.array([0.7])
     samples = np.array([reader.sample(x, rng) for _ in range(4000)])
-    if samples.shape[1] > 1 or reader.sensor.angles:
-        pytest.skip("of several components, or wrapped")
     middle, spread = np.median(samples), max(np.ptp(samples), 1e-9)
     if kind in ("Poisson", "quantised"):
         values = np.unique(samples)
@@ -174,7 +172,7 @@ def test_clouds_know_their_own_error():
     problem = oscillator()
     exact = referee(problem, 1)
     assert exact.name == "Kalman filter"
-    clouds = referees._clouds(problem, 1, 20_000)
+    clouds = referees._clouds(problem, 1, 10_000)
     errors = referees.errors_of(clouds.x, clouds.P, clouds.log_evidence, exact)
     rms = np.sqrt(np.mean(errors**2, axis=1))
     assert (rms < 3.0 * np.sqrt(np.mean(clouds.own**2, axis=1))).all()
@@ -187,6 +185,7 @@ def test_command_writes_its_files_and_resumes(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(command, "_WARM", ())
     run = ["stress", "--random-case", _CASE, "--out", str(tmp_path)]
     assert main(run) == 0
+    assert "epochs against grid" in capsys.readouterr().out
     with open(tmp_path / "random.csv", encoding="utf-8") as file:
         (row,) = csv.DictReader(file)
     assert f"{row['seed']}:{row['number']}" == _CASE and row["verdict"] == "right"
@@ -217,7 +216,7 @@ def test_a_process_that_dies_is_a_verdict(tmp_path, capsys, monkeypatch):
 #: A case that is right and quick, in the words of the command line.
 _CASE = "1:12"
 #: Cases that take seconds, of all numbers of states.
-_QUICK = [0, 2, 3, 5, 10, 11, 12, 13, 14, 15, 16, 18, 19]
+_QUICK = [2, 3, 5, 10, 11, 12, 14, 15, 16, 28]
 
 
 @pytest.mark.parametrize("number", _QUICK)

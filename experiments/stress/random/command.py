@@ -13,7 +13,7 @@ from ..pool import Lost, run_tasks
 from ..store import digest_of, load, path_of, save
 from .problems import RandomCase
 from .records import Record, record_of
-from .referees import Referee, referee
+from .referees import LIMITS, Referee, referee
 from .relations import chosen_relations, related
 from .tables import failures, row_of, sections, write
 from .verdicts import judge
@@ -40,15 +40,14 @@ def main(console, args):
         return
     console.print(f"{len(pairs)} random cases, at most {args.limit:g} s a run", style="dim")
     _walk(console, pairs, args)
-    rows = [_row(pair, args.out) for pair in pairs]
+    rows = [row_of(*_judged(pair, args.out)) for pair in pairs]
     write(args.out, rows)
     for title, headings, lines in sections(rows):
         console.print(shown.table(title, headings, lines))
     for line in failures(rows):
         console.print(line, style="red", soft_wrap=True, markup=False)
-    for row in rows if args.random_case else ():
-        for name, value in row.items():
-            console.print(f"{name}: {value}", soft_wrap=True, markup=False)
+    for pair in args.random_case:
+        _tell(console, pair, args.out)
     console.print(f"\nEvery case is in {args.out}/random.csv, the rest in random.md.")
 
 
@@ -143,10 +142,25 @@ def _save(out, seed, number, part, result):
     save(path_of(out, RandomCase(number), seed, part), result, _sources(part))
 
 
-def _row(pair, out):
-    """Judge what is on disk."""
+def _judged(pair, out):
+    """Case, seed, problem, record, reference and verdict of what is on disk."""
     seed, number = pair
     problem, (record, reference, *others) = _problem(*pair), (_stored(out, *pair, part) for part in _PARTS)
     names = (_relation(seed, number, part) for part in _PARTS[2:])
     verdict = judge(record, reference, dict(zip(names, others, strict=True)))
-    return row_of(RandomCase(number), seed, problem, record, reference, verdict)
+    return RandomCase(number), seed, problem, record, reference, verdict
+
+
+def _tell(console, pair, out):
+    """Print all that is known of a case, epoch by epoch, and how to have it in Python."""
+    *_, problem, record, reference, verdict = judged = _judged(pair, out)
+    for name, value in row_of(*judged).items():
+        console.print(f"{name}: {value}", soft_wrap=True, markup=False)
+    lines = [
+        (f"{t:.6g}", *(f"{e:.2g}" for e in (*errors, record.error[k])), "yes" if record.flagged[k] else "")
+        for k, (t, errors) in enumerate(zip(problem.times, verdict.errors.T, strict=False))
+    ]
+    headings = "t", *(f"{name} error" for name in LIMITS), "info.error", "flag"
+    console.print(shown.table(f"epochs against {reference.name or 'nothing'}", headings, lines))
+    again = f"problem = RandomCase({pair[1]}).problem({pair[0]}); record = record_of(problem)"
+    console.print(f"In Python: {again} (experiments.stress.random.problems, .records)", soft_wrap=True)
