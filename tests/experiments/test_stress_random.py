@@ -168,6 +168,13 @@ def test_verdicts_of_relations_and_without_reference():
     assert judge(short, _EXACT, {}).verdict == "refused"
 
 
+def test_a_covariance_without_inverse_judges_nothing():
+    P = np.array([[[1.0]], [[0.0]], [[np.nan]]])
+    none = Referee("", np.zeros((3, 1)), P, np.zeros(3))
+    errors = referees.errors_of(np.zeros((3, 1)), np.ones((3, 1, 1)), np.zeros(3), none)
+    assert np.isfinite(errors[:, 0]).all() and np.isnan(errors[:2, 1:]).all()
+
+
 def test_clouds_know_their_own_error():
     problem = oscillator()
     exact = referee(problem, 1)

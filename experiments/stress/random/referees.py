@@ -77,13 +77,20 @@ def referee(problem, seed):
 
 
 def errors_of(x, P, log_evidence, reference):
-    """Errors of the first epochs in the units of `LIMITS`, shape (3, k), in the reference's scale."""
+    """Errors of the first epochs in the units of `LIMITS`, shape (3, k), in the reference's scale.
+
+    NaN where the reference's covariance is not positive definite, so that nothing can be said.
+    """
     k = min(len(x), len(reference.x))
+    errors = np.full((3, k), np.nan)
+    good = _definite(reference.P[:k])
     with np.errstate(all="ignore"):
-        mean = moment_errors(x[:k], P[:k], reference.x[:k], reference.P[:k])[0]
-        ratio = np.diagonal(P[:k], axis1=1, axis2=2) / np.diagonal(reference.P[:k], axis1=1, axis2=2)
-        evidence = np.cumsum(log_evidence[:k] - reference.log_evidence[:k])
-    return np.array([mean, np.abs(ratio - 1.0).max(axis=1), np.abs(evidence)])
+        x_ref, P_ref = reference.x[:k][good], reference.P[:k][good]
+        errors[0, good] = moment_errors(x[:k][good], P[:k][good], x_ref, P_ref)[0]
+        ratio = np.diagonal(P[:k][good], axis1=1, axis2=2) / np.diagonal(P_ref, axis1=1, axis2=2)
+        errors[1, good] = np.abs(ratio - 1.0).max(axis=1)
+        errors[2] = np.abs(np.cumsum(log_evidence[:k] - reference.log_evidence[:k]))
+    return errors
 
 
 def _trusted(name, x, P, log_evidence, own):
@@ -97,9 +104,10 @@ def _trusted(name, x, P, log_evidence, own):
 def _definite(P):
     """Whether errors can be measured in units of each covariance (T, n, n)."""
     with np.errstate(all="ignore"):
-        return np.array([
+        good = [
             np.isfinite(p).all() and (np.diag(p) > 0).all() and least_eigenvalue(p[None]) > 1e-13 for p in P
-        ])  # fmt: skip
+        ]
+    return np.array(good, dtype=bool)
 
 
 def _rows(filt, problem):
