@@ -170,6 +170,7 @@ def test_verdicts_of_relations_and_without_reference():
 
 def test_a_covariance_without_inverse_judges_nothing():
     P = np.array([[[1.0]], [[0.0]], [[np.nan]]])
+    assert referees.errors_of(np.zeros((3, 2)), np.ones((3, 2, 2)), np.zeros(3), Referee()).shape == (3, 0)
     none = Referee("", np.zeros((3, 1)), P, np.zeros(3))
     errors = referees.errors_of(np.zeros((3, 1)), np.ones((3, 1, 1)), np.zeros(3), none)
     assert np.isfinite(errors[:, 0]).all() and np.isnan(errors[:2, 1:]).all()

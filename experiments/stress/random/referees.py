@@ -84,6 +84,8 @@ def errors_of(x, P, log_evidence, reference):
     k = min(len(x), len(reference.x))
     errors = np.full((3, k), np.nan)
     good = _definite(reference.P[:k])
+    if not good.any():
+        return errors
     with np.errstate(all="ignore"):
         x_ref, P_ref = reference.x[:k][good], reference.P[:k][good]
         errors[0, good] = moment_errors(x[:k][good], P[:k][good], x_ref, P_ref)[0]
