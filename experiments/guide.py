@@ -60,6 +60,7 @@ _GROUPS = {
         "stress": (
             ("stress --quick", "a reduced grid"),
             ("stress --list", "names of the cells, for --only"),
+            ("stress --random 50 --seed 3", "random problems instead"),
         ),
         "skips": (
             ("skips --samples 3", "all of them, quickly"),

@@ -16,6 +16,7 @@ from sphfilter.errors import ConfigError, nearest
 from . import plots, tables
 from .grid import cells, chosen
 from .pool import Lost, run_tasks
+from .random import command as random
 from .references import Reference, reference
 from .runs import METHODS, Outcome, run
 from .store import load, path_of, save, sources
@@ -39,6 +40,9 @@ def add_arguments(parser):
     parser.add_argument("--limit", type=_seconds, default=60.0, help="seconds a run may take (default: 60)")
     parser.add_argument("--out", type=Path, default=Path("results/stress"), help="folder for results")
     parser.add_argument("--jobs", type=counted, default=1, help="processes")
+    parser.add_argument("--random", type=counted, metavar="N", help="N random problems instead of the grid")
+    again = "random problem number K of seed S alone, as S:K; may be repeated"
+    parser.add_argument("--random-case", type=_pair, action="append", default=[], metavar="S:K", help=again)
     parser.add_argument("--list", action="store_true", help="print the names of the cells and stop")
 
 
@@ -52,9 +56,20 @@ def _seconds(text):
     return value
 
 
+def _pair(text):
+    """Seed and number of a random problem."""
+    parts = text.split(":")
+    if len(parts) != 2 or not all(part.isdigit() for part in parts):
+        raise argparse.ArgumentTypeError(f"a seed and a number such as 1:20 are needed, not {text!r}")
+    return int(parts[0]), int(parts[1])
+
+
 def main(args):
     """Run the command; prints to standard output."""
     console = new_console()
+    if args.random or args.random_case:
+        random.main(console, args)
+        return
     grid = chosen(args.only, args.quick)
     if args.list:
         for cell in grid:

@@ -16,7 +16,7 @@ from sphfilter.errors import SphfilterError
 
 from .judge import trusted
 
-__all__ = ["Reference", "reference"]
+__all__ = ["Reference", "at_most", "reference"]
 
 #: Particles of the last resort, in each of two independent runs.
 _N_PARTICLES = 150_000
@@ -96,7 +96,7 @@ def _grid(problem, seed):
     if problem.model.dim > 2 or problem.model.state_dependent_noise:
         return None
     start = (problem.x0, problem.P0, problem.t0)
-    with np.errstate(all="ignore"), _at_most(_GRID_SECONDS):
+    with np.errstate(all="ignore"), at_most(_GRID_SECONDS):
         c = grid_convergence(problem.model, problem.measurement, start, problem.times, problem.z)
     r = c.result
     if consistency.distance(r.x, r.x_prior, r.P_prior).max() > _GRID_REACH:
@@ -105,7 +105,7 @@ def _grid(problem, seed):
 
 
 @contextmanager
-def _at_most(seconds):
+def at_most(seconds):
     """Stop Python code after a while, where the system and the thread allow it."""
     if not hasattr(signal, "SIGALRM") or threading.current_thread() is not threading.main_thread():
         yield

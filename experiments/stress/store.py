@@ -12,7 +12,7 @@ import reference_filters
 import sphfilter
 from experiments.show.files import whole
 
-__all__ = ["load", "path_of", "save", "sources"]
+__all__ = ["digest_of", "load", "path_of", "save", "sources"]
 
 
 @cache  # what was loaded is what counts, though files may change while a campaign runs
@@ -29,6 +29,11 @@ def sources(method):
     else:
         files += [here / "references.py", here / "exact.py", *sorted(references.glob("*.py"))]
         files += [library / "model" / "simulate.py", library / "core" / "sde_steps.py"]
+    return digest_of(files)
+
+
+def digest_of(files):
+    """Return a digest of what is in files."""
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 

@@ -1,0 +1,1 @@
+"""Random problems, each judged by references and by relations that every right filter keeps."""

@@ -1,0 +1,168 @@
+"""References of random problems, with the error of each: Kalman filter, grids, clouds of particles."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from experiments.show.comparison import least_eigenvalue, moment_errors
+from reference_filters.grid import GridFilter
+from reference_filters.kalman import KalmanFilter
+from reference_filters.particle import ParticleFilter
+from sphfilter.errors import SphfilterError
+
+from ..references import at_most
+from .records import follow
+
+__all__ = ["LIMITS", "Referee", "errors_of", "referee"]
+
+#: Errors that are wrong: of the mean in posterior standard deviations, of a variance relative to itself, of
+#: the log-evidence of the record in nats. And the share of them that a reference's own error may have.
+LIMITS = {"mean": 0.2, "variance": 0.2, "evidence": 0.3}
+_ALLOWED = 0.2 * np.array(list(LIMITS.values()))[:, None]
+#: Nodes an axis of the coarser of two grids, by the number of states; seconds that the grids may take.
+_NODES, _GRID_SECONDS = {1: 256, 2: 64}, 20.0
+#: Particles in each of several clouds: to check a grid, then as few and as many as are needed, unless the few
+#: are so far apart that the many will be, too.
+_CLOUDS, _CHECK, _SIZES, _HOPELESS = 4, 20_000, (60_000, 250_000), 4.0
+#: Standard errors by which a grid and clouds may differ.
+_SIGMAS = 5.0
+
+
+@dataclass(frozen=True)
+class Referee:
+    """Posteriors to compare with.
+
+    Attributes
+    ----------
+    name : str
+        What it is; empty where there is none.
+    x, P, log_evidence : ndarray, shapes (T, n), (T, n, n), (T,)
+    own : ndarray, shape (3, T)
+        Its own error in the units of `LIMITS`, which it has for the first `n_trusted` epochs.
+    n_trusted : int
+    why : str
+        Why there is none, or none for later epochs.
+    """
+
+    name: str = ""
+    x: np.ndarray = field(default_factory=lambda: np.empty((0, 1)))
+    P: np.ndarray = field(default_factory=lambda: np.empty((0, 1, 1)))
+    log_evidence: np.ndarray = field(default_factory=lambda: np.empty(0))
+    own: np.ndarray = field(default_factory=lambda: np.empty((3, 0)))
+    n_trusted: int = 0
+    why: str = ""
+
+
+def referee(problem, seed):
+    """Return the first reference that is good to the end, or the one that is good for most epochs.
+
+    The Kalman filter; two grids (one or two states, noise that does not depend on the state) that agree with
+    each other and with small clouds; four clouds of particles that agree.
+    """
+    found, reasons = Referee(), []
+    for make in (_kalman, _grids, _few_or_many):
+        try:
+            other = make(problem, seed)
+        # the referees are not on trial: whatever stops one, there is none
+        except Exception as trouble:
+            reasons.append(f"{make.__name__.strip('_')}: {trouble}")
+            continue
+        if other is None:
+            continue
+        if other.n_trusted == len(problem.times):
+            return other
+        reasons.append(f"{other.name}: good for {other.n_trusted} epochs, {other.why}")
+        found = max(found, other, key=lambda r: r.n_trusted)
+    return Referee(**(vars(found) | {"why": "; ".join(reasons)}))
+
+
+def errors_of(x, P, log_evidence, reference):
+    """Errors of the first epochs in the units of `LIMITS`, shape (3, k), in the reference's scale.
+
+    NaN where the reference's covariance is not positive definite, so that nothing can be said.
+    """
+    k = min(len(x), len(reference.x))
+    errors = np.full((3, k), np.nan)
+    good = _definite(reference.P[:k])
+    if not good.any():
+        return errors
+    with np.errstate(all="ignore"):
+        x_ref, P_ref = reference.x[:k][good], reference.P[:k][good]
+        errors[0, good] = moment_errors(x[:k][good], P[:k][good], x_ref, P_ref)[0]
+        ratio = np.diagonal(P[:k][good], axis1=1, axis2=2) / np.diagonal(P_ref, axis1=1, axis2=2)
+        errors[1, good] = np.abs(ratio - 1.0).max(axis=1)
+        errors[2] = np.abs(np.cumsum(log_evidence[:k] - reference.log_evidence[:k]))
+    return errors
+
+
+def _trusted(name, x, P, log_evidence, own):
+    """A `Referee`, trusted up to the first epoch at which its own error is too large."""
+    good = (own <= _ALLOWED).all(axis=0) & _definite(P)
+    n = len(good) if good.all() else int(np.argmin(good))
+    why = "" if n == len(good) else f"then errors {', '.join(f'{e:.2g}' for e in own[:, n])}"
+    return Referee(name, x, P, log_evidence, own, n, why)
+
+
+def _definite(P):
+    """Whether errors can be measured in units of each covariance (T, n, n)."""
+    with np.errstate(all="ignore"):
+        good = [
+            np.isfinite(p).all() and (np.diag(p) > 0).all() and least_eigenvalue(p[None]) > 1e-13 for p in P
+        ]
+    return np.array(good, dtype=bool)
+
+
+def _rows(filt, problem):
+    """Means, covariances and evidences of a filter that overlooks no change with the clock."""
+    with np.errstate(all="ignore"):
+        rows = list(follow(filt, problem, careful=True))
+    return tuple(np.array(column) for column in list(zip(*rows, strict=True))[:3])
+
+
+def _start(problem):
+    return problem.model, None, problem.x0, problem.P0, problem.t0
+
+
+def _kalman(problem, seed):
+    if not problem.model.linear or any(reader.H is None for reader in problem.readers):
+        return None
+    return _trusted("Kalman filter", *_rows(KalmanFilter(*_start(problem)), problem),
+                    np.zeros((3, len(problem.times))))  # fmt: skip
+
+
+def _grids(problem, seed):
+    if problem.model.dim > 2 or problem.model.state_dependent_noise:
+        return None
+    size = _NODES[problem.model.dim]
+    with at_most(_GRID_SECONDS):
+        coarse, fine = (
+            _rows(GridFilter(*_start(problem), size=m, tol=e), problem)
+            for m, e in ((size, 1e-3), (2 * size, 1.25e-4))
+        )
+    found = _trusted("grid", *fine, errors_of(*coarse, Referee("", *fine)))
+    # two grids may both overlook a peak of a likelihood, which clouds do not without knowing
+    check = _clouds(problem, seed, _CHECK)
+    apart = errors_of(check.x, check.P, check.log_evidence, found)
+    if not (apart <= _ALLOWED + _SIGMAS * check.own)[:, : found.n_trusted].all():
+        raise SphfilterError("they differ from clouds of particles")
+    return found
+
+
+def _few_or_many(problem, seed):
+    few = _clouds(problem, seed, _SIZES[0])
+    if few.n_trusted == len(problem.times) or (few.own[:, :1] > _HOPELESS * _ALLOWED).any():
+        return few
+    return max(few, _clouds(problem, seed, _SIZES[1]), key=lambda r: r.n_trusted)
+
+
+def _clouds(problem, seed, size):
+    """Mean of independent clouds, and its standard error: the larger of an epoch's own and the record's."""
+    runs = []
+    for k in range(_CLOUDS):
+        how = {"n_particles": size, "rng": np.random.default_rng([seed, size, k]), "resampling": "ess"}
+        runs.append(_rows(ParticleFilter(*_start(problem), **how), problem))
+    middle = tuple(np.mean(values, axis=0) for values in zip(*runs, strict=True))
+    apart = np.array([errors_of(*run, Referee("", *middle)) for run in runs])
+    own = np.sqrt(np.square(apart).sum(axis=0) / (_CLOUDS - 1) / _CLOUDS)
+    usual = np.sqrt(np.mean(np.square(own), axis=1, keepdims=True))
+    return _trusted(f"{_CLOUDS} clouds of {size:,}", *middle, np.maximum(own, 0.5 * usual))
