@@ -8,8 +8,8 @@ outcome would be biased.
 import numpy as np
 from numba import njit
 
-from sphfilter.core._jit import jit
-from sphfilter.core.sde_steps import root_noise, root_now, scaled_noise
+from .._jit import jit
+from ..sde_steps import root_noise, root_now, scaled_noise
 
 __all__ = ["BIAS_PER_ERROR", "PLATEN", "SHIFTED_PATH", "SPLIT", "step_length"]
 

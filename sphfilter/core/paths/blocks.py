@@ -1,0 +1,167 @@
+"""Many paths of a model over an interval: blocks that fit the cache, each with steps and normals of its own.
+
+A block is moved through the whole interval before the next one is touched. Its generator is known by its
+number and its steps follow from its own states, so that the result does not depend on how threads share the
+blocks. Paths that leave the finite numbers, or a bounded axis, are given up: they stand on another path of
+their block from then on, and are marked.
+"""
+
+from functools import cache
+
+import numpy as np
+from numba import types
+
+from .._addresses import ADDRESS, function_at
+from .._jit import MATRIX, VECTOR, jit, jit_for
+from ..domain import DOMAIN, bounce, left_at
+from ..sde_steps import platen_steps, shifted_path_steps, split_steps
+from .normals import LANES, fill_normals, seed_lanes
+from .step_length import SHIFTED_PATH, SPLIT, step_length
+
+__all__ = ["MOST_STEPS", "move_blocks", "standard_normals"]
+
+#: Steps between two looks at the step length, and the most steps a block may take.
+_STEPS_PER_LOOK, MOST_STEPS = 4, 1_000_000
+#: Part of the largest speed from which paths are given up where no step is short enough.
+_FAST = 0.1
+
+
+@jit
+def _take(scheme, x, t, dt, functions, constants, xi):
+    """Take equal steps of a scheme with the normals xi (steps, k, N); splitting has one row more."""
+    drift, noise = functions
+    p, _, L = constants
+    if scheme == SPLIT:
+        split_steps(x, t, dt, drift, noise, p, L, xi)
+    elif scheme == SHIFTED_PATH:
+        shifted_path_steps(x, t, dt, drift, noise, p, L, xi)
+    else:
+        platen_steps(x, t, dt, drift, noise, p, L, xi)
+
+
+@jit
+def _give_up(x, alive, gone):
+    """Mark paths and put them on one that goes on; False where there is none."""
+    kept = -1
+    for i in range(x.shape[0]):
+        if gone[i]:
+            alive[i] = False
+        elif kept < 0:
+            kept = i
+    if kept >= 0:
+        for i in range(x.shape[0]):
+            if gone[i]:
+                x[i] = x[kept]
+    return kept >= 0
+
+
+@jit
+def _lost(x, domain, gone):
+    """Find the paths that are not finite, or beyond the end of a bounded axis; how many there are."""
+    n_gone = 0
+    for i in range(x.shape[0]):
+        gone[i] = not np.isfinite(x[i]).all() or left_at(domain, x[i : i + 1]) >= 0
+        n_gone += gone[i]
+    return n_gone
+
+
+@jit
+def _fastest(x, t, drift, p, gone):
+    """Find the paths whose velocity is not finite, or if there are none those that are nearly the fastest."""
+    velocity = np.empty(x.shape)
+    drift(x, t, p, velocity)
+    speed = np.abs(velocity).sum(axis=1)
+    finite = np.isfinite(speed)
+    if finite.all():
+        gone[:] = speed >= _FAST * speed.max()
+    else:
+        gone[:] = ~finite
+
+
+@jit
+def _move_block(scheme, x, alive, span, limits, functions, constants, domain, state):
+    """Move one block x in place over the span; return (steps taken, length of the first).
+
+    No steps taken means that they were too many.
+    """
+    (t0, t1), (longest, h, tolerance, most) = span, limits
+    N, m = x.shape[0], constants[2].shape[0]
+    n_normals = m if scheme == SPLIT else 3 * m if scheme == SHIFTED_PATH else m + m * (m - 1) // 2
+    normals, gone = np.empty(((_STEPS_PER_LOOK + 1) * n_normals, N)), np.zeros(N, np.bool_)
+    ends = np.any(domain.kind >= 2)  # walls are looked at after every step
+    elapsed, whole, taken, first = 0.0, t1 - t0, 0, 0.0  # from t0, where time is resolved best
+    while elapsed < whole:
+        t = t0 + elapsed
+        h = min(h, longest, whole - elapsed)
+        if tolerance < np.inf:
+            h = min(step_length(scheme, x, t, h, functions, constants, tolerance), longest)
+        if taken >= most:
+            return 0, t
+        if not elapsed + h > elapsed:
+            _fastest(x, t, functions[0], constants[0], gone)
+            if not _give_up(x, alive, gone):
+                return max(taken, 1), first
+            h = whole - elapsed
+            continue
+        left = max(1, int(np.ceil((whole - elapsed) / h * (1 - 1e-12))))
+        n_steps, dt = min(left, 1 if ends else _STEPS_PER_LOOK), (whole - elapsed) / left
+        drawn = n_steps + 1 if scheme == SPLIT else n_steps
+        fill_normals(state, normals[: drawn * n_normals])
+        xi = normals[: drawn * n_normals].reshape((drawn, n_normals, N))
+        _take(scheme, x, t, dt, functions, constants, xi)
+        if ends:
+            bounce(domain, x)
+        if _lost(x, domain, gone) and not _give_up(x, alive, gone):
+            return max(taken, 1), first
+        first = first if taken else dt
+        taken += n_steps
+        elapsed = whole if n_steps == left else elapsed + n_steps * dt
+    return taken, first
+
+
+def _move_blocks(x, alive, report, span, limits, addresses, constants, domain, stream):
+    """Move the blocks first <= b < last of x (N, n); `report` (blocks, 2) gets what `_move_block` returns."""
+    scheme, seed, first, last = stream
+    state = np.empty((6, LANES), dtype=np.uint64)
+    functions = (function_at(addresses[0]), function_at(addresses[1]))
+    for b in range(first, last):
+        seed_lanes(np.uint64(seed), np.uint64(b), state)
+        rows = slice(b * LANES, min((b + 1) * LANES, x.shape[0]))
+        report[b, 0], report[b, 1] = _move_block(
+            scheme, x[rows], alive[rows], span, limits, functions, constants, domain, state
+        )
+
+
+@cache
+def move_blocks():
+    """The compiled loop over blocks, for any model; compiled (or loaded from the disk cache) at first use.
+
+    Its arguments are the states x (N, n), moved in place; `alive` (N,), where paths given up are marked;
+    `report` (blocks, 2), which gets the steps taken and the first of them; the span (t0, t1); the longest
+    step, the one to try first, the tolerance in standard deviations and the most steps; addresses of drift
+    and noise; p, the variance (n,) of all states, and L with L Lᵀ = Q; the domain; and scheme, seed, and the
+    numbers of the blocks, from the first to before the last.
+    """
+    constants = types.Tuple((VECTOR, VECTOR, MATRIX))
+    numbers = types.UniTuple(types.float64, 2), types.UniTuple(types.float64, 4)
+    functions, stream = types.UniTuple(ADDRESS, 2), types.UniTuple(types.int64, 4)
+    alive = types.boolean[::1]
+    signature = types.void(MATRIX, alive, MATRIX, *numbers, functions, constants, DOMAIN, stream)
+    return jit_for(signature, _move_blocks)
+
+
+def standard_normals(seed, N, k):
+    """Return independent standard normals, shape (N, k)."""
+    out = np.empty((N, k))
+    _fill_rows(seed, out)
+    return out
+
+
+@jit
+def _fill_rows(seed, out):
+    state, rows = np.empty((6, LANES), dtype=np.uint64), np.empty((out.shape[1], LANES))
+    for b in range(-(-out.shape[0] // LANES)):
+        seed_lanes(np.uint64(seed), np.uint64(b), state)
+        fill_normals(state, rows)
+        block = out[b * LANES : (b + 1) * LANES]
+        block[:] = rows[:, : block.shape[0]].T
