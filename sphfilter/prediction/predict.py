@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from ..config import CorrectedScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
+from ..config import CloudScheme, CorrectedScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
 from ..errors import ModelError
@@ -11,7 +11,7 @@ from ..info import PredictInfo
 from ..model.domain import Domain
 from ..model.sde import SDE
 from ..validate import count, real
-from . import automatic, corrected, log_density, paper
+from . import automatic, cloud, corrected, log_density, paper
 from .exact import propagate_exactly
 
 __all__ = ["Prediction", "load", "predict"]
@@ -108,7 +108,7 @@ def load(
     model: SDE, density: ParticleDensity, config: SolverConfig | FilterConfig
 ) -> CorrectedScheme | PaperScheme | None:
     """Compile what predictions call only now and then; returns the scheme they may fall back on, or None."""
-    if isinstance(config.scheme, PaperScheme | CorrectedScheme):
+    if isinstance(config.scheme, PaperScheme | CorrectedScheme | CloudScheme):
         return None
     if not log_density.fits(model, density, density.n_particles):
         log_density.load(model)
@@ -134,4 +134,5 @@ _SCHEMES = {
     LogDensityScheme: log_density.propagate,
     CorrectedScheme: corrected.propagate,
     PaperScheme: paper.propagate,
+    CloudScheme: cloud.propagate,
 }
