@@ -41,6 +41,19 @@ class Cloud(Kernels):
         found = mixture.shrunk(self.x, self.mass, None, self.kernel)
         return mixture.mixture(self.x, self.mass, self.h, self.kernel) if found is None else found
 
+    @cached_property
+    def _moments(self) -> tuple[Floats, Floats]:
+        return moments(self.x, self.mass)
+
+    def mean(self) -> Floats:
+        """Mean, shape (n,)."""
+        return self._moments[0].copy()
+
+    def cov(self, centre: Floats | None = None) -> Floats:
+        """Covariance, shape (n, n), about the mean if no centre (n,) is given."""
+        off = np.zeros(self.x.shape[1]) if centre is None else self._moments[0] - centre
+        return self._moments[1] + np.outer(off, off)
+
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """Points in the kernels, as many for the whole cloud as serve a lattice: always the same ones."""
         total = _STATES * count
@@ -106,12 +119,12 @@ def quasi_random(count: int, n: int, key: int) -> Floats:
 
 def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
     """Draw quasi-random points (count, n) from a density, by a key: with its mean and covariance."""
-    shape = density.form.shape if isinstance(density.form, Folded) else density.form
+    shape: Any = density.form.shape if isinstance(density.form, Folded) else density.form
     domain, n = density.domain, density.dim
     if isinstance(shape, Polynomials):
         x = _from_cells(shape, count, quasi_random(count, n, key))
     else:
-        seen: Any = shape if domain is None else shape.around(domain)
+        seen = shape if domain is None else shape.around(domain)
         offsets = mixture.drawn(seen.kernel.kind, quasi_random(count, n + 1, key))
         x = mixture.points(seen.mixture, offsets, systematic(density.mass, count))
     if domain is not None:
@@ -125,7 +138,7 @@ def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
 
 
 def _from_cells(shape: Polynomials, count: int, uniform: Floats) -> Floats:
-    """Points in the cells of a lattice: many states in each, of which those are taken that the density says."""
+    """Points in the cells of a lattice: of many states in each, as many as the density says."""
     cells, n = len(shape.cells), uniform.shape[1]
     inside = 2 ** math.ceil(math.log2(max(_CANDIDATES * count / cells, 2.0)))
     X = shape.in_cells(spread_evenly(inside, n))

@@ -179,7 +179,7 @@ class ParticleDensity:
 
     @cached_property
     def form(self) -> Shape:
-        """What answers for the density: `Kernels`, `Cloud` or `Polynomials`, `Folded` if its states have a domain."""
+        """What answers for the density: `Kernels`, `Cloud` or `Polynomials`, `Folded` in a domain."""
         return self._shape(self.read_out)
 
     def _shape(self, kind: ReadOut) -> Shape:
@@ -228,9 +228,9 @@ class ParticleDensity:
         powers : sequence of int, length n
         central : bool
         kind : str, optional
-            A `read_out`; by default "points" for a density that is "shrunk" or a "cloud", since a prediction gets the
-            moments of its points right. "shrunk" and "log_density" take a fixed set of points a kernel or
-            cell.
+            A `read_out`; by default "points" for a density that is "shrunk" or a "cloud", since a prediction
+            gets the moments of its points right. "shrunk" and "log_density" take a fixed set of points a
+            kernel or cell.
         """
         read = self._read("points" if kind is None and self.read_out in ("shrunk", "cloud") else kind)
         return statistics.moment(read, powers, self.mean() if central else None)

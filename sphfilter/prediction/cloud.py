@@ -13,19 +13,23 @@ from ..core.paths.normals import LANES
 from ..core.paths.step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH
 from ..density.cloud import KERNEL, drawn, key_of, moments, smoothing_length, systematic
 from ..density.particle_density import ParticleDensity
+from ..density.resample import times_likelihood
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
 from ..model.sde import SDE, LinearSDE
 from ..model.simulate import noise_root, rate_of_time
 from ._shared import blow_up, carried_off, skip_notes
 
-__all__ = ["propagate"]
+__all__ = ["on_lattice", "propagate"]
 
 _BIAS = 0.6  # of the steps, over the sampling error
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
 _PART_OF_WALLS = 0.1  # of a standard deviation: the largest noise of a step beside walls
 _FEW = 0.5  # effective points over all, below which points are drawn anew
 _SPREAD = 0.01  # least variance that noise adds for copies of a point to part, over the cloud's
+#: States, and kernels of a cloud, from which a lattice is tried again.
+_MOST_STATES, _KERNELS = 4, 4096
+_AGREES, _LEAST_ERROR, _RESIDUAL = 3.0, 0.005, 0.1  # for a lattice to stand for a cloud
 _DOUBTFUL, _MOST_LOST = 0.01, 0.5  # probability of the paths that were given up
 
 
@@ -83,9 +87,34 @@ def propagate(
     return moved, _info(model, len(x), steps, lost, error)
 
 
-def _points(
-    density: ParticleDensity, model: SDE, t1: float, count: int, key: int
-) -> tuple[Floats, Floats]:
+def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity | None:
+    """A cloud on a lattice that has its mean and covariance and its density, or None where none has."""
+    if density.dim > _MOST_STATES:
+        return None
+    few = ParticleDensity(
+        x=density.x[systematic(density.mass, _KERNELS)],
+        mass=np.full(_KERNELS, 1.0 / _KERNELS),
+        h=density.h[:1].repeat(_KERNELS),
+        kernel=KERNEL,
+        read_out="cloud",
+        t=density.t,
+        domain=density.domain,
+    )
+    try:
+        laid, _ = times_likelihood(few, lambda X: np.zeros(len(X)), n_particles, "auto")
+    except PropagationError:
+        return None
+    root = np.linalg.inv(np.linalg.cholesky(density.cov()))
+    off = np.sqrt(np.mean((root @ (laid.mean() - density.mean())) ** 2))
+    wider = np.abs(root @ laid.cov() @ root.T - np.eye(density.dim)).max()
+    X, _ = few.form.states(16, True)
+    residual = np.mean(np.abs(np.expm1(np.clip(laid.logpdf(X) - few.logpdf(X), -1.0, 1.0))))
+    if max(off, 0.5 * wider) > _AGREES * max(density.error, _LEAST_ERROR) or residual > _RESIDUAL:
+        return None
+    return replace(laid, error=math.hypot(density.error, float(off)), capacity=density.capacity)
+
+
+def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: int) -> tuple[Floats, Floats]:
     """Points (N, n) that are to be moved, and their weights.
 
     Copies of heavy points part by themselves where the noise is enough for that; else the points are drawn
@@ -158,8 +187,9 @@ def _moved(
         (steps, key, 0, blocks),
     )
     if not report[:, 0].all():
+        stopped = report[report[:, 0] == 0, 1][0]
         raise StoppedError(
-            f"prediction from {span[0]:g} to {span[1]:g} stopped at t = {report[:, 1][report[:, 0] == 0][0]:.6g}: "
+            f"prediction from {span[0]:g} to {span[1]:g} stopped at t = {stopped:.6g}: "
             f"{scheme.max_steps} steps were not enough for a cloud; the drift is stiff. Allow more with "
             f"scheme=CloudScheme(max_steps=...), or predict over a shorter interval"
         )

@@ -12,6 +12,7 @@ from ..model.domain import Domain
 from ..model.sde import SDE
 from ..validate import count, real
 from . import automatic, cloud, corrected, log_density, paper
+from .again import Outcome, or_as_cloud
 from .exact import propagate_exactly
 
 __all__ = ["Prediction", "load", "predict"]
@@ -26,6 +27,7 @@ def predict(
     t: float | None = None,
     n_particles: int | None = None,
     most_particles: int | None = None,
+    goes_on: bool = True,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density over dt seconds, or to time t.
 
@@ -43,6 +45,9 @@ def predict(
     most_particles : int, optional
         Particles at most of a prediction that ``scheme="auto"`` makes again where a lattice loses
         probability; 30,000 if not given.
+    goes_on : bool
+        Whether ``scheme="auto"`` goes on as a cloud of points, and says so, where neither a lattice nor sums
+        over kernels can; if not, what stopped them is raised.
 
     Returns
     -------
@@ -84,10 +89,17 @@ def predict(
         exact = propagate_exactly(density, model, target, n_particles)
         if exact is not None:
             return exact
-    if scheme == "auto":
-        return automatic.propagate(density, model, target, n_particles, most_particles)
-    propagate: Any = _SCHEMES[type(scheme)]
-    return propagate(density, model, target, scheme, n_particles)
+
+    def predicted(config: SolverConfig | FilterConfig) -> Outcome[PredictInfo]:
+        if config.scheme == "auto":
+            moved = automatic.propagate(density, model, target, n_particles, most_particles)
+        else:
+            propagate: Any = _SCHEMES[type(config.scheme)]
+            moved = propagate(density, model, target, config.scheme, n_particles)
+        return Outcome(density, *moved, n_particles)
+
+    outcome = or_as_cloud(predicted, config) if goes_on else predicted(config)
+    return outcome.density, outcome.info
 
 
 class Prediction(NamedTuple):
@@ -101,7 +113,8 @@ class Prediction(NamedTuple):
     def repeated(self, config: SolverConfig | FilterConfig, n_particles: int) -> ParticleDensity:
         """The density it ended with on another number of particles."""
         assert self.before is not None and self.model is not None
-        return predict(self.before, self.model, t=self.t, config=config, n_particles=n_particles)[0]
+        options: dict[str, Any] = {"t": self.t, "n_particles": n_particles, "goes_on": False}
+        return predict(self.before, self.model, config=config, **options)[0]
 
 
 def load(
