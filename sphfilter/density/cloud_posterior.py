@@ -19,7 +19,7 @@ from .shapes import Folded
 __all__ = ["CloudPosterior", "cloud_posterior"]
 
 _ENOUGH = 800  # effective points below which new ones are drawn where the posterior is
-_MOST_DRAWN = 8192  # points whose densities are compared
+_MOST_DRAWN = 4096  # points whose densities are compared
 _KERNELS = 2048  # of what they are drawn from
 _WIDE, _WIDENED = 0.1, 4.0  # share of points from a Gaussian that is wider than what they are drawn from
 _ROUNDS, _CORRECTED = 60, 6  # powers of a likelihood, and draws that are weighted by the prior

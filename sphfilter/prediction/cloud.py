@@ -24,12 +24,13 @@ __all__ = ["on_lattice", "propagate"]
 
 _BIAS = 0.6  # of the steps, over the sampling error
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
-_PART_OF_WALLS = 0.1  # of a standard deviation: the largest noise of a step beside walls
+_PART_OF_WALLS = 0.5  # of a standard deviation: the largest noise of a step beside walls
 _FEW = 0.5  # effective points over all, below which points are drawn anew
 _SPREAD = 0.01  # least variance that noise adds for copies of a point to part, over the cloud's
 #: States, and kernels of a cloud, from which a lattice is tried again.
 _MOST_STATES, _KERNELS = 4, 4096
 _AGREES, _LEAST_ERROR, _RESIDUAL = 3.0, 0.005, 0.1  # for a lattice to stand for a cloud
+_AWAY = 1e6  # extents of a cloud, from which a point has run away
 _DOUBTFUL, _MOST_LOST = 0.01, 0.5  # probability of the paths that were given up
 
 
@@ -67,6 +68,7 @@ def propagate(
         x = _exactly(x, model, t1 - density.t, key)
     else:
         steps = _moved(x, mass, alive, model, (density.t, t1), scheme, key)
+    alive &= _near(before, x)
     lost = float(mass[~alive].sum())
     if lost > _MOST_LOST:
         raise PropagationError(_blow_up(model, before[~alive], density.t, t1))
@@ -194,6 +196,14 @@ def _moved(
             f"scheme=CloudScheme(max_steps=...), or predict over a shorter interval"
         )
     return int(report[:, 0].max())
+
+
+def _near(before: Floats, after: Floats) -> Bools:
+    """Which points have not run away, out of all proportion to where they and others were and are."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        low, middle, high = np.percentile(after, [25.0, 50.0, 75.0], axis=0)
+        extent = np.maximum(np.ptp(before, axis=0), high - low)
+        return np.asarray(np.all(np.abs(after - middle) <= _AWAY * extent, axis=1))
 
 
 def _beside_walls(model: SDE, x: Floats, variance: Floats, t: float) -> float:

@@ -24,19 +24,29 @@ __all__ = ["MOST_STEPS", "move_blocks", "standard_normals"]
 _STEPS_PER_LOOK, MOST_STEPS = 4, 1_000_000
 #: Part of the largest speed from which paths are given up where no step is short enough.
 _FAST = 0.1
+#: Extents of a block that no path crosses within a look; how much shorter steps are then, and how often.
+_OUT, _SHORTER, _TRIES = 1e3, 0.1, 3
 
 
 @jit
-def _take(scheme, x, t, dt, functions, constants, xi):
+def _take(scheme, x, t, dt, functions, constants, domain, xi):
     """Take equal steps of a scheme with the normals xi (steps, k, N); splitting has one row more."""
     drift, noise = functions
     p, _, L = constants
     if scheme == SPLIT:
         split_steps(x, t, dt, drift, noise, p, L, xi)
-    elif scheme == SHIFTED_PATH:
-        shifted_path_steps(x, t, dt, drift, noise, p, L, xi)
-    else:
-        platen_steps(x, t, dt, drift, noise, p, L, xi)
+    elif not np.any(domain.kind >= 2):
+        if scheme == SHIFTED_PATH:
+            shifted_path_steps(x, t, dt, drift, noise, p, L, xi)
+        else:
+            platen_steps(x, t, dt, drift, noise, p, L, xi)
+    else:  # walls are looked at after every step
+        for s in range(xi.shape[0]):
+            if scheme == SHIFTED_PATH:
+                shifted_path_steps(x, t + s * dt, dt, drift, noise, p, L, xi[s : s + 1])
+            else:
+                platen_steps(x, t + s * dt, dt, drift, noise, p, L, xi[s : s + 1])
+            bounce(domain, x)
 
 
 @jit
@@ -56,13 +66,18 @@ def _give_up(x, alive, gone):
 
 
 @jit
-def _lost(x, domain, gone):
-    """Find the paths that are not finite, or beyond the end of a bounded axis; how many there are."""
-    n_gone = 0
-    for i in range(x.shape[0]):
-        gone[i] = not np.isfinite(x[i]).all() or left_at(domain, x[i : i + 1]) >= 0
-        n_gone += gone[i]
-    return n_gone
+def _lost(x, before, variance, domain, gone):
+    """Find the paths that are not finite, out of all proportion, or beyond an end; how many there are."""
+    gone[:] = False
+    for a in range(x.shape[1]):
+        low, high = before[:, a].min(), before[:, a].max()
+        far = _OUT * (high - low + np.sqrt(variance[a])) + 1e-300
+        for i in range(x.shape[0]):
+            gone[i] |= not (x[i, a] > low - far and x[i, a] < high + far)
+    if np.any(domain.kind == 2):
+        for i in range(x.shape[0]):
+            gone[i] |= left_at(domain, x[i : i + 1]) >= 0
+    return gone.sum()
 
 
 @jit
@@ -88,12 +103,12 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
     N, m = x.shape[0], constants[2].shape[0]
     n_normals = m if scheme == SPLIT else 3 * m if scheme == SHIFTED_PATH else m + m * (m - 1) // 2
     normals, gone = np.empty(((_STEPS_PER_LOOK + 1) * n_normals, N)), np.zeros(N, np.bool_)
-    ends = np.any(domain.kind >= 2)  # walls are looked at after every step
+    before, tries = np.empty_like(x), 0
     elapsed, whole, taken, first = 0.0, t1 - t0, 0, 0.0  # from t0, where time is resolved best
     while elapsed < whole:
         t = t0 + elapsed
         h = min(h, longest, whole - elapsed)
-        if tolerance < np.inf:
+        if tolerance < np.inf and not tries:
             h = min(step_length(scheme, x, t, h, functions, constants, tolerance), longest)
         if taken >= most:
             return 0, t
@@ -101,18 +116,22 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
             _fastest(x, t, functions[0], constants[0], gone)
             if not _give_up(x, alive, gone):
                 return max(taken, 1), first
-            h = whole - elapsed
+            h, tries = whole - elapsed, 0
             continue
         left = max(1, int(np.ceil((whole - elapsed) / h * (1 - 1e-12))))
-        n_steps, dt = min(left, 1 if ends else _STEPS_PER_LOOK), (whole - elapsed) / left
+        n_steps, dt = min(left, _STEPS_PER_LOOK), (whole - elapsed) / left
         drawn = n_steps + 1 if scheme == SPLIT else n_steps
         fill_normals(state, normals[: drawn * n_normals])
         xi = normals[: drawn * n_normals].reshape((drawn, n_normals, N))
-        _take(scheme, x, t, dt, functions, constants, xi)
-        if ends:
-            bounce(domain, x)
-        if _lost(x, domain, gone) and not _give_up(x, alive, gone):
-            return max(taken, 1), first
+        before[:] = x
+        _take(scheme, x, t, dt, functions, constants, domain, xi)
+        if _lost(x, before, constants[1], domain, gone):
+            if tries < _TRIES:  # a stiff drift throws states about where steps are too long for it
+                x[:], h, tries = before, _SHORTER * dt, tries + 1
+                continue
+            if not _give_up(x, alive, gone):
+                return max(taken, 1), first
+        tries = 0
         first = first if taken else dt
         taken += n_steps
         elapsed = whole if n_steps == left else elapsed + n_steps * dt

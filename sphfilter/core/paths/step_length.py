@@ -94,7 +94,7 @@ def _in_deviations(change, moved, variance, unit):
             square += moved[i, a] ** 2
             total += change[i, a] ** 2
             top = max(top, abs(change[i, a]))
-        if not np.isfinite(total + square):
+        if not total + square < np.inf:  # isfinite lies where sums may be reordered
             return np.inf, np.inf
         unit[a] = np.sqrt(variance[a] + max(square / N - (mean / N) ** 2, 0.0))
         if total > 0.0:
