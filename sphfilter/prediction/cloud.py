@@ -31,7 +31,7 @@ _SPREAD = 0.01  # least variance that noise adds for copies of a point to part, 
 _MOST_STATES, _KERNELS = 4, 4096
 _AGREES, _LEAST_ERROR, _RESIDUAL = 3.0, 0.005, 0.1  # for a lattice to stand for a cloud
 _AWAY = 1e6  # extents of a cloud, from which a point has run away
-_DOUBTFUL, _MOST_LOST = 0.01, 0.5  # probability of the paths that were given up
+_DOUBTFUL, _MOST_LOST, _CERTAIN = 0.01, 0.1, 0.25  # probability of the paths that were given up
 
 
 def propagate(
@@ -59,7 +59,7 @@ def propagate(
     Raises
     ------
     PropagationError
-        The model carries half of the probability to infinity, or needs more steps than allowed.
+        The model carries a tenth of the probability to infinity, or needs more steps than allowed.
     """
     key = key_of(density)
     x, mass = _points(density, model, t1, scheme.n_points, key)
@@ -67,6 +67,11 @@ def propagate(
     if model.linear:
         x = _exactly(x, model, t1 - density.t, key)
     else:
+        few = x[systematic(mass, LANES)]  # tell a model that blows up at once
+        pilot, kept, even = few.copy(), np.ones(LANES, dtype=bool), np.full(LANES, 1.0 / LANES)
+        _moved(pilot, even, kept, model, (density.t, t1), scheme, key)
+        if kept.mean() < 1.0 - _CERTAIN:
+            raise PropagationError(_blow_up(model, few[~kept], density.t, t1))
         steps = _moved(x, mass, alive, model, (density.t, t1), scheme, key)
     alive &= _near(before, x)
     lost = float(mass[~alive].sum())

@@ -25,7 +25,9 @@ _STEPS_PER_LOOK, MOST_STEPS = 4, 1_000_000
 #: Part of the largest speed from which paths are given up where no step is short enough.
 _FAST = 0.1
 #: Extents of a block that no path crosses within a look; how much shorter steps are then, and how often.
-_OUT, _SHORTER, _TRIES = 1e3, 0.1, 3
+_OUT, _SHORTER, _TRIES = 5.0, 0.1, 4
+#: Extents of the start, beyond which a path has run away if the drift would carry it so many times as far.
+_OUTSIDE, _MANY = 10.0, 100.0
 
 
 @jit
@@ -66,18 +68,52 @@ def _give_up(x, alive, gone):
 
 
 @jit
+def _calmest(x, before, a):
+    """Largest move along an axis in the quarter of a block where that is smallest."""
+    N, calm = x.shape[0], np.inf
+    for q in range(4):
+        most = 0.0
+        for i in range(q, N, 4):
+            most = max(most, abs(x[i, a] - before[i, a]))
+        calm = min(calm, most)
+    return calm if np.isfinite(calm) else 0.0
+
+
+@jit
 def _lost(x, before, variance, domain, gone):
     """Find the paths that are not finite, out of all proportion, or beyond an end; how many there are."""
     gone[:] = False
     for a in range(x.shape[1]):
         low, high = before[:, a].min(), before[:, a].max()
-        far = _OUT * (high - low + np.sqrt(variance[a])) + 1e-300
+        far = _OUT * (high - low + np.sqrt(variance[a]) + _calmest(x, before, a)) + 1e-300
         for i in range(x.shape[0]):
             gone[i] |= not (x[i, a] > low - far and x[i, a] < high + far)
     if np.any(domain.kind == 2):
         for i in range(x.shape[0]):
             gone[i] |= left_at(domain, x[i : i + 1]) >= 0
     return gone.sum()
+
+
+@jit
+def _runs_away(x, extents, t, left, drift, p, gone):
+    """Find the paths outside of all others' start whose drift carries them on, many times as far."""
+    gone[:] = False
+    for i in range(x.shape[0]):
+        for a in range(x.shape[1]):
+            gone[i] |= abs(x[i, a] - extents[0, a]) > _OUTSIDE * extents[1, a]
+    if not gone.any():
+        return False
+    velocity = np.empty(x.shape)
+    drift(x, t, p, velocity)
+    for i in range(x.shape[0]):
+        outward = distance = 0.0
+        for a in range(x.shape[1]):
+            if extents[1, a] > 0.0:
+                d = (x[i, a] - extents[0, a]) / extents[1, a]
+                outward += d * velocity[i, a] / extents[1, a]
+                distance += d * d
+        gone[i] &= not outward * left <= _MANY * distance
+    return gone.any()
 
 
 @jit
@@ -100,10 +136,14 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
     No steps taken means that they were too many.
     """
     (t0, t1), (longest, h, tolerance, most) = span, limits
-    N, m = x.shape[0], constants[2].shape[0]
+    (N, n), m = x.shape, constants[2].shape[0]
     n_normals = m if scheme == SPLIT else 3 * m if scheme == SHIFTED_PATH else m + m * (m - 1) // 2
     normals, gone = np.empty(((_STEPS_PER_LOOK + 1) * n_normals, N)), np.zeros(N, np.bool_)
-    before, tries = np.empty_like(x), 0
+    before, tries, extents = np.empty_like(x), 0, np.empty((2, n))
+    for a in range(n):
+        low, high = x[:, a].min(), x[:, a].max()
+        extents[0, a] = 0.5 * (low + high)
+        extents[1, a] = high - low + np.sqrt(constants[1][a])
     elapsed, whole, taken, first = 0.0, t1 - t0, 0, 0.0  # from t0, where time is resolved best
     while elapsed < whole:
         t = t0 + elapsed
@@ -131,6 +171,9 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
                 continue
             if not _give_up(x, alive, gone):
                 return max(taken, 1), first
+        ran = _runs_away(x, extents, t0 + elapsed, whole - elapsed, functions[0], constants[0], gone)
+        if ran and not _give_up(x, alive, gone):
+            return max(taken, 1), first
         tries = 0
         first = first if taken else dt
         taken += n_steps
