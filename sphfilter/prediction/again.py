@@ -92,8 +92,8 @@ def or_as_cloud(
             raise
         try:
             outcome = predicted(replace(config, scheme=CloudScheme()))
-        except PropagationError:
-            raise problem from None
+        except Exception:  # a black-box drift may raise anything; the first problem says what
+            raise problem from problem.__cause__
         info = outcome.info
         return outcome._replace(info=info.marked(Code.FALLBACK, f"{info.status}; {problem}"))
 

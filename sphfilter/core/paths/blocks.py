@@ -37,17 +37,15 @@ def _take(scheme, x, t, dt, functions, constants, domain, xi):
     p, _, L = constants
     if scheme == SPLIT:
         split_steps(x, t, dt, drift, noise, p, L, xi)
-    elif not np.any(domain.kind >= 2):
+        return
+    ends = np.any(domain.kind >= 2)  # walls are looked at after every step
+    at_once = 1 if ends else xi.shape[0]
+    for s in range(0, xi.shape[0], at_once):
         if scheme == SHIFTED_PATH:
-            shifted_path_steps(x, t, dt, drift, noise, p, L, xi)
+            shifted_path_steps(x, t + s * dt, dt, drift, noise, p, L, xi[s : s + at_once])
         else:
-            platen_steps(x, t, dt, drift, noise, p, L, xi)
-    else:  # walls are looked at after every step
-        for s in range(xi.shape[0]):
-            if scheme == SHIFTED_PATH:
-                shifted_path_steps(x, t + s * dt, dt, drift, noise, p, L, xi[s : s + 1])
-            else:
-                platen_steps(x, t + s * dt, dt, drift, noise, p, L, xi[s : s + 1])
+            platen_steps(x, t + s * dt, dt, drift, noise, p, L, xi[s : s + at_once])
+        if ends:
             bounce(domain, x)
 
 
