@@ -136,7 +136,7 @@ SAID = [
     lambda: filtering(60).predict(2.0).status,
     lambda: predicted(line("-x", "0.5*x + 1")),
     lambda: lost(3),
-    lambda: predicted(FLAT, scheme="corrected", start=ROUND, n_particles=200),
+    lambda: predicted(FLAT, 2.0, scheme="corrected", start=ROUND, n_particles=200),
     lambda: updated(HEIGHT, None),
     lambda: updated(HEIGHT, [9.0]),
     lambda: updated(HEIGHT, [300.0]),
