@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sphfilter import validate
+from sphfilter.core.paths.weights import condition, resample, weighted_moments
 from sphfilter.density.weighted import WeightedStates
 from sphfilter.errors import ModelError
 
 from ._base import ReferenceFilter, gaussian_start
 from ._paths import Paths
-from ._weights import condition, resample, weighted_moments
 
 __all__ = ["ParticleFilter"]
 

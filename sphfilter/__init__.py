@@ -17,6 +17,7 @@ from .campaign.campaign import CampaignResult, Case, run_campaign
 from .campaign.report import Report, report
 from .config import (
     AcceptanceTest,
+    CloudScheme,
     CorrectedScheme,
     FilterConfig,
     LogDensityScheme,
@@ -54,6 +55,7 @@ __all__ = [
     "AcceptanceTest",
     "CampaignResult",
     "Case",
+    "CloudScheme",
     "Code",
     "ConfigError",
     "CorrectedScheme",

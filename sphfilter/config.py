@@ -16,6 +16,7 @@ from .settings import Count, Positive, from_table, settings
 
 __all__ = [
     "AcceptanceTest",
+    "CloudScheme",
     "CorrectedScheme",
     "FilterConfig",
     "LogDensityScheme",
@@ -192,6 +193,32 @@ class CorrectedScheme:
 
 
 @settings
+class CloudScheme:
+    """Weighted points on random paths of the model: what "auto" goes on with where nothing else can.
+
+    The points are quasi-random at first, and their noise follows from a fixed key, the time and the mean: the
+    same density gives the same bits. Errors fall with the root of the number of points.
+
+    Attributes
+    ----------
+    n_points : int
+        Most points that a cloud has; 20,000 know a mean to one or two hundredths of its standard deviation.
+    max_steps : int
+        Steps of one prediction after which it is given up with an error.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> print(sf.FilterConfig(scheme="cloud").scheme.n_points)
+    20000
+    """
+
+    name: Literal["cloud"] = "cloud"
+    n_points: Annotated[int, Field(ge=1000, le=10_000_000)] = 20_000
+    max_steps: Count = 200_000
+
+
+@settings
 class AcceptanceTest:
     """Measurement acceptance of 002 6.3; off unless asked for (`FilterConfig.paper` asks).
 
@@ -263,10 +290,15 @@ def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
     return {k: _without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
 
 
-SCHEMES = {"log_density": LogDensityScheme, "corrected": CorrectedScheme, "paper": PaperScheme}
+SCHEMES = {
+    "log_density": LogDensityScheme,
+    "corrected": CorrectedScheme,
+    "paper": PaperScheme,
+    "cloud": CloudScheme,
+}
 #: Names become settings: of these a configuration holds "auto" only.
-_Name = Literal["auto", "log_density", "corrected", "paper"]
-_Settled = LogDensityScheme | CorrectedScheme | PaperScheme
+_Name = Literal["auto", "log_density", "corrected", "paper", "cloud"]
+_Settled = LogDensityScheme | CorrectedScheme | PaperScheme | CloudScheme
 Scheme: TypeAlias = _Name | _Settled
 
 
@@ -310,7 +342,8 @@ class SolverConfig(_Settings):
     ----------
     scheme : "auto", or a scheme, or its name
         "auto" carries the log-density where the model and the number of particles allow it, and falls back
-        on moment-corrected SPH where they do not or its health check fails; the info says which it was.
+        on moment-corrected SPH where they do not or its health check fails, and on a cloud of weighted points
+        where neither can go on; the info says which it was.
     exact_linear : bool
         Carry a Gaussian through a linear model in closed form.
     remesh : "never", "health" or float

@@ -16,7 +16,7 @@ from ..core.sph.neighbors import build_index, choose_method
 from ..core.sph.summation import sample_density, sample_density_parallel, sample_gradient
 
 __all__ = ["Mixture", "drawn", "gradient", "mixture", "narrowed", "pdf", "points", "raw_moment", "shrunk",
-           "standing_for"]  # fmt: skip
+           "silverman", "standing_for"]  # fmt: skip
 
 _PARALLEL_FROM = 10_000_000  # distances of points and particles, about a second's work of one thread
 _POINTS_A_TERM = 2  # of the polynomial of slopes
@@ -130,7 +130,13 @@ def raw_moment(mix: Mixture, powers: Sequence[int] | Ints, centre: Floats) -> fl
     return float(total)
 
 
-def shrunk(x: Floats, mass: Floats, h: Floats, kernel: kernels.Kernel) -> Mixture | None:
+def silverman(mass: Floats, n: int) -> float:
+    """Standard deviation of kernels, in those of the points (N, n): best for the pdf of a Gaussian."""
+    effective = 1.0 / np.sum(mass**2)
+    return float((4.0 / ((n + 2.0) * effective)) ** (1.0 / (n + 4.0)))
+
+
+def shrunk(x: Floats, mass: Floats, h: Floats | None, kernel: kernels.Kernel) -> Mixture | None:
     """The mixture with the kernels' own variance taken back, for points that have the density's covariance.
 
     Kernels of variance s² move what a density carries by -s²/2 times the slope of its logarithm, as heat
@@ -143,6 +149,7 @@ def shrunk(x: Floats, mass: Floats, h: Floats, kernel: kernels.Kernel) -> Mixtur
     ----------
     x : ndarray, shape (N, n)
     mass, h : ndarray, shape (N,)
+        Without h, kernels are as wide as `silverman` says within the pieces.
     kernel : Kernel
 
     Returns
@@ -164,7 +171,10 @@ def shrunk(x: Floats, mass: Floats, h: Floats, kernel: kernels.Kernel) -> Mixtur
     # Inverse of the slopes' second moments: covariance within the pieces, in no direction above the whole's.
     values, axes = np.linalg.eigh((slope * mass[:, None]).T @ slope)
     within = np.linalg.cholesky((axes / np.maximum(values, 1.0)) @ axes.T)
-    h = h * (np.prod(np.diag(whole)) * np.prod(np.diag(within))) ** (-1.0 / n)
+    if h is None:
+        h = np.full(len(x), silverman(mass, n) / math.sqrt(kernel.variance))
+    else:
+        h = h * (np.prod(np.diag(whole)) * np.prod(np.diag(within))) ** (-1.0 / n)
     variance = kernel.variance * (mass @ h**2)
     a = 1.0 / math.sqrt(1.0 + variance)
     z = np.linalg.solve(within, z.T).T + (1.0 - a) * slope @ within

@@ -16,13 +16,15 @@ from ..lattice.level_set import Laid
 from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
 from . import statistics
+from .cloud import Cloud
 from .marginal import around
 from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
 from .weighted import WeightedStates
 
 __all__ = ["ParticleDensity"]
 
-READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "shrunk", "log_density")
+READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "shrunk", "log_density", "cloud")
+_SUMMED = 1e-14  # distance from one of the sum of masses that have been normalised already
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,9 +47,10 @@ class ParticleDensity:
         What mean, covariance and the like are computed from unless ``kind=`` says otherwise: "points"
         (sums over particles), "mixture" (integrals of p; its covariance is larger by the kernel's own),
         "shrunk" (the mixture with the widening by the kernels taken back: mean and covariance are those of
-        the points; with a domain the mixture itself) or "log_density" (sums over a lattice and the ring
-        around its cut edge; the pdf is the exponential of the `field`, tails included). Questions about the
-        density between the points, read as "points", are answered by the mixture.
+        the points; with a domain the mixture itself), "log_density" (sums over a lattice and the ring
+        around its cut edge; the pdf is the exponential of the `field`, tails included) or "cloud" (sums over
+        weighted points; the pdf is that of kernels as wide as their effective number asks). Questions about
+        the density between the points, read as "points", are answered by the mixture.
     represented_mass : float
         Probability of the region the particles cover, where the density was cut; one if unknown.
     log_density : ndarray, shape (N,), or None
@@ -115,7 +118,8 @@ class ParticleDensity:
                 own[name] = array(name, getattr(self, name), (len(x),))
         if len(x) == 0 or own["mass"].min() < 0 or own["h"].min() <= 0 or own["mass"].sum() <= 0:
             raise ModelError("a density needs particles, masses >= 0 that are not all zero, and h > 0")
-        own["mass"] /= own["mass"].sum()
+        if abs(own["mass"].sum() - 1.0) > _SUMMED:  # else a copy would differ in its last bits
+            own["mass"] /= own["mass"].sum()
         if self.domain is not None:  # none rather than one without bounds
             domain = Domain.of(self.domain, x.shape[1])
             object.__setattr__(self, "domain", None if domain.unbounded else domain)
@@ -179,7 +183,7 @@ class ParticleDensity:
 
     @cached_property
     def form(self) -> Shape:
-        """What answers for the density: `Kernels` or `Polynomials`, `Folded` if its states have a domain."""
+        """What answers for the density: `Kernels`, `Cloud` or `Polynomials`, `Folded` in a domain."""
         return self._shape(self.read_out)
 
     def _shape(self, kind: ReadOut) -> Shape:
@@ -188,7 +192,8 @@ class ParticleDensity:
             shape: Kernels | Polynomials = Polynomials(self.field, self.x, self.mass, self.moments)
         else:
             kind = "points" if kind == "log_density" else kind
-            shape = Kernels(self.x, self.mass, self.h, self.sph_kernel, kind)
+            points = Cloud if kind == "cloud" else Kernels
+            shape = points(self.x, self.mass, self.h, self.sph_kernel, kind)
         return shape if self.domain is None else Folded(shape, self.domain)
 
     @cached_property
@@ -227,11 +232,11 @@ class ParticleDensity:
         powers : sequence of int, length n
         central : bool
         kind : str, optional
-            A `read_out`; by default "points" for a density that is "shrunk", since a prediction gets the
-            moments of its points right. "shrunk" and "log_density" take a fixed set of points a kernel or
-            cell.
+            A `read_out`; by default "points" for a density that is "shrunk" or a "cloud", since a prediction
+            gets the moments of its points right. "shrunk" and "log_density" take a fixed set of points a
+            kernel or cell.
         """
-        read = self._read("points" if kind is None and self.read_out == "shrunk" else kind)
+        read = self._read("points" if kind is None and self.read_out in ("shrunk", "cloud") else kind)
         return statistics.moment(read, powers, self.mean() if central else None)
 
     def probability(self, region: Callable[[Floats], ArrayLike], kind: ReadOut | None = None) -> float:

@@ -22,7 +22,8 @@ from ..lattice.level_set import Laid
 from ..model.domain import Domain
 from . import marginal, mixture
 
-__all__ = ["LATTICE_SUPPORT", "Folded", "Kernels", "Polynomials", "Shape", "lattice_particles"]
+__all__ = ["LATTICE_SUPPORT", "Folded", "Kernels", "Polynomials", "Shape", "lattice_particles",
+           "spread_evenly"]  # fmt: skip
 
 LATTICE_SUPPORT = 1.2  # smoothing length on a lattice, in units of its spacing
 _CELL_POINTS = 2**17  # points in all cells, up to 128 in each and at least 16
@@ -205,13 +206,13 @@ class Polynomials:
         along the rows would be known to the distance between two of them only; so else each cell has its own.
         """
         n, found = len(self.field.mu), len(self.cells)
-        X = self._in_cells(_cell_points(n, found, smooth))
+        X = self.in_cells(_cell_points(n, found, smooth))
         p = self.pdf(X)
         return X, p / p.sum()
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
-        X = self._in_cells(rng.random((32, len(self.field.mu))))
+        X = self.in_cells(rng.random((32, len(self.field.mu))))
         p = self.pdf(X)
         return X[rng.choice(len(X), size=size, p=p / p.sum())]
 
@@ -245,7 +246,7 @@ class Polynomials:
             turns = [Y + k * shift for Y in turns for k in np.arange(first - 1, last + 2)]
         return turns
 
-    def _in_cells(self, uniform: Floats) -> Floats:
+    def in_cells(self, uniform: Floats) -> Floats:
         """States (M k, n) in all cells, at `uniform` (k, n) or (M, k, n) parts of them."""
         offsets = (uniform % 1.0 - 0.5) @ self.field.A.T
         return (self.cells[:, None] + offsets).reshape(-1, offsets.shape[-1])
@@ -325,10 +326,10 @@ def _cell_points(n: int, cells: int, smooth: bool) -> Floats:
 
     count = 2 ** int(np.clip(np.log2(_CELL_POINTS / cells), 4, 7))
     uniform = qmc.Sobol(n, scramble=False).random(count) + 0.5 / count
-    return uniform if smooth else uniform + _spread_evenly(cells, n)[:, None]
+    return uniform if smooth else uniform + spread_evenly(cells, n)[:, None]
 
 
-def _spread_evenly(count: int, n: int) -> Floats:
+def spread_evenly(count: int, n: int) -> Floats:
     """Points (count, n) of the additive sequence of the root of x^(n+1) = x + 1, even over the unit cube."""
     root = optimize.brentq(lambda x: x ** (n + 1) - x - 1.0, 1.0, 2.0)
     return np.arange(count)[:, None] * root ** -np.arange(1.0, n + 1.0) % 1.0

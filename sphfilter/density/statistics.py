@@ -161,7 +161,8 @@ def hpd_rank(density: "ParticleDensity", X: ArrayLike) -> Floats:
 
 def mode(density: "ParticleDensity") -> Floats:
     """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
-    best = density.x[np.argmax(density.pdf(density.x))]
+    X = states(density, _FEW_SUBPOINTS)[0] if density.read_out == "cloud" else density.x
+    best = X[np.argmax(density.pdf(X))]
     simplex = np.vstack([best, best + 0.5 * np.median(density.h) * np.eye(density.dim)])
     found = optimize.minimize(
         lambda y: -density.pdf(y)[0], best, method="Nelder-Mead", options={"initial_simplex": simplex}

@@ -3,6 +3,7 @@
 import math
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from typing import Any, Literal, Self
 
@@ -21,7 +22,7 @@ from ..info import PredictInfo, UpdateInfo
 from ..model.compile import StateFunction
 from ..model.measurements import Sensor
 from ..model.sde import SDE
-from ..prediction.again import Outcome, predict_from_finer
+from ..prediction.again import Outcome, or_as_cloud, predict_from_finer
 from ..prediction.predict import Prediction, predict
 from ..prediction.to_target import fewest, predict_to_target
 from ..validate import array, count, covariance, positive, real, row, seconds, short
@@ -192,15 +193,19 @@ class SPHFilter(Shown):
                 self.prepare(interval)
         state, most = self._state, self._most()
 
-        def predicted(density: ParticleDensity) -> Outcome[PredictInfo]:
+        def predicted(density: ParticleDensity, config: Any) -> Outcome[PredictInfo]:
             options: dict[str, Any] = {"t": t, "n_particles": most}
             if self._adapts:
                 options["fits"] = self._budget.fits
-                return predict_to_target(density, self.model, dt, self.config, **options)
-            moved = predict(density, self.model, dt, self.config, **options)
+                return predict_to_target(density, self.model, dt, config, **options)
+            moved = predict(density, self.model, dt, config, goes_on=False, **options)
             return Outcome(density, *moved, state.n_particles)
 
-        outcome = predict_from_finer(predicted, self.model, state.density, state.origin, self.config, most)
+        def attempted(config: Any) -> Outcome[PredictInfo]:
+            known = state.density, state.origin, config, most
+            return predict_from_finer(partial(predicted, config=config), self.model, *known)
+
+        outcome = or_as_cloud(attempted, self.config)
         moved = "predict" if outcome.density.t > self.t and not rehearses else ""
         repeated = outcome.before is not state.density
         state = state.predicted(outcome, self.model)

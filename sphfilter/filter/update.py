@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats
-from ..config import AcceptanceTest, FilterConfig, PaperScheme, checked_filter_config
+from ..config import AcceptanceTest, CloudScheme, FilterConfig, PaperScheme, checked_filter_config
+from ..density.cloud_posterior import cloud_posterior
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
-from ..info import NOTHING_CAME, UpdateInfo
+from ..info import NOTHING_CAME, Code, UpdateInfo
 from ..lattice.check import Misfit, left_out
 from ..lattice.field import extrapolated_mass
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
@@ -71,7 +72,8 @@ def update(
         said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
         return density, UpdateInfo(n_particles=density.n_particles, **said)
     regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
-    by = _by_regridding if regrids else _by_product
+    as_cloud = density.read_out == "cloud" or isinstance(config.scheme, CloudScheme)
+    by = _by_cloud if as_cloud else _by_regridding if regrids else _by_product
     posterior, said = by(density, asked, n_particles, config)
     return posterior, UpdateInfo(
         n_particles=posterior.n_particles, innovation=asked.innovation, innovation_cov=asked.S, **said
@@ -135,7 +137,10 @@ def _by_product(
         )
         new = replace(new, error=float(np.hypot(_kept(density, new) * density.error, off.mean)))
         unknown = _beyond(density, new)
-    except PropagationError:
+    except PropagationError as problem:
+        if not flag and config.scheme == "auto":
+            why = f"no lattice holds the posterior: {problem}"
+            return _by_cloud(density, asked, n_particles, config, why)
         if not flag:
             raise
         off, new, unknown = (
@@ -154,6 +159,28 @@ def _by_product(
         "log_evidence": log_evidence,
         "reason": unknown or flag,
         "extrapolated": 0.0 if density.field is None else extrapolated_mass(density.field, new.x, new.mass),
+    }
+
+
+def _by_cloud(
+    density: ParticleDensity, asked: _Asked, n_particles: int, config: FilterConfig, why: str = ""
+) -> tuple[ParticleDensity, dict[str, Any]]:
+    """Prior times likelihood as a cloud of weighted points, which any likelihood leaves."""
+    scheme = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
+    domain = density.domain
+    weight = asked.log_weight if domain is None else lambda X: asked.log_weight(domain.wrap(X))
+    new, log_evidence, evidence_error = cloud_posterior(density, weight, scheme.n_points)
+    new = replace(new, capacity=n_particles)
+    status = f"on a cloud of {new.n_particles} points: the mean is good to {new.error:.2g} standard "
+    status += f"deviations; {why}" if why else "deviations"
+    return new, {
+        "accepted": True,
+        "log_evidence": log_evidence,
+        "reason": asked.outlying,
+        "error": new.error,
+        "evidence_error": evidence_error,
+        "status": status,
+        "code": Code.CLOUD,
     }
 
 

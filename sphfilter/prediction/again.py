@@ -1,15 +1,16 @@
 """Again on more particles: the one ladder that predictions and updates climb, and what comes of a step."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from ..config import FilterConfig, SolverConfig
+from ..config import CloudScheme, FilterConfig, SolverConfig
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code, PredictInfo, UpdateInfo
 from ..model.sde import SDE
 
-__all__ = ["FINEST", "MOST", "Ladder", "Outcome", "Rung", "predict_from_finer"]
+__all__ = ["FINEST", "MOST", "Ladder", "Outcome", "Rung", "or_as_cloud", "predict_from_finer"]
 
 Info = TypeVar("Info", PredictInfo, UpdateInfo)
 Found = TypeVar("Found")
@@ -65,6 +66,36 @@ class Ladder(NamedTuple):
             except PropagationError:
                 continue
         return None
+
+
+def or_as_cloud(
+    predicted: Callable[[SolverConfig | FilterConfig], Outcome[PredictInfo]],
+    config: SolverConfig | FilterConfig,
+) -> Outcome[PredictInfo]:
+    """Predict; where ``scheme="auto"`` is refused, go on as a cloud, which says what the problem was.
+
+    Parameters
+    ----------
+    predicted : callable
+        A configuration to the `Outcome` of a prediction.
+    config : SolverConfig or FilterConfig
+
+    Raises
+    ------
+    PropagationError
+        What was refused, if a cloud is refused too.
+    """
+    try:
+        return predicted(config)
+    except PropagationError as problem:
+        if config.scheme != "auto":
+            raise
+        try:
+            outcome = predicted(replace(config, scheme=CloudScheme()))
+        except Exception:  # a black-box drift may raise anything; the first problem says what
+            raise problem from problem.__cause__
+        info = outcome.info
+        return outcome._replace(info=info.marked(Code.FALLBACK, f"{info.status}; {problem}"))
 
 
 class Origin(Protocol):

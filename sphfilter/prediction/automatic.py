@@ -1,11 +1,14 @@
-"""scheme="auto": the log-density, if need be on more particles, else moment-corrected SPH."""
+"""scheme="auto": the log-density, if need be on more particles, else moment-corrected SPH.
 
-from ..config import CorrectedScheme, LogDensityScheme, PaperScheme
+A cloud, which takes over where these are refused, comes back to a lattice where one holds it.
+"""
+
+from ..config import CloudScheme, CorrectedScheme, LogDensityScheme, PaperScheme
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import Code, PredictInfo
 from ..model.sde import SDE
-from . import corrected, log_density, paper
+from . import cloud, corrected, log_density, paper
 from ._shared import carried_off
 from .again import Ladder
 
@@ -35,6 +38,11 @@ def propagate(
     -------
     ParticleDensity, PredictInfo
     """
+    if density.read_out == "cloud":
+        laid = cloud.on_lattice(density, n_particles)
+        if laid is None:
+            return cloud.propagate(density, model, t1, CloudScheme(), n_particles)
+        density = laid
     reason, stopped = log_density.fits(model, density, n_particles), False
     if not reason:
         try:

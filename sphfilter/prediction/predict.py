@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Interval
-from ..config import CorrectedScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
+from ..config import CloudScheme, CorrectedScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
 from ..errors import ModelError
@@ -15,7 +15,8 @@ from ..model.domain import Domain
 from ..model.sde import SDE
 from ..model.timing import beside
 from ..validate import count, onwards, real, seconds
-from . import automatic, corrected, log_density, paper
+from . import automatic, cloud, corrected, log_density, paper
+from .again import Outcome, or_as_cloud
 from .exact import propagate_exactly
 
 __all__ = ["Prediction", "load", "predict"]
@@ -30,6 +31,7 @@ def predict(
     t: float | None = None,
     n_particles: int | None = None,
     most_particles: int | None = None,
+    goes_on: bool = True,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density over dt seconds, or to time t.
 
@@ -47,6 +49,9 @@ def predict(
     most_particles : int, optional
         Particles at most of a prediction that ``scheme="auto"`` makes again where a lattice loses
         probability; 30,000 if not given.
+    goes_on : bool
+        Whether ``scheme="auto"`` goes on as a cloud of points, and says so, where neither a lattice nor sums
+        over kernels can; if not, what stopped them is raised.
 
     Returns
     -------
@@ -91,11 +96,13 @@ def predict(
     for stop in model.breaks(start, target):
         before, after = beside(stop, start, target)
         if density.t < before:
-            density, info = _without_breaks(density, model, before, config, n_particles, most_particles)
+            density, info = _without_breaks(
+                density, model, before, config, n_particles, most_particles, goes_on
+            )
             infos.append(info)
         density = replace(density, t=after)
     if density.t < target:
-        density, info = _without_breaks(density, model, target, config, n_particles, most_particles)
+        density, info = _without_breaks(density, model, target, config, n_particles, most_particles, goes_on)
         infos.append(info)
     return (density if density.t == target else replace(density, t=target)), PredictInfo.joined(infos)
 
@@ -107,16 +114,24 @@ def _without_breaks(
     config: SolverConfig | FilterConfig,
     n_particles: int,
     most_particles: int | None,
+    goes_on: bool,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1, up to which the model does not jump."""
     if config.exact_linear and model.linear:
         exact = propagate_exactly(density, model, t1, n_particles)
         if exact is not None:
             return exact
-    if config.scheme == "auto":
-        return automatic.propagate(density, model, t1, n_particles, most_particles)
-    propagate: Any = _SCHEMES[type(config.scheme)]
-    return propagate(density, model, t1, config.scheme, n_particles)
+
+    def predicted(config: SolverConfig | FilterConfig) -> Outcome[PredictInfo]:
+        if config.scheme == "auto":
+            moved = automatic.propagate(density, model, t1, n_particles, most_particles)
+        else:
+            propagate: Any = _SCHEMES[type(config.scheme)]
+            moved = propagate(density, model, t1, config.scheme, n_particles)
+        return Outcome(density, *moved, n_particles)
+
+    outcome = or_as_cloud(predicted, config) if goes_on else predicted(config)
+    return outcome.density, outcome.info
 
 
 class Prediction(NamedTuple):
@@ -130,14 +145,15 @@ class Prediction(NamedTuple):
     def repeated(self, config: SolverConfig | FilterConfig, n_particles: int) -> ParticleDensity:
         """The density it ended with on another number of particles."""
         assert self.before is not None and self.model is not None
-        return predict(self.before, self.model, t=self.t, config=config, n_particles=n_particles)[0]
+        options: dict[str, Any] = {"t": self.t, "n_particles": n_particles, "goes_on": False}
+        return predict(self.before, self.model, config=config, **options)[0]
 
 
 def load(
     model: SDE, density: ParticleDensity, config: SolverConfig | FilterConfig
 ) -> CorrectedScheme | PaperScheme | None:
     """Compile what predictions call only now and then; returns the scheme they may fall back on, or None."""
-    if isinstance(config.scheme, PaperScheme | CorrectedScheme):
+    if isinstance(config.scheme, PaperScheme | CorrectedScheme | CloudScheme):
         return None
     if not log_density.fits(model, density, density.n_particles):
         log_density.load(model)
@@ -163,4 +179,5 @@ _SCHEMES = {
     LogDensityScheme: log_density.propagate,
     CorrectedScheme: corrected.propagate,
     PaperScheme: paper.propagate,
+    CloudScheme: cloud.propagate,
 }

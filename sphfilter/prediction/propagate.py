@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -17,7 +18,7 @@ from ..errors import LatticeError, ModelError, UnresolvedError
 from ..info import Code, PredictInfo
 from ..model.sde import SDE
 from ..validate import array, onwards
-from .again import Outcome, predict_from_finer
+from .again import Outcome, or_as_cloud, predict_from_finer
 from .predict import Prediction, predict
 from .remesh import Remeshing
 
@@ -166,7 +167,9 @@ def _piecewise(
     while not infos or density.t < t:
         density, told, regridded = remeshing.renewed(density, model, t)
         stop = remeshing.stop(density, model, t)
-        before, density, info, _ = _carried(density, model, stop, config, remeshing.n_particles, origin)
+        before, density, info, _ = or_as_cloud(
+            partial(_carried, density, model, stop, remeshing.n_particles, origin), config
+        )
         origin = Prediction(before, info.mass_error, model, density.t)
         if told:
             status = told if info.status == "ok" else f"{told}; {info.status.removeprefix('ok; ')}"
@@ -179,13 +182,13 @@ def _carried(
     density: ParticleDensity,
     model: SDE,
     t: float,
-    config: SolverConfig | FilterConfig,
     n_particles: int,
     origin: Prediction | None,
+    config: SolverConfig | FilterConfig,
 ) -> Outcome[PredictInfo]:
     """The `Outcome` of one interval, the one before made again where it left too coarse a density."""
     corrects = config.scheme == "auto" and density.domain is None
-    options: dict[str, Any] = {"t": t, "n_particles": n_particles}
+    options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}
 
     def predicted(density: ParticleDensity) -> Outcome[PredictInfo]:
         most = _MOST_NODES if corrects else None

@@ -43,7 +43,7 @@ class Remeshing:
 
     def applies(self, density: ParticleDensity, model: SDE) -> bool:
         """Do sums over kernels carry the density from here? A log-density is on a lattice at every step."""
-        if self.when == "never" or isinstance(self.scheme, LogDensityScheme):
+        if self.when == "never" or isinstance(self.scheme, LogDensityScheme) or density.read_out == "cloud":
             return False
         return self.scheme != "auto" or bool(fits(model, density, self.n_particles))
 

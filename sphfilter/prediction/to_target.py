@@ -64,7 +64,7 @@ def predict_to_target(
     ratio = math.inf
     for _ in range(_TRIES):
         try:
-            moved, info = predict(density, model, dt, config, t=t, n_particles=n_particles)
+            moved, info = predict(density, model, dt, config, t=t, n_particles=n_particles, goes_on=False)
         except PropagationError:
             if best is None:
                 raise

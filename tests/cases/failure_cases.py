@@ -115,6 +115,8 @@ SAID_OF_FITS = [
 SAID = [
     *SAID_OF_FITS,
     lambda: predicted(line("x**3")),
+    lambda: predicted(line("x**3", "0.3"), scheme="cloud", start=sf.Gaussian([0.0], [[0.05]])),
+    lambda: predicted(line("-1e4*x - sin(x)"), scheme=sf.CloudScheme(max_steps=100)),
     lambda: predicted(line("sqrt(x + 3)"), scheme="log_density"),
     lambda: predicted(line("-6*sign(x)", "0.1"), scheme="log_density"),
     lambda: sf.predict(laid(ROUND), wells(), 1.0, sf.SolverConfig(scheme="log_density"), n_particles=6),
@@ -129,7 +131,7 @@ SAID = [
     lambda: filtering(60).predict(2.0).status,
     lambda: predicted(line("-x", "0.5*x + 1")),
     lambda: lost(3),
-    lambda: predicted(FLAT, scheme="corrected", start=ROUND, n_particles=200),
+    lambda: predicted(FLAT, 2.0, scheme="corrected", start=ROUND, n_particles=200),
     lambda: updated(HEIGHT, None),
     lambda: updated(HEIGHT, [9.0]),
     lambda: updated(HEIGHT, [300.0]),

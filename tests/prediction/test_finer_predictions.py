@@ -92,7 +92,9 @@ def test_where_more_particles_would_be_too_many_the_first_refusal_stands(monkeyp
     """And no other scheme takes over: it would see no more on as few."""
     monkeypatch.setattr(automatic, "MOST_FINER", 299)
     with pytest.raises(UnresolvedError, match="lost or gained"):
-        sf.predict(start(), DUFFING, 2.0)
+        sf.predict(start(), DUFFING, 2.0, goes_on=False)
+    _, info = sf.predict(start(), DUFFING, 2.0)
+    assert sf.Code.CLOUD in info.code and "lost or gained" in info.status
 
 
 # drifts that carry particles to infinity

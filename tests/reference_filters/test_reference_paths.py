@@ -5,8 +5,9 @@ import pytest
 from density_cases import whitened
 
 from reference_filters import _paths
-from reference_filters._paths import Paths, standard_normals
+from reference_filters._paths import Paths
 from sphfilter import consistency
+from sphfilter.core.paths.blocks import standard_normals
 from sphfilter.core.sde_steps import normals_per_step, shifted_path_steps, split_steps
 from sphfilter.errors import PropagationError
 from sphfilter.model.sde import SDE, LinearSDE

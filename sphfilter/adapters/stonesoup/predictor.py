@@ -18,7 +18,7 @@ from ...density.particle_density import ParticleDensity
 from ...errors import ModelError, PropagationError
 from ...info import PredictInfo
 from ...model.sde import SDE
-from ...prediction.again import Outcome, predict_from_finer
+from ...prediction.again import Outcome, or_as_cloud, predict_from_finer
 from ...prediction.predict import Prediction as Origin
 from ...prediction.predict import predict
 from ...validate import count
@@ -129,10 +129,11 @@ class SPHPredictor(Predictor):
             return found._replace(before=before, density=moved)
 
         def predicted(
-            density: ParticleDensity, most: int | None = None
+            density: ParticleDensity, most: int | None = None, config: Any = config
         ) -> tuple[ParticleDensity, PredictInfo]:
             density = retimed(density, transition, prior.timestamp)
-            return predict(density, sde, dt, config, n_particles=n_particles, most_particles=most)
+            options: dict[str, Any] = {"n_particles": n_particles, "most_particles": most, "goes_on": False}
+            return predict(density, sde, dt, config, **options)
 
         return self._kept.result(key, carried)
 
@@ -156,10 +157,13 @@ class SPHPredictor(Predictor):
                     found = predicted_apart(origin, predicted, config, n_particles)
                     return Outcome(start, *found, n_particles)
 
-        def bounded(density: ParticleDensity) -> Outcome[PredictInfo]:
-            return Outcome(density, *predicted(density), n_particles)
+        def attempted(config: Any) -> Outcome[PredictInfo]:
+            def bounded(density: ParticleDensity) -> Outcome[PredictInfo]:
+                return Outcome(density, *predicted(density, config=config), n_particles)
 
-        return predict_from_finer(bounded, sde, start, origin, config, n_particles)
+            return predict_from_finer(bounded, sde, start, origin, config, n_particles)
+
+        return or_as_cloud(attempted, config)
 
 
 def _seconds(start: datetime.datetime | None, end: datetime.datetime | None) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from sphfilter.core._jit import jit
+from .._jit import jit
 
 __all__ = ["condition", "resample", "weighted_moments"]
 

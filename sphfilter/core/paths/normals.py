@@ -7,7 +7,7 @@ and the sine are polynomials for the same reason. Four to six times faster than 
 
 import numpy as np
 
-from sphfilter.core._jit import jit
+from .._jit import jit
 
 __all__ = ["LANES", "fill_normals", "seed_lanes"]
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import stats
 
-from reference_filters._normals import LANES, fill_normals, seed_lanes
+from sphfilter.core.paths.normals import LANES, fill_normals, seed_lanes
 
 
 def draw(seed, stream, rows, n_lanes=LANES):

@@ -8,8 +8,8 @@ outcome would be biased.
 import numpy as np
 from numba import njit
 
-from sphfilter.core._jit import jit
-from sphfilter.core.sde_steps import root_noise, root_now, scaled_noise
+from .._jit import jit
+from ..sde_steps import root_noise, root_now, scaled_noise
 
 __all__ = ["BIAS_PER_ERROR", "PLATEN", "SHIFTED_PATH", "SPLIT", "step_length"]
 
@@ -94,7 +94,7 @@ def _in_deviations(change, moved, variance, unit):
             square += moved[i, a] ** 2
             total += change[i, a] ** 2
             top = max(top, abs(change[i, a]))
-        if not np.isfinite(total + square):
+        if not total + square < np.inf:  # isfinite lies where sums may be reordered
             return np.inf, np.inf
         unit[a] = np.sqrt(variance[a] + max(square / N - (mean / N) ** 2, 0.0))
         if total > 0.0:

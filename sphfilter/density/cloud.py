@@ -1,0 +1,147 @@
+"""Clouds: weighted points that stand for a density, smoothed where the density between them is asked for."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .._types import Floats, Ints
+from ..core.paths.weights import weighted_moments
+from ..core.sph.kernels import Kernel
+from ..model.domain import Domain
+from . import mixture
+from .shapes import Folded, Kernels, Polynomials, spread_evenly
+
+if TYPE_CHECKING:
+    from .particle_density import ParticleDensity
+
+__all__ = ["KERNEL", "Cloud", "drawn", "key_of", "moments", "quasi_random", "smoothing_length", "systematic"]
+
+KERNEL = "wendland_c2"
+_STATES = 128  # points that stand for a cloud, over those that stand for one kernel of other densities
+_CANDIDATES = 8  # states in the cells of a lattice, over the points drawn from them
+_KEY, _MIX = np.uint64(0x5EED0C10D), np.uint64(0x9E3779B97F4A7C15)
+
+
+class Cloud(Kernels):
+    """Weighted points, any of which may be heavy: moments are sums over them.
+
+    The density between them is that of kernels whose width follows from the effective number of points, with
+    the variance that kernels add taken back; in a domain, of kernels with their images.
+    """
+
+    @cached_property
+    def mixture(self) -> mixture.Mixture:
+        """The kernels that the pdf sums; made at the first question."""
+        if self.images is not None:
+            return self.images
+        found = mixture.shrunk(self.x, self.mass, None, self.kernel)
+        return mixture.mixture(self.x, self.mass, self.h, self.kernel) if found is None else found
+
+    @cached_property
+    def _moments(self) -> tuple[Floats, Floats]:
+        return moments(self.x, self.mass)
+
+    def mean(self) -> Floats:
+        """Mean, shape (n,)."""
+        return self._moments[0].copy()
+
+    def cov(self, centre: Floats | None = None) -> Floats:
+        """Covariance, shape (n, n), about the mean if no centre (n,) is given."""
+        off = np.zeros(self.x.shape[1]) if centre is None else self._moments[0] - centre
+        return self._moments[1] + np.outer(off, off)
+
+    def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
+        """Points in the kernels, as many for the whole cloud as serve a lattice: always the same ones."""
+        total = _STATES * count
+        offsets = mixture.standing_for(self.kernel.kind, self.x.shape[1], count)
+        X = mixture.points(self.mixture, np.tile(offsets, (_STATES, 1)), systematic(self.mass, total))
+        return X, np.full(total, 1.0 / total)
+
+    def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
+        """The same points along some axes, by name."""
+        x = self.x[:, axes]
+        return {"x": x, "mass": self.mass, "h": smoothing_length(x, self.mass), "read_out": "cloud"}
+
+    def around(self, domain: Domain) -> "Cloud":
+        """The same points with images beyond the ends of a domain; kernels are as wide as each axis asks."""
+        n = self.x.shape[1]
+        off = domain.nearest(self.x - domain.mean(self.x, self.mass))
+        std = np.sqrt(np.maximum((off**2 * self.mass[:, None]).sum(axis=0), 1e-300))
+        ends = zip(domain.kinds, domain.low / std, domain.high / std, strict=True)
+        h = np.full(len(self.x), mixture.silverman(self.mass, n) / math.sqrt(self.kernel.variance))
+        seen = Domain(*ends).seen(domain.fold(self.x) / std, self.mass, h, self.kernel.radius * h[0])
+        return replace(self, images=mixture.mixture(*seen, self.kernel, factor=np.diag(std)))
+
+
+def moments(x: Floats, mass: Floats) -> tuple[Floats, Floats]:
+    """Mean (n,) and covariance (n, n) of weighted points, the same bits whatever the threads."""
+    n = x.shape[1]
+    mean, cov = np.empty(n), np.empty((n, n))
+    weighted_moments(np.ascontiguousarray(x), np.array(mass), mean, cov)
+    return mean, cov
+
+
+def smoothing_length(x: Floats, mass: Floats) -> Floats:
+    """Smoothing lengths (N,) for points (N, n): those of spheres with the volume of the best kernel."""
+    n, kernel = x.shape[1], Kernel.of(KERNEL, x.shape[1])
+    cov = moments(x, mass)[1]
+    values = np.maximum(np.linalg.eigvalsh(cov), max(1e-24 * np.trace(cov), 1e-280))
+    size = mixture.silverman(mass, n) * math.exp(0.5 * np.log(values).mean())
+    return np.full(len(x), size / math.sqrt(kernel.variance))
+
+
+def systematic(mass: Floats, count: int, shift: float = 0.5) -> Ints:
+    """Numbers (count,) of points of weights (N,), each as often as its weight says but for rounding."""
+    ends = np.cumsum(mass)
+    found = np.searchsorted(ends, (np.arange(count) + shift) * (ends[-1] / count), side="right")
+    return np.minimum(found, np.flatnonzero(mass)[-1])
+
+
+def key_of(density: "ParticleDensity") -> int:
+    """Number that the time and the mean of a density give, by all their bits: where its points begin."""
+    key = _KEY
+    with np.errstate(over="ignore"):
+        for word in np.append(moments(density.x, density.mass)[0], density.t).view(np.uint64):
+            key = (key ^ word) * _MIX
+            key ^= key >> np.uint64(31)
+    return int(key >> np.uint64(1))
+
+
+def quasi_random(count: int, n: int, key: int) -> Floats:
+    """Points (count, n) evenly spread over the unit cube, shifted by a key."""
+    shift = np.random.Generator(np.random.Philox(key)).random(n)
+    return (spread_evenly(count, n) + shift) % 1.0
+
+
+def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
+    """Draw quasi-random points (count, n) from a density, by a key: with its mean and covariance."""
+    shape: Any = density.form.shape if isinstance(density.form, Folded) else density.form
+    domain, n = density.domain, density.dim
+    if isinstance(shape, Polynomials):
+        x = _from_cells(shape, count, quasi_random(count, n, key))
+    else:
+        seen = shape if domain is None else shape.around(domain)
+        offsets = mixture.drawn(seen.kernel.kind, quasi_random(count, n + 1, key))
+        x = mixture.points(seen.mixture, offsets, systematic(density.mass, count))
+    if domain is not None:
+        return domain.fold(x)
+    mean, cov = moments(x, np.full(count, 1.0 / count))
+    try:
+        change = np.linalg.cholesky(density.cov()) @ np.linalg.inv(np.linalg.cholesky(cov))
+    except np.linalg.LinAlgError:  # flat along some combination of the states
+        return x
+    return density.mean() + np.einsum("ij,kj->ik", x - mean, change)
+
+
+def _from_cells(shape: Polynomials, count: int, uniform: Floats) -> Floats:
+    """Points in the cells of a lattice: of many states in each, as many as the density says."""
+    cells, n = len(shape.cells), uniform.shape[1]
+    inside = 2 ** math.ceil(math.log2(max(_CANDIDATES * count / cells, 2.0)))
+    X = shape.in_cells(spread_evenly(inside, n))
+    p = shape.pdf(X)
+    taken = systematic(p / p.sum(), count)
+    return X[taken] + (uniform - 0.5) * inside ** (-1.0 / n) @ shape.field.A.T

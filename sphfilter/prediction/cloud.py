@@ -1,0 +1,262 @@
+"""A cloud of weighted points on random paths: carries any density, with the error of as many samples."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from .._types import Bools, Floats
+from ..config import CloudScheme
+from ..core._addresses import address_of
+from ..core.paths.blocks import move_blocks, standard_normals
+from ..core.paths.normals import LANES
+from ..core.paths.step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH
+from ..density.cloud import KERNEL, drawn, key_of, moments, smoothing_length, systematic
+from ..density.particle_density import ParticleDensity
+from ..density.resample import times_likelihood
+from ..errors import PropagationError, StoppedError
+from ..info import Code, PredictInfo
+from ..model.compile import surfacing
+from ..model.sde import SDE, LinearSDE
+from ..model.simulate import noise_root, rate_of_time
+from ._shared import blow_up, carried_off, skip_notes
+
+__all__ = ["on_lattice", "propagate"]
+
+_BIAS = 0.6  # of the steps, over the sampling error
+_LOOKED_AT = 64  # states at which the rate of change with time is looked at
+_PART_OF_WALLS = 0.5  # of a standard deviation: the largest noise of a step beside walls
+_FEW = 0.5  # effective points over all, below which points are drawn anew
+_SPREAD = 0.01  # least variance that noise adds for copies of a point to part, over the cloud's
+#: States, and kernels of a cloud, from which a lattice is tried again.
+_MOST_STATES, _KERNELS = 4, 4096
+_AGREES, _LEAST_ERROR, _RESIDUAL = 3.0, 0.005, 0.1  # for a lattice to stand for a cloud
+_AWAY = 1e6  # extents of a cloud, from which a point has run away
+_DOUBTFUL, _MOST_LOST, _CERTAIN = 0.01, 0.1, 0.25  # probability of the paths that were given up
+
+
+def propagate(
+    density: ParticleDensity, model: SDE, t1: float, scheme: CloudScheme, n_particles: int | None = None
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density to time t1 as weighted points, each on a path with noise of its own.
+
+    Steps are of weak order three where the noise does not depend on the state, else two, and exact for a
+    linear model. What comes is drawn from a density of another kind by quasi-random numbers.
+
+    Parameters
+    ----------
+    density : ParticleDensity
+    model : SDE
+    t1 : float
+        Seconds.
+    scheme : CloudScheme
+    n_particles : int, optional
+        Bound of the next lattice's nodes, which the density keeps as its capacity.
+
+    Returns
+    -------
+    ParticleDensity, PredictInfo
+
+    Raises
+    ------
+    PropagationError
+        The model carries a tenth of the probability to infinity, or needs more steps than allowed.
+    """
+    key = key_of(density)
+    x, mass = _points(density, model, t1, scheme.n_points, key)
+    before, alive, steps = x.copy(), np.ones(len(x), dtype=bool), 1
+    if model.linear:
+        x = _exactly(x, model, t1 - density.t, key)
+    else:
+        few = x[systematic(mass, LANES)]  # tell a model that blows up at once
+        pilot, kept, even = few.copy(), np.ones(LANES, dtype=bool), np.full(LANES, 1.0 / LANES)
+        _moved(pilot, even, kept, model, (density.t, t1), scheme, key)
+        if kept.mean() < 1.0 - _CERTAIN:
+            raise PropagationError(_blow_up(model, few[~kept], density.t, t1))
+        steps = _moved(x, mass, alive, model, (density.t, t1), scheme, key)
+    alive &= _near(before, x)
+    lost = float(mass[~alive].sum())
+    if lost > _MOST_LOST:
+        raise PropagationError(_blow_up(model, before[~alive], density.t, t1))
+    x, mass = x[alive], mass[alive] / (1.0 - lost)
+    error = _error(density, before[alive], x, mass)
+    moved = ParticleDensity(
+        x=x if density.domain is None else density.domain.wrap(x),
+        mass=mass,
+        h=smoothing_length(x, mass),
+        t=float(t1),
+        kernel=KERNEL,
+        read_out="cloud",
+        represented_mass=density.represented_mass,
+        capacity=density.capacity if n_particles is None else n_particles,
+        domain=density.domain,
+        error=error,
+    )
+    return moved, _info(model, len(x), steps, lost, error)
+
+
+def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity | None:
+    """A cloud on a lattice that has its mean and covariance and its density, or None where none has."""
+    if density.dim > _MOST_STATES:
+        return None
+    few = ParticleDensity(
+        x=density.x[systematic(density.mass, _KERNELS)],
+        mass=np.full(_KERNELS, 1.0 / _KERNELS),
+        h=density.h[:1].repeat(_KERNELS),
+        kernel=KERNEL,
+        read_out="cloud",
+        t=density.t,
+        domain=density.domain,
+    )
+    try:
+        laid, *_ = times_likelihood(few, lambda X: np.zeros(len(X)), n_particles, "auto")
+    except PropagationError:
+        return None
+    root = np.linalg.inv(np.linalg.cholesky(density.cov()))
+    off = np.sqrt(np.mean((root @ (laid.mean() - density.mean())) ** 2))
+    wider = np.abs(root @ laid.cov() @ root.T - np.eye(density.dim)).max()
+    X, _ = few.form.states(16, True)
+    residual = np.mean(np.abs(np.expm1(np.clip(laid.logpdf(X) - few.logpdf(X), -1.0, 1.0))))
+    if max(off, 0.5 * wider) > _AGREES * max(density.error, _LEAST_ERROR) or residual > _RESIDUAL:
+        return None
+    return replace(laid, error=math.hypot(density.error, float(off)), capacity=density.capacity)
+
+
+def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: int) -> tuple[Floats, Floats]:
+    """Points (N, n) that are to be moved, and their weights.
+
+    Copies of heavy points part by themselves where the noise is enough for that; else the points are drawn
+    from the density that is read between them.
+    """
+    mass = np.full(count, 1.0 / count)
+    if density.read_out != "cloud":
+        return drawn(density, count, key), mass
+    if len(density.x) == count and 1.0 / np.sum(density.mass**2) >= _FEW * count:
+        return density.x.copy(), density.mass
+    if _parts(model, density, t1):
+        return density.x[systematic(density.mass, count)], mass
+    return drawn(density, count, key), mass
+
+
+def _parts(model: SDE, density: ParticleDensity, t1: float) -> bool:
+    """Does the noise of an interval move copies of a point apart, in all directions?"""
+    mean, cov = moments(density.x, density.mass)
+    with np.errstate(all="ignore"):
+        D = model.diffusion(mean, density.t)[0]
+        if not np.isfinite(D).all():
+            return False
+        linear = LinearSDE(np.nan_to_num(model.jacobian(mean, density.t)), noise=noise_root(2.0 * D))
+        flow, _, added = linear.discretize(t1 - density.t)
+        total = flow @ cov @ flow.T + added
+    if not np.isfinite(total).all():
+        return False
+    scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    values, axes = np.linalg.eigh(total / np.outer(scale, scale))
+    white = axes / np.sqrt(np.maximum(values, 1e-12)) / scale[:, None]
+    return bool(np.linalg.eigvalsh(white.T @ added @ white)[0] > _SPREAD)
+
+
+def _exactly(x: Floats, model: SDE, dt: float, key: int) -> Floats:
+    """Points moved by the exact transition of a linear model."""
+    flow, offset, Q = model.to_linear().discretize(dt)
+    noise = standard_normals(key, *x.shape)
+    # not matrix products: their last bits depend on the threads
+    return np.einsum("ij,kj->ik", x, flow) + offset + np.einsum("ij,kj->ik", noise, noise_root(Q))
+
+
+def _moved(
+    x: Floats,
+    mass: Floats,
+    alive: Bools,
+    model: SDE,
+    span: tuple[float, float],
+    scheme: CloudScheme,
+    key: int,
+) -> int:
+    """Move points in place; paths given up are no longer alive. Returns the most steps of a block."""
+    steps = PLATEN if model.state_dependent_noise else SHIFTED_PATH
+    variance, blocks = np.diag(moments(x, mass)[1]).copy(), -(-len(x) // LANES)
+    report, tolerance = np.zeros((blocks, 2)), _BIAS / math.sqrt(len(x))
+    rate = rate_of_time(model, x[:_LOOKED_AT], *span)
+    rough = tolerance / BIAS_PER_ERROR[steps]
+    part = (4.0 * rough) ** (1 / 3) if steps == SHIFTED_PATH else math.sqrt(rough)
+    longest = min(part / rate if rate > 0.0 else math.inf, model.max_step)
+    if model.domain.walled.any():
+        longest = min(longest, _beside_walls(model, x, variance, span[0]))
+    limits = longest, math.inf, tolerance, float(scheme.max_steps)
+    entries = address_of(model.drift_batch), address_of(model.noise_batch)
+    constants = model.p, variance, noise_root(model.spectral_density)
+    with surfacing():
+        move_blocks()(
+            x, alive, report, span, limits, entries, constants, model.domain.codes, (steps, key, 0, blocks)
+        )
+    if not report[:, 0].all():
+        stopped = report[report[:, 0] == 0, 1][0]
+        raise StoppedError(
+            f"prediction from {span[0]:g} to {span[1]:g} stopped at t = {stopped:.6g}: "
+            f"{scheme.max_steps} steps were not enough for a cloud; the drift is stiff. Allow more with "
+            f"scheme=CloudScheme(max_steps=...), or predict over a shorter interval"
+        )
+    return int(report[:, 0].max())
+
+
+def _near(before: Floats, after: Floats) -> Bools:
+    """Which points have not run away, out of all proportion to where they and others were and are."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        low, middle, high = np.percentile(after, [25.0, 50.0, 75.0], axis=0)
+        extent = np.maximum(np.ptp(before, axis=0), high - low)
+        return np.asarray(np.all(np.abs(after - middle) <= _AWAY * extent, axis=1))
+
+
+def _beside_walls(model: SDE, x: Floats, variance: Floats, t: float) -> float:
+    """Longest step whose noise sees walls: a small part of the spread along each axis that ends."""
+    D = np.diagonal(model.diffusion(x[:_LOOKED_AT], t), axis1=1, axis2=2).max(axis=0)
+    noisy = model.domain.walled & (D > 0.0)
+    return float(np.min(_PART_OF_WALLS**2 * variance[noisy] / (2.0 * D[noisy]), initial=math.inf))
+
+
+def _blow_up(model: SDE, x: Floats, t0: float, t1: float) -> str:
+    """Sentence for states (K, n) from which paths left the finite numbers."""
+    x = x[np.argsort(np.abs(model.drift(x, t0)).sum(axis=1))[-_LOOKED_AT:]]
+    return carried_off(model, x, t0, t1) or blow_up(model, x[-1], t0, t0, t1)
+
+
+def _error(density: ParticleDensity, before: Floats, after: Floats, mass: Floats) -> float:
+    """Error of the mean in standard deviations: what is left of the error before, and that of new noise.
+
+    The part of the variance that the points had before is how far the error before goes on.
+    """
+    both = np.hstack([before, after])
+    if density.domain is not None:
+        d = density.domain
+        both = np.hstack([d.nearest(X - d.mean(X, mass)) for X in (before, after)])
+    n, cov = density.dim, moments(both, mass)[1]
+    scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
+    cov = cov / np.outer(scale, scale)
+    old, new, cross = (cov[rows, columns] for rows, columns in _quarters(n))
+    inverse = np.linalg.pinv(old, hermitian=True), np.linalg.pinv(new, hermitian=True)
+    kept = min(max(float(np.trace(inverse[1] @ cross.T @ inverse[0] @ cross)) / n, 0.0), 1.0)
+    return math.sqrt(kept * density.error**2 + (1.0 - kept) * float(np.sum(mass**2)))
+
+
+def _quarters(n: int) -> tuple[tuple[slice, slice], ...]:
+    first, last = slice(0, n), slice(n, 2 * n)
+    return (first, first), (last, last), (first, last)
+
+
+def _info(model: SDE, count: int, steps: int, lost: float, error: float) -> PredictInfo:
+    status = f"on a cloud of {count} points: the mean is good to {error:.2g} standard deviations"
+    code = Code.CLOUD
+    if lost > _DOUBTFUL:
+        status += f", but the model carried {100 * lost:.2g} % of the probability to infinity"
+        code |= Code.UNRESOLVED
+    return PredictInfo(
+        n_steps=steps,
+        n_evaluations=4 * steps,
+        mass_error=lost,
+        error=error,
+        skipped=tuple(note for note in skip_notes(model, 0) if "evaluation of D" in note),
+        scheme="cloud",
+        status=status,
+        code=code,
+    )

@@ -1,0 +1,203 @@
+"""Clouds of weighted points: closed forms, a fine lattice, walls, stiff drifts, and errors that are true."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+import sphfilter as sf
+from sphfilter.density.storage import from_bytes, to_bytes
+
+CLOUD = sf.FilterConfig(scheme="cloud")
+WELLS = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[1.6]])
+
+
+def line(drift, noise="1", **options):
+    """dx = drift dt + noise dW."""
+    return sf.SDE.from_expressions(["x"], [drift], [[noise]], **options)
+
+
+def normal(variance, n=60):
+    return sf.initialize(sf.Gaussian([0.0], [[variance]]), n)
+
+
+def distance(root, difference):
+    return np.sqrt(np.mean((root @ difference) ** 2))
+
+
+def against_kalman(n, R, seed, steps=8):
+    """Rms error of mean and evidence over a record of a linear model, and what was estimated of both."""
+    rng = np.random.default_rng(seed)
+    model = sf.LinearSDE(-0.5 * np.eye(n) + 0.4 * rng.standard_normal((n, n)), noise=np.eye(n))
+    sensor = sf.GaussianMeasurement(np.eye(1, n), [[R]])
+    H, (F, _, Q), m, P = np.eye(1, n), model.discretize(0.4), np.zeros(n), np.eye(n)
+    flt = sf.SPHFilter(model, sensor, m, P, n_particles=(100, 300, 600, 1000)[n - 1], config=CLOUD)
+    x, rows = rng.standard_normal(n), []
+    for _ in range(steps):
+        x = F @ x + np.linalg.cholesky(Q) @ rng.standard_normal(n)
+        z = H @ x + np.sqrt(R) * rng.standard_normal(1)
+        m, P = F @ m, F @ P @ F.T + Q
+        S, off = H @ P @ H.T + R, z - H @ m
+        evidence = stats.norm.logpdf(off[0], scale=np.sqrt(S[0, 0]))
+        K = P @ H.T / S
+        m, P = m + K @ off, P - K @ H @ P
+        flt.predict(0.4)
+        info = flt.update(z)
+        assert sf.Code.CLOUD in info.code and "on a cloud of" in info.status
+        root = np.linalg.inv(np.linalg.cholesky(P))
+        np.testing.assert_allclose(root @ flt.P @ root.T, np.eye(n), atol=0.1 + 4.0 * info.error)
+        rows.append(
+            (distance(root, flt.x - m), info.error, info.log_evidence - evidence, info.evidence_error)
+        )
+    return np.sqrt(np.mean(np.square(rows), axis=0))
+
+
+@pytest.mark.parametrize("R", [1.0, 0.05])
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_a_linear_model_is_right_within_the_errors_that_are_told(n, R):
+    for seed in (1, 3):
+        error, told, evidence, evidence_told = against_kalman(n, R, seed)
+        assert told < 0.1
+        assert told / 3.0 < error < 3.0 * told
+        assert evidence < 4.0 * evidence_told
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_a_likelihood_a_ten_thousandth_as_wide_as_the_prior(n):
+    error, told, evidence, evidence_told = against_kalman(n, 1e-8, 2, steps=2)
+    assert error < 3.0 * told < 0.3
+    assert evidence < 4.0 * evidence_told < 0.4
+
+
+def test_two_wells_as_on_a_fine_lattice():
+    start = sf.initialize(sf.Gaussian([3.0, 0.0], np.diag([0.2, 1.0])), 400)
+    fine, _ = sf.predict(start, WELLS, 1.0, n_particles=4000)
+    density, info = sf.predict(start, WELLS, 1.0, CLOUD)
+    root = np.linalg.inv(np.linalg.cholesky(fine.cov()))
+    assert distance(root, density.mean() - fine.mean()) < 3.0 * info.error < 0.03
+    np.testing.assert_allclose(root @ density.cov() @ root.T, np.eye(2), atol=0.03)
+    assert abs(density.entropy() - fine.entropy()) < 0.06
+    assert abs(density.quantile(0, 0.9) - fine.quantile(0, 0.9)) < 0.05
+    X = fine.mean() + np.array([[0.0, 0.0], [0.4, 0.2], [-0.5, 0.5]])
+    np.testing.assert_allclose(density.pdf(X), fine.pdf(X), rtol=0.1)
+    np.testing.assert_allclose(density.hpd_rank(X), fine.hpd_rank(X), atol=0.05)
+    assert abs(density.hpd_region(0.9).volume / fine.hpd_region(0.9).volume - 1.0) < 0.15
+    assert abs(density.probability(lambda X: X[:, 0] > 3) - fine.probability(lambda X: X[:, 0] > 3)) < 0.02
+    assert abs(density.marginal([1]).mean()[0] - density.mean()[1]) < 1e-12
+    assert distance(root, density.sample(4000, 1).mean(axis=0) - density.mean()) < 0.06
+    assert fine.pdf(density.mode())[0] > 0.95 * fine.pdf(fine.mode())[0]
+
+
+@pytest.mark.parametrize("drift, power", [("-sinh(x)", None), ("-x**5", 5)])
+@pytest.mark.parametrize("variance", [1.0, 100.0])
+def test_stiff_drifts_from_a_wide_start_come_in(drift, power, variance):
+    density, info = sf.predict(normal(variance), line(drift), 4.0, CLOUD)
+
+    def p(x):
+        return np.exp(-2.0 * (np.cosh(x) - 1.0 if power is None else x**6 / 6.0))
+
+    exact = integrate.quad(lambda x: x**2 * p(x), -6, 6)[0] / integrate.quad(p, -6, 6)[0]
+    assert info.mass_error == 0.0
+    assert abs(density.mean()[0]) < 4.0 * info.error * np.sqrt(exact)
+    np.testing.assert_allclose(density.cov()[0, 0], exact, rtol=0.05)
+
+
+@pytest.mark.parametrize("high", [np.inf, 1.5])
+def test_reflecting_walls_keep_the_stationary_density(high):
+    model = line("-x - 0.5", domain=[("reflecting", 0.0, high)])
+    start = sf.initialize(sf.Gaussian([0.5], [[0.04]]), 200, domain=model.domain)
+    density, _ = sf.predict(start, model, 4.0, CLOUD)
+    ends = 0.0, min(high, 8.0)
+    total, first = (integrate.quad(lambda x, k=k: x**k * np.exp(-((x + 0.5) ** 2)), *ends)[0] for k in (0, 1))
+    assert abs(density.mean()[0] - first / total) < 0.03 * np.sqrt(density.cov()[0, 0])
+    assert density.x.min() >= 0.0 and density.x.max() <= high
+
+
+def test_a_periodic_axis_goes_round():
+    model = line("0.5", "0.4", domain=[("periodic", -np.pi, np.pi)])
+    start = sf.initialize(sf.Gaussian([2.5], [[0.04]]), 200, domain=model.domain)
+    density, info = sf.predict(start, model, 2.0, CLOUD)
+    sd = np.sqrt(0.04 + 0.32)
+    assert abs(density.mean()[0] - (3.5 - 2 * np.pi)) < 4.0 * info.error * sd
+    np.testing.assert_allclose(density.pdf([3.5 - 2 * np.pi]), stats.norm.pdf(0, scale=sd), rtol=0.06)
+    sensor = sf.GaussianMeasurement([[1.0]], [[0.05]], angles=[0])
+    posterior, said = sf.update(density, sensor, [3.2], CLOUD)
+    variance = 1.0 / (1.0 / sd**2 + 20.0)
+    exact = variance * (3.5 / sd**2 + 3.2 * 20.0)
+    off = (posterior.mean()[0] - exact + np.pi) % (2 * np.pi) - np.pi
+    assert abs(off) < 4.0 * said.error * np.sqrt(variance)
+
+
+def test_state_dependent_noise():
+    start = sf.initialize(sf.Gaussian([1.0], [[0.1]]), 100)
+    density, info = sf.predict(start, line("-x", "0.6*sqrt(1 + 0.5*x**2)"), 1.0, CLOUD)
+    rate, source = -2.0 + 0.18, 0.36  # of the second moment
+    second = (1.1 + source / rate) * np.exp(rate) - source / rate
+    assert abs(density.mean()[0] - np.exp(-1.0)) < 4.0 * info.error * 0.46
+    np.testing.assert_allclose(density.cov()[0, 0], second - np.exp(-2.0), rtol=0.03)
+
+
+def test_the_same_density_gives_the_same_bits():
+    start = sf.initialize(sf.Gaussian([3.0, 0.0], np.diag([0.2, 1.0])), 200)
+    sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[0.02]])
+    density, _ = sf.predict(start, WELLS, 0.5, CLOUD)
+    density, _ = sf.update(density, sensor, [3.1], CLOUD)
+    again = from_bytes(to_bytes(density))
+    assert again.read_out == "cloud" and again.error == density.error
+    one, other = (sf.predict(d, WELLS, 0.5, CLOUD)[0] for d in (density, again))
+    np.testing.assert_array_equal(one.x, other.x)
+    np.testing.assert_array_equal(one.mass, other.mass)
+    later = sf.predict(replace(density, t=9.0), WELLS, 0.5, CLOUD)[0]
+    assert not np.array_equal(one.x, later.x)
+
+
+def test_a_filter_goes_on_to_the_same_bits_from_a_file(tmp_path):
+    sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
+    flt = sf.SPHFilter(WELLS, sensor, [3.0, 0.0], np.diag([0.2, 1.0]), n_particles=200, config=CLOUD)
+    flt.predict(0.5)
+    flt.update([2.5])
+    flt.save(tmp_path / "filter.npz")
+    again = sf.SPHFilter.load(tmp_path / "filter.npz", WELLS, sensor)
+    for one in (flt, again):
+        one.predict(0.5)
+        one.update([2.0])
+    np.testing.assert_array_equal(flt.x, again.x)
+    assert flt.log_evidence == again.log_evidence
+
+
+def test_a_model_that_blows_up_says_so_and_a_little_of_it_is_told():
+    with pytest.raises(sf.PropagationError, match="blew up"):
+        sf.predict(normal(1.0), line("x**3"), 1.0, CLOUD)
+    density, info = sf.predict(normal(0.04), line("x**3", "0.3"), 1.0, CLOUD)
+    assert 0.0 < info.mass_error < 0.05
+    assert np.isfinite(density.cov()).all()
+
+
+def test_a_likelihood_of_zero_everywhere_is_refused():
+    nowhere = sf.LikelihoodMeasurement(lambda z, X, t: np.full(len(X), -np.inf))
+    with pytest.raises(sf.PropagationError, match="zero wherever"):
+        sf.update(normal(1.0), nowhere, [0.0], CLOUD)
+
+
+def test_a_box_finer_than_the_points_is_found():
+    box = sf.LikelihoodMeasurement(lambda z, X, t: np.where(np.abs(X[:, 0] - z) < 1e-3, 0.0, -np.inf))
+    density, info = sf.update(normal(1.0), box, 0.5, CLOUD)
+    exact = np.log(np.diff(stats.norm.cdf([0.499, 0.501]))[0])
+    assert abs(info.log_evidence - exact) < 0.1
+    assert abs(density.mean()[0] - 0.5) < 1e-4
+
+
+def test_what_the_default_refused_goes_on_as_a_cloud_and_says_so():
+    density, info = sf.predict(normal(100.0), line("-x**5"), 1.0)
+    assert sf.Code.CLOUD in info.code and "on a cloud" in info.status and density.read_out == "cloud"
+    with pytest.raises(sf.PropagationError):
+        sf.predict(normal(100.0), line("-x**5"), 1.0, goes_on=False)
+
+
+def test_a_cloud_comes_back_to_a_lattice_that_holds_it():
+    cloud, _ = sf.predict(normal(1.0), line("-x"), 0.5, CLOUD)
+    density, info = sf.predict(cloud, line("-x"), 0.5, n_particles=60)
+    assert info.scheme == "log_density" and density.field is not None
+    exact = np.exp(-2.0) + 0.5 * (1.0 - np.exp(-2.0))
+    np.testing.assert_allclose(density.cov()[0, 0], exact, rtol=0.05)
