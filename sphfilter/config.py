@@ -134,9 +134,9 @@ class LogDensityScheme:
     tolerance : float, optional
         Error allowed in the paths of a time step: rms over the mass, in standard deviations. By default in
         proportion to the error of the lattice.
-    noise_share : float
-        Largest variance that the noise of a time step may have, in units of the density's own variance. The
-        paths of the noise are aimed at the density, so that a step is exact for a Gaussian, however noisy.
+    noise_share : float, optional
+        Largest variance that the noise of a time step may have, in units of the density's own variance. By
+        default steps are as long as their own error allows.
     quadrature : int
         Gauss-Hermite points of one noise over a step.
     most_lost : float
@@ -147,14 +147,14 @@ class LogDensityScheme:
     Examples
     --------
     >>> import sphfilter as sf
-    >>> print(sf.FilterConfig(scheme=sf.LogDensityScheme(reach=5.0)).scheme.noise_share)
-    2.0
+    >>> print(sf.FilterConfig(scheme=sf.LogDensityScheme(reach=5.0)).scheme.reach)
+    5.0
     """
 
     name: Literal["log_density"] = "log_density"
     reach: Annotated[float, Field(ge=2.5, le=12)] | None = None
     tolerance: Positive | None = None
-    noise_share: Annotated[float, Field(gt=0, le=20)] = 2.0
+    noise_share: Annotated[float, Field(gt=0, le=20)] | None = None
     quadrature: Annotated[int, Field(ge=2, le=15)] = 5
     most_lost: Positive = 0.01
     max_steps: Count = 10_000

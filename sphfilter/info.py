@@ -138,7 +138,7 @@ class PredictInfo(_Marked):
             return infos[0]
         statuses = (info.status.removeprefix("ok").removeprefix("; ") for info in infos)
         totals = {f.name: sum(getattr(i, f.name) for i in infos) for f in fields(cls) if f.name not in _WORDS}
-        totals |= {name: getattr(infos[-1], name) for name in _LATEST}
+        totals |= {name: getattr(infos[-1], name) for name in _LATEST if infos}
         return cls(
             **totals,
             skipped=tuple(dict.fromkeys(note for info in infos for note in info.skipped)),

@@ -47,9 +47,11 @@ __all__ = ["fits", "load", "propagate"]
 
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _PART = 0.6  # of what is wrong with a density, that is wrong with its mean
+_TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
+_TOLERANCES = 1e-7, 3e-4
 _SHARE = 0.5  # of the residual of a lattice, that a step's error may be
 # Residual that steps go by at least, in units of the spacing's fourth power; and its bounds.
-_LEAST, _LEASTS = 0.02, (1e-7, 1e-2)
+_LEAST, _LEASTS = 0.02, (1e-7, 1e-3)
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
 #: changes a bit of the result.
 _THREADS_FROM = 20_000
@@ -91,21 +93,21 @@ def propagate(
     depth = 0.5 * lattice_reach(scheme, n) ** 2
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
     least = float(np.clip(_LEAST * spacing**4, *_LEASTS))
-    residual = float(np.clip(least if density.residual is None else density.residual, least, _LEASTS[1]))
-    nodes = (
-        n_particles if not density.residual else needed(density.residual, float(n_particles), n_particles, n)
-    )
+    residual = max(least, min(density.residual or 0.0, 1e-2))
+    nodes, volume = float(n_particles), density.volume or gaussian_volume(n, depth)
+    if density.residual:
+        nodes = needed(density.residual, nodes, n_particles, n)
     control = Control(
         n_particles=n_particles,
         depth=depth,
-        tolerance=_SHARE,
+        tolerance=scheme.tolerance or float(np.clip(_TIME_PART * spacing**4, *_TOLERANCES)),
+        share=_SHARE,
         least=least,
-        noise_share=math.inf,
+        noise_share=scheme.noise_share or math.inf,
         pause_after=_PAUSE_AFTER,
         most_lost=scheme.most_lost,
     )
     counters = np.zeros(len(COUNTERS), np.int64)
-    volume = density.volume or gaussian_volume(n, depth)
     longest = model.max_step
     if not model.autonomous:
         longest = min(longest, (t1 - start) / max(slices, drift_slices(model, density, t1)))

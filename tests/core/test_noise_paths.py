@@ -9,7 +9,8 @@ from scipy.stats import multivariate_normal
 import sphfilter as sf
 from sphfilter.core._addresses import address_of, function_at
 from sphfilter.core._jit import jit, start_threads
-from sphfilter.core.characteristics.expectation import Step, aimed, back, back_in_blocks
+from sphfilter.core.characteristics.aim import aimed
+from sphfilter.core.characteristics.expectation import Step, back, back_in_blocks
 from sphfilter.core.characteristics.noise_paths import Noise, Pull, along, noise_factor_at, unblurred
 from sphfilter.core.field.fitting import build_field
 from sphfilter.core.field.stencils import stencils

@@ -74,7 +74,7 @@ class Predictions:
     def __init__(self, *lost):
         self.lost, self.sizes = list(lost), []
 
-    def __call__(self, density, model, dt, config, *, t, n_particles):
+    def __call__(self, density, model, dt, config, *, t, n_particles, goes_on):
         lost = self.lost[len(self.sizes)]
         self.sizes.append(n_particles)
         if lost is None:

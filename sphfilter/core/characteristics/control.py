@@ -48,7 +48,8 @@ class Control(NamedTuple):
 
     n_particles: int
     depth: float  # Z^2 / 2: log p of the lightest nodes below that of the heaviest
-    tolerance: float  # of a step's error, in units of the last lattice's residual
+    tolerance: float  # of one step's paths, in standard deviations
+    share: float  # of the last lattice's residual, that a step's error may be
     least: float  # residual that steps go by where the lattice's own is smaller
     noise_share: float  # largest variance a step's noise may have, in units of the density's own
     most_lost: float  # sum over steps of |log of the lattice's integral| at which to stop
@@ -56,5 +57,5 @@ class Control(NamedTuple):
 
 
 #: Numba's types of a `Control`, of the counters, and of the state.
-CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0))
+CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0))
 COUNTS, STATE = types.int64[::1], types.float64[::1]

@@ -99,15 +99,11 @@ def between(back, step, field, log_mass):
 
 @jit
 def mean_ratio(log_p, other):
-    """Mean of |p / p' - 1|, weighted by the root of p': of values log_p (M,) and other (M,)."""
-    highest, total, error = -np.inf, 0.0, 0.0
+    """Mean of |p / p' - 1|, at most one each, of values log_p (M,) and other (M,)."""
+    error = 0.0
     for i in range(other.size):
-        highest = max(highest, other[i])
-    for i in range(other.size):
-        w = math.exp(0.5 * (other[i] - highest))
-        total += w
-        error += w * min(abs(math.expm1(min(log_p[i] - other[i], 50.0))), 1.0)
-    return error / total if total > 0.0 and math.isfinite(error) else np.inf
+        error += min(abs(math.expm1(min(log_p[i] - other[i], 50.0))), 1.0)
+    return error / max(other.size, 1) if math.isfinite(error) else np.inf
 
 
 #: `judged` and `between` by their addresses.

@@ -46,7 +46,6 @@ __all__ = ["Entries", "march", "needed"]
 _MOST = 1e-2  # residual that steps go by where the lattice's own is larger
 _SHORTEST = 1e-6  # of the interval
 _SPARE, _ORDER = 1e-8, 6.0  # residual that more nodes need not make smaller; its order in the spacing
-_FEWEST = 40
 
 back_at, choose_at, aim_at, lay_at, build_at = BACK.at, CHOOSE.at, AIMED.at, LAY.at, BUILD.at
 judge_at, between_at = JUDGE.at, BETWEEN.at
@@ -69,9 +68,14 @@ class Entries(NamedTuple):
 
 @jit
 def needed(residual, count, most, n):
-    """Nodes that a lattice needs after one of `count`, whose residual tells; at most `most`."""
-    times = (residual / _SPARE) ** (n / _ORDER)
-    return min(max(count * min(4.0, max(0.25, times)), float(_FEWEST)), float(most))
+    """Nodes that a lattice needs after one of `count`, whose residual tells; at most `most`.
+
+    Of one state there may be nodes in plenty: far closer to each other than the noise of a step is wide, they
+    make rounding errors at the lattice's ends grow from step to step. Of more there never are.
+    """
+    if n > 1:
+        return float(most)
+    return min(max(count * min(4.0, max(0.25, (residual / _SPARE) ** (1.0 / _ORDER))), 40.0), float(most))
 
 
 @jit
@@ -120,7 +124,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
         response = aim(drift, noise, field, pick.mean, t1, h, parts)
         step = Step(drift, divergence, noise, field, sten, paths, response, t1, h, parts, pick.blurred)
         error = judge(back, step, pick.mean, m, pick.ends)
-        allowed = control.tolerance * state[RESIDUAL]
+        allowed = control.share * state[RESIDUAL]
         state[LATTICE_STEP] = h * min(4.0, max(0.2, 0.9 * (allowed / max(error, 1e-300)) ** (1.0 / 3.0)))
         if error > allowed:
             counters[REJECTED] += 1

@@ -19,7 +19,6 @@ from .control import (
     OK,
     PATH_STEP,
     REJECTED,
-    RESIDUAL,
     STALLED,
     STATE,
 )
@@ -79,7 +78,6 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     mean, P, own, S = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     once, twice = np.empty(x.shape), np.empty(x.shape)
     f, still = np.empty(x.shape), unblurred(*x.shape)
-    allowed = control.tolerance * state[RESIDUAL]
     drift(x, t, noise.p, f)
     while True:
         times_lower(L, Q, S)
@@ -98,7 +96,7 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         along(drift, None, noise, x, f, f, t, h, parts, still, once, m)
         along(drift, None, noise, x, f, f, t, h, 2 * parts, still, twice, m)
         counters[EVALUATIONS] += 12 * parts * x.shape[0]
-        error = path_error(once, twice, m, S) / allowed
+        error = path_error(once, twice, m, S) / control.tolerance
         factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.25)) if error < np.inf else 0.1
         state[PATH_STEP] = min(h / parts * factor, 1e300)
         if error <= 1.0:
@@ -112,7 +110,7 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     if not cholesky(P, own):
         return Choice(NOT_FINITE, h, parts, False, False, twice, mean, S)
     times_lower(own, Q, S)
-    blurred = not blur_share(drift, noise, x, f, m, t, h, S) < _SHARP * allowed
+    blurred = not blur_share(drift, noise, x, f, m, t, h, S) < _SHARP * control.tolerance
     return Choice(OK, h, parts, pieces <= 1, blurred, twice, mean, S)
 
 
