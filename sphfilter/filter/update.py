@@ -135,7 +135,9 @@ def _by_product(
         new, log_evidence, off = times_likelihood(
             density, asked.log_weight, n_particles, config.scheme, gaussian
         )
-        new = replace(new, error=float(np.hypot(_kept(density, new) * density.error, off.mean)))
+        unsure = 0.0 if density.gaussian else _extrapolated(density, new)
+        error = np.hypot(np.hypot(_kept(density, new) * density.error, off.mean), unsure)
+        new = replace(new, error=float(error))
         unknown = _beyond(density, new)
     except PropagationError as problem:
         if not flag and config.scheme == "auto":
@@ -158,7 +160,7 @@ def _by_product(
         "accepted": not unknown,
         "log_evidence": log_evidence,
         "reason": unknown or flag,
-        "extrapolated": 0.0 if density.field is None else extrapolated_mass(density.field, new.x, new.mass),
+        "extrapolated": _extrapolated(density, new),
     }
 
 
@@ -204,6 +206,11 @@ def _by_regridding(
         "kernel_ratio": _kernel_ratio(new),
         "resample": resampled,
     }
+
+
+def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
+    """Probability of a posterior where its prior has no particles."""
+    return 0.0 if prior.field is None else extrapolated_mass(prior.field, posterior.x, posterior.mass)
 
 
 def _kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:

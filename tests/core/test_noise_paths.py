@@ -290,7 +290,7 @@ def test_blocks_of_states_have_the_same_bits():
 
 
 def test_the_factor_of_noise_that_changes_with_time():
-    """G Gᵀ / 2 = D at that time, columns at right angles, the largest first; no noise, no column."""
+    """G Gᵀ / 2 = D at that time; where D has a unit diagonal, columns are at right angles, the largest first."""
     model = sf.SDE.from_expressions(
         ["x", "y"], ["0", "0"], [["1 + t", "0.5"], ["0.2", "cos(t)"]], [[1.0, 0.3], [0.3, 0.5]]
     )
@@ -298,6 +298,8 @@ def test_the_factor_of_noise_that_changes_with_time():
     for t in (0.0, 0.7, 2.0):
         _factor((address_of(model.diffusion_batch),), np.zeros((3, 2)), t, noise)
         assert np.allclose(0.5 * noise.G @ noise.G.T, model.diffusion(np.zeros((1, 2)), t)[0])
-        squares = noise.G.T @ noise.G
+        D = model.diffusion(np.zeros((1, 2)), t)[0]
+        scaled = noise.G / np.sqrt(np.diag(D))[:, None]
+        squares = scaled.T @ scaled
         assert abs(squares[0, 1]) < 1e-12
         assert squares[0, 0] > squares[1, 1]
