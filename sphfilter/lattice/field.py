@@ -32,7 +32,7 @@ def nodes(field: Field) -> Floats:
 
 
 def extrapolated_mass(field: Field, x: Floats, mass: Floats) -> float:
-    """Probability of weighted states x (N, n) in cells where a field keeps no node: its values are a guess."""
+    """Probability of weighted states x (N, n) where a field keeps no node: its values there are a guess."""
     cell = np.floor((x - field.mu) @ field.inverse.T + 0.5) - field.low
     boxed = ((cell >= 0) & (cell < field.dims)).all(axis=1)
     flat = np.ravel_multi_index(tuple(cell[boxed].astype(np.int64).T), tuple(field.dims))

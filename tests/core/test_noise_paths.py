@@ -290,7 +290,7 @@ def test_blocks_of_states_have_the_same_bits():
 
 
 def test_the_factor_of_noise_that_changes_with_time():
-    """G Gᵀ / 2 = D at that time; where D has a unit diagonal, columns are at right angles, the largest first."""
+    """G Gᵀ / 2 = D at that time; where D has a unit diagonal, columns are at right angles, largest first."""
     model = sf.SDE.from_expressions(
         ["x", "y"], ["0", "0"], [["1 + t", "0.5"], ["0.2", "cos(t)"]], [[1.0, 0.3], [0.3, 0.5]]
     )
