@@ -11,10 +11,12 @@ from ..config import AcceptanceTest, FilterConfig, PaperScheme, checked_filter_c
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
-from ..info import NOTHING_CAME, UpdateInfo
-from ..lattice.check import Misfit, left_out
+from ..info import NOTHING_CAME, Code, UpdateInfo
+from ..lattice.check import left_out
 from ..lattice.field import extrapolated_mass
+from ..lattice.resolved import TOLERATED, Resolved, Search
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
+from ..validate import state_rows
 from .acceptance import Acceptance, test_measurement
 
 __all__ = ["predicted_reading", "update"]
@@ -85,6 +87,7 @@ class _Asked(NamedTuple):
     z: Any  # as given
     seen: Bools  # which of its components came
     t: float
+    dim: int
     innovation: np.ndarray | None  # of the components that came; None for a sensor that is not Gaussian
     S: Floats | None
 
@@ -93,7 +96,7 @@ class _Asked(NamedTuple):
         """A measurement z asked of a density."""
         seen = measurement.observed(z)
         off = _innovation(density, measurement, z, seen) if seen.any() else (None, None)
-        return cls(measurement, z, seen, density.t, *off)
+        return cls(measurement, z, seen, density.t, density.dim, *off)
 
     def log_weight(self, X: Floats) -> Floats:
         """Log-likelihood of the states X (M, n), shape (M,)."""
@@ -104,6 +107,14 @@ class _Asked(NamedTuple):
                 f"the likelihood of z = {self.z} is NaN at the state {where}; check the sensor function"
             )
         return values
+
+    def search(self, config: FilterConfig) -> Search:
+        """How far the posterior is searched for peaks between its nodes."""
+        named = getattr(self.measurement, "peaks", None)
+        states = None if named is None else state_rows("peaks", named(Reading.of(self.z).z), self.dim)
+        return Search(
+            config.most_left_out, not is_gaussian(self.measurement), states, config.time_budget is None
+        )
 
     @property
     def outlying(self) -> str:
@@ -129,32 +140,56 @@ def _by_product(
     """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
     linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
     gaussian, flag = density.gaussian and linear, asked.outlying
+    found = None
     try:
-        new, log_evidence, off = times_likelihood(
-            density, asked.log_weight, n_particles, config.scheme, gaussian
+        new, log_evidence, found = times_likelihood(
+            density,
+            asked.log_weight,
+            n_particles,
+            config.scheme,
+            gaussian,
+            None if linear and density.gaussian else asked.search(config),
         )
-        new = replace(new, error=float(np.hypot(_kept(density, new) * density.error, off.mean)))
+        new = replace(new, error=float(np.hypot(_kept(density, new) * density.error, found.off.mean)))
         unknown = _beyond(density, new)
     except PropagationError:
         if not flag:
             raise
-        off, new, unknown = (
-            Misfit(0.0, 0.0, 0.0),
-            density,
-            f"not used: {flag}, where no lattice holds a posterior",
-        )
+        new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
     new = density if unknown else new
     return new, {
         "residual": new.residual or 0.0,
         "error": new.error,
-        "evidence_error": off.log_mass,
-        "mass_left_out": 0.0 if new.field is None else left_out(new.field),
+        "evidence_error": 0.0 if found is None else found.off.log_mass,
+        "mass_left_out": _left_out(new, found),
         "accepted": not unknown,
         "log_evidence": log_evidence,
         "reason": unknown or flag,
         "extrapolated": 0.0 if density.field is None else extrapolated_mass(density.field, new.x, new.mass),
-    }
+    } | ({} if unknown or found is None else _told(found, config.most_left_out))
+
+
+def _left_out(density: ParticleDensity, found: Resolved | None) -> float:
+    """Probability beyond the cut of a posterior, whatever was found further out included."""
+    beside = 0.0 if density.field is None else left_out(density.field)
+    return beside if found is None else max(beside, found.left_out)
+
+
+def _told(found: Resolved, most_left_out: float) -> dict[str, Any]:
+    """Code and status of an update whose lattice is finer than usual, or not fine or wide enough."""
+    code, said = Code.OK, []
+    if found.times > 1:
+        code, said = Code.FINER, [f"the posterior is on {found.times} times the particles"]
+    if found.off.residual > TOLERATED:
+        said.append(
+            f"the lattice does not resolve the posterior: its density is off by {found.off.residual:.2g}"
+        )
+    if found.left_out > most_left_out:
+        said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
+    if found.off.residual > TOLERATED or found.left_out > most_left_out:
+        code |= Code.UNRESOLVED
+    return {"code": code, "status": "; ".join(said) or "ok"}
 
 
 def _by_regridding(

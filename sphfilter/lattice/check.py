@@ -1,4 +1,4 @@
-"""How well a lattice knows the density that was laid on it: its polynomials against the density between nodes."""
+"""How well a lattice knows what was laid on it: its polynomials against the density between nodes."""
 
 import itertools
 from typing import NamedTuple
@@ -38,9 +38,11 @@ def misfit(laid: Laid, log_p: OfStates) -> Misfit:
     """
     n = laid.x.shape[1]
     corners = np.array(list(itertools.product((0, 1), repeat=n)))
-    cells = np.unique(
-        (laid.field.node[: laid.field.kept, None] + corners).reshape(-1, n), axis=0
-    )  # by their upper nodes
+    cells = (laid.field.node[: laid.field.kept, None] + corners).reshape(-1, n)  # by their upper nodes
+    low = cells.min(axis=0)
+    dims = cells.max(axis=0) - low + 1
+    flat = np.ravel_multi_index(tuple((cells - low).T), tuple(dims))
+    cells = low + np.transpose(np.unravel_index(np.unique(flat), tuple(dims)))
     X = laid.field.mu + (cells - 0.5) @ laid.field.A.T
     asked, fitted = log_p(X) - laid.log_mass, lattice_field.at(laid.field, X)
     highest = max(asked.max(), fitted.max())
