@@ -107,7 +107,7 @@ def times_likelihood(
     elif search is None:
         found = Resolved(laid, misfit(laid, product))
     else:
-        prior = density.x, density.mass, cell
+        prior = density.x, density.mass, density.field
         found = resolved(laid, prior, product, weight, (n_particles, depth), search)
     new = ParticleDensity.on_lattice(found.laid, density.t, n_particles, gaussian, domain)
     log_evidence = found.laid.log_mass - math.log1p(-found.left_out)

@@ -18,6 +18,7 @@ from ..lattice.resolved import TOLERATED, Resolved, Search
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from ..validate import state_rows
 from .acceptance import Acceptance, test_measurement
+from .solutions import solutions
 
 __all__ = ["predicted_reading", "update"]
 
@@ -87,7 +88,6 @@ class _Asked(NamedTuple):
     z: Any  # as given
     seen: Bools  # which of its components came
     t: float
-    dim: int
     innovation: np.ndarray | None  # of the components that came; None for a sensor that is not Gaussian
     S: Floats | None
 
@@ -96,7 +96,7 @@ class _Asked(NamedTuple):
         """A measurement z asked of a density."""
         seen = measurement.observed(z)
         off = _innovation(density, measurement, z, seen) if seen.any() else (None, None)
-        return cls(measurement, z, seen, density.t, density.dim, *off)
+        return cls(measurement, z, seen, density.t, *off)
 
     def log_weight(self, X: Floats) -> Floats:
         """Log-likelihood of the states X (M, n), shape (M,)."""
@@ -108,13 +108,15 @@ class _Asked(NamedTuple):
             )
         return values
 
-    def search(self, config: FilterConfig) -> Search:
-        """How far the posterior is searched for peaks between its nodes."""
-        named = getattr(self.measurement, "peaks", None)
-        states = None if named is None else state_rows("peaks", named(Reading.of(self.z).z), self.dim)
-        return Search(
-            config.most_left_out, not is_gaussian(self.measurement), states, config.time_budget is None
-        )
+    def search(self, density: ParticleDensity, config: FilterConfig) -> Search:
+        """How far the posterior is searched for peaks between the prior's nodes."""
+        sensor, named, states = self.measurement, getattr(self.measurement, "peaks", None), None
+        if named is not None:
+            states = state_rows("peaks", named(Reading.of(self.z).z), density.dim)
+        elif is_gaussian(sensor) and sensor.H is None and density.field is not None:
+            states = solutions(sensor, Reading.of(self.z).z, density.x, density.field.A, density.t)
+        lines = not is_gaussian(sensor)
+        return Search(config.most_left_out, lines, states, config.time_budget is None)
 
     @property
     def outlying(self) -> str:
@@ -148,7 +150,7 @@ def _by_product(
             n_particles,
             config.scheme,
             gaussian,
-            None if linear and density.gaussian else asked.search(config),
+            None if linear and density.gaussian else asked.search(density, config),
         )
         new = replace(new, error=float(np.hypot(_kept(density, new) * density.error, found.off.mean)))
         unknown = _beyond(density, new)
@@ -181,13 +183,12 @@ def _told(found: Resolved, most_left_out: float) -> dict[str, Any]:
     code, said = Code.OK, []
     if found.times > 1:
         code, said = Code.FINER, [f"the posterior is on {found.times} times the particles"]
-    if found.off.residual > TOLERATED:
-        said.append(
-            f"the lattice does not resolve the posterior: its density is off by {found.off.residual:.2g}"
-        )
+    wrong = max(found.off.residual, found.off.log_mass)
+    if wrong > TOLERATED:
+        said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
-    if found.off.residual > TOLERATED or found.left_out > most_left_out:
+    if wrong > TOLERATED or found.left_out > most_left_out:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from .._types import Floats, OfStates
+from ..core.field.field import Field
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, left_out, misfit
@@ -24,6 +25,7 @@ _TIMES = (1, 3, 9)  # particles of the first try
 _MOST = 20_000  # particles
 _BESIDE = 10.0  # times what a Gaussian leaves out ...
 _LITTLE = 0.01  # ... and a probability, from which on what lies beside the nodes makes a lattice too small
+_PIECES = 3  # peaks that get a lattice of their own
 _SHALLOWER = (1.0, 0.75, 0.5)  # depths of a lattice around a peak that stands on wide ground
 
 
@@ -47,7 +49,7 @@ class Resolved(NamedTuple):
     @property
     def wrong(self) -> float:
         """What is wrong with it, as a probability."""
-        return self.off.residual + self.left_out
+        return self.off.residual + self.left_out + min(self.off.log_mass, 1.0)
 
 
 class _Part(NamedTuple):
@@ -59,8 +61,8 @@ class _Part(NamedTuple):
     log_p: Floats | None  # of the states; None if their weights are no more than a survey
 
 
-#: States (N, n) and masses (N,) of a prior, and the vectors of its lattice.
-Prior: TypeAlias = tuple[Floats, Floats, Floats | None]
+#: States (N, n) and masses (N,) of a prior, and its field if they lie on a lattice.
+Prior: TypeAlias = tuple[Floats, Floats, Field | None]
 
 
 def resolved(
@@ -78,7 +80,7 @@ def resolved(
     laid : Laid or PropagationError
         The posterior, or why there is none so far.
     prior : tuple
-        States (N, n) and masses (N,) of the prior, and the vectors of its lattice or None.
+        States (N, n) and masses (N,) of the prior, and its field or None.
     product, log_weight : callable
         States (M, n) to the logarithms (M,) of prior times likelihood, and of the likelihood.
     bounds : tuple
@@ -122,7 +124,8 @@ def resolved(
 
 
 def _good(tried: Resolved, search: Search, tail: float) -> bool:
-    return tried.off.residual < TOLERATED and tried.left_out < search.most_left_out + tail
+    resolved = max(tried.off.residual, tried.off.log_mass) < TOLERATED
+    return resolved and tried.left_out < search.most_left_out + tail
 
 
 def _part_of(laid: Laid) -> _Part:
@@ -146,10 +149,12 @@ def _left_out(laid: Laid, parts: list[_Part], tail: float) -> float:
     """Probability that a lattice leaves out: of the part of which it misses most, or beside its nodes."""
     left = left_out(laid.field)
     left = left if left > _LITTLE + _BESIDE * tail else 0.0
-    for part in parts:
-        odds = _missing(laid, part) * math.exp(min(part.log_mass - laid.log_mass, 700.0))
-        left = max(left, odds / (1.0 + odds))
-    return left
+    odds = [_missing(laid, part) * math.exp(min(part.log_mass - laid.log_mass, 700.0)) for part in parts]
+    tops = sum(
+        o for o, part in zip(odds, parts, strict=True) if len(part.x) == 1
+    )  # each apart from the others
+    most = max(tops, *odds)
+    return max(left, most / (1.0 + most))
 
 
 def _missing(laid: Laid, part: _Part) -> float:
@@ -164,8 +169,8 @@ def _overlooked(
     laid: Laid | PropagationError, prior: Prior, product: OfStates, log_weight: OfStates, search: Search
 ) -> list[Peak]:
     """Peaks of which the polynomials of a lattice know nothing."""
-    x, mass, cell = prior
-    states = [x] if cell is None else [x, x + 0.5 * cell.sum(axis=1)]
+    x, mass, field = prior
+    states = [x] if field is None else [x, x + 0.5 * field.A.sum(axis=1)]
     mean = mass @ x
     cov = (mass[:, None] * (x - mean)).T @ (x - mean)
     if search.lines:
@@ -173,6 +178,8 @@ def _overlooked(
     if search.named is not None:
         states.append(search.named)
     X = np.concatenate(states)
+    if field is not None:  # elsewhere the prior is a guess
+        X = X[lattice_field.held(field, X)]
     values = product(X)
     factor: Any = np.linalg.cholesky(cov)
     if isinstance(laid, Laid):
@@ -199,7 +206,8 @@ def _tries(
     shape = within_pieces(laid) if isinstance(laid, Laid) else found[0].factor if found else None
     tops = [_Part(peak.x[None], np.ones(1), peak.log_mass, product(peak.x[None])) for peak in found]
     parts += tops
-    for peak, top in zip(found, tops, strict=True):
+    heaviest = sorted(zip(found, tops, strict=True), key=lambda pair: -pair[0].log_mass)[:_PIECES]
+    for peak, top in heaviest:
         for shallower in _SHALLOWER:
             new = _around(product, peak, n_particles, shallower * depth)
             if new is None:
