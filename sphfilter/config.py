@@ -374,6 +374,9 @@ class FilterConfig(_Settings):
     acceptance : AcceptanceTest
     target_error : float
         Error of the posterior mean, in posterior standard deviations, that ``n_particles="auto"`` aims at.
+    most_left_out : float
+        Probability that an update may leave out where it finds some beyond the cut of the posterior, such as
+        in a remote mode; more is flagged, `Code.UNRESOLVED`.
     time_budget : float, optional
         Wall-clock seconds that a predict of `SPHFilter` and the updates after it may take together. With it
         results depend on the machine and its load.
@@ -393,6 +396,14 @@ class FilterConfig(_Settings):
     acceptance: AcceptanceTest = Field(default_factory=AcceptanceTest)
     target_error: Positive = 0.01
     time_budget: Positive | None = None
+    most_left_out: Annotated[float, Field(gt=0, lt=1)] = 1e-4
+
+    def __repr__(self) -> str:
+        """The settings, but for the default of one that came later: campaigns know their runs by this."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        if values["most_left_out"] == FilterConfig.most_left_out:
+            del values["most_left_out"]
+        return f"FilterConfig({', '.join(f'{name}={value!r}' for name, value in values.items())})"
 
     @classmethod
     def _paper_parts(cls) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Re-gridding: a density, or its product with a likelihood, on a new regular lattice (002 4.7 and 6.1)."""
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -16,6 +17,7 @@ from ..lattice.check import Misfit, misfit
 from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
 from ..lattice.regular import Lattice
+from ..lattice.resolved import Resolved, Search, resolved
 from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
@@ -74,20 +76,42 @@ def logarithm(density: ParticleDensity) -> OfStates:
 
 
 def times_likelihood(
-    density: ParticleDensity, log_weight: OfStates, n_particles: int, scheme: Scheme, gaussian: bool = False
-) -> tuple[ParticleDensity, float, Misfit]:
+    density: ParticleDensity,
+    log_weight: OfStates,
+    n_particles: int,
+    scheme: Scheme,
+    gaussian: bool = False,
+    search: Search | None = None,
+) -> tuple[ParticleDensity, float, Resolved]:
     """Density times exp(log_weight(X)) on a lattice that follows its level set, the log of its integral, and
-    what the lattice gets wrong; `gaussian` if it is known to be one.
+    what the lattice gets wrong; `gaussian` if it is known to be one, `search` if it is to be laid again where
+    it overlooks something.
     """
     depth = 0.5 * lattice_reach(scheme, density.dim) ** 2
     cell = None if density.field is None else density.field.A
     domain = density.domain
     weight = log_weight if domain is None else lambda X: log_weight(domain.wrap(X))
     log_p = logarithm(density)
-    laid = posterior(density.x, density.mass, log_p, weight, n_particles, depth, cell)
-    off = Misfit(0.0, 0.0, 0.0) if gaussian else misfit(laid, lambda X: log_p(X) + weight(X))
-    new = ParticleDensity.on_lattice(laid, density.t, n_particles, gaussian, domain)
-    return replace(new, residual=off.residual), laid.log_mass, off
+
+    def product(X: Floats) -> Floats:
+        return log_p(X) + np.maximum(weight(X), -1e250)
+
+    try:
+        laid: Any = posterior(density.x, density.mass, log_p, weight, n_particles, depth, cell)
+    except PropagationError as problem:
+        if search is None:
+            raise
+        laid = problem
+    if gaussian:
+        found = Resolved(laid, Misfit(0.0, 0.0, 0.0))
+    elif search is None:
+        found = Resolved(laid, misfit(laid, product))
+    else:
+        prior = density.x, density.mass, density.field
+        found = resolved(laid, prior, product, weight, (n_particles, depth), search)
+    new = ParticleDensity.on_lattice(found.laid, density.t, n_particles, gaussian, domain)
+    log_evidence = found.laid.log_mass - math.log1p(-found.left_out)
+    return replace(new, residual=found.off.residual), log_evidence, found
 
 
 def particle_bound(density: ParticleDensity, n_particles: int | None = None) -> int:

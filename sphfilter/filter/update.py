@@ -13,10 +13,13 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
-from ..lattice.check import Misfit, left_out
+from ..lattice.check import left_out
 from ..lattice.field import extrapolated_mass
+from ..lattice.resolved import TOLERATED, Resolved, Search
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
+from ..validate import state_rows
 from .acceptance import Acceptance, test_measurement
+from .solutions import solutions
 
 __all__ = ["predicted_reading", "update"]
 
@@ -107,6 +110,16 @@ class _Asked(NamedTuple):
             )
         return values
 
+    def search(self, density: ParticleDensity, config: FilterConfig) -> Search:
+        """How far the posterior is searched for peaks between the prior's nodes."""
+        sensor, named, states = self.measurement, getattr(self.measurement, "peaks", None), None
+        if named is not None:
+            states = state_rows("peaks", named(Reading.of(self.z).z), density.dim)
+        elif is_gaussian(sensor) and sensor.H is None and density.field is not None:
+            states = solutions(sensor, Reading.of(self.z).z, density.x, density.field.A, density.t)
+        lines = not is_gaussian(sensor)
+        return Search(config.most_left_out, lines, states, config.time_budget is None)
+
     @property
     def outlying(self) -> str:
         """A sentence where the reading lies far outside of what was predicted; else empty."""
@@ -131,12 +144,18 @@ def _by_product(
     """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
     linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
     gaussian, flag = density.gaussian and linear, asked.outlying
+    found = None
     try:
-        new, log_evidence, off = times_likelihood(
-            density, asked.log_weight, n_particles, config.scheme, gaussian
+        new, log_evidence, found = times_likelihood(
+            density,
+            asked.log_weight,
+            n_particles,
+            config.scheme,
+            gaussian,
+            None if linear and density.gaussian else asked.search(density, config),
         )
         unsure = 0.0 if density.gaussian else _extrapolated(density, new)
-        error = np.hypot(np.hypot(_kept(density, new) * density.error, off.mean), unsure)
+        error = np.hypot(np.hypot(_kept(density, new) * density.error, found.off.mean), unsure)
         new = replace(new, error=float(error))
         unknown = _beyond(density, new)
     except PropagationError as problem:
@@ -145,23 +164,19 @@ def _by_product(
             return _by_cloud(density, asked, n_particles, config, why)
         if not flag:
             raise
-        off, new, unknown = (
-            Misfit(0.0, 0.0, 0.0),
-            density,
-            f"not used: {flag}, where no lattice holds a posterior",
-        )
+        new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
     new = density if unknown else new
     return new, {
         "residual": new.residual or 0.0,
         "error": new.error,
-        "evidence_error": off.log_mass,
-        "mass_left_out": 0.0 if new.field is None else left_out(new.field),
+        "evidence_error": 0.0 if found is None else found.off.log_mass,
+        "mass_left_out": _left_out(new, found),
         "accepted": not unknown,
         "log_evidence": log_evidence,
         "reason": unknown or flag,
         "extrapolated": _extrapolated(density, new),
-    }
+    } | ({} if unknown or found is None else _told(found, config.most_left_out))
 
 
 def _by_cloud(
@@ -184,6 +199,27 @@ def _by_cloud(
         "status": status,
         "code": Code.CLOUD,
     }
+
+
+def _left_out(density: ParticleDensity, found: Resolved | None) -> float:
+    """Probability beyond the cut of a posterior, whatever was found further out included."""
+    beside = 0.0 if density.field is None else left_out(density.field)
+    return beside if found is None else max(beside, found.left_out)
+
+
+def _told(found: Resolved, most_left_out: float) -> dict[str, Any]:
+    """Code and status of an update whose lattice is finer than usual, or not fine or wide enough."""
+    code, said = Code.OK, []
+    if found.times > 1:
+        code, said = Code.FINER, [f"the posterior is on {found.times} times the particles"]
+    wrong = max(found.off.residual, found.off.log_mass)
+    if wrong > TOLERATED:
+        said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
+    if found.left_out > most_left_out:
+        said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
+    if wrong > TOLERATED or found.left_out > most_left_out:
+        code |= Code.UNRESOLVED
+    return {"code": code, "status": "; ".join(said) or "ok"}
 
 
 def _by_regridding(

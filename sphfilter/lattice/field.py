@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Floats
+from .._types import Bools, Floats
 from ..core.field.field import Field, evaluate
 from ..core.field.field import gradient as field_gradient
 from ..core.field.stencils import stencils
 
-__all__ = ["at", "extrapolated_mass", "gradient", "nodes"]
+__all__ = ["at", "extrapolated_mass", "gradient", "held", "nodes"]
 
 
 def at(field: Field, X: ArrayLike) -> Floats:
@@ -31,10 +31,16 @@ def nodes(field: Field) -> Floats:
     return np.asarray(field.mu + field.node @ field.A.T)
 
 
-def extrapolated_mass(field: Field, x: Floats, mass: Floats) -> float:
-    """Probability of weighted states x (N, n) where a field keeps no node: its values there are a guess."""
+def held(field: Field, x: Floats) -> Bools:
+    """Which states (N, n) lie in cells where a field keeps a node."""
     cell = np.floor((x - field.mu) @ field.inverse.T + 0.5) - field.low
     boxed = ((cell >= 0) & (cell < field.dims)).all(axis=1)
     flat = np.ravel_multi_index(tuple(cell[boxed].astype(np.int64).T), tuple(field.dims))
     owner = field.owner[flat]
-    return max(0.0, 1.0 - float(mass[boxed][(owner >= 0) & (owner < field.kept)].sum()))
+    boxed[boxed] = (owner >= 0) & (owner < field.kept)
+    return np.asarray(boxed)
+
+
+def extrapolated_mass(field: Field, x: Floats, mass: Floats) -> float:
+    """Probability of weighted states x (N, n) where a field keeps no node: its values there are a guess."""
+    return max(0.0, 1.0 - float(mass[held(field, x)].sum()))

@@ -19,6 +19,8 @@ __all__ = ["GaussianMeasurement", "GaussianSensor", "LikelihoodMeasurement", "Re
 #: loglik(z, X, t) → (N,), and sample(X, t, rng) → (N, k).
 LogLikelihood: TypeAlias = Callable[[Floats, Floats, float], ArrayLike]
 Sampler: TypeAlias = Callable[[Floats, float, np.random.Generator], ArrayLike]
+#: peaks(z) → (M, n), states.
+Peaks: TypeAlias = Callable[[Floats], ArrayLike]
 
 _NO_PARAMETERS = np.empty(0)
 _DIFFERENT = (
@@ -348,6 +350,9 @@ class LikelihoodMeasurement:
         Length of z; not checked when None.
     sample : callable, optional
         sample(X, t, rng) → (N, k), for simulation.
+    peaks : callable, optional
+        peaks(z) → (M, n): states at which the likelihood of z may be far higher than around, so that a
+        lattice would overlook them.
 
     Examples
     --------
@@ -364,13 +369,17 @@ class LikelihoodMeasurement:
     angles: tuple[int, ...] = ()
 
     def __init__(
-        self, loglik: LogLikelihood, dim_z: int | None = None, sample: Sampler | None = None
+        self,
+        loglik: LogLikelihood,
+        dim_z: int | None = None,
+        sample: Sampler | None = None,
+        peaks: Peaks | None = None,
     ) -> None:
         if not callable(loglik):
             raise ModelError(f"loglik must be a function (z, X, t) -> (N,), got {loglik!r}.")
         _check_arguments(loglik)
         self.dim_z = None if dim_z is None else validate.count("dim_z", dim_z)
-        self._loglik, self._sample = loglik, sample
+        self._loglik, self._sample, self.peaks = loglik, sample, peaks
 
     def __repr__(self) -> str:
         return f"LikelihoodMeasurement(loglik={_name(self._loglik)}, dim_z={self.dim_z})"

@@ -1,0 +1,58 @@
+"""States that explain a reading, where a sensor is sharp against the lattice of a prior."""
+
+import numpy as np
+
+from .._types import Floats
+from ..model.measurements import GaussianSensor
+
+__all__ = ["solutions"]
+
+_SHARP = 2.0  # standard deviations of the noise by which readings are not linear within a cell ...
+_BENT = 0.5  # ... and that over their difference: less is smooth, and closed in on node by node
+_ITERATIONS = 8
+_STEP = 1e-4  # of a cell, for differences
+_DAMPED = 1e-6  # of the largest curvature
+
+
+def solutions(sensor: GaussianSensor, z: Floats, x: Floats, cell: Floats, t: float) -> Floats | None:
+    """States of a reading, by Gauss-Newton from every node; None where the nodes resolve the likelihood.
+
+    Parameters
+    ----------
+    sensor : GaussianSensor
+    z : ndarray, shape (k,)
+        NaN where nothing came.
+    x : ndarray, shape (N, n)
+        Nodes.
+    cell : ndarray, shape (n, n)
+        Vectors of the lattice, in columns.
+    t : float
+
+    Returns
+    -------
+    ndarray, shape (N, n), or None
+        Where the iteration ended, whether or not the reading is explained there.
+    """
+    seen, n = np.isfinite(z), x.shape[1]
+    whiten = np.linalg.inv(np.linalg.cholesky(sensor.noise_cov[np.ix_(seen, seen)])).T
+
+    def off(X: Floats) -> Floats:
+        return np.asarray(sensor.residual(z, sensor.predict(X, t))[:, seen] @ whiten)
+
+    here = off(x)
+    diagonal = cell.sum(axis=1)
+    between, ahead = off(x + 0.5 * diagonal), off(x + diagonal)
+    apart, bent = np.abs(ahead - here).sum(axis=1), np.abs(ahead - 2.0 * between + here).sum(axis=1)
+    if not np.nanmedian(bent) > max(_SHARP, _BENT * np.nanmedian(apart)):
+        return None
+    x = x.copy()
+    for _ in range(_ITERATIONS):
+        moved = off((x + _STEP * cell.T[:, None]).reshape(-1, n)).reshape(n, len(x), -1)
+        slope = np.nan_to_num(np.moveaxis((moved - here) / _STEP, 0, 2))  # (N, k, n), by cells
+        normal = np.swapaxes(slope, 1, 2) @ slope
+        normal += (1e-300 + _DAMPED * np.trace(normal, axis1=1, axis2=2))[:, None, None] * np.eye(n)
+        step = -np.linalg.solve(normal, np.swapaxes(slope, 1, 2) @ np.nan_to_num(here)[..., None])[..., 0]
+        step /= np.maximum(1.0, np.linalg.norm(step, axis=1))[:, None]  # a cell at most
+        x += step @ cell.T
+        here = off(x)
+    return x[np.isfinite(here).all(axis=1)]

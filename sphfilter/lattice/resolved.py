@@ -1,0 +1,254 @@
+"""A posterior laid again where its lattice overlooks a peak, does not resolve it, or leaves out too much."""
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from scipy.special import gammaincc
+
+from .._types import Floats, OfStates
+from ..core.field.field import Field
+from ..errors import PropagationError
+from . import field as lattice_field
+from .check import Misfit, left_out, misfit
+from .level_set import Laid, lay
+from .peaks import Peak, along_axes, peaks
+from .posterior import within_pieces
+
+__all__ = ["TOLERATED", "Resolved", "Search", "resolved"]
+
+TOLERATED = 0.05  # residual of a lattice that is not laid again
+_COUNTS = 0.3  # of the probability that may be left out, from which a peak is looked at
+_HIGHER = 1.0  # nats that a state lies above a lattice's polynomials where it has overlooked something
+_TIMES = (1, 3, 9)  # particles of the first try
+_MOST = 20_000  # particles
+_BESIDE = 10.0  # times what a Gaussian leaves out ...
+_LITTLE = 0.01  # ... and a probability, from which on what lies beside the nodes makes a lattice too small
+_PIECES = 3  # peaks that get a lattice of their own
+_SHALLOWER = (1.0, 0.75, 0.5)  # depths of a lattice around a peak that stands on wide ground
+
+
+class Search(NamedTuple):
+    """How far a posterior is searched for what its lattice does not hold."""
+
+    most_left_out: float  # probability
+    lines: bool = False  # is the likelihood asked along lines too?
+    named: Floats | None = None  # states (M, n) that peaks may lie at
+    finer: bool = True  # may it take more particles?
+
+
+class Resolved(NamedTuple):
+    """A posterior, what its lattice gets wrong, and the probability of what was found beyond it."""
+
+    laid: Laid
+    off: Misfit
+    left_out: float = 0.0
+    times: int = 1  # the particles it may have
+
+    @property
+    def wrong(self) -> float:
+        """What is wrong with it, as a probability."""
+        return self.off.residual + self.left_out + min(self.off.log_mass, 1.0)
+
+
+class _Part(NamedTuple):
+    """What is known of a posterior: weighted states, and the logarithm of their mass."""
+
+    x: Floats
+    w: Floats
+    log_mass: float
+    log_p: Floats | None  # of the states; None if their weights are no more than a survey
+
+
+#: States (N, n) and masses (N,) of a prior, and its field if they lie on a lattice.
+Prior: TypeAlias = tuple[Floats, Floats, Field | None]
+
+
+def resolved(
+    laid: Laid | PropagationError,
+    prior: Prior,
+    product: OfStates,
+    log_weight: OfStates,
+    bounds: tuple[int, float],
+    search: Search,
+) -> Resolved:
+    """Check a posterior against what is found between and beyond its nodes, and lay it again if need be.
+
+    Parameters
+    ----------
+    laid : Laid or PropagationError
+        The posterior, or why there is none so far.
+    prior : tuple
+        States (N, n) and masses (N,) of the prior, and its field or None.
+    product, log_weight : callable
+        States (M, n) to the logarithms (M,) of prior times likelihood, and of the likelihood.
+    bounds : tuple
+        Number of particles, and depth.
+    search : Search
+
+    Returns
+    -------
+    Resolved
+        The first lattice that holds and resolves all that was found, or the best of all.
+
+    Raises
+    ------
+    PropagationError
+        As given, if nothing is found.
+    """
+    x, mass, _ = prior
+    tail = float(gammaincc(0.5 * x.shape[1], bounds[1]))  # beyond the cut of a Gaussian
+    found = _overlooked(laid, prior, product, log_weight, search)
+    parts, tried = [], []
+    if isinstance(laid, Laid):
+        least = laid.log_mass + math.log(_COUNTS * search.most_left_out)
+        found = [peak for peak in found if peak.log_mass > least]
+        parts.append(_part_of(laid))
+        tried.append(Resolved(laid, misfit(laid, product)))
+        survey = _survey(x, mass, log_weight)
+        if _missing(laid, survey) > _BESIDE * (tail + search.most_left_out):
+            parts.append(survey)
+    best = _best(tried, parts, tail)
+    if best is not None and not found and _good(best, search, tail):
+        return best
+    for new in _tries(laid, found, parts, product, bounds, search):
+        tried.append(new)
+        best = _best(tried, parts, tail)
+        if best is not None and _good(best, search, tail):
+            return best
+    if best is None:
+        assert not isinstance(laid, Laid)  # which would have been the best
+        raise laid
+    return best
+
+
+def _good(tried: Resolved, search: Search, tail: float) -> bool:
+    resolved = max(tried.off.residual, tried.off.log_mass) < TOLERATED
+    return resolved and tried.left_out < search.most_left_out + tail
+
+
+def _part_of(laid: Laid) -> _Part:
+    return _Part(laid.x, laid.mass, laid.log_mass, laid.log_mass + laid.field.log_p[: laid.field.kept])
+
+
+def _survey(x: Floats, mass: Floats, log_weight: OfStates) -> _Part:
+    """What the prior's nodes know of the posterior."""
+    weight = np.log(np.maximum(mass, 1e-300)) + np.maximum(log_weight(x), -1e250)
+    w = np.exp(weight - weight.max())
+    return _Part(x, w / w.sum(), float(weight.max() + np.log(w.sum())), None)
+
+
+def _best(tried: list[Resolved], parts: list[_Part], tail: float) -> Resolved | None:
+    """The lattice with which least is wrong, going by all parts that are known by now."""
+    judged = [each._replace(left_out=_left_out(each.laid, parts, tail)) for each in tried]
+    return min(judged, key=lambda each: each.wrong, default=None)
+
+
+def _left_out(laid: Laid, parts: list[_Part], tail: float) -> float:
+    """Probability that a lattice leaves out: of the part of which it misses most, or beside its nodes."""
+    left = left_out(laid.field)
+    left = left if left > _LITTLE + _BESIDE * tail else 0.0
+    odds = [_missing(laid, part) * math.exp(min(part.log_mass - laid.log_mass, 700.0)) for part in parts]
+    tops = sum(
+        o for o, part in zip(odds, parts, strict=True) if len(part.x) == 1
+    )  # each apart from the others
+    most = max(tops, *odds)
+    return max(left, most / (1.0 + most))
+
+
+def _missing(laid: Laid, part: _Part) -> float:
+    """Share of a part in cells where a lattice has no node, or of which its polynomials know nothing."""
+    if part.log_p is None:
+        return lattice_field.extrapolated_mass(laid.field, part.x, part.w)
+    below = part.log_p - laid.log_mass - lattice_field.at(laid.field, part.x)
+    return max(float(part.w @ (below > _HIGHER)), lattice_field.extrapolated_mass(laid.field, part.x, part.w))
+
+
+def _overlooked(
+    laid: Laid | PropagationError, prior: Prior, product: OfStates, log_weight: OfStates, search: Search
+) -> list[Peak]:
+    """Peaks of which the polynomials of a lattice know nothing."""
+    x, mass, field = prior
+    states = [x] if field is None else [x, x + 0.5 * field.A.sum(axis=1)]
+    mean = mass @ x
+    cov = (mass[:, None] * (x - mean)).T @ (x - mean)
+    if search.lines:
+        states.append(along_axes(product, log_weight, mean, np.sqrt(np.diag(cov))))
+    if search.named is not None:
+        states.append(search.named)
+    X = np.concatenate(states)
+    if field is not None:  # elsewhere the prior is a guess
+        X = X[lattice_field.held(field, X)]
+    values = product(X)
+    factor: Any = np.linalg.cholesky(cov)
+    if isinstance(laid, Laid):
+        widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
+        high = widest > laid.log_mass + math.log(_COUNTS * search.most_left_out)
+        X, values = X[high], values[high]
+        above = values - laid.log_mass - lattice_field.at(laid.field, X) > _HIGHER
+        X, values = X[above], values[above]
+    elif values.max() < -1e200:
+        return []
+    return peaks(product, X, values, factor) if len(X) else []
+
+
+def _tries(
+    laid: Laid | PropagationError,
+    found: list[Peak],
+    parts: list[_Part],
+    product: OfStates,
+    bounds: tuple[int, float],
+    search: Search,
+) -> Iterator[Resolved]:
+    """Other lattices, the cheapest first; what pieces of their own hold joins the parts that are known."""
+    n_particles, depth = bounds
+    shape = within_pieces(laid) if isinstance(laid, Laid) else found[0].factor if found else None
+    tops = [_Part(peak.x[None], np.ones(1), peak.log_mass, product(peak.x[None])) for peak in found]
+    parts += tops
+    heaviest = sorted(zip(found, tops, strict=True), key=lambda pair: -pair[0].log_mass)[:_PIECES]
+    for peak, top in heaviest:
+        for shallower in _SHALLOWER:
+            new = _around(product, peak, n_particles, shallower * depth)
+            if new is None:
+                continue
+            result = Resolved(new, misfit(new, product))
+            yield result
+            if result.off.residual < TOLERATED and not _missing(new, top):
+                parts.append(_part_of(new))
+                break
+        if shape is not None and np.linalg.det(peak.factor) < np.linalg.det(shape):
+            shape = peak.factor
+    if shape is None or not parts:
+        return
+    X = np.concatenate([part.x for part in parts])
+    values = product(X)
+    highest = values.max()
+    deeper = max(depth, min(highest - _level(values, X, parts), 3.0 * depth))
+    X = X[values > highest - deeper]
+    for times in _TIMES if search.finer else _TIMES[:1]:
+        if times * n_particles > _MOST or (times == 1 and len(parts) == 1):
+            continue
+        try:
+            new = lay(product, X[0], shape, X, times * n_particles, deeper)
+        except PropagationError:
+            continue
+        yield Resolved(new, misfit(new, product), times=times)
+
+
+def _level(values: Floats, X: Floats, parts: list[_Part]) -> float:
+    """Height of the lowest part's top, a few nats below which its mass is held too."""
+    tops, start = [], 0
+    for part in parts:
+        tops.append(values[start : start + len(part.x)].max())
+        start += len(part.x)
+    return float(min(tops)) - 5.0
+
+
+def _around(product: OfStates, peak: Peak, n_particles: int, depth: float) -> Laid | None:
+    """A lattice around a peak, in the shape of what it holds; None if there is none."""
+    try:
+        laid = lay(product, peak.x, peak.factor, peak.x[None], n_particles, depth)
+        return lay(product, laid.mean, within_pieces(laid), laid.x, n_particles, depth)
+    except (PropagationError, np.linalg.LinAlgError):
+        return None

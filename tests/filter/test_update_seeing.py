@@ -1,0 +1,158 @@
+"""Updates whose likelihood a coarse lattice overlooks or does not resolve: right, or flagged."""
+
+import numpy as np
+import pytest
+from posterior_cases import Exact, box, on_grid, quantised, ranges, robust, standard, wrong
+from scipy.stats import norm
+
+import sphfilter as sf
+
+COUNTS = {1: 100, 2: 200, 4: 800}
+FLAT = [(-7.0, 7.0)]
+
+
+def prior(n):
+    return sf.initialize(sf.Gaussian(np.zeros(n), np.eye(n)), COUNTS[n])
+
+
+def along_first(sensor, z, n):
+    """Exact posterior of the standard normal where a sensor sees the first of n states only."""
+    exact = on_grid(lambda X: standard(X) + np.maximum(sensor.log_likelihood(z, X), -1e250), FLAT, 100_001)
+    mean, cov = np.zeros(n), np.eye(n)
+    mean[0], cov[0, 0] = exact.mean[0], exact.cov[0, 0]
+    return Exact(mean, cov, exact.log_evidence)
+
+
+def right_or_flagged(density, info, exact, log_evidence=None):
+    """Is an update as exact as an unflagged one must be, or does it say what it leaves out?"""
+    off = wrong(density, info.log_evidence if log_evidence is None else log_evidence, exact)
+    right = off[0] < 0.2 and off[1] < 0.2 and off[2] < 0.3
+    return right or (info.flagged and sf.Code.UNRESOLVED in info.code)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("s", [0.3, 0.1, 0.03, 0.01, 0.003])
+def test_a_spike_on_wide_ground(n, s):
+    sensor = robust(s)
+    exact = along_first(sensor, [0.73], n)
+    density, info = sf.update(prior(n), sensor, [0.73])
+    assert right_or_flagged(density, info, exact)
+    assert info.log_evidence == pytest.approx(exact.log_evidence, abs=0.05)
+    assert density.mean()[0] == pytest.approx(exact.mean[0], abs=0.02)
+
+
+@pytest.mark.parametrize("s", [0.1, 0.01])
+def test_a_spike_in_four_states(s):
+    sensor = robust(s)
+    density, info = sf.update(prior(4), sensor, [0.73])
+    exact = along_first(sensor, [0.73], 4)
+    assert info.log_evidence == pytest.approx(exact.log_evidence, abs=0.05)
+    assert density.mean()[0] == pytest.approx(exact.mean[0], abs=0.03)
+
+
+def test_what_is_left_out_is_told():
+    """Fourteen per mille lie on the ground, of which no lattice that resolves the spike holds anything."""
+    sensor = robust(0.003)
+    _, info = sf.update(prior(1), sensor, [0.73])
+    ground = np.log(0.1) + norm.logpdf(0.73, scale=np.hypot(10.0, 1.0))
+    share = np.exp(ground - along_first(sensor, [0.73], 1).log_evidence)
+    assert info.mass_left_out == pytest.approx(share, rel=0.05)
+    assert sf.Code.UNRESOLVED in info.code and "found elsewhere" in info.status
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize(
+    "sensor",
+    [quantised(0.05, 0.002), quantised(0.01, 0.001), box(0.5), box(0.05), box(0.005)],
+    ids=["rounded", "finely", "box", "narrow", "thin"],
+)
+def test_windows(sensor, n):
+    density, info = sf.update(prior(n), sensor, [0.73])
+    exact = along_first(sensor, [0.73], n)
+    assert wrong(density, info.log_evidence, exact) < (0.2, 0.2, 0.1)
+    assert right_or_flagged(density, info, exact)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("noise", [0.3, 0.1, 0.03])
+def test_many_modes(n, noise):
+    sensor = sf.GaussianMeasurement(
+        lambda X, t: np.sin(10.0 * X[:, 0])[:, None], [[noise**2]], vectorized=True
+    )
+    density, info = sf.update(prior(n), sensor, [0.5])
+    assert right_or_flagged(density, info, along_first(sensor, [0.5], n))
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.03])
+@pytest.mark.parametrize("anchors", [[[0.0, 0.0], [1.5, 0.0]], [[-3.0, 0.0], [0.0, -2.0]]])
+def test_ranges_one_after_the_other(anchors, noise):
+    both = ranges(anchors, noise)
+    z = both.predict([[0.6, 0.8]])[0] + 0.5 * noise
+    exact = on_grid(lambda X: standard(X) + both.log_likelihood(z, X), [(-2.0, 2.0)] * 2, 801)
+    first, one = sf.update(prior(2), ranges(anchors[:1], noise), z[:1])
+    density, two = sf.update(first, ranges(anchors[1:], noise), z[1:])
+    total = one.log_evidence + two.log_evidence
+    assert right_or_flagged(density, two if two.flagged else one, exact, total)
+
+
+@pytest.mark.parametrize("count", [180, 220, 260])
+def test_the_evidence_of_a_ring(count):
+    sensor = ranges([[0.0, 0.0]], 0.03)
+    exact = on_grid(lambda X: standard(X) + sensor.log_likelihood([1.0], X), [(-2.0, 2.0)] * 2, 801)
+    start = sf.initialize(sf.Gaussian(np.zeros(2), np.eye(2)), count)
+    density, info = sf.update(start, sensor, [1.0])
+    assert info.log_evidence == pytest.approx(exact.log_evidence, abs=0.02)
+    assert sf.Code.FINER in info.code and density.capacity == count
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_remote_mode_waits_for_its_reading(n):
+    """Of two modes the small one is left by one reading, and made the larger by the next."""
+    there = np.eye(n)[0] * 6.0
+
+    def log_p(X):
+        return np.logaddexp(
+            np.log(0.99) + standard(X), np.log(0.01) + norm.logpdf(X - there, scale=0.3).sum(axis=1)
+        )
+
+    wide = [[-6.0, 10.0], [-6.0, 6.0]][:n]
+    density = sf.initialize(lambda X: np.exp(log_p(X)), COUNTS[n], box=wide)
+    blurred, sharp = (sf.GaussianMeasurement(np.eye(1, n), [[R]]) for R in (25.0, 1.0))
+    density, one = sf.update(density, blurred, [0.0])
+    density, two = sf.update(density, sharp, [5.0])
+    exact = on_grid(
+        lambda X: log_p(X) + blurred.log_likelihood([0.0], X) + sharp.log_likelihood([5.0], X), wide, 801
+    )
+    assert wrong(density, one.log_evidence + two.log_evidence, exact) < (0.1, 0.1, 0.1)
+    assert one.mass_left_out < 1e-3
+
+
+def test_named_peaks():
+    """What neither nodes nor lines meet is found where the user says it may be."""
+    spike = np.array([0.61, -0.37])
+
+    def loglik(z, X, t):
+        inside = norm.logpdf(X - z, scale=0.003).sum(axis=1)
+        return np.maximum(np.log(0.9) + inside, -8.0)
+
+    hidden = sf.LikelihoodMeasurement(loglik)
+    named = sf.LikelihoodMeasurement(loglik, peaks=lambda z: z[None])
+    exact = np.log(0.9) + standard(spike[None])[0]
+    assert abs(sf.update(prior(2), hidden, spike)[1].log_evidence - exact) > 2.0
+    density, info = sf.update(prior(2), named, spike)
+    assert info.log_evidence == pytest.approx(exact, abs=0.02)
+    assert density.mean() == pytest.approx(spike, abs=1e-3)
+
+
+def test_ordinary_updates_are_not_flagged():
+    density = prior(2)
+    for z in (0.3, -0.2, 1.1):
+        density, info = sf.update(density, sf.GaussianMeasurement([[1.0, 0.5]], [[0.4]]), [z])
+        assert info.status == "ok" and info.code == sf.Code.OK
+    bent = sf.GaussianMeasurement(lambda X, t: X[:, 0][:, None] ** 2, [[0.5]], vectorized=True)
+    assert sf.update(density, bent, [0.5])[1].status == "ok"
+
+
+def test_the_setting_that_came_later_is_not_in_the_text_of_old_ones():
+    assert "most_left_out" not in repr(sf.FilterConfig())
+    assert "most_left_out=0.01" in repr(sf.FilterConfig(most_left_out=0.01))
