@@ -174,6 +174,8 @@ def _checked(
     reason = fits(filt.model, filt.density, filt.n_particles)
     if not isinstance(scheme, str | LogDensityScheme):
         reason = f"the filter's scheme is {scheme.name!r}; leave it to the default"
+    if filt.model.state_dependent_noise:
+        reason = "the noise depends on the state"
     if reason:
         raise ModelError(f"smooth needs densities that the log_density scheme carries: {reason}")
     return [checked_sensor(filt.measurement if s is None else s, filt.model) for s in sensors]

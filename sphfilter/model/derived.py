@@ -12,8 +12,8 @@ from .compile import batch
 
 __all__ = [
     "constant_diffusion", "constant_noise", "diffusion_from_noise", "jacobian_from", "linear_divergence",
-    "linear_drift", "linear_jacobian", "noise_from_diffusion", "reversed_drift", "row_divergence_from",
-    "scales", "stratonovich_drift", "symmetric_root", "trace_from", "zeros",
+    "linear_drift", "linear_jacobian", "noise_columns", "noise_from_diffusion", "reversed_drift",
+    "row_divergence_from", "scales", "stratonovich_drift", "symmetric_root", "trace_from", "zeros",
 ]  # fmt: skip
 
 #: Relative step of central differences: balances rounding (eps/h) against truncation (h²).
@@ -174,6 +174,26 @@ def stratonovich_drift(f: BatchFunction, g: BatchFunction, Q: Floats) -> BatchFu
                         c = 0.5 * G[i, j * m + k] * Q[k, r]
                         for a in range(n):
                             out[i, a] += c * dG[i, a * m + r]
+
+    return batch(fill)
+
+
+def noise_columns(g: BatchFunction, R: Floats) -> BatchFunction:
+    """Return the batch function of c = g R, shape (n, r) per row, then Σ_a ∂_a c_ak of its columns."""
+    (m, r), step = R.shape, _STEP
+
+    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
+        n = x.shape[1]
+        G, dG = np.empty((x.shape[0], n * m)), np.empty((x.shape[0], n * m))
+        out[:] = 0.0
+        g(x, t, p, G)
+        for a in range(n):
+            _difference(g, x, t, p, a, step, dG)
+            for i in range(x.shape[0]):
+                for k in range(r):
+                    for j in range(m):
+                        out[i, a * r + k] += G[i, a * m + j] * R[j, k]
+                        out[i, n * r + k] += dG[i, a * m + j] * R[j, k]
 
     return batch(fill)
 

@@ -12,7 +12,7 @@ from ..errors import ModelError
 from . import derived
 from .compile import Maker, StateFunction, accepts, compile_rows, probe_states, reads_argument, shared
 
-__all__ = ["Noise", "noise_parts", "reads_time", "structure"]
+__all__ = ["Noise", "constant_root", "noise_parts", "reads_time", "structure"]
 
 Noise: TypeAlias = ArrayLike | StateFunction
 #: Makers of g, D and ∇·D, then Q, the constants that end p, and the flags of the noise.
@@ -38,7 +38,7 @@ def noise_parts(
             raise ModelError("Give either noise= with spectral_density=, or diffusion=, not both.")
         if callable(diffusion):
             return _diffusion_function(diffusion, n, p, vectorized)
-        noise = _constant_root(validate.covariance("diffusion", diffusion, n, definite=False))
+        noise = constant_root(validate.covariance("diffusion", diffusion, n, definite=False))
     if callable(noise):
         return _noise_function(noise, spectral_density, n, p, vectorized)
     if noise is None and spectral_density is not None:
@@ -103,7 +103,7 @@ def _spectral_density(value: ArrayLike, m: int | None) -> Floats:
     return validate.covariance("spectral_density", value, m, definite=False)
 
 
-def _constant_root(D: Floats) -> Floats:
+def constant_root(D: Floats) -> Floats:
     """Return g with g gᵀ = 2 D and as many columns as D has rank; rows of D that are zero stay exactly so."""
     d = derived.scales(D)
     w, V = np.linalg.eigh(D / np.outer(d, d))

@@ -17,7 +17,7 @@ from ..errors import ModelError, nearest, plain
 from . import derived
 from .compile import Maker, StateFunction, compile_rows, shared, surfacing
 from .domain import Domain, DomainLike
-from .noise import Noise, noise_parts, reads_time
+from .noise import Noise, constant_root, noise_parts, reads_time
 from .timing import roots
 
 __all__ = ["SDE", "LinearSDE"]
@@ -150,6 +150,7 @@ class SDE:
             if diffusion is not None:
                 raise ModelError("A Stratonovich equation needs noise= instead of diffusion=.")
             makers["drift"] = lambda fs: derived.stratonovich_drift(f, fs["noise"], Q)
+            makers["flow_drift"] = lambda fs: f
         if divergence is not None:
             given = compile_rows(divergence, (), "divergence", n, p, vectorized)
             makers["divergence"] = lambda fs: given
@@ -237,11 +238,11 @@ class SDE:
         """Set every attribute; the derived functions are compiled when first used."""
         self._recipe, self._tail, self._flags = recipe, tail, flags
         self.states, self.dim, self.n_noise = tuple(states), len(states), len(Q)
-        self.spectral_density = Q
+        self.spectral_density, self.n_columns = Q, constant_root(0.5 * Q).shape[1]
         Q.setflags(write=False)
         self.domain = Domain.of(domain, self.dim)
         flags["linear"] = flags["linear"] and not self.domain.walled.any()
-        self._functions = _Functions(makers, self.dim)
+        self._functions = _Functions(makers, self.dim, Q)
         self._longest = np.inf if max_step is None else validate.positive("max_step", max_step)
         self.events = np.unique(validate.array("events", events, (None,)))
         self.events.setflags(write=False)
@@ -342,6 +343,21 @@ class SDE:
     def reversed_drift_batch(self) -> BatchFunction:
         """−f at −t, (N, n)."""
         return self._functions["reversed_drift"]
+
+    @property
+    def flow_drift_batch(self) -> BatchFunction:
+        """Stratonovich drift, (N, n): what moves states beside the noise, where this is smooth in time."""
+        return self._functions["flow_drift"]
+
+    @property
+    def flow_divergence_batch(self) -> BatchFunction:
+        """Divergence of the Stratonovich drift, (N, 1)."""
+        return self._functions["flow_divergence"]
+
+    @property
+    def noise_columns_batch(self) -> BatchFunction:
+        """c = g R, row-major, with Q = R Rᵀ and R (m, r) of full rank; then ∇·c: (N, (n + 1) r)."""
+        return self._functions["noise_columns"]
 
     # --- evaluation from Python ---
 
@@ -482,12 +498,15 @@ class LinearSDE(SDE):
 class _Functions:
     """Compiled functions by name, made when first asked for and shared by all parameter values."""
 
-    def __init__(self, makers: dict[str, Maker], n: int) -> None:
+    def __init__(self, makers: dict[str, Maker], n: int, Q: Floats) -> None:
         self._made: dict[str, BatchFunction] = {}
         self._makers: dict[str, Maker] = {
             "jacobian": lambda fs: derived.jacobian_from(fs["drift"], n),
             "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
             "reversed_drift": lambda fs: derived.reversed_drift(fs["drift"]),
+            "flow_drift": lambda fs: derived.stratonovich_drift(fs["drift"], fs["noise"], -Q),
+            "flow_divergence": lambda fs: derived.trace_from(derived.jacobian_from(fs["flow_drift"], n)),
+            "noise_columns": lambda fs: derived.noise_columns(fs["noise"], constant_root(0.5 * Q)),
             **makers,
         }
 

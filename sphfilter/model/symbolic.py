@@ -13,6 +13,7 @@ from ..errors import ExpressionError, ModelError
 from . import derived
 from .compile import Maker, compile_source, shared
 from .expressions import Names, parse
+from .noise import constant_root
 from .symbols import Abs, Ge, Gt, Max, Min, Sign, source
 
 __all__ = ["symbolic_model", "symbolic_rows"]
@@ -40,6 +41,7 @@ def symbolic_model(
     g, D, Q = _noise(noise, diffusion, spectral_density, names, n)
     if interpretation == "stratonovich":
         f = f + _stratonovich_term(f, g, D, Q, names)
+    noisy = bool((D if g is None else g).free_symbols & set(names.x))
     J = f.jacobian(names.x)
     entries = {
         "drift": f,
@@ -52,6 +54,8 @@ def symbolic_model(
     }
     if g is not None:
         entries["noise"] = g
+    if g is not None and noisy:
+        entries |= _flow(f, g, D, Q, names)
     makers = {name: _maker(name, matrix, names) for name, matrix in entries.items()}
     if g is None:
         makers["noise"] = lambda fs: derived.noise_from_diffusion(fs["diffusion"])
@@ -134,6 +138,19 @@ def _stratonovich_term(f: sp.Matrix, g: Any, D: sp.Matrix, Q: Floats, names: Nam
             for i in range(n)
         ]
     )  # fmt: skip
+
+
+def _flow(f: sp.Matrix, g: sp.Matrix, D: sp.Matrix, Q: Floats, names: Names) -> dict[str, sp.Matrix]:
+    """Entries of the Stratonovich equation: its drift, the divergence of that, and noise with its own."""
+    flow, R = f - _stratonovich_term(f, g, D, Q, names), constant_root(0.5 * Q)
+    c = g * sp.Matrix(*R.shape, [parse(v, names) for v in R.ravel().tolist()])
+    columns = c.col_join(sp.Matrix([[_divergence(c.col(k), names) for k in range(c.shape[1])]]))
+    divergence = sp.Matrix([_divergence(flow, names)])
+    return {"flow_drift": flow, "flow_divergence": divergence, "noise_columns": columns}
+
+
+def _divergence(v: sp.Matrix, names: Names) -> sp.Expr:
+    return sum(entry.diff(x) for entry, x in zip(v, names.x, strict=True))
 
 
 def _flags(f: sp.Matrix, J: sp.Matrix, g: sp.Matrix, D: sp.Matrix, names: Names) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..config import LogDensityScheme
-from ..core._addresses import addresses
+from ..core._addresses import address_of, addresses
 from ..core._jit import start_threads
 from ..core.characteristics.aim import AIMED
 from ..core.characteristics.control import (
@@ -61,8 +61,6 @@ _CONSTANT: WeakKeyDictionary[SDE, tuple[Floats, int]] = WeakKeyDictionary()
 
 def fits(model: SDE, density: ParticleDensity, n_particles: int) -> str:
     """Can this scheme carry the density? Returns a reason why not, empty if it can."""
-    if model.state_dependent_noise:
-        return "the noise depends on the state"
     if model.domain.walled.any():
         return "an axis ends at a wall"
     if density.field is None:
@@ -88,8 +86,7 @@ def propagate(
         probability was lost on the way: says when, where, and what to change.
     """
     start, n = density.t, density.dim
-    G, slices = noise_factor(model, start, t1)
-    noise = Noise(G, model.p, not model.constant_diffusion, model.linear)
+    noise, slices = _noise(model, density, t1)
     depth = 0.5 * lattice_reach(scheme, n) ** 2
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
     least = float(np.clip(_LEAST * spacing**4, *_LEASTS))
@@ -115,7 +112,7 @@ def propagate(
         np.array([volume, min(t1 - start, longest), 0.0, longest, 0.0, residual, 0.0, 0.0, nodes]),
         np.array([start, t1]),
     )
-    rule = paths(G.shape[1], scheme.quadrature)
+    rule = paths(noise.G.shape[1], scheme.quadrature)
     field: Any = density.field
     status = "paused"
     threads = n_particles * len(rule.log_weight) >= _THREADS_FROM
@@ -148,6 +145,16 @@ def propagate(
     return moved, _info(model, scheme, counters, moved, float(state[LOST_MASS]), threads)
 
 
+def _noise(model: SDE, density: ParticleDensity, t1: float) -> tuple[Noise, int]:
+    """The noise to time t1, and steps that see it change."""
+    if not model.state_dependent_noise:
+        G, slices = noise_factor(model, density.t, t1)
+        return Noise(G, model.p, not model.constant_diffusion, model.linear), slices
+    slices = 1 if model.autonomous else noise_samples(model, density.t, t1, density.mean())[1]
+    G, columns = np.zeros((model.dim, model.n_columns)), np.array(address_of(model.noise_columns_batch))
+    return Noise(G, model.p, True, False, True, columns), slices
+
+
 def _gone_wrong(state: Floats) -> float:
     """Error of the mean, in standard deviations, by what steps and lattices of a march got wrong."""
     return _PART * (float(state[STEP_ERRORS]) + math.sqrt(state[SQUARES]))
@@ -170,6 +177,8 @@ def _entries(model: SDE, threads: bool) -> Entries:
     if threads:
         start_threads()
     own = model.drift_batch, model.divergence_batch, model.diffusion_batch
+    if model.state_dependent_noise:
+        own = model.flow_drift_batch, model.flow_divergence_batch, model.diffusion_batch
     return addresses(
         Entries, *own, BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, JUDGE, LAY, BETWEEN, BUILD
     )
@@ -210,19 +219,32 @@ def paths(m: int, order: int) -> Paths:
     icosahedron (degree five), four and more the symmetric rule of degree three, all of them straight.
     """
     if m == 1:
-        return _hermite(order)
+        return _twisted(_hermite(order))
     if m == 2:
-        return _hexagon()
+        return _twisted(_hexagon())
     if m == 0:
         dW, weights = np.zeros((1, 0)), np.ones(1)
     elif m == 3:
         dW, weights = _icosahedron()
     else:
         dW, weights = np.concatenate([np.eye(m), -np.eye(m)]) * math.sqrt(m), np.full(2 * m, 0.5 / m)
-    return Paths(np.log(weights), np.hstack([dW, np.zeros_like(dW)]))
+    return Paths(np.log(weights), np.hstack([dW, np.zeros_like(dW)]), np.zeros(len(dW)))
 
 
-def _hermite(order: int) -> Paths:
+def _twisted(table: Floats) -> Paths:
+    """Paths whose noise and bend stand in a table, and last its weight. Twists do not covary with either, as
+    those of paths that go nowhere are to the side of their bends, and others to the opposite side.
+    """
+    w, weights = np.ascontiguousarray(table[:, :-1]), table[:, -1]
+    m = w.shape[1] // 2
+    bent, still = w[:, m] != 0.0, ~w[:, :m].any(axis=1)
+    here, there = weights[bent & still].sum(), weights[bent & ~still].sum()
+    twist = np.where(still, there, -here) * bent
+    twist /= math.sqrt(weights @ twist**2) or 1.0
+    return Paths(np.log(weights), w, twist)
+
+
+def _hermite(order: int) -> Floats:
     """Gauss-Hermite points, bent both ways; the outermost two, whose weight is small, are straight."""
     x, weights = np.polynomial.hermite_e.hermegauss(order)
     weights = weights / weights.sum()
@@ -230,18 +252,16 @@ def _hermite(order: int) -> Paths:
     bend = 1.0 / math.sqrt(weights[heavy].sum())
     rows = [(x[k], side * bend, 0.5 * weights[k]) for k in heavy for side in (1.0, -1.0)]
     rows += [(x[k], 0.0, weights[k]) for k in range(order) if k not in heavy]
-    table = np.array(rows)
-    return Paths(np.log(table[:, 2]), np.ascontiguousarray(table[:, :2]))
+    return np.array(rows)
 
 
-def _hexagon() -> Paths:
+def _hexagon() -> Floats:
     """Radon's seven points; bends alternate around the hexagon so that those of two noises do not covary."""
     angle = np.arange(6) * math.pi / 3
     rows = [(0.0, 0.0, a, b, 0.125) for a in (1.0, -1.0) for b in (1.0, -1.0)]
     for k, (x, y) in enumerate(zip(2.0 * np.cos(angle), 2.0 * np.sin(angle), strict=True)):
         rows += [(x, y, a, a * (-1.0) ** k, 1.0 / 24.0) for a in (1.0, -1.0)]
-    table = np.array(rows)
-    return Paths(np.log(table[:, 4]), np.ascontiguousarray(table[:, :4]))
+    return np.array(rows)
 
 
 def _icosahedron() -> tuple[Floats, Floats]:

@@ -16,9 +16,12 @@ _FINE = 347  # a pulse of a hundredth of the interval has three of its times
 _ERROR = 1e-3  # of an integral up to any time, by the middles of the steps
 
 
-def noise_samples(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
-    """Return D at many times between t0 and t1, shape (S, n, n), and as many equal steps as see it change."""
-    origin = np.zeros((1, model.dim))
+def noise_samples(model: SDE, t0: float, t1: float, around: Floats | None = None) -> tuple[Floats, int]:
+    """Return D at many times between t0 and t1, shape (S, n, n), and as many equal steps as see it change.
+
+    around: (n,) where noise that depends on the state is asked.
+    """
+    origin = np.zeros((1, model.dim)) if around is None else around[None]
     if model.constant_diffusion:
         return model.diffusion(origin, t0), _SLICES[0]
     D, slices = _sampled(lambda t: model.diffusion(origin, t)[0], t0, t1, _of_noise)

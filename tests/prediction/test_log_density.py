@@ -244,18 +244,6 @@ def test_affine_changes_of_coordinates(B, c, close):
     assert other.log_evidence == pytest.approx(plain.log_evidence, abs=close)
 
 
-def test_noise_that_depends_on_the_state_falls_back():
-    model = text(["x"], ["-x"], [["sqrt(0.5 + 0.2*x**2)"]])
-    mean, cov = np.array([1.0]), np.array([[0.2]])
-    p, info = moved(model, mean, cov, 1.0, 200)
-    assert info.scheme == "corrected"
-    assert info.status == "not log_density: the noise depends on the state"
-    m = np.exp(-1.0)  # m' = -m;  (x²)' = -2 x² + 0.5 + 0.2 x²
-    second = 0.5 / 1.8 + (0.2 + 1.0 - 0.5 / 1.8) * np.exp(-1.8)
-    assert p.mean()[0] == pytest.approx(m, abs=5e-3)
-    assert p.cov()[0, 0] == pytest.approx(second - m**2, rel=2e-2)
-
-
 @pytest.mark.parametrize(("n_particles", "close"), [(50, 5e-4), (100, 1e-4)])
 def test_noise_that_feels_the_drift_bend_leaves_no_error_of_first_order(n_particles, close):
     """One state in two wells, where paths of two noise modes alone were 1.6e-3 and 8e-4 off."""

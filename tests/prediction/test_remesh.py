@@ -163,10 +163,10 @@ def test_a_lattice_that_is_no_better_is_not_taken(monkeypatch):
 
 
 def test_sums_that_carry_what_a_lattice_cannot_are_renewed_too():
-    """Noise that depends on the state, which "auto" leaves to moment-corrected sums: E[x²] in closed form."""
+    """Noise that depends on the state, carried by moment-corrected sums: E[x²] in closed form."""
     noisy = sf.SDE.from_expressions(["x"], ["-x"], noise=[["0.5*x"]], spectral_density=[[1.0]])
     start = sf.Gaussian([2.0], [[0.04]])
-    way = carried("auto", 0.2, [0.5, 1.0], 80, noisy, start)
+    way = carried("corrected", 0.2, [0.5, 1.0], 80, noisy, start)
     assert [info.scheme for info in way.infos] == ["corrected"] * 2
     assert sum(info.n_regrids for info in way.infos) == 4
     second = 4.04 * np.exp((-2.0 + 0.25) * way.times)

@@ -47,8 +47,9 @@ def leg_ends(drift, noise, Y, t1, h, parts, legs, w, end):
     """
     M, n = Y.shape
     K = w.shape[1] // legs
-    f, action, pull, own = np.empty((M, n)), np.empty(M), unblurred(M, n), np.empty(K)
-    push, start = pushes(noise.G, h / legs), Y.copy()
+    f, action, own = np.empty((M, n)), np.empty(M), np.empty(K)
+    push, start = pushes(noise, h / legs), Y.copy()
+    pull = unblurred(M, push.shape[1])
     for leg in range(legs):
         t, first = t1 - leg * h / legs, (legs - 1 - leg) * K
         for i in range(M):

@@ -53,7 +53,8 @@ def back(step, Y, floor, out):
     M, n = Y.shape
     K = aim.B.shape[1]
     f1, d1 = np.empty((M, n)), np.empty((M, 1))
-    pull, end, action = unblurred(M, n), np.empty((M, n)), np.zeros(M)
+    push, end, action = pushes(noise, h), np.empty((M, n)), np.zeros(M)
+    pull = unblurred(M, push.shape[1])
     owner, slope, centre = np.empty(M, np.int64), np.empty((M, n)), np.zeros((M, K))
     step.drift(Y, t1, noise.p, f1)
     step.divergence(Y, t1, noise.p, d1)
@@ -61,7 +62,6 @@ def back(step, Y, floor, out):
         along(step.drift, None, noise, Y, f1, d1, t1, -h, step.parts, pull, end, action)
         slopes(step.field, step.sten, end, owner, slope)
         centre = centred(aim, owner, slope)
-        push = pushes(noise.G, h)
         for i in range(M):
             displace(push, centre[i], pull, i)
     along(step.drift, step.divergence, noise, Y, f1, d1, t1, -h, step.parts, pull, end, action)
@@ -138,7 +138,8 @@ def _expected(step, aim, Y, f1, d1, centre, owner, out):
     M, n = Y.shape
     Q, legs = paths.log_weight.size, aim.B.shape[1] // max(K, 1)
     h, parts = step.h / legs, (step.parts + legs - 1) // legs
-    blur, push = np.empty(n if step.blurred and K // 2 <= _BLURRED else 0), pushes(step.noise.G, h)
+    push = pushes(step.noise, h)
+    blur = np.empty(push.shape[1] if step.blurred and K // 2 <= _BLURRED else 0)
     start, f, d = Y, f1, d1
     begun, weight, drawn = np.zeros(M), 0.0, np.zeros(legs * K)
     end, action, log_p = np.empty((M, n)), np.empty(M), np.empty(M)
@@ -149,7 +150,7 @@ def _expected(step, aim, Y, f1, d1, centre, owner, out):
         for q in range(Q):
             drawn[:K] = paths.w[q]
             pull, tilt = _drawn(aim, centre, owner, drawn, 0, K, push, blur)
-            blurring(push, drawn[:K], blur)
+            blurring(step.noise, push, drawn[:K], paths.twist[q], blur)
             t = step.t1 - (legs - 1) * h
             along(step.drift, step.divergence, step.noise, start, f, d, t, -h, parts, pull, end, action)
             evaluate(step.field, step.sten, end, log_p)
@@ -179,10 +180,10 @@ def _first_leg(step, aim, Y, f1, d1, centre, owner, q, blur, drawn):
     """
     M, n = Y.shape
     h, parts, K = 0.5 * step.h, (step.parts + 1) // 2, drawn.size // 2
-    push = pushes(step.noise.G, h)
+    push = pushes(step.noise, h)
     drawn[K:] = step.paths.w[q]
     pull, begun = _drawn(aim, centre, owner, drawn, K, 2 * K, push, blur)
-    blurring(push, drawn[K:], blur)
+    blurring(step.noise, push, drawn[K:], step.paths.twist[q], blur)
     start, f, d, action = np.empty((M, n)), np.empty((M, n)), np.empty((M, 1)), np.empty(M)
     along(step.drift, step.divergence, step.noise, Y, f1, d1, step.t1, -h, parts, pull, start, action)
     step.drift(start, step.t1 - h, step.noise.p, f)

@@ -1,6 +1,8 @@
 """Paths of the noise over a step: solutions of an ordinary equation, displaced on their way.
 
-A straight and a bent part displace a path: the noise's integral over the step, and the area under it.
+A straight and a bent part displace a path: the noise's integral over the step, and the area under it. Noise
+that depends on the state is a velocity instead, times the slope of its own path, in Stratonovich's sense: a
+density is transported along each such path, and divided by the volume that the path's flow makes of a volume.
 """
 
 import math
@@ -9,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import typeof
 
+from .._addresses import function_at
 from .._jit import jit
 from ..small_matrices import eigen
 
 __all__ = [
+    "ADDITIVE",
     "NOISE",
     "PATHS",
     "Noise",
@@ -22,19 +26,29 @@ __all__ = [
     "averaged",
     "blurring",
     "displace",
+    "freeze",
     "noise_factor_at",
     "pushes",
     "unblurred",
 ]
 
+#: A twist c u (1 - 2 u), and the opposite in the second half: of mean variance 1 / 15, which other paths lack.
+_TWIST = math.sqrt(8.0)
+#: Stands for the columns of noise that does not depend on the state.
+ADDITIVE = np.zeros(2, np.uint64)
+
 
 class Noise(NamedTuple):
-    """D = G G^T / 2 per second; asked of the model at mid-step where it depends on time."""
+    """D = G G^T / 2 per second; asked of the model at mid-step where it depends on time or state."""
 
-    G: np.ndarray  # (n, m)
+    G: np.ndarray  # (n, m); where it depends on the state: in the middle of the density
     p: np.ndarray  # parameters of the model
     time_dependent: bool
     constant_divergence: bool
+    state_dependent: bool = False
+    columns: np.ndarray = (
+        ADDITIVE  # address of the batch function of G(x), and of its columns' divergences below
+    )
 
 
 class Paths(NamedTuple):
@@ -42,19 +56,23 @@ class Paths(NamedTuple):
 
     log_weight: np.ndarray  # (Q,)
     w: np.ndarray  # (Q, 2 m): dW, then bends
+    twist: (
+        np.ndarray
+    )  # (Q,) of noises that depend on the state, in units of `_TWIST` to the side of their bends
 
 
 class Pull(NamedTuple):
     """How noise displaces paths: on their way, and in what they leave of it."""
 
-    straight: np.ndarray  # (M, n)
-    bend: np.ndarray  # (M, n)
-    blur: np.ndarray  # (n,) one standard deviation of the noise over the step; empty if that does not matter
+    straight: np.ndarray  # (M, n); (M, m) of the noises themselves where they depend on the state
+    bend: np.ndarray  # the same
+    blur: np.ndarray  # (n,) one standard deviation of the noise over the step; empty if that does not matter;
+    # (m,) twists of noises that depend on the state
 
 
 @jit
 def unblurred(M, n):
-    """No displacements yet."""
+    """No displacements yet; n: as many as `pushes` has columns."""
     return Pull(np.zeros((M, n)), np.zeros((M, n)), np.empty(0))
 
 
@@ -63,7 +81,8 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
     """Paths from states x (M, n) at time t to t + h, h of either sign, by `parts` Runge-Kutta steps.
 
     Noise displaces them on the way, by u straight + 6 u (1 - u) bend after a part u of the time. Such a path
-    leaves a bridge of the noise: drift and divergence are averaged over it, along `blur`.
+    leaves a bridge of the noise: drift and divergence are averaged over it, along `blur`. Noise that
+    depends on the state has other slopes in the second half of a path, which has twice the parts.
 
     Parameters
     ----------
@@ -86,21 +105,25 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
         Integral of the divergence along each path, unless the divergence is None.
     """
     M, n = x.shape
+    parts *= 2 if noise.state_dependent else 1
     y, z, f, step = np.empty((M, n)), x.copy(), f1.copy(), h / parts
     E = M * n  # one loop over all numbers runs several at a time
     ends, ys, zs, fs = end.reshape(E), y.reshape(E), z.reshape(E), f.reshape(E)
-    straights, bends, blur = pull.straight.reshape(E), pull.bend.reshape(E), pull.blur
+    straights, bends = pull.straight.reshape(pull.straight.size), pull.bend.reshape(pull.bend.size)
+    blur, columns = pull.blur, np.empty((M if noise.state_dependent else 0, (n + 1) * noise.G.shape[1]))
     other = np.empty((M if blur.size > 0 else 0, n))
     for e in range(E):
         ends[e] = zs[e]
+    d = d1.copy()
     if divergence is not None:
-        d = d1.copy()
         for i in range(M):
             action[i] = 0.0
     for stage in range(4 * parts):
         k = stage % 4
         u = (stage // 4 + (0.0 if k == 0 else 1.0 if k == 3 else 0.5)) / parts
         left = u * (1.0 - u) - 3.0 * (u * (1.0 - u)) ** 2  # variance of the bridge
+        if noise.state_dependent:
+            left = 0.0
         if stage > 0 and (blur.size == 0 or left <= 0.0):
             drift(y, t + u * h, noise.p, f)
             if divergence is not None and not noise.constant_divergence:
@@ -109,6 +132,8 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
             averaged(drift, y, t + u * h, noise.p, blur, math.sqrt(left), other, f)
             if divergence is not None and not noise.constant_divergence:
                 averaged(divergence, y, t + u * h, noise.p, blur, math.sqrt(left), other, d)
+        if noise.state_dependent:
+            driven(noise, z if stage == 0 else y, t + u * h, pull, u, stage < 2 * parts, h, columns, f, d)
         c = step / 6.0 if k in (0, 3) else step / 3.0
         ahead, v = (step if k == 2 else 0.5 * step), u + (0.5 / parts if k in (0, 2) else 0.0)
         bent = 6.0 * v * (1.0 - v)
@@ -121,10 +146,33 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
             ahead = 0.0
             for e in range(E):
                 zs[e] = ends[e]
+        if noise.state_dependent:
+            for e in range(E):
+                ys[e] = zs[e] + ahead * fs[e]
+        else:
+            for e in range(E):
+                ys[e] = zs[e] + (v * straights[e] + bent * bends[e]) + ahead * fs[e]
+    if not noise.state_dependent:
         for e in range(E):
-            ys[e] = zs[e] + (v * straights[e] + bent * bends[e]) + ahead * fs[e]
-    for e in range(E):
-        ends[e] += straights[e]
+            ends[e] += straights[e]
+
+
+@jit
+def driven(noise, y, t, pull, u, early, h, columns, f, d):
+    """Add the noise after a part u of the time to velocities f (M, n) of states y, and to their divergence d.
+
+    early: u is seen from the first half, where both meet.
+    """
+    n, m = y.shape[1], pull.straight.shape[1]
+    function_at((noise.columns[0], noise.columns[1]))(y, t, noise.p, columns)
+    for i in range(y.shape[0]):
+        for k in range(m):
+            rate = (pull.straight[i, k] + 6.0 * (1.0 - 2.0 * u) * pull.bend[i, k]) / h
+            if pull.blur.size > 0:
+                rate += (1.0 - 4.0 * u if early else 4.0 * u - 3.0) * pull.blur[k] / h
+            for a in range(n):
+                f[i, a] += columns[i, a * m + k] * rate
+            d[i, 0] += columns[i, n * m + k] * rate
 
 
 @jit
@@ -146,8 +194,12 @@ def averaged(function, y, t, p, blur, scale, other, out):
 
 
 @jit
-def pushes(G, h):
-    """Displacements (2 m, n) by every noise of one standard deviation: straight ones, then bends."""
+def pushes(noise, h):
+    """Displacements (2 m, n) by every noise of one standard deviation: straight ones, then bends.
+
+    Noise that depends on the state displaces by itself: m columns, of these noises alone.
+    """
+    G = np.eye(noise.G.shape[1]) if noise.state_dependent else noise.G
     n, m = G.shape
     out = np.empty((2 * m, n))
     for k in range(m):
@@ -170,13 +222,14 @@ def displace(push, w, pull, i):
 
 
 @jit
-def blurring(push, w, blur):
+def blurring(noise, push, w, twist, blur):
     """Where a path's bridge lies: noises to the sides that its bends take, all pairs of sides alike."""
+    scale = _TWIST * twist if noise.state_dependent else 1.0
     m = w.size // 2
     for a in range(blur.size):
         blur[a] = 0.0
         for k in range(m):
-            blur[a] += push[k, a] * math.copysign(1.0, w[m + k])
+            blur[a] += push[k, a] * math.copysign(1.0, w[m + k]) * scale
 
 
 @jit
@@ -206,6 +259,18 @@ def noise_factor_at(diffusion, x, t, noise):
         w[largest] = -np.inf
 
 
+@jit
+def freeze(x, m, t, noise):
+    """G at time t in the mean of states x (N, n) with masses m."""
+    n, k = noise.G.shape
+    mean, total, row = np.zeros((1, n)), m.sum(), np.empty((1, (n + 1) * k))
+    for i in range(m.size):
+        for a in range(n):
+            mean[0, a] += m[i] / total * x[i, a]
+    function_at((noise.columns[0], noise.columns[1]))(mean, t, noise.p, row)
+    noise.G[:] = row[0, : n * k].reshape((n, k))
+
+
 _VECTOR, _MATRIX = np.empty(1), np.empty((1, 1))
 #: Numba's types of `Noise` and `Paths`.
-NOISE, PATHS = typeof(Noise(_MATRIX, _VECTOR, False, False)), typeof(Paths(_VECTOR, _MATRIX))
+NOISE, PATHS = typeof(Noise(_MATRIX, _VECTOR, False, False)), typeof(Paths(_VECTOR, _MATRIX, _VECTOR))

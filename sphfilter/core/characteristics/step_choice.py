@@ -22,8 +22,8 @@ from .control import (
     STALLED,
     STATE,
 )
-from .noise_paths import NOISE, along, noise_factor_at, unblurred
-from .step_limits import blur_share, noise_limit, path_error, predicted
+from .noise_paths import NOISE, along, freeze, noise_factor_at, pushes, unblurred
+from .step_limits import blur_share, driven_error, noise_limit, path_error, predicted
 
 __all__ = ["CHOOSE", "Choice", "chosen"]
 
@@ -77,15 +77,19 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     n, t, left = x.shape[1], times[0], times[1] - times[0]
     mean, P, own, S = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     once, twice = np.empty(x.shape), np.empty(x.shape)
-    f, still = np.empty(x.shape), unblurred(*x.shape)
+    f, still = np.empty(x.shape), unblurred(x.shape[0], pushes(noise, 1.0).shape[1])
     drift(x, t, noise.p, f)
+    if noise.state_dependent:
+        freeze(x, m, t, noise)
     while True:
         times_lower(L, Q, S)
         limit = control.noise_share / max(noise_limit(noise.G, S), 1e-300)
         if state[LATTICE_STEP] == 0.0:
             state[LATTICE_STEP] = _FIRST / max(noise_limit(noise.G, S), 1e-300)
         h = min(left, state[LONGEST], limit, state[LATTICE_STEP])
-        if noise.time_dependent:
+        if noise.state_dependent:
+            freeze(x, m, t + 0.5 * h, noise)
+        elif noise.time_dependent:
             noise_factor_at(diffusion, x, t + 0.5 * h, noise)
         pieces = math.ceil(left / h - 1e-9)
         h = left if pieces <= 1 else (0.5 * left if pieces == 2 else h)
@@ -97,6 +101,9 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         along(drift, None, noise, x, f, f, t, h, 2 * parts, still, twice, m)
         counters[EVALUATIONS] += 12 * parts * x.shape[0]
         error = path_error(once, twice, m, S) / control.tolerance
+        if noise.state_dependent:
+            error = max(error, driven_error(drift, noise, x, f, m, t, h, parts, S) / control.tolerance)
+            counters[EVALUATIONS] += 12 * parts * x.shape[0]
         factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.25)) if error < np.inf else 0.1
         state[PATH_STEP] = min(h / parts * factor, 1e300)
         if error <= 1.0:
@@ -110,7 +117,9 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     if not cholesky(P, own):
         return Choice(NOT_FINITE, h, parts, False, False, twice, mean, S)
     times_lower(own, Q, S)
-    blurred = not blur_share(drift, noise, x, f, m, t, h, S) < _SHARP * control.tolerance
+    blurred = (
+        noise.state_dependent or not blur_share(drift, noise, x, f, m, t, h, S) < _SHARP * control.tolerance
+    )
     return Choice(OK, h, parts, pieces <= 1, blurred, twice, mean, S)
 
 

@@ -8,7 +8,7 @@ from .._jit import jit
 from ..small_matrices import moments, whiten
 from .noise_paths import along, averaged, displace, pushes, unblurred
 
-__all__ = ["blur_share", "noise_limit", "path_error", "predicted"]
+__all__ = ["blur_share", "driven_error", "noise_limit", "path_error", "predicted"]
 
 
 @jit
@@ -58,6 +58,20 @@ def path_error(once, twice, m, L):
 
 
 @jit
+def driven_error(drift, noise, x, f, m, t, h, parts, L):
+    """`path_error` of paths that noise, which depends on the state, drives to one side or the other."""
+    push, w = pushes(noise, h), np.empty(2 * noise.G.shape[1])
+    pull, once, twice = unblurred(x.shape[0], push.shape[1]), np.empty(x.shape), np.empty(x.shape)
+    for i in range(x.shape[0]):
+        for k in range(w.size):
+            w[k] = math.sqrt(3.0) if (i >> k) % 2 else -math.sqrt(3.0)
+        displace(push, w, pull, i)
+    along(drift, None, noise, x, f, f, t, h, parts, pull, once, m)
+    along(drift, None, noise, x, f, f, t, h, 2 * parts, pull, twice, m)
+    return path_error(once, twice, m, L)
+
+
+@jit
 def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
     """Mean and covariance after a step: of the cloud undisturbed, and pushed to and fro by every noise.
 
@@ -92,8 +106,8 @@ def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
         M[i] = m[i] * (1.0 - n_pushes * share)
         for a in range(n):
             X[i, a] = ahead[i, a]
-    pull, w = unblurred(N, n), np.zeros(2 * noise.G.shape[1])
-    pushed = pushes(noise.G, h)
+    pushed, w = pushes(noise, h), np.zeros(2 * noise.G.shape[1])
+    pull = unblurred(N, pushed.shape[1])
     for push in range(n_pushes):
         w[push // 2] = (1.0 if push % 2 else -1.0) * math.sqrt(width)
         for i in range(N):
