@@ -32,7 +32,7 @@ __all__ = [
     "unblurred",
 ]
 
-#: A twist c u (1 - 2 u), and the opposite in the second half: has the mean variance 1 / 15 that paths lack.
+#: A twist c u (1 - 2 u), the opposite in the second half: of mean variance 1 / 15, which other paths lack.
 _TWIST = math.sqrt(8.0)
 #: Stands for the columns of noise that does not depend on the state.
 ADDITIVE = np.zeros(2, np.uint64)
