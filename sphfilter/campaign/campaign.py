@@ -271,8 +271,10 @@ def _room(tree: Any, n_runs: int) -> Any:
 
 
 def _put(room: Any, r: int, tree: Any, scenario: str) -> None:
-    """Put a tree of dictionaries into row r of what `_room` made."""
+    """Put a tree of dictionaries into row r of what `_room` made, as far as the first run told it."""
     for key, child in tree.items():
+        if key not in room:
+            continue
         if isinstance(child, dict):
             _put(room[key], r, child, scenario)
             continue
