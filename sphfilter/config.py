@@ -396,7 +396,7 @@ class FilterConfig(_Settings):
     acceptance: AcceptanceTest = Field(default_factory=AcceptanceTest)
     target_error: Positive = 0.01
     time_budget: Positive | None = None
-    most_left_out: Annotated[float, Field(gt=0, lt=1)] = 1e-4
+    most_left_out: Annotated[float, Field(gt=0, lt=1)] = 1e-3
 
     def __repr__(self) -> str:
         """The settings, but for the default of one that came later: campaigns know their runs by this."""

@@ -109,7 +109,7 @@ class PredictInfo(_Marked):
     >>> start = sf.initialize(sf.Gaussian([0.0], [[0.5]]), n_particles=60)
     >>> _, info = sf.predict(start, sf.LinearSDE([[-1.0]], noise=[[1.0]]), 1.0)
     >>> print(info.scheme, info.status, info.n_steps, info.mass_error < 1e-3)
-    log_density ok 4 True
+    log_density ok 3 True
     """
 
     n_steps: int = 0

@@ -105,20 +105,21 @@ def test_sharp_and_broad_at_once_is_predicted_part_by_part(seconds):
     moved = predictor.predict(posterior, at(3 + seconds))
     X = advance(model, posterior.density.sample(100_000, 1), 0.0, seconds, np.random.default_rng(2))
     assert max(off(moved, X.mean(axis=0), np.cov(X.T))) < 0.03
-    assert "predicted apart" in moved.info.status and moved.density.n_particles <= 200
+    assert "predicted apart" in moved.info.status
+    assert moved.density.n_particles <= 200 or "on 3 times the particles" in moved.info.status
     right, here = (X[:, 0] > 3.0).mean(), moved.density.probability(lambda X: X[:, 0] > 3.0)
     assert here == pytest.approx(right, abs=0.01)
 
 
-def test_what_one_lattice_cannot_hold_is_refused():
-    """A sensor 400 times sharper than the prediction, and as likely clutter as not: no guess is returned."""
+def test_what_one_lattice_cannot_hold_is_flagged():
+    """A sensor 400 times sharper than the prediction, and as likely clutter as not: the answer says its error."""
     predictor, updater = SPHPredictor(duffing(), n_particles=100), SPHUpdater(position(5e-5))
     track = Track([gaussian(mean=(0.0, 0.0))])
     hypotheses = EvidenceHypothesiser(predictor, updater, 0.1, 0.5, 1).hypothesise(
         track, {seen(2.6, seconds=3), seen(-3.1, seconds=3), seen(0.4, seconds=3)}, at(3)
     )
-    with pytest.raises(sf.PropagationError, match="use more particles"):
-        updater.update(hypotheses)
+    info = updater.update(hypotheses).info
+    assert sf.Code.UNRESOLVED in info.code and info.flagged and info.residual > 0.05
 
 
 def test_stone_soups_pda_weights_are_taken_as_given(two_wells):

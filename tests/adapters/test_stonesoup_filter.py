@@ -118,11 +118,11 @@ def test_a_run_has_the_bits_of_the_filter():
 def test_a_posterior_too_coarse_to_be_predicted_is_made_again():
     """The oscillator seen through its square, on few particles: as the filter does it (clocks round)."""
     scenario = load_scenario("duffing_square")
-    case = draw_case(scenario, 1, 1)
-    flt = sf.SPHFilter(scenario.model, scenario.measurement, case.x0, case.P0, t0=case.t0, n_particles=100)
-    predictor, updater = SPHPredictor(scenario.model, n_particles=100), SPHUpdater(scenario.measurement)
+    case = draw_case(scenario, 2, 1)
+    flt = sf.SPHFilter(scenario.model, scenario.measurement, case.x0, case.P0, t0=case.t0, n_particles=60)
+    predictor, updater = SPHPredictor(scenario.model, n_particles=60), SPHUpdater(scenario.measurement)
     state, said = GaussianState(list(case.x0), case.P0, timestamp=at(case.t0)), []
-    for t, z in zip(case.times[:4], case.z[:4], strict=True):
+    for t, z in zip(case.times[:7], case.z[:7], strict=True):
         if t > flt.t:
             said.append(flt.predict(t=t).status)
             state = predictor.predict(state, at(t))

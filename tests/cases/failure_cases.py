@@ -56,8 +56,8 @@ def surprised(deviations=5.5, **options):
 def lost(n_times):
     """A prediction after an update whose posterior was too coarse for it."""
     scene = load_scenario("duffing_square")
-    case = draw_case(scene, 1, 1)
-    flt = sf.SPHFilter(scene.model, scene.measurement, case.x0, case.P0, t0=case.t0, n_particles=100)
+    case = draw_case(scene, 2, 1)
+    flt = sf.SPHFilter(scene.model, scene.measurement, case.x0, case.P0, t0=case.t0, n_particles=60)
     flt.run(case.times[:n_times], case.z[:n_times])
     return flt.predict(t=case.times[n_times]).status
 
@@ -128,9 +128,9 @@ SAID = [
     lambda: predicted(wells()),
     lambda: filtering().predict(),
     lambda: sf.simulate(line("x**3"), None, [2.0], [0.0, 5.0], rng=1),
-    lambda: filtering(60).predict(2.0).status,
-    lambda: predicted(line("-x", "0.5*x + 1")),
-    lambda: lost(3),
+    lambda: filtering(40).predict(2.0).status,
+    lambda: predicted(line("-x", domain=WALLS), domain=WALLS),
+    lambda: lost(6),
     lambda: predicted(FLAT, 2.0, scheme="corrected", start=ROUND, n_particles=200),
     lambda: updated(HEIGHT, None),
     lambda: updated(HEIGHT, [9.0]),
