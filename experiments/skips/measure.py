@@ -82,7 +82,7 @@ def lattice_against_box(n, n_particles):
     """
     cov = 0.5 * np.eye(n) + 0.5
     p = initialize(Gaussian(np.zeros(n), cov), n_particles)
-    cells = np.ptp(p.field.node, axis=0) + 1
+    cells = np.ptp(p.field.node[: p.field.kept], axis=0) + 1
     extent = np.ptp(p.x, axis=0)
     own = np.prod(extent / np.abs(np.linalg.det(p.field.A)) ** (1.0 / n) + 1)
     return p.n_particles, int(np.prod(cells)), int(own)

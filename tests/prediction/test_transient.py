@@ -96,8 +96,8 @@ def test_moment_corrected_sums_are_the_last_resort(monkeypatch):
     assert [info.code for info in way.infos] == [sf.Code.OK, sf.Code.FALLBACK, sf.Code.FALLBACK]
     assert way.densities[-1].cov() == pytest.approx(usual.densities[-1].cov(), abs=0.01)
     monkeypatch.setattr(propagate, "predict", no_lattice)
-    with pytest.raises(UnresolvedError):  # those sums know no ends of a domain
-        sf.propagate(start(domain=[("periodic", -9, 9), None]), DUFFING, [0.3, 0.6])
+    way = sf.propagate(start(domain=[("periodic", -9, 9), None]), DUFFING, [0.3, 0.6])
+    assert sf.Code.CLOUD in way.infos[1].code  # those sums know no ends of a domain
 
 
 @pytest.mark.slow

@@ -163,13 +163,18 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
         xi = normals[: drawn * n_normals].reshape((drawn, n_normals, N))
         before[:] = x
         _take(scheme, x, t, dt, functions, constants, domain, xi)
-        if _lost(x, before, constants[1], domain, gone):
+        lost = _lost(x, before, constants[1], domain, gone)
+        if tolerance == np.inf:  # steps of given length are left as they are, as long as they are finite
+            for i in range(N):
+                gone[i] = not np.isfinite(x[i]).all()
+            lost = gone.sum()
+        if lost:
             if tries < _TRIES:  # a stiff drift throws states about where steps are too long for it
                 x[:], h, tries = before, _SHORTER * dt, tries + 1
                 continue
             if not _give_up(x, alive, gone):
                 return max(taken, 1), first
-        ran = _runs_away(x, extents, t0 + elapsed, whole - elapsed, functions[0], constants[0], gone)
+        ran = tolerance < np.inf and _runs_away(x, extents, t0 + elapsed, whole - elapsed, functions[0], constants[0], gone)
         if ran and not _give_up(x, alive, gone):
             return max(taken, 1), first
         tries = 0
