@@ -112,7 +112,7 @@ def test_sharp_and_broad_at_once_is_predicted_part_by_part(seconds):
 
 
 def test_what_one_lattice_cannot_hold_is_flagged():
-    """A sensor 400 times sharper than the prediction, and as likely clutter as not: the answer says its error."""
+    """A sensor 400 times sharper than the prediction, as likely clutter as not: the answer tells that."""
     predictor, updater = SPHPredictor(duffing(), n_particles=100), SPHUpdater(position(5e-5))
     track = Track([gaussian(mean=(0.0, 0.0))])
     hypotheses = EvidenceHypothesiser(predictor, updater, 0.1, 0.5, 1).hypothesise(

@@ -54,7 +54,9 @@ def holds(new, old):
                 about, today = (json.loads(str(file[name])) for file in (before, now))
                 assert about == {key: today[key] for key in about}
             elif name == "config":
-                assert sf.FilterConfig.from_toml(str(now[name])) == sf.FilterConfig.from_toml(str(before[name]))
+                assert sf.FilterConfig.from_toml(str(now[name])) == sf.FilterConfig.from_toml(
+                    str(before[name])
+                )
             elif name.endswith("mass"):
                 np.testing.assert_allclose(now[name], before[name], rtol=1e-15, err_msg=name)
             else:

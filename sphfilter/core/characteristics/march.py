@@ -45,6 +45,7 @@ __all__ = ["Entries", "march", "needed"]
 
 _MOST = 1e-2  # residual that steps go by where the lattice's own is larger
 _SHORTEST = 1e-6  # of the interval
+_HELPED = 0.7  # times a step's error, to which a shorter one has to bring it
 _SPARE, _ORDER = 1e-8, 6.0  # residual that more nodes need not make smaller; its order in the spacing
 
 back_at, choose_at, aim_at, lay_at, build_at = BACK.at, CHOOSE.at, AIMED.at, LAY.at, BUILD.at
@@ -111,6 +112,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
     x, m = nodes_of(field)
     span, first = times[1] - times[0], counters[STEPS]
     moments(x, m, mean, P)
+    before = np.inf  # error of the step refused last
     while times[0] < times[1]:
         if counters[STEPS] - first >= control.pause_after:
             return field, x, m, mean, P, PAUSED
@@ -126,11 +128,13 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
         error = judge(back, step, pick.mean, m, pick.ends)
         allowed = control.share * state[RESIDUAL]
         state[LATTICE_STEP] = h * min(4.0, max(0.2, 0.9 * (allowed / max(error, 1e-300)) ** (1.0 / 3.0)))
-        if error > allowed:
+        if error > allowed and not error > _HELPED * before:  # else what is seen is the lattice's own
             counters[REJECTED] += 1
+            before = error
             if state[LATTICE_STEP] < _SHORTEST * span:
                 return field, x, m, mean, P, STALLED
             continue
+        before = np.inf
         new = lay(back, step, pick.mean, pick.shape, pick.ends, control, state, counters)
         if new.code != OK:
             return field, x, m, mean, P, new.code

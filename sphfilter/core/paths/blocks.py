@@ -174,7 +174,9 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
                 continue
             if not _give_up(x, alive, gone):
                 return max(taken, 1), first
-        ran = tolerance < np.inf and _runs_away(x, extents, t0 + elapsed, whole - elapsed, functions[0], constants[0], gone)
+        ran = tolerance < np.inf and _runs_away(
+            x, extents, t0 + elapsed, whole - elapsed, functions[0], constants[0], gone
+        )
         if ran and not _give_up(x, alive, gone):
             return max(taken, 1), first
         tries = 0
