@@ -51,7 +51,7 @@ _TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth po
 _TOLERANCES = 1e-7, 1e-4
 _SHARE = 0.5  # of the residual of a lattice, that a step's error may be
 # Residual that steps go by at least, in units of the spacing's fourth power; and its bounds.
-_LEAST, _LEASTS = 0.02, (1e-7, 1e-3)
+_LEAST, _LEASTS = 0.02, (1e-7, 3e-4)
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
 #: changes a bit of the result.
 _THREADS_FROM = 20_000
