@@ -92,4 +92,4 @@ def test_where_repeating_fails_the_first_answer_stands(monkeypatch):
     info = flt.update([9.0])
     assert np.array_equal(flt.x, once.mean())
     assert info.extrapolated == told.extrapolated
-    assert info.status == "ok"
+    assert info.status == told.status
