@@ -156,7 +156,7 @@ class LogDensityScheme:
     tolerance: Positive | None = None
     noise_share: Annotated[float, Field(gt=0, le=20)] | None = None
     quadrature: Annotated[int, Field(ge=2, le=15)] = 5
-    most_lost: Positive = 0.01
+    most_lost: Positive = 0.05
     max_steps: Count = 10_000
 
 

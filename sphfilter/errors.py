@@ -99,7 +99,14 @@ class PropagationError(SphfilterError, RuntimeError):
     Traceback (most recent call last):
         ...
     sphfilter.errors.PropagationError: the model blew up at t = ... Check the drift ...
+
+    Attributes
+    ----------
+    work : float
+        Evaluations of the drift that the whole prediction would have taken; zero where none were counted.
     """
+
+    work: float = 0.0
 
 
 class CampaignError(SphfilterError, RuntimeError):

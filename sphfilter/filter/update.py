@@ -13,9 +13,9 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
-from ..lattice.check import left_out
+from ..lattice.check import beside
 from ..lattice.field import extrapolated_mass
-from ..lattice.resolved import TOLERATED, Resolved, Search
+from ..lattice.resolved import Resolved, Search
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from ..validate import state_rows
 from .acceptance import Acceptance, test_measurement
@@ -23,6 +23,7 @@ from .solutions import solutions
 
 __all__ = ["predicted_reading", "update"]
 
+_DOUBTFUL = 0.1  # residual from which a posterior is said not to be resolved
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
 _TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
@@ -167,11 +168,12 @@ def _by_product(
         new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
     new = density if unknown else new
+    cut = beside(new.field, new.mean(), new.cov())
     return new, {
         "residual": new.residual or 0.0,
-        "error": new.error,
+        "error": float(np.hypot(new.error, cut.mean)),
         "evidence_error": 0.0 if found is None else found.off.log_mass,
-        "mass_left_out": _left_out(new, found),
+        "mass_left_out": cut.mass if found is None else max(cut.mass, found.left_out),
         "accepted": not unknown,
         "log_evidence": log_evidence,
         "reason": unknown or flag,
@@ -201,23 +203,18 @@ def _by_cloud(
     }
 
 
-def _left_out(density: ParticleDensity, found: Resolved | None) -> float:
-    """Probability beyond the cut of a posterior, whatever was found further out included."""
-    beside = 0.0 if density.field is None else left_out(density.field)
-    return beside if found is None else max(beside, found.left_out)
-
-
 def _told(found: Resolved, most_left_out: float) -> dict[str, Any]:
-    """Code and status of an update whose lattice is finer than usual, or not fine or wide enough."""
-    code, said = Code.OK, []
-    if found.times > 1:
-        code, said = Code.FINER, [f"the posterior is on {found.times} times the particles"]
+    """Code and status of an update whose lattice is finer than usual, or not fine or wide enough.
+
+    More particles that resolve it are no reason to doubt the posterior: the code alone tells.
+    """
+    code, said = Code.OK if found.times == 1 else Code.FINER, []
     wrong = max(found.off.residual, found.off.log_mass)
-    if wrong > TOLERATED:
+    if wrong > _DOUBTFUL:
         said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
-    if wrong > TOLERATED or found.left_out > most_left_out:
+    if wrong > _DOUBTFUL or found.left_out > most_left_out:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}
 

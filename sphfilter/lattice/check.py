@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._types import OfStates
+from .._types import Floats, OfStates
 from ..core.field.field import Field
 from . import field as lattice_field
 from .level_set import Laid
 
-__all__ = ["Misfit", "left_out", "misfit"]
+__all__ = ["Beside", "Misfit", "beside", "left_out", "misfit"]
 
 _FARTHEST = 50.0  # nats by which a value may be too low before it counts as lost
 
@@ -56,6 +56,23 @@ def misfit(laid: Laid, log_p: OfStates) -> Misfit:
     integral = highest + np.log(p.sum() * abs(np.linalg.det(laid.field.A)))
     off = max(abs(float(np.log(p.sum() / q.sum()))), abs(float(integral)))
     return Misfit(residual, float(np.linalg.norm(whitened)), off)
+
+
+class Beside(NamedTuple):
+    """What the cells beyond the cut of a density hold."""
+
+    mass: float = 0.0  # probability
+    mean: float = 0.0  # what they would add to its mean, in standard deviations
+
+
+def beside(field: Field | None, mean: Floats, cov: Floats) -> Beside:
+    """What the cells that were asked beyond the cut of a density hold; nothing where there is no lattice."""
+    if field is None:
+        return Beside()
+    X = field.mu + field.node[field.kept :] @ field.A.T
+    mass = np.exp(field.log_p[field.kept :]) * abs(np.linalg.det(field.A))
+    added = np.linalg.solve(np.linalg.cholesky(cov), mass @ (X - mean))
+    return Beside(left_out(field), float(np.linalg.norm(added)))
 
 
 def left_out(field: Field) -> float:

@@ -19,6 +19,8 @@ Found = TypeVar("Found")
 #: sees the borders between that one's polynomials.
 FINEST = 3
 MOST = 20_000  # particles of a step that is made again
+#: Evaluations of the drift that a step may take which is made again: some ten times those of a cloud.
+MOST_WORK = 1e7
 
 
 class Outcome(NamedTuple, Generic[Info]):
@@ -58,14 +60,25 @@ class Ladder(NamedTuple):
         times = tuple(min(times, FINEST**dim) for times in self.times)
         return self._replace(times=times if self.deeper else tuple(dict.fromkeys(times)))
 
-    def climbed(self, n_particles: int, attempt: Callable[[Rung], Found]) -> tuple[Rung, Found] | None:
-        """The first rung on which an attempt raises no `PropagationError`, with what it returned, or None."""
+    def climbed(
+        self, n_particles: int, attempt: Callable[[Rung], Found], problem: PropagationError | None = None
+    ) -> tuple[Rung, Found]:
+        """The first rung on which an attempt raises no `PropagationError`, with what it returned.
+
+        Where there is none, or the next would be too much work, what stopped the first try is raised: the
+        `problem`, if one was made before. On so many times the particles a try is so many times the work.
+        """
+        before, work = 1, 0.0 if problem is None else problem.work
         for rung in self.rungs(n_particles):
+            if work * rung.times / before > MOST_WORK:
+                break
+            before = rung.times
             try:
                 return rung, attempt(rung)
-            except PropagationError:
-                continue
-        return None
+            except PropagationError as again:
+                problem, work = problem or again, again.work
+                problem.work = max(problem.work, work)
+        raise problem or PropagationError(f"no step is made again on more than {self.most:g} particles")
 
 
 def or_as_cloud(
@@ -137,15 +150,12 @@ def predict_from_finer(
     """
     try:
         return predicted(density)
-    except (LatticeError, UnresolvedError):
+    except (LatticeError, UnresolvedError) as problem:
         noisy = model.diffusion_rows.any()  # else nothing ever smooths what is too coarse
         if origin is None or origin.before is None or origin.before.field is None or not noisy:
             raise
-        found = Ladder().climbed(
-            n_particles, lambda rung: predicted(origin.repeated(config, rung.n_particles))
+        rung, outcome = Ladder().climbed(
+            n_particles, lambda rung: predicted(origin.repeated(config, rung.n_particles)), problem
         )
-        if found is None:
-            raise
-        rung, outcome = found
         status = f"the {type(origin).__name__.lower()} before repeated on {rung.times} times the particles"
         return outcome._replace(info=outcome.info.marked(Code.REPEATED, status))

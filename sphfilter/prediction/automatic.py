@@ -78,11 +78,9 @@ def _on_more(
     if blown:
         raise PropagationError(blown) from problem
     ladder = Ladder(times=(3, 9, 27), most=MOST_FINER if most is None else most).within(model.dim)
-    found = ladder.climbed(
+    rung, (moved, info) = ladder.climbed(
         n_particles,
         lambda rung: log_density.propagate(density, model, t1, LogDensityScheme(), rung.n_particles),
+        problem,
     )
-    if found is None:
-        raise problem
-    rung, (moved, info) = found
     return moved, info.marked(Code.FINER, f"on {rung.times} times the particles: {problem}")

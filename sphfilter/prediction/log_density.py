@@ -15,6 +15,7 @@ from ..core._jit import start_threads
 from ..core.characteristics.aim import AIMED
 from ..core.characteristics.control import (
     COUNTERS,
+    EVALUATIONS,
     LOST_MASS,
     RESIDUAL,
     SQUARES,
@@ -35,7 +36,7 @@ from ..core.field.stencils import stencils
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import PredictInfo
-from ..lattice.check import left_out
+from ..lattice.check import beside
 from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, lattice_reach
 from ..model.compile import surfacing
 from ..model.derived import scales
@@ -119,9 +120,8 @@ def propagate(
     entries = _entries(model, threads)
     while status == "paused":
         if counters[STEPS] >= scheme.max_steps:
-            reason = f"{scheme.max_steps} steps were not enough; allow more with scheme="
-            reason += "LogDensityScheme(max_steps=...)"
-            raise StoppedError(_given_up(reason, times[0], start, t1))
+            status = "too many steps"
+            break
         with surfacing():
             field, x, mass, mean, cov, code = march(
                 entries, noise, field, stencils(n), rule, control, times, state, counters
@@ -129,14 +129,10 @@ def propagate(
         status = STATUS[code]
     if status == "not finite":
         raise PropagationError(blow_up(model, _fastest(model, x, times[0]), times[0], start, t1))
-    if status == "lost":
-        reason = f"the lattice lost or gained {100 * state[LOST_MASS]:.2g} % of the probability"
-        reason += ": the drift jumps, or the density has edges finer than its particles; use more of them"
-        raise UnresolvedError(_given_up(reason, times[0], start, t1))
-    if status in ("too few nodes", "outgrown"):
-        raise LatticeError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     if status != "ok":
-        raise StoppedError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
+        kind, reason = _REASONS[status]
+        about = {"lost": 100 * state[LOST_MASS], "nodes": n_particles, "steps": scheme.max_steps}
+        raise _given_up(kind(reason.format(**about)), (start, times[0], t1), counters)
     laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov)
     gaussian = density.gaussian and model.linear
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain)
@@ -184,10 +180,29 @@ def _entries(model: SDE, threads: bool) -> Entries:
     )
 
 
-_REASONS = {
-    "stalled": "steps became too small: the drift is too stiff there, or not smooth; check it",
-    "too few nodes": "no lattice of at most {n} particles resolves the density; use more particles",
-    "outgrown": "the density is spread over more lattice cells than fit into memory; use fewer particles",
+#: What a march is given up with, by its status.
+_REASONS: dict[str, tuple[type[PropagationError], str]] = {
+    "lost": (
+        UnresolvedError,
+        "the lattice lost or gained {lost:.2g} % of the probability: the drift jumps, or the density has "
+        "edges finer than its particles; use more of them",
+    ),
+    "too few nodes": (
+        LatticeError,
+        "no lattice of at most {nodes} particles resolves the density; use more particles",
+    ),
+    "outgrown": (
+        LatticeError,
+        "the density is spread over more lattice cells than fit into memory; use fewer particles",
+    ),
+    "stalled": (
+        StoppedError,
+        "steps became too small: the drift is too stiff there, or not smooth; check it",
+    ),
+    "too many steps": (
+        StoppedError,
+        "{steps} steps were not enough; allow more with scheme=LogDensityScheme(max_steps=...)",
+    ),
 }
 
 
@@ -283,6 +298,7 @@ def _info(
     model: SDE, scheme: LogDensityScheme, counters: Ints, moved: ParticleDensity, lost: float, threads: bool
 ) -> PredictInfo:
     steps, rejected, evaluations, relaid = (int(c) for c in counters)
+    cut = beside(moved.field, moved.mean(), moved.cov())
     skipped = ["neighbour search: the lattice knows its neighbours", "gradients: the expectation needs none"]
     skipped += [note for note in skip_notes(model, 0) if "evaluation of D" in note]
     if model.linear:
@@ -296,13 +312,19 @@ def _info(
         n_regrids=steps + relaid,
         mass_error=lost,
         residual=moved.residual or 0.0,
-        error=moved.error,
-        mass_left_out=0.0 if moved.field is None else left_out(moved.field),
+        error=math.hypot(moved.error, cut.mean),
+        mass_left_out=cut.mass,
         skipped=tuple(skipped),
         scheme=scheme.name,
     )
 
 
-def _given_up(reason: str, t: float, start: float, t1: float) -> str:
-    what = f"prediction from {start:g} to {t1:g} stopped at t = {t:.6g}: {reason}"
-    return f"{what}, or predict over a shorter interval"
+def _given_up(
+    problem: PropagationError, span: tuple[float, float, float], counters: Ints
+) -> PropagationError:
+    """A problem with when it came, of a march from one time to another, and its work for all of it."""
+    start, t, t1 = span
+    what = f"prediction from {start:g} to {t1:g} stopped at t = {t:.6g}: {problem}"
+    told = type(problem)(f"{what}, or predict over a shorter interval")
+    told.work = float(counters[EVALUATIONS]) * ((t1 - start) / (t - start) if t > start else 1.0)
+    return told

@@ -4,7 +4,7 @@ import pytest
 
 import sphfilter as sf
 from sphfilter.errors import PropagationError
-from sphfilter.prediction.again import Ladder
+from sphfilter.prediction.again import MOST_WORK, Ladder
 
 
 def test_rungs_are_as_many_particles_as_may_be():
@@ -32,7 +32,23 @@ def test_the_first_rung_that_holds_is_taken():
 
     rung, found = Ladder((3, 9, 27)).climbed(100, attempt)
     assert (rung.times, found, tried) == (9, "held", [3, 9])
-    assert Ladder((3,)).climbed(100, attempt) is None
+    with pytest.raises(PropagationError, match="too few"):
+        Ladder((3,)).climbed(100, attempt)
+
+
+def test_no_rung_is_tried_that_would_be_too_much_work():
+    tried = []
+
+    def attempt(rung):
+        tried.append(rung.times)
+        problem = PropagationError("too few")
+        problem.work = 0.2 * MOST_WORK * rung.times / 3
+        raise problem
+
+    with pytest.raises(PropagationError, match="too few") as raised:
+        Ladder((3, 9, 27)).climbed(100, attempt)
+    assert tried == [3, 9]
+    assert raised.value.work == pytest.approx(0.6 * MOST_WORK)
 
 
 def test_errors_that_no_number_of_particles_cures_come_through():

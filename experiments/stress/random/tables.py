@@ -15,7 +15,7 @@ __all__ = ["failures", "row_of", "sections", "write"]
 
 #: Verdicts that are listed one by one.
 _LISTED = "wrong, silent", "crash", "refused", "wrong, flagged", "no answer"
-#: Estimated errors within which an error must lie.
+#: Estimated errors, that of the reference included, within which an error must lie.
 _SIGMAS = 3.0
 
 
@@ -89,7 +89,7 @@ def _errors(rows):
         ]
     right = [row["flagged"] for row in rows if row["verdict"].startswith("right")]
     within = [
-        row["last_mean_error"] - row["reference_mean_error"] <= _SIGMAS * row["info_error"]
+        row["last_mean_error"] <= _SIGMAS * (row["info_error"] + row["reference_mean_error"])
         for row in judged
         if not row["flagged"] and np.isfinite(row["last_mean_error"])
     ]

@@ -114,13 +114,13 @@ def alone(
     log_likelihood: Floats,
 ) -> Alone:
     """What a detection says alone, given its log-likelihood at the particles (N,)."""
-    found = _LADDER.climbed(
-        particle_bound(density, n_particles),
-        lambda rung: update(density, sensor, z, config, n_particles=rung.n_particles),
-    )
-    if found is None:
+    try:
+        _, (posterior, info) = _LADDER.climbed(
+            particle_bound(density, n_particles),
+            lambda rung: update(density, sensor, z, config, n_particles=rung.n_particles),
+        )
+    except PropagationError:
         return Alone(float(logsumexp(log_likelihood, b=density.mass)), None)
-    _, (posterior, info) = found
     return Alone(info.log_evidence, posterior.mean() if info.accepted else None)
 
 
@@ -178,6 +178,7 @@ def resolved(
             f"detections much sharper than the prediction leave a density too sharp and too broad for one "
             f"lattice: its mean would be {error:.2g} standard deviations off; use more particles"
         )
+    times = max(times, -(-found.density.n_particles // found.bound))
     if times == 1 and error < _RESOLVED:
         return found
     told = "" if error < _RESOLVED else f", its mean within {error:.2g} standard deviations"

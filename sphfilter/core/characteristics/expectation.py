@@ -73,6 +73,8 @@ def back(step, Y, floor, out):
         for k in range(K):
             out[i] -= 0.5 * centre[i, k] ** 2
     if K == 0:
+        for i in range(M):
+            out[i] = _brought(out[i])
         return 0
     high = _above(out, floor - _SURE)
     for i in range(high.size):
@@ -105,6 +107,12 @@ def back_in_halves(step, around, Y, out):
     step.drift(Y, step.t1, step.noise.p, f1)
     step.divergence(Y, step.t1, step.noise.p, d1)
     _expected(step, aim, Y, f1, d1, centred(aim, owner, slope), owner, out)
+
+
+@jit
+def _brought(log_p):
+    """What a path brings; one that has left the finite numbers nothing: none comes from infinity."""
+    return log_p if LOWEST < log_p < np.inf else LOWEST
 
 
 @jit
@@ -157,8 +165,7 @@ def _expected(step, aim, Y, f1, d1, centre, owner, out):
             for i in range(M):
                 v = log_p[i] + begun[i] + action[i] + tilt[i]
                 v += weight + paths.log_weight[q] + aim.log_det[owner[i]]
-                if not v > LOWEST:
-                    v = LOWEST
+                v = _brought(v)
                 if v > highest[i]:
                     total[i] = total[i] * math.exp(highest[i] - v) + 1.0
                     highest[i] = v
