@@ -15,7 +15,7 @@ from ..errors import ModelError, PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
 from ..lattice.check import beside
 from ..lattice.field import extrapolated_mass
-from ..lattice.resolved import Resolved, Search
+from ..lattice.resolved import TOLERATED, Resolved, Search
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from ..validate import state_rows
 from .acceptance import Acceptance, test_measurement
@@ -23,7 +23,6 @@ from .solutions import solutions
 
 __all__ = ["predicted_reading", "update"]
 
-_DOUBTFUL = 0.1  # residual from which a posterior is said not to be resolved
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
 _TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
@@ -210,11 +209,11 @@ def _told(found: Resolved, most_left_out: float) -> dict[str, Any]:
     """
     code, said = Code.OK if found.times == 1 else Code.FINER, []
     wrong = max(found.off.residual, found.off.log_mass)
-    if wrong > _DOUBTFUL:
+    if wrong > TOLERATED:
         said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
-    if wrong > _DOUBTFUL or found.left_out > most_left_out:
+    if wrong > TOLERATED or found.left_out > most_left_out:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}
 
