@@ -148,9 +148,8 @@ def _within(log_p: OfStates, x: Floats, w: Floats, factor: Floats) -> Floats:
     values, axes = np.linalg.eigh(information)
     if not np.isfinite(values).all() or values[-1] * LOCAL < 1.0:
         return factor
-    inverse = (axes / np.maximum(values, 1.0)) @ axes.T  # no piece is wider than the whole
-    root = np.linalg.cholesky(inverse)
-    return np.asarray(factor @ root, dtype=float)
+    narrower = _lower(axes / np.sqrt(np.maximum(values, 1.0)))  # no piece is wider than the whole
+    return np.asarray(factor @ narrower, dtype=float)
 
 
 def _whitened(factor: Floats, other: Floats) -> bool:
@@ -166,12 +165,16 @@ def _factor(x: Floats, w: Floats, mean: Floats, mass: Floats) -> Floats:
     cov = (d * w[:, None]).T @ d
     own = x - mass @ x
     spread = (own * mass[:, None]).T @ own
-    factor: Any
     try:
-        factor = np.linalg.cholesky(cov + 1e-9 * spread)
+        return np.asarray(np.linalg.cholesky(cov + 1e-9 * spread))
     except np.linalg.LinAlgError:
         scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
         w_, V = np.linalg.eigh((cov + 1e-9 * spread) / np.outer(scale, scale))
         root = V * np.sqrt(np.maximum(w_, 1e-12 * max(w_.max(), 1e-300)))
-        factor = np.linalg.cholesky(scale[:, None] * (root @ root.T) * scale)
-    return factor
+        return _lower(scale[:, None] * root)
+
+
+def _lower(root: Floats) -> Floats:
+    """Lower factor of root @ root.T, however thin that is: no squares are taken on the way."""
+    R: Floats = np.linalg.qr(root.T)[1]
+    return R.T * np.sign(np.diag(R))
