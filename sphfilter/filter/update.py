@@ -203,7 +203,7 @@ def _by_cloud(
 
 def _left_out(density: ParticleDensity, found: Resolved | None) -> float:
     """Probability beyond the cut of a posterior, whatever was found further out included."""
-    beside = 0.0 if density.field is None else left_out(density.field)
+    beside = 0.0 if density.field is None else left_out(density.field, density.walls)
     return beside if found is None else max(beside, found.left_out)
 
 
@@ -246,7 +246,7 @@ def _by_regridding(
 
 def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     """Probability of a posterior where its prior has no particles."""
-    return 0.0 if prior.field is None else extrapolated_mass(prior.field, posterior.x, posterior.mass)
+    return 0.0 if prior.field is None else extrapolated_mass(prior.field, posterior.x, posterior.mass, prior.walls)
 
 
 def _kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:

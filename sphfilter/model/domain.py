@@ -11,6 +11,7 @@ from .. import validate
 from .._types import Bools, Floats
 from ..core import domain as core
 from ..core.domain import KINDS
+from ..core.field.walls import NO_WALLS, Walls
 from ..errors import ModelError
 
 __all__ = ["Axis", "Domain", "DomainLike"]
@@ -82,6 +83,13 @@ class Domain:
     def unbounded(self) -> bool:
         """Whether no axis is periodic and none ends at a wall."""
         return not (self.periodic.any() or self.walled.any())
+
+    @cached_property
+    def walls(self) -> Walls:
+        """Ends of the axes, low and high, shape (n,) each, infinite where there is none; empty without walls."""
+        if not self.walled.any():
+            return NO_WALLS
+        return np.where(self.walled, self.low, -np.inf), np.where(self.walled, self.high, np.inf)
 
     @property
     def period(self) -> Floats:

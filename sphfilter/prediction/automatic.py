@@ -51,6 +51,8 @@ def propagate(
             return _on_more(density, model, t1, n_particles, problem, most)
         except PropagationError as problem:
             reason, stopped = str(problem), isinstance(problem, StoppedError)
+    if density.walls[0].size and density.field is not None:
+        raise StoppedError(reason)
     if density.domain is not None:
         moved, info = paper.propagate(density, model, t1, SUMMED, n_particles)
     else:

@@ -62,7 +62,9 @@ _CONSTANT: WeakKeyDictionary[SDE, tuple[Floats, int]] = WeakKeyDictionary()
 def fits(model: SDE, density: ParticleDensity, n_particles: int) -> str:
     """Can this scheme carry the density? Returns a reason why not, empty if it can."""
     if model.domain.walled.any():
-        return "an axis ends at a wall"
+        reason = _held_by_walls(model, density)
+        if reason:
+            return reason
     if density.field is None:
         return "the density has no smooth logarithm"
     if n_particles < fewest_particles(model.dim):
@@ -87,6 +89,8 @@ def propagate(
     """
     start, n = density.t, density.dim
     noise, slices = _noise(model, density, t1)
+    low, high = model.domain.walls
+    noise = noise._replace(low=low, high=high)
     depth = 0.5 * lattice_reach(scheme, n) ** 2
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
     least = float(np.clip(_LEAST * spacing**4, *_LEASTS))
@@ -137,7 +141,7 @@ def propagate(
         raise LatticeError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
     if status != "ok":
         raise StoppedError(_given_up(_REASONS[status].format(n=n_particles), times[0], start, t1))
-    laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov)
+    laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov, model.domain.walls)
     gaussian = density.gaussian and model.linear
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain)
     error = math.hypot(_kept(noise.G, t1 - start, cov) * density.error, _gone_wrong(state))
@@ -153,6 +157,30 @@ def _noise(model: SDE, density: ParticleDensity, t1: float) -> tuple[Noise, int]
     slices = 1 if model.autonomous else noise_samples(model, density.t, t1, density.mean())[1]
     G, columns = np.zeros((model.dim, model.n_columns)), np.array(address_of(model.noise_columns_batch))
     return Noise(G, model.p, True, False, True, columns), slices
+
+
+def _held_by_walls(model: SDE, density: ParticleDensity) -> str:
+    """Why a density does not stay smooth between the walls of a model; empty if it does."""
+    if "bounded" in model.domain.kinds:
+        return "nothing is known of what leaves at the end of a bounded axis"
+    if model.state_dependent_noise:
+        return "an axis ends at a wall, and the noise depends on the state"
+    D = np.diag(noise_factor(model, density.t, density.t)[0] @ noise_factor(model, density.t, density.t)[0].T)
+    low, high = model.domain.walls
+    std = np.sqrt(np.diag(density.cov()))
+    for d in np.flatnonzero(model.domain.walled):
+        for end in (low[d], high[d]):
+            if not np.isfinite(end):
+                continue
+            X = density.x.copy()
+            X[:, d] = end
+            f = model.drift(X, density.t)
+            if D[d] == 0.0 and np.abs(f[:, d]).max() > 0.0:
+                return f"state {model.states[d]} has no noise, and the drift carries it to or from the wall"
+            X[:, d] += (std[d] if end == high[d] else -std[d])
+            if not np.isfinite(model.drift(X, density.t)).all():
+                return f"the drift is not finite beyond the wall of state {model.states[d]}"
+    return ""
 
 
 def _gone_wrong(state: Floats) -> float:
@@ -297,7 +325,7 @@ def _info(
         mass_error=lost,
         residual=moved.residual or 0.0,
         error=moved.error,
-        mass_left_out=0.0 if moved.field is None else left_out(moved.field),
+        mass_left_out=0.0 if moved.field is None else left_out(moved.field, moved.walls),
         skipped=tuple(skipped),
         scheme=scheme.name,
     )
