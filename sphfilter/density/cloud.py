@@ -142,8 +142,8 @@ def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
 def _from_cells(shape: Polynomials, count: int, uniform: Floats) -> Floats:
     """Points in the cells of a lattice: of many states in each, as many as the density says."""
     cells, n = len(shape.cells), uniform.shape[1]
-    inside = 2 ** math.ceil(math.log2(max(_CANDIDATES * count / cells, 2.0)))
-    X = shape.in_cells(spread_evenly(inside, n))
+    each = 2 ** math.ceil(math.log2(max(_CANDIDATES * count / cells, 2.0)))
+    X = shape.in_cells(spread_evenly(each, n))
     p = shape.pdf(X) * inside(shape.walls, X)
     taken = systematic(p / p.sum(), count)
-    return X[taken] + (uniform - 0.5) * inside ** (-1.0 / n) @ shape.field.A.T
+    return X[taken] + (uniform - 0.5) * each ** (-1.0 / n) @ shape.field.A.T

@@ -40,13 +40,48 @@ def _take(scheme, x, t, dt, functions, constants, domain, xi):
         return
     ends = np.any(domain.kind >= 2)  # walls are looked at after every step
     at_once = 1 if ends else xi.shape[0]
+    before = x.copy() if ends else x
     for s in range(0, xi.shape[0], at_once):
+        if ends:
+            before[:] = x
         if scheme == SHIFTED_PATH:
             shifted_path_steps(x, t + s * dt, dt, drift, noise, p, L, xi[s : s + at_once])
         else:
             platen_steps(x, t + s * dt, dt, drift, noise, p, L, xi[s : s + at_once])
         if ends:
+            _reflect(before, x, t + s * dt, dt, noise, p, L, domain, xi[s])
             bounce(domain, x)
+
+
+@jit
+def _reflect(before, x, t, dt, noise, p, L, domain, xi):
+    """Push paths that went from states `before` (N, n) to x back by as much as they passed walls on their way.
+
+    How far a path of Brownian motion goes between two states is drawn from two normals an axis, the last rows
+    of xi (k, N): exact where noise and drift do not change on the way (Lépingle 1995).
+    """
+    N, n = x.shape
+    m, row = L.shape[0], xi.shape[0]
+    g = np.empty((N, n * m))
+    noise(before, t, p, g)
+    for a in range(n):
+        if domain.kind[a] != 3:
+            continue
+        row -= 2
+        for i in range(N):
+            variance = 0.0
+            for k in range(m):
+                s = 0.0
+                for r in range(m):
+                    s += g[i, a * m + r] * L[r, k]
+                variance += s * s * dt
+            one, other = before[i, a], x[i, a]
+            spread = variance * (xi[row, i] ** 2 + xi[row + 1, i] ** 2)
+            way = np.sqrt((other - one) ** 2 + spread)
+            if one - domain.low[a] < domain.high[a] - one:
+                x[i, a] += max(0.0, domain.low[a] - 0.5 * (one + other - way))
+            else:
+                x[i, a] -= max(0.0, 0.5 * (one + other + way) - domain.high[a])
 
 
 @jit
@@ -136,6 +171,7 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
     (t0, t1), (longest, h, tolerance, most) = span, limits
     (N, n), m = x.shape, constants[2].shape[0]
     n_normals = m if scheme == SPLIT else 3 * m if scheme == SHIFTED_PATH else m + m * (m - 1) // 2
+    n_normals += 2 * np.sum(domain.kind == 3)
     normals, gone = np.empty(((_STEPS_PER_LOOK + 1) * n_normals, N)), np.zeros(N, np.bool_)
     before, tries, extents = np.empty_like(x), 0, np.empty((2, n))
     for a in range(n):
