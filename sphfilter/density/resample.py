@@ -96,7 +96,8 @@ def times_likelihood(
     if domain is not None:
         walls = domain.walls
         weight = continued(lambda X: log_weight(domain.wrap(X)), walls)
-        log_p = log_p if density.field is not None else continued(log_p, walls)
+        if density.field is None and walls[0].size:  # kernels have images beyond walls
+            log_p = partial(_folded, log_p, domain)
 
     def product(X: Floats) -> Floats:
         return log_p(X) + np.maximum(weight(X), -1e250)
@@ -118,6 +119,10 @@ def times_likelihood(
     new = ParticleDensity.on_lattice(found.laid, density.t, n_particles, gaussian, domain)
     log_evidence = found.laid.log_mass - math.log1p(-found.left_out)
     return replace(new, residual=found.off.residual), log_evidence, found
+
+
+def _folded(log_p: OfStates, domain: Domain, X: Floats) -> Floats:
+    return log_p(domain.fold(X))
 
 
 def particle_bound(density: ParticleDensity, n_particles: int | None = None) -> int:

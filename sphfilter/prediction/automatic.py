@@ -51,16 +51,26 @@ def propagate(
             return _on_more(density, model, t1, n_particles, problem, most)
         except PropagationError as problem:
             reason, stopped = str(problem), isinstance(problem, StoppedError)
-    if density.walls[0].size and density.field is not None:
-        raise StoppedError(reason)
     if density.domain is not None:
-        moved, info = paper.propagate(density, model, t1, SUMMED, n_particles)
+        moved, info = _in_domain(density, model, t1, n_particles)
     else:
         try:
             moved, info = corrected.propagate(density, model, t1, CorrectedScheme(), n_particles)
         except PropagationError as problem:
             raise PropagationError(reason if stopped else str(problem)) from problem
     return moved, info.marked(Code.FALLBACK, f"not log_density: {reason}")
+
+
+def _in_domain(
+    density: ParticleDensity, model: SDE, t1: float, n_particles: int
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density that no lattice holds in a domain: sums over kernels see walls less well than a cloud."""
+    if density.walls[0].size and density.field is not None:
+        try:
+            return cloud.propagate(density, model, t1, CloudScheme(), n_particles)
+        except PropagationError:  # its paths look beyond walls, kernels do not
+            pass
+    return paper.propagate(density, model, t1, SUMMED, n_particles)
 
 
 def _on_more(

@@ -65,11 +65,15 @@ def _mirrored(step, t, d, wall, side, X, log_p):
     if count == 0:
         return
     along, D = _conormal(step.noise.G, d)
+    depth = depth[:count]
     at, f, p = np.empty((4 * count, n)), np.empty((4 * count, n)), np.empty(4 * count)
     for k in range(count):
+        at[k] = X[row[k]]
+    fold(step.noise.low, step.noise.high, at[:count])  # in a corner: what is beyond the other wall is no guide
+    for k in range(count):
+        at[k, d] = X[row[k], d]
         for a in range(n):
             move = side * depth[k] * along[a]
-            at[k, a] = X[row[k], a]
             at[count + k, a] = at[k, a] + move
             at[2 * count + k, a] = at[k, a] + 1.5 * move
             at[3 * count + k, a] = at[k, a] + 2.0 * move
@@ -88,7 +92,7 @@ def _mirrored(step, t, d, wall, side, X, log_p):
             turn = side * turns[k] * s**3 / (3.0 * D) * math.exp(min(0.375 * f0 * s, 1.0))
             log_p[i] -= turn / (1.0 + abs(turn) / _TURNED)
         for a in range(n):
-            X[i, a] = at[top, a]
+            X[i, a] += 2.0 * side * s * along[a]
 
 
 @jit
