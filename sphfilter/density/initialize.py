@@ -90,9 +90,7 @@ def initialize(
     n_particles = count("n_particles", n_particles)
     gaussian, box = isinstance(distribution, Gaussian), _box_of(distribution, box)
     domain = _bounds(domain, box)
-    smooth = not isinstance(distribution, Uniform) and (
-        domain is None or gaussian
-    )
+    smooth = not isinstance(distribution, Uniform) and (domain is None or gaussian)
     if not isinstance(scheme, PaperScheme):
         if smooth and not isinstance(distribution, Uniform):
             return _on_level_set(distribution, box, n_particles, scheme, t, domain)

@@ -146,7 +146,8 @@ class SPHFilter(Shown):
         n = self.model.dim
         x0 = array("x0", x0, (n,), f"a value for each of the model's {n} states")
         P0 = covariance("P0", P0, dim=self.model.dim)
-        return initialize(Gaussian(x0, P0), n_particles, self.config, t=real("t0", t0), domain=self.model.domain)
+        about: dict[str, Any] = {"t": real("t0", t0), "domain": self.model.domain}
+        return initialize(Gaussian(x0, P0), n_particles, self.config, **about)
 
     def __repr__(self) -> str:
         scheme = self.config.scheme

@@ -246,7 +246,9 @@ def _by_regridding(
 
 def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     """Probability of a posterior where its prior has no particles."""
-    return 0.0 if prior.field is None else extrapolated_mass(prior.field, posterior.x, posterior.mass, prior.walls)
+    if prior.field is None:
+        return 0.0
+    return extrapolated_mass(prior.field, posterior.x, posterior.mass, prior.walls)
 
 
 def _kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:

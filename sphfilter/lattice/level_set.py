@@ -84,8 +84,8 @@ def lay(
     volume : float, optional
         First guess of the kept whitened volume.
     walls : tuple of ndarray, optional
-        Where the density ends, low and high, shape (n,) each. A few cells further log_p is asked for its smooth
-        continuation.
+        Where the density ends, low and high, shape (n,) each. A few cells further log_p is asked for its
+        smooth continuation.
 
     Returns
     -------

@@ -28,7 +28,8 @@ class Domain:
     *axes : None, or (kind, low, high)
         One for each state: None where the axis has no bounds, else the kind and the ends (None for an end
         that is not there). "periodic": high is low again, as of an angle. "bounded": a particle that leaves
-        stops the prediction with an error. "reflecting": nothing passes the wall.
+        stops the prediction with an error. "reflecting": nothing passes the wall; the drift is asked a little
+        beyond it, where it should go on smoothly.
 
     Raises
     ------
@@ -86,7 +87,7 @@ class Domain:
 
     @cached_property
     def walls(self) -> Walls:
-        """Ends of the axes, low and high, shape (n,) each, infinite where there is none; empty without walls."""
+        """Walls, low and high, shape (n,) each, infinite where an axis has none; empty if none has."""
         if not self.walled.any():
             return NO_WALLS
         return np.where(self.walled, self.low, -np.inf), np.where(self.walled, self.high, np.inf)

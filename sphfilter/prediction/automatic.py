@@ -3,6 +3,8 @@
 A cloud, which takes over where these are refused, comes back to a lattice where one holds it.
 """
 
+from contextlib import suppress
+
 from ..config import CloudScheme, CorrectedScheme, LogDensityScheme, PaperScheme
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
@@ -64,12 +66,14 @@ def propagate(
 def _in_domain(
     density: ParticleDensity, model: SDE, t1: float, n_particles: int
 ) -> tuple[ParticleDensity, PredictInfo]:
-    """Carry a density that no lattice holds in a domain: sums over kernels see walls less well than a cloud."""
-    if density.walls[0].size and density.field is not None:
-        try:
+    """Carry a density that no lattice holds: a cloud sees walls better than sums over kernels do."""
+    if (
+        density.field is not None
+        and "reflecting" in model.domain.kinds
+        and "bounded" not in model.domain.kinds
+    ):
+        with suppress(PropagationError):  # its paths look beyond walls, kernels do not
             return cloud.propagate(density, model, t1, CloudScheme(), n_particles)
-        except PropagationError:  # its paths look beyond walls, kernels do not
-            pass
     return paper.propagate(density, model, t1, SUMMED, n_particles)
 
 

@@ -162,22 +162,17 @@ def _noise(model: SDE, density: ParticleDensity, t1: float) -> tuple[Noise, int]
 def _held_by_walls(model: SDE, density: ParticleDensity) -> str:
     """Why a density does not stay smooth between the walls of a model; empty if it does."""
     if "bounded" in model.domain.kinds:
-        return "nothing is known of what leaves at the end of a bounded axis"
+        return "an axis is bounded, and a lattice does not see what leaves there"
     if model.state_dependent_noise:
         return "an axis ends at a wall, and the noise depends on the state"
-    D = np.diag(noise_factor(model, density.t, density.t)[0] @ noise_factor(model, density.t, density.t)[0].T)
-    low, high = model.domain.walls
     std = np.sqrt(np.diag(density.cov()))
-    for d in np.flatnonzero(model.domain.walled):
-        for end in (low[d], high[d]):
-            if not np.isfinite(end):
-                continue
+    for out, ends in zip((-std, std), model.domain.walls, strict=True):
+        for d in np.flatnonzero(np.isfinite(ends)):
             X = density.x.copy()
-            X[:, d] = end
-            f = model.drift(X, density.t)
-            if D[d] == 0.0 and np.abs(f[:, d]).max() > 0.0:
-                return f"state {model.states[d]} has no noise, and the drift carries it to or from the wall"
-            X[:, d] += (std[d] if end == high[d] else -std[d])
+            X[:, d] = ends[d]
+            if not model.diffusion_rows[d] and model.drift(X, density.t)[:, d].any():
+                return f"state {model.states[d]} has no noise, and the drift carries it to its wall or away"
+            X[:, d] += out[d]
             if not np.isfinite(model.drift(X, density.t)).all():
                 return f"the drift is not finite beyond the wall of state {model.states[d]}"
     return ""

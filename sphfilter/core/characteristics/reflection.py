@@ -1,13 +1,14 @@
-"""log p beyond a wall, for paths that have passed it: what a free density has there that never crosses it.
+"""log p beyond a wall, for paths that have passed it: of a density that evolves without the wall.
 
-No flux passes a wall at s = 0 where f p = D p' across it. A density that evolves without the wall does the
-same inside if it is continued so that q' exp(g) is odd about the wall; q is p over exp(Phi), Phi' = f / D,
-and g the odd part of Phi:
+No flux passes a wall at s = 0 while f p = D p' there. The density that keeps it so without a wall, the drift
+going on smoothly, is the given one inside, and outside
 
-    p(-s) = exp(-g(s)) (p(s) - int_0^s g'(r) p(r) exp((e(s) - e(r)) ds),     e the even part of Phi.
+    p(-s) = exp(-g(s)) (p(s) - int_0^s g'(r) p(r) exp(e(s) - e(r)) dr),
 
-It holds for any p inside, whatever its slope at the wall, to the order s^5: s^3 where what happens along the
-wall changes across it. Noise that moves a state along the wall while it crosses mirrors obliquely.
+g and e the odd and even parts of Phi, Phi' = f / D: so the derivative of p exp(-Phi), times exp(g), is odd. It
+holds for any p inside, whatever its slope at the wall, to the order s^5. What happens along the wall adds a
+term of the order s^3 (`_turned`): log p has the slope f / D there, which changes as the density moves along it.
+Noise that moves a state along the wall as it crosses mirrors it obliquely.
 """
 
 import math
@@ -69,7 +70,7 @@ def _mirrored(step, t, d, wall, side, X, log_p):
     at, f, p = np.empty((4 * count, n)), np.empty((4 * count, n)), np.empty(4 * count)
     for k in range(count):
         at[k] = X[row[k]]
-    fold(step.noise.low, step.noise.high, at[:count])  # in a corner: what is beyond the other wall is no guide
+    fold(step.noise.low, step.noise.high, at[:count])  # in a corner: beyond the other wall p is no guide
     for k in range(count):
         at[k, d] = X[row[k], d]
         for a in range(n):

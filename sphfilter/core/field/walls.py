@@ -31,10 +31,10 @@ NO_WALLS: Walls = (NOWHERE, NOWHERE)
 @jit
 def is_inside(low, high, x):
     """Does a state x (n,) lie between the walls? low, high: (n,), or empty."""
+    inside = True
     for a in range(low.size):
-        if not low[a] <= x[a] <= high[a]:
-            return False
-    return True
+        inside &= low[a] <= x[a] <= high[a]
+    return inside
 
 
 @jit

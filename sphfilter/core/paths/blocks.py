@@ -13,7 +13,7 @@ from numba import types
 
 from .._addresses import ADDRESS, function_at
 from .._jit import MATRIX, VECTOR, jit, jit_for
-from ..domain import DOMAIN, bounce, left_at
+from ..domain import DOMAIN, REFLECTING, bounce, left_at
 from ..sde_steps import platen_steps, shifted_path_steps, split_steps
 from .normals import LANES, fill_normals, seed_lanes
 from .step_length import SHIFTED_PATH, SPLIT, step_length
@@ -55,7 +55,7 @@ def _take(scheme, x, t, dt, functions, constants, domain, xi):
 
 @jit
 def _reflect(before, x, t, dt, noise, p, L, domain, xi):
-    """Push paths that went from states `before` (N, n) to x back by as much as they passed walls on their way.
+    """Push paths from states `before` (N, n) to x back by as much as they passed reflecting walls on the way.
 
     How far a path of Brownian motion goes between two states is drawn from two normals an axis, the last rows
     of xi (k, N): exact where noise and drift do not change on the way (Lépingle 1995).
@@ -65,7 +65,7 @@ def _reflect(before, x, t, dt, noise, p, L, domain, xi):
     g = np.empty((N, n * m))
     noise(before, t, p, g)
     for a in range(n):
-        if domain.kind[a] != 3:
+        if domain.kind[a] != REFLECTING:
             continue
         row -= 2
         for i in range(N):
@@ -171,7 +171,7 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
     (t0, t1), (longest, h, tolerance, most) = span, limits
     (N, n), m = x.shape, constants[2].shape[0]
     n_normals = m if scheme == SPLIT else 3 * m if scheme == SHIFTED_PATH else m + m * (m - 1) // 2
-    n_normals += 2 * np.sum(domain.kind == 3)
+    n_normals += 2 * np.sum(domain.kind == REFLECTING)
     normals, gone = np.empty(((_STEPS_PER_LOOK + 1) * n_normals, N)), np.zeros(N, np.bool_)
     before, tries, extents = np.empty_like(x), 0, np.empty((2, n))
     for a in range(n):
