@@ -5,9 +5,9 @@ going on smoothly, is the given one inside, and outside
 
     p(-s) = exp(-g(s)) (p(s) - int_0^s g'(r) p(r) exp(e(s) - e(r)) dr),
 
-g and e the odd and even parts of Phi, Phi' = f / D: so the derivative of p exp(-Phi), times exp(g), is odd. It
-holds for any p inside, whatever its slope at the wall, to the order s^5. What happens along the wall adds a
-term of the order s^3 (`_turned`): log p has the slope f / D there, which changes as the density moves along it.
+g and e the odd and even parts of Phi, Phi' = f / D: so the derivative of p exp(-Phi), times exp(g), is odd.
+It holds for any p inside, whatever its slope at the wall, to the order s^5. What happens along the wall adds
+a term of the order s^3 (`_turned`): log p has the slope f / D there, which changes as the density moves on.
 Noise that moves a state along the wall as it crosses mirrors it obliquely.
 """
 
