@@ -107,9 +107,10 @@ def flooded(back, step, mu, A, points, most, control, counters):
         full = back(step, Y, floor, log_p)
         one = 4 * step.parts - 1  # a path's evaluations
         counters[EVALUATIONS] += found.size * (2 * one + 1) + full * one * step.paths.log_weight.size
-        for k in range(found.size):
+        for k in range(found.size if step.noise.low.size > 0 else 0):
             if beyond(step.noise.low, step.noise.high, A, step.sten.widest, Y[k]):
                 log_p[k] = LOWEST
+        for k in range(found.size):
             value[found[k]] = log_p[k]
             highest = max(highest, log_p[k])
         asked = joined(asked, found)

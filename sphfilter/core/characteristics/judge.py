@@ -90,6 +90,7 @@ def between(back, step, field, log_mass):
             for c in range(n):
                 side = 0.5 if (i >> c) % 2 else -0.5
                 x[i, a] += field.A[a, c] * (field.node[i, c] + side)
+    for i in range(N if step.noise.low.size > 0 else 0):
         if not is_inside(step.noise.low, step.noise.high, x[i]):
             m[i] = 0.0
     Y = witnesses(m, x, np.empty((n, 0)), 0.0)

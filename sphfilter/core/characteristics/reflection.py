@@ -19,7 +19,7 @@ from .._jit import jit
 from ..field.field import evaluate, gradient
 from ..field.walls import fold, is_inside
 
-__all__ = ["known"]
+__all__ = ["reflected"]
 
 _LEAST = 1e-2  # of p before the wall, that is left beyond it
 _MOST = 50.0  # nats
@@ -27,12 +27,9 @@ _TURNED = 0.5  # nats at most, by what happens along a wall
 
 
 @jit
-def known(step, t, Y, out):
-    """log p before a step, at time t, at states Y (M, n), into out (M,)."""
-    evaluate(step.field, step.sten, Y, out)
+def reflected(step, t, Y, out):
+    """Replace log p before a step, out (M,), at those of the states Y (M, n) at time t beyond walls."""
     low, high = step.noise.low, step.noise.high
-    if low.size == 0:
-        return
     row, count = np.empty(Y.shape[0], np.int64), 0
     for i in range(Y.shape[0]):
         if not is_inside(low, high, Y[i]):
