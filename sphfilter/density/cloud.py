@@ -11,6 +11,7 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.paths.weights import weighted_moments
 from ..core.sph.kernels import Kernel
+from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import mixture
 from .shapes import Folded, Kernels, Polynomials, spread_evenly
@@ -122,6 +123,7 @@ def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
     shape: Any = density.form.shape if isinstance(density.form, Folded) else density.form
     domain, n = density.domain, density.dim
     if isinstance(shape, Polynomials):
+        shape = shape if domain is None else shape.around(domain)
         x = _from_cells(shape, count, quasi_random(count, n, key))
     else:
         seen = shape if domain is None else shape.around(domain)
@@ -140,8 +142,8 @@ def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
 def _from_cells(shape: Polynomials, count: int, uniform: Floats) -> Floats:
     """Points in the cells of a lattice: of many states in each, as many as the density says."""
     cells, n = len(shape.cells), uniform.shape[1]
-    inside = 2 ** math.ceil(math.log2(max(_CANDIDATES * count / cells, 2.0)))
-    X = shape.in_cells(spread_evenly(inside, n))
-    p = shape.pdf(X)
+    each = 2 ** math.ceil(math.log2(max(_CANDIDATES * count / cells, 2.0)))
+    X = shape.in_cells(spread_evenly(each, n))
+    p = shape.pdf(X) * inside(shape.walls, X)
     taken = systematic(p / p.sum(), count)
-    return X[taken] + (uniform - 0.5) * inside ** (-1.0 / n) @ shape.field.A.T
+    return X[taken] + (uniform - 0.5) * each ** (-1.0 / n) @ shape.field.A.T

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from .._types import Floats, OfStates
 from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
+from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
 from ..lattice.check import misfit
@@ -89,9 +90,7 @@ def initialize(
     n_particles = count("n_particles", n_particles)
     gaussian, box = isinstance(distribution, Gaussian), _box_of(distribution, box)
     domain = _bounds(domain, box)
-    smooth = not isinstance(distribution, Uniform) and (
-        domain is None or (gaussian and not domain.walled.any())
-    )
+    smooth = not isinstance(distribution, Uniform) and (domain is None or gaussian)
     if not isinstance(scheme, PaperScheme):
         if smooth and not isinstance(distribution, Uniform):
             return _on_level_set(distribution, box, n_particles, scheme, t, domain)
@@ -223,10 +222,12 @@ def _on_level_set(
     if isinstance(distribution, Gaussian):
         mean, cov = distribution.mean, distribution.cov
         factor: Any = np.linalg.cholesky(cov)
-        laid = _laid(gaussian_log_pdf(mean, cov), mean, factor, mean[None], n_particles, depth)
-        return replace(
-            ParticleDensity.on_lattice(laid, t, n_particles, gaussian=True, domain=domain), residual=0.0
-        )
+        walls = NO_WALLS if domain is None else domain.walls
+        log_pdf, seed = gaussian_log_pdf(mean, cov), np.clip(mean, *walls) if walls[0].size else mean
+        laid = _laid(log_pdf, mean, factor, seed[None], n_particles, depth, walls)
+        whole = not walls[0].size
+        density = ParticleDensity.on_lattice(laid, t, n_particles, gaussian=whole, domain=domain)
+        return replace(density, residual=0.0 if whole else misfit(laid, log_pdf).residual)
     coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), PaperScheme(), t)
 
     def log_p(X: Floats) -> Floats:
@@ -240,11 +241,17 @@ def _on_level_set(
 
 
 def _laid(
-    log_p: OfStates, mean: Floats, factor: Floats, seeds: Floats, n_particles: int, depth: float
+    log_p: OfStates,
+    mean: Floats,
+    factor: Floats,
+    seeds: Floats,
+    n_particles: int,
+    depth: float,
+    walls: Walls = NO_WALLS,
 ) -> Laid:
     n = len(mean)
     try:
-        return lay(log_p, mean, factor, seeds, n_particles, depth)
+        return lay(log_p, mean, factor, seeds, n_particles, depth, walls=walls)
     except PropagationError as problem:
         if n_particles >= fewest_particles(n):
             raise

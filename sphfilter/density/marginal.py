@@ -12,9 +12,11 @@ from .._types import Floats, Ints, OfStates
 from ..core.field import cells
 from ..core.field.field import Field
 from ..core.field.stencils import stencils
+from ..core.field.walls import NO_WALLS, Walls
 from ..lattice import field as lattice_field
 from ..lattice.flood import flood
 from ..lattice.level_set import Laid, lay
+from ..lattice.walls import near_walls, parts
 
 __all__ = ["around", "laid_marginal"]
 
@@ -26,7 +28,7 @@ _FEWEST = {1: 60, 2: 500, 3: 1500}  # nodes of a marginal at least, and so many 
 _BLOCK = 500_000  # terms at a time
 
 
-def around(field: Field) -> Floats:
+def around(field: Field, walls: Walls = NO_WALLS) -> Floats:
     """States (M, n) at the middle of all cells of a lattice where its density counts, tails included.
 
     Those of nodes and, beyond them, down to where what is left counts no more: the cut is for the sake of
@@ -35,14 +37,16 @@ def around(field: Field) -> Floats:
     depth, highest, n = np.ptp(field.log_p[: field.kept]) + _FURTHER, field.log_p.max(), len(field.mu)
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     cells.box_of(field.node, cells.MARGIN, low, dims)
-    ask, start = partial(lattice_field.at, field), (field.node, low, dims)
+    ask, start = near_walls(partial(lattice_field.at, field), walls, field.A, 1), (field.node, low, dims)
     ball = stencils(n).offsets[: stencils(n).size[0]]
     found = flood(ask, field.mu, field.A, start, ball, depth, highest=highest)
     kept = np.sort(found.asked[found.value[found.asked] > found.highest - depth])
     return cells.states_of(kept, field.mu, field.A, found.low, found.dims)[1]
 
 
-def laid_marginal(field: Field, x: Floats, mass: Floats, axes: Sequence[int]) -> Laid:
+def laid_marginal(
+    field: Field, x: Floats, mass: Floats, axes: Sequence[int], walls: Walls = NO_WALLS
+) -> Laid:
     """The density of some axes of a field, on a lattice.
 
     In coordinates that whiten the field's lattice, those axes first, the states with given values there fill
@@ -55,6 +59,8 @@ def laid_marginal(field: Field, x: Floats, mass: Floats, axes: Sequence[int]) ->
     x, mass : ndarray, shape (N, n), (N,)
         States and masses of its nodes.
     axes : list of int, length k
+    walls : tuple of ndarray, optional
+        Where the density ends, low and high, shape (n,) each.
 
     Returns
     -------
@@ -67,14 +73,19 @@ def laid_marginal(field: Field, x: Floats, mass: Floats, axes: Sequence[int]) ->
     n_nodes = max(_FEWEST.get(k, _FEWEST[3]), math.ceil(_FINER**k * shadow))
     mean, own = (mass @ x)[axes], np.ascontiguousarray(factor[:k, :k])
     seeds, depth = np.unique(x[:, axes], axis=0), np.ptp(field.log_p[: field.kept])
-    return lay(_summed(field, order, factor, z[:, k:]), mean, own, seeds, n_nodes, depth, float(shadow))
+    first, last = ((end[order[:k]], end[order[k:]]) if end.size else (end, end) for end in walls)
+    summed = _summed(field, order, factor, z[:, k:], (first[1], last[1]))
+    ends = (first[0], last[0])
+    return lay(summed, mean, own, seeds, n_nodes, depth, float(shadow), ends)
 
 
-def _summed(field: Field, order: Ints, factor: Floats, others: Floats) -> OfStates:
+def _summed(field: Field, order: Ints, factor: Floats, others: Floats, walls: Walls) -> OfStates:
     """Return log of the integral of a field over its last axes in an order, given the first (M, k).
 
     others : ndarray, shape (N, n - k)
         Where its nodes lie along them, in units of a lattice with the lower `factor` (n, n).
+    walls : tuple of ndarray, shapes (n - k,)
+        Where those axes end; empty if none does.
     """
     plane, spacing = _plane(others)
     k = len(order) - others.shape[1]
@@ -89,9 +100,10 @@ def _summed(field: Field, order: Ints, factor: Floats, others: Floats) -> OfStat
             rows = np.repeat(some, len(plane), axis=0), np.tile(plane, (len(some), 1))
             X = np.empty((len(rows[0]), len(order)))
             X[:, order] = np.concatenate(rows, axis=1) @ factor.T
-            out[first : first + step] = logsumexp(
-                lattice_field.at(field, field.mu + X).reshape(len(some), -1), axis=1
-            )
+            X += field.mu
+            weight = parts(walls, spacing * factor[k:, k:], X[:, order[k:]]).reshape(len(some), -1)
+            log_p = lattice_field.at(field, X).reshape(len(some), -1)
+            out[first : first + step] = logsumexp(log_p, axis=1, b=weight)
         return out + log_cell
 
     return log_p

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from .._types import Floats, ReadOut, Seed
 from ..core.field.field import Field
+from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph import kernels
 from ..errors import ModelError
 from ..lattice.level_set import Laid
@@ -162,6 +163,11 @@ class ParticleDensity:
         return self.x.shape[1]
 
     @property
+    def walls(self) -> Walls:
+        """Where the axes end, low and high, shape (n,) each; empty arrays if none does."""
+        return NO_WALLS if self.domain is None else self.domain.walls
+
+    @property
     def n_particles(self) -> int:
         """Number of particles N."""
         return len(self.x)
@@ -201,7 +207,7 @@ class ParticleDensity:
         """Middles (M, n) of the lattice's cells in which the density is more than nothing."""
         if self.field is None:
             raise ModelError("the density lies on no lattice of level sets, and has no cells")
-        return around(self.field)
+        return around(self.field, self.walls)
 
     def pdf(self, X: ArrayLike) -> Floats:
         """Density at the states X (M, n) or (n,); an array (M,), per unit volume of the state space."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig, PaperScheme, Scheme, SolverConfig
+from ..core.field.walls import NO_WALLS
 from ..errors import PropagationError
 from ..info import ResampleInfo
 from ..lattice import field
@@ -18,6 +19,7 @@ from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
 from ..lattice.regular import Lattice
 from ..lattice.resolved import Resolved, Search, resolved
+from ..lattice.walls import continued
 from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
@@ -90,14 +92,18 @@ def times_likelihood(
     depth = 0.5 * lattice_reach(scheme, density.dim) ** 2
     cell = None if density.field is None else density.field.A
     domain = density.domain
-    weight = log_weight if domain is None else lambda X: log_weight(domain.wrap(X))
-    log_p = logarithm(density)
+    walls, weight, log_p = NO_WALLS, log_weight, logarithm(density)
+    if domain is not None:
+        walls = domain.walls
+        weight = continued(lambda X: log_weight(domain.wrap(X)), walls)
+        if density.field is None and walls[0].size:  # kernels have images beyond walls
+            log_p = partial(_folded, log_p, domain)
 
     def product(X: Floats) -> Floats:
         return log_p(X) + np.maximum(weight(X), -1e250)
 
     try:
-        laid: Any = posterior(density.x, density.mass, log_p, weight, n_particles, depth, cell)
+        laid: Any = posterior(density.x, density.mass, log_p, weight, n_particles, depth, cell, walls)
     except PropagationError as problem:
         if search is None:
             raise
@@ -108,10 +114,15 @@ def times_likelihood(
         found = Resolved(laid, misfit(laid, product))
     else:
         prior = density.x, density.mass, density.field
+        search = search._replace(walls=walls)
         found = resolved(laid, prior, product, weight, (n_particles, depth), search)
     new = ParticleDensity.on_lattice(found.laid, density.t, n_particles, gaussian, domain)
     log_evidence = found.laid.log_mass - math.log1p(-found.left_out)
     return replace(new, residual=found.off.residual), log_evidence, found
+
+
+def _folded(log_p: OfStates, domain: Domain, X: Floats) -> Floats:
+    return log_p(domain.fold(X))
 
 
 def particle_bound(density: ParticleDensity, n_particles: int | None = None) -> int:

@@ -16,9 +16,11 @@ from scipy import optimize, special
 
 from .._types import Floats, Ints
 from ..core.field.field import Field
+from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph.kernels import Kernel, kernel_variance
 from ..lattice import field as lattice_field
 from ..lattice.level_set import Laid
+from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import marginal, mixture
 
@@ -168,13 +170,14 @@ class Polynomials:
     x: Floats  # (N, n), the nodes
     mass: Floats  # (N,)
     moments: tuple[Floats, Floats] | None  # mean (n,) and covariance (n, n) beyond the cut too
+    walls: Walls = NO_WALLS  # where it ends
 
     widening = 0.0
 
     @cached_property
     def cells(self) -> Floats:
         """Middles (M, n) of the lattice's cells in which the density is more than nothing."""
-        return marginal.around(self.field)
+        return marginal.around(self.field, self.walls)
 
     def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,)."""
@@ -206,13 +209,13 @@ class Polynomials:
         along the rows would be known to the distance between two of them only; so else each cell has its own.
         """
         n, found = len(self.field.mu), len(self.cells)
-        X = self.in_cells(_cell_points(n, found, smooth))
+        X = self._cut(self.in_cells(_cell_points(n, found, smooth)))
         p = self.pdf(X)
         return X, p / p.sum()
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
-        X = self.in_cells(rng.random((32, len(self.field.mu))))
+        X = self._cut(self.in_cells(rng.random((32, len(self.field.mu)))))
         p = self.pdf(X)
         return X[rng.choice(len(X), size=size, p=p / p.sum())]
 
@@ -221,7 +224,7 @@ class Polynomials:
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: summed over the others, on a lattice of its own."""
-        laid = marginal.laid_marginal(self.field, self.x, self.mass, axes)
+        laid = marginal.laid_marginal(self.field, self.x, self.mass, axes, self.walls)
         if self.moments is not None:
             mean, cov = self.moments  # beyond the cut too
             laid = laid._replace(mean=mean[axes], cov=cov[np.ix_(axes, axes)])
@@ -233,8 +236,8 @@ class Polynomials:
         return self.cells.min() - width, self.cells.max() + width, width
 
     def around(self, domain: Domain) -> "Polynomials":
-        """Itself: it may lie several times round."""
-        return self
+        """The same between the walls of a domain; of angles it may lie several times round."""
+        return replace(self, walls=domain.walls)
 
     def turns(self, domain: Domain, X: Floats) -> list[Floats]:
         """States X turned round periodic axes, as often as the nodes go round."""
@@ -245,6 +248,10 @@ class Polynomials:
             shift = np.eye(len(domain.low))[d] * period
             turns = [Y + k * shift for Y in turns for k in np.arange(first - 1, last + 2)]
         return turns
+
+    def _cut(self, X: Floats) -> Floats:
+        """Those of the states X (M, n) between the walls."""
+        return X[inside(self.walls, X)] if self.walls[0].size else X
 
     def in_cells(self, uniform: Floats) -> Floats:
         """States (M k, n) in all cells, at `uniform` (k, n) or (M, k, n) parts of them."""
@@ -258,6 +265,11 @@ class Folded:
 
     shape: Kernels | Polynomials
     domain: Domain
+
+    @property
+    def _ends(self) -> bool:
+        """Do polynomials end at walls, and go round no circle? Their moments are integrals then."""
+        return isinstance(self.shape, Polynomials) and not self.domain.periodic.any()
 
     @cached_property
     def _seen(self) -> Kernels | Polynomials:
@@ -289,10 +301,14 @@ class Folded:
 
     def mean(self) -> Floats:
         """Mean direction of periodic axes, mean of others, shape (n,)."""
+        if self._ends:
+            return self.shape.mean()
         return self.domain.mean(self.shape.x, self.shape.mass)
 
     def cov(self, centre: Floats | None = None) -> Floats:
         """Covariance of differences from the mean direction, whatever the centre, shape (n, n)."""
+        if self._ends:
+            return self.shape.cov(centre)
         d, mass = self.domain.nearest(self.shape.x - self.mean()), self.shape.mass
         return (d * mass[:, None]).T @ d + self.shape.widening * np.eye(d.shape[1])
 

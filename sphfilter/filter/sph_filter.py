@@ -48,7 +48,8 @@ class SPHFilter(Shown):
     x0 : array_like, shape (n,)
         Initial mean.
     P0 : array_like, shape (n, n)
-        Initial covariance, positive definite.
+        Initial covariance, positive definite. Where axes of the model end at walls, x0 and P0 are those of
+        a Gaussian that is cut there: the density starts as what lies between the walls, normalised.
     t0 : float
         Time of the initial density, seconds.
     n_particles : int or "auto"
@@ -145,7 +146,8 @@ class SPHFilter(Shown):
         n = self.model.dim
         x0 = array("x0", x0, (n,), f"a value for each of the model's {n} states")
         P0 = covariance("P0", P0, dim=self.model.dim)
-        return initialize(Gaussian(x0, P0), n_particles, self.config, t=real("t0", t0))
+        about: dict[str, Any] = {"t": real("t0", t0), "domain": self.model.domain}
+        return initialize(Gaussian(x0, P0), n_particles, self.config, **about)
 
     def __repr__(self) -> str:
         scheme = self.config.scheme

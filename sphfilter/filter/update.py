@@ -167,7 +167,7 @@ def _by_product(
         new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
     new = density if unknown else new
-    cut = beside(new.field, new.mean(), new.cov())
+    cut = beside(new.field, new.mean(), new.cov(), new.walls)
     return new, {
         "residual": new.residual or 0.0,
         "error": float(np.hypot(new.error, cut.mean)),
@@ -242,7 +242,9 @@ def _by_regridding(
 
 def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     """Probability of a posterior where its prior has no particles."""
-    return 0.0 if prior.field is None else extrapolated_mass(prior.field, posterior.x, posterior.mass)
+    if prior.field is None:
+        return 0.0
+    return extrapolated_mass(prior.field, posterior.x, posterior.mass, prior.walls)
 
 
 def _kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:

@@ -7,8 +7,10 @@ import numpy as np
 
 from .._types import Floats, OfStates
 from ..core.field.field import Field
+from ..core.field.walls import NO_WALLS, Walls
 from . import field as lattice_field
 from .level_set import Laid
+from .walls import inside, parts
 
 __all__ = ["Beside", "Misfit", "beside", "left_out", "misfit"]
 
@@ -37,25 +39,30 @@ def misfit(laid: Laid, log_p: OfStates) -> Misfit:
     Misfit
     """
     n = laid.x.shape[1]
-    corners = np.array(list(itertools.product((0, 1), repeat=n)))
+    steps = range(-1, 3) if laid.walls[0].size else range(2)  # integrals to a wall see cells beyond it
+    corners = np.array(list(itertools.product(steps, repeat=n)))
     cells = (laid.field.node[: laid.field.kept, None] + corners).reshape(-1, n)  # by their upper nodes
     low = cells.min(axis=0)
     dims = cells.max(axis=0) - low + 1
     flat = np.ravel_multi_index(tuple((cells - low).T), tuple(dims))
     cells = low + np.transpose(np.unravel_index(np.unique(flat), tuple(dims)))
     X = laid.field.mu + (cells - 0.5) @ laid.field.A.T
+    part, within = parts(laid.walls, laid.field.A, X), inside(laid.walls, X)
+    X, part, within = X[part != 0.0], part[part != 0.0], within[part != 0.0]
     asked, fitted = log_p(X) - laid.log_mass, lattice_field.at(laid.field, X)
     highest = max(asked.max(), fitted.max())
     p, q = np.exp(asked - highest), np.exp(np.maximum(fitted - highest, -_FARTHEST))
+    off = np.abs(q - p)[within].sum() / max(p[within].sum(), 1e-300)
+    p, q = p * part, q * part
     if not p.sum() > 0.0:
         return Misfit(1.0, 1.0, 1.0)
     apart = p @ X / p.sum() - q @ X / q.sum()
     whitened = np.linalg.solve(np.linalg.cholesky(laid.cov), apart)
-    residual = min(1.0, float(np.abs(q - p).sum() / p.sum()))
+    residual = min(1.0, float(off))
     # sums over nodes and over the middles between them are two integrals of the same
     integral = highest + np.log(p.sum() * abs(np.linalg.det(laid.field.A)))
-    off = max(abs(float(np.log(p.sum() / q.sum()))), abs(float(integral)))
-    return Misfit(residual, float(np.linalg.norm(whitened)), off)
+    log_mass = max(abs(float(np.log(p.sum() / q.sum()))), abs(float(integral)))
+    return Misfit(residual, float(np.linalg.norm(whitened)), log_mass)
 
 
 class Beside(NamedTuple):
@@ -65,16 +72,21 @@ class Beside(NamedTuple):
     mean: float = 0.0  # what they would add to its mean, in standard deviations
 
 
-def beside(field: Field | None, mean: Floats, cov: Floats) -> Beside:
+def beside(field: Field | None, mean: Floats, cov: Floats, walls: Walls = NO_WALLS) -> Beside:
     """What the cells that were asked beyond the cut of a density hold; nothing where there is no lattice."""
     if field is None:
         return Beside()
     X = field.mu + field.node[field.kept :] @ field.A.T
-    mass = np.exp(field.log_p[field.kept :]) * abs(np.linalg.det(field.A))
+    mass = np.exp(field.log_p[field.kept :]) * abs(np.linalg.det(field.A)) * inside(walls, X)
     added = np.linalg.solve(np.linalg.cholesky(cov), mass @ (X - mean))
-    return Beside(left_out(field), float(np.linalg.norm(added)))
+    return Beside(left_out(field, walls), float(np.linalg.norm(added)))
 
 
-def left_out(field: Field) -> float:
+def left_out(field: Field, walls: Walls = NO_WALLS) -> float:
     """Probability in the cells that were asked beyond those that were kept."""
-    return max(0.0, 1.0 - float(np.exp(field.log_p[: field.kept]).sum() * abs(np.linalg.det(field.A))))
+    p = np.exp(field.log_p[: field.kept])
+    if walls[0].size:
+        x = lattice_field.nodes(field)
+        p = np.exp(field.log_p) * parts(walls, field.A, x)
+        p[field.kept :][inside(walls, x[field.kept :])] = 0.0
+    return max(0.0, 1.0 - float(p.sum() * abs(np.linalg.det(field.A))))

@@ -7,6 +7,8 @@ from .._types import Bools, Floats
 from ..core.field.field import Field, evaluate
 from ..core.field.field import gradient as field_gradient
 from ..core.field.stencils import stencils
+from ..core.field.walls import NO_WALLS, Walls
+from .walls import moved_in
 
 __all__ = ["at", "extrapolated_mass", "gradient", "held", "nodes"]
 
@@ -41,6 +43,6 @@ def held(field: Field, x: Floats) -> Bools:
     return np.asarray(boxed)
 
 
-def extrapolated_mass(field: Field, x: Floats, mass: Floats) -> float:
+def extrapolated_mass(field: Field, x: Floats, mass: Floats, walls: Walls = NO_WALLS) -> float:
     """Probability of weighted states x (N, n) where a field keeps no node: its values there are a guess."""
-    return max(0.0, 1.0 - float(mass[held(field, x)].sum()))
+    return max(0.0, 1.0 - float(mass[held(field, moved_in(walls, field.A, x))].sum()))

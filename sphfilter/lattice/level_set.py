@@ -17,8 +17,10 @@ from ..core.field.field import Field
 from ..core.field.fitting import build_field
 from ..core.field.nodes import MOST_ASKED, relaid
 from ..core.field.stencils import stencils
+from ..core.field.walls import NO_WALLS, Walls
 from ..errors import PropagationError
 from .flood import flood
+from .walls import near_walls
 
 __all__ = ["Laid", "fewest_particles", "gaussian_volume", "lattice_reach", "lay"]
 
@@ -37,6 +39,7 @@ class Laid(NamedTuple):
     volume: float  # of the kept region in whitened coordinates
     mean: Floats  # (n,)
     cov: Floats  # (n, n)
+    walls: Walls = NO_WALLS  # where it ends
 
 
 def lattice_reach(scheme: object, n: int) -> float:
@@ -63,6 +66,7 @@ def lay(
     n_particles: int,
     depth: float,
     volume: float | None = None,
+    walls: Walls = NO_WALLS,
 ) -> Laid:
     """Put a density on a lattice of at most `n_particles` nodes, and at least about half of that.
 
@@ -79,6 +83,9 @@ def lay(
         Z²/2.
     volume : float, optional
         First guess of the kept whitened volume.
+    walls : tuple of ndarray, optional
+        Where the density ends, low and high, shape (n,) each. A few cells further log_p is asked for its
+        smooth continuation.
 
     Returns
     -------
@@ -105,14 +112,14 @@ def lay(
         start = cells.seeds_in_box(seeds, mean, np.linalg.inv(A), cells.furthest(n), low, dims), low, dims
         most, at_once = MOST_ASKED * n_particles, _SMALL_BOX * n_particles
         value, *box, asked, highest, fits = flood(
-            log_p, mean, A, start, ball, depth, most=most, at_once=at_once
+            near_walls(log_p, walls, A, sten.widest), mean, A, start, ball, depth, most=most, at_once=at_once
         )
         if not fits:
             raise PropagationError(
                 f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces "
                 f"are much smaller than the distance between them, or it has no edge"
             )
-        new = relaid(value, *box, highest, asked, mean, A, sten, depth)
+        new = relaid(value, *box, highest, asked, mean, A, sten, depth, walls)
         count = len(new[1]) if asked.size < most else asked.size
         if 0 < count <= n_particles:
             best = A, count * spacing**n, *new
@@ -131,5 +138,5 @@ def lay(
         )
     A, volume, node, x, log_density, mass, log_mass, new_mean, cov = best
     return Laid(
-        x, mass, build_field(mean, A, node, len(x), log_density, sten), log_mass, volume, new_mean, cov
+        x, mass, build_field(mean, A, node, len(x), log_density, sten), log_mass, volume, new_mean, cov, walls
     )

@@ -7,6 +7,7 @@ import numpy as np
 
 from .._types import Floats, OfStates
 from ..core.field.shape import LOCAL, local_shape
+from ..core.field.walls import NO_WALLS, Walls
 from ..errors import ModelError, PropagationError
 from .level_set import Laid, gaussian_volume, lay
 
@@ -29,6 +30,7 @@ def posterior(
     n_particles: int,
     depth: float,
     cell: Floats | None = None,
+    walls: Walls = NO_WALLS,
 ) -> Laid:
     """Lay prior times likelihood, however sharp the likelihood or far out its peak.
 
@@ -46,6 +48,8 @@ def posterior(
     depth : float
     cell : ndarray, shape (n, n), optional
         Lattice vectors of the points, in columns, if they lie on a lattice.
+    walls : tuple of ndarray, optional
+        Where the density ends; see `lay`.
 
     Returns
     -------
@@ -88,7 +92,7 @@ def posterior(
         volume = None
         if cell is not None and len(seeds) >= enough:  # the region's own cells, measured by the new ones
             volume = len(seeds) * abs(np.linalg.det(cell)) / np.prod(np.diag(factor))
-        laid = lay(product, mean, factor, seeds, n_particles, depth, volume)
+        laid = lay(product, mean, factor, seeds, n_particles, depth, volume, walls)
         if power == 1.0 and (effective >= enough or closed_in) and _whitened(factor, within_pieces(laid)):
             return laid
         closed_in, cell = power == 1.0, laid.field.A

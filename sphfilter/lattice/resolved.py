@@ -9,12 +9,14 @@ from scipy.special import gammaincc
 
 from .._types import Floats, OfStates
 from ..core.field.field import Field
+from ..core.field.walls import NO_WALLS, Walls
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, left_out, misfit
 from .level_set import Laid, lay
 from .peaks import Peak, along_axes, peaks
 from .posterior import within_pieces
+from .walls import between, inside
 
 __all__ = ["TOLERATED", "Resolved", "Search", "resolved"]
 
@@ -36,6 +38,7 @@ class Search(NamedTuple):
     lines: bool = False  # is the likelihood asked along lines too?
     named: Floats | None = None  # states (M, n) that peaks may lie at
     finer: bool = True  # may it take more particles?
+    walls: Walls = NO_WALLS  # where states end
 
 
 class Resolved(NamedTuple):
@@ -147,7 +150,7 @@ def _best(tried: list[Resolved], parts: list[_Part], tail: float) -> Resolved | 
 
 def _left_out(laid: Laid, parts: list[_Part], tail: float) -> float:
     """Probability that a lattice leaves out: of the part of which it misses most, or beside its nodes."""
-    left = left_out(laid.field)
+    left = left_out(laid.field, laid.walls)
     left = left if left > _LITTLE + _BESIDE * tail else 0.0
     odds = [_missing(laid, part) * math.exp(min(part.log_mass - laid.log_mass, 700.0)) for part in parts]
     tops = sum(
@@ -160,9 +163,10 @@ def _left_out(laid: Laid, parts: list[_Part], tail: float) -> float:
 def _missing(laid: Laid, part: _Part) -> float:
     """Share of a part in cells where a lattice has no node, or of which its polynomials know nothing."""
     if part.log_p is None:
-        return lattice_field.extrapolated_mass(laid.field, part.x, part.w)
+        return lattice_field.extrapolated_mass(laid.field, part.x, part.w, laid.walls)
     below = part.log_p - laid.log_mass - lattice_field.at(laid.field, part.x)
-    return max(float(part.w @ (below > _HIGHER)), lattice_field.extrapolated_mass(laid.field, part.x, part.w))
+    beside = lattice_field.extrapolated_mass(laid.field, part.x, part.w, laid.walls)
+    return max(float(part.w @ (below > _HIGHER)), beside)
 
 
 def _overlooked(
@@ -170,6 +174,7 @@ def _overlooked(
 ) -> list[Peak]:
     """Peaks of which the polynomials of a lattice know nothing."""
     x, mass, field = prior
+    product, log_weight = (between(function, search.walls) for function in (product, log_weight))
     states = [x] if field is None else [x, x + 0.5 * field.A.sum(axis=1)]
     mean = mass @ x
     cov = (mass[:, None] * (x - mean)).T @ (x - mean)
@@ -178,8 +183,11 @@ def _overlooked(
     if search.named is not None:
         states.append(search.named)
     X = np.concatenate(states)
+    X = X[inside(search.walls, X)]
     if field is not None:  # elsewhere the prior is a guess
         X = X[lattice_field.held(field, X)]
+    if not len(X):
+        return []
     values = product(X)
     factor: Any = np.linalg.cholesky(cov)
     if isinstance(laid, Laid):
@@ -203,13 +211,14 @@ def _tries(
 ) -> Iterator[Resolved]:
     """Other lattices, the cheapest first; what pieces of their own hold joins the parts that are known."""
     n_particles, depth = bounds
+    walls = search.walls
     shape = within_pieces(laid) if isinstance(laid, Laid) else found[0].factor if found else None
     tops = [_Part(peak.x[None], np.ones(1), peak.log_mass, product(peak.x[None])) for peak in found]
     parts += tops
     heaviest = sorted(zip(found, tops, strict=True), key=lambda pair: -pair[0].log_mass)[:_PIECES]
     for peak, top in heaviest:
         for shallower in _SHALLOWER:
-            new = _around(product, peak, n_particles, shallower * depth)
+            new = _around(product, peak, n_particles, shallower * depth, walls)
             if new is None:
                 continue
             result = Resolved(new, misfit(new, product))
@@ -230,7 +239,7 @@ def _tries(
         if times * n_particles > _MOST or (times == 1 and len(parts) == 1):
             continue
         try:
-            new = lay(product, X[0], shape, X, times * n_particles, deeper)
+            new = lay(product, X[0], shape, X, times * n_particles, deeper, walls=walls)
         except PropagationError:
             continue
         yield Resolved(new, misfit(new, product), times=times)
@@ -245,10 +254,10 @@ def _level(values: Floats, X: Floats, parts: list[_Part]) -> float:
     return float(min(tops)) - 5.0
 
 
-def _around(product: OfStates, peak: Peak, n_particles: int, depth: float) -> Laid | None:
+def _around(product: OfStates, peak: Peak, n_particles: int, depth: float, walls: Walls) -> Laid | None:
     """A lattice around a peak, in the shape of what it holds; None if there is none."""
     try:
-        laid = lay(product, peak.x, peak.factor, peak.x[None], n_particles, depth)
-        return lay(product, laid.mean, within_pieces(laid), laid.x, n_particles, depth)
+        laid = lay(product, peak.x, peak.factor, peak.x[None], n_particles, depth, walls=walls)
+        return lay(product, laid.mean, within_pieces(laid), laid.x, n_particles, depth, walls=walls)
     except (PropagationError, np.linalg.LinAlgError):
         return None

@@ -11,6 +11,7 @@ from .. import validate
 from .._types import Bools, Floats
 from ..core import domain as core
 from ..core.domain import KINDS
+from ..core.field.walls import NO_WALLS, Walls
 from ..errors import ModelError
 
 __all__ = ["Axis", "Domain", "DomainLike"]
@@ -27,7 +28,8 @@ class Domain:
     *axes : None, or (kind, low, high)
         One for each state: None where the axis has no bounds, else the kind and the ends (None for an end
         that is not there). "periodic": high is low again, as of an angle. "bounded": a particle that leaves
-        stops the prediction with an error. "reflecting": nothing passes the wall.
+        stops the prediction with an error. "reflecting": nothing passes the wall; the drift is asked a little
+        beyond it, where it should go on smoothly.
 
     Raises
     ------
@@ -82,6 +84,13 @@ class Domain:
     def unbounded(self) -> bool:
         """Whether no axis is periodic and none ends at a wall."""
         return not (self.periodic.any() or self.walled.any())
+
+    @cached_property
+    def walls(self) -> Walls:
+        """Walls, low and high, shape (n,) each, infinite where an axis has none; empty if none has."""
+        if not self.walled.any():
+            return NO_WALLS
+        return np.where(self.walled, self.low, -np.inf), np.where(self.walled, self.high, np.inf)
 
     @property
     def period(self) -> Floats:

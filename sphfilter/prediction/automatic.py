@@ -3,6 +3,8 @@
 A cloud, which takes over where these are refused, comes back to a lattice where one holds it.
 """
 
+from contextlib import suppress
+
 from ..config import CloudScheme, CorrectedScheme, LogDensityScheme, PaperScheme
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
@@ -52,13 +54,27 @@ def propagate(
         except PropagationError as problem:
             reason, stopped = str(problem), isinstance(problem, StoppedError)
     if density.domain is not None:
-        moved, info = paper.propagate(density, model, t1, SUMMED, n_particles)
+        moved, info = _in_domain(density, model, t1, n_particles)
     else:
         try:
             moved, info = corrected.propagate(density, model, t1, CorrectedScheme(), n_particles)
         except PropagationError as problem:
             raise PropagationError(reason if stopped else str(problem)) from problem
     return moved, info.marked(Code.FALLBACK, f"not log_density: {reason}")
+
+
+def _in_domain(
+    density: ParticleDensity, model: SDE, t1: float, n_particles: int
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density that no lattice holds: a cloud sees walls better than sums over kernels do."""
+    if (
+        density.field is not None
+        and "reflecting" in model.domain.kinds
+        and "bounded" not in model.domain.kinds
+    ):
+        with suppress(PropagationError):  # its paths look beyond walls, kernels do not
+            return cloud.propagate(density, model, t1, CloudScheme(), n_particles)
+    return paper.propagate(density, model, t1, SUMMED, n_particles)
 
 
 def _on_more(

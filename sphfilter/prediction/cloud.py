@@ -25,7 +25,7 @@ __all__ = ["on_lattice", "propagate"]
 
 _BIAS = 0.6  # of the steps, over the sampling error
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
-_PART_OF_WALLS = 0.5  # of a standard deviation: the largest noise of a step beside walls
+_PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
 _FEW = 0.5  # effective points over all, below which points are drawn anew
 _SPREAD = 0.01  # least variance that noise adds for copies of a point to part, over the cloud's
 #: States, and kernels of a cloud, from which a lattice is tried again.

@@ -63,7 +63,9 @@ _CONSTANT: WeakKeyDictionary[SDE, tuple[Floats, int]] = WeakKeyDictionary()
 def fits(model: SDE, density: ParticleDensity, n_particles: int) -> str:
     """Can this scheme carry the density? Returns a reason why not, empty if it can."""
     if model.domain.walled.any():
-        return "an axis ends at a wall"
+        reason = _held_by_walls(model, density)
+        if reason:
+            return reason
     if density.field is None:
         return "the density has no smooth logarithm"
     if n_particles < fewest_particles(model.dim):
@@ -88,6 +90,8 @@ def propagate(
     """
     start, n = density.t, density.dim
     noise, slices = _noise(model, density, t1)
+    low, high = model.domain.walls
+    noise = noise._replace(low=low, high=high)
     depth = 0.5 * lattice_reach(scheme, n) ** 2
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
     least = float(np.clip(_LEAST * spacing**4, *_LEASTS))
@@ -133,7 +137,7 @@ def propagate(
         kind, reason = _REASONS[status]
         about = {"lost": 100 * state[LOST_MASS], "nodes": n_particles, "steps": scheme.max_steps}
         raise _given_up(kind(reason.format(**about)), (start, times[0], t1), counters)
-    laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov)
+    laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov, model.domain.walls)
     gaussian = density.gaussian and model.linear
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain)
     error = math.hypot(_kept(noise.G, t1 - start, cov) * density.error, _gone_wrong(state))
@@ -149,6 +153,25 @@ def _noise(model: SDE, density: ParticleDensity, t1: float) -> tuple[Noise, int]
     slices = 1 if model.autonomous else noise_samples(model, density.t, t1, density.mean())[1]
     G, columns = np.zeros((model.dim, model.n_columns)), np.array(address_of(model.noise_columns_batch))
     return Noise(G, model.p, True, False, True, columns), slices
+
+
+def _held_by_walls(model: SDE, density: ParticleDensity) -> str:
+    """Why a density does not stay smooth between the walls of a model; empty if it does."""
+    if "bounded" in model.domain.kinds:
+        return "an axis is bounded, and a lattice does not see what leaves there"
+    if model.state_dependent_noise:
+        return "an axis ends at a wall, and the noise depends on the state"
+    std = np.sqrt(np.diag(density.cov()))
+    for out, ends in zip((-std, std), model.domain.walls, strict=True):
+        for d in np.flatnonzero(np.isfinite(ends)):
+            X = density.x.copy()
+            X[:, d] = ends[d]
+            if not model.diffusion_rows[d] and model.drift(X, density.t)[:, d].any():
+                return f"state {model.states[d]} has no noise, and the drift carries it to its wall or away"
+            X[:, d] += out[d]
+            if not np.isfinite(model.drift(X, density.t)).all():
+                return f"the drift is not finite beyond the wall of state {model.states[d]}"
+    return ""
 
 
 def _gone_wrong(state: Floats) -> float:
@@ -298,7 +321,7 @@ def _info(
     model: SDE, scheme: LogDensityScheme, counters: Ints, moved: ParticleDensity, lost: float, threads: bool
 ) -> PredictInfo:
     steps, rejected, evaluations, relaid = (int(c) for c in counters)
-    cut = beside(moved.field, moved.mean(), moved.cov())
+    cut = beside(moved.field, moved.mean(), moved.cov(), moved.walls)
     skipped = ["neighbour search: the lattice knows its neighbours", "gradients: the expectation needs none"]
     skipped += [note for note in skip_notes(model, 0) if "evaluation of D" in note]
     if model.linear:

@@ -119,7 +119,7 @@ def test_brownian_motion_between_reflecting_walls():
     assert not model.linear  # no closed form knows the walls
     start = sf.initialize(sf.Gaussian([0.2], [[0.01]]), 120, domain=domain)
     end, info = sf.predict(start, model, 0.2)
-    assert info.scheme == "paper" and "wall" in info.status
+    assert info.scheme == "log_density" and info.status == "ok"
     a, images_ = np.linspace(0, 1, 41), 2.0 * np.arange(-4, 5)
     variance = 0.01 + 0.5 * 0.2
     exact = sum(

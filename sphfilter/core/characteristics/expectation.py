@@ -18,6 +18,7 @@ from ..field.field import FIELD, Field, evaluate, slopes
 from ..field.stencils import STENCILS, Stencils
 from .aim import AIM, Aim, centred, leg_ends, response, rooted
 from .noise_paths import NOISE, PATHS, Noise, Paths, Pull, along, blurring, displace, pushes, unblurred
+from .reflection import reflected
 
 __all__ = ["BACK", "BACK_IN_BLOCKS", "STEP", "Step", "back", "back_in_blocks", "back_in_halves"]
 
@@ -66,6 +67,8 @@ def back(step, Y, floor, out):
             displace(push, centre[i], pull, i)
     along(step.drift, step.divergence, noise, Y, f1, d1, t1, -h, step.parts, pull, end, action)
     evaluate(step.field, step.sten, end, out)
+    if noise.low.size > 0:
+        reflected(step, t1 - h, end, out)
     for i in range(M):
         out[i] += action[i]
         if K > 0:
@@ -162,6 +165,8 @@ def _expected(step, aim, Y, f1, d1, centre, owner, out):
             t = step.t1 - (legs - 1) * h
             along(step.drift, step.divergence, step.noise, start, f, d, t, -h, parts, pull, end, action)
             evaluate(step.field, step.sten, end, log_p)
+            if step.noise.low.size > 0:
+                reflected(step, t - h, end, log_p)
             for i in range(M):
                 v = log_p[i] + begun[i] + action[i] + tilt[i]
                 v += weight + paths.log_weight[q] + aim.log_det[owner[i]]

@@ -8,6 +8,7 @@ import numpy as np
 from .._addresses import Entry
 from .._jit import MATRIX, VECTOR, jit
 from ..field.cells import (
+    LOWEST,
     MOST_CELLS,
     UNKNOWN,
     cells_in,
@@ -21,6 +22,7 @@ from ..field.cells import (
     widen,
 )
 from ..field.nodes import MOST_ASKED, relaid
+from ..field.walls import beyond
 from ..small_matrices import invert_lower
 from .control import CONTROL, COUNTS, EVALUATIONS, NODES, OK, OUTGROWN, RELAID, STATE, TOO_FEW, VOLUME
 from .expectation import BACK, STEP
@@ -65,7 +67,8 @@ def lattice_after(back, step, mean, shape, seeds, control, state, counters):
         value, low, dims, highest, asked = flooded(back, step, mean, A, seeds, most, control, counters)
         if value.size == 0:
             return _no_lattice(OUTGROWN, n)
-        new = relaid(value, low, dims, highest, asked, mean, A, step.sten, control.depth)
+        walls = step.noise.low, step.noise.high
+        new = relaid(value, low, dims, highest, asked, mean, A, step.sten, control.depth, walls)
         closed = asked.size <= MOST_ASKED * most
         count = new[1].shape[0] if closed else asked.size
         if 0.5 * most <= count <= most:
@@ -104,18 +107,21 @@ def flooded(back, step, mu, A, points, most, control, counters):
         full = back(step, Y, floor, log_p)
         one = 4 * step.parts - 1  # a path's evaluations
         counters[EVALUATIONS] += found.size * (2 * one + 1) + full * one * step.paths.log_weight.size
+        for k in range(found.size if step.noise.low.size > 0 else 0):
+            if beyond(step.noise.low, step.noise.high, A, step.sten.widest, Y[k]):
+                log_p[k] = LOWEST
         for k in range(found.size):
             value[found[k]] = log_p[k]
             highest = max(highest, log_p[k])
         asked = joined(asked, found)
         if asked.size > MOST_ASKED * most:
             break  # far too fine a lattice: the caller takes a coarser one
-        found, beyond = frontier(value, asked, highest - control.depth, dims, ball)
-        if beyond:
+        found, outside = frontier(value, asked, highest - control.depth, dims, ball)
+        if outside:
             value, low, dims, asked = widen(value, low, dims, asked)
             if value.size == 0:
                 break
-            found, beyond = frontier(value, asked, highest - control.depth, dims, ball)
+            found, outside = frontier(value, asked, highest - control.depth, dims, ball)
     return value, low, dims, highest, asked
 
 

@@ -12,6 +12,7 @@ from numba import types
 from .._addresses import Entry
 from .._jit import MATRIX, VECTOR, jit
 from ..field.field import FIELD, evaluate
+from ..field.walls import fold, is_inside
 from .expectation import BACK, STEP, back_in_halves
 
 __all__ = ["BETWEEN", "JUDGE", "between", "judged", "mean_ratio", "witnesses"]
@@ -63,6 +64,7 @@ def judged(back, step, around, m, ends):
     if step.noise.G.shape[1] == 0:
         return 0.0
     Y = witnesses(m, ends, step.noise.G, step.h)
+    fold(step.noise.low, step.noise.high, Y)
     once, twice = np.empty(Y.shape[0]), np.empty(Y.shape[0])
     back(step, Y, -np.inf, once)
     back_in_halves(step, around, Y, twice)
@@ -88,6 +90,9 @@ def between(back, step, field, log_mass):
             for c in range(n):
                 side = 0.5 if (i >> c) % 2 else -0.5
                 x[i, a] += field.A[a, c] * (field.node[i, c] + side)
+    for i in range(N if step.noise.low.size > 0 else 0):
+        if not is_inside(step.noise.low, step.noise.high, x[i]):
+            m[i] = 0.0
     Y = witnesses(m, x, np.empty((n, 0)), 0.0)
     asked, fitted = np.empty(Y.shape[0]), np.empty(Y.shape[0])
     back(step, Y, -np.inf, asked)

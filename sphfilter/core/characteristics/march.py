@@ -18,6 +18,7 @@ from .._addresses import function_at
 from .._jit import jit
 from ..field.fitting import BUILD
 from ..field.shape import local_shape, nodes_of
+from ..field.walls import is_inside
 from ..small_matrices import cholesky, moments
 from .aim import AIMED
 from .control import (
@@ -80,6 +81,17 @@ def needed(residual, count, most, n):
 
 
 @jit
+def _keep_inside(noise, x, m):
+    """Take their mass from nodes x (N, n) beyond walls: they are there for the polynomials alone."""
+    total = 0.0
+    for i in range(m.size):
+        m[i] = m[i] if is_inside(noise.low, noise.high, x[i]) else 0.0
+        total += m[i]
+    for i in range(m.size):
+        m[i] /= total
+
+
+@jit
 def march(entries, noise, field, sten, paths, control, times, state, counters):
     """Carry a field from times[0] to times[1].
 
@@ -110,6 +122,8 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
     n = field.mu.size
     mean, P, L, Q = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     x, m = nodes_of(field)
+    if noise.low.size > 0:
+        _keep_inside(noise, x, m)
     span, first = times[1] - times[0], counters[STEPS]
     moments(x, m, mean, P)
     before = np.inf  # error of the step refused last

@@ -13,6 +13,7 @@ from numba import typeof
 
 from .._addresses import function_at
 from .._jit import jit
+from ..field.walls import NOWHERE
 from ..small_matrices import eigen
 
 __all__ = [
@@ -49,6 +50,8 @@ class Noise(NamedTuple):
     columns: np.ndarray = (
         ADDITIVE  # address of the batch function of G(x), and of its columns' divergences below
     )
+    low: np.ndarray = NOWHERE  # (n,) walls, low and high, that no path passes; empty if no axis ends
+    high: np.ndarray = NOWHERE
 
 
 class Paths(NamedTuple):

@@ -8,6 +8,7 @@ from numba import types
 
 from .._addresses import Entry
 from .._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit
+from ..field.walls import fold
 from ..small_matrices import cholesky, times_lower
 from .control import (
     CONTROL,
@@ -120,6 +121,7 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     blurred = (
         noise.state_dependent or not blur_share(drift, noise, x, f, m, t, h, S) < _SHARP * control.tolerance
     )
+    fold(noise.low, noise.high, twice)
     return Choice(OK, h, parts, pieces <= 1, blurred, twice, mean, S)
 
 

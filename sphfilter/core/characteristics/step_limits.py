@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from .._jit import jit
+from ..field.walls import fold
 from ..small_matrices import moments, whiten
 from .noise_paths import along, averaged, displace, pushes, unblurred
 
@@ -117,5 +118,6 @@ def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
         along(drift, None, noise, x, f, f, t, h, parts, pull, X[first : first + N], M)
         for i in range(N):
             M[first + i] = m[i] * share
+    fold(noise.low, noise.high, X)
     moments(X, M, mean, cov)
     return X

@@ -7,6 +7,7 @@ import numpy as np
 from .._jit import jit
 from ..small_matrices import moments
 from .cells import UNKNOWN, joined, marked, opened, states_of
+from .walls import is_inside, part_inside, share
 
 __all__ = ["MOST_ASKED", "relaid"]
 
@@ -14,7 +15,7 @@ MOST_ASKED = 12  # cells asked for, over the number of particles wanted
 
 
 @jit
-def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
+def relaid(value, low, dims, highest, cells, mu, A, sten, depth, walls):
     """The nodes of a flooded box above the depth, normalised, and those beside them.
 
     Mean, covariance and the integral are sums over all cells that were asked for, the ring just below the
@@ -35,15 +36,20 @@ def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
     sten : Stencils
     depth : float
         log p of the lightest nodes below the highest.
+    walls : tuple of ndarray, shapes (n,)
+        Where axes end, low and high; empty if none does.
 
     Returns
     -------
     node (M, n), x (N, n), log_p (M,), m (N,), log of the integral, mean (n,), covariance (n, n)
         The first N of the M nodes lie above the depth. The others were asked beside them: polynomials are
-        fitted to them too, where log p does not fall there by more than the depth once more.
+        fitted to them too, where log p does not fall there by more than the depth once more. So do those
+        beyond a wall.
     """
     n = mu.size
     found = opened(value, cells, highest - depth, dims, sten.offsets[: sten.size[0]])
+    if walls[0].size > 0:
+        found = _inside(found, mu, A, low, dims, walls)
     known = np.empty(value.size, np.bool_)
     for flat in range(value.size):
         known[flat] = value[flat] != UNKNOWN
@@ -52,6 +58,8 @@ def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
     weight, total, cell = np.empty(asked.size), 0.0, 1.0
     for k in range(asked.size):
         weight[k] = math.exp(value[asked[k]] - highest)
+        if walls[0].size > 0:
+            weight[k] *= part_inside(walls[0], walls[1], A, everywhere[k])
         total += weight[k]
     for k in range(asked.size):
         weight[k] /= total
@@ -67,10 +75,22 @@ def relaid(value, low, dims, highest, cells, mu, A, sten, depth):
         log_p[k] = value[both[k]] - log_mass
     for k in range(found.size):
         m[k] = math.exp(value[found[k]] - highest)
+        if walls[0].size > 0:
+            m[k] *= share(walls[0], walls[1], A, x[k])
         inside += m[k]
     for k in range(found.size):
         m[k] /= inside
     return node, x[: found.size], log_p, m, log_mass, mean, cov
+
+
+@jit
+def _inside(found, mu, A, low, dims, walls):
+    """Those of some cells whose nodes lie between the walls."""
+    _, x = states_of(found, mu, A, low, dims)
+    mark = np.empty(found.size, np.bool_)
+    for k in range(found.size):
+        mark[k] = is_inside(walls[0], walls[1], x[k])
+    return found[mark]
 
 
 @jit

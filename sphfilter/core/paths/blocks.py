@@ -13,7 +13,7 @@ from numba import types
 
 from .._addresses import ADDRESS, function_at
 from .._jit import MATRIX, VECTOR, jit, jit_for
-from ..domain import DOMAIN, bounce, left_at
+from ..domain import DOMAIN, REFLECTING, bounce, left_at
 from ..sde_steps import platen_steps, shifted_path_steps, split_steps
 from .normals import LANES, fill_normals, seed_lanes
 from .step_length import SHIFTED_PATH, SPLIT, step_length
@@ -40,13 +40,48 @@ def _take(scheme, x, t, dt, functions, constants, domain, xi):
         return
     ends = np.any(domain.kind >= 2)  # walls are looked at after every step
     at_once = 1 if ends else xi.shape[0]
+    before = x.copy() if ends else x
     for s in range(0, xi.shape[0], at_once):
+        if ends:
+            before[:] = x
         if scheme == SHIFTED_PATH:
             shifted_path_steps(x, t + s * dt, dt, drift, noise, p, L, xi[s : s + at_once])
         else:
             platen_steps(x, t + s * dt, dt, drift, noise, p, L, xi[s : s + at_once])
         if ends:
+            _reflect(before, x, t + s * dt, dt, noise, p, L, domain, xi[s])
             bounce(domain, x)
+
+
+@jit
+def _reflect(before, x, t, dt, noise, p, L, domain, xi):
+    """Push paths from states `before` (N, n) to x back by as much as they passed reflecting walls on the way.
+
+    How far a path of Brownian motion goes between two states is drawn from two normals an axis, the last rows
+    of xi (k, N): exact where noise and drift do not change on the way (Lépingle 1995).
+    """
+    N, n = x.shape
+    m, row = L.shape[0], xi.shape[0]
+    g = np.empty((N, n * m))
+    noise(before, t, p, g)
+    for a in range(n):
+        if domain.kind[a] != REFLECTING:
+            continue
+        row -= 2
+        for i in range(N):
+            variance = 0.0
+            for k in range(m):
+                s = 0.0
+                for r in range(m):
+                    s += g[i, a * m + r] * L[r, k]
+                variance += s * s * dt
+            one, other = before[i, a], x[i, a]
+            spread = variance * (xi[row, i] ** 2 + xi[row + 1, i] ** 2)
+            way = np.sqrt((other - one) ** 2 + spread)
+            if one - domain.low[a] < domain.high[a] - one:
+                x[i, a] += max(0.0, domain.low[a] - 0.5 * (one + other - way))
+            else:
+                x[i, a] -= max(0.0, 0.5 * (one + other + way) - domain.high[a])
 
 
 @jit
@@ -136,6 +171,7 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
     (t0, t1), (longest, h, tolerance, most) = span, limits
     (N, n), m = x.shape, constants[2].shape[0]
     n_normals = m if scheme == SPLIT else 3 * m if scheme == SHIFTED_PATH else m + m * (m - 1) // 2
+    n_normals += 2 * np.sum(domain.kind == REFLECTING)
     normals, gone = np.empty(((_STEPS_PER_LOOK + 1) * n_normals, N)), np.zeros(N, np.bool_)
     before, tries, extents = np.empty_like(x), 0, np.empty((2, n))
     for a in range(n):
