@@ -11,11 +11,24 @@ import numpy as np
 
 from ._types import Bools, Floats
 
-__all__ = ["NOTHING_CAME", "Code", "PredictInfo", "ResampleInfo", "UpdateInfo", "innovation_of"]
+__all__ = [
+    "DOUBTFUL",
+    "MAY_BE_OFF",
+    "NOTHING_CAME",
+    "Code",
+    "PredictInfo",
+    "ResampleInfo",
+    "UpdateInfo",
+    "innovation_of",
+]
 
 
 #: The reason of an update without a reading, which is none to worry about.
 NOTHING_CAME = "no measurement came"
+#: Estimated error of a mean, in standard deviations, that is said in words: errors lie within three times
+#: what is estimated, and a fifth of a standard deviation is wrong.
+DOUBTFUL = 0.2 / 3.0
+MAY_BE_OFF = "the mean may be off by {:.2g} standard deviations"
 
 
 class Code(IntFlag):

@@ -12,7 +12,7 @@ from ..density.cloud_posterior import cloud_posterior
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
-from ..info import NOTHING_CAME, Code, UpdateInfo
+from ..info import DOUBTFUL, MAY_BE_OFF, NOTHING_CAME, Code, UpdateInfo
 from ..lattice.check import beside
 from ..lattice.field import extrapolated_mass
 from ..lattice.resolved import TOLERATED, Resolved, Search
@@ -177,7 +177,7 @@ def _by_product(
         "log_evidence": log_evidence,
         "reason": unknown or flag,
         "extrapolated": _extrapolated(density, new),
-    } | ({} if unknown or found is None else _told(found, config.most_left_out))
+    } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out))
 
 
 def _by_cloud(
@@ -202,18 +202,19 @@ def _by_cloud(
     }
 
 
-def _told(found: Resolved, most_left_out: float) -> dict[str, Any]:
-    """Code and status of an update whose lattice is finer than usual, or not fine or wide enough.
-
-    More particles that resolve it are no reason to doubt the posterior: the code alone tells.
-    """
-    code, said = Code.OK if found.times == 1 else Code.FINER, []
+def _told(found: Resolved, error: float, most_left_out: float) -> dict[str, Any]:
+    """Code and status of an update whose lattice is finer than usual, or not fine or wide enough."""
+    code, said = Code.OK, []
+    if found.times > 1:
+        code, said = Code.FINER, [f"the posterior is on {found.times} times the particles"]
     wrong = max(found.off.residual, found.off.log_mass)
     if wrong > TOLERATED:
         said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
-    if wrong > TOLERATED or found.left_out > most_left_out:
+    if error > DOUBTFUL:
+        said.append(MAY_BE_OFF.format(3.0 * error))
+    if wrong > TOLERATED or found.left_out > most_left_out or error > DOUBTFUL:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}
 

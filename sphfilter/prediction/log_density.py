@@ -35,7 +35,7 @@ from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
-from ..info import PredictInfo
+from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
 from ..lattice.check import beside
 from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, lattice_reach
 from ..model.compile import surfacing
@@ -322,6 +322,9 @@ def _info(
 ) -> PredictInfo:
     steps, rejected, evaluations, relaid = (int(c) for c in counters)
     cut = beside(moved.field, moved.mean(), moved.cov(), moved.walls)
+    error, code, status = math.hypot(moved.error, cut.mean), Code.OK, "ok"
+    if error > DOUBTFUL:
+        code, status = Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)
     skipped = ["neighbour search: the lattice knows its neighbours", "gradients: the expectation needs none"]
     skipped += [note for note in skip_notes(model, 0) if "evaluation of D" in note]
     if model.linear:
@@ -335,10 +338,12 @@ def _info(
         n_regrids=steps + relaid,
         mass_error=lost,
         residual=moved.residual or 0.0,
-        error=math.hypot(moved.error, cut.mean),
+        error=error,
         mass_left_out=cut.mass,
         skipped=tuple(skipped),
         scheme=scheme.name,
+        status=status,
+        code=code,
     )
 
 

@@ -127,10 +127,13 @@ def test_two_states(case, side, n_particles):
     flt, readings = _filter(case, side, n_particles, two=True)
     told, infos = _told(flt, readings)
     mean, variance, evidence = _off(told, _exact(case, True), side)
-    limits = {60: (0.06, 0.1, 0.03), 200: (0.02, 0.1, 0.02), 400: (0.01, 0.01, 0.005)}[n_particles]
-    assert mean < limits[0] and variance < limits[1] and evidence < limits[2]
-    assert mean < 2.0 * max(info.error for info in infos)
-    assert n_particles < 400 or all(info.code == Code.OK for info in infos)
+    few = n_particles < 400
+    flagged = any(info.code != Code.OK for info in infos)
+    if n_particles > 60:
+        assert mean < (0.02 if few else 0.01) and variance < (0.1 if flagged else 0.02 if few else 0.01)
+        assert evidence < (0.02 if few else 0.005)
+    assert mean < 2.0 * max(info.error for info in infos) and variance < 0.2 and evidence < 0.1
+    assert few or not flagged
 
 
 def test_x0_and_p0_are_those_of_a_gaussian_that_is_cut():
