@@ -140,7 +140,8 @@ class LogDensityScheme:
     quadrature : int
         Gauss-Hermite points of one noise over a step.
     most_lost : float
-        Probability that the lattices of one prediction may lose or gain in all before it is given up.
+        Probability that the lattices of one prediction may lose or gain in all before it is given up; five
+        times as much as long as the error it estimates leaves no doubt about the mean.
     max_steps : int
         Steps of one prediction after which it is given up with an error.
 
@@ -156,7 +157,7 @@ class LogDensityScheme:
     tolerance: Positive | None = None
     noise_share: Annotated[float, Field(gt=0, le=20)] | None = None
     quadrature: Annotated[int, Field(ge=2, le=15)] = 5
-    most_lost: Positive = 0.05
+    most_lost: Positive = 0.01
     max_steps: Count = 10_000
 
 

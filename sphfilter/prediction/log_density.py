@@ -18,9 +18,7 @@ from ..core.characteristics.control import (
     EVALUATIONS,
     LOST_MASS,
     RESIDUAL,
-    SQUARES,
     STATUS,
-    STEP_ERRORS,
     STEPS,
     VOLUME,
     Control,
@@ -28,7 +26,7 @@ from ..core.characteristics.control import (
 from ..core.characteristics.expectation import BACK, BACK_IN_BLOCKS
 from ..core.characteristics.flood import LAY
 from ..core.characteristics.judge import BETWEEN, JUDGE
-from ..core.characteristics.march import Entries, march, needed
+from ..core.characteristics.march import Entries, march, needed, wrong
 from ..core.characteristics.noise_paths import Noise, Paths
 from ..core.characteristics.step_choice import CHOOSE
 from ..core.field.fitting import BUILD
@@ -108,6 +106,7 @@ def propagate(
         noise_share=scheme.noise_share or math.inf,
         pause_after=_PAUSE_AFTER,
         most_lost=scheme.most_lost,
+        doubtful=DOUBTFUL / _PART,
     )
     counters = np.zeros(len(COUNTERS), np.int64)
     longest = model.max_step
@@ -176,7 +175,7 @@ def _held_by_walls(model: SDE, density: ParticleDensity) -> str:
 
 def _gone_wrong(state: Floats) -> float:
     """Error of the mean, in standard deviations, by what steps and lattices of a march got wrong."""
-    return _PART * (float(state[STEP_ERRORS]) + math.sqrt(state[SQUARES]))
+    return _PART * float(wrong(state))
 
 
 def _kept(G: Floats, dt: float, cov: Floats) -> float:

@@ -52,10 +52,11 @@ class Control(NamedTuple):
     share: float  # of the last lattice's residual, that a step's error may be
     least: float  # residual that steps go by where the lattice's own is smaller
     noise_share: float  # largest variance a step's noise may have, in units of the density's own
-    most_lost: float  # sum over steps of |log of the lattice's integral| at which to stop
+    most_lost: float  # sum over steps of |log of the lattice's integral| at which to stop, once in doubt
+    doubtful: float  # what steps and lattices have got wrong, from which the density is in doubt
     pause_after: int  # steps
 
 
 #: Numba's types of a `Control`, of the counters, and of the state.
-CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0))
+CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0))
 COUNTS, STATE = types.int64[::1], types.float64[::1]

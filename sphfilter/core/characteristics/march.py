@@ -10,6 +10,7 @@ limits on the step). Weights and densities are positive, so no step can become u
 accuracy.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -42,10 +43,11 @@ from .flood import LAY
 from .judge import BETWEEN, JUDGE
 from .step_choice import CHOOSE
 
-__all__ = ["Entries", "march", "needed"]
+__all__ = ["Entries", "march", "needed", "wrong"]
 
 _MOST = 1e-2  # residual that steps go by where the lattice's own is larger
 _SHORTEST = 1e-6  # of the interval
+_UNDOUBTED = 5.0  # times what may be lost, where no error is seen
 _HELPED = 0.7  # times a step's error, to which a shorter one has to bring it
 _SPARE, _ORDER = 1e-8, 6.0  # residual that more nodes need not make smaller; its order in the spacing
 
@@ -89,6 +91,12 @@ def _keep_inside(noise, x, m):
         total += m[i]
     for i in range(m.size):
         m[i] /= total
+
+
+@jit
+def wrong(state):
+    """What steps and lattices of a march have got wrong of the density: errors of steps add up."""
+    return state[STEP_ERRORS] + math.sqrt(state[SQUARES])
 
 
 @jit
@@ -164,6 +172,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
         state[NODES] = needed(residual, state[NODES], control.n_particles, x.shape[1])
         counters[STEPS] += 1
         times[0] = times[1] if pick.last else t1
-        if not state[LOST_MASS] < control.most_lost:
+        doubted = not wrong(state) < control.doubtful
+        if not state[LOST_MASS] < (control.most_lost if doubted else _UNDOUBTED * control.most_lost):
             return field, x, m, mean, P, LOST
     return field, x, m, mean, P, OK
