@@ -13,6 +13,7 @@ UNIT, ROUND = sf.Gaussian([0.0], [[1.0]]), sf.Gaussian([0.0, 0.0], np.eye(2))
 POSITION = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
 HEIGHT = sf.GaussianMeasurement([[1.0]], [[0.1]])
 SQUARE = sf.GaussianMeasurement(lambda x: (x[0] ** 2,), [[0.01]])
+RING = sf.GaussianMeasurement(lambda x: (x[0] ** 2 + x[1] ** 2,), [[1e-6]])
 ROOT = sf.GaussianMeasurement(lambda x: (np.sqrt(x[0]),), [[0.01]])
 START = [3.0, 0.0], np.diag([0.2, 1.0])
 
@@ -142,6 +143,7 @@ SAID = [
     lambda: predicted(FLAT, 2.0, scheme="corrected", start=ROUND, n_particles=200),
     lambda: updated(HEIGHT, None),
     lambda: updated(HEIGHT, [9.0]),
+    lambda: sf.update(laid(ROUND), RING, [2.0])[1].status,
     lambda: updated(HEIGHT, [300.0]),
     lambda: updated(HEIGHT, [120.0]),
     lambda: updated(HEIGHT, [9.0], **TESTED),
