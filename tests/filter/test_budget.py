@@ -123,10 +123,10 @@ def test_finer_predictions_need_time(clock):
         info = flt.update(flt.x[:1] + 5.5 * math.sqrt(flt.P[0, 0]))
         outcomes[budget] = info, len(clock.predicted) - before
     late, repeats = outcomes[2.5e-3]
-    assert late.status.startswith("no time to repeat the prediction on 3 times the particles")
+    assert "no time to repeat the prediction on 3 times the particles" in late.status
     assert late.extrapolated > 0.01 and repeats == 0
     done, repeats = outcomes[1.0]
-    assert done.status.startswith("prediction repeated on") and repeats >= 1
+    assert "prediction repeated on" in done.status and repeats >= 1
 
 
 def test_the_target_error_waits_for_time(clock):
