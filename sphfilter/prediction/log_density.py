@@ -113,7 +113,7 @@ def propagate(
     if not model.autonomous:
         longest = min(longest, (t1 - start) / max(slices, drift_slices(model, density, t1)))
     state, times = (
-        np.array([volume, min(t1 - start, longest), 0.0, longest, 0.0, residual, 0.0, 0.0, nodes]),
+        np.array([volume, min(t1 - start, longest), 0.0, longest, 0.0, residual, 0.0, 0.0, nodes, 0.0]),
         np.array([start, t1]),
     )
     rule = paths(noise.G.shape[1], scheme.quadrature)
