@@ -67,7 +67,7 @@ def _sampled(
 
 
 def _known(values: Floats) -> Floats:
-    """Values (S, ...), where one is no number those of the next time at which all are: it is no change in time."""
+    """Values (S, ...); where one is no number, which is no change in time, those of the next time."""
     known = np.flatnonzero(np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
     if not len(known):
         return np.zeros_like(values)
