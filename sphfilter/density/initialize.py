@@ -228,8 +228,8 @@ def _on_level_set(
         whole = not walls[0].size
         density = ParticleDensity.on_lattice(laid, t, n_particles, gaussian=whole, domain=domain)
         return replace(density, residual=0.0 if whole else misfit(laid, log_pdf).residual)
-    whole = PaperScheme(represented_mass=_SEEN)
-    coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), whole, t)
+    seen = PaperScheme(represented_mass=_SEEN)
+    coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), seen, t)
 
     def log_p(X: Floats) -> Floats:
         with np.errstate(divide="ignore"):

@@ -79,6 +79,8 @@ class ParticleDensity:
     error : float
         Estimated error of the mean, in standard deviations, accumulated over the record that led to the
         density; NaN where a scheme on the way made no estimate.
+    lost : float
+        Probability that lattices have gained on the way, or lost (negative), as far as it still matters.
 
     Arrays are read-only; particles without mass are left out.
 
@@ -110,6 +112,7 @@ class ParticleDensity:
     domain: Domain | None = None
     residual: float | None = None
     error: float = 0.0
+    lost: float = 0.0
 
     def __post_init__(self) -> None:
         x = array("x", self.x, (None, None))

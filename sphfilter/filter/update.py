@@ -155,8 +155,9 @@ def _by_product(
             None if linear and density.gaussian else asked.search(density, config),
         )
         unsure = 0.0 if density.gaussian else _extrapolated(density, new)
-        error = np.hypot(np.hypot(_kept(density, new) * density.error, found.off.mean), unsure)
-        new = replace(new, error=float(error))
+        kept = _kept(density, new)
+        error = np.hypot(np.hypot(kept * density.error, found.off.mean), unsure)
+        new = replace(new, error=float(error), lost=float(kept * density.lost))
         unknown = _beyond(density, new)
     except PropagationError as problem:
         if not flag and config.scheme == "auto":
@@ -188,7 +189,7 @@ def _by_cloud(
     domain = density.domain
     weight = asked.log_weight if domain is None else lambda X: asked.log_weight(domain.wrap(X))
     new, log_evidence, evidence_error = cloud_posterior(density, weight, scheme.n_points)
-    new = replace(new, capacity=n_particles)
+    new = replace(new, capacity=n_particles, lost=density.lost)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {new.error:.2g} standard "
     status += f"deviations; {why}" if why else "deviations"
     return new, {

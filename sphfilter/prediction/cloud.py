@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .._types import Bools, Floats
+from .._types import Bools, Floats, Ints
 from ..config import CloudScheme
 from ..core._addresses import address_of
 from ..core.paths.blocks import move_blocks, standard_normals
@@ -26,10 +26,13 @@ __all__ = ["on_lattice", "propagate"]
 _BIAS = 0.6  # of the steps, over the sampling error
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
+_QUARTER, _HALVINGS = 4, 5  # blocks of which one has steps of half the length, and how often all have
+_CHANCE = 3.5  # standard deviations by which two samples may differ
 _FEW = 0.5  # effective points over all, below which points are drawn anew
 _SPREAD = 0.01  # least variance that noise adds for copies of a point to part, over the cloud's
 #: States, and kernels of a cloud, from which a lattice is tried again.
 _MOST_STATES, _KERNELS = 4, 4096
+_FORGOTTEN = 0.01  # probability lost by lattices, above which none is tried again
 _AGREES, _LEAST_ERROR, _RESIDUAL = 3.0, 0.005, 0.1  # for a lattice to stand for a cloud
 _AWAY = 1e6  # extents of a cloud, from which a point has run away
 _DOUBTFUL, _MOST_LOST, _CERTAIN = 0.01, 0.1, 0.25  # probability of the paths that were given up
@@ -64,22 +67,23 @@ def propagate(
     """
     key = key_of(density)
     x, mass = _points(density, model, t1, scheme.n_points, key)
-    before, alive, steps = x.copy(), np.ones(len(x), dtype=bool), 1
+    before, alive, steps, bias = x.copy(), np.ones(len(x), dtype=bool), 1, 0.0
     if model.linear:
         x = _exactly(x, model, t1 - density.t, key)
     else:
         few = x[systematic(mass, LANES)]  # tell a model that blows up at once
         pilot, kept, even = few.copy(), np.ones(LANES, dtype=bool), np.full(LANES, 1.0 / LANES)
-        _moved(pilot, even, kept, model, (density.t, t1), scheme, key)
+        _walked(pilot, even, kept, model, (density.t, t1), scheme, key)
         if kept.mean() < 1.0 - _CERTAIN:
             raise PropagationError(_blow_up(model, few[~kept], density.t, t1))
-        steps = _moved(x, mass, alive, model, (density.t, t1), scheme, key)
+        steps, bias = _moved(x, mass, alive, model, (density.t, t1), scheme, key)
     alive &= _near(before, x)
     lost = float(mass[~alive].sum())
     if lost > _MOST_LOST:
         raise PropagationError(_blow_up(model, before[~alive], density.t, t1))
     x, mass = x[alive], mass[alive] / (1.0 - lost)
-    error = _error(density, before[alive], x, mass)
+    error, left = _error(density, before[alive], x, mass)
+    error = math.hypot(error, bias)
     moved = ParticleDensity(
         x=x if density.domain is None else density.domain.wrap(x),
         mass=mass,
@@ -91,13 +95,14 @@ def propagate(
         capacity=density.capacity if n_particles is None else n_particles,
         domain=density.domain,
         error=error,
+        lost=left * density.lost,
     )
     return moved, _info(model, len(x), steps, lost, error)
 
 
 def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity | None:
     """A cloud on a lattice that has its mean and covariance and its density, or None where none has."""
-    if density.dim > _MOST_STATES:
+    if density.dim > _MOST_STATES or abs(density.lost) > _FORGOTTEN:
         return None
     few = ParticleDensity(
         x=density.x[systematic(density.mass, _KERNELS)],
@@ -119,7 +124,8 @@ def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity | 
     residual = np.mean(np.abs(np.expm1(np.clip(laid.logpdf(X) - few.logpdf(X), -1.0, 1.0))))
     if max(off, 0.5 * wider) > _AGREES * max(density.error, _LEAST_ERROR) or residual > _RESIDUAL:
         return None
-    return replace(laid, error=math.hypot(density.error, float(off)), capacity=density.capacity)
+    error = math.hypot(density.error, float(off))
+    return replace(laid, error=error, lost=density.lost, capacity=density.capacity)
 
 
 def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: int) -> tuple[Floats, Floats]:
@@ -172,10 +178,64 @@ def _moved(
     span: tuple[float, float],
     scheme: CloudScheme,
     key: int,
+) -> tuple[int, float]:
+    """Move points in place, a quarter by steps of half the length; paths given up are no longer alive.
+
+    Where the two part beyond chance, steps are too long, as they may be for jumps: all is done again.
+
+    Returns
+    -------
+    int, float
+        The steps of a block, and in standard deviations by how much the two have parted nevertheless.
+    """
+    start, block = x.copy(), np.arange(len(x)) // LANES
+    fine, longest, taken = block % _QUARTER == _QUARTER - 1, math.inf, 0
+    before, chance = _apart(x, mass, fine, ~fine)
+    for halvings in range(_HALVINGS + 1):
+        steps = _walked(x, mass, alive, model, span, scheme, key, np.unique(block[~fine]), longest)
+        if not fine.any():
+            return steps, 0.0
+        longest, taken = 0.5 * (span[1] - span[0]) / steps, taken + steps
+        _walked(x, mass, alive, model, span, scheme, key, np.unique(block[fine]), longest)
+        after, chance = _apart(x, mass, fine & alive, ~fine & alive)
+        parted = float(np.max(after - before - _CHANCE * chance))
+        if parted <= 0.0 or halvings == _HALVINGS or 4 * steps > scheme.max_steps:
+            break
+        x[:], alive[:] = start, True
+    return taken, max(parted, 0.0)
+
+
+def _apart(x: Floats, mass: Floats, some: Bools, others: Bools) -> tuple[Floats, Floats]:
+    """How far apart means, and half the variances, of two samples are, and may be by chance; (2, n) each.
+
+    In standard deviations.
+    """
+    if not (some.any() and others.any()):
+        return np.zeros((2, x.shape[1])), np.zeros((2, x.shape[1]))
+    (p, q), (X, Y) = (mass[part] / mass[part].sum() for part in (some, others)), (x[some], x[others])
+    mean, chance = q @ Y, math.sqrt(p @ p + q @ q)
+    squares = (Y - mean) ** 2
+    variance = np.maximum(q @ squares, 1e-300)
+    wider = 0.5 * np.abs(p @ (X - mean) ** 2 / variance - 1.0)
+    by_chance = np.array([np.ones_like(mean), 0.5 * np.sqrt(q @ (squares / variance - 1.0) ** 2)])
+    return np.array([np.abs(p @ X - mean) / np.sqrt(variance), wider]), chance * by_chance
+
+
+def _walked(
+    x: Floats,
+    mass: Floats,
+    alive: Bools,
+    model: SDE,
+    span: tuple[float, float],
+    scheme: CloudScheme,
+    key: int,
+    which: Ints | None = None,
+    most: float = math.inf,
 ) -> int:
-    """Move points in place; paths given up are no longer alive. Returns the most steps of a block."""
+    """Move some blocks of points, or all, by steps of at most a length. Returns the mean steps of a block."""
     steps = PLATEN if model.state_dependent_noise else SHIFTED_PATH
     variance, blocks = np.diag(moments(x, mass)[1]).copy(), -(-len(x) // LANES)
+    which = np.arange(blocks) if which is None else which
     report, tolerance = np.zeros((blocks, 2)), _BIAS / math.sqrt(len(x))
     rate = rate_of_time(model, x[:_LOOKED_AT], *span)
     rough = tolerance / BIAS_PER_ERROR[steps]
@@ -183,13 +243,14 @@ def _moved(
     longest = min(part / rate if rate > 0.0 else math.inf, model.max_step)
     if model.domain.walled.any():
         longest = min(longest, _beside_walls(model, x, variance, span[0]))
-    limits = longest, math.inf, tolerance, float(scheme.max_steps)
+    limits = min(longest, most), math.inf, tolerance, float(scheme.max_steps)
     entries = address_of(model.drift_batch), address_of(model.noise_batch)
     constants = model.p, variance, noise_root(model.spectral_density)
     with surfacing():
-        move_blocks()(
-            x, alive, report, span, limits, entries, constants, model.domain.codes, (steps, key, 0, blocks)
-        )
+        for block in which:
+            stream = steps, key, int(block), int(block) + 1
+            move_blocks()(x, alive, report, span, limits, entries, constants, model.domain.codes, stream)
+    report = report[which]
     if not report[:, 0].all():
         stopped = report[report[:, 0] == 0, 1][0]
         raise StoppedError(
@@ -197,7 +258,7 @@ def _moved(
             f"{scheme.max_steps} steps were not enough for a cloud; the drift is stiff. Allow more with "
             f"scheme=CloudScheme(max_steps=...), or predict over a shorter interval"
         )
-    return int(report[:, 0].max())
+    return math.ceil(report[:, 0].mean())
 
 
 def _near(before: Floats, after: Floats) -> Bools:
@@ -221,8 +282,9 @@ def _blow_up(model: SDE, x: Floats, t0: float, t1: float) -> str:
     return carried_off(model, x, t0, t1) or blow_up(model, x[-1], t0, t0, t1)
 
 
-def _error(density: ParticleDensity, before: Floats, after: Floats, mass: Floats) -> float:
-    """Error of the mean in standard deviations: what is left of the error before, and that of new noise.
+def _error(density: ParticleDensity, before: Floats, after: Floats, mass: Floats) -> tuple[float, float]:
+    """Error of the mean in standard deviations: what is left of the error before, and that of new noise; and
+    the part that is left.
 
     The part of the variance that the points had before is how far the error before goes on.
     """
@@ -236,7 +298,7 @@ def _error(density: ParticleDensity, before: Floats, after: Floats, mass: Floats
     old, new, cross = (cov[rows, columns] for rows, columns in _quarters(n))
     inverse = np.linalg.pinv(old, hermitian=True), np.linalg.pinv(new, hermitian=True)
     kept = min(max(float(np.trace(inverse[1] @ cross.T @ inverse[0] @ cross)) / n, 0.0), 1.0)
-    return math.sqrt(kept * density.error**2 + (1.0 - kept) * float(np.sum(mass**2)))
+    return math.sqrt(kept * density.error**2 + (1.0 - kept) * float(np.sum(mass**2))), math.sqrt(kept)
 
 
 def _quarters(n: int) -> tuple[tuple[slice, slice], ...]:

@@ -16,8 +16,13 @@ from ..core.characteristics.aim import AIMED
 from ..core.characteristics.control import (
     COUNTERS,
     EVALUATIONS,
+    LONGEST,
     LOST_MASS,
+    NET_MASS,
+    NODES,
+    PATH_STEP,
     RESIDUAL,
+    STATE_SIZE,
     STATUS,
     STEPS,
     VOLUME,
@@ -112,10 +117,9 @@ def propagate(
     longest = model.max_step
     if not model.autonomous:
         longest = min(longest, (t1 - start) / max(slices, drift_slices(model, density, t1)))
-    state, times = (
-        np.array([volume, min(t1 - start, longest), 0.0, longest, 0.0, residual, 0.0, 0.0, nodes, 0.0]),
-        np.array([start, t1]),
-    )
+    state, times = np.zeros(STATE_SIZE), np.array([start, t1])
+    state[VOLUME], state[NODES], state[RESIDUAL] = volume, nodes, residual
+    state[PATH_STEP], state[LONGEST], state[LOST_MASS] = min(t1 - start, longest), longest, abs(density.lost)
     rule = paths(noise.G.shape[1], scheme.quadrature)
     field: Any = density.field
     status = "paused"
@@ -139,9 +143,9 @@ def propagate(
     laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov, model.domain.walls)
     gaussian = density.gaussian and model.linear
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain)
-    error = math.hypot(_kept(noise.G, t1 - start, cov) * density.error, _gone_wrong(state))
-    moved = replace(moved, residual=0.0 if gaussian else float(state[RESIDUAL]), error=error)
-    return moved, _info(model, scheme, counters, moved, float(state[LOST_MASS]), threads)
+    error, lost = _carried(density, _kept(noise.G, t1 - start, cov), state)
+    moved = replace(moved, residual=0.0 if gaussian else float(state[RESIDUAL]), error=error, lost=lost)
+    return moved, _info(model, scheme, counters, moved, float(state[LOST_MASS]) - abs(density.lost), threads)
 
 
 def _depth(density: ParticleDensity, scheme: LogDensityScheme) -> float:
@@ -182,9 +186,14 @@ def _held_by_walls(model: SDE, density: ParticleDensity) -> str:
     return ""
 
 
-def _gone_wrong(state: Floats) -> float:
-    """Error of the mean, in standard deviations, by what steps and lattices of a march got wrong."""
-    return _PART * float(wrong(state))
+def _carried(density: ParticleDensity, kept: float, state: Floats) -> tuple[float, float]:
+    """Error of the mean after a march, in standard deviations, and the probability lost on the way to it.
+
+    Errors of steps and lattices come as they may; what a jump of the drift loses it loses again in each step.
+    """
+    lost = kept * density.lost + float(state[NET_MASS])
+    before = math.sqrt(max(0.0, density.error**2 - (_PART * density.lost) ** 2))
+    return math.hypot(kept * before, _PART * float(wrong(state)), _PART * lost), lost
 
 
 def _kept(G: Floats, dt: float, cov: Floats) -> float:

@@ -1,4 +1,4 @@
-"""Pieces of a density that are far from the rest and far lower: a prediction keeps what a reading may find."""
+"""Pieces of a density, far from the rest and far lower: predictions keep what a reading may find."""
 
 import numpy as np
 import pytest

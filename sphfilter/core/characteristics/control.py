@@ -14,6 +14,7 @@ __all__ = [
     "LONGEST",
     "LOST",
     "LOST_MASS",
+    "NET_MASS",
     "NODES",
     "NOT_FINITE",
     "OK",
@@ -26,6 +27,7 @@ __all__ = [
     "SQUARES",
     "STALLED",
     "STATE",
+    "STATE_SIZE",
     "STATUS",
     "STEPS",
     "STEP_ERRORS",
@@ -40,9 +42,10 @@ COUNTERS = ("steps", "rejected", "evaluations", "relaid")
 STEPS, REJECTED, EVALUATIONS, RELAID = range(4)
 #: What a march's `state` holds: filled volume of the whitened lattice, next step of the paths, sum of
 #: |log mass| lost, longest step, next step of the lattice, residual of the last lattice, the sum of the
-#: steps' errors, that of the squares of the lattices', the nodes that the next lattice needs, and the error
-#: that no shorter step makes smaller.
-VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP, RESIDUAL, STEP_ERRORS, SQUARES, NODES, FLOOR = range(10)
+#: steps' errors, that of the squares of the lattices', the nodes that the next lattice needs, the error that
+#: no shorter step makes smaller, and the sum of log mass.
+VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP, RESIDUAL, STEP_ERRORS, SQUARES, NODES = range(9)
+FLOOR, NET_MASS, STATE_SIZE = 9, 10, 11
 
 
 class Control(NamedTuple):

@@ -27,6 +27,7 @@ from .control import (
     LATTICE_STEP,
     LOST,
     LOST_MASS,
+    NET_MASS,
     NODES,
     NOT_FINITE,
     OK,
@@ -187,6 +188,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
         if new.x.shape[0] < 0.6 * state[NODES]:  # else the next lattice has this one's spacing: it fits
             state[VOLUME] = new.volume
         state[LOST_MASS] += abs(new.log_mass)
+        state[NET_MASS] += new.log_mass
         x, m, mean, P = new.x, new.mass, new.mean, new.cov
         field = build(new.mu, new.A, new.node, new.x.shape[0], new.log_p, sten)
         residual = between(back, step, field, new.log_mass)
