@@ -117,9 +117,10 @@ def smooth(
 
     Notes
     -----
-    A measurement that the filter refused is not used on the way back either. Nonlinear models have been
-    checked, against a grid, in one and two dimensions, linear ones in four: in more than two look at how far
-    the values of `SmoothedResult.log_evidence` are apart.
+    A measurement that the filter refused is not used on the way back either. Steps back end at the times at
+    which the model jumps. Nonlinear models, and noise that depends on the state, have been checked, against a
+    grid, in one and two dimensions, linear ones in four: in more than two look at how far the values of
+    `SmoothedResult.log_evidence` are apart.
 
     Examples
     --------
@@ -220,7 +221,7 @@ def _forward(
 def _predicted(filt: SPHFilter, t: float) -> int:
     """Predict to time t; steps that this took."""
     predicted = filt.predict(t=t)
-    if predicted.scheme != "log_density":
+    if predicted.n_steps and predicted.scheme != "log_density":
         raise ModelError(
             f"smooth needs densities that the log_density scheme carries; to t = {t:g} it was "
             f"{predicted.scheme}: {predicted.status}"

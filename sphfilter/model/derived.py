@@ -12,7 +12,8 @@ from .compile import batch
 
 __all__ = [
     "constant_diffusion", "constant_noise", "diffusion_from_noise", "jacobian_from", "linear_divergence",
-    "linear_drift", "linear_jacobian", "noise_columns", "noise_from_diffusion", "row_divergence_from", "scales", "stratonovich_drift", "symmetric_root", "trace_from", "zeros",
+    "linear_drift", "linear_jacobian", "noise_columns", "noise_from_diffusion", "row_divergence_from",
+    "scales", "stratonovich_drift", "symmetric_root", "trace_from", "zeros",
 ]  # fmt: skip
 
 #: Relative step of central differences: balances rounding (eps/h) against truncation (h²).

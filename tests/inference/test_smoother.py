@@ -151,9 +151,6 @@ def test_smoothing_says_what_it_does_not_support():
         sf.smooth(flt, [1.0], [[0.1], [0.2]])
     with pytest.raises(sf.ModelError, match="before the filter's own time"):
         sf.smooth(flt, [-1.0], [[0.1]])
-    own = sf.SDE.from_expressions(states=["x", "v"], drift=["v", "-x"], noise=[["0"], ["1 + x**2"]])
-    with pytest.raises(sf.ModelError, match="the noise depends on the state"):
-        sf.smooth(sf.SPHFilter(own, POSITION, *START), [1.0], [[0.1]])
     for config in (sf.FilterConfig.paper(), sf.FilterConfig(scheme=sf.CorrectedScheme())):
         with pytest.raises(sf.ModelError, match="log_density"):
             sf.smooth(sf.SPHFilter(LINEAR, POSITION, *START, config=config), [1.0], [[0.1]])
