@@ -11,7 +11,7 @@ from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, Solver
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
-from ..lattice.check import misfit
+from ..lattice.check import deep_enough, misfit
 from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
@@ -27,7 +27,7 @@ Distribution: TypeAlias = Gaussian | Uniform | OfStates
 
 _FAR = 6.0  # standard deviations within which a Gaussian is put on a domain with ends
 _MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
-_COARSE = 2000  # particles a callable pdf is first looked at with
+_COARSE, _SEEN = 5000, 1.0 - 1e-6  # particles a callable pdf is first looked at with, and their probability
 #: For moment-corrected SPH, which finds smoothing lengths of its own.
 _FOR_CORRECTED = PaperScheme(kernel="wendland_c2", support_steps=1)
 
@@ -228,13 +228,16 @@ def _on_level_set(
         whole = not walls[0].size
         density = ParticleDensity.on_lattice(laid, t, n_particles, gaussian=whole, domain=domain)
         return replace(density, residual=0.0 if whole else misfit(laid, log_pdf).residual)
-    coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), PaperScheme(), t)
+    whole = PaperScheme(represented_mass=_SEEN)
+    coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), whole, t)
 
     def log_p(X: Floats) -> Floats:
         with np.errstate(divide="ignore"):
             return np.maximum(np.log(np.asarray(distribution(X), dtype=float)), -1e250)
 
     factor = np.linalg.cholesky(coarse.cov("points"))
+    if not getattr(scheme, "reach", None):
+        depth = deep_enough(log_p(coarse.x), coarse.mass, len(box), depth)
     seeds = coarse.x[coarse.mass > coarse.mass.max() * np.exp(-depth)]
     laid = _laid(log_p, coarse.mean(), factor, seeds, n_particles, depth)
     return replace(ParticleDensity.on_lattice(laid, t, n_particles), residual=misfit(laid, log_p).residual)

@@ -4,6 +4,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import gammaincc
 
 from .._types import Floats, OfStates
 from ..core.field.field import Field
@@ -12,8 +13,9 @@ from . import field as lattice_field
 from .level_set import Laid
 from .walls import inside, parts
 
-__all__ = ["Beside", "Misfit", "beside", "left_out", "misfit"]
+__all__ = ["Beside", "Misfit", "beside", "deep_enough", "left_out", "misfit"]
 
+_DEEPEST = 2.0  # times the depth of a Gaussian
 _FARTHEST = 50.0  # nats by which a value may be too low before it counts as lost
 
 
@@ -90,3 +92,27 @@ def left_out(field: Field, walls: Walls = NO_WALLS) -> float:
         p = np.exp(field.log_p) * parts(walls, field.A, x)
         p[field.kept :][inside(walls, x[field.kept :])] = 0.0
     return max(0.0, 1.0 - float(p.sum() * abs(np.linalg.det(field.A))))
+
+
+def deep_enough(log_p: Floats, mass: Floats, n: int, depth: float, beyond: float = 0.0) -> float:
+    """Depth at which to cut a density so that no more is left out than `depth` leaves out of a Gaussian.
+
+    Pieces of it may be far lower than its highest, though not negligible, and its tails heavier.
+
+    Parameters
+    ----------
+    log_p, mass : ndarray, shape (N,)
+        Of its cells.
+    n : int
+        States.
+    depth : float
+        Nats below the highest value, for a Gaussian.
+    beyond : float
+        Probability beyond these cells, in tails that end at about that depth.
+    """
+    allowed = gammaincc(0.5 * n, depth)
+    lowest_first = np.argsort(log_p)
+    kept = np.cumsum(mass[lowest_first]) > allowed * mass.sum()
+    own = float(log_p.max() - log_p[lowest_first[np.argmax(kept)]])
+    tails = depth + np.log(max(1.0, beyond / allowed))
+    return min(max(depth, own, tails), _DEEPEST * depth)

@@ -54,8 +54,9 @@ def symbolic_model(
     }
     if g is not None:
         entries["noise"] = g
-    if g is not None and noisy:
-        entries |= _flow(f, g, D, Q, names)
+    root = g if g is not None else _diagonal_root(D)
+    if root is not None and noisy:
+        entries |= _flow(f, root, D, Q, names)
     makers = {name: _maker(name, matrix, names) for name, matrix in entries.items()}
     if g is None:
         makers["noise"] = lambda fs: derived.noise_from_diffusion(fs["diffusion"])
@@ -138,6 +139,11 @@ def _stratonovich_term(f: sp.Matrix, g: Any, D: sp.Matrix, Q: Floats, names: Nam
             for i in range(n)
         ]
     )  # fmt: skip
+
+
+def _diagonal_root(D: sp.Matrix) -> sp.Matrix | None:
+    """Return g with g gᵀ = 2 D, one column per state, where each state has noise of its own."""
+    return D.applyfunc(lambda v: sp.sqrt(2 * v)) if D.is_diagonal() else None
 
 
 def _flow(f: sp.Matrix, g: sp.Matrix, D: sp.Matrix, Q: Floats, names: Names) -> dict[str, sp.Matrix]:

@@ -87,8 +87,9 @@ def carried_back(model: SDE, found: Field, prior: ParticleDensity, t1: float) ->
     t1 : float
         Seconds, one step of the noise later. The model may jump at both ends of the step.
     """
-    (_, begin), (end, _) = beside(prior.t, prior.t, t1), beside(t1, prior.t, t1)
-    n, mean = model.dim, prior.mean()
+    n, mean, begin, end = model.dim, prior.mean(), prior.t, t1
+    for before, after in (beside(stop, prior.t, t1) for stop in model.breaks(prior.t, t1)):
+        begin, end = after if before <= begin else begin, before if end <= after else end
     noise = noise_between(model, begin, end, mean)[0]._replace(constant_divergence=True)
     drift, none = model.flow_drift_batch, shared(zeros)
     entries, rule = addresses(_Entries, drift, none, AIMED, BACK), paths(noise.G.shape[1], _QUADRATURE)

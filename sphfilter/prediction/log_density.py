@@ -34,7 +34,7 @@ from ..core.field.stencils import stencils
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
-from ..lattice.check import beside
+from ..lattice.check import beside, deep_enough, left_out
 from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, lattice_reach
 from ..model.compile import surfacing
 from ..model.derived import scales
@@ -90,7 +90,7 @@ def propagate(
     noise, slices = noise_between(model, start, t1, density.mean())
     low, high = model.domain.walls
     noise = noise._replace(low=low, high=high)
-    depth = 0.5 * lattice_reach(scheme, n) ** 2
+    depth = _depth(density, scheme)
     spacing = (gaussian_volume(n, depth) / n_particles) ** (1.0 / n)
     least = float(np.clip(_LEAST * spacing**4, *_LEASTS))
     residual = max(least, min(density.residual or 0.0, 1e-2))
@@ -113,7 +113,7 @@ def propagate(
     if not model.autonomous:
         longest = min(longest, (t1 - start) / max(slices, drift_slices(model, density, t1)))
     state, times = (
-        np.array([volume, min(t1 - start, longest), 0.0, longest, 0.0, residual, 0.0, 0.0, nodes]),
+        np.array([volume, min(t1 - start, longest), 0.0, longest, 0.0, residual, 0.0, 0.0, nodes, 0.0]),
         np.array([start, t1]),
     )
     rule = paths(noise.G.shape[1], scheme.quadrature)
@@ -142,6 +142,15 @@ def propagate(
     error = math.hypot(_kept(noise.G, t1 - start, cov) * density.error, _gone_wrong(state))
     moved = replace(moved, residual=0.0 if gaussian else float(state[RESIDUAL]), error=error)
     return moved, _info(model, scheme, counters, moved, float(state[LOST_MASS]), threads)
+
+
+def _depth(density: ParticleDensity, scheme: LogDensityScheme) -> float:
+    """Nats below the highest value of log p at which lattices are cut."""
+    depth, field = 0.5 * lattice_reach(scheme, density.dim) ** 2, density.field
+    if scheme.reach or field is None:
+        return depth
+    log_p = field.log_p[: field.kept]
+    return deep_enough(log_p, np.exp(log_p), density.dim, depth, left_out(field, density.walls))
 
 
 def noise_between(model: SDE, t0: float, t1: float, around: Floats) -> tuple[Noise, int]:

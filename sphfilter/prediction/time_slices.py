@@ -54,7 +54,7 @@ def _sampled(
     sized: Callable[[Floats], tuple[Floats, float]],
 ) -> tuple[Floats, int]:
     """Values at the middles of many steps, and the fewest steps whose middles have their running integral."""
-    fine = np.array([ask(t0 + (t1 - t0) * s) for s in _middles(_FINE)])
+    fine = _known(np.array([ask(t0 + (t1 - t0) * s) for s in _middles(_FINE)]))
     values, size = sized(fine)
     whole = _running(values)
     for slices in _SLICES:
@@ -64,6 +64,15 @@ def _sampled(
             if np.abs(coarse - exact).max() <= _ERROR * size:
                 return fine, slices
     return fine, _SLICES[-1]
+
+
+def _known(values: Floats) -> Floats:
+    """Values (S, ...); where one is no number, which is no change in time, those of the next time."""
+    known = np.flatnonzero(np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
+    if not len(known):
+        return np.zeros_like(values)
+    following = np.searchsorted(known, np.arange(len(values)))
+    return values[known[np.minimum(following, len(known) - 1)]]
 
 
 def _middles(slices: int) -> Floats:

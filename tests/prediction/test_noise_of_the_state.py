@@ -163,8 +163,8 @@ def written_otherwise():
 
 @pytest.mark.parametrize("name", written_otherwise())
 def test_one_equation_written_in_other_ways(name):
-    plain, _ = on_log_density(text(["x"], ["-x"], WIDENING), START, 1.0, 100)
-    other, _ = on_log_density(written_otherwise()[name], START, 1.0, 100)
+    plain, _ = on_log_density(text(["x"], ["-x"], WIDENING), START, 0.2, 60)
+    other, _ = on_log_density(written_otherwise()[name], START, 0.2, 60)
     assert other.mean()[0] == pytest.approx(plain.mean()[0], abs=2e-6)
     assert other.cov()[0, 0] == pytest.approx(plain.cov()[0, 0], abs=2e-6)
 

@@ -9,6 +9,7 @@ __all__ = [
     "COUNTERS",
     "COUNTS",
     "EVALUATIONS",
+    "FLOOR",
     "LATTICE_STEP",
     "LONGEST",
     "LOST",
@@ -39,8 +40,9 @@ COUNTERS = ("steps", "rejected", "evaluations", "relaid")
 STEPS, REJECTED, EVALUATIONS, RELAID = range(4)
 #: What a march's `state` holds: filled volume of the whitened lattice, next step of the paths, sum of
 #: |log mass| lost, longest step, next step of the lattice, residual of the last lattice, the sum of the
-#: steps' errors, that of the squares of the lattices', and the nodes that the next lattice needs.
-VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP, RESIDUAL, STEP_ERRORS, SQUARES, NODES = range(9)
+#: steps' errors, that of the squares of the lattices', the nodes that the next lattice needs, and the error
+#: that no shorter step makes smaller.
+VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP, RESIDUAL, STEP_ERRORS, SQUARES, NODES, FLOOR = range(10)
 
 
 class Control(NamedTuple):

@@ -23,6 +23,7 @@ from ..field.walls import is_inside
 from ..small_matrices import cholesky, moments
 from .aim import AIMED
 from .control import (
+    FLOOR,
     LATTICE_STEP,
     LOST,
     LOST_MASS,
@@ -49,6 +50,8 @@ _MOST = 1e-2  # residual that steps go by where the lattice's own is larger
 _SHORTEST = 1e-6  # of the interval
 _UNDOUBTED = 5.0  # times what may be lost, where no error is seen
 _HELPED = 0.7  # times a step's error, to which a shorter one has to bring it
+_PATIENCE, _GROWING = 10, 1.5  # steps that hardly grow, after which one four times as long is tried
+_FORGOTTEN = 0.95  # of the floor, that is left after a step
 _SPARE, _ORDER = 1e-8, 6.0  # residual that more nodes need not make smaller; its order in the spacing
 
 back_at, choose_at, aim_at, lay_at, build_at = BACK.at, CHOOSE.at, AIMED.at, LAY.at, BUILD.at
@@ -94,6 +97,12 @@ def _keep_inside(noise, x, m):
 
 
 @jit
+def _suited(h, error, allowed):
+    """The step after one of length h with that error, which goes with the third power of the length."""
+    return h * min(4.0, max(0.2, 0.9 * (allowed / max(error, 1e-300)) ** (1.0 / 3.0)))
+
+
+@jit
 def wrong(state):
     """What steps and lattices of a march have got wrong of the density: errors of steps add up."""
     return state[STEP_ERRORS] + math.sqrt(state[SQUARES])
@@ -135,6 +144,8 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
     span, first = times[1] - times[0], counters[STEPS]
     moments(x, m, mean, P)
     before = np.inf  # error of the step refused last
+    own, shorter = 0.0, np.inf  # error and length of the step before a long one that is tried
+    since, usual = 0, 0.0  # steps since then, and how long they were
     while times[0] < times[1]:
         if counters[STEPS] - first >= control.pause_after:
             return field, x, m, mean, P, PAUSED
@@ -148,15 +159,28 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
         response = aim(drift, noise, field, pick.mean, t1, h, parts)
         step = Step(drift, divergence, noise, field, sten, paths, response, t1, h, parts, pick.blurred)
         error = judge(back, step, pick.mean, m, pick.ends)
-        allowed = control.share * state[RESIDUAL]
-        state[LATTICE_STEP] = h * min(4.0, max(0.2, 0.9 * (allowed / max(error, 1e-300)) ** (1.0 / 3.0)))
-        if error > allowed and not error > _HELPED * before:  # else what is seen is the lattice's own
+        if h > shorter:
+            if error * shorter < own * h:  # less goes wrong by the second: what is seen is the lattice's own
+                state[FLOOR] = 2.0 * error
+            else:
+                counters[REJECTED] += 1
+                state[LATTICE_STEP], shorter = shorter, np.inf
+                continue
+        allowed, shorter = max(control.share * state[RESIDUAL], state[FLOOR]), np.inf
+        state[LATTICE_STEP] = _suited(h, error, allowed)
+        if error > allowed and not error > _HELPED * before:
             counters[REJECTED] += 1
             before = error
             if state[LATTICE_STEP] < _SHORTEST * span:
                 return field, x, m, mean, P, STALLED
             continue
         before = np.inf
+        state[FLOOR] *= _FORGOTTEN
+        since += 1
+        if since == _PATIENCE:
+            if state[LATTICE_STEP] < _GROWING * usual:
+                own, shorter, state[LATTICE_STEP] = error, h, 4.0 * h
+            since, usual = 0, h
         new = lay(back, step, pick.mean, pick.shape, pick.ends, control, state, counters)
         if new.code != OK:
             return field, x, m, mean, P, new.code
