@@ -1,7 +1,6 @@
 """Fixed-interval smoothing: the density of the state at each time, given all measurements.
 
 p(x_k | z_1..T) is the filter's p(x_k | z_1..k) times β_k(x) = p(z_k+1..T | x_k = x). log β is carried back
-from ..core.field.field import Field
 from measurement to measurement on lattices that follow the smoothed density, and so is only asked for where
 that is: by itself it need not have an end.
 """
@@ -97,8 +96,7 @@ def smooth(
     Parameters
     ----------
     filt : SPHFilter
-        The filter at the start of the measurements; it stays there. The noise of its model must not depend on
-        the state, and its scheme must be the default.
+        The filter at the start of the measurements; it stays there. Its scheme must be the default.
     times : array_like, shape (T,)
         Not decreasing, seconds, none before the filter's own. Times may repeat.
     measurements : sequence of length T
@@ -119,9 +117,10 @@ def smooth(
 
     Notes
     -----
-    A measurement that the filter refused is not used on the way back either. Nonlinear models have been
-    checked, against a grid, in one and two dimensions, linear ones in four: in more than two look at how far
-    the values of `SmoothedResult.log_evidence` are apart.
+    A measurement that the filter refused is not used on the way back either. Steps back end at the times at
+    which the model jumps. Nonlinear models, and noise that depends on the state, have been checked, against a
+    grid, in one and two dimensions, linear ones in four: in more than two look at how far the values of
+    `SmoothedResult.log_evidence` are apart.
 
     Examples
     --------
@@ -174,8 +173,6 @@ def _checked(
     reason = fits(filt.model, filt.density, filt.n_particles)
     if not isinstance(scheme, str | LogDensityScheme):
         reason = f"the filter's scheme is {scheme.name!r}; leave it to the default"
-    if filt.model.state_dependent_noise:
-        reason = "the noise depends on the state"
     if reason:
         raise ModelError(f"smooth needs densities that the log_density scheme carries: {reason}")
     return [checked_sensor(filt.measurement if s is None else s, filt.model) for s in sensors]
@@ -183,7 +180,7 @@ def _checked(
 
 @dataclass
 class _Epoch:
-    """What the filter did up to one of the distinct times."""
+    """What the filter did up to one of the distinct times, those at which the model jumps included."""
 
     filt: SPHFilter  # after the updates
     n_steps: int  # of the prediction
@@ -205,18 +202,11 @@ def _forward(
     epochs: list[_Epoch] = []
     rows, log_evidence, accepted = [], [], []
     for t, z, sensor in zip(times, measurements, sensors, strict=True):
-        steps = 0
-        if t > filt.t:
-            predicted = filt.predict(t=t)
-            steps = predicted.n_steps
-            if predicted.scheme != "log_density":
-                raise ModelError(
-                    f"smooth needs densities that the log_density scheme carries; to t = {t:g} it was "
-                    f"{predicted.scheme}: {predicted.status}"
-                )
+        for stop in [*(filt.model.breaks(filt.t, t) if epochs else ()), t]:
+            steps = _predicted(filt, stop) if stop > filt.t else 0
+            if not epochs or filt.t > epochs[-1].filt.t:
+                epochs.append(_Epoch(copy.copy(filt), steps, [], 0))
         info = filt.update(z, sensor)
-        if not epochs or t > epochs[-1].filt.t:
-            epochs.append(_Epoch(filt, steps, [], 0))
         epochs[-1].rows += 1
         if info.accepted and sensor.observed(z).any():
             epochs[-1].seen.append((sensor, z))
@@ -226,6 +216,17 @@ def _forward(
         accepted.append(info.accepted)
     x_prior, P_prior, x, P = (np.array(column) for column in zip(*rows, strict=True))
     return epochs, FilterResult(times, x_prior, P_prior, x, P, np.array(log_evidence), np.array(accepted))
+
+
+def _predicted(filt: SPHFilter, t: float) -> int:
+    """Predict to time t; steps that this took."""
+    predicted = filt.predict(t=t)
+    if predicted.n_steps and predicted.scheme != "log_density":
+        raise ModelError(
+            f"smooth needs densities that the log_density scheme carries; to t = {t:g} it was "
+            f"{predicted.scheme}: {predicted.status}"
+        )
+    return predicted.n_steps
 
 
 def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float]]:
@@ -257,7 +258,7 @@ def _one_back(
     """
     priors = _between(before.filt, after.filt.t, max(after.n_steps, 1))
     for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
-        log_beta = carried_back(before.filt.model, found, prior.t, t, prior.x)
+        log_beta = carried_back(before.filt.model, found, prior, t)
         smoothed, future, _ = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
         X = nodes(_field(smoothed))
         values = log_beta(X)

@@ -12,8 +12,8 @@ from .compile import batch
 
 __all__ = [
     "constant_diffusion", "constant_noise", "diffusion_from_noise", "jacobian_from", "linear_divergence",
-    "linear_drift", "linear_jacobian", "noise_columns", "noise_from_diffusion", "reversed_drift",
-    "row_divergence_from", "scales", "stratonovich_drift", "symmetric_root", "trace_from", "zeros",
+    "linear_drift", "linear_jacobian", "noise_columns", "noise_from_diffusion", "row_divergence_from",
+    "scales", "stratonovich_drift", "symmetric_root", "trace_from", "zeros",
 ]  # fmt: skip
 
 #: Relative step of central differences: balances rounding (eps/h) against truncation (h²).
@@ -142,18 +142,6 @@ def _difference(f: BatchFunction, x: Floats, t: float, p: Floats, j: int, step: 
         h = 2.0 * step * max(1.0, abs(x[i, j]))
         for k in range(out.shape[1]):
             out[i, k] = (out[i, k] - below[i, k]) / h
-
-
-def reversed_drift(f: BatchFunction) -> BatchFunction:
-    """Return the drift −f(x, −t) of reversed time."""
-
-    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
-        f(x, -t, p, out)
-        for i in range(x.shape[0]):
-            for a in range(x.shape[1]):
-                out[i, a] = -out[i, a]
-
-    return batch(fill)
 
 
 def stratonovich_drift(f: BatchFunction, g: BatchFunction, Q: Floats) -> BatchFunction:

@@ -340,19 +340,14 @@ class SDE:
         return self._functions["divergence"]
 
     @property
-    def reversed_drift_batch(self) -> BatchFunction:
-        """−f at −t, (N, n)."""
-        return self._functions["reversed_drift"]
-
-    @property
     def flow_drift_batch(self) -> BatchFunction:
         """Stratonovich drift, (N, n): what moves states beside the noise, where this is smooth in time."""
-        return self._functions["flow_drift"]
+        return self._functions["flow_drift" if self.state_dependent_noise else "drift"]
 
     @property
     def flow_divergence_batch(self) -> BatchFunction:
         """Divergence of the Stratonovich drift, (N, 1)."""
-        return self._functions["flow_divergence"]
+        return self._functions["flow_divergence" if self.state_dependent_noise else "divergence"]
 
     @property
     def noise_columns_batch(self) -> BatchFunction:
@@ -503,7 +498,6 @@ class _Functions:
         self._makers: dict[str, Maker] = {
             "jacobian": lambda fs: derived.jacobian_from(fs["drift"], n),
             "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
-            "reversed_drift": lambda fs: derived.reversed_drift(fs["drift"]),
             "flow_drift": lambda fs: derived.stratonovich_drift(fs["drift"], fs["noise"], -Q),
             "flow_divergence": lambda fs: derived.trace_from(derived.jacobian_from(fs["flow_drift"], n)),
             "noise_columns": lambda fs: derived.noise_columns(fs["noise"], constant_root(0.5 * Q)),

@@ -21,15 +21,16 @@ def beside(t: float, t0: float, t1: float) -> tuple[float, float]:
 
 
 def roots(value: Callable[[float], Floats], t0: float, t1: float, step: float) -> list[float]:
-    """Times in [t0, t1] at which one of the numbers that `value` returns changes its sign.
+    """Times in [t0, t1] at which a number that `value` returns changes its sign, or is zero at an end.
 
     They are looked at every `step` seconds at least; a number that does not oscillate may change at any time.
     """
     parts = _SAMPLES + (0 if math.isinf(step) else math.ceil((t1 - t0) / step))
     times = np.linspace(t0, t1, parts + 1)
-    above = np.array([value(t) for t in times]) >= 0.0
+    values = np.array([value(t) for t in times])
+    above = values >= 0.0
     found = [
         float(brentq(lambda t, k=k: value(t)[k], times[i], times[i + 1], xtol=1e-300, rtol=1e-15))
         for i, k in zip(*np.nonzero(above[1:] != above[:-1]), strict=True)
     ]
-    return sorted(found)
+    return sorted(found + [float(times[i]) for i in (0, -1) if (values[i] == 0.0).any()])

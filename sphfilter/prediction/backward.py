@@ -1,8 +1,8 @@
 """What later measurements say about a state: λ(x, t0) = log E[exp λ(X(t1), t1) | X(t0) = x].
 
-The backward Kolmogorov equation is the FPK equation without its divergence, in reversed time and with the
-drift reversed, so that the weighted noise paths of the log-density scheme solve it as they are. λ is no
-log-density: it may be flat, or rise towards the edge of the lattice that it is known on.
+The backward Kolmogorov equation is the FPK equation without its divergence, and along paths that go on in
+time: the weighted noise paths of the log-density scheme solve it as they are, by steps of negative length.
+λ is no log-density: it may be flat, or rise towards the edge of the lattice that it is known on.
 """
 
 import math
@@ -16,18 +16,22 @@ from ..core._jit import jit
 from ..core.characteristics.aim import AIMED
 from ..core.characteristics.expectation import BACK, Step
 from ..core.characteristics.noise_paths import Noise
+from ..core.characteristics.step_limits import driven_error
 from ..core.field.field import Field
 from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
+from ..density.particle_density import ParticleDensity
 from ..model.compile import shared, surfacing
 from ..model.derived import zeros
 from ..model.sde import SDE
-from .log_density import noise_factor, paths
+from ..model.timing import beside
+from .log_density import noise_between, paths
 
 __all__ = ["carried_back", "likelihood_field"]
 
 _FLAT = -1e-9  # largest second derivative of what goes on beyond a lattice, in its units
-_TURN = 0.2  # Runge-Kutta step times the largest rate of the drift's Jacobian
+_TOLERANCE = 1e-5  # of the paths' ends, in standard deviations of the density
+_MOST_PARTS = 64  # Runge-Kutta steps of a path
 _QUADRATURE = 7  # Gauss-Hermite points of one noise
 
 back_at, aim_at = BACK.at, AIMED.at
@@ -43,9 +47,9 @@ class _Entries(NamedTuple):
 
 
 class _Leg(NamedTuple):
-    """A step of the noise, in reversed time."""
+    """A step of the noise."""
 
-    t: float  # at its end, seconds
+    t: float  # where its paths begin, seconds
     h: float
     parts: int  # Runge-Kutta steps of a path
     blurred: bool  # what paths leave of the noise counts
@@ -70,36 +74,45 @@ def likelihood_field(field: Field, values: Floats) -> Field:
     return found._replace(cap=math.inf)
 
 
-def carried_back(model: SDE, found: Field, t0: float, t1: float, around: Floats) -> OfStates:
-    """Return λ at t0 as a function of states (M, n), from that at t1 as `likelihood_field` made it.
+def carried_back(model: SDE, found: Field, prior: ParticleDensity, t1: float) -> OfStates:
+    """Return λ at the time of a density as a function of states (M, n), from that at t1.
 
     Parameters
     ----------
     model : SDE
-        Its noise does not depend on the state.
     found : Field
-    t0, t1 : float
-        Seconds, t1 > t0: one step of the noise.
-    around : ndarray, shape (N, n)
-        States at t0 that matter.
+        As `likelihood_field` made it.
+    prior : ParticleDensity
+        Where and when λ is asked for.
+    t1 : float
+        Seconds, one step of the noise later. The model may jump at both ends of the step.
     """
-    n, h = model.dim, t1 - t0
-    G, _ = noise_factor(model, t0, t1)
-    noise = Noise(G, model.p, not model.constant_diffusion, True)
-    rates = np.empty((len(around), n * n))
+    n, mean, begin, end = model.dim, prior.mean(), prior.t, t1
+    for before, after in (beside(stop, prior.t, t1) for stop in model.breaks(prior.t, t1)):
+        begin, end = after if before <= begin else begin, before if end <= after else end
+    noise = noise_between(model, begin, end, mean)[0]._replace(constant_divergence=True)
+    drift, none = model.flow_drift_batch, shared(zeros)
+    entries, rule = addresses(_Entries, drift, none, AIMED, BACK), paths(noise.G.shape[1], _QUADRATURE)
+    x, mass, L = np.array(prior.x), np.array(prior.mass), np.linalg.cholesky(prior.cov())
     with surfacing():
-        model.jacobian_batch(np.array(around), t0, model.p, rates)
-    rate = np.linalg.norm(rates[np.isfinite(rates).all(axis=1)].reshape(-1, n, n), axis=(1, 2)).max(initial=0)
-    parts = max(1, math.ceil(h * rate / _TURN))
-    entries = addresses(_Entries, model.reversed_drift_batch, shared(zeros), AIMED, BACK)
-    rule, centre = paths(G.shape[1], _QUADRATURE), around.mean(axis=0)
+        parts = _parts(entries, noise, x, mass, L, begin, end - begin)
 
     def log_expected(X: Floats) -> Floats:
-        leg = _Leg(-t0, h, parts, not model.linear)  # made here: the model must outlive its addresses
+        leg = _Leg(begin, end - begin, parts, not model.linear)  # here: the model must outlive its addresses
         with surfacing():
-            return _ahead(entries, noise, found, stencils(n), rule, centre, leg, np.array(X))
+            return _ahead(entries, noise, found, stencils(n), rule, mean, leg, np.array(X))
 
     return log_expected
+
+
+@jit
+def _parts(entries: _Entries, noise: Noise, x: Floats, m: Floats, L: Floats, t: float, h: float) -> int:
+    """Runge-Kutta steps of paths from nodes x (N, n) of a density, with masses m and lower factor L."""
+    drift, f, parts = function_at(entries.drift), np.empty(x.shape), 1
+    drift(x, t, noise.p, f)
+    while parts < _MOST_PARTS and driven_error(drift, noise, x, f, m, t, h, parts, L) > _TOLERANCE:
+        parts *= 2
+    return parts
 
 
 @jit
@@ -108,8 +121,8 @@ def _ahead(
 ) -> Floats:
     """λ (M,) at the states X (M, n) before a step of the noise."""
     drift, divergence = function_at(entries.drift), function_at(entries.divergence)
-    response = aim_at(entries.aim)(drift, noise, field, centre, leg.t, leg.h, leg.parts)
-    step = Step(drift, divergence, noise, field, sten, paths, response, leg.t, leg.h, leg.parts, leg.blurred)
+    response = aim_at(entries.aim)(drift, noise, field, centre, leg.t, -leg.h, leg.parts)
+    step = Step(drift, divergence, noise, field, sten, paths, response, leg.t, -leg.h, leg.parts, leg.blurred)
     out = np.empty(X.shape[0])
     back_at(entries.back)(step, X, -np.inf, out)
     return out

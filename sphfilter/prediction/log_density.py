@@ -47,7 +47,7 @@ from ..model.sde import SDE
 from ._shared import blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
-__all__ = ["fits", "load", "propagate"]
+__all__ = ["fits", "load", "noise_between", "paths", "propagate"]
 
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _PART = 0.6  # of what is wrong with a density, that is wrong with its mean
@@ -59,7 +59,7 @@ _LEAST, _LEASTS = 0.02, (1e-7, 3e-4)
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
 #: changes a bit of the result.
 _THREADS_FROM = 20_000
-#: What `noise_factor` returns, by model, where it never changes.
+#: What `_noise_factor` returns, by model, where it never changes.
 _CONSTANT: WeakKeyDictionary[SDE, tuple[Floats, int]] = WeakKeyDictionary()
 
 
@@ -92,7 +92,7 @@ def propagate(
         probability was lost on the way: says when, where, and what to change.
     """
     start, n = density.t, density.dim
-    noise, slices = _noise(model, density, t1)
+    noise, slices = noise_between(model, start, t1, density.mean())
     low, high = model.domain.walls
     noise = noise._replace(low=low, high=high)
     depth = _depth(density, scheme)
@@ -157,12 +157,12 @@ def _depth(density: ParticleDensity, scheme: LogDensityScheme) -> float:
     return deep_enough(log_p, np.exp(log_p), density.dim, depth, left_out(field, density.walls))
 
 
-def _noise(model: SDE, density: ParticleDensity, t1: float) -> tuple[Noise, int]:
-    """The noise to time t1, and steps that see it change."""
+def noise_between(model: SDE, t0: float, t1: float, around: Floats) -> tuple[Noise, int]:
+    """The noise from t0 to t1, and steps that see it change around a state (n,)."""
     if not model.state_dependent_noise:
-        G, slices = noise_factor(model, density.t, t1)
+        G, slices = _noise_factor(model, t0, t1)
         return Noise(G, model.p, not model.constant_diffusion, model.linear), slices
-    slices = 1 if model.autonomous else noise_samples(model, density.t, t1, density.mean())[1]
+    slices = 1 if model.autonomous else noise_samples(model, t0, t1, around)[1]
     G, columns = np.zeros((model.dim, model.n_columns)), np.array(address_of(model.noise_columns_batch))
     return Noise(G, model.p, True, False, True, columns), slices
 
@@ -212,9 +212,7 @@ def _entries(model: SDE, threads: bool) -> Entries:
     """Addresses of what the march calls; compiles or loads it."""
     if threads:
         start_threads()
-    own = model.drift_batch, model.divergence_batch, model.diffusion_batch
-    if model.state_dependent_noise:
-        own = model.flow_drift_batch, model.flow_divergence_batch, model.diffusion_batch
+    own = model.flow_drift_batch, model.flow_divergence_batch, model.diffusion_batch
     return addresses(
         Entries, *own, BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, JUDGE, LAY, BETWEEN, BUILD
     )
@@ -246,7 +244,7 @@ _REASONS: dict[str, tuple[type[PropagationError], str]] = {
 }
 
 
-def noise_factor(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
+def _noise_factor(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
     """G (n, m) with D = G Gᵀ / 2, as many columns as D ever has rank, and steps that see D change."""
     if not model.constant_diffusion:
         return _found_noise_factor(model, t0, t1)

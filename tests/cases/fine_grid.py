@@ -6,12 +6,13 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
-__all__ = ["fine_grid_filter"]
+__all__ = ["difference", "fine_grid_filter"]
 
 _ORDER = 10
 
 
-def _difference(order, size, spacing):
+def difference(order, size, spacing):
+    """The matrix of a derivative of values on nodes, zero beyond them."""
     k = np.arange(-_ORDER // 2, _ORDER // 2 + 1)
     right = np.zeros(len(k))
     right[order] = math.factorial(order)
@@ -28,7 +29,7 @@ def fine_grid_filter(drift, Q, log_likelihood, start, readings, dt, half=9.0, si
     """
     x = np.linspace(-half, half, size)
     d, n = x[1] - x[0], math.ceil(dt / step)
-    G = -_difference(1, size, d) @ sparse.diags(drift(x)) + 0.5 * Q * _difference(2, size, d)
+    G = -difference(1, size, d) @ sparse.diags(drift(x)) + 0.5 * Q * difference(2, size, d)
     G = (G * dt / n).tocsc()
     one, square = sparse.identity(size, format="csc"), G @ G
     ahead, back = (one + G / 2 + square / 12).tocsc(), linalg.splu((one - G / 2 + square / 12).tocsc())

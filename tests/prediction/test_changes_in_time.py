@@ -97,6 +97,9 @@ def test_what_text_knows_of_time():
     np.testing.assert_allclose(model.with_parameters(a=2.0).breaks(0.0, 4.0), [1.0, 2.0, 3.0], rtol=1e-14)
     assert model.breaks(3.5, 4.0).size == 0
     assert model.max_step == pytest.approx(0.0125)
+    late = sf.SDE.from_expressions(["x"], ["where(t < 2, 1, 0)"], [["1"]])
+    for t0, t1 in ((1.0, 2.0), (2.0, 3.0)):  # whose end, or beginning, is the jump
+        np.testing.assert_array_equal(late.breaks(t0, t1), [2.0])
     square = sf.SDE.from_expressions(["x"], ["sign(sin(2*pi*t))"], [["1"]])
     np.testing.assert_allclose(square.breaks(0.2, 1.8), [0.5, 1.0, 1.5], rtol=1e-12)
 

@@ -28,7 +28,9 @@ _BLOCK = 256  # states that one thread takes at a time
 
 
 class Step(NamedTuple):
-    """What log p after a step of length h, to t1, is computed from."""
+    """What log p after a step of length h, to t1, is computed from; or, where h is negative, the logarithm of
+    what the backward Kolmogorov equation carries from a later time to t1.
+    """
 
     drift: Callable
     divergence: Callable

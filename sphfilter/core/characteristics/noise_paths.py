@@ -175,7 +175,8 @@ def driven(noise, y, t, pull, u, early, h, columns, f, d):
                 rate += (1.0 - 4.0 * u if early else 4.0 * u - 3.0) * pull.blur[k] / h
             for a in range(n):
                 f[i, a] += columns[i, a * m + k] * rate
-            d[i, 0] += columns[i, n * m + k] * rate
+            if not noise.constant_divergence:
+                d[i, 0] += columns[i, n * m + k] * rate
 
 
 @jit
@@ -198,7 +199,8 @@ def averaged(function, y, t, p, blur, scale, other, out):
 
 @jit
 def pushes(noise, h):
-    """Displacements (2 m, n) by every noise of one standard deviation: straight ones, then bends.
+    """Displacements (2 m, n) by every noise of one standard deviation in h seconds, of either sign: straight
+    ones, then bends.
 
     Noise that depends on the state displaces by itself: m columns, of these noises alone.
     """
@@ -207,8 +209,8 @@ def pushes(noise, h):
     out = np.empty((2 * m, n))
     for k in range(m):
         for a in range(n):
-            out[k, a] = G[a, k] * math.sqrt(h)
-            out[m + k, a] = G[a, k] * math.sqrt(h / 12.0)
+            out[k, a] = G[a, k] * math.sqrt(abs(h))
+            out[m + k, a] = G[a, k] * math.sqrt(abs(h) / 12.0)
     return out
 
 
