@@ -1,4 +1,4 @@
-"""scheme="auto": the log-density, if need be on more particles, else moment-corrected SPH.
+"""scheme="auto": the log-density, if need be on more particles, else moment-corrected SPH, or a cloud.
 
 A cloud, which takes over where these are refused, comes back to a lattice where one holds it.
 """
@@ -14,9 +14,11 @@ from . import cloud, corrected, log_density, paper
 from ._shared import carried_off
 from .again import Ladder
 
-__all__ = ["MOST_FINER", "SUMMED", "propagate"]
+__all__ = ["MOST_FINER", "MOST_SUMMED", "SUMMED", "propagate"]
 
 MOST_FINER = 30_000  # particles on which a prediction is made again where the lattice loses probability
+#: States up to which sums over kernels go on: of more, a cloud is better, and knows how good it is.
+MOST_SUMMED = 2
 #: Plain sums over kernels, for domains whose ends other schemes do not know.
 SUMMED = PaperScheme(kernel="wendland_c2")
 
@@ -55,6 +57,9 @@ def propagate(
             reason, stopped = str(problem), isinstance(problem, StoppedError)
     if density.domain is not None:
         moved, info = _in_domain(density, model, t1, n_particles)
+    elif model.dim > MOST_SUMMED:
+        moved, info = cloud.propagate(density, model, t1, CloudScheme(), n_particles)
+        return moved, info.marked(Code.FALLBACK, f"{info.status}; not log_density: {reason}")
     else:
         try:
             moved, info = corrected.propagate(density, model, t1, CorrectedScheme(), n_particles)

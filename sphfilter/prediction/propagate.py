@@ -19,6 +19,7 @@ from ..info import Code, PredictInfo
 from ..model.sde import SDE
 from ..validate import array, onwards
 from .again import Outcome, or_as_cloud, predict_from_finer
+from .automatic import MOST_SUMMED
 from .predict import Prediction, predict
 from .remesh import Remeshing
 
@@ -187,7 +188,7 @@ def _carried(
     config: SolverConfig | FilterConfig,
 ) -> Outcome[PredictInfo]:
     """The `Outcome` of one interval, the one before made again where it left too coarse a density."""
-    corrects = config.scheme == "auto" and density.domain is None
+    corrects = config.scheme == "auto" and density.domain is None and density.dim <= MOST_SUMMED
     options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}
 
     def predicted(density: ParticleDensity) -> Outcome[PredictInfo]:
