@@ -14,7 +14,7 @@ from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, NOTHING_CAME, Code, UpdateInfo
 from ..lattice.check import beside
-from ..lattice.field import extrapolated_mass
+from ..lattice.field import extrapolated_mass, held
 from ..lattice.resolved import TOLERATED, Resolved, Search
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from ..validate import state_rows
@@ -23,6 +23,7 @@ from .solutions import solutions
 
 __all__ = ["predicted_reading", "update"]
 
+_WIDER = 0.1  # of its variance, that a posterior may lack
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
 _TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
@@ -168,6 +169,10 @@ def _by_product(
         new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
     new = density if unknown else new
+    remote = _Remote()
+    if not (unknown or gaussian):
+        remote = _remote(density, new, asked, log_evidence)
+        new = replace(new, error=float(np.hypot(new.error, remote.mean)))
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     return new, {
         "residual": new.residual or 0.0,
@@ -178,7 +183,7 @@ def _by_product(
         "log_evidence": log_evidence,
         "reason": unknown or flag,
         "extrapolated": _extrapolated(density, new),
-    } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out))
+    } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out, remote.variance))
 
 
 def _by_cloud(
@@ -203,7 +208,29 @@ def _by_cloud(
     }
 
 
-def _told(found: Resolved, error: float, most_left_out: float) -> dict[str, Any]:
+class _Remote(NamedTuple):
+    """What the prior's nodes beyond a posterior's lattice would add to it."""
+
+    mean: float = 0.0  # standard deviations
+    variance: float = 0.0  # as a part of it, in the direction of most
+
+
+def _remote(
+    prior: ParticleDensity, posterior: ParticleDensity, asked: _Asked, log_evidence: float
+) -> _Remote:
+    """What is too little to count as probability may be far enough away to count in a mean and variance."""
+    if posterior.field is None:
+        return _Remote()
+    beyond = ~held(posterior.field, prior.x)
+    if not beyond.any():
+        return _Remote()
+    X = prior.x[beyond]
+    mass = prior.mass[beyond] * np.exp(np.clip(asked.log_weight(X) - log_evidence, -700.0, 700.0))
+    d = np.linalg.solve(np.linalg.cholesky(posterior.cov()), (X - posterior.mean()).T)
+    return _Remote(float(np.linalg.norm(d @ mass)), float(np.linalg.norm((d * mass) @ d.T, 2)))
+
+
+def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> dict[str, Any]:
     """Code and status of an update whose lattice is finer than usual, or not fine or wide enough."""
     code, said = Code.OK, []
     if found.times > 1:
@@ -213,9 +240,13 @@ def _told(found: Resolved, error: float, most_left_out: float) -> dict[str, Any]
         said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
+    if wider > _WIDER:
+        said.append(
+            f"what little the lattice leaves out far away would widen it: its variance by {wider:.0%}"
+        )
     if error > DOUBTFUL:
         said.append(MAY_BE_OFF.format(3.0 * error))
-    if wrong > TOLERATED or found.left_out > most_left_out or error > DOUBTFUL:
+    if wrong > TOLERATED or found.left_out > most_left_out or wider > _WIDER or error > DOUBTFUL:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}
 

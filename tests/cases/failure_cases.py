@@ -87,6 +87,10 @@ WALLS = [("bounded", -6.0, 6.0)]
 FLAT = sf.SDE.from_expressions(["x", "y"], ["-40*x", "-y"], [["0"], ["1"]])
 STEEP = sf.LogDensityScheme(max_steps=1)
 TESTED = {"acceptance": sf.AcceptanceTest(enabled=True)}
+#: A spike on ground that is almost nothing, but far wider.
+SPIKE = sf.LikelihoodMeasurement(
+    lambda z, X, t: np.logaddexp(-0.5 * ((X[:, 0] - z[0]) / 0.003) ** 2, np.log(1e-6))
+)
 NOWHERE = sf.LikelihoodMeasurement(lambda z, X, t: np.full(len(X), -np.inf))
 NEGATIVE = sf.LikelihoodMeasurement(lambda z, X, t: np.where(X[:, 0] > 0, 0.0, np.nan))
 
@@ -141,6 +145,7 @@ SAID = [
     lambda: predicted(line("-x", domain=WALLS), domain=WALLS),
     lost,
     lambda: predicted(FLAT, 2.0, scheme="corrected", start=ROUND, n_particles=200),
+    lambda: sf.update(laid(), SPIKE, [0.5])[1].status,
     lambda: updated(HEIGHT, None),
     lambda: updated(HEIGHT, [9.0]),
     lambda: sf.update(laid(ROUND), RING, [2.0])[1].status,

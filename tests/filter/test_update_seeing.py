@@ -1,5 +1,7 @@
 """Updates whose likelihood a coarse lattice overlooks or does not resolve: right, or flagged."""
 
+import re
+
 import numpy as np
 import pytest
 from posterior_cases import Exact, box, on_grid, quantised, ranges, robust, standard, wrong
@@ -125,6 +127,21 @@ def test_a_remote_mode_waits_for_its_reading(n):
     )
     assert wrong(density, one.log_evidence + two.log_evidence, exact) < (0.1, 0.1, 0.1)
     assert one.mass_left_out < 1e-3
+
+
+@pytest.mark.parametrize("ground", [1e-5, 1e-7])
+def test_little_far_away(ground):
+    """Ground that is too little to count as probability, and wide enough to count in the variance."""
+    s = 0.003
+    spike = sf.LikelihoodMeasurement(lambda z, X, t: np.logaddexp(norm.logpdf(X[:, 0], z, s), np.log(ground)))
+    density, info = sf.update(prior(1), spike, [0.5])
+    exact = along_first(spike, [0.5], 1)
+    lacking = exact.cov[0, 0] / density.cov()[0, 0] - 1.0
+    assert info.mass_left_out < 1e-3
+    assert (sf.Code.UNRESOLVED in info.code) == (lacking > 0.1)
+    if lacking > 0.1:
+        told = float(re.search(r"its variance by (\d+)%", info.status)[1]) / 100
+        assert told == pytest.approx(lacking, rel=0.05)
 
 
 def test_named_peaks():
