@@ -241,9 +241,7 @@ def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> 
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
     if wider > _WIDER:
-        said.append(
-            f"what little the lattice leaves out far away would widen it: its variance by {wider:.0%}"
-        )
+        said.append(f"what little is left out far away would widen the density: its variance by {wider:.0%}")
     if error > DOUBTFUL:
         said.append(MAY_BE_OFF.format(3.0 * error))
     if wrong > TOLERATED or found.left_out > most_left_out or wider > _WIDER or error > DOUBTFUL:
