@@ -7,7 +7,6 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.special import gammaincc
 
 from .._types import Floats, Ints
 from ..config import LogDensityScheme
@@ -113,7 +112,6 @@ def propagate(
         pause_after=_PAUSE_AFTER,
         most_lost=scheme.most_lost,
         doubtful=DOUBTFUL / _PART,
-        tail=float(gammaincc(0.5 * n, depth)),
     )
     counters = np.zeros(len(COUNTERS), np.int64)
     longest = model.max_step

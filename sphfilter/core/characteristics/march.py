@@ -39,7 +39,6 @@ from .control import (
     STEP_ERRORS,
     STEPS,
     VOLUME,
-    Control,
 )
 from .expectation import BACK, Step
 from .flood import LAY
@@ -54,7 +53,6 @@ _UNDOUBTED = 5.0  # times what may be lost, where no error is seen
 _HELPED = 0.7  # times a step's error, to which a shorter one has to bring it
 _PATIENCE, _GROWING = 10, 1.5  # steps that hardly grow, after which one four times as long is tried
 _FORGOTTEN = 0.95  # of the floor, that is left after a step
-_DEEPEST = 2.0  # times the usual depth
 _SPARE, _ORDER = 1e-8, 6.0  # residual that more nodes need not make smaller; its order in the spacing
 
 back_at, choose_at, aim_at, lay_at, build_at = BACK.at, CHOOSE.at, AIMED.at, LAY.at, BUILD.at
@@ -103,22 +101,6 @@ def _keep_inside(noise, x, m):
 def _suited(h, error, allowed):
     """The step after one of length h with that error, which goes with the third power of the length."""
     return h * min(4.0, max(0.2, 0.9 * (allowed / max(error, 1e-300)) ** (1.0 / 3.0)))
-
-
-@jit
-def _deepened(control, log_p, m):
-    """The control with a depth at which no piece of a density of masses m (N,) is cut that counts."""
-    own, total = 0.0, 0.0
-    for i in np.argsort(log_p[: m.size]):
-        total += m[i]
-        if total > control.tail:
-            own = log_p[: m.size].max() - log_p[i]
-            break
-    depth = max(control.depth, min(own, _DEEPEST * control.depth))
-    return Control(
-        control.n_particles, depth, control.tolerance, control.share, control.least, control.noise_share,
-        control.most_lost, control.doubtful, control.tail, control.pause_after,
-    )  # fmt: skip
 
 
 @jit
@@ -200,8 +182,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
             if state[LATTICE_STEP] < _GROWING * usual:
                 own, shorter, state[LATTICE_STEP] = error, h, 4.0 * h
             since, usual = 0, h
-        deep = _deepened(control, field.log_p, m)
-        new = lay(back, step, pick.mean, pick.shape, pick.ends, deep, state, counters)
+        new = lay(back, step, pick.mean, pick.shape, pick.ends, control, state, counters)
         if new.code != OK:
             return field, x, m, mean, P, new.code
         if new.x.shape[0] < 0.6 * state[NODES]:  # else the next lattice has this one's spacing: it fits
