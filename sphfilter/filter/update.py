@@ -16,6 +16,7 @@ from ..info import DOUBTFUL, MAY_BE_OFF, NOTHING_CAME, Code, UpdateInfo
 from ..lattice.check import beside
 from ..lattice.field import extrapolated_mass, held
 from ..lattice.resolved import TOLERATED, Resolved, Search
+from ..lattice.walls import moved_in
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from ..validate import state_rows
 from .acceptance import Acceptance, test_measurement
@@ -221,7 +222,7 @@ def _remote(
     """What is too little to count as probability may be far enough away to count in a mean and variance."""
     if posterior.field is None:
         return _Remote()
-    beyond = ~held(posterior.field, prior.x)
+    beyond = ~held(posterior.field, moved_in(posterior.walls, posterior.field.A, prior.x))
     if not beyond.any():
         return _Remote()
     X = prior.x[beyond]
