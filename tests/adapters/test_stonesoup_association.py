@@ -111,6 +111,7 @@ def test_sharp_and_broad_at_once_is_predicted_part_by_part(seconds):
     assert here == pytest.approx(right, abs=0.01)
 
 
+@pytest.mark.slow
 def test_what_one_lattice_cannot_hold_is_flagged():
     """A sensor 400 times sharper than the prediction, as likely clutter as not: the answer tells that."""
     predictor, updater = SPHPredictor(duffing(), n_particles=100), SPHUpdater(position(5e-5))

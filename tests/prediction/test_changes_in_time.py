@@ -67,7 +67,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[pytest.mark.slow] * (case == "drift")) for case in CASES]
+)
 def test_in_one_go_and_in_eight(case):
     make, T, changes = CASES[case]
     model, mean_and_variance = make(), exact(T, **changes)
