@@ -13,7 +13,7 @@ from numba import prange, types
 
 from .._addresses import Entry
 from .._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit, parallel_jit
-from ..field.cells import LOWEST, filled
+from ..field.cells import LOWEST
 from ..field.field import FIELD, Field, evaluate, slopes
 from ..field.stencils import STENCILS, Stencils
 from .aim import AIM, Aim, centred, leg_ends, response, rooted
@@ -25,6 +25,7 @@ __all__ = ["BACK", "BACK_IN_BLOCKS", "STEP", "Step", "back", "back_in_blocks", "
 _SURE = 1.0  # nats below the last level kept, from which one path will do
 _BLURRED = 2  # noises up to which paths are bent, and leave a bridge
 _BLOCK = 256  # states that one thread takes at a time
+_ROWS = 2048  # paths that go at once
 
 
 class Step(NamedTuple):
@@ -145,83 +146,111 @@ def _rows(values, which):
 def _expected(step, aim, Y, f1, d1, centre, owner, out):
     """Logarithm of the expectation over the paths back from states Y (M, n), in the legs that an aim is for.
 
+    All paths of some states go at once: calls of the model's functions are few, and long.
+    """
+    each = step.paths.log_weight.size ** (aim.B.shape[1] // max(step.paths.w.shape[1], 1))
+    size = max(1, _ROWS // each)
+    for first in range(0, Y.shape[0], size):
+        some = slice(first, min(first + size, Y.shape[0]))
+        value = _brought_by_legs(step, aim, Y[some], f1[some], d1[some], centre[some], owner[some])
+        M = value.size // each
+        highest, total = np.full(M, -np.inf), np.zeros(M)
+        for c in range(each):
+            for i in range(M):
+                highest[i] = max(highest[i], value[c * M + i])
+        for c in range(each):
+            for i in range(M):
+                total[i] += math.exp(value[c * M + i] - highest[i])
+        for i in range(M):
+            out[first + i] = highest[i] + math.log(total[i])
+
+
+@jit
+def _brought_by_legs(step, aim, Y, f1, d1, centre, owner):
+    """What each path back from states Y (M, n) brings, logarithms: of all states by one path, then the next.
+
     Of two legs, the first one's noise stands last in the aim: it does not hang on what the second one draws.
     """
-    paths, K = step.paths, step.paths.w.shape[1]
-    M, n = Y.shape
-    Q, legs = paths.log_weight.size, aim.B.shape[1] // max(K, 1)
+    paths, K, (M, n) = step.paths, step.paths.w.shape[1], Y.shape
+    legs = aim.B.shape[1] // max(K, 1)
     h, parts = step.h / legs, (step.parts + legs - 1) // legs
     push = pushes(step.noise, h)
-    blur = np.empty(push.shape[1] if step.blurred and K // 2 <= _BLURRED else 0)
-    start, f, d = Y, f1, d1
-    begun, weight, drawn = np.zeros(M), 0.0, np.zeros(legs * K)
-    end, action, log_p = np.empty((M, n)), np.empty(M), np.empty(M)
-    highest, total = filled(M, -np.inf), np.zeros(M)
-    for first in range(Q if legs == 2 else 1):
-        if legs == 2:
-            start, f, d, begun, weight = _first_leg(step, aim, Y, f1, d1, centre, owner, first, blur, drawn)
-        for q in range(Q):
-            drawn[:K] = paths.w[q]
-            pull, tilt = _drawn(aim, centre, owner, drawn, 0, K, push, blur)
-            blurring(step.noise, push, drawn[:K], paths.twist[q], blur)
-            t = step.t1 - (legs - 1) * h
-            along(step.drift, step.divergence, step.noise, start, f, d, t, -h, parts, pull, end, action)
-            evaluate(step.field, step.sten, end, log_p)
-            if step.noise.low.size > 0:
-                reflected(step, t - h, end, log_p)
-            for i in range(M):
-                v = log_p[i] + begun[i] + action[i] + tilt[i]
-                v += weight + paths.log_weight[q] + aim.log_det[owner[i]]
-                v = _brought(v)
-                if v > highest[i]:
-                    total[i] = total[i] * math.exp(highest[i] - v) + 1.0
-                    highest[i] = v
-                else:
-                    total[i] += math.exp(v - highest[i])
+    drawn, start, value = np.empty((1, 0)), Y, np.empty(M)
     for i in range(M):
-        out[i] = highest[i] + math.log(total[i])
+        value[i] = aim.log_det[owner[i]]
+    f, d = f1, d1
+    for leg in range(legs):
+        t, low = step.t1 - leg * h, (legs - 1 - leg) * K
+        if leg > 0:
+            f, d = np.empty(start.shape), np.empty((start.shape[0], 1))
+            step.drift(start, t, step.noise.p, f)
+            step.divergence(start, t, step.noise.p, d)
+        drawn = _drawn(paths, drawn)
+        start, f, d = _branched(paths, M, start), _branched(paths, M, f), _branched(paths, M, d)
+        value = _branched(paths, M, value.reshape((value.size, 1))).reshape(start.shape[0])
+        R = value.size
+        pull = unblurred(R, push.shape[1])
+        if step.blurred and K // 2 <= _BLURRED:
+            pull = Pull(pull.straight, pull.bend, np.empty((R, push.shape[1])))
+        _displaced(step.noise, aim, paths, centre, owner, drawn, low, push, pull, value)
+        end, action = np.empty((R, n)), np.empty(R)
+        along(step.drift, step.divergence, step.noise, start, f, d, t, -h, parts, pull, end, action)
+        for r in range(R):
+            value[r] += action[r]
+        start = end
+    log_p = np.empty(value.size)
+    evaluate(step.field, step.sten, start, log_p)
+    if step.noise.low.size > 0:
+        reflected(step, step.t1 - step.h, start, log_p)
+    for r in range(value.size):
+        value[r] = _brought(value[r] + log_p[r])
+    return value
 
 
 @jit
-def _first_leg(step, aim, Y, f1, d1, centre, owner, q, blur, drawn):
-    """The first of two legs back from states Y, with the noise of path q.
+def _branched(paths, M, rows):
+    """Rows (C M, k) of M states on each of C ways, again for every path that goes on from there."""
+    Q, (R, k) = paths.log_weight.size, rows.shape
+    out = np.empty((R * Q, k))
+    for c in range(R // M * Q):
+        out[c * M : (c + 1) * M] = rows[c // Q * M : (c // Q + 1) * M]
+    return out
 
-    Returns
-    -------
-    tuple
-        States (M, n) at its end, drift and divergence there, the logarithm of what each brings so far, and
-        that of the path's weight.
+
+@jit
+def _drawn(paths, before):
+    """Standard noises (C Q, K + J) of each way: of a leg's paths, then those (C, J) of the leg before."""
+    (Q, K), (C, J) = paths.w.shape, before.shape
+    out = np.empty((C * Q, K + J))
+    for c in range(C * Q):
+        for k in range(K + J):
+            out[c, k] = paths.w[c % Q, k] if k < K else before[c // Q, k - K]
+    return out
+
+
+@jit
+def _displaced(noise, aim, paths, centre, owner, drawn, low, push, pull, value):
+    """Displace a leg's paths by noises of an aim from number `low` on; add what drawing them there weighs.
+
+    drawn: (C, J), standard noises of each way, those of this leg first.
     """
-    M, n = Y.shape
-    h, parts, K = 0.5 * step.h, (step.parts + 1) // 2, drawn.size // 2
-    push = pushes(step.noise, h)
-    drawn[K:] = step.paths.w[q]
-    pull, begun = _drawn(aim, centre, owner, drawn, K, 2 * K, push, blur)
-    blurring(step.noise, push, drawn[K:], step.paths.twist[q], blur)
-    start, f, d, action = np.empty((M, n)), np.empty((M, n)), np.empty((M, 1)), np.empty(M)
-    along(step.drift, step.divergence, step.noise, Y, f1, d1, step.t1, -h, parts, pull, start, action)
-    step.drift(start, step.t1 - h, step.noise.p, f)
-    step.divergence(start, step.t1 - h, step.noise.p, d)
-    for i in range(M):
-        begun[i] += action[i]
-    return start, f, d, begun, step.paths.log_weight[q]
-
-
-@jit
-def _drawn(aim, centre, owner, drawn, low, high, push, blur):
-    """Displacements of paths by the noises low ... high - 1 of an aim, and what drawing them there weighs."""
-    M, n = centre.shape[0], push.shape[1]
-    pull, w, tilt = Pull(np.empty((M, n)), np.empty((M, n)), blur), np.empty(high - low), np.zeros(M)
-    for i in range(M):
-        root = aim.root[owner[i]]
-        for k in range(low, high):
-            v = centre[i, k]
-            for j in range(k, drawn.size):
-                v += root[j, k] * drawn[j]
-            w[k - low] = v
-            tilt[i] += 0.5 * (drawn[k] ** 2 - v**2)
-        displace(push, w, pull, i)
-    return pull, tilt
+    (Q, K), M = paths.w.shape, owner.size
+    w, side = np.empty(K), np.empty(pull.blur.shape[1])
+    for c in range(drawn.shape[0]):
+        blurring(noise, push, drawn[c, :K], paths.twist[c % Q], side)
+        for i in range(M):
+            r, j0 = c * M + i, owner[i]
+            weight = paths.log_weight[c % Q]
+            for k in range(K):
+                v = centre[i, low + k]
+                for j in range(k, drawn.shape[1]):
+                    v += aim.root[j0, low + j, low + k] * drawn[c, j]
+                w[k] = v
+                weight += 0.5 * (drawn[c, k] ** 2 - v**2)
+            value[r] += weight
+            displace(push, w, pull, r)
+            for a in range(side.size if pull.blur.shape[0] > 0 else 0):
+                pull.blur[r, a] = side[a]
 
 
 @jit

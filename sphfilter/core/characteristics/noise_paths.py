@@ -69,14 +69,16 @@ class Pull(NamedTuple):
 
     straight: np.ndarray  # (M, n); (M, m) of the noises themselves where they depend on the state
     bend: np.ndarray  # the same
-    blur: np.ndarray  # (n,) one standard deviation of the noise over the step; empty if that does not matter;
-    # (m,) twists of noises that depend on the state
+    blur: (
+        np.ndarray
+    )  # (M, n) one standard deviation of the noise over the step; empty if that does not matter;
+    # (M, m) twists of noises that depend on the state
 
 
 @jit
 def unblurred(M, n):
     """No displacements yet; n: as many as `pushes` has columns."""
-    return Pull(np.zeros((M, n)), np.zeros((M, n)), np.empty(0))
+    return Pull(np.zeros((M, n)), np.zeros((M, n)), np.empty((0, n)))
 
 
 @jit
@@ -172,7 +174,7 @@ def driven(noise, y, t, pull, u, early, h, columns, f, d):
         for k in range(m):
             rate = (pull.straight[i, k] + 6.0 * (1.0 - 2.0 * u) * pull.bend[i, k]) / h
             if pull.blur.size > 0:
-                rate += (1.0 - 4.0 * u if early else 4.0 * u - 3.0) * pull.blur[k] / h
+                rate += (1.0 - 4.0 * u if early else 4.0 * u - 3.0) * pull.blur[i, k] / h
             for a in range(n):
                 f[i, a] += columns[i, a * m + k] * rate
             if not noise.constant_divergence:
@@ -181,16 +183,16 @@ def driven(noise, y, t, pull, u, early, h, columns, f, d):
 
 @jit
 def averaged(function, y, t, p, blur, scale, other, out):
-    """A function's mean over displacements of states y (M, n) to either side."""
+    """A function's mean over displacements blur (M, n) of states y (M, n) to either side."""
     M, n = y.shape
     beside = np.empty((M, out.shape[1]))
     for i in range(M):
         for a in range(n):
-            other[i, a] = y[i, a] + scale * blur[a]
+            other[i, a] = y[i, a] + scale * blur[i, a]
     function(other, t, p, out)
     for i in range(M):
         for a in range(n):
-            other[i, a] = y[i, a] - scale * blur[a]
+            other[i, a] = y[i, a] - scale * blur[i, a]
     function(other, t, p, beside)
     for i in range(M):
         for a in range(out.shape[1]):
@@ -228,7 +230,9 @@ def displace(push, w, pull, i):
 
 @jit
 def blurring(noise, push, w, twist, blur):
-    """Where a path's bridge lies: noises to the sides that its bends take, all pairs of sides alike."""
+    """Where a path's bridge lies, into blur (n,): noises to the sides that its bends take, all pairs of sides
+    alike.
+    """
     scale = _TWIST * twist if noise.state_dependent else 1.0
     m = w.size // 2
     for a in range(blur.size):

@@ -31,10 +31,11 @@ def blur_share(drift, noise, x, f, m, t, h, L):
     over the mass, in standard deviations, all noises together.
     """
     N, n = x.shape
-    g, mean, other, v, total = np.empty(n), np.empty((N, n)), np.empty((N, n)), np.empty(n), 0.0
+    g, mean, other, v, total = np.empty((N, n)), np.empty((N, n)), np.empty((N, n)), np.empty(n), 0.0
     for k in range(noise.G.shape[1]):
-        for a in range(n):
-            g[a] = noise.G[a, k]
+        for i in range(N):
+            for a in range(n):
+                g[i, a] = noise.G[a, k]
         averaged(drift, x, t, noise.p, g, 0.25 * math.sqrt(h), other, mean)  # the bridge's at mid-step
         for i in range(N):
             for a in range(n):
