@@ -30,6 +30,7 @@ from .expectation import BACK, STEP
 __all__ = ["LAY", "Lattice", "flooded", "lattice_after"]
 
 _TRIES = 6
+_MANY = 4  # states, of which nodes beside a lattice are most: one path has to do for them
 _FILL = 0.85  # nodes aimed at, over those allowed
 
 
@@ -103,7 +104,7 @@ def flooded(back, step, mu, A, points, most, control, counters):
     while found.size > 0:
         _, Y = states_of(found, mu, A, low, dims)
         log_p = np.empty(found.size)
-        floor = highest - 2.0 * control.depth
+        floor = highest - (2.0 if n < _MANY else 1.0) * control.depth
         full = back(step, Y, floor, log_p)
         one = 4 * step.parts - 1  # a path's evaluations
         counters[EVALUATIONS] += found.size * (2 * one + 1) + full * one * step.paths.log_weight.size
