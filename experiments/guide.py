@@ -56,6 +56,7 @@ _GROUPS = {
         "converge": (
             ("converge", "the filter against the Kalman filter"),
             ("converge van_der_pol --over scheme", "a density, by every scheme"),
+            ("converge cubic,Laplace --sensors", "do more nodes ever make the filter worse?"),
         ),
         "stress": (
             ("stress --quick", "a reduced grid"),
