@@ -56,6 +56,7 @@ _GROUPS = {
         "converge": (
             ("converge", "the filter against the Kalman filter"),
             ("converge van_der_pol --over scheme", "a density, by every scheme"),
+            ("converge cubic,Laplace --sensors", "the error as nodes double"),
         ),
         "stress": (
             ("stress --quick", "a reduced grid"),

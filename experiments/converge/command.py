@@ -2,20 +2,22 @@
 
 from pathlib import Path
 
-from experiments.scene.files import add_change_option
+from experiments.scene.files import add_change_option, changes_of
 from experiments.scene.scenario import scenario_names
-from experiments.terminal.options import numbers
+from experiments.terminal.options import names_of, numbers
 from experiments.terminal.running import new_console
 from experiments.transient.problem import problem_names
 from sphfilter.errors import ConfigError
 
-from . import calibration, courant, filters, transient
+from . import calibration, courant, filters, nodes, sensors, transient
 
 __all__ = ["EPILOG", "add_arguments", "main"]
 
 EPILOG = """\
 What is studied:
   NAME of a filter scenario       the SPH filter against its exact filter, over particles
+  [NAME,...] --over nodes         whether more nodes make the SPH filter worse: scenarios of one or two states
+  [NAME,...] --sensors            ... on sensors of one state, such as cubic,Laplace
   NAME --over particles           a density without measurements (`list`), over particles, as its file says
   NAME --over scheme              ... of every scheme, with run times
   NAME --over step                ... of the published scheme, over time steps (or C_CFL) and integrators
@@ -26,6 +28,8 @@ _FILTER, _DEFAULTS = "a filter scenario", {"filter": "sph", "runs": 3, "seed": 0
 #: Options that each study takes besides NAME, --out and --set; the others are refused.
 _TAKES = {
     _FILTER: {"filter", "counts", "runs", "seed"},
+    "--over nodes": {"counts", "runs", "seed"},
+    "--sensors": {"counts", "runs", "seed"},
     "--over particles": {"counts", "end", "limit"},
     "--over scheme": {"counts", "schemes", "end", "limit"},
     "--over step": {"n_particles", "steps", "c_cfl", "end", "limit"},
@@ -34,6 +38,7 @@ _TAKES = {
 }
 _COUNTS = {_FILTER: "100,200,400,800,1600", "--over particles": "200,400,800,1600"}
 _COUNTS["--over scheme"] = _COUNTS["--over particles"]
+_COUNTS["--over nodes"] = _COUNTS["--sensors"] = "50,100,200,400,800,1600"
 
 
 def add_arguments(parser):
@@ -41,7 +46,8 @@ def add_arguments(parser):
     parser.add_argument(
         "scenario", nargs="?", metavar="NAME", help="default: linear_underdamped, or see below"
     )
-    parser.add_argument("--over", choices=("particles", "scheme", "step"), help="study a transient density")
+    parser.add_argument("--over", choices=("particles", "scheme", "step", "nodes"), help="see below")
+    parser.add_argument("--sensors", action="store_true", help="nodes doubled on sensors of one state")
     parser.add_argument("--calibrate", action="store_true", help="the search bypassed and not")
     parser.add_argument("--cfl", action="store_true", help="absolute against relative CFL")
     parser.add_argument("--counts", help="particles at most, comma-separated")
@@ -81,7 +87,16 @@ def main(args):
         counts = numbers("--counts", args.counts or _COUNTS[study], int)
         if len(counts) < 2 or args.runs < 1:
             raise ConfigError("converge needs two different counts at least, and one run")
-        if study == _FILTER:
+        names = names_of(args.scenario) if args.scenario else []
+        if study == "--sensors":
+            if args.changes:
+                raise ConfigError("--set has no meaning for --sensors")
+            nodes.study(args, console, sensors.problems(names, args.runs, args.seed), counts, "sensors")
+        elif study == "--over nodes":
+            folder = (args.out or Path("results/converge_nodes")) / "references"
+            built = nodes.scenes(names, args.runs, args.seed, changes_of(args), folder)
+            nodes.study(args, console, built, counts, "nodes")
+        elif study == _FILTER:
             filters.study(args, console, args.scenario or "linear_underdamped", counts)
         else:
             transient.study_schemes(args, console, counts)
@@ -98,7 +113,7 @@ def _sizes(args):
 
 def _study(args):
     """Which of `_TAKES` is asked for; a name that filters do not know may be one of a density."""
-    asked = [f"--{name}" for name in ("calibrate", "cfl") if getattr(args, name)]
+    asked = [f"--{name}" for name in ("sensors", "calibrate", "cfl") if getattr(args, name)]
     asked += [f"--over {args.over}"] if args.over else []
     if len(asked) > 1:
         raise ConfigError(f"{' and '.join(asked)} are different studies: ask for one of them")

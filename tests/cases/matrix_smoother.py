@@ -3,9 +3,10 @@
 from functools import reduce
 
 import numpy as np
-from fine_grid import difference
 from scipy import sparse
 from scipy.sparse.linalg import expm_multiply
+
+from reference_filters.fine_grid import difference
 
 __all__ = ["smoothed_by_matrix"]
 

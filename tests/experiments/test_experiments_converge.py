@@ -38,8 +38,29 @@ def test_command_writes_table_and_picture(which, tmp_path, capsys):
         (["--counts", "a,b"], "takes numbers"),
         (["--counts", "2,4"], "too small"),
         (["linear_underdumped"], "linear_underdamped"),
+        (["cubik", "--sensors"], "did you mean 'cubic'"),
+        (["lorenz", "--over", "nodes"], "one or two states"),
     ],
 )
 def test_errors_are_sentences(arguments, message, tmp_path, capsys):
     assert main(["converge", *arguments, "--runs", "1", "--out", str(tmp_path)]) == 1
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "stem", "floor"),
+    [
+        (["angle", "--sensors"], "sensors", 1e-5),
+        (["duffing", "--over", "nodes", "--set", "times.end=4"], "nodes", 1e-4),
+    ],
+)
+def test_more_nodes_are_no_worse(arguments, stem, floor, tmp_path, capsys):
+    assert main(["converge", *arguments, "--counts", "50,200", "--runs", "1", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "above the floor: none" in said and max(map(len, said.splitlines())) <= 100
+    with open(tmp_path / f"{stem}.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["particles"] for row in rows] == ["50", "200"] * (len(rows) // 2)
+    assert all(row["refused"] == "0" and float(row["floor"]) == floor for row in rows)
+    assert all(0 < float(row["mean"]) < 10.0 * float(row["told"]) + floor for row in rows)
+    assert (tmp_path / f"{stem}.md").read_text(encoding="utf-8").startswith("|  | 50 | 200 | worst |")
