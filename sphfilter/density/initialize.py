@@ -1,5 +1,6 @@
 """Initial densities: a Gaussian, a uniform box, or any pdf with a box, put on particles."""
 
+import math
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -11,7 +12,7 @@ from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, Solver
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
-from ..lattice.check import deep_enough, misfit
+from ..lattice.check import deep_enough, misfit, remote
 from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
@@ -240,7 +241,9 @@ def _on_level_set(
         depth = deep_enough(log_p(coarse.x), coarse.mass, len(box), depth)
     seeds = coarse.x[coarse.mass > coarse.mass.max() * np.exp(-depth)]
     laid = _laid(log_p, coarse.mean(), factor, seeds, n_particles, depth)
-    return replace(ParticleDensity.on_lattice(laid, t, n_particles), residual=misfit(laid, log_p).residual)
+    off, far = misfit(laid, log_p), remote(laid.field, laid.mean, laid.cov, coarse.x, coarse.mass, laid.walls)
+    error = math.hypot(off.mean, far.mean, 0.5 * far.variance)  # a part of the variance, as one of its root
+    return replace(ParticleDensity.on_lattice(laid, t, n_particles), residual=off.residual, error=error)
 
 
 def _laid(

@@ -7,8 +7,8 @@ from ..model.measurements import GaussianSensor
 
 __all__ = ["solutions"]
 
-_SHARP = 2.0  # standard deviations of the noise by which readings are not linear within a cell ...
-_BENT = 0.5  # ... and that over their difference: less is smooth, and closed in on node by node
+_SHARP = 5.0  # standard deviations of the noise by which readings of two nodes usually differ ...
+_BENT = 1.0  # ... and by which some are not linear within a cell: less is closed in on node by node
 _ITERATIONS = 8
 _STEP = 1e-4  # of a cell, for differences
 _DAMPED = 1e-6  # of the largest curvature
@@ -43,7 +43,7 @@ def solutions(sensor: GaussianSensor, z: Floats, x: Floats, cell: Floats, t: flo
     diagonal = cell.sum(axis=1)
     between, ahead = off(x + 0.5 * diagonal), off(x + diagonal)
     apart, bent = np.abs(ahead - here).sum(axis=1), np.abs(ahead - 2.0 * between + here).sum(axis=1)
-    if not np.nanmedian(bent) > max(_SHARP, _BENT * np.nanmedian(apart)):
+    if not (np.nanmedian(apart) > _SHARP and np.nanmax(bent) > _BENT):
         return None
     x = x.copy()
     for _ in range(_ITERATIONS):

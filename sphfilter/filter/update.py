@@ -13,10 +13,9 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, NOTHING_CAME, Code, UpdateInfo
-from ..lattice.check import beside
-from ..lattice.field import extrapolated_mass, held
+from ..lattice.check import Remote, beside, remote
+from ..lattice.field import extrapolated_mass
 from ..lattice.resolved import TOLERATED, Resolved, Search
-from ..lattice.walls import moved_in
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from ..validate import state_rows
 from .acceptance import Acceptance, test_measurement
@@ -24,6 +23,7 @@ from .solutions import solutions
 
 __all__ = ["predicted_reading", "update"]
 
+_DOUBT_LEFT = 0.25  # of the square of an error that puts a density in doubt
 _WIDER = 0.1  # of its variance, that a posterior may lack
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
@@ -146,7 +146,7 @@ def _by_product(
     """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
     linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
     gaussian, flag = density.gaussian and linear, asked.outlying
-    found = None
+    found, evidence_error = None, 0.0
     try:
         new, log_evidence, found = times_likelihood(
             density,
@@ -156,6 +156,10 @@ def _by_product(
             gaussian,
             None if linear and density.gaussian else asked.search(density, config),
         )
+        evidence_error = found.off.log_mass
+        if gaussian:  # a closed form knows better than a sum over nodes
+            summed, log_evidence = log_evidence, asked.gaussian_evidence
+            evidence_error = abs(summed - log_evidence)
         unsure = 0.0 if density.gaussian else _extrapolated(density, new)
         kept = _kept(density, new)
         error = np.hypot(np.hypot(kept * density.error, found.off.mean), unsure)
@@ -170,21 +174,21 @@ def _by_product(
         new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
     new = density if unknown else new
-    remote = _Remote()
+    far = Remote()
     if not (unknown or gaussian):
-        remote = _remote(density, new, asked, log_evidence)
-        new = replace(new, error=float(np.hypot(new.error, remote.mean)))
+        far = _remote(density, new, asked, log_evidence)
+        new = replace(new, error=float(np.hypot(new.error, far.mean)))
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     return new, {
         "residual": new.residual or 0.0,
         "error": float(np.hypot(new.error, cut.mean)),
-        "evidence_error": 0.0 if found is None else found.off.log_mass,
+        "evidence_error": evidence_error,
         "mass_left_out": cut.mass if found is None else max(cut.mass, found.left_out),
         "accepted": not unknown,
         "log_evidence": log_evidence,
         "reason": unknown or flag,
         "extrapolated": _extrapolated(density, new),
-    } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out, remote.variance))
+    } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out, far.variance))
 
 
 def _by_cloud(
@@ -209,26 +213,13 @@ def _by_cloud(
     }
 
 
-class _Remote(NamedTuple):
+def _remote(prior: ParticleDensity, posterior: ParticleDensity, asked: _Asked, log_evidence: float) -> Remote:
     """What the prior's nodes beyond a posterior's lattice would add to it."""
-
-    mean: float = 0.0  # standard deviations
-    variance: float = 0.0  # as a part of it, in the direction of most
-
-
-def _remote(
-    prior: ParticleDensity, posterior: ParticleDensity, asked: _Asked, log_evidence: float
-) -> _Remote:
-    """What is too little to count as probability may be far enough away to count in a mean and variance."""
     if posterior.field is None:
-        return _Remote()
-    beyond = ~held(posterior.field, moved_in(posterior.walls, posterior.field.A, prior.x))
-    if not beyond.any():
-        return _Remote()
-    X = prior.x[beyond]
-    mass = prior.mass[beyond] * np.exp(np.clip(asked.log_weight(X) - log_evidence, -700.0, 700.0))
-    d = np.linalg.solve(np.linalg.cholesky(posterior.cov()), (X - posterior.mean()).T)
-    return _Remote(float(np.linalg.norm(d @ mass)), float(np.linalg.norm((d * mass) @ d.T, 2)))
+        return Remote()
+    weight = np.exp(np.clip(asked.log_weight(prior.x) - log_evidence, -700.0, 700.0))
+    about = posterior.field, posterior.mean(), posterior.cov()
+    return remote(*about, prior.x, prior.mass * weight, posterior.walls)
 
 
 def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> dict[str, Any]:
@@ -280,9 +271,13 @@ def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
 
 
 def _kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:
-    """Part of an error of the mean, in standard deviations, that an update leaves of it."""
+    """Part of an error of the mean, in standard deviations, that an update leaves of it.
+
+    Where a density is in doubt its pieces may be: what a reading leaves of them is no better known.
+    """
     ratio = np.trace(np.linalg.solve(prior.cov(), posterior.cov())) / prior.dim
-    return float(np.sqrt(np.clip(ratio, 0.0, 1.0)))
+    least = _DOUBT_LEFT if prior.error > DOUBTFUL else 0.0
+    return float(np.sqrt(np.clip(ratio, least, 1.0)))
 
 
 def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> str:

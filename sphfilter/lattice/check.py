@@ -11,9 +11,9 @@ from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
 from . import field as lattice_field
 from .level_set import Laid
-from .walls import inside, parts
+from .walls import inside, moved_in, parts
 
-__all__ = ["Beside", "Misfit", "beside", "deep_enough", "left_out", "misfit"]
+__all__ = ["Beside", "Misfit", "Remote", "beside", "deep_enough", "left_out", "misfit", "remote"]
 
 _DEEPEST = 2.0  # times the depth of a Gaussian
 _FARTHEST = 50.0  # nats by which a value may be too low before it counts as lost
@@ -58,13 +58,14 @@ def misfit(laid: Laid, log_p: OfStates) -> Misfit:
     p, q = p * part, q * part
     if not p.sum() > 0.0:
         return Misfit(1.0, 1.0, 1.0)
-    apart = p @ X / p.sum() - q @ X / q.sum()
-    whitened = np.linalg.solve(np.linalg.cholesky(laid.cov), apart)
     residual = min(1.0, float(off))
     # sums over nodes and over the middles between them are two integrals of the same
+    middle = p @ X / p.sum()
+    apart = np.stack([middle - q @ X / q.sum(), middle - laid.mean], axis=1)
+    whitened = np.linalg.solve(np.linalg.cholesky(laid.cov), apart)
     integral = highest + np.log(p.sum() * abs(np.linalg.det(laid.field.A)))
     log_mass = max(abs(float(np.log(p.sum() / q.sum()))), abs(float(integral)))
-    return Misfit(residual, float(np.linalg.norm(whitened)), log_mass)
+    return Misfit(residual, float(np.linalg.norm(whitened, axis=0).max()), log_mass)
 
 
 class Beside(NamedTuple):
@@ -82,6 +83,36 @@ def beside(field: Field | None, mean: Floats, cov: Floats, walls: Walls = NO_WAL
     mass = np.exp(field.log_p[field.kept :]) * abs(np.linalg.det(field.A)) * inside(walls, X)
     added = np.linalg.solve(np.linalg.cholesky(cov), mass @ (X - mean))
     return Beside(left_out(field, walls), float(np.linalg.norm(added)))
+
+
+class Remote(NamedTuple):
+    """What states beyond a lattice would add to its density."""
+
+    mean: float = 0.0  # standard deviations
+    variance: float = 0.0  # as a part of it, in the direction of most
+
+
+def remote(field: Field, mean: Floats, cov: Floats, x: Floats, mass: Floats, walls: Walls) -> Remote:
+    """What is too little to count as probability may be far enough away to count in a mean and variance.
+
+    Parameters
+    ----------
+    field : Field
+    mean, cov : ndarray, shape (n,), (n, n)
+    x, mass : ndarray, shape (N, n), (N,)
+        States and their probabilities; those on the lattice do not matter.
+    walls : tuple of ndarray
+
+    Returns
+    -------
+    Remote
+    """
+    beyond = ~lattice_field.held(field, moved_in(walls, field.A, x))
+    if not beyond.any():
+        return Remote()
+    d = np.linalg.solve(np.linalg.cholesky(cov), (x[beyond] - mean).T)
+    w = mass[beyond]
+    return Remote(float(np.linalg.norm(d @ w)), float(np.linalg.norm((d * w) @ d.T, 2)))
 
 
 def left_out(field: Field, walls: Walls = NO_WALLS) -> float:
