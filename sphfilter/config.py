@@ -18,6 +18,7 @@ __all__ = [
     "AcceptanceTest",
     "CloudScheme",
     "CorrectedScheme",
+    "FamilyScheme",
     "FilterConfig",
     "LogDensityScheme",
     "PaperScheme",
@@ -220,6 +221,35 @@ class CloudScheme:
 
 
 @settings
+class FamilyScheme:
+    """One exponential family: log p is a polynomial, carried by an ordinary equation at a few dozen nodes.
+
+    Cheap where the density keeps one shape, of up to six states and smooth; where it does not, the estimated
+    error says so, or the step is refused.
+
+    Attributes
+    ----------
+    degree : int, optional
+        Total degree of the polynomial: by default 6, 6, 5, 4, 3 and 3 for one to six states.
+    tolerance : float
+        Error allowed in a time step: of the coefficients, and of the frame in standard deviations.
+    max_steps : int
+        Steps of one prediction after which it is given up with an error.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> print(sf.FilterConfig(scheme=sf.FamilyScheme(degree=4)).scheme.name)
+    family
+    """
+
+    name: Literal["family"] = "family"
+    degree: Annotated[int, Field(ge=2, le=8)] | None = None
+    tolerance: Positive = 1e-3
+    max_steps: Count = 10_000
+
+
+@settings
 class AcceptanceTest:
     """Measurement acceptance of 002 6.3; off unless asked for (`FilterConfig.paper` asks).
 
@@ -296,10 +326,11 @@ SCHEMES = {
     "corrected": CorrectedScheme,
     "paper": PaperScheme,
     "cloud": CloudScheme,
+    "family": FamilyScheme,
 }
 #: Names become settings: of these a configuration holds "auto" only.
-_Name = Literal["auto", "log_density", "corrected", "paper", "cloud"]
-_Settled = LogDensityScheme | CorrectedScheme | PaperScheme | CloudScheme
+_Name = Literal["auto", "log_density", "corrected", "paper", "cloud", "family"]
+_Settled = LogDensityScheme | CorrectedScheme | PaperScheme | CloudScheme | FamilyScheme
 Scheme: TypeAlias = _Name | _Settled
 
 

@@ -18,13 +18,14 @@ from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
 from . import statistics
 from .cloud import Cloud
+from .family import Exponential, Family
 from .marginal import around
 from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
 from .weighted import WeightedStates
 
 __all__ = ["ParticleDensity"]
 
-READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "shrunk", "log_density", "cloud")
+READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "shrunk", "log_density", "cloud", "family")
 _SUMMED = 1e-14  # distance from one of the sum of masses that have been normalised already
 
 
@@ -49,8 +50,9 @@ class ParticleDensity:
         (sums over particles), "mixture" (integrals of p; its covariance is larger by the kernel's own),
         "shrunk" (the mixture with the widening by the kernels taken back: mean and covariance are those of
         the points; with a domain the mixture itself), "log_density" (sums over a lattice and the ring
-        around its cut edge; the pdf is the exponential of the `field`, tails included) or "cloud" (sums over
-        weighted points; the pdf is that of kernels as wide as their effective number asks). Questions about
+        around its cut edge; the pdf is the exponential of the `field`, tails included), "cloud" (sums over
+        weighted points; the pdf is that of kernels as wide as their effective number asks) or "family" (the
+        exponential of one polynomial, and a lattice laid for what has no closed form). Questions about
         the density between the points, read as "points", are answered by the mixture.
     represented_mass : float
         Probability of the region the particles cover, where the density was cut; one if unknown.
@@ -79,6 +81,8 @@ class ParticleDensity:
     error : float
         Estimated error of the mean, in standard deviations, accumulated over the record that led to the
         density; NaN where a scheme on the way made no estimate.
+    family : Family or None
+        Frame and coefficients of the polynomial that log p is, where the density is one family.
     lost : float
         Probability that lattices have gained on the way, or lost (negative), as far as it still matters.
 
@@ -113,6 +117,7 @@ class ParticleDensity:
     residual: float | None = None
     error: float = 0.0
     lost: float = 0.0
+    family: Family | None = None
 
     def __post_init__(self) -> None:
         x = array("x", self.x, (None, None))
@@ -198,9 +203,15 @@ class ParticleDensity:
     def _shape(self, kind: ReadOut) -> Shape:
         """The shape that is read as `kind`."""
         if kind == "log_density" and self.field is not None:
-            shape: Kernels | Polynomials = Polynomials(self.field, self.x, self.mass, self.moments)
+            shape: Kernels | Polynomials | Exponential = Polynomials(
+                self.field, self.x, self.mass, self.moments
+            )
+        elif kind == "family" and self.family is not None:
+            assert self.moments is not None
+            shape = Exponential(self.family, self.x, self.mass, self.moments)
+            shape = shape if self.domain is None else shape.laid
         else:
-            kind = "points" if kind == "log_density" else kind
+            kind = "points" if kind in ("log_density", "family") else kind
             points = Cloud if kind == "cloud" else Kernels
             shape = points(self.x, self.mass, self.h, self.sph_kernel, kind)
         return shape if self.domain is None else Folded(shape, self.domain)

@@ -69,6 +69,8 @@ def logarithm(density: ParticleDensity) -> OfStates:
     """Return log p as a function of states (M, n), defined far outside of the particles too."""
     if density.field is not None:
         return partial(field.at, density.field)
+    if density.family is not None:
+        return density.family.log_p
     if density.log_density is not None:
         return normalised(density)
     factor = np.linalg.cholesky(density.cov("points"))

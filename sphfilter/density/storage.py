@@ -15,6 +15,7 @@ from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
 from ..errors import ModelError
 from ..model.domain import Domain
+from .family import Family
 from .particle_density import ParticleDensity
 
 __all__ = [
@@ -43,7 +44,9 @@ def stored(density: ParticleDensity) -> Arrays:
         arrays |= {f"field.{name}": getattr(density.field, name) for name in _FIELD}
     if density.moments is not None:
         arrays |= {"moments.mean": density.moments[0], "moments.cov": density.moments[1]}
-    special = {*_ARRAYS, "field", "moments", "domain"}
+    if density.family is not None:
+        arrays |= under("family", density.family._asdict())
+    special = {*_ARRAYS, "field", "moments", "domain", "family"}
     about: dict[str, Any] = {
         f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
     }
@@ -61,6 +64,8 @@ def density_from(arrays: Arrays) -> ParticleDensity:
         arrays = {"field.kept": np.array(len(arrays["field.node"]))} | arrays  # which older files do not have
         mu, A, node, kept, log_p = (np.ascontiguousarray(arrays[f"field.{name}"]) for name in _FIELD)
         about["field"] = build_field(mu, A, node, kept.item(), log_p, stencils(n))
+    if "family.mu" in arrays:
+        about["family"] = Family(**part("family", arrays))
     if "moments.mean" in arrays:
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
     about |= {name: arrays[name] for name in _ARRAYS if name in arrays}

@@ -7,8 +7,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats
-from ..config import AcceptanceTest, CloudScheme, FilterConfig, PaperScheme, checked_filter_config
+from ..config import (
+    AcceptanceTest,
+    CloudScheme,
+    FamilyScheme,
+    FilterConfig,
+    PaperScheme,
+    checked_filter_config,
+)
+from ..density.as_family import family_density, family_of, on_lattice
 from ..density.cloud_posterior import cloud_posterior
+from ..density.family_posterior import family_posterior
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
@@ -17,6 +26,7 @@ from ..lattice.check import Remote, beside, remote
 from ..lattice.field import extrapolated_mass
 from ..lattice.resolved import TOLERATED, Resolved, Search
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
+from ..prediction.family import degree_of
 from ..validate import state_rows
 from .acceptance import Acceptance, test_measurement
 from .solutions import solutions
@@ -76,9 +86,13 @@ def update(
     if not asked.seen.any():
         said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
         return density, UpdateInfo(n_particles=density.n_particles, **said)
+    as_family = isinstance(config.scheme, FamilyScheme)
+    if density.family is not None and not as_family:
+        density = on_lattice(density, n_particles)
     regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
     as_cloud = density.read_out == "cloud" or isinstance(config.scheme, CloudScheme)
     by = _by_cloud if as_cloud else _by_regridding if regrids else _by_product
+    by = _by_family if as_family else by
     posterior, said = by(density, asked, n_particles, config)
     return posterior, UpdateInfo(
         n_particles=posterior.n_particles, innovation=asked.innovation, innovation_cov=asked.S, **said
@@ -211,6 +225,45 @@ def _by_cloud(
         "status": status,
         "code": Code.CLOUD,
     }
+
+
+def _by_family(
+    density: ParticleDensity, asked: _Asked, n_particles: int, config: FilterConfig
+) -> tuple[ParticleDensity, dict[str, Any]]:
+    """Prior times likelihood as one exponential family, in a frame of its own."""
+    if density.read_out == "cloud" or (density.domain is not None and density.domain.walled.any()):
+        raise PropagationError(
+            "one family does not hold this density, which has no smooth logarithm; use another scheme"
+        )
+    domain = density.domain
+    weight = asked.log_weight if domain is None else lambda X: asked.log_weight(domain.wrap(X))
+    prior, misfit = family_of(density, degree_of(config.scheme, density.dim))
+    found = family_posterior(prior, weight, _linearised(density, asked))
+    linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
+    new = family_density(density, found.family, capacity=n_particles, gaussian=density.gaussian and linear)
+    error = float(np.hypot(_kept(density, new) * np.hypot(density.error, 0.5 * misfit), found.error))
+    new = replace(new, error=error)
+    code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
+    return new, {
+        "accepted": True,
+        "log_evidence": found.log_evidence,
+        "reason": asked.outlying,
+        "residual": found.misfit,
+        "error": error,
+        "evidence_error": found.evidence_error,
+        "status": status,
+        "code": code,
+    }
+
+
+def _linearised(density: ParticleDensity, asked: _Asked) -> tuple[Floats, Floats] | None:
+    """Mean and covariance of a posterior by statistical linearisation of a Gaussian sensor; None for others."""
+    if not is_gaussian(asked.measurement) or asked.innovation is None or asked.S is None:
+        return None
+    cross = predicted_reading(density, asked.measurement)[2][:, asked.seen]
+    gain = np.linalg.solve(asked.S, cross.T).T
+    cov = density.cov() - gain @ cross.T
+    return density.mean() + gain @ asked.innovation, 0.5 * (cov + cov.T)
 
 
 def _remote(prior: ParticleDensity, posterior: ParticleDensity, asked: _Asked, log_evidence: float) -> Remote:

@@ -330,6 +330,11 @@ class SDE:
         return self._functions["diffusion_divergence"]
 
     @property
+    def diffusion_curvature_batch(self) -> BatchFunction:
+        """∇·∇·D, (N, 1)."""
+        return self._functions["diffusion_curvature"]
+
+    @property
     def jacobian_batch(self) -> BatchFunction:
         """∂f_a/∂x_j, row-major, (N, n n)."""
         return self._functions["jacobian"]
@@ -500,6 +505,9 @@ class _Functions:
             "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
             "flow_drift": lambda fs: derived.stratonovich_drift(fs["drift"], fs["noise"], -Q),
             "flow_divergence": lambda fs: derived.trace_from(derived.jacobian_from(fs["flow_drift"], n)),
+            "diffusion_curvature": lambda fs: derived.trace_from(
+                derived.jacobian_from(fs["diffusion_divergence"], n)
+            ),
             "noise_columns": lambda fs: derived.noise_columns(fs["noise"], constant_root(0.5 * Q)),
             **makers,
         }

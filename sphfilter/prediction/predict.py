@@ -6,7 +6,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Interval
-from ..config import CloudScheme, CorrectedScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
+from ..config import (
+    CloudScheme,
+    CorrectedScheme,
+    FamilyScheme,
+    FilterConfig,
+    LogDensityScheme,
+    PaperScheme,
+    SolverConfig,
+)
+from ..density.as_family import on_lattice
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
 from ..errors import ModelError
@@ -15,7 +24,7 @@ from ..model.domain import Domain
 from ..model.sde import SDE
 from ..model.timing import beside
 from ..validate import count, onwards, real, seconds
-from . import automatic, cloud, corrected, log_density, paper
+from . import automatic, cloud, corrected, family, log_density, paper
 from .again import Outcome, or_as_cloud
 from .exact import propagate_exactly
 
@@ -117,6 +126,8 @@ def _without_breaks(
     goes_on: bool,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1, up to which the model does not jump."""
+    if density.family is not None and not isinstance(config.scheme, FamilyScheme):
+        density = on_lattice(density, n_particles)
     if config.exact_linear and model.linear:
         exact = propagate_exactly(density, model, t1, n_particles)
         if exact is not None:
@@ -153,7 +164,7 @@ def load(
     model: SDE, density: ParticleDensity, config: SolverConfig | FilterConfig
 ) -> CorrectedScheme | PaperScheme | None:
     """Compile what predictions call only now and then; returns the scheme they may fall back on, or None."""
-    if isinstance(config.scheme, PaperScheme | CorrectedScheme | CloudScheme):
+    if isinstance(config.scheme, PaperScheme | CorrectedScheme | CloudScheme | FamilyScheme):
         return None
     if not log_density.fits(model, density, density.n_particles):
         log_density.load(model)
@@ -180,4 +191,5 @@ _SCHEMES = {
     CorrectedScheme: corrected.propagate,
     PaperScheme: paper.propagate,
     CloudScheme: cloud.propagate,
+    FamilyScheme: family.propagate,
 }

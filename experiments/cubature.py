@@ -1,0 +1,131 @@
+"""Solve for fully symmetric cubature rules: nodes and positive weights for the standard normal law."""
+
+import itertools
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+
+__all__ = ["add_arguments", "main", "solved"]
+
+_EXACT = 1e-13  # largest error of a scaled moment
+_PROMISING = 1e-6  # of least squares, for Newton's steps to go on from
+_RADII = 0.6, 4.5
+
+
+def add_arguments(parser):
+    """Options of the command."""
+    parser.add_argument("--dimension", type=int, required=True, help="states n")
+    parser.add_argument("--degree", type=int, required=True, help="d: the rule is exact to degree 2 d + 1")
+    parser.add_argument(
+        "--orbits",
+        nargs="+",
+        required=True,
+        help="patterns of generators, a letter for each equal number and 0 for zero, such as 000 a00 aab",
+    )
+    parser.add_argument("--tries", type=int, default=200, help="random starts (default: 200)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--write", type=Path, help="file of rules that takes a rule that is found")
+
+
+def main(args):
+    """Search, tell what was found, and store it."""
+    found = solved(args.dimension, args.degree, args.orbits, args.tries, args.seed)
+    if found is None:
+        print("no positive rule of these orbits was found")
+        return 1
+    weights, generators = found
+    rule = {"generators": generators.tolist(), "weights": weights.tolist()}
+    print(f"{sum(map(_size, args.orbits))} nodes, exact to degree {2 * args.degree + 1}")
+    if args.write:
+        table = json.loads(args.write.read_text()) if args.write.exists() else {}
+        table[f"{args.dimension} {args.degree}"] = rule
+        table = dict(sorted(table.items()))
+        args.write.write_text(json.dumps(table, indent=1) + "\n")
+    return 0
+
+
+def solved(n, degree, orbits, tries, seed):
+    """Weights (K,) of each point and generators (K, n) of a positive rule; None if none is found.
+
+    Parameters
+    ----------
+    n, degree : int
+        The rule is to be exact to degree 2 `degree` + 1.
+    orbits : list of str, length K
+    tries, seed : int
+        Random starts of the least squares.
+    """
+    problem, rng = _Moments(n, degree, orbits), np.random.default_rng(seed)
+    for _ in range(tries):
+        first = problem.random(rng)
+        fit = least_squares(problem.errors, first, problem.jacobian, max_nfev=400, xtol=1e-15, ftol=1e-15)
+        if np.abs(fit.fun).max() < _PROMISING:
+            unknown = _polished(problem, fit.x)
+            if np.abs(problem.errors(unknown)).max() < _EXACT:
+                return problem.rule(unknown)
+    return None
+
+
+def _polished(problem, unknown):
+    """Newton's steps, the shortest where there are more unknowns than equations."""
+    for _ in range(20):
+        step = np.linalg.lstsq(problem.jacobian(unknown), problem.errors(unknown), rcond=1e-12)[0]
+        unknown = unknown - step
+    return unknown
+
+
+class _Moments:
+    """The moment equations of orbits: unknown are the logarithms of weights and of squared radii."""
+
+    def __init__(self, n, degree, orbits):
+        self.orbits, self.size = orbits, np.array([_size(orbit) for orbit in orbits])
+        self.letters = [sorted(set(orbit) - {"0"}) for orbit in orbits]
+        powers = [a for a in itertools.product(range(degree + 1), repeat=n) if sum(a) <= degree]
+        self.powers = np.array([a for a in powers if list(a) == sorted(a, reverse=True)])
+        doubled = [np.prod([_odd_factorial(2 * k - 1) for k in a]) for a in self.powers]
+        self.scale = np.sqrt([np.prod([_odd_factorial(4 * k - 1) for k in a]) for a in self.powers])
+        self.exact = np.array(doubled, dtype=float)
+        self.permuted = np.array(list(itertools.permutations(range(n))))
+
+    def random(self, rng):
+        """Weights and squared radii to start from."""
+        radii = [rng.uniform(*_RADII, len(letters)) for letters in self.letters]
+        share = rng.dirichlet(np.ones(len(self.orbits)))
+        return np.concatenate([np.log(share / self.size), *(2.0 * np.log(r) for r in radii)])
+
+    def squares(self, unknown):
+        """Squares of the generators (K, n)."""
+        radii, out = iter(np.exp(unknown[len(self.orbits) :])), []
+        for orbit, letters in zip(self.orbits, self.letters, strict=True):
+            value = {"0": 0.0, **{letter: next(radii) for letter in letters}}
+            out.append([value[letter] for letter in orbit])
+        return np.array(out)
+
+    def errors(self, unknown):
+        """Errors (E,) of the moments, in units of the root of the monomial's own second moment."""
+        squares, weight = self.squares(unknown), self.size * np.exp(unknown[: len(self.orbits)])
+        turned = squares[:, self.permuted]  # (K, P, n)
+        moment = np.prod(turned[:, :, None, :] ** self.powers, axis=3).mean(axis=1)
+        return (weight @ moment - self.exact) / self.scale
+
+    def jacobian(self, unknown):
+        """Derivatives (E, U), by complex steps: exact to rounding."""
+        steps = unknown + 1e-30j * np.eye(len(unknown))
+        return np.column_stack([self.errors(moved).imag / 1e-30 for moved in steps])
+
+    def rule(self, unknown):
+        """Weights (K,) and generators (K, n)."""
+        return np.exp(unknown[: len(self.orbits)]), np.sqrt(self.squares(unknown))
+
+
+def _size(orbit):
+    """Points of an orbit: permutations of its generator with all signs."""
+    alike = np.prod([math.factorial(orbit.count(letter)) for letter in set(orbit)])
+    return 2 ** sum(letter != "0" for letter in orbit) * math.factorial(len(orbit)) // int(alike)
+
+
+def _odd_factorial(k):
+    return math.prod(range(k, 0, -2))

@@ -1,0 +1,1 @@
+"""One exponential family: log p is a polynomial in a frame that moves with the density."""

@@ -1,0 +1,137 @@
+"""Frames: moments of a density by the nodes of its frame, and its polynomial in another."""
+
+import math
+
+import numpy as np
+
+from .._jit import jit
+from ..small_matrices import eigen
+from .basis import values_at
+
+__all__ = ["inverse", "moments_of", "moved", "reframed", "root_between", "weigh"]
+
+_LOG_2_PI = math.log(2.0 * math.pi)
+
+
+@jit
+def inverse(A, out):
+    """Inverse of A (n, n) by elimination; returns log |det A|, NaN if there is none."""
+    n = A.shape[0]
+    B, log_det = A.copy(), 0.0
+    for a in range(n):
+        for b in range(n):
+            out[a, b] = 1.0 if a == b else 0.0
+    for k in range(n):
+        pivot = k
+        for a in range(k + 1, n):
+            pivot = a if abs(B[a, k]) > abs(B[pivot, k]) else pivot
+        if not abs(B[pivot, k]) > 0.0:
+            return np.nan
+        log_det += math.log(abs(B[pivot, k]))
+        for b in range(n):
+            B[k, b], B[pivot, b] = B[pivot, b], B[k, b]
+            out[k, b], out[pivot, b] = out[pivot, b], out[k, b]
+        scale = 1.0 / B[k, k]
+        for b in range(n):
+            B[k, b] *= scale
+            out[k, b] *= scale
+        for a in range(n):
+            if a != k:
+                factor = B[a, k]
+                for b in range(n):
+                    B[a, b] -= factor * B[k, b]
+                    out[a, b] -= factor * out[k, b]
+    return log_det
+
+
+@jit
+def weigh(basis, T, w):
+    """Weights w (N,) of sum one for log-densities T (N,) at the nodes; returns the log of what they sum to.
+
+    That is the integral over the frame's coordinates: with log |det A| it is that over the states.
+    """
+    N, n = basis.xi.shape
+    highest = -np.inf
+    for i in range(N):
+        w[i] = T[i] + basis.log_w[i]
+        highest = max(highest, w[i])
+    total = 0.0
+    for i in range(N):
+        w[i] = math.exp(w[i] - highest)
+        total += w[i]
+    for i in range(N):
+        w[i] /= total
+    return highest + math.log(total) + 0.5 * n * _LOG_2_PI
+
+
+@jit
+def moments_of(xi, w, b, C):
+    """Mean b (n,) and covariance C (n, n) of nodes xi (N, n) with weights w (N,) of sum one."""
+    N, n = xi.shape
+    for a in range(n):
+        b[a] = 0.0
+        for i in range(N):
+            b[a] += w[i] * xi[i, a]
+    for a in range(n):
+        for c in range(a + 1):
+            total = 0.0
+            for i in range(N):
+                total += w[i] * (xi[i, a] - b[a]) * (xi[i, c] - b[c])
+            C[a, c] = C[c, a] = total
+
+
+@jit
+def moved(b, C):
+    """How far mean b and covariance C are from those of the frame: the largest of their differences."""
+    n, off = b.size, 0.0
+    for a in range(n):
+        if not math.isfinite(b[a]):
+            return np.inf
+        off = max(off, abs(b[a]))
+        for c in range(n):
+            if not math.isfinite(C[a, c]):
+                return np.inf
+            off = max(off, abs(C[a, c] - (1.0 if a == c else 0.0)))
+    return off
+
+
+@jit
+def root_between(C, low, high, out):
+    """Symmetric root of a covariance (n, n), of eigenvalues between `low` and `high`."""
+    n = C.shape[0]
+    w, V = np.empty(n), np.empty((n, n))
+    eigen(C.copy(), w, V)
+    for a in range(n):
+        for c in range(n):
+            out[a, c] = 0.0
+            for k in range(n):
+                out[a, c] += V[a, k] * math.sqrt(min(max(w[k], low), high)) * V[c, k]
+
+
+@jit
+def reframed(basis, mu, A, c, b, root):
+    """Put a family into the frame mu + A b, A root: exactly, as polynomials stay of their degree."""
+    N, n = basis.xi.shape
+    points, values = np.empty((N, n)), np.empty(N)
+    for i in range(N):
+        for a in range(n):
+            points[i, a] = b[a]
+            for k in range(n):
+                points[i, a] += root[a, k] * basis.xi[i, k]
+    values_at(basis.power, c, points, np.inf, values)
+    step = np.empty(n)
+    for a in range(n):
+        step[a] = 0.0
+        for k in range(n):
+            step[a] += A[a, k] * b[k]
+    own = A.copy()
+    for a in range(n):
+        mu[a] += step[a]
+        for k in range(n):
+            A[a, k] = 0.0
+            for e in range(n):
+                A[a, k] += own[a, e] * root[e, k]
+    for j in range(c.size):
+        c[j] = 0.0
+        for i in range(N):
+            c[j] += basis.F[i, j] * values[i]

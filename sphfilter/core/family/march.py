@@ -1,0 +1,147 @@
+"""A family carried through time: Dormand and Prince's steps, and frames that follow the density."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .. import dormand_prince as dp
+from .._jit import jit
+from .basis import size
+from .frame import inverse, moments_of, moved, reframed, root_between, weigh
+from .rates import rates, work
+
+__all__ = ["STATUS", "Control", "Report", "march"]
+
+OK, STALLED, TOO_MANY, NOT_FINITE, ASTRAY = range(5)
+#: What a code says.
+STATUS = "ok", "stalled", "too many steps", "not finite", "astray"
+
+_OFF, _ASTRAY = 0.15, 3.0  # of the moments in the frame: when it follows, and when it is lost
+_LEAST, _MOST = 0.2, 5.0  # variances in the frame, that one reframing goes to
+_TRIES = 5  # steps refused one after the other
+_SAFETY, _SHRINK, _GROW = 0.9, 0.2, 5.0
+
+
+class Control(NamedTuple):
+    """When and how."""
+
+    t: float
+    t1: float
+    tolerance: float  # error of a step, in units of the frame
+    longest: float  # step, seconds
+    max_steps: int
+
+
+class Report(NamedTuple):
+    """What a march did."""
+
+    code: int
+    t: float  # where it ended
+    steps: int
+    rejected: int
+    evaluations: int
+    residual: float  # integral over time of what the family could not follow
+
+
+@jit
+def march(flow, basis, control, y):
+    """Carry y = (mu, A, c) from t to t1, in place; returns a `Report`."""
+    own, n = work(basis, flow.state_dependent), basis.xi.shape[1]
+    k, trial, error = np.empty((7, y.size)), np.empty(y.size), np.empty(y.size)
+    t, residual, steps, rejected, refused, asked = control.t, 0.0, 0, 0, 0, 1
+    before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
+    if not np.isfinite(k[0]).all():
+        return Report(NOT_FINITE, t, 0, 0, 1, 0.0)
+    h = min(control.t1 - t, control.longest, control.tolerance**0.2 / max(_norm(own, n, k[0]), 1e-300))
+    while t < control.t1:
+        if steps + rejected >= control.max_steps:
+            return Report(TOO_MANY, t, steps, rejected, asked, residual)
+        last = h >= (control.t1 - t) * (1.0 - 1e-9)
+        h = control.t1 - t if last else h
+        after = _step(flow, basis, own, t, h, y, k, trial)
+        asked += 6
+        for e in range(y.size):
+            error[e] = 0.0
+            for s in range(7):
+                error[e] += h * dp.E[s] * k[s, e]
+        inverse(y[n : n + n * n].reshape((n, n)), own.inverse)
+        off = _norm(own, n, error) / control.tolerance
+        if not off <= 1.0:
+            rejected, refused = rejected + 1, refused + 1
+            if refused >= _TRIES * (1 if math.isnan(off) else 4):
+                return Report(STALLED, t, steps, rejected, asked, residual)
+            h *= max(_SHRINK, _SAFETY * off**-0.2) if math.isfinite(off) else _SHRINK
+            continue
+        residual += 0.5 * h * (before + after)
+        t, steps, refused = control.t1 if last else t + h, steps + 1, 0
+        y[:] = trial
+        h = min(h * min(_GROW, _SAFETY * max(off, 1e-10) ** -0.2), control.longest)
+        followed = _follow(basis, y, 0.0 if t >= control.t1 else _OFF)
+        if followed < 0:
+            return Report(ASTRAY, t, steps, rejected, asked, residual)
+        if followed > 0 and t < control.t1:
+            before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
+            asked += 1
+        else:
+            before, k[0] = after, k[6]
+    return Report(OK, t, steps, rejected, asked, residual)
+
+
+@jit
+def _step(flow, basis, own, t, h, y, k, trial):
+    """One step from y, whose rates are k[0]; returns the residual's rate at its end."""
+    left = 0.0
+    for s in range(1, 7):
+        for e in range(y.size):
+            trial[e] = y[e]
+            for r in range(s):
+                trial[e] += h * dp.A[s, r] * k[r, e]
+        left = rates(flow, basis, own, t + dp.C[s] * h, trial, k[s])
+    return math.sqrt(left)
+
+
+@jit
+def _norm(own, n, d):
+    """Size of a change d = (dmu, dA, dc), the first two in the frame; NaN where it is not finite."""
+    total = 0.0
+    for e in range(n + n * n, d.size):
+        total += d[e] ** 2
+    for b in range(n + 1):
+        for a in range(n):
+            inside = 0.0
+            for k in range(n):
+                inside += own.inverse[a, k] * (d[k] if b == n else d[n + k * n + b])
+            total += inside**2
+    return math.sqrt(total)
+
+
+@jit
+def _follow(basis, y, least):
+    """Move the frame to the density where it is off by more than `least`; 1 if it was, -1 if that fails."""
+    N, n = basis.xi.shape
+    mu, A, c = y[:n], y[n : n + n * n].reshape((n, n)), y[n + n * n :]
+    T, w, b, C, root = np.zeros(N), np.empty(N), np.empty(n), np.empty((n, n)), np.empty((n, n))
+    for j in range(c.size):
+        for i in range(N):
+            T[i] += c[j] * basis.V[j, i]
+    weigh(basis, T, w)
+    moments_of(basis.xi, w, b, C)
+    off = moved(b, C)
+    if not off < _ASTRAY:
+        return -1
+    if off <= least:
+        return 0
+    root_between(C, _LEAST, _MOST, root)
+    reframed(basis, mu, A, c, b, root)
+    return 1
+
+
+def parts(y, n):
+    """mu (n,), A (n, n) and c (M,) of y: views."""
+    return y[:n], y[n : n + n * n].reshape((n, n)), y[n + n * n :]
+
+
+def length(n, degree):
+    """Numbers in y."""
+    return n + n * n + size(n, degree)

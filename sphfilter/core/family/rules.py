@@ -1,0 +1,56 @@
+"""Cubature rules for the standard normal law, exact to twice the degree of a family and one more."""
+
+import itertools
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["degrees", "rule"]
+
+_MORE = 4  # Gauss-Hermite points of one state, over the degree: more than a polynomial passes through
+_HIGHEST = 8  # degree of one state
+
+
+@cache
+def _found():
+    """Generators and weights of fully symmetric rules of two and more states, by states and degree."""
+    table = json.loads(Path(__file__).with_name("rules.json").read_text())
+    return {tuple(map(int, name.split())): found for name, found in table.items()}
+
+
+def degrees(n):
+    """Degrees of the families of n states that have a rule, lowest first."""
+    if n == 1:
+        return list(range(2, _HIGHEST + 1))
+    found = sorted(degree for states, degree in _found() if states == n)
+    return [2, *found] if found else []
+
+
+@cache
+def rule(n, degree):
+    """Nodes (N, n) and weights (N,) that integrate polynomials of degree 2 `degree` + 1; read-only.
+
+    Raises
+    ------
+    KeyError
+        No rule is known.
+    """
+    if n == 1:
+        points, weights = np.polynomial.hermite_e.hermegauss(degree + _MORE)
+        points, weights = points[:, None], weights / weights.sum()
+    else:
+        least = min(known for states, known in _found() if states == n and known >= degree)
+        found = _found()[n, least]
+        orbits = [_orbit(generator) for generator in found["generators"]]
+        points = np.ascontiguousarray(np.concatenate(orbits))
+        weights = np.repeat(found["weights"], [len(orbit) for orbit in orbits])
+    points.flags.writeable = weights.flags.writeable = False
+    return points, weights
+
+
+def _orbit(generator):
+    """All permutations of a generator with all signs, shape (K, n)."""
+    signs = itertools.product(*[(r,) if r == 0.0 else (r, -r) for r in generator])
+    return np.array(sorted({turned for signed in signs for turned in itertools.permutations(signed)}))

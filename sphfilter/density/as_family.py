@@ -1,0 +1,51 @@
+"""Densities as one exponential family, and back on lattices."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..core.family.basis import basis
+from .family import Family, gaussian_family, laid_family, node_weights, particles_of
+from .particle_density import ParticleDensity
+from .resample import logarithm
+
+__all__ = ["family_density", "family_of", "on_lattice"]
+
+
+def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
+    """The family of a density, and its misfit: the rms of log p less its polynomial.
+
+    Parameters
+    ----------
+    density : ParticleDensity
+        That has a logarithm everywhere: on a lattice, or a family itself.
+    degree : int
+    """
+    if density.family is not None and density.family.degree == degree:
+        return density.family, 0.0
+    mean, cov = density.moments or (density.mass @ density.x, density.cov())
+    if density.gaussian:
+        return gaussian_family(mean, cov, degree), 0.0
+    rule, A = basis(len(mean), degree), np.linalg.cholesky(cov)
+    log_p = logarithm(density)(mean + rule.xi @ A.T)
+    c = log_p @ rule.F
+    w = node_weights(rule, A, log_p)[0]
+    return Family(mean, A, c).normalised(), math.sqrt(float(w @ (log_p - c @ rule.V) ** 2))
+
+
+def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
+    """A density that is one family, on a lattice."""
+    assert density.family is not None
+    laid = laid_family(density.family, density.moments, n_particles)
+    about = density.t, density.capacity, density.gaussian, density.domain
+    return replace(ParticleDensity.on_lattice(laid, *about), error=density.error, lost=density.lost)
+
+
+def family_density(density: ParticleDensity, family: Family, **changes: Any) -> ParticleDensity:
+    """A density whose place in the record is that of another, as one family."""
+    about = {
+        name: getattr(density, name) for name in ("t", "capacity", "domain", "error", "lost", "gaussian")
+    }
+    return ParticleDensity(**particles_of(family), **about | changes)

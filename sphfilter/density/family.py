@@ -1,0 +1,179 @@
+"""One exponential family: log p is a polynomial in a frame, and a lattice only where one is asked for."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._types import Floats, Ints
+from ..core.family.basis import Basis, basis, bound, size, values_at
+from ..core.family.frame import inverse, moments_of, weigh
+from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
+from .shapes import Polynomials
+
+__all__ = [
+    "Exponential",
+    "Family",
+    "gaussian_family",
+    "laid_family",
+    "node_moments",
+    "node_weights",
+    "particles_of",
+]
+
+_NODES = {1: 200, 2: 1000, 3: 4000}  # of a lattice for questions, and more with more states
+_MOST_NODES = 12_000
+_STEP = 1e-4  # of a difference, in standard deviations
+
+
+class Family(NamedTuple):
+    """log p(mu + A xi) = sum_j c_j h_j(xi), with Hermite polynomials h_j of total degree up to d."""
+
+    mu: Floats  # (n,)
+    A: Floats  # (n, n)
+    c: Floats  # (M,)
+
+    @property
+    def degree(self) -> int:
+        """d."""
+        n = len(self.mu)
+        return next(d for d in range(2, 64) if size(n, d) >= len(self.c))
+
+    @property
+    def basis(self) -> Basis:
+        """Polynomials, nodes and weights."""
+        return basis(len(self.mu), self.degree)
+
+    @property
+    def nodes(self) -> Floats:
+        """States (N, n) at the nodes of the frame."""
+        return self.mu + self.basis.xi @ self.A.T
+
+    def log_p(self, X: Floats) -> Floats:
+        """Logarithm of the density at states (M, n), shape (M,); far out it falls as a wide Gaussian does."""
+        n = len(self.mu)
+        back, out = np.empty((n, n)), np.empty(len(X))
+        inverse(self.A, back)
+        xi = np.ascontiguousarray((X - self.mu) @ back.T)
+        values_at(self.basis.power, self.c, xi, bound(n), out)
+        return out
+
+    def weighted(self) -> tuple[Floats, float]:
+        """Probabilities (N,) of the nodes, and the logarithm of the integral of the density."""
+        return node_weights(self.basis, self.A, self.c @ self.basis.V)
+
+    def normalised(self) -> "Family":
+        """The same with an integral of one."""
+        c = self.c.copy()
+        c[0] -= self.weighted()[1]
+        return self._replace(c=c)
+
+
+def node_weights(rule: Basis, A: Floats, log_p: Floats) -> tuple[Floats, float]:
+    """Probabilities (N,) of nodes with log-densities (N,), and the log of the integral over the states."""
+    w, n = np.empty(len(rule.xi)), len(A)
+    total = weigh(rule, np.ascontiguousarray(log_p), w)
+    return w, total + inverse(A, np.empty((n, n)))
+
+
+def node_moments(xi: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """Mean (n,) and covariance (n, n) of nodes with probabilities."""
+    n = xi.shape[1]
+    b, C = np.empty(n), np.empty((n, n))
+    moments_of(xi, w, b, C)
+    return b, C
+
+
+def gaussian_family(mean: Floats, cov: Floats, degree: int) -> Family:
+    """A Gaussian."""
+    n, A = len(mean), np.linalg.cholesky(cov)
+    c = np.zeros(size(n, degree))
+    c[0] = -0.5 * n * math.log(2.0 * math.pi) - np.log(np.diag(A)).sum() - 0.5 * n
+    power = basis(n, degree).power
+    c[(power.max(axis=1) == 2) & (power.sum(axis=1) == 2)] = -math.sqrt(0.5)
+    return Family(np.array(mean), A, c)
+
+
+def particles_of(family: Family) -> dict[str, Any]:
+    """What a density that is one family is made of, by name: its nodes are its particles."""
+    w, n = family.weighted()[0], len(family.mu)
+    b, C = node_moments(family.basis.xi, w)
+    width = abs(np.linalg.det(family.A)) ** (1.0 / n)
+    return {
+        "x": family.nodes,
+        "mass": w,
+        "h": np.full(len(w), width),
+        "read_out": "family",
+        "family": family,
+        "moments": (family.mu + family.A @ b, family.A @ C @ family.A.T),
+    }
+
+
+def laid_family(family: Family, moments: Any, n_particles: int) -> Laid:
+    """A family of given mean and covariance on a lattice of at most so many nodes, or the fewest there are."""
+    mean, cov = moments
+    n_particles = max(n_particles, fewest_particles(len(mean)))
+    depth = 0.5 * lattice_reach(None, len(mean)) ** 2
+    return lay(family.log_p, mean, np.linalg.cholesky(cov), mean[None], n_particles, depth)
+
+
+@dataclass(frozen=True, eq=False)
+class Exponential:
+    """One exponential family: density and moments by its polynomial, all else on a lattice laid for that."""
+
+    family: Family
+    x: Floats  # (N, n), its nodes
+    mass: Floats  # (N,)
+    moments: tuple[Floats, Floats]  # mean (n,) and covariance (n, n)
+
+    widening = 0.0
+
+    @cached_property
+    def laid(self) -> Polynomials:
+        """The same density on a lattice."""
+        laid = laid_family(self.family, self.moments, _NODES.get(len(self.family.mu), _MOST_NODES))
+        return Polynomials(laid.field, laid.x, laid.mass, self.moments)
+
+    def pdf(self, X: Floats) -> Floats:
+        """Density, shape (M,)."""
+        return np.exp(self.logpdf(X))
+
+    def logpdf(self, X: Floats) -> Floats:
+        """Logarithm of the density, shape (M,)."""
+        return self.family.log_p(X)
+
+    def gradient(self, X: Floats) -> Floats:
+        """Gradient of the density, shape (M, n)."""
+        steps = _STEP * self.family.A.T
+        slopes = [(self.logpdf(X + step) - self.logpdf(X - step)) / (2.0 * _STEP) for step in steps]
+        return np.linalg.solve(self.family.A.T, slopes).T * self.pdf(X)[:, None]
+
+    def mean(self) -> Floats:
+        """Mean, shape (n,)."""
+        return self.moments[0].copy()
+
+    def cov(self, centre: Floats | None = None) -> Floats:
+        """Covariance, shape (n, n), about the mean."""
+        return self.moments[1].copy()
+
+    def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
+        """States in every cell of the lattice."""
+        return self.laid.states(count, smooth)
+
+    def sample(self, size: int, rng: np.random.Generator) -> Floats:
+        """Draw states, shape (size, n)."""
+        return self.laid.sample(size, rng)
+
+    def raw_moment(self, powers: Ints, centre: Floats) -> None:
+        """No moment has a closed form."""
+
+    def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
+        """Particles of the density of some axes, by name: on a lattice of their own."""
+        return self.laid.marginal(axes)
+
+    def ends(self) -> tuple[Floats, Floats, Floats]:
+        """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
+        return self.laid.ends()

@@ -1,0 +1,132 @@
+"""Bayes' rule on one exponential family: a frame that fits the posterior, and a second opinion of it."""
+
+import math
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from .._types import Floats, OfStates
+from ..core.family.basis import Basis, basis, bound, values_at
+from ..core.family.frame import moved, root_between
+from ..errors import PropagationError
+from .family import Family, node_moments, node_weights
+
+__all__ = ["FamilyPosterior", "family_posterior"]
+
+_SETTLED, _ROUNDS, _ASTRAY = 1e-3, 8, 0.3  # of the moments in the frame; rounds; and what is given up
+_LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
+_OF_MISFIT = 0.5  # part of the polynomial's misfit that errors are estimated by
+_TURN = 0.6  # radians, between the rule and that of the second opinion
+
+
+class FamilyPosterior(NamedTuple):
+    """A posterior, the log of its integral before it was normalised, and how far both may be off."""
+
+    family: Family
+    log_evidence: float
+    misfit: float  # rms over the mass of log p less its polynomial
+    error: float  # of the mean, in standard deviations
+    evidence_error: float  # nats
+
+
+def family_posterior(
+    prior: Family, log_weight: OfStates, first: tuple[Floats, Floats] | None = None
+) -> FamilyPosterior:
+    """A family times exp(log_weight(X)), in a frame of its own.
+
+    Parameters
+    ----------
+    prior : Family
+    log_weight : callable
+        States (M, n) to logarithms (M,).
+    first : tuple of ndarray, shapes (n,), (n, n), optional
+        Mean and covariance of the frame to begin with; those of the prior's if not given.
+
+    Returns
+    -------
+    FamilyPosterior
+
+    Raises
+    ------
+    PropagationError
+        No frame fits the posterior, or the likelihood is zero where it has nodes.
+    """
+    rule = prior.basis
+    mu, A = (prior.mu, prior.A) if first is None else (first[0], np.linalg.cholesky(first[1]))
+    for left in range(_ROUNDS, 0, -1):
+        log_p = _product(prior, log_weight, mu + rule.xi @ A.T)
+        w, log_evidence = node_weights(rule, A, log_p)
+        b, C = node_moments(rule.xi, w)
+        off = moved(b, C)
+        if off < _SETTLED or left == 1:
+            break
+        root = np.empty(C.shape)
+        root_between(C, _LEAST, _MOST, root)
+        mu, A = mu + A @ (b * min(1.0, _STEP / max(np.linalg.norm(b), 1e-300))), A @ root
+    if not off < _ASTRAY:
+        raise PropagationError(
+            f"one family of degree {prior.degree} does not hold the posterior: its frame does not settle"
+        )
+    found = Family(mu, np.ascontiguousarray(A), log_p @ rule.F)
+    misfit = _rms(w, log_p - found.c @ rule.V)
+    seen = _Seen(b, C, log_evidence, misfit)
+    other = _second_opinion(prior, log_weight, found)
+    apart = _apart(seen, other)
+    error = max(apart[0], _OF_MISFIT * max(misfit, other.misfit))
+    return FamilyPosterior(found.normalised(), log_evidence, max(misfit, other.misfit), error, apart[1])
+
+
+class _Seen(NamedTuple):
+    """A posterior as the nodes of one rule see it."""
+
+    b: Floats
+    C: Floats
+    log_evidence: float
+    misfit: float
+
+
+def _product(prior: Family, log_weight: OfStates, X: Floats) -> Floats:
+    """Log of prior times likelihood at states."""
+    log_p = prior.log_p(X) + log_weight(X)
+    if not np.isfinite(log_p).all():
+        raise PropagationError("one family does not hold the posterior: the likelihood is zero at its nodes")
+    return log_p
+
+
+def _second_opinion(prior: Family, log_weight: OfStates, found: Family) -> _Seen:
+    """The same posterior at nodes that it was not fitted to."""
+    rule = _turned(len(found.mu), found.degree)
+    log_p = _product(prior, log_weight, found.mu + rule.xi @ found.A.T)
+    w, log_evidence = node_weights(rule, found.A, log_p)
+    fitted = np.empty(len(log_p))
+    values_at(rule.power, found.c, rule.xi, bound(len(found.mu)), fitted)
+    return _Seen(*node_moments(rule.xi, w), log_evidence, _rms(w, log_p - fitted))
+
+
+def _apart(one: _Seen, other: _Seen) -> tuple[float, float]:
+    """How far two opinions are apart: in the mean, standard deviations, and in the evidence, nats."""
+    n = len(one.b)
+    mean = float(np.linalg.norm(one.b - other.b)) / math.sqrt(n)
+    cov = float(np.linalg.norm(one.C - other.C)) / n
+    return max(mean, 0.5 * cov), abs(one.log_evidence - other.log_evidence)
+
+
+def _rms(w: Floats, off: Floats) -> float:
+    return math.sqrt(float(w @ off**2))
+
+
+@cache
+def _turned(n: int, degree: int) -> Basis:
+    """The rule turned in every plane of two axes that follow one another; of one state, with a point more."""
+    rule = basis(n, degree)
+    if n == 1:
+        more = basis(1, degree + 1)
+        return rule._replace(xi=more.xi, u=more.u, log_w=more.log_w)
+    turn = np.eye(n)
+    for a in range(n - 1):
+        plane = np.eye(n)
+        plane[a, a] = plane[a + 1, a + 1] = math.cos(_TURN)
+        plane[a, a + 1], plane[a + 1, a] = -math.sin(_TURN), math.sin(_TURN)
+        turn = turn @ plane
+    return rule._replace(xi=np.ascontiguousarray(rule.xi @ turn.T))

@@ -1,0 +1,152 @@
+"""One exponential family, carried by an ordinary equation at the nodes of a cubature rule."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..config import FamilyScheme
+from ..core._addresses import address_of
+from ..core.family.basis import basis
+from ..core.family.march import STATUS, Control, Report, march
+from ..core.family.rates import Flow
+from ..core.family.rules import degrees
+from ..density.as_family import family_density, family_of
+from ..density.family import Family
+from ..density.particle_density import ParticleDensity
+from ..errors import ConfigError, PropagationError, StoppedError
+from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
+from ..model.compile import surfacing
+from ..model.sde import SDE
+from ._shared import blow_up, skip_notes
+from .time_slices import drift_slices, noise_samples
+
+__all__ = ["degree_of", "fits", "propagate"]
+
+_DEGREE = 6  # the highest that is taken unless another is asked for
+_OF_MISFIT, _OF_RESIDUAL = (
+    0.5,
+    0.3,
+)  # parts of what the polynomials cannot follow, that errors are estimated by
+_LOST = 1.0  # standard deviations that the mean may be off by
+
+
+def degree_of(scheme: FamilyScheme, n: int) -> int:
+    """Degree of a family of n states: the scheme's, or the highest up to six whose rule is known."""
+    known = degrees(n)
+    degree = scheme.degree or max((d for d in known if d <= _DEGREE), default=0)
+    if degree not in known:
+        raise ConfigError(f"there is no family of degree {degree or 'any'} for {n} states, but of {known}")
+    return degree
+
+
+def fits(model: SDE, density: ParticleDensity) -> str:
+    """Can one family carry the density? Returns a reason why not, empty if it can."""
+    if model.domain.walled.any():
+        return "an axis ends, and polynomials do not"
+    if density.field is None and density.family is None:
+        return "the density has no smooth logarithm"
+    return ""
+
+
+def propagate(
+    density: ParticleDensity, model: SDE, t1: float, scheme: FamilyScheme, n_particles: int
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density to time t1 as one exponential family.
+
+    Returns
+    -------
+    ParticleDensity, PredictInfo
+
+    Raises
+    ------
+    PropagationError
+        No polynomial follows the density, the drift is not finite where it is, or more steps are needed than
+        allowed: says when, where, and what to change.
+    """
+    reason = fits(model, density)
+    if reason:
+        raise PropagationError(f"one family does not carry this density: {reason}; use another scheme")
+    n, degree = density.dim, degree_of(scheme, density.dim)
+    start, misfit = family_of(density, degree)
+    y = np.concatenate([start.mu, start.A.ravel(), start.c])
+    control = Control(density.t, t1, scheme.tolerance, _longest(model, density, t1), scheme.max_steps)
+    with surfacing():
+        report = march(_flow(model), basis(n, degree), control, y)
+    if STATUS[report.code] != "ok":
+        raise _given_up(model, y, report, density.t, t1)
+    moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()
+    residual = math.hypot(_OF_RESIDUAL * report.residual, _OF_MISFIT * misfit)
+    error = math.hypot(density.error, residual)
+    if not error < _LOST:
+        raise PropagationError(
+            f"one family of degree {degree} does not follow the density from {density.t:g} to {t1:g}: its mean "
+            f"would be off by {error:.2g} standard deviations; predict over a shorter interval, or use another "
+            f"scheme"
+        )
+    gaussian = density.gaussian and model.linear
+    return family_density(
+        density, moved, t=float(t1), capacity=n_particles, error=error, gaussian=gaussian
+    ), _info(model, report, error)
+
+
+def _flow(model: SDE) -> Flow:
+    """The model as families are carried by it; it must outlive its use."""
+    n, drift = model.dim, address_of(model.drift_batch)
+    of_state: Any = (drift, drift)  # never called
+    if model.state_dependent_noise:
+        of_state = address_of(model.diffusion_divergence_batch), address_of(model.diffusion_curvature_batch)
+    constant = model.constant_diffusion
+    return Flow(
+        drift,
+        address_of(model.divergence_batch),
+        address_of(model.diffusion_batch),
+        *of_state,
+        model.p,
+        np.ascontiguousarray(model.diffusion(np.zeros((1, n)), 0.0)[0]) if constant else np.zeros((n, n)),
+        not constant and not model.state_dependent_noise,
+        model.state_dependent_noise,
+    )
+
+
+def _longest(model: SDE, density: ParticleDensity, t1: float) -> float:
+    """Longest step, seconds, that sees a model change in time."""
+    if model.autonomous:
+        return model.max_step
+    around = density.mean() if model.state_dependent_noise else None
+    slices = max(drift_slices(model, density, t1), noise_samples(model, density.t, t1, around)[1])
+    return min(model.max_step, (t1 - density.t) / slices)
+
+
+def _given_up(model: SDE, y: Any, report: Report, start: float, t1: float) -> PropagationError:
+    """What a march that did not come to its end is told with."""
+    status, mean = STATUS[report.code], y[: model.dim]
+    if status == "not finite" or not np.isfinite(model.drift(mean, report.t)).all():
+        return PropagationError(blow_up(model, mean, report.t, start, t1))
+    what = f"prediction from {start:g} to {t1:g} stopped at t = {report.t:.6g}"
+    if status == "too many steps":
+        return StoppedError(
+            f"{what}: {report.steps} steps were not enough; allow more with scheme=FamilyScheme(max_steps=...)"
+        )
+    return PropagationError(
+        f"{what}: no polynomial of this degree follows the density; predict over a shorter interval, or use "
+        f"another scheme"
+    )
+
+
+def _info(model: SDE, report: Report, error: float) -> PredictInfo:
+    code, status = Code.OK, "ok"
+    if error > DOUBTFUL:
+        code, status = Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)
+    skipped = ("particles: one polynomial is the logarithm of the density", *skip_notes(model, 0))
+    return PredictInfo(
+        n_steps=report.steps,
+        n_rejected=report.rejected,
+        n_evaluations=report.evaluations,
+        residual=report.residual,
+        error=error,
+        skipped=tuple(note for note in skipped if not note.startswith("diffusion velocity")),
+        scheme="family",
+        status=status,
+        code=code,
+    )
