@@ -12,7 +12,6 @@ __all__ = ["add_arguments", "main", "solved"]
 
 _EXACT = 1e-13  # largest error of a scaled moment
 _PROMISING = 1e-6  # of least squares, for Newton's steps to go on from
-_RADII = 0.6, 4.5
 
 
 def add_arguments(parser):
@@ -25,6 +24,7 @@ def add_arguments(parser):
         required=True,
         help="patterns of generators, a letter for each equal number and 0 for zero, such as 000 a00 aab",
     )
+    parser.add_argument("--within", type=float, default=6.0, help="radius of the nodes at most (default: 6)")
     parser.add_argument("--tries", type=int, default=200, help="random starts (default: 200)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--write", type=Path, help="file of rules that takes a rule that is found")
@@ -32,7 +32,7 @@ def add_arguments(parser):
 
 def main(args):
     """Search, tell what was found, and store it."""
-    found = solved(args.dimension, args.degree, args.orbits, args.tries, args.seed)
+    found = solved(args.dimension, args.degree, args.orbits, args.tries, args.seed, args.within)
     if found is None:
         print("no positive rule of these orbits was found")
         return 1
@@ -47,7 +47,7 @@ def main(args):
     return 0
 
 
-def solved(n, degree, orbits, tries, seed):
+def solved(n, degree, orbits, tries, seed, within):
     """Weights (K,) of each point and generators (K, n) of a positive rule; None if none is found.
 
     Parameters
@@ -57,8 +57,10 @@ def solved(n, degree, orbits, tries, seed):
     orbits : list of str, length K
     tries, seed : int
         Random starts of the least squares.
+    within : float
+        No node is further out: families are the steadier, the nearer their nodes are.
     """
-    problem, rng = _Moments(n, degree, orbits), np.random.default_rng(seed)
+    problem, rng = _Moments(n, degree, orbits, within), np.random.default_rng(seed)
     for _ in range(tries):
         first = problem.random(rng)
         fit = least_squares(problem.errors, first, problem.jacobian, max_nfev=400, xtol=1e-15, ftol=1e-15)
@@ -78,9 +80,12 @@ def _polished(problem, unknown):
 
 
 class _Moments:
-    """The moment equations of orbits: unknown are the logarithms of weights and of squared radii."""
+    """The moment equations of orbits. Unknown are the logarithms of the weights, and of what each number of a
+    generator has of the square of the largest radius, over what is left of that.
+    """
 
-    def __init__(self, n, degree, orbits):
+    def __init__(self, n, degree, orbits, within):
+        self.square = within**2
         self.orbits, self.size = orbits, np.array([_size(orbit) for orbit in orbits])
         self.letters = [sorted(set(orbit) - {"0"}) for orbit in orbits]
         powers = [a for a in itertools.product(range(degree + 1), repeat=n) if sum(a) <= degree]
@@ -91,16 +96,17 @@ class _Moments:
         self.permuted = np.array(list(itertools.permutations(range(n))))
 
     def random(self, rng):
-        """Weights and squared radii to start from."""
-        radii = [rng.uniform(*_RADII, len(letters)) for letters in self.letters]
+        """Unknowns to start from."""
         share = rng.dirichlet(np.ones(len(self.orbits)))
-        return np.concatenate([np.log(share / self.size), *(2.0 * np.log(r) for r in radii)])
+        return np.concatenate([np.log(share / self.size), rng.normal(0.0, 2.0, sum(map(len, self.letters)))])
 
     def squares(self, unknown):
         """Squares of the generators (K, n)."""
-        radii, out = iter(np.exp(unknown[len(self.orbits) :])), []
+        parts, out = iter(np.exp(unknown[len(self.orbits) :])), []
         for orbit, letters in zip(self.orbits, self.letters, strict=True):
-            value = {"0": 0.0, **{letter: next(radii) for letter in letters}}
+            part = {letter: next(parts) for letter in letters}
+            unit = self.square / (1.0 + sum(part.values()))
+            value = {"0": 0.0} | {letter: unit * part[letter] / orbit.count(letter) for letter in letters}
             out.append([value[letter] for letter in orbit])
         return np.array(out)
 

@@ -263,7 +263,9 @@ def _linearised(density: ParticleDensity, asked: _Asked) -> tuple[Floats, Floats
     cross = predicted_reading(density, asked.measurement)[2][:, asked.seen]
     gain = np.linalg.solve(asked.S, cross.T).T
     cov = density.cov() - gain @ cross.T
-    return density.mean() + gain @ asked.innovation, 0.5 * (cov + cov.T)
+    cov = 0.5 * (cov + cov.T)
+    known = np.linalg.eigvalsh(cov)[0] > 0.0
+    return (density.mean() + gain @ asked.innovation, cov) if known else None
 
 
 def _remote(prior: ParticleDensity, posterior: ParticleDensity, asked: _Asked, log_evidence: float) -> Remote:

@@ -76,7 +76,7 @@ def propagate(
     if STATUS[report.code] != "ok":
         raise _given_up(model, y, report, density.t, t1)
     moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()
-    residual = math.hypot(_OF_RESIDUAL * report.residual, _OF_MISFIT * misfit)
+    residual = math.hypot(_OF_RESIDUAL * report.residual, _OF_RESIDUAL * report.stepping, _OF_MISFIT * misfit)
     error = math.hypot(density.error, residual)
     if not error < _LOST:
         raise PropagationError(

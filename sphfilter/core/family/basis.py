@@ -47,11 +47,13 @@ def basis(n, degree):
             if a[axis]:
                 below[axis, j] = number[*a[:axis], a[axis] - 1, *a[axis + 1 :]]
                 root[axis, j] = math.sqrt(a[axis])
-    power, V = np.array(powers), np.empty((len(powers), len(xi)))
+    power, square = np.array(powers), (xi**2).sum(axis=1)
+    V = np.empty((len(powers), len(xi)))
     for j, unit in enumerate(np.eye(len(powers))):
         values_at(power, unit, xi, math.inf, V[j])
     lower = np.array([size(n, degree - 1), size(n, degree - 2)])
-    return Basis(power, below, root, xi, u, np.log(u) + 0.5 * (xi**2).sum(axis=1), V, (V * u).T.copy(), lower)
+    log_w = np.log(u) + 0.5 * square
+    return Basis(power, below, root, xi, u, log_w, V, (V * u).T.copy(), lower)
 
 
 @jit
@@ -60,7 +62,7 @@ def values_at(power, c, xi, bound, out):
 
     Beyond the radius `bound` the values fall at least as a wide Gaussian does: polynomials may rise there.
     """
-    (M, n), table = power.shape, np.empty((xi.shape[1], power.max() + 1))
+    n, table = xi.shape[1], np.empty((xi.shape[1], power.max() + 1))
     for i in range(xi.shape[0]):
         square = 0.0
         for a in range(n):
@@ -68,7 +70,7 @@ def values_at(power, c, xi, bound, out):
         out[i] = _value(power, c, xi[i], 1.0, table)
         if square > bound * bound:
             edge = _value(power, c, xi[i], bound / math.sqrt(square), table)
-            out[i] = min(out[i], edge - 0.15 * (square - bound * bound))
+            out[i] = min(out[i], edge - _FALL * (square - bound * bound))
 
 
 @jit

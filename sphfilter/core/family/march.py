@@ -7,7 +7,6 @@ import numpy as np
 
 from .. import dormand_prince as dp
 from .._jit import jit
-from .basis import size
 from .frame import inverse, moments_of, moved, reframed, root_between, weigh
 from .rates import rates, work
 
@@ -42,6 +41,7 @@ class Report(NamedTuple):
     rejected: int
     evaluations: int
     residual: float  # integral over time of what the family could not follow
+    stepping: float  # sum of the errors of the steps
 
 
 @jit
@@ -49,14 +49,14 @@ def march(flow, basis, control, y):
     """Carry y = (mu, A, c) from t to t1, in place; returns a `Report`."""
     own, n = work(basis, flow.state_dependent), basis.xi.shape[1]
     k, trial, error = np.empty((7, y.size)), np.empty(y.size), np.empty(y.size)
-    t, residual, steps, rejected, refused, asked = control.t, 0.0, 0, 0, 0, 1
+    t, residual, stepping, steps, rejected, refused, asked = control.t, 0.0, 0.0, 0, 0, 0, 1
     before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
     if not np.isfinite(k[0]).all():
-        return Report(NOT_FINITE, t, 0, 0, 1, 0.0)
+        return Report(NOT_FINITE, t, 0, 0, 1, 0.0, 0.0)
     h = min(control.t1 - t, control.longest, control.tolerance**0.2 / max(_norm(own, n, k[0]), 1e-300))
     while t < control.t1:
         if steps + rejected >= control.max_steps:
-            return Report(TOO_MANY, t, steps, rejected, asked, residual)
+            return Report(TOO_MANY, t, steps, rejected, asked, residual, stepping)
         last = h >= (control.t1 - t) * (1.0 - 1e-9)
         h = control.t1 - t if last else h
         after = _step(flow, basis, own, t, h, y, k, trial)
@@ -70,22 +70,23 @@ def march(flow, basis, control, y):
         if not off <= 1.0:
             rejected, refused = rejected + 1, refused + 1
             if refused >= _TRIES * (1 if math.isnan(off) else 4):
-                return Report(STALLED, t, steps, rejected, asked, residual)
+                return Report(STALLED, t, steps, rejected, asked, residual, stepping)
             h *= max(_SHRINK, _SAFETY * off**-0.2) if math.isfinite(off) else _SHRINK
             continue
         residual += 0.5 * h * (before + after)
+        stepping += off * control.tolerance
         t, steps, refused = control.t1 if last else t + h, steps + 1, 0
         y[:] = trial
         h = min(h * min(_GROW, _SAFETY * max(off, 1e-10) ** -0.2), control.longest)
         followed = _follow(basis, y, 0.0 if t >= control.t1 else _OFF)
         if followed < 0:
-            return Report(ASTRAY, t, steps, rejected, asked, residual)
+            return Report(ASTRAY, t, steps, rejected, asked, residual, stepping)
         if followed > 0 and t < control.t1:
             before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
             asked += 1
         else:
             before, k[0] = after, k[6]
-    return Report(OK, t, steps, rejected, asked, residual)
+    return Report(OK, t, steps, rejected, asked, residual, stepping)
 
 
 @jit
@@ -135,13 +136,3 @@ def _follow(basis, y, least):
     root_between(C, _LEAST, _MOST, root)
     reframed(basis, mu, A, c, b, root)
     return 1
-
-
-def parts(y, n):
-    """mu (n,), A (n, n) and c (M,) of y: views."""
-    return y[:n], y[n : n + n * n].reshape((n, n)), y[n + n * n :]
-
-
-def length(n, degree):
-    """Numbers in y."""
-    return n + n * n + size(n, degree)

@@ -35,20 +35,20 @@ class Flow(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Arrays that the rates are computed in."""
+    """Arrays that the rates are computed in; rows of nodes are what loops run along."""
 
-    x: np.ndarray  # (N, n)
-    f: np.ndarray  # (N, n)
-    d: np.ndarray  # (N, 1)
-    D: np.ndarray  # (N, n n) where D depends on the state, else one row
-    e: np.ndarray  # (N, n) div D, in the frame: where it depends on the state
+    x: np.ndarray  # (N, n) states
+    f: np.ndarray  # (N, n) drift there
+    d: np.ndarray  # (N, 1) its divergence
+    D: np.ndarray  # (N, n n) where D depends on the state, else one row; in the frame twice of it
+    e: np.ndarray  # (N, n) div D where it depends on the state
     curvature: np.ndarray  # (N, 1) div div D
-    g: np.ndarray  # (n, N)
-    slope: np.ndarray  # (n, M) coefficients of the gradient
-    bend: np.ndarray  # (M,) of the second derivatives
-    H: np.ndarray  # (N,)
+    v: np.ndarray  # (n, N) the drift in the frame
+    g: np.ndarray  # (n, N) gradient of L
+    slope: np.ndarray  # (n, M) its coefficients
+    bend: np.ndarray  # (M,) those of second derivatives
+    row: np.ndarray  # (N,)
     R: np.ndarray  # (N,)
-    B: np.ndarray  # (n, n)
     K: np.ndarray  # (n, n)
     inverse: np.ndarray  # (n, n) of A
 
@@ -66,11 +66,11 @@ def work(basis, state_dependent):
         np.empty((rows, n)),
         np.empty((rows, 1)),
         np.empty((n, N)),
+        np.empty((n, N)),
         np.empty((n, M)),
         np.empty(M),
         np.empty(N),
         np.empty(N),
-        np.empty((n, n)),
         np.empty((n, n)),
         np.empty((n, n)),
     )
@@ -78,38 +78,39 @@ def work(basis, state_dependent):
 
 @jit
 def rates(flow, basis, own, t, y, dy):
-    """Rates dy of y = (mu, A, c) at time t; returns the square of what the family cannot follow, per second²."""
-    (N, n), c = basis.xi.shape, y[basis.xi.shape[1] * (1 + basis.xi.shape[1]) :]
+    """Rates dy of y = (mu, A, c) at time t; returns the mean square of R that the family cannot follow."""
+    n = basis.xi.shape[1]
     A, dA = y[n : n + n * n].reshape((n, n)), dy[n : n + n * n].reshape((n, n))
+    m, dmu = np.empty(n), dy[:n]
     inverse(A, own.inverse)
     _ask(flow, basis, own, t, y[:n], A)
-    m = dy[:n]
     _linear_part(flow, basis, own, m)
-    _gradient(basis, own, c)
+    _gradient(basis, own, y[n + n * n :])
     _residual(flow, basis, own, m)
-    _add_curvature(flow, basis, own)
+    if flow.state_dependent:
+        _add_noise(basis, own)
+    else:
+        _add_curvature(basis, own)
     for a in range(n):
-        own.x[0, a] = 0.0
+        dmu[a] = 0.0
         for b in range(n):
-            own.x[0, a] += A[a, b] * m[b]
+            dmu[a] += A[a, b] * m[b]
             dA[a, b] = 0.0
             for k in range(n):
                 dA[a, b] += A[a, k] * own.K[k, b]
-    for a in range(n):
-        dy[a] = own.x[0, a]
     return _projected(basis, own.R, dy[n + n * n :])
 
 
 @jit
 def _projected(basis, R, dc):
     """F R, and the mean square of what is left; the rule makes the polynomials orthonormal."""
-    left = 0.0
+    F, left = basis.F, 0.0
     for j in range(dc.size):
         dc[j] = 0.0
     for i in range(R.size):
         left += basis.u[i] * R[i] ** 2
         for j in range(dc.size):
-            dc[j] += basis.F[i, j] * R[i]
+            dc[j] += F[i, j] * R[i]
     for j in range(dc.size):
         left -= dc[j] ** 2
     return max(left, 0.0)
@@ -119,42 +120,47 @@ def _projected(basis, R, dc):
 def _ask(flow, basis, own, t, mu, A):
     """Drift, its divergence and D at the nodes; vectors in the frame."""
     N, n = basis.xi.shape
-    for i in range(N):
-        for a in range(n):
-            own.x[i, a] = mu[a]
-            for k in range(n):
-                own.x[i, a] += A[a, k] * basis.xi[i, k]
+    for a in range(n):
+        for i in range(N):
+            own.row[i] = mu[a]
+        for k in range(n):
+            for i in range(N):
+                own.row[i] += A[a, k] * basis.V[1 + k, i]
+        for i in range(N):
+            own.x[i, a] = own.row[i]
     function_at(flow.drift)(own.x, t, flow.p, own.f)
     function_at(flow.divergence)(own.x, t, flow.p, own.d)
+    _in_frame(own, own.f)
     if flow.state_dependent:
         function_at(flow.diffusion)(own.x, t, flow.p, own.D)
         function_at(flow.diffusion_divergence)(own.x, t, flow.p, own.e)
         function_at(flow.diffusion_curvature)(own.x, t, flow.p, own.curvature)
-        _whitened(own.inverse, own.e)
     elif flow.time_dependent:
         function_at(flow.diffusion)(own.x[:1], t, flow.p, own.D)
     else:
         own.D[0] = flow.D.reshape(n * n)
-    _whitened(own.inverse, own.f)
+    other = np.empty((n, n))
     for i in range(own.D.shape[0]):
-        _whitened_square(own.inverse, own.D[i].reshape((n, n)), own.B)
+        _twice_in_frame(own.inverse, own.D[i].reshape((n, n)), other)
 
 
 @jit
-def _whitened(inverse_A, rows):
-    """Multiply each row by A^-1."""
-    n, v = rows.shape[1], np.empty(rows.shape[1])
-    for i in range(rows.shape[0]):
+def _in_frame(own, rows):
+    """A^-1 times rows (N, n), into `own.v`."""
+    n, N = own.v.shape
+    for a in range(n):
+        for i in range(N):
+            own.v[a, i] = 0.0
+    for k in range(n):
+        for i in range(N):
+            own.row[i] = rows[i, k]
         for a in range(n):
-            v[a] = 0.0
-            for k in range(n):
-                v[a] += inverse_A[a, k] * rows[i, k]
-        for a in range(n):
-            rows[i, a] = v[a]
+            for i in range(N):
+                own.v[a, i] += own.inverse[a, k] * own.row[i]
 
 
 @jit
-def _whitened_square(inverse_A, D, other):
+def _twice_in_frame(inverse_A, D, other):
     """D <- A^-1 2 D A^-T."""
     n = D.shape[0]
     for a in range(n):
@@ -170,22 +176,38 @@ def _whitened_square(inverse_A, D, other):
 
 
 @jit
+def _dot(x, y):
+    """Sum of products, as four sums: one alone would wait for itself."""
+    first, second, third, fourth, whole = 0.0, 0.0, 0.0, 0.0, x.size - x.size % 4
+    for i in range(0, whole, 4):
+        first += x[i] * y[i]
+        second += x[i + 1] * y[i + 1]
+        third += x[i + 2] * y[i + 2]
+        fourth += x[i + 3] * y[i + 3]
+    for i in range(whole, x.size):
+        first += x[i] * y[i]
+    return (first + second) + (third + fourth)
+
+
+@jit
 def _linear_part(flow, basis, own, m):
     """Mean m of the drift in the frame and its symmetric gradient K, with that of the noise."""
     N, n = basis.xi.shape
     for a in range(n):
-        m[a] = 0.0
         for b in range(n):
-            own.K[a, b] = 0.5 * own.D[0, a * n + b] if not flow.state_dependent else 0.0
-    for i in range(N):
-        for a in range(n):
-            moment = basis.u[i] * own.f[i, a]
-            m[a] += moment
-            for b in range(n):
-                own.K[a, b] += 0.5 * moment * basis.xi[i, b]
-                own.K[b, a] += 0.5 * moment * basis.xi[i, b]
-                if flow.state_dependent:
-                    own.K[a, b] += 0.5 * basis.u[i] * own.D[i, a * n + b]
+            own.K[a, b] = 0.5 * own.D[0, a * n + b]
+            if flow.state_dependent:
+                for i in range(N):
+                    own.row[i] = 0.5 * own.D[i, a * n + b]
+                own.K[a, b] = _dot(own.row, basis.u)
+    for a in range(n):
+        for i in range(N):
+            own.row[i] = basis.u[i] * own.v[a, i]
+        m[a] = _dot(own.row, basis.V[0])
+        for b in range(n):
+            half = 0.5 * _dot(own.row, basis.V[1 + b])
+            own.K[a, b] += half
+            own.K[b, a] += half
 
 
 @jit
@@ -198,14 +220,14 @@ def _gradient(basis, own, c):
         for j in range(M):
             if basis.below[a, j] >= 0:
                 own.slope[a, basis.below[a, j]] = basis.root[a, j] * c[j]
-        _summed(basis, own.slope[a], basis.lower[0], own.g[a])
+        for i in range(own.R.size):
+            own.g[a, i] = 0.0
+        _add(basis, own.slope[a], basis.lower[0], own.g[a])
 
 
 @jit
-def _summed(basis, c, count, out):
-    """Values of the first `count` polynomials with coefficients c at the nodes."""
-    for i in range(out.size):
-        out[i] = 0.0
+def _add(basis, c, count, out):
+    """Add the values of the first `count` polynomials with coefficients c at the nodes."""
     for j in range(count):
         for i in range(out.size):
             out[i] += c[j] * basis.V[j, i]
@@ -213,44 +235,61 @@ def _summed(basis, c, count, out):
 
 @jit
 def _residual(flow, basis, own, m):
-    """R but for the second derivatives of L."""
+    """R but for second derivatives of L, and for noise that depends on the state."""
     N, n = basis.xi.shape
     for i in range(N):
-        B = own.D[i if flow.state_dependent else 0]
-        total = -own.d[i, 0]
-        if flow.state_dependent:
-            total += own.curvature[i, 0]
-        for a in range(n):
-            velocity, pushed = own.f[i, a] - m[a], 0.0
-            if flow.state_dependent:
-                velocity -= 2.0 * own.e[i, a]
-            for b in range(n):
-                velocity -= own.K[a, b] * basis.xi[i, b]
-                pushed += B[a * n + b] * own.g[b, i]
-            total += (0.5 * pushed - velocity) * own.g[a, i]
-        own.R[i] = total
+        own.R[i] = -own.d[i, 0]
+    if flow.state_dependent:
+        for i in range(N):
+            own.R[i] += own.curvature[i, 0]
+        for k in range(n):  # the drift less 2 div D moves the density
+            for i in range(N):
+                own.row[i] = 2.0 * own.e[i, k]
+            for a in range(n):
+                for i in range(N):
+                    own.v[a, i] -= own.inverse[a, k] * own.row[i]
+    for a in range(n):
+        for i in range(N):
+            own.row[i] = m[a] - own.v[a, i]
+        for b in range(n):
+            half = 0.0 if flow.state_dependent else 0.5 * own.D[0, a * n + b]
+            for i in range(N):
+                own.row[i] += own.K[a, b] * basis.V[1 + b, i] + half * own.g[b, i]
+        for i in range(N):
+            own.R[i] += own.row[i] * own.g[a, i]
 
 
 @jit
-def _add_curvature(flow, basis, own):
-    """Add B:H / 2 to R."""
-    (n, M), count = basis.below.shape, basis.lower[1]
+def _add_curvature(basis, own):
+    """Add B:H / 2 to R, B the same at all nodes."""
+    n, M = basis.below.shape
     for j in range(M):
         own.bend[j] = 0.0
     for a in range(n):
         for b in range(n):
-            half = 0.5 * own.D[0, a * n + b]
-            for j in range(basis.lower[0]):
-                if basis.below[b, j] >= 0:
-                    value = basis.root[b, j] * own.slope[a, j]
-                    own.bend[basis.below[b, j]] += value if flow.state_dependent else half * value
-            if flow.state_dependent:
-                _summed(basis, own.bend, count, own.H)
-                for i in range(own.R.size):
-                    own.R[i] += 0.5 * own.D[i, a * n + b] * own.H[i]
-                for j in range(count):
-                    own.bend[j] = 0.0
-    if not flow.state_dependent:
-        _summed(basis, own.bend, count, own.H)
-        for i in range(own.R.size):
-            own.R[i] += own.H[i]
+            _bent(basis, own, a, b, 0.5 * own.D[0, a * n + b])
+    _add(basis, own.bend, basis.lower[1], own.R)
+
+
+@jit
+def _bent(basis, own, a, b, factor):
+    """Add the coefficients of a second derivative of L times a factor."""
+    for j in range(basis.lower[0]):
+        if basis.below[b, j] >= 0:
+            own.bend[basis.below[b, j]] += factor * basis.root[b, j] * own.slope[a, j]
+
+
+@jit
+def _add_noise(basis, own):
+    """Add (g.B g + B:H) / 2 to R, B of each node its own."""
+    (n, M), N = basis.below.shape, own.R.size
+    for a in range(n):
+        for b in range(n):
+            for j in range(M):
+                own.bend[j] = 0.0
+            for i in range(N):
+                own.row[i] = own.g[a, i] * own.g[b, i]
+            _bent(basis, own, a, b, 1.0)
+            _add(basis, own.bend, basis.lower[1], own.row)
+            for i in range(N):
+                own.R[i] += 0.5 * own.D[i, a * n + b] * own.row[i]

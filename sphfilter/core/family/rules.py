@@ -9,7 +9,7 @@ import numpy as np
 
 __all__ = ["degrees", "rule"]
 
-_MORE = 4  # Gauss-Hermite points of one state, over the degree: more than a polynomial passes through
+_MORE = 3  # Gauss-Hermite points of one state, over the degree: more than a polynomial passes through
 _HIGHEST = 8  # degree of one state
 
 
