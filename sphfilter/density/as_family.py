@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from .._types import Floats
 from ..core.family.basis import basis
 from .family import Family, gaussian_family, laid_family, node_weights, particles_of
 from .particle_density import ParticleDensity
 from .resample import logarithm
 
-__all__ = ["family_density", "family_of", "on_lattice"]
+__all__ = ["family_density", "family_of", "on_lattice", "unrolled"]
 
 
 def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
@@ -25,7 +26,7 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     """
     if density.family is not None and density.family.degree == degree:
         return density.family, 0.0
-    mean, cov = density.moments or (density.mass @ density.x, density.cov())
+    mean, cov = unrolled(density)
     if density.gaussian:
         return gaussian_family(mean, cov, degree), 0.0
     rule, A = basis(len(mean), degree), np.linalg.cholesky(cov)
@@ -33,6 +34,11 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     c = log_p @ rule.F
     w = node_weights(rule, A, log_p)[0]
     return Family(mean, A, c).normalised(), math.sqrt(float(w @ (log_p - c @ rule.V) ** 2))
+
+
+def unrolled(density: ParticleDensity) -> tuple[Floats, Floats]:
+    """Mean (n,) and covariance (n, n) on the line: of a periodic axis it is not turned back."""
+    return density.moments or (density.mass @ density.x, density.cov())
 
 
 def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,8 +39,7 @@ class Family(NamedTuple):
     @property
     def degree(self) -> int:
         """d."""
-        n = len(self.mu)
-        return next(d for d in range(2, 64) if size(n, d) >= len(self.c))
+        return _degree(len(self.mu), len(self.c))
 
     @property
     def basis(self) -> Basis:
@@ -70,6 +69,12 @@ class Family(NamedTuple):
         c = self.c.copy()
         c[0] -= self.weighted()[1]
         return self._replace(c=c)
+
+
+@cache
+def _degree(n: int, M: int) -> int:
+    """Degree of M polynomials of n states."""
+    return next(d for d in range(2, M) if size(n, d) == M)
 
 
 def node_weights(rule: Basis, A: Floats, log_p: Floats) -> tuple[Floats, float]:
@@ -113,7 +118,7 @@ def particles_of(family: Family) -> dict[str, Any]:
 
 
 def laid_family(family: Family, moments: Any, n_particles: int) -> Laid:
-    """A family of given mean and covariance on a lattice of at most so many nodes, or the fewest there are."""
+    """A family of given mean and covariance on a lattice of at most so many nodes."""
     mean, cov = moments
     n_particles = max(n_particles, fewest_particles(len(mean)))
     depth = 0.5 * lattice_reach(None, len(mean)) ** 2

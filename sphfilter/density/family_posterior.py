@@ -41,7 +41,7 @@ def family_posterior(
     log_weight : callable
         States (M, n) to logarithms (M,).
     first : tuple of ndarray, shapes (n,), (n, n), optional
-        Mean and covariance of the frame to begin with; those of the prior's if not given.
+        Mean of the frame to begin with, and a factor of its covariance; those of the prior's if not given.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def family_posterior(
         No frame fits the posterior, or the likelihood is zero where it has nodes.
     """
     rule = prior.basis
-    mu, A = (prior.mu, prior.A) if first is None else (first[0], np.linalg.cholesky(first[1]))
+    mu, A = (prior.mu, prior.A) if first is None else first
     for left in range(_ROUNDS, 0, -1):
         log_p = _product(prior, log_weight, mu + rule.xi @ A.T)
         w, log_evidence = node_weights(rule, A, log_p)

@@ -15,7 +15,7 @@ from ..config import (
     PaperScheme,
     checked_filter_config,
 )
-from ..density.as_family import family_density, family_of, on_lattice
+from ..density.as_family import family_density, family_of, on_lattice, unrolled
 from ..density.cloud_posterior import cloud_posterior
 from ..density.family_posterior import family_posterior
 from ..density.particle_density import ParticleDensity
@@ -257,15 +257,18 @@ def _by_family(
 
 
 def _linearised(density: ParticleDensity, asked: _Asked) -> tuple[Floats, Floats] | None:
-    """Mean and covariance of a posterior by statistical linearisation of a Gaussian sensor; None for others."""
+    """Mean, and lower factor of the covariance, by statistical linearisation of a Gaussian sensor; None for another."""
     if not is_gaussian(asked.measurement) or asked.innovation is None or asked.S is None:
         return None
     cross = predicted_reading(density, asked.measurement)[2][:, asked.seen]
     gain = np.linalg.solve(asked.S, cross.T).T
-    cov = density.cov() - gain @ cross.T
+    mean, cov = unrolled(density)
+    cov = cov - gain @ cross.T
     cov = 0.5 * (cov + cov.T)
-    known = np.linalg.eigvalsh(cov)[0] > 0.0
-    return (density.mean() + gain @ asked.innovation, cov) if known else None
+    try:
+        return mean + gain @ asked.innovation, np.linalg.cholesky(cov)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _remote(prior: ParticleDensity, posterior: ParticleDensity, asked: _Asked, log_evidence: float) -> Remote:

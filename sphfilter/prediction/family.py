@@ -29,6 +29,10 @@ _OF_MISFIT, _OF_RESIDUAL = (
     0.3,
 )  # parts of what the polynomials cannot follow, that errors are estimated by
 _LOST = 1.0  # standard deviations that the mean may be off by
+_NOT_FOLLOWED = (
+    "no polynomial of this degree follows the logarithm of the density; predict over a shorter interval, or "
+    "use another scheme"
+)
 
 
 def degree_of(scheme: FamilyScheme, n: int) -> int:
@@ -70,7 +74,8 @@ def propagate(
     n, degree = density.dim, degree_of(scheme, density.dim)
     start, misfit = family_of(density, degree)
     y = np.concatenate([start.mu, start.A.ravel(), start.c])
-    control = Control(density.t, t1, scheme.tolerance, _longest(model, density, t1), scheme.max_steps)
+    longest = _longest(model, density, t1)
+    control = Control(density.t, t1, scheme.tolerance, longest, scheme.max_steps, _LOST / _OF_RESIDUAL)
     with surfacing():
         report = march(_flow(model), basis(n, degree), control, y)
     if STATUS[report.code] != "ok":
@@ -80,9 +85,8 @@ def propagate(
     error = math.hypot(density.error, residual)
     if not error < _LOST:
         raise PropagationError(
-            f"one family of degree {degree} does not follow the density from {density.t:g} to {t1:g}: its mean "
-            f"would be off by {error:.2g} standard deviations; predict over a shorter interval, or use another "
-            f"scheme"
+            f"prediction from {density.t:g} to {t1:g}: {_NOT_FOLLOWED}; the mean would be off by {error:.2g} "
+            f"standard deviations"
         )
     gaussian = density.gaussian and model.linear
     return family_density(
@@ -126,12 +130,10 @@ def _given_up(model: SDE, y: Any, report: Report, start: float, t1: float) -> Pr
     what = f"prediction from {start:g} to {t1:g} stopped at t = {report.t:.6g}"
     if status == "too many steps":
         return StoppedError(
-            f"{what}: {report.steps} steps were not enough; allow more with scheme=FamilyScheme(max_steps=...)"
+            f"{what}: {report.steps} steps were not enough; allow more with "
+            f"scheme=FamilyScheme(max_steps=...)"
         )
-    return PropagationError(
-        f"{what}: no polynomial of this degree follows the density; predict over a shorter interval, or use "
-        f"another scheme"
-    )
+    return PropagationError(f"{what}: {_NOT_FOLLOWED}")
 
 
 def _info(model: SDE, report: Report, error: float) -> PredictInfo:

@@ -30,6 +30,7 @@ class Control(NamedTuple):
     tolerance: float  # error of a step, in units of the frame
     longest: float  # step, seconds
     max_steps: int
+    most_residual: float  # at which it is given up
 
 
 class Report(NamedTuple):
@@ -79,7 +80,7 @@ def march(flow, basis, control, y):
         y[:] = trial
         h = min(h * min(_GROW, _SAFETY * max(off, 1e-10) ** -0.2), control.longest)
         followed = _follow(basis, y, 0.0 if t >= control.t1 else _OFF)
-        if followed < 0:
+        if followed < 0 or not residual < control.most_residual:
             return Report(ASTRAY, t, steps, rejected, asked, residual, stepping)
         if followed > 0 and t < control.t1:
             before = math.sqrt(rates(flow, basis, own, t, y, k[0]))

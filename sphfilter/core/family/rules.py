@@ -9,7 +9,7 @@ import numpy as np
 
 __all__ = ["degrees", "rule"]
 
-_MORE = 3  # Gauss-Hermite points of one state, over the degree: more than a polynomial passes through
+_MORE = 2  # Gauss-Hermite points of one state, over the degree: one more than a polynomial passes through
 _HIGHEST = 8  # degree of one state
 
 
