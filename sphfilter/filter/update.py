@@ -23,7 +23,7 @@ from .solutions import solutions
 
 __all__ = ["predicted_reading", "update"]
 
-_DOUBT_LEFT = 0.25  # of the square of an error that puts a density in doubt
+_LEFT = 0.25  # of the square of an error of a density that is no Gaussian
 _WIDER = 0.1  # of its variance, that a posterior may lack
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
@@ -273,11 +273,10 @@ def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
 def _kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     """Part of an error of the mean, in standard deviations, that an update leaves of it.
 
-    Where a density is in doubt its pieces may be: what a reading leaves of them is no better known.
+    What is wrong with the weights of a density's pieces, or its shape, no reading forgets as fast as a shift.
     """
     ratio = np.trace(np.linalg.solve(prior.cov(), posterior.cov())) / prior.dim
-    least = _DOUBT_LEFT if prior.error > DOUBTFUL else 0.0
-    return float(np.sqrt(np.clip(ratio, least, 1.0)))
+    return float(np.sqrt(np.clip(ratio, 0.0 if posterior.gaussian else _LEFT, 1.0)))
 
 
 def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> str:
