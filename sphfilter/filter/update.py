@@ -1,5 +1,6 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -14,8 +15,9 @@ from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, NOTHING_CAME, Code, UpdateInfo
 from ..lattice.check import Remote, beside, remote
-from ..lattice.field import extrapolated_mass
+from ..lattice.field import extrapolated_mass, held
 from ..lattice.resolved import TOLERATED, Resolved, Search
+from ..lattice.walls import moved_in
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from ..validate import state_rows
 from .acceptance import Acceptance, test_measurement
@@ -135,9 +137,9 @@ class _Asked(NamedTuple):
     @property
     def gaussian_evidence(self) -> float:
         """Log-evidence where the particles end and a sum over them knows nothing: by the prior's moments."""
-        from scipy.stats import multivariate_normal  # on use: import time
-
-        return float(multivariate_normal.logpdf(self.innovation, cov=self.S))
+        assert self.innovation is not None and self.S is not None
+        squares = self.innovation @ np.linalg.solve(self.S, self.innovation)
+        return -0.5 * float(squares + np.linalg.slogdet(2.0 * np.pi * self.S)[1])
 
 
 def _by_product(
@@ -146,7 +148,7 @@ def _by_product(
     """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
     linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
     gaussian, flag = density.gaussian and linear, asked.outlying
-    found, evidence_error = None, 0.0
+    found, evidence_error, error, kept = None, 0.0, 0.0, 1.0
     try:
         new, log_evidence, found = times_likelihood(
             density,
@@ -162,8 +164,7 @@ def _by_product(
             evidence_error = abs(summed - log_evidence)
         unsure = 0.0 if density.gaussian else _extrapolated(density, new)
         kept = _kept(density, new)
-        error = np.hypot(np.hypot(kept * density.error, found.off.mean), unsure)
-        new = replace(new, error=float(error), lost=float(kept * density.lost))
+        error = math.hypot(kept * density.error, found.off.mean, unsure)
         unknown = _beyond(density, new)
     except PropagationError as problem:
         if not flag and config.scheme == "auto":
@@ -173,11 +174,12 @@ def _by_product(
             raise
         new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
-    new = density if unknown else new
     far = Remote()
-    if not (unknown or gaussian):
-        far = _remote(density, new, asked, log_evidence)
-        new = replace(new, error=float(np.hypot(new.error, far.mean)))
+    if unknown:
+        new = density
+    else:
+        far = far if gaussian else _remote(density, new, asked, log_evidence)
+        new = replace(new, error=math.hypot(error, far.mean), lost=kept * density.lost)
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     return new, {
         "residual": new.residual or 0.0,
@@ -217,9 +219,12 @@ def _remote(prior: ParticleDensity, posterior: ParticleDensity, asked: _Asked, l
     """What the prior's nodes beyond a posterior's lattice would add to it."""
     if posterior.field is None:
         return Remote()
-    weight = np.exp(np.clip(asked.log_weight(prior.x) - log_evidence, -700.0, 700.0))
-    about = posterior.field, posterior.mean(), posterior.cov()
-    return remote(*about, prior.x, prior.mass * weight, posterior.walls)
+    beyond = ~held(posterior.field, moved_in(posterior.walls, posterior.field.A, prior.x))
+    if not beyond.any():
+        return Remote()
+    X = prior.x[beyond]
+    mass = prior.mass[beyond] * np.exp(np.clip(asked.log_weight(X) - log_evidence, -700.0, 700.0))
+    return remote(posterior.mean(), posterior.cov(), X, mass)
 
 
 def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> dict[str, Any]:
