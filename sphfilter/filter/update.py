@@ -181,11 +181,12 @@ def _by_product(
         far = far if gaussian else _remote(density, new, asked, log_evidence)
         new = replace(new, error=math.hypot(error, far.mean), lost=kept * density.lost)
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
+    left_out = cut.mass if found is None else max(cut.mass, found.left_out)
     return new, {
         "residual": new.residual or 0.0,
         "error": float(np.hypot(new.error, cut.mean)),
-        "evidence_error": evidence_error,
-        "mass_left_out": cut.mass if found is None else max(cut.mass, found.left_out),
+        "evidence_error": evidence_error if gaussian else math.hypot(evidence_error, left_out),
+        "mass_left_out": left_out,
         "accepted": not unknown,
         "log_evidence": log_evidence,
         "reason": unknown or flag,
