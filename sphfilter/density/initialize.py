@@ -13,6 +13,7 @@ from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
 from ..lattice.check import deep_enough, misfit, remote
+from ..lattice.field import held
 from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
@@ -227,8 +228,8 @@ def _on_level_set(
         log_pdf, seed = gaussian_log_pdf(mean, cov), np.clip(mean, *walls) if walls[0].size else mean
         laid = _laid(log_pdf, mean, factor, seed[None], n_particles, depth, walls)
         whole = not walls[0].size
-        density = ParticleDensity.on_lattice(laid, t, n_particles, gaussian=whole, domain=domain)
-        return replace(density, residual=0.0 if whole else misfit(laid, log_pdf).residual)
+        residual = 0.0 if whole else misfit(laid, log_pdf).residual
+        return ParticleDensity.on_lattice(laid, t, n_particles, whole, domain, residual=residual)
     seen = PaperScheme(represented_mass=_SEEN)
     coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), seen, t)
 
@@ -241,9 +242,10 @@ def _on_level_set(
         depth = deep_enough(log_p(coarse.x), coarse.mass, len(box), depth)
     seeds = coarse.x[coarse.mass > coarse.mass.max() * np.exp(-depth)]
     laid = _laid(log_p, coarse.mean(), factor, seeds, n_particles, depth)
-    off, far = misfit(laid, log_p), remote(laid.field, laid.mean, laid.cov, coarse.x, coarse.mass, laid.walls)
+    off, beyond = misfit(laid, log_p), ~held(laid.field, coarse.x)
+    far = remote(laid.mean, laid.cov, coarse.x[beyond], coarse.mass[beyond])
     error = math.hypot(off.mean, far.mean, 0.5 * far.variance)  # a part of the variance, as one of its root
-    return replace(ParticleDensity.on_lattice(laid, t, n_particles), residual=off.residual, error=error)
+    return ParticleDensity.on_lattice(laid, t, n_particles, residual=off.residual, error=error)
 
 
 def _laid(

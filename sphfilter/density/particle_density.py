@@ -148,9 +148,10 @@ class ParticleDensity:
         capacity: int | None = None,
         gaussian: bool = False,
         domain: Domain | None = None,
+        **known: float,
     ) -> "ParticleDensity":
-        """The density of a `level_set.Laid` at time t."""
-        about: dict[str, Any] = {"t": t, "capacity": capacity, "gaussian": gaussian, "domain": domain}
+        """The density of a `level_set.Laid` at time t; known: its `residual`, `error`, `lost`."""
+        about: dict[str, Any] = {"t": t, "capacity": capacity, "gaussian": gaussian, "domain": domain} | known
         return cls(**lattice_particles(laid), **about)
 
     def __repr__(self) -> str:

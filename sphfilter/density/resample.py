@@ -118,9 +118,9 @@ def times_likelihood(
         prior = density.x, density.mass, density.field
         search = search._replace(walls=walls)
         found = resolved(laid, prior, product, weight, (n_particles, depth), search)
-    new = ParticleDensity.on_lattice(found.laid, density.t, n_particles, gaussian, domain)
-    log_evidence = found.laid.log_mass - math.log1p(-found.left_out)
-    return replace(new, residual=found.off.residual), log_evidence, found
+    known = {"residual": found.off.residual}
+    new = ParticleDensity.on_lattice(found.laid, density.t, n_particles, gaussian, domain, **known)
+    return new, found.laid.log_mass - math.log1p(-found.left_out), found
 
 
 def _folded(log_p: OfStates, domain: Domain, X: Floats) -> Floats:

@@ -1,5 +1,6 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -23,8 +24,9 @@ from ..density.resample import particle_bound, regrid, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, NOTHING_CAME, Code, UpdateInfo
 from ..lattice.check import Remote, beside, remote
-from ..lattice.field import extrapolated_mass
+from ..lattice.field import extrapolated_mass, held
 from ..lattice.resolved import TOLERATED, Resolved, Search
+from ..lattice.walls import moved_in
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from ..prediction.family import degree_of
 from ..validate import state_rows
@@ -33,7 +35,7 @@ from .solutions import solutions
 
 __all__ = ["predicted_reading", "update"]
 
-_DOUBT_LEFT = 0.25  # of the square of an error that puts a density in doubt
+_LEFT = 0.25  # of the square of an error of a density that is no Gaussian
 _WIDER = 0.1  # of its variance, that a posterior may lack
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
@@ -149,9 +151,9 @@ class _Asked(NamedTuple):
     @property
     def gaussian_evidence(self) -> float:
         """Log-evidence where the particles end and a sum over them knows nothing: by the prior's moments."""
-        from scipy.stats import multivariate_normal  # on use: import time
-
-        return float(multivariate_normal.logpdf(self.innovation, cov=self.S))
+        assert self.innovation is not None and self.S is not None
+        squares = self.innovation @ np.linalg.solve(self.S, self.innovation)
+        return -0.5 * float(squares + np.linalg.slogdet(2.0 * np.pi * self.S)[1])
 
 
 def _by_product(
@@ -160,7 +162,7 @@ def _by_product(
     """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
     linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
     gaussian, flag = density.gaussian and linear, asked.outlying
-    found, evidence_error = None, 0.0
+    found, evidence_error, error, kept = None, 0.0, 0.0, 1.0
     try:
         new, log_evidence, found = times_likelihood(
             density,
@@ -176,8 +178,7 @@ def _by_product(
             evidence_error = abs(summed - log_evidence)
         unsure = 0.0 if density.gaussian else _extrapolated(density, new)
         kept = _kept(density, new)
-        error = np.hypot(np.hypot(kept * density.error, found.off.mean), unsure)
-        new = replace(new, error=float(error), lost=float(kept * density.lost))
+        error = math.hypot(kept * density.error, found.off.mean, unsure)
         unknown = _beyond(density, new)
     except PropagationError as problem:
         if not flag and config.scheme == "auto":
@@ -187,17 +188,19 @@ def _by_product(
             raise
         new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
-    new = density if unknown else new
     far = Remote()
-    if not (unknown or gaussian):
-        far = _remote(density, new, asked, log_evidence)
-        new = replace(new, error=float(np.hypot(new.error, far.mean)))
+    if unknown:
+        new = density
+    else:
+        far = far if gaussian else _remote(density, new, asked, log_evidence)
+        new = replace(new, error=math.hypot(error, far.mean), lost=kept * density.lost)
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
+    left_out = cut.mass if found is None else max(cut.mass, found.left_out)
     return new, {
         "residual": new.residual or 0.0,
         "error": float(np.hypot(new.error, cut.mean)),
-        "evidence_error": evidence_error,
-        "mass_left_out": cut.mass if found is None else max(cut.mass, found.left_out),
+        "evidence_error": evidence_error if gaussian else math.hypot(evidence_error, left_out),
+        "mass_left_out": left_out,
         "accepted": not unknown,
         "log_evidence": log_evidence,
         "reason": unknown or flag,
@@ -275,9 +278,12 @@ def _remote(prior: ParticleDensity, posterior: ParticleDensity, asked: _Asked, l
     """What the prior's nodes beyond a posterior's lattice would add to it."""
     if posterior.field is None:
         return Remote()
-    weight = np.exp(np.clip(asked.log_weight(prior.x) - log_evidence, -700.0, 700.0))
-    about = posterior.field, posterior.mean(), posterior.cov()
-    return remote(*about, prior.x, prior.mass * weight, posterior.walls)
+    beyond = ~held(posterior.field, moved_in(posterior.walls, posterior.field.A, prior.x))
+    if not beyond.any():
+        return Remote()
+    X = prior.x[beyond]
+    mass = prior.mass[beyond] * np.exp(np.clip(asked.log_weight(X) - log_evidence, -700.0, 700.0))
+    return remote(posterior.mean(), posterior.cov(), X, mass)
 
 
 def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> dict[str, Any]:
@@ -331,11 +337,10 @@ def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
 def _kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     """Part of an error of the mean, in standard deviations, that an update leaves of it.
 
-    Where a density is in doubt its pieces may be: what a reading leaves of them is no better known.
+    What is wrong with the weights of a density's pieces, or its shape, no reading forgets as fast as a shift.
     """
     ratio = np.trace(np.linalg.solve(prior.cov(), posterior.cov())) / prior.dim
-    least = _DOUBT_LEFT if prior.error > DOUBTFUL else 0.0
-    return float(np.sqrt(np.clip(ratio, least, 1.0)))
+    return float(np.sqrt(np.clip(ratio, 0.0 if posterior.gaussian else _LEFT, 1.0)))
 
 
 def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> str:

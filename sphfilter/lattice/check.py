@@ -11,7 +11,7 @@ from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
 from . import field as lattice_field
 from .level_set import Laid
-from .walls import inside, moved_in, parts
+from .walls import inside, parts
 
 __all__ = ["Beside", "Misfit", "Remote", "beside", "deep_enough", "left_out", "misfit", "remote"]
 
@@ -92,27 +92,22 @@ class Remote(NamedTuple):
     variance: float = 0.0  # as a part of it, in the direction of most
 
 
-def remote(field: Field, mean: Floats, cov: Floats, x: Floats, mass: Floats, walls: Walls) -> Remote:
+def remote(mean: Floats, cov: Floats, x: Floats, mass: Floats) -> Remote:
     """What is too little to count as probability may be far enough away to count in a mean and variance.
 
     Parameters
     ----------
-    field : Field
     mean, cov : ndarray, shape (n,), (n, n)
+        Of the density on the lattice.
     x, mass : ndarray, shape (N, n), (N,)
-        States and their probabilities; those on the lattice do not matter.
-    walls : tuple of ndarray
+        States beyond it, and their probabilities.
 
     Returns
     -------
     Remote
     """
-    beyond = ~lattice_field.held(field, moved_in(walls, field.A, x))
-    if not beyond.any():
-        return Remote()
-    d = np.linalg.solve(np.linalg.cholesky(cov), (x[beyond] - mean).T)
-    w = mass[beyond]
-    return Remote(float(np.linalg.norm(d @ w)), float(np.linalg.norm((d * w) @ d.T, 2)))
+    d = np.linalg.solve(np.linalg.cholesky(cov), (x - mean).T)
+    return Remote(float(np.linalg.norm(d @ mass)), float(np.linalg.eigvalsh((d * mass) @ d.T)[-1]))
 
 
 def left_out(field: Field, walls: Walls = NO_WALLS) -> float:

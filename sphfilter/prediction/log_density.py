@@ -1,7 +1,6 @@
 """The log-density scheme: from lattice to lattice along backward stochastic characteristics."""
 
 import math
-from dataclasses import replace
 from functools import cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -142,9 +141,9 @@ def propagate(
         raise _given_up(kind(reason.format(**about)), (start, times[0], t1), counters)
     laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov, model.domain.walls)
     gaussian = density.gaussian and model.linear
-    moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain)
     error, lost = _carried(density, _kept(noise.G, t1 - start, cov), state)
-    moved = replace(moved, residual=0.0 if gaussian else float(state[RESIDUAL]), error=error, lost=lost)
+    known = {"residual": 0.0 if gaussian else float(state[RESIDUAL]), "error": error, "lost": lost}
+    moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain, **known)
     return moved, _info(model, scheme, counters, moved, float(state[LOST_MASS]) - abs(density.lost), threads)
 
 

@@ -31,7 +31,7 @@ def _ends(addresses, noise, x, t, h, parts, straight, bend):
     drift(x, t, noise.p, f)
     divergence(x, t, noise.p, d)
     end, action, alone = np.empty_like(x), np.empty(x.shape[0]), np.empty_like(x)
-    pull = Pull(straight, bend, action[:0])
+    pull = Pull(straight, bend, straight[:0])
     along(drift, divergence, noise, x, f, d, t, h, parts, pull, end, action)
     along(drift, None, noise, x, f, d, t, h, parts, pull, alone, action)
     return end, action, alone
@@ -167,7 +167,7 @@ def test_a_path_is_that_of_scipy_to_fourth_order(h, displaced):
 def test_a_path_averages_the_drift_over_the_bridge_it_leaves_of_the_noise(parts, bridge):
     """Variance of a Brownian bridge over the step, less that of the bend: 1/6 - 1/10, as the steps see it."""
     curved = sf.SDE.from_expressions(["x", "y"], ["0", "3*x**2 + 0.2*x**3"], [["1"], ["0"]])
-    noise, h, blur = noise_of(curved, np.zeros((2, 0))), 0.2, np.array([0.7, 0.0])
+    noise, h, blur = noise_of(curved, np.zeros((2, 0))), 0.2, np.array([[0.7, 0.0], [0.7, 0.0]])
     x = np.array([[0.0, 0.0], [0.5, 1.0]])
     end, action = _blurred(addresses_of(curved), noise, x, h, parts, blur)
     without, _ = _blurred(addresses_of(curved), noise, x, h, parts, blur[:0])
@@ -177,7 +177,7 @@ def test_a_path_averages_the_drift_over_the_bridge_it_leaves_of_the_noise(parts,
     assert not action.any()
     cubic = sf.SDE.from_expressions(["x"], ["x**3"], [["1"]])
     _, action = _blurred(
-        addresses_of(cubic), noise_of(cubic, np.zeros((1, 0))), np.zeros((1, 1)), h, parts, blur[:1]
+        addresses_of(cubic), noise_of(cubic, np.zeros((1, 0))), np.zeros((1, 1)), h, parts, blur[:1, :1]
     )
     assert action[0] == pytest.approx(3.0 * h * 0.7**2 * bridge, rel=2e-2)
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from posterior_cases import Exact, box, on_grid, quantised, ranges, robust, standard, wrong
-from scipy.stats import norm
+from scipy.stats import norm, truncnorm
 
 import sphfilter as sf
 
@@ -83,6 +83,34 @@ def test_many_modes(n, noise):
     )
     density, info = sf.update(prior(n), sensor, [0.5])
     assert right_or_flagged(density, info, along_first(sensor, [0.5], n))
+
+
+@pytest.mark.parametrize(("waves", "count"), [(10.0, 400), (30.0, 400), (30.0, 1600)])
+def test_modes_thinner_than_the_lattice(waves, count):
+    """Dozens of peaks, in some of which a node happens to lie and in most none."""
+    sensor = sf.GaussianMeasurement(lambda X, t: np.sin(waves * X[:, :1]), [[1e-4]], vectorized=True)
+    start = sf.initialize(sf.Gaussian([0.0], [[1.0]]), count)
+    density, info = sf.update(start, sensor, [0.5])
+    off = wrong(density, info.log_evidence, along_first(sensor, [0.5], 1))
+    assert off[0] < 0.01 and off[1] < 0.02 and off[2] < 0.01
+
+
+@pytest.mark.parametrize("count", [100, 200])
+def test_doubt_of_a_ring_stays(count):
+    """Where half of a ring is left out, a second reading that leaves one of two crossings is in doubt too."""
+    here = np.array([30.0, 40.0])
+    start = sf.initialize(sf.Gaussian(np.zeros(2), 1e4 * np.eye(2)), count)
+    for anchor in ([-150.0, 0.0], [0.0, -150.0]):
+        start, info = sf.update(start, ranges([anchor], 0.3), [np.linalg.norm(here - anchor) + 0.15])
+        assert info.flagged and sf.Code.UNRESOLVED in info.code
+
+
+@pytest.mark.parametrize(("count", "half", "z"), [(100, 0.05, 0.137), (200, 0.05, 0.137), (200, 0.5, -1.9)])
+def test_edges_between_nodes_are_part_of_the_error(count, half, z):
+    start = sf.initialize(sf.Gaussian(np.zeros(2), np.eye(2)), count)
+    density, info = sf.update(start, box(half), [z])
+    exact = truncnorm(z - half, z + half)
+    assert abs(density.mean()[0] - exact.mean()) < 3.0 * info.error * exact.std()
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.03])

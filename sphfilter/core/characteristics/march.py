@@ -44,6 +44,7 @@ from .expectation import BACK, Step
 from .flood import LAY
 from .judge import BETWEEN, JUDGE
 from .step_choice import CHOOSE
+from .step_limits import noise_limit
 
 __all__ = ["Entries", "march", "needed", "wrong"]
 
@@ -51,6 +52,7 @@ _MOST = 1e-2  # residual that steps go by where the lattice's own is larger
 _SHORTEST = 1e-6  # of the interval
 _UNDOUBTED = 5.0  # times what may be lost, where no error is seen
 _HELPED = 0.7  # times a step's error, to which a shorter one has to bring it
+_UNSEEN = 0.1  # variance of a step's noise, in units of the lattice, below which shorter steps gain nothing
 _PATIENCE, _GROWING = 10, 1.5  # steps that hardly grow, after which one four times as long is tried
 _FORGOTTEN = 0.95  # of the floor, that is left after a step
 _SPARE, _ORDER = 1e-8, 6.0  # residual that more nodes need not make smaller; its order in the spacing
@@ -169,7 +171,8 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
                 continue
         allowed, shorter = max(control.share * state[RESIDUAL], state[FLOOR]), np.inf
         state[LATTICE_STEP] = _suited(h, error, allowed)
-        if error > allowed and not error > _HELPED * before:
+        seen = noise.G.shape[1] == 0 or h * noise_limit(noise.G, field.A) > _UNSEEN
+        if error > allowed and seen and not error > _HELPED * before:
             counters[REJECTED] += 1
             before = error
             if state[LATTICE_STEP] < _SHORTEST * span:

@@ -69,10 +69,9 @@ class Pull(NamedTuple):
 
     straight: np.ndarray  # (M, n); (M, m) of the noises themselves where they depend on the state
     bend: np.ndarray  # the same
-    blur: (
-        np.ndarray
-    )  # (M, n) one standard deviation of the noise over the step; empty if that does not matter;
-    # (M, m) twists of noises that depend on the state
+    # (M, n) one standard deviation of the noise over the step, (M, m) twists of noises that depend on the
+    # state; empty if that does not matter
+    blur: np.ndarray
 
 
 @jit
