@@ -29,7 +29,8 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     mean, cov = unrolled(density)
     if density.gaussian:
         return gaussian_family(mean, cov, degree), 0.0
-    rule, A = basis(len(mean), degree), np.linalg.cholesky(cov)
+    rule = basis(len(mean), degree)
+    A: Floats = np.asarray(np.linalg.cholesky(cov), np.float64)
     log_p = logarithm(density)(mean + rule.xi @ A.T)
     c = log_p @ rule.F
     w = node_weights(rule, A, log_p)[0]

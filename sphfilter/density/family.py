@@ -94,7 +94,8 @@ def node_moments(xi: Floats, w: Floats) -> tuple[Floats, Floats]:
 
 def gaussian_family(mean: Floats, cov: Floats, degree: int) -> Family:
     """A Gaussian."""
-    n, A = len(mean), np.linalg.cholesky(cov)
+    n = len(mean)
+    A: Floats = np.asarray(np.linalg.cholesky(cov), np.float64)
     c = np.zeros(size(n, degree))
     c[0] = -0.5 * n * math.log(2.0 * math.pi) - np.log(np.diag(A)).sum() - 0.5 * n
     power = basis(n, degree).power

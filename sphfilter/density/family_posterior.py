@@ -63,7 +63,7 @@ def family_posterior(
             break
         root = np.empty(C.shape)
         root_between(C, _LEAST, _MOST, root)
-        mu, A = mu + A @ (b * min(1.0, _STEP / max(np.linalg.norm(b), 1e-300))), A @ root
+        mu, A = mu + A @ (b * min(1.0, _STEP / max(float(np.linalg.norm(b)), 1e-300))), A @ root
     if not off < _ASTRAY:
         raise PropagationError(
             f"one family of degree {prior.degree} does not hold the posterior: its frame does not settle"

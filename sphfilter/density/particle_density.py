@@ -203,14 +203,15 @@ class ParticleDensity:
 
     def _shape(self, kind: ReadOut) -> Shape:
         """The shape that is read as `kind`."""
-        if kind == "log_density" and self.field is not None:
-            shape: Kernels | Polynomials | Exponential = Polynomials(
-                self.field, self.x, self.mass, self.moments
-            )
-        elif kind == "family" and self.family is not None:
+        shape: Kernels | Polynomials
+        if kind == "family" and self.family is not None:
             assert self.moments is not None
-            shape = Exponential(self.family, self.x, self.mass, self.moments)
-            shape = shape if self.domain is None else shape.laid
+            whole = Exponential(self.family, self.x, self.mass, self.moments)
+            if self.domain is None:
+                return whole
+            shape = whole.laid
+        elif kind == "log_density" and self.field is not None:
+            shape = Polynomials(self.field, self.x, self.mass, self.moments)
         else:
             kind = "points" if kind in ("log_density", "family") else kind
             points = Cloud if kind == "cloud" else Kernels

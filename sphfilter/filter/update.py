@@ -260,7 +260,7 @@ def _by_family(
 
 
 def _linearised(density: ParticleDensity, asked: _Asked) -> tuple[Floats, Floats] | None:
-    """Mean, and lower factor of the covariance, by statistical linearisation of a Gaussian sensor; None for another."""
+    """Mean and a factor of the covariance by statistical linearisation; None without a Gaussian sensor."""
     if not is_gaussian(asked.measurement) or asked.innovation is None or asked.S is None:
         return None
     cross = predicted_reading(density, asked.measurement)[2][:, asked.seen]
@@ -269,7 +269,7 @@ def _linearised(density: ParticleDensity, asked: _Asked) -> tuple[Floats, Floats
     cov = cov - gain @ cross.T
     cov = 0.5 * (cov + cov.T)
     try:
-        return mean + gain @ asked.innovation, np.linalg.cholesky(cov)
+        return mean + gain @ asked.innovation, np.asarray(np.linalg.cholesky(cov), np.float64)
     except np.linalg.LinAlgError:
         return None
 

@@ -24,10 +24,8 @@ from .time_slices import drift_slices, noise_samples
 __all__ = ["degree_of", "fits", "propagate"]
 
 _DEGREE = 6  # the highest that is taken unless another is asked for
-_OF_MISFIT, _OF_RESIDUAL = (
-    0.5,
-    0.3,
-)  # parts of what the polynomials cannot follow, that errors are estimated by
+# Parts of what the polynomials cannot follow, that errors are estimated by.
+_OF_MISFIT, _OF_RESIDUAL = 0.5, 0.3
 _LOST = 1.0  # standard deviations that the mean may be off by
 _NOT_FOLLOWED = (
     "no polynomial of this degree follows the logarithm of the density; predict over a shorter interval, or "
@@ -97,15 +95,17 @@ def propagate(
 def _flow(model: SDE) -> Flow:
     """The model as families are carried by it; it must outlive its use."""
     n, drift = model.dim, address_of(model.drift_batch)
-    of_state: Any = (drift, drift)  # never called
+    slope = curvature = drift  # never called
     if model.state_dependent_noise:
-        of_state = address_of(model.diffusion_divergence_batch), address_of(model.diffusion_curvature_batch)
+        slope = address_of(model.diffusion_divergence_batch)
+        curvature = address_of(model.diffusion_curvature_batch)
     constant = model.constant_diffusion
     return Flow(
         drift,
         address_of(model.divergence_batch),
         address_of(model.diffusion_batch),
-        *of_state,
+        slope,
+        curvature,
         model.p,
         np.ascontiguousarray(model.diffusion(np.zeros((1, n)), 0.0)[0]) if constant else np.zeros((n, n)),
         not constant and not model.state_dependent_noise,
