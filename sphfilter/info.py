@@ -54,6 +54,11 @@ class Code(IntFlag):
     LATE = auto()  # the time budget was exceeded, or left no time for a try on more particles
     CLOUD = auto()  # the density goes on as a cloud of weighted points
     UNRESOLVED = auto()  # the estimated error is above what the answer may be trusted with
+    COARSE = auto()  # the estimated error is above the target
+
+
+#: What schemes put in the place of a density.
+_RUNGS = {"exact_linear": "closed form", "family": "family", "log_density": "lattice", "cloud": "cloud"}
 
 
 class _Marked:
@@ -61,6 +66,7 @@ class _Marked:
 
     code: Code
     status: str
+    scheme: str
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "code", Code(self.code))  # files know it as a number
@@ -68,6 +74,13 @@ class _Marked:
     def marked(self, code: Code, status: str) -> Self:
         """The info with another status, whose flags come to those it has."""
         return replace(self, code=self.code | code, status=status)  # type: ignore[type-var]
+
+    @property
+    def rung(self) -> str:
+        """What stood for the density: "closed form", "family", "lattice", "cloud" or "particles"."""
+        return ", ".join(
+            dict.fromkeys(_RUNGS.get(name, "particles") for name in self.scheme.split(", ") if name)
+        )
 
     @property
     def flagged(self) -> bool:
@@ -228,6 +241,8 @@ class UpdateInfo(_Marked):
         What the status says, for programs.
     seconds : float
         Wall-clock time, measured under a time budget only.
+    scheme : str
+        What holds the posterior; empty where nothing came.
     kernel_ratio : float
         Variance of the kernels over the smallest variance of the posterior along any direction. Above about
         one the kernels are wider than the posterior somewhere: more particles, or states of like scale.
@@ -256,6 +271,7 @@ class UpdateInfo(_Marked):
     status: str = "ok"
     code: Code = Code.OK
     seconds: float = 0.0
+    scheme: str = ""
     kernel_ratio: float = 0.0
     resample: ResampleInfo | None = field(default=None, repr=False)
 

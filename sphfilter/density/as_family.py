@@ -9,10 +9,13 @@ import numpy as np
 from .._types import Floats
 from ..core.family.basis import basis
 from .family import Family, gaussian_family, laid_family, node_weights, particles_of
+from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
 from .resample import logarithm
 
-__all__ = ["family_density", "family_of", "on_lattice", "unrolled"]
+__all__ = ["family_density", "family_of", "on_lattice", "settled", "unrolled"]
+
+_OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
 
 
 def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
@@ -48,6 +51,36 @@ def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
     laid = laid_family(density.family, density.moments, n_particles)
     about = density.t, density.capacity, density.gaussian, density.domain
     return replace(ParticleDensity.on_lattice(laid, *about), error=density.error, lost=density.lost)
+
+
+def settled(density: ParticleDensity, degree: int, most: float) -> ParticleDensity | None:
+    """A density on a lattice or a cloud as one family; None where that adds an error above `most`."""
+    if density.domain is not None and density.domain.walled.any():
+        return None
+    try:
+        if density.read_out == "cloud":
+            found = None if density.domain is not None else max_entropy(density.x, density.mass, degree)
+        else:
+            found = family_of(density, degree)
+    except np.linalg.LinAlgError:
+        return None
+    if found is None:
+        return None
+    error = _OF_MISFIT * found[1]
+    if not error <= most:
+        return None
+    new = family_density(density, found[0], error=math.hypot(density.error, error))
+    return new if _agree(density, new, most) else None
+
+
+def _agree(density: ParticleDensity, family: ParticleDensity, most: float) -> bool:
+    """Are mean and covariance the same, as far as an error of `most` lets them differ?"""
+    (mean, cov), (own_mean, own_cov) = unrolled(density), unrolled(family)
+    root = np.linalg.inv(np.linalg.cholesky(cov))
+    n = len(mean)
+    off = float(np.linalg.norm(root @ (own_mean - mean))) / math.sqrt(n)
+    wider = float(np.linalg.norm(root @ own_cov @ root.T - np.eye(n))) / n
+    return max(off, 0.5 * wider) <= most
 
 
 def family_density(density: ParticleDensity, family: Family, **changes: Any) -> ParticleDensity:

@@ -19,11 +19,23 @@ from .shapes import Folded, Kernels, Polynomials, spread_evenly
 if TYPE_CHECKING:
     from .particle_density import ParticleDensity
 
-__all__ = ["KERNEL", "Cloud", "drawn", "key_of", "moments", "quasi_random", "smoothing_length", "systematic"]
+__all__ = [
+    "KERNEL",
+    "Cloud",
+    "drawn",
+    "key_of",
+    "moments",
+    "points_of",
+    "quasi_random",
+    "smoothing_length",
+    "standard_normal",
+    "systematic",
+]
 
 KERNEL = "wendland_c2"
 _STATES = 128  # points that stand for a cloud, over those that stand for one kernel of other densities
 _CANDIDATES = 8  # states in the cells of a lattice, over the points drawn from them
+_WIDER = 1.15  # standard deviations of a Gaussian that points of a family are drawn from, over its own
 _KEY, _MIX = np.uint64(0x5EED0C10D), np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -116,6 +128,35 @@ def quasi_random(count: int, n: int, key: int) -> Floats:
     """Points (count, n) evenly spread over the unit cube, shifted by a key."""
     shift = np.random.Generator(np.random.Philox(key)).random(n)
     return (spread_evenly(count, n) + shift) % 1.0
+
+
+def standard_normal(count: int, n: int, key: int) -> Floats:
+    """Points (count, n) evenly spread as the standard normal law is, by a key."""
+    from scipy.special import ndtri  # on use: import time
+
+    normal: Floats = ndtri(np.clip(quasi_random(count, n, key), 1e-12, 1.0 - 1e-12))
+    return normal
+
+
+def points_of(density: "ParticleDensity", count: int, key: int) -> tuple[Floats, Floats]:
+    """Quasi-random points (count, n) with weights (count,) that stand for a density of any kind.
+
+    Of a family they come from a Gaussian somewhat wider than that, weighted by the ratio of the two.
+    """
+    if density.family is None:
+        return drawn(density, count, key), np.full(count, 1.0 / count)
+    assert density.moments is not None
+    mean, cov = density.moments
+    root = np.linalg.cholesky(cov)
+    z = _WIDER * standard_normal(count, len(mean), key)
+    x = mean + np.einsum("ij,kj->ik", z, root)
+    log_w = density.family.log_p(x) + 0.5 * np.sum(z**2, axis=1) / _WIDER**2
+    mass = np.exp(log_w - log_w.max())
+    mass /= mass.sum()
+    own_mean, own_cov = moments(x, mass)
+    change = root @ np.linalg.inv(np.linalg.cholesky(own_cov))
+    x = mean + np.einsum("ij,kj->ik", x - own_mean, change)
+    return (x if density.domain is None else density.domain.fold(x)), mass
 
 
 def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:

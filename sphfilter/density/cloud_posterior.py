@@ -10,7 +10,16 @@ from ..core.sph.kernels import Kernel
 from ..errors import PropagationError
 from ..model.domain import Domain
 from . import mixture
-from .cloud import KERNEL, drawn, key_of, moments, quasi_random, smoothing_length, systematic
+from .cloud import (
+    KERNEL,
+    key_of,
+    moments,
+    points_of,
+    quasi_random,
+    smoothing_length,
+    standard_normal,
+    systematic,
+)
 from .distributions import gaussian_log_pdf
 from .particle_density import ParticleDensity
 from .resample import logarithm
@@ -57,7 +66,7 @@ def cloud_posterior(prior: ParticleDensity, log_weight: OfStates, n_points: int)
     """
     key, x, mass = key_of(prior), prior.x, prior.mass
     if prior.read_out != "cloud":
-        x, mass = drawn(prior, n_points, key), np.full(n_points, 1.0 / n_points)
+        x, mass = points_of(prior, n_points, key)
     weight = log_weight(x)
     if not np.any(weight > -np.inf):
         raise PropagationError(
@@ -178,10 +187,7 @@ def _proposed(x: Floats, w: Floats, least: Floats, count: int, key: int) -> tupl
 
 
 def _normal(mean: Floats, cov: Floats, count: int, key: int) -> Floats:
-    from scipy.special import ndtri  # on use: import time
-
-    uniform = np.clip(quasi_random(count, len(mean), key), 1e-12, 1.0 - 1e-12)
-    return mean + np.einsum("ij,kj->ik", ndtri(uniform), np.linalg.cholesky(cov))
+    return mean + np.einsum("ij,kj->ik", standard_normal(count, len(mean), key), np.linalg.cholesky(cov))
 
 
 def _local_error(prior: ParticleDensity, x: Floats, w: Floats) -> float:

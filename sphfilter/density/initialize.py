@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,8 +17,10 @@ from ..lattice.field import held
 from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
-from ..validate import array, count, real, row
+from ..validate import array, choice, count, real, row
 from .distributions import Gaussian, Uniform, checked_box, gaussian_log_pdf
+from .family import gaussian_family, particles_of
+from .needs import Needs, fewest
 from .particle_density import ParticleDensity
 from .particles import particles_on, particles_with
 
@@ -28,6 +30,7 @@ __all__ = ["Gaussian", "Uniform", "initialize", "on_equal_lattice"]
 Distribution: TypeAlias = Gaussian | Uniform | OfStates
 
 _FAR = 6.0  # standard deviations within which a Gaussian is put on a domain with ends
+_TRIES = 5  # numbers of nodes, each twice the one before, for a target error
 _MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
 _COARSE, _SEEN = 5000, 1.0 - 1e-6  # particles a callable pdf is first looked at with, and their probability
 #: For moment-corrected SPH, which finds smoothing lengths of its own.
@@ -36,7 +39,7 @@ _FOR_CORRECTED = PaperScheme(kernel="wendland_c2", support_steps=1)
 
 def initialize(
     distribution: Distribution,
-    n_particles: int | None = None,
+    n_particles: int | Literal["auto"] | None = None,
     config: SolverConfig | FilterConfig | None = None,
     *,
     box: ArrayLike | None = None,
@@ -50,8 +53,9 @@ def initialize(
     ----------
     distribution : Gaussian, Uniform, or callable pdf(X (M, n)) -> (M,)
         A callable need not be normalised, and needs `box`.
-    n_particles : int
+    n_particles : int or "auto"
         Upper bound of the number of particles: a lattice cannot hit a number. Not needed with a `spacing`.
+        With "auto" the steps that follow choose how the density is represented, by a target error.
     config : SolverConfig or FilterConfig, optional
     box : array_like, shape (n, 2), optional
         Where a callable pdf is not negligible; with a `spacing`, where a Gaussian is put on particles.
@@ -87,6 +91,9 @@ def initialize(
     [[3.93]]
     """
     scheme = (config or SolverConfig()).scheme
+    if isinstance(n_particles, str):
+        choice("n_particles", n_particles, ["auto"])
+        return _to_target(distribution, box, config, t, domain)
     if spacing is not None:
         return _spaced(distribution, n_particles, scheme, box, spacing, t, domain)
     n_particles = count("n_particles", n_particles)
@@ -103,6 +110,30 @@ def initialize(
         return _from_gaussian(distribution, n_particles, scheme, t)
     pdf, box = _seen_from(distribution, box, domain)
     return _from_pdf(pdf, box, n_particles, scheme, t, domain)
+
+
+def _to_target(
+    distribution: Distribution,
+    box: ArrayLike | None,
+    config: SolverConfig | FilterConfig | None,
+    t: float,
+    domain: DomainLike,
+) -> ParticleDensity:
+    """A Gaussian as one family, another distribution on as many nodes as a target error asks for."""
+    known = None if domain is None else Domain.of(domain, len(_box_of(distribution, box)))
+    ladder = config is None or config.scheme == "auto"
+    if ladder and isinstance(distribution, Gaussian) and (known is None or not known.walled.any()):
+        start = gaussian_family(distribution.mean, distribution.cov, 2)
+        about: dict[str, Any] = {"t": t, "gaussian": known is None or known.unbounded, "domain": known}
+        return ParticleDensity(**particles_of(start), **about, needs=Needs())
+    target = config.target_error if isinstance(config, FilterConfig) else FilterConfig().target_error
+    nodes = fewest(len(_box_of(distribution, box)))
+    for _ in range(_TRIES):
+        density = initialize(distribution, nodes, config, box=box, t=t, domain=domain)
+        if not density.error > 0.5 * target:
+            break
+        nodes *= 2
+    return replace(density, needs=Needs(nodes=nodes), capacity=nodes)
 
 
 def _bounds(domain: DomainLike, box: Floats) -> Domain | None:

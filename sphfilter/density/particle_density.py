@@ -20,6 +20,7 @@ from . import statistics
 from .cloud import Cloud
 from .family import Exponential, Family
 from .marginal import around
+from .needs import Needs
 from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
 from .weighted import WeightedStates
 
@@ -83,6 +84,9 @@ class ParticleDensity:
         density; NaN where a scheme on the way made no estimate.
     family : Family or None
         Frame and coefficients of the polynomial that log p is, where the density is one family.
+    needs : Needs or None
+        What its last steps needed, where a target error chooses how it is represented, as with
+        ``n_particles="auto"``; None where a number of particles does.
     lost : float
         Probability that lattices have gained on the way, or lost (negative), as far as it still matters.
 
@@ -118,6 +122,7 @@ class ParticleDensity:
     error: float = 0.0
     lost: float = 0.0
     family: Family | None = None
+    needs: Needs | None = None
 
     def __post_init__(self) -> None:
         x = array("x", self.x, (None, None))

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from .._types import Bools, Floats, OfStates
-from ..config import FilterConfig, PaperScheme, Scheme, SolverConfig
+from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
 from ..core.field.walls import NO_WALLS
-from ..errors import PropagationError
+from ..errors import ModelError, PropagationError
 from ..info import ResampleInfo
 from ..lattice import field
 from ..lattice.candidates import NO_OVERLAP, Product, Sought, best_candidate
@@ -24,10 +24,11 @@ from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
 from .interpolant import normalised
+from .needs import fewest
 from .particle_density import ParticleDensity
 from .particles import particles_on
 
-__all__ = ["logarithm", "particle_bound", "regrid", "resample", "times_likelihood"]
+__all__ = ["logarithm", "particle_bound", "regrid", "resample", "target_of", "times_likelihood"]
 
 _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
@@ -127,11 +128,26 @@ def _folded(log_p: OfStates, domain: Domain, X: Floats) -> Floats:
     return log_p(domain.fold(X))
 
 
-def particle_bound(density: ParticleDensity, n_particles: int | None = None) -> int:
+def particle_bound(density: ParticleDensity, n_particles: int | str | None = None) -> int:
     """Upper bound of the number of particles at the next re-gridding: as given, else the density's own."""
+    if isinstance(n_particles, str):
+        if n_particles != "auto":
+            raise ModelError(f'n_particles must be a whole number or "auto", got {n_particles!r}')
+        nodes = 0 if density.needs is None else density.needs.nodes
+        return nodes or fewest(density.dim)
     if n_particles is not None:
         return count("n_particles", n_particles)
     return density.capacity or density.n_particles
+
+
+def target_of(
+    density: ParticleDensity, config: SolverConfig | FilterConfig, n_particles: int | str | None
+) -> float | None:
+    """Target error of a step; None where a number of particles decides, or a scheme that has no error."""
+    asked = n_particles == "auto" or (n_particles is None and density.needs is not None)
+    if not asked or not (config.scheme == "auto" or isinstance(config.scheme, LogDensityScheme)):
+        return None
+    return config.target_error if isinstance(config, FilterConfig) else FilterConfig().target_error
 
 
 def regrid(

@@ -16,6 +16,7 @@ from ..core.field.stencils import stencils
 from ..errors import ModelError
 from ..model.domain import Domain
 from .family import Family
+from .needs import Needs
 from .particle_density import ParticleDensity
 
 __all__ = [
@@ -57,6 +58,8 @@ def stored(density: ParticleDensity) -> Arrays:
 def density_from(arrays: Arrays) -> ParticleDensity:
     """The density of arrays that `stored` made."""
     about = json.loads(str(arrays["about"]))
+    if about.get("needs") is not None:
+        about["needs"] = Needs(*about["needs"])
     if about["domain"] is not None:
         about["domain"] = Domain(*about["domain"])
     if "field.mu" in arrays:

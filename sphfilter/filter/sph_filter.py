@@ -15,17 +15,18 @@ from ..config import FilterConfig, checked_filter_config
 from ..consistency.ranks import Ranker
 from ..density.distributions import Gaussian
 from ..density.initialize import initialize
+from ..density.needs import fewest
 from ..density.particle_density import ParticleDensity
+from ..density.resample import particle_bound
 from ..density.weighted import WeightedStates
 from ..errors import ModelError
 from ..info import PredictInfo, UpdateInfo
 from ..model.compile import StateFunction
 from ..model.measurements import Sensor
 from ..model.sde import SDE
-from ..prediction.again import Outcome, or_as_cloud, predict_from_finer
+from ..prediction.again import MOST, Outcome, or_as_cloud, predict_from_finer
 from ..prediction.predict import Prediction, predict
-from ..prediction.to_target import fewest, predict_to_target
-from ..validate import array, count, covariance, positive, real, row, seconds, short
+from ..validate import array, choice, count, covariance, positive, real, row, seconds, short
 from .budget import Budget, rehearse
 from .checkpoint import restored, write
 from .names import check_assigned
@@ -121,11 +122,11 @@ class SPHFilter(Shown):
         self.model = model
         self.measurement = None if measurement is None else checked_sensor(measurement, model)
         self.config = checked_filter_config(config)
-        self._adapts = isinstance(n_particles, str)
-        n_particles = count("n_particles", fewest(model.dim, n_particles) if self._adapts else n_particles)
+        self._adapts = isinstance(n_particles, str) and choice("n_particles", n_particles, ["auto"]) == "auto"
+        least = fewest(model.dim) if isinstance(n_particles, str) else count("n_particles", n_particles)
         self.dt = None if dt is None else positive("dt", seconds("dt", dt))
         self._budget = Budget(self.config.time_budget)
-        self._state = FilterState.begun(self._start(x0, P0, t0, density, n_particles), n_particles)
+        self._state = FilterState.begun(self._start(x0, P0, t0, density, n_particles), least)
 
     def _start(
         self,
@@ -133,7 +134,7 @@ class SPHFilter(Shown):
         P0: ArrayLike | None,
         t0: float,
         density: ParticleDensity | None,
-        n_particles: int,
+        n_particles: Any,
     ) -> ParticleDensity:
         if density is not None:
             if x0 is not None or P0 is not None:
@@ -198,10 +199,9 @@ class SPHFilter(Shown):
         def predicted(density: ParticleDensity, config: Any) -> Outcome[PredictInfo]:
             options: dict[str, Any] = {"t": t, "n_particles": most}
             if self._adapts:
-                options["fits"] = self._budget.fits
-                return predict_to_target(density, self.model, dt, config, **options)
-            moved = predict(density, self.model, dt, config, goes_on=False, **options)
-            return Outcome(density, *moved, state.n_particles)
+                options |= {"n_particles": "auto", "most_particles": most}
+            moved, info = predict(density, self.model, dt, config, goes_on=False, **options)
+            return Outcome(density, moved, info, particle_bound(moved) if self._adapts else state.n_particles)
 
         def attempted(config: Any) -> Outcome[PredictInfo]:
             known = state.density, state.origin, config, most
@@ -217,7 +217,7 @@ class SPHFilter(Shown):
 
     def _most(self) -> int:
         """Particles that a call may have."""
-        return self._budget.bound(self.n_particles, fewest(self.model.dim, "auto"))
+        return self._budget.bound(MOST if self._adapts else self.n_particles, fewest(self.model.dim))
 
     def prepare(self, dt: Interval | None = None) -> float:
         """Compile all that predictions and updates call, before a loop in real time.
@@ -264,7 +264,8 @@ class SPHFilter(Shown):
         state, seen = self._state, measurement.observed(z).any()
         prediction = state.origin if isinstance(state.origin, Prediction) else Prediction()
         self._budget.begin()
-        options: dict[str, Any] = {"n_particles": self._most(), "fits": self._budget.fits}
+        most = "auto" if self._adapts else self._most()
+        options: dict[str, Any] = {"n_particles": most, "fits": self._budget.fits}
         outcome = update_or_predict_again(
             prediction, state.density, self.model, measurement, z, self.config, **options
         )

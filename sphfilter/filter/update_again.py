@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
 from ..density.particle_density import ParticleDensity
+from ..density.resample import particle_bound
 from ..errors import PropagationError
 from ..info import Code, UpdateInfo
 from ..lattice.level_set import lattice_reach
@@ -43,7 +44,7 @@ def update_or_predict_again(
     measurement: Sensor,
     z: ArrayLike | None,
     config: FilterConfig,
-    n_particles: int,
+    n_particles: int | Literal["auto"],
     fits: Callable[[int], bool] | None = None,
 ) -> Outcome[UpdateInfo]:
     """Update; if the posterior hangs on what the prediction lost, predict again, finer and further.
@@ -60,7 +61,7 @@ def update_or_predict_again(
     measurement : GaussianMeasurement or LikelihoodMeasurement
     z : array_like, shape (k,), or None
     config : FilterConfig
-    n_particles : int
+    n_particles : int or "auto"
         Upper bound of the posterior's.
     fits : callable, optional
         fits(n_particles) says whether there is time for one more prediction on so many.
@@ -74,13 +75,14 @@ def update_or_predict_again(
 
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
+    bound = particle_bound(prior, n_particles)
     known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED
     if known or before is None or before.field is None:
-        return Outcome(prior, posterior, info, n_particles)
+        return Outcome(prior, posterior, info, bound)
     scheme = config.scheme if isinstance(config.scheme, LogDensityScheme) else LogDensityScheme()
     Z = lattice_reach(scheme, model.dim)
     beyond = chi2.sf(Z**2, model.dim)  # what a Gaussian has there: so much of it may be wrong
-    for rung in _LADDER.within(model.dim).rungs(n_particles):
+    for rung in _LADDER.within(model.dim).rungs(bound):
         if info.extrapolated * min(1.0, lost / beyond) < _GUESSED or not info.accepted:
             break
         if fits is not None and not fits(rung.n_particles):
@@ -95,4 +97,4 @@ def update_or_predict_again(
         lost = predicted.mass_error
         posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
         info = info.marked(Code.REPEATED, f"prediction repeated on {rung.times} times the particles")
-    return Outcome(prior, posterior, info, n_particles)
+    return Outcome(prior, posterior, info, bound)

@@ -11,7 +11,7 @@ from ..core._addresses import address_of
 from ..core.paths.blocks import move_blocks, standard_normals
 from ..core.paths.normals import LANES
 from ..core.paths.step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH
-from ..density.cloud import KERNEL, drawn, key_of, moments, smoothing_length, systematic
+from ..density.cloud import KERNEL, drawn, key_of, moments, points_of, smoothing_length, systematic
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError, StoppedError
@@ -134,9 +134,9 @@ def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: in
     Copies of heavy points part by themselves where the noise is enough for that; else the points are drawn
     from the density that is read between them.
     """
-    mass = np.full(count, 1.0 / count)
     if density.read_out != "cloud":
-        return drawn(density, count, key), mass
+        return points_of(density, count, key)
+    mass = np.full(count, 1.0 / count)
     if len(density.x) == count and 1.0 / np.sum(density.mass**2) >= _FEW * count:
         return density.x.copy(), density.mass
     if _parts(model, density, t1):

@@ -1,6 +1,7 @@
 """One exponential family, carried by an ordinary equation at the nodes of a cubature rule."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from ..model.sde import SDE
 from ._shared import blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
-__all__ = ["degree_of", "fits", "propagate"]
+__all__ = ["carried", "degree_of", "fits", "fits_density", "propagate"]
 
 _DEGREE = 6  # the highest that is taken unless another is asked for
 # Parts of what the polynomials cannot follow, that errors are estimated by.
@@ -46,6 +47,13 @@ def fits(model: SDE, density: ParticleDensity) -> str:
     """Can one family carry the density? Returns a reason why not, empty if it can."""
     if model.domain.walled.any():
         return "an axis ends, and polynomials do not"
+    return fits_density(density)
+
+
+def fits_density(density: ParticleDensity) -> str:
+    """Is the density one that a family may stand for? Returns a reason why not, empty if it is."""
+    if density.domain is not None and density.domain.walled.any():
+        return "an axis ends, and polynomials do not"
     if density.field is None and density.family is None:
         return "the density has no smooth logarithm"
     return ""
@@ -69,11 +77,25 @@ def propagate(
     reason = fits(model, density)
     if reason:
         raise PropagationError(f"one family does not carry this density: {reason}; use another scheme")
-    n, degree = density.dim, degree_of(scheme, density.dim)
+    settled = replace(scheme, degree=degree_of(scheme, density.dim))
+    return carried(density, model, t1, settled, n_particles)
+
+
+def carried(
+    density: ParticleDensity,
+    model: SDE,
+    t1: float,
+    scheme: FamilyScheme,
+    n_particles: int,
+    most: float = _LOST,
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density that fits as a family of a scheme's degree, whose steps may add an error of `most`."""
+    n, degree = density.dim, scheme.degree
+    assert degree is not None
     start, misfit = family_of(density, degree)
     y = np.concatenate([start.mu, start.A.ravel(), start.c])
     longest = _longest(model, density, t1)
-    control = Control(density.t, t1, scheme.tolerance, longest, scheme.max_steps, _LOST / _OF_RESIDUAL)
+    control = Control(density.t, t1, scheme.tolerance, longest, scheme.max_steps, most / _OF_RESIDUAL)
     with surfacing():
         report = march(_flow(model), basis(n, degree), control, y)
     if STATUS[report.code] != "ok":
@@ -81,7 +103,7 @@ def propagate(
     moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()
     residual = math.hypot(_OF_RESIDUAL * report.residual, _OF_RESIDUAL * report.stepping, _OF_MISFIT * misfit)
     error = math.hypot(density.error, residual)
-    if not error < _LOST:
+    if not residual < most:
         raise PropagationError(
             f"prediction from {density.t:g} to {t1:g}: {_NOT_FOLLOWED}; the mean would be off by {error:.2g} "
             f"standard deviations"

@@ -1,7 +1,7 @@
 """Prediction: a density carried through the Fokker-Planck-Kolmogorov equation."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -16,17 +16,19 @@ from ..config import (
     SolverConfig,
 )
 from ..density.as_family import on_lattice
+from ..density.needs import Needs
 from ..density.particle_density import ParticleDensity
-from ..density.resample import particle_bound
+from ..density.resample import particle_bound, target_of
 from ..errors import ModelError
 from ..info import PredictInfo
 from ..model.domain import Domain
 from ..model.sde import SDE
 from ..model.timing import beside
 from ..validate import count, onwards, real, seconds
-from . import automatic, cloud, corrected, family, log_density, paper
+from . import automatic, cloud, corrected, family, ladder, log_density, paper
 from .again import Outcome, or_as_cloud
 from .exact import propagate_exactly
+from .to_target import carried_to_target
 
 __all__ = ["Prediction", "load", "predict"]
 
@@ -38,7 +40,7 @@ def predict(
     config: SolverConfig | FilterConfig | None = None,
     *,
     t: float | None = None,
-    n_particles: int | None = None,
+    n_particles: int | Literal["auto"] | None = None,
     most_particles: int | None = None,
     goes_on: bool = True,
 ) -> tuple[ParticleDensity, PredictInfo]:
@@ -53,8 +55,10 @@ def predict(
     config : SolverConfig or FilterConfig, optional
     t : float, optional
         Absolute time to predict to, seconds, instead of dt.
-    n_particles : int, optional
+    n_particles : int or "auto", optional
         Upper bound of the number of particles, should re-gridding be needed; the density's own if not given.
+        With "auto", and from then on, every step takes the cheapest representation that keeps the estimated
+        error within the configuration's `target_error` (of a `SolverConfig`, .01).
     most_particles : int, optional
         Particles at most of a prediction that ``scheme="auto"`` makes again where a lattice loses
         probability; 30,000 if not given.
@@ -87,36 +91,67 @@ def predict(
     if model.dim != density.dim:
         raise ModelError(f"the model has {model.dim} states, the density {density.dim}")
     if dt is None:
-        (target,) = onwards(np.array([real("t", t)]), density.t).tolist()
+        (end,) = onwards(np.array([real("t", t)]), density.t).tolist()
     else:
-        target = density.t + seconds("dt", dt)
-    if target < density.t:
-        raise ModelError(f"cannot predict back in time: from t = {density.t:g} to {target:g}")
+        end = density.t + seconds("dt", dt)
+    if end < density.t:
+        raise ModelError(f"cannot predict back in time: from t = {density.t:g} to {end:g}")
     density = _in_domain(density, model.domain)
     config = config or SolverConfig()
     scheme = config.scheme
-    if target == density.t:
+    if end == density.t:
         name = scheme if isinstance(scheme, str) else scheme.name
         return density, PredictInfo(scheme=name, skipped=("everything: the interval is empty",))
-    n_particles = particle_bound(density, n_particles)
     if most_particles is not None:
         most_particles = count("most_particles", most_particles, least=0)
+    target, bound = target_of(density, config, n_particles), particle_bound(density, n_particles)
     infos, start = [], density.t
-    for stop in model.breaks(start, target):
-        before, after = beside(stop, start, target)
-        if density.t < before:
-            density, info = _without_breaks(
-                density, model, before, config, n_particles, most_particles, goes_on
-            )
-            infos.append(info)
-        density = replace(density, t=after)
-    if density.t < target:
-        density, info = _without_breaks(density, model, target, config, n_particles, most_particles, goes_on)
+
+    def carried(density: ParticleDensity, t1: float) -> ParticleDensity:
+        if target is None:
+            density, info = _on_particles(density, model, t1, config, bound, most_particles, goes_on)
+        else:
+            density, info = _to_target(density, model, t1, config, target, most_particles)
         infos.append(info)
-    return (density if density.t == target else replace(density, t=target)), PredictInfo.joined(infos)
+        return density
+
+    for stop in model.breaks(start, end):
+        before, after = beside(stop, start, end)
+        if density.t < before:
+            density = carried(density, before)
+        density = replace(density, t=after)
+    if density.t < end:
+        density = carried(density, end)
+    return (density if density.t == end else replace(density, t=end)), PredictInfo.joined(infos)
 
 
-def _without_breaks(
+def _to_target(
+    density: ParticleDensity,
+    model: SDE,
+    t1: float,
+    config: SolverConfig | FilterConfig,
+    target: float,
+    most: int | None,
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density to time t1, up to which the model does not jump, with a target error."""
+    scheme = config.scheme
+    if not isinstance(scheme, LogDensityScheme):
+        return ladder.propagate(density, model, t1, target, most)
+
+    def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
+        return log_density.propagate(_laid(density, nodes), model, t1, scheme, nodes)
+
+    first = particle_bound(density, "auto")
+    moved, info, nodes = carried_to_target(density, predicted, target, first, most)
+    return replace(moved, needs=(density.needs or Needs())._replace(nodes=nodes), capacity=nodes), info
+
+
+def _laid(density: ParticleDensity, n_particles: int) -> ParticleDensity:
+    """A density that is one family, on a lattice; another as it is."""
+    return density if density.family is None else on_lattice(density, n_particles)
+
+
+def _on_particles(
     density: ParticleDensity,
     model: SDE,
     t1: float,
@@ -125,9 +160,8 @@ def _without_breaks(
     most_particles: int | None,
     goes_on: bool,
 ) -> tuple[ParticleDensity, PredictInfo]:
-    """Carry a density to time t1, up to which the model does not jump."""
-    if density.family is not None and not isinstance(config.scheme, FamilyScheme):
-        density = on_lattice(density, n_particles)
+    """Carry a density to time t1, up to which the model does not jump, on a number of particles."""
+    density = density if isinstance(config.scheme, FamilyScheme) else _laid(density, n_particles)
     if config.exact_linear and model.linear:
         exact = propagate_exactly(density, model, t1, n_particles)
         if exact is not None:

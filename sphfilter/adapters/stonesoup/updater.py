@@ -20,7 +20,7 @@ from ...config import FilterConfig, checked_filter_config
 from ...density.particle_density import ParticleDensity
 from ...density.resample import particle_bound
 from ...errors import ModelError
-from ...filter.update import predicted_reading
+from ...filter.asked import predicted_reading
 from ...filter.update_again import Update as UpdateOrigin
 from ...filter.update_again import update_or_predict_again
 from ...info import UpdateInfo

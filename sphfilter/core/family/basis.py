@@ -11,7 +11,7 @@ from .._jit import jit
 from ..monomials import up_to
 from .rules import rule
 
-__all__ = ["BASIS", "Basis", "basis", "size", "values_at"]
+__all__ = ["BASIS", "Basis", "averages", "basis", "size", "values_at"]
 
 _BEYOND, _FALL = 1.6, 0.15  # standard deviations beyond the root of n, and least fall of log p out there
 
@@ -74,14 +74,36 @@ def values_at(power, c, xi, bound, out):
 
 
 @jit
-def _value(power, c, x, scale, table):
-    """sum_j c_j h_j at the point `scale` x (n,)."""
-    M, n = power.shape
-    for a in range(n):
+def averages(power, xi, mass, first, second):
+    """Averages of polynomials of powers (M, n) over points (N, n) of weights (N,), and of their squares."""
+    (M, n), table = power.shape, np.empty((xi.shape[1], power.max() + 1))
+    first[:] = 0.0
+    second[:] = 0.0
+    for i in range(xi.shape[0]):
+        _tabulate(xi[i], 1.0, table)
+        for j in range(M):
+            product = 1.0
+            for a in range(n):
+                product *= table[a, power[j, a]]
+            first[j] += mass[i] * product
+            second[j] += mass[i] * product**2
+
+
+@jit
+def _tabulate(x, scale, table):
+    """Orthonormal polynomials of one variable at the coordinates `scale` x (n,), into table (n, top + 1)."""
+    for a in range(x.size):
         table[a, 0] = 1.0
         for k in range(table.shape[1] - 1):
             below = math.sqrt(k) * table[a, k - 1] if k > 0 else 0.0
             table[a, k + 1] = (scale * x[a] * table[a, k] - below) / math.sqrt(k + 1.0)
+
+
+@jit
+def _value(power, c, x, scale, table):
+    """sum_j c_j h_j at the point `scale` x (n,)."""
+    M, n = power.shape
+    _tabulate(x, scale, table)
     total = 0.0
     for j in range(M):
         product = c[j]

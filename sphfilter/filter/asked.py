@@ -1,0 +1,113 @@
+"""What a reading asks of a density: its likelihood, and how far it is from what was predicted."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._types import Bools, Floats
+from ..config import FilterConfig
+from ..density.particle_density import ParticleDensity
+from ..errors import ModelError
+from ..lattice.resolved import Search
+from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
+from ..validate import state_rows
+from .solutions import solutions
+
+__all__ = ["Asked", "kept", "predicted_reading"]
+
+_LEFT = 0.25  # of the square of an error of a density that is no Gaussian
+_OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
+
+
+class Asked(NamedTuple):
+    """What a reading asks of a prior: its likelihood there, and how far it is from what was predicted."""
+
+    measurement: Sensor
+    z: Any  # as given
+    seen: Bools  # which of its components came
+    t: float
+    innovation: np.ndarray | None  # of the components that came; None for a sensor that is not Gaussian
+    S: Floats | None
+
+    @classmethod
+    def of(cls, density: ParticleDensity, measurement: Sensor, z: ArrayLike | None) -> "Asked":
+        """A measurement z asked of a density."""
+        seen = measurement.observed(z)
+        off = _innovation(density, measurement, z, seen) if seen.any() else (None, None)
+        return cls(measurement, z, seen, density.t, *off)
+
+    def log_weight(self, X: Floats) -> Floats:
+        """Log-likelihood of the states X (M, n), shape (M,)."""
+        values = self.measurement.log_likelihood(self.z, X, self.t)
+        if np.isnan(values).any():
+            where = X[np.isnan(values)][0]
+            raise ModelError(
+                f"the likelihood of z = {self.z} is NaN at the state {where}; check the sensor function"
+            )
+        return values
+
+    def search(self, density: ParticleDensity, config: FilterConfig) -> Search:
+        """How far the posterior is searched for peaks between the prior's nodes."""
+        sensor, named, states = self.measurement, getattr(self.measurement, "peaks", None), None
+        if named is not None:
+            states = state_rows("peaks", named(Reading.of(self.z).z), density.dim)
+        elif is_gaussian(sensor) and sensor.H is None and density.field is not None:
+            states = solutions(sensor, Reading.of(self.z).z, density.x, density.field.A, density.t)
+        lines = not is_gaussian(sensor)
+        return Search(config.most_left_out, lines, states, config.time_budget is None)
+
+    @property
+    def outlying(self) -> str:
+        """A sentence where the reading lies far outside of what was predicted; else empty."""
+        if self.innovation is None or self.S is None:
+            return ""
+        distance = np.sqrt(self.innovation @ np.linalg.solve(self.S, self.innovation))
+        if not distance > _OUTLYING:
+            return ""
+        return f"outlying measurement: {distance:.1f} sigma from its prediction"
+
+    @property
+    def gaussian_evidence(self) -> float:
+        """Log-evidence where the particles end and a sum over them knows nothing: by the prior's moments."""
+        assert self.innovation is not None and self.S is not None
+        squares = self.innovation @ np.linalg.solve(self.S, self.innovation)
+        return -0.5 * float(squares + np.linalg.slogdet(2.0 * np.pi * self.S)[1])
+
+
+def _innovation(
+    density: ParticleDensity, measurement: Sensor, z: Any, seen: Bools
+) -> tuple[Floats, Floats] | tuple[None, None]:
+    """z minus its predicted mean, and the predicted covariance plus R; None for a general likelihood."""
+    if not is_gaussian(measurement):
+        return None, None
+    predicted, S, _ = predicted_reading(density, measurement)
+    both = np.ix_(seen, seen)
+    return measurement.residual(Reading.of(z).z, predicted)[seen], S[both] + measurement.noise_cov[both]
+
+
+def predicted_reading(density: ParticleDensity, measurement: GaussianSensor) -> tuple[Floats, Floats, Floats]:
+    """Mean (k,) and covariance (k, k) of the noise-free reading, and its covariance with the state (n, k).
+
+    Angles are averaged around the reading of the mean.
+    """
+    reference = measurement.predict(density.mean(), density.t)[0]
+    if measurement.H is not None and not measurement.angles:
+        H, cov = measurement.H, density.cov()
+        return reference, H @ cov @ H.T, cov @ H.T
+    around = measurement.residual(measurement.predict(density.x, density.t), reference)
+    mean = density.mass @ around
+    weighted = (around - mean) * density.mass[:, None]
+    from_mean = density.x - density.mean()
+    if density.domain is not None:
+        from_mean = density.domain.nearest(from_mean)
+    return reference + mean, weighted.T @ (around - mean), from_mean.T @ weighted
+
+
+def kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:
+    """Part of an error of the mean, in standard deviations, that an update leaves of it.
+
+    What is wrong with the weights of a density's pieces, or its shape, no reading forgets as fast as a shift.
+    """
+    ratio = np.trace(np.linalg.solve(prior.cov(), posterior.cov())) / prior.dim
+    return float(np.sqrt(np.clip(ratio, 0.0 if posterior.gaussian else _LEFT, 1.0)))

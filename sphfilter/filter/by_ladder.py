@@ -1,0 +1,100 @@
+"""Prior times likelihood as cheaply as a target error allows: a family, a lattice or a cloud."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from ..config import CloudScheme, FilterConfig
+from ..core.family.rules import degrees
+from ..density.as_family import on_lattice, settled
+from ..density.needs import DOUBT, Needs, allowance, fewest
+from ..density.particle_density import ParticleDensity
+from ..errors import PropagationError
+from ..info import DOUBTFUL, Code
+from ..prediction.family import fits_density
+from ..prediction.ladder import HIGHEST, fewest_points, first_degree, prefers_cloud
+from .asked import Asked
+from .by_cloud import by_cloud
+from .by_family import by_family
+from .by_lattice import by_lattice
+
+__all__ = ["by_ladder"]
+
+_TRIES, _MOST_POINTS, _MOST_NODES = 3, 200_000, 20_000
+_ORDER = 1.5  # the error of a lattice falls about as N^-1.5
+
+Posterior = tuple[ParticleDensity, dict[str, Any]]
+
+
+def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: FilterConfig) -> Posterior:
+    """Prior times likelihood on the cheapest rung whose own error leaves the target.
+
+    Where a lattice or a cloud had to be taken, the posterior comes down to one family again if that holds it.
+    """
+    needs = density.needs or Needs()
+    found = _on_family(density, asked, target, needs)
+    if found is not None:
+        return found
+    as_cloud = density.read_out == "cloud" or (density.field is None and prefers_cloud(density.dim, target))
+    by = _on_cloud if as_cloud else _on_lattice
+    (new, said), needs = by(density, asked, target, config, needs)
+    new = replace(new, needs=needs)
+    if needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
+        new = settled(new, first_degree(new.dim, needs), allowance(new.error, target)) or new
+    return replace(new, needs=needs), _told(said | {"error": new.error}, target)
+
+
+def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
+    """The posterior as one family, of as high a degree as the error asks; None where none will do."""
+    if density.family is None or fits_density(density):
+        return None
+    most = DOUBT * allowance(density.error, target)
+    first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)
+    for degree in (d for d in degrees(density.dim) if 0 < first <= d <= HIGHEST):
+        try:
+            new, said = by_family(density, asked, degree, density.capacity or 0, most)
+        except PropagationError:
+            continue
+        return replace(new, needs=needs.followed(degree)), _told(said, target)
+    return None
+
+
+def _on_cloud(
+    density: ParticleDensity, asked: Asked, target: float, config: FilterConfig, needs: Needs
+) -> tuple[Posterior, Needs]:
+    """The posterior as a cloud, of more points where the error asks and the prior can be drawn from."""
+    points = needs.points or fewest_points(target)
+    for left in range(_TRIES, 0, -1):
+        new, said = by_cloud(density, asked, 0, replace(config, scheme=CloudScheme(n_points=points)))
+        more = math.ceil(points * min(max((said["error"] / target) ** 2, 0.5), 4.0))
+        more = min(max(more, fewest_points(target)), _MOST_POINTS)
+        if left == 1 or density.read_out == "cloud" or not more > 1.2 * points:
+            break
+        points = more
+    return (new, said), needs._replace(points=more)
+
+
+def _on_lattice(
+    density: ParticleDensity, asked: Asked, target: float, config: FilterConfig, needs: Needs
+) -> tuple[Posterior, Needs]:
+    """The posterior on a lattice, of more nodes where the error asks for it."""
+    nodes, before = needs.nodes or fewest(density.dim), math.inf
+    for left in range(_TRIES, 0, -1):
+        prior = density if density.family is None else on_lattice(density, nodes)
+        new, said = by_lattice(prior, asked, nodes, config)
+        over = said["error"] / target
+        if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= _MOST_NODES:
+            break  # met, or the prior itself is coarse
+        before, nodes = said["error"], min(math.ceil(nodes * min(over ** (1.0 / _ORDER), 3.0)), _MOST_NODES)
+    return (replace(new, capacity=nodes), said), needs._replace(nodes=nodes)
+
+
+def _told(said: dict[str, Any], target: float) -> dict[str, Any]:
+    """What a rung said, less what the target asked for: that there are more nodes, or points."""
+    usual = Code.CLOUD | Code.FINER
+    if said["code"] & ~usual or not said["error"] < DOUBTFUL:
+        return said
+    if said["error"] <= target:
+        return said | {"status": "ok", "code": Code.OK}
+    missed = f"the mean is good to {said['error']:.2g} standard deviations, not to the {target:g} asked for"
+    return said | {"status": missed, "code": Code.COARSE}

@@ -1,0 +1,132 @@
+"""Prior times likelihood on a lattice that follows its level set."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..config import FilterConfig
+from ..density.particle_density import ParticleDensity
+from ..density.resample import times_likelihood
+from ..errors import PropagationError
+from ..info import DOUBTFUL, MAY_BE_OFF, Code
+from ..lattice.check import Remote, beside, remote
+from ..lattice.field import extrapolated_mass, held
+from ..lattice.resolved import TOLERATED, Resolved
+from ..lattice.walls import moved_in
+from .asked import Asked, kept
+from .by_cloud import by_cloud
+
+__all__ = ["by_lattice"]
+
+_WIDER = 0.1  # of its variance, that a posterior may lack
+#: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
+_TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
+
+
+def by_lattice(
+    density: ParticleDensity, asked: Asked, n_particles: int, config: FilterConfig
+) -> tuple[ParticleDensity, dict[str, Any]]:
+    """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
+    linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
+    gaussian, flag = density.gaussian and linear, asked.outlying
+    found, evidence_error, error, left = None, 0.0, 0.0, 1.0
+    try:
+        new, log_evidence, found = times_likelihood(
+            density,
+            asked.log_weight,
+            n_particles,
+            config.scheme,
+            gaussian,
+            None if linear and density.gaussian else asked.search(density, config),
+        )
+        evidence_error = found.off.log_mass
+        if gaussian:  # a closed form knows better than a sum over nodes
+            summed, log_evidence = log_evidence, asked.gaussian_evidence
+            evidence_error = abs(summed - log_evidence)
+        unsure = 0.0 if density.gaussian else _extrapolated(density, new)
+        left = kept(density, new)
+        error = math.hypot(left * density.error, found.off.mean, unsure)
+        unknown = _beyond(density, new)
+    except PropagationError as problem:
+        if not flag and config.scheme == "auto":
+            why = f"no lattice holds the posterior: {problem}"
+            return by_cloud(density, asked, n_particles, config, why)
+        if not flag:
+            raise
+        new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
+        log_evidence = asked.gaussian_evidence
+    far = Remote()
+    if unknown:
+        new = density
+    else:
+        far = far if gaussian else _remote(density, new, asked, log_evidence)
+        new = replace(new, error=math.hypot(error, far.mean), lost=left * density.lost)
+    cut = beside(new.field, new.mean(), new.cov(), new.walls)
+    left_out = cut.mass if found is None else max(cut.mass, found.left_out)
+    return new, {
+        "residual": new.residual or 0.0,
+        "error": float(np.hypot(new.error, cut.mean)),
+        "evidence_error": evidence_error if gaussian else math.hypot(evidence_error, left_out),
+        "mass_left_out": left_out,
+        "accepted": not unknown,
+        "log_evidence": log_evidence,
+        "reason": unknown or flag,
+        "extrapolated": _extrapolated(density, new),
+        "scheme": "log_density",
+        "code": Code.OK,
+    } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out, far.variance))
+
+
+def _remote(prior: ParticleDensity, posterior: ParticleDensity, asked: Asked, log_evidence: float) -> Remote:
+    """What the prior's nodes beyond a posterior's lattice would add to it."""
+    if posterior.field is None:
+        return Remote()
+    beyond = ~held(posterior.field, moved_in(posterior.walls, posterior.field.A, prior.x))
+    if not beyond.any():
+        return Remote()
+    X = prior.x[beyond]
+    mass = prior.mass[beyond] * np.exp(np.clip(asked.log_weight(X) - log_evidence, -700.0, 700.0))
+    return remote(posterior.mean(), posterior.cov(), X, mass)
+
+
+def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> dict[str, Any]:
+    """Code and status of an update whose lattice is finer than usual, or not fine or wide enough."""
+    code, said = Code.OK, []
+    if found.times > 1:
+        code, said = Code.FINER, [f"the posterior is on {found.times} times the particles"]
+    wrong = max(found.off.residual, found.off.log_mass)
+    if wrong > TOLERATED:
+        said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
+    if found.left_out > most_left_out:
+        said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
+    if wider > _WIDER:
+        said.append(f"what little is left out far away would widen the density: its variance by {wider:.0%}")
+    if error > DOUBTFUL:
+        said.append(MAY_BE_OFF.format(3.0 * error))
+    if wrong > TOLERATED or found.left_out > most_left_out or wider > _WIDER or error > DOUBTFUL:
+        code |= Code.UNRESOLVED
+    return {"code": code, "status": "; ".join(said) or "ok"}
+
+
+def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
+    """Probability of a posterior where its prior has no particles."""
+    if prior.field is None:
+        return 0.0
+    return extrapolated_mass(prior.field, posterior.x, posterior.mass, prior.walls)
+
+
+def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> str:
+    """Say so where the posterior lies so far outside of the prior's particles that its shape is a guess."""
+    L = np.linalg.cholesky(prior.cov())
+    away = np.linalg.norm(np.linalg.solve(L, posterior.mean() - prior.mean()))
+    if away < _TRUSTED_TAIL:
+        return ""
+    edge = np.linalg.norm(np.linalg.solve(L, (prior.x - prior.mean()).T), axis=0).max()
+    if away - edge < (_TRUSTED_GAUSSIAN if prior.gaussian else _TRUSTED_TAIL):
+        return ""
+    return (
+        f"not used: the posterior would lie {away - edge:.0f} standard deviations outside of the prior's "
+        f"particles, where its density is a guess"
+    )

@@ -1,0 +1,150 @@
+"""The ladder: a prediction takes the cheapest representation that keeps its error within a target.
+
+A Gaussian in closed form, one exponential family and its higher degrees, then a lattice of few states or a
+cloud of points. What the last steps needed is in the density, `density.needs`: there the next one begins.
+"""
+
+import math
+from dataclasses import replace
+
+from ..config import CloudScheme, FamilyScheme
+from ..core.family.rules import degrees
+from ..density.as_family import family_density, on_lattice, unrolled
+from ..density.family import gaussian_family
+from ..density.needs import DOUBT, Needs, allowance, fewest
+from ..density.particle_density import ParticleDensity
+from ..errors import PropagationError
+from ..info import DOUBTFUL, Code, PredictInfo
+from ..model.sde import SDE
+from . import automatic, cloud, family
+from .to_target import carried_to_target
+
+__all__ = ["HIGHEST", "fewest_points", "first_degree", "prefers_cloud", "propagate"]
+
+#: Target errors above which a cloud is cheaper than a lattice, by the number of states; always for more.
+_CLOUD_ABOVE = {1: math.inf, 2: 0.02}
+HIGHEST, _LOWEST = 6, {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
+_TOLERANCE = 0.1  # of a step of a family, over the target
+_IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
+_POINTS = 0.5  # of a cloud, times the square of the target
+
+
+def first_degree(dim: int, needs: Needs) -> int:
+    """Degree that is tried first."""
+    known = degrees(dim)
+    lowest = min((d for d in known if d >= _LOWEST.get(dim, 3)), default=0)
+    return max(needs.degree, lowest) if lowest else 0
+
+
+def prefers_cloud(dim: int, target: float) -> bool:
+    """Whether a cloud is cheaper than a lattice."""
+    return dim not in _CLOUD_ABOVE or target > _CLOUD_ABOVE[dim]
+
+
+def fewest_points(target: float) -> int:
+    """Points that a cloud begins with."""
+    return max(1000, math.ceil(_POINTS / target**2))
+
+
+def propagate(
+    density: ParticleDensity, model: SDE, t1: float, target: float, most: int | None = None
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density to time t1 as cheaply as the target error allows.
+
+    Parameters
+    ----------
+    density : ParticleDensity
+    model : SDE
+    t1 : float
+        Seconds.
+    target : float
+        Error of the mean, in standard deviations, that the record may have.
+    most : int, optional
+        Nodes of a lattice at most.
+
+    Returns
+    -------
+    ParticleDensity, PredictInfo
+        The info's scheme names the rung.
+
+    Raises
+    ------
+    PropagationError
+        The model carries the density to infinity.
+    """
+    needs = density.needs or Needs()
+    if density.gaussian and model.linear and model.domain.unbounded:
+        return _closed_form(density, model, t1, needs)
+    if needs.waits > 0:
+        needs = needs.waited()
+    elif not family.fits(model, density):
+        found = _by_family(density, model, t1, target, needs)
+        if found is not None:
+            return found
+        needs = needs.refused()
+    if density.read_out == "cloud" or (prefers_cloud(density.dim, target) and model.domain.unbounded):
+        return _by_cloud(density, model, t1, target, needs)
+    return _by_lattice(density, model, t1, target, needs, most)
+
+
+def _closed_form(
+    density: ParticleDensity, model: SDE, t1: float, needs: Needs
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Move a Gaussian by a linear model."""
+    mean, cov = unrolled(density)
+    transition, offset, Q = model.to_linear().discretize(t1 - density.t)
+    moved = gaussian_family(transition @ mean + offset, transition @ cov @ transition.T + Q, 2)
+    skipped = ("everything: a Gaussian through a linear model",)
+    info = PredictInfo(scheme="exact_linear", error=density.error, skipped=skipped)
+    return family_density(density, moved, t=float(t1), needs=needs), info
+
+
+def _by_family(
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
+) -> tuple[ParticleDensity, PredictInfo] | None:
+    """Carry one family, of a higher degree where the error asks for it; None where none will do."""
+    allowed, first = allowance(density.error, target), first_degree(density.dim, needs)
+    for degree in (d for d in degrees(density.dim) if 0 < first <= d <= HIGHEST):
+        scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE * target)
+        try:
+            moved, info = family.carried(density, model, t1, scheme, density.capacity or 0, DOUBT * allowed)
+        except PropagationError:
+            continue
+        added = math.sqrt(max(info.error**2 - density.error**2, 0.0))
+        return replace(moved, needs=needs.followed(degree - (added < _IDLE * allowed))), info
+    return None
+
+
+def _by_cloud(
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry as many points as the target asks for."""
+    needs = needs._replace(points=needs.points or fewest_points(target))
+    moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=needs.points))
+    return replace(moved, needs=needs), _as_asked(info)
+
+
+def _by_lattice(
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs, most: int | None
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry log p on as many nodes as the target asks for."""
+
+    def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
+        start = density if density.family is None else on_lattice(density, nodes)
+        return automatic.propagate(start, model, t1, nodes)
+
+    try:
+        moved, info, nodes = carried_to_target(
+            density, predicted, target, needs.nodes or fewest(density.dim), most
+        )
+    except PropagationError:
+        return _by_cloud(density, model, t1, target, needs)
+    return replace(moved, needs=needs._replace(nodes=nodes), capacity=nodes), _as_asked(info)
+
+
+def _as_asked(info: PredictInfo) -> PredictInfo:
+    """The info of a rung that the target asked for, and not of one that took another's place."""
+    usual = Code.CLOUD | Code.FINER
+    if info.code & ~usual or not info.error < DOUBTFUL:
+        return info
+    return replace(info, status="ok", code=Code.OK)
