@@ -59,7 +59,9 @@ def settled(density: ParticleDensity, degree: int, most: float) -> ParticleDensi
         return None
     try:
         if density.read_out == "cloud":
-            found = None if density.domain is not None else max_entropy(density.x, density.mass, degree)
+            if density.domain is not None:
+                return None
+            found = max_entropy(density.x, density.mass, degree, most / _OF_MISFIT)
         else:
             found = family_of(density, degree)
     except np.linalg.LinAlgError:

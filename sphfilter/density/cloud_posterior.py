@@ -240,7 +240,7 @@ def _cloud(
     before = prior.cov() / np.outer(unit, unit)
     keeps = min(float(np.trace(np.linalg.lstsq(before, cov, rcond=None)[0])) / prior.dim, 1.0)
     white, d = np.linalg.pinv(cov, hermitian=True), d - mean
-    sampled = float(np.sum(w**2 * np.einsum("ia,ab,ib->i", d, white, d))) / prior.dim
+    sampled = float(np.sum(w**2 * np.sum(np.einsum("ia,ab->ib", d, white) * d, axis=1))) / prior.dim
     square = sampled + keeps * prior.error**2 + (keeps * inflow if whole else inflow)
     return ParticleDensity(
         x=x,

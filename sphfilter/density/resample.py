@@ -143,11 +143,15 @@ def particle_bound(density: ParticleDensity, n_particles: int | str | None = Non
 def target_of(
     density: ParticleDensity, config: SolverConfig | FilterConfig, n_particles: int | str | None
 ) -> float | None:
-    """Target error of a step; None where a number of particles decides, or a scheme that has no error."""
+    """Target error of a step, rms over the states; None where a number of particles or a scheme decides.
+
+    That of a configuration is a length: of as many components as there are states.
+    """
     asked = n_particles == "auto" or (n_particles is None and density.needs is not None)
     if not asked or not (config.scheme == "auto" or isinstance(config.scheme, LogDensityScheme)):
         return None
-    return config.target_error if isinstance(config, FilterConfig) else FilterConfig().target_error
+    whole = config if isinstance(config, FilterConfig) else FilterConfig()
+    return whole.target_error / math.sqrt(density.dim)
 
 
 def regrid(

@@ -13,7 +13,7 @@ from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.family import fits_density
 from ..prediction.ladder import HIGHEST, fewest_points, first_degree, prefers_cloud
-from .asked import Asked
+from .asked import Asked, kept
 from .by_cloud import by_cloud
 from .by_family import by_family
 from .by_lattice import by_lattice
@@ -40,7 +40,8 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     (new, said), needs = by(density, asked, target, config, needs)
     new = replace(new, needs=needs)
     if needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
-        new = settled(new, first_degree(new.dim, needs), allowance(new.error, target)) or new
+        one = settled(new, first_degree(new.dim, needs), allowance(new.error, target))
+        new, needs = (new, needs.refused()) if one is None else (one, needs)
     return replace(new, needs=needs), _told(said | {"error": new.error}, target)
 
 
@@ -48,15 +49,20 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
     """The posterior as one family, of as high a degree as the error asks; None where none will do."""
     if density.family is None or fits_density(density):
         return None
-    most = DOUBT * allowance(density.error, target)
+    allowed = allowance(density.error, target)
+    best, most = None, DOUBT * allowed
     first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)
     for degree in (d for d in degrees(density.dim) if 0 < first <= d <= HIGHEST):
         try:
             new, said = by_family(density, asked, degree, density.capacity or 0, most)
         except PropagationError:
             continue
-        return replace(new, needs=needs.followed(degree)), _told(said, target)
-    return None
+        added = math.sqrt(max(said["error"] ** 2 - (kept(density, new) * density.error) ** 2, 0.0))
+        if added <= most:
+            best, most = (replace(new, needs=needs.followed(degree)), _told(said, target)), added
+        if added <= allowed:
+            break
+    return best
 
 
 def _on_cloud(

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ..core._addresses import address_of
 from ..core.paths.blocks import move_blocks, standard_normals
 from ..core.paths.normals import LANES
 from ..core.paths.step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH
+from ..core.paths.weights import group_moments
 from ..density.cloud import KERNEL, drawn, key_of, moments, points_of, smoothing_length, systematic
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
@@ -24,6 +26,7 @@ from ._shared import blow_up, carried_off, skip_notes
 __all__ = ["on_lattice", "propagate"]
 
 _BIAS = 0.6  # of the steps, over the sampling error
+_SEEN = 4096  # points of a cloud by which it is told how far it reaches, and how far it forgets
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
 _QUARTER, _HALVINGS = 4, 5  # blocks of which one has steps of half the length, and how often all have
@@ -73,10 +76,11 @@ def propagate(
     else:
         few = x[systematic(mass, LANES)]  # tell a model that blows up at once
         pilot, kept, even = few.copy(), np.ones(LANES, dtype=bool), np.full(LANES, 1.0 / LANES)
-        _walked(pilot, even, kept, model, (density.t, t1), scheme, key)
+        paths = _Paths(model, (density.t, t1), scheme, key, np.diag(moments(few, even)[1]).copy())
+        _walked(pilot, kept, paths)
         if kept.mean() < 1.0 - _CERTAIN:
             raise PropagationError(_blow_up(model, few[~kept], density.t, t1))
-        steps, bias = _moved(x, mass, alive, model, (density.t, t1), scheme, key)
+        steps, bias = _moved(x, mass, alive, paths._replace(variance=np.diag(moments(x, mass)[1]).copy()))
     alive &= _near(before, x)
     lost = float(mass[~alive].sum())
     if lost > _MOST_LOST:
@@ -170,15 +174,17 @@ def _exactly(x: Floats, model: SDE, dt: float, key: int) -> Floats:
     return np.einsum("ij,kj->ik", x, flow) + offset + np.einsum("ij,kj->ik", noise, noise_root(Q))
 
 
-def _moved(
-    x: Floats,
-    mass: Floats,
-    alive: Bools,
-    model: SDE,
-    span: tuple[float, float],
-    scheme: CloudScheme,
-    key: int,
-) -> tuple[int, float]:
+class _Paths(NamedTuple):
+    """What paths are drawn for."""
+
+    model: SDE
+    span: tuple[float, float]  # times, from and to
+    scheme: CloudScheme
+    key: int
+    variance: Floats  # (n,) of all points: the unit of what steps may be off by
+
+
+def _moved(x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, float]:
     """Move points in place, a quarter by steps of half the length; paths given up are no longer alive.
 
     Where the two part beyond chance, steps are too long, as they may be for jumps: all is done again.
@@ -190,51 +196,44 @@ def _moved(
     """
     start, block = x.copy(), np.arange(len(x)) // LANES
     fine, longest, taken = block % _QUARTER == _QUARTER - 1, math.inf, 0
-    before, chance = _apart(x, mass, fine, ~fine)
+    before, chance = _apart(x, mass, fine)
     for halvings in range(_HALVINGS + 1):
-        steps = _walked(x, mass, alive, model, span, scheme, key, np.unique(block[~fine]), longest)
+        steps = _walked(x, alive, paths, np.flatnonzero(~fine[::LANES]), longest)
         if not fine.any():
             return steps, 0.0
-        longest, taken = 0.5 * (span[1] - span[0]) / steps, taken + steps
-        _walked(x, mass, alive, model, span, scheme, key, np.unique(block[fine]), longest)
-        after, chance = _apart(x, mass, fine & alive, ~fine & alive)
+        longest, taken = 0.5 * (paths.span[1] - paths.span[0]) / steps, taken + steps
+        _walked(x, alive, paths, np.flatnonzero(fine[::LANES]), longest)
+        own = (slice(None),) if alive.all() else (alive,)
+        after, chance = _apart(x[own], mass[own], fine[own])
         parted = float(np.max(after - before - _CHANCE * chance))
-        if parted <= 0.0 or halvings == _HALVINGS or 4 * steps > scheme.max_steps:
+        if parted <= 0.0 or halvings == _HALVINGS or 4 * steps > paths.scheme.max_steps:
             break
         x[:], alive[:] = start, True
     return taken, max(parted, 0.0)
 
 
-def _apart(x: Floats, mass: Floats, some: Bools, others: Bools) -> tuple[Floats, Floats]:
+def _apart(x: Floats, mass: Floats, some: Bools) -> tuple[Floats, Floats]:
     """How far apart means, and half the variances, of two samples are, and may be by chance; (2, n) each.
 
-    In standard deviations.
+    In standard deviations. The samples are some of the points, and the others.
     """
-    if not (some.any() and others.any()):
-        return np.zeros((2, x.shape[1])), np.zeros((2, x.shape[1]))
-    (p, q), (X, Y) = (mass[part] / mass[part].sum() for part in (some, others)), (x[some], x[others])
-    mean, chance = q @ Y, math.sqrt(p @ p + q @ q)
-    squares = (Y - mean) ** 2
-    variance = np.maximum(q @ squares, 1e-300)
-    wider = 0.5 * np.abs(p @ (X - mean) ** 2 / variance - 1.0)
-    by_chance = np.array([np.ones_like(mean), 0.5 * np.sqrt(q @ (squares / variance - 1.0) ** 2)])
-    return np.array([np.abs(p @ X - mean) / np.sqrt(variance), wider]), chance * by_chance
+    n = x.shape[1]
+    if some.all() or not some.any():
+        return np.zeros((2, n)), np.zeros((2, n))
+    (total, squares), mean, (second, fourth) = np.empty((2, 2)), np.empty(n), np.empty((2, 2, n))
+    group_moments(x, mass, some, total, squares, mean, second, fourth)
+    first = mass[some] @ x[some] / total[0]
+    variance = np.maximum(second[1], 1e-300)
+    apart = np.array([np.abs(first - mean) / np.sqrt(variance), 0.5 * np.abs(second[0] / variance - 1.0)])
+    by_chance = np.array([np.ones(n), 0.5 * np.sqrt(np.maximum(fourth[1] / variance**2 - 1.0, 0.0))])
+    return apart, math.sqrt(squares.sum()) * by_chance
 
 
-def _walked(
-    x: Floats,
-    mass: Floats,
-    alive: Bools,
-    model: SDE,
-    span: tuple[float, float],
-    scheme: CloudScheme,
-    key: int,
-    which: Ints | None = None,
-    most: float = math.inf,
-) -> int:
+def _walked(x: Floats, alive: Bools, paths: _Paths, which: Ints | None = None, most: float = math.inf) -> int:
     """Move some blocks of points, or all, by steps of at most a length. Returns the mean steps of a block."""
+    model, span, scheme, key, variance = paths
     steps = PLATEN if model.state_dependent_noise else SHIFTED_PATH
-    variance, blocks = np.diag(moments(x, mass)[1]).copy(), -(-len(x) // LANES)
+    blocks = -(-len(x) // LANES)
     which = np.arange(blocks) if which is None else which
     report, tolerance = np.zeros((blocks, 2)), _BIAS / math.sqrt(len(x))
     rate = rate_of_time(model, x[:_LOOKED_AT], *span)
@@ -264,8 +263,12 @@ def _walked(
 def _near(before: Floats, after: Floats) -> Bools:
     """Which points have not run away, out of all proportion to where they and others were and are."""
     with np.errstate(invalid="ignore", over="ignore"):
-        low, middle, high = np.percentile(after, [25.0, 50.0, 75.0], axis=0)
-        extent = np.maximum(np.ptp(before, axis=0), high - low)
+        few = slice(None, None, max(len(after) // _SEEN, 1))
+        low, middle, high = np.percentile(after[few], [25.0, 50.0, 75.0], axis=0)
+        extent = np.maximum(np.ptp(before[few], axis=0), high - low)
+        ends = np.array([after.min(axis=0), after.max(axis=0)])
+        if np.all(np.abs(ends - middle) <= _AWAY * extent):
+            return np.ones(len(after), dtype=bool)
         return np.asarray(np.all(np.abs(after - middle) <= _AWAY * extent, axis=1))
 
 
@@ -288,11 +291,13 @@ def _error(density: ParticleDensity, before: Floats, after: Floats, mass: Floats
 
     The part of the variance that the points had before is how far the error before goes on.
     """
+    few = slice(None, None, max(len(after) // _SEEN, 1))
+    before, after, even = before[few], after[few], mass[few] / mass[few].sum()
     both = np.hstack([before, after])
     if density.domain is not None:
         d = density.domain
-        both = np.hstack([d.nearest(X - d.mean(X, mass)) for X in (before, after)])
-    n, cov = density.dim, moments(both, mass)[1]
+        both = np.hstack([d.nearest(X - d.mean(X, even)) for X in (before, after)])
+    n, cov = density.dim, moments(both, even)[1]
     scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
     cov = cov / np.outer(scale, scale)
     old, new, cross = (cov[rows, columns] for rows, columns in _quarters(n))

@@ -104,15 +104,20 @@ def _by_family(
 ) -> tuple[ParticleDensity, PredictInfo] | None:
     """Carry one family, of a higher degree where the error asks for it; None where none will do."""
     allowed, first = allowance(density.error, target), first_degree(density.dim, needs)
+    best, most = None, DOUBT * allowed
     for degree in (d for d in degrees(density.dim) if 0 < first <= d <= HIGHEST):
         scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE * target)
         try:
-            moved, info = family.carried(density, model, t1, scheme, density.capacity or 0, DOUBT * allowed)
+            moved, info = family.carried(density, model, t1, scheme, density.capacity or 0, most)
         except PropagationError:
             continue
         added = math.sqrt(max(info.error**2 - density.error**2, 0.0))
-        return replace(moved, needs=needs.followed(degree - (added < _IDLE * allowed))), info
-    return None
+        if added < most:
+            best = replace(moved, needs=needs.followed(degree - (added < _IDLE * allowed))), info
+            most = added
+        if added <= allowed:
+            break
+    return best
 
 
 def _by_cloud(

@@ -5,7 +5,7 @@ from numba import njit
 
 from .._jit import jit
 
-__all__ = ["condition", "resample", "weighted_moments"]
+__all__ = ["condition", "group_moments", "resample", "weighted_moments"]
 
 
 @jit
@@ -57,6 +57,37 @@ def weighted_moments(X, w, mean, cov):
             for i in range(N):
                 s += w[i] * (X[i, a] - mean[a]) * (X[i, b] - mean[b])
             cov[a, b] = cov[b, a] = s
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
+def group_moments(X, w, first, mass, squares, mean, second, fourth):
+    """Moments of two groups of states X (N, n) with weights w (N,): `first` ones (N,), and the others.
+
+    Fills the sums of weights and of their squares (2,), the mean (n,) of the others, and about it the second
+    and fourth moments (2, n) along each axis of the two.
+    """
+    N, n = X.shape
+    mass[:] = 0.0
+    squares[:] = 0.0
+    for i in range(N):
+        g = 0 if first[i] else 1
+        mass[g] += w[i]
+        squares[g] += w[i] * w[i]
+    for g in range(2):
+        squares[g] /= mass[g] ** 2
+    for a in range(n):
+        total = 0.0
+        for i in range(N):
+            total += 0.0 if first[i] else w[i] * X[i, a]
+        mean[a] = total / mass[1]
+        second[0, a] = second[1, a] = fourth[0, a] = fourth[1, a] = 0.0
+        for i in range(N):
+            g, square = 0 if first[i] else 1, (X[i, a] - mean[a]) ** 2
+            second[g, a] += w[i] * square
+            fourth[g, a] += w[i] * square * square
+        for g in range(2):
+            second[g, a] /= mass[g]
+            fourth[g, a] /= mass[g]
 
 
 @jit
