@@ -22,7 +22,7 @@ from .to_target import carried_to_target
 __all__ = ["HIGHEST", "fewest_points", "first_degree", "prefers_cloud", "propagate"]
 
 #: Target errors above which a cloud is cheaper than a lattice, by the number of states; always for more.
-_CLOUD_ABOVE = {1: math.inf, 2: 0.02}
+_CLOUD_ABOVE = {1: math.inf, 2: math.inf}
 HIGHEST, _LOWEST = 6, {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _TOLERANCE = 0.1  # of a step of a family, over the target
 _IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
