@@ -21,6 +21,7 @@ from .by_lattice import by_lattice
 __all__ = ["by_ladder"]
 
 _TRIES, _MOST_POINTS, _MOST_NODES = 3, 200_000, 20_000
+_NEAR = 0.3  # of the points: changes that are not made
 _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
 
 Posterior = tuple[ParticleDensity, dict[str, Any]]
@@ -72,7 +73,8 @@ def _on_cloud(
     points = needs.points or fewest_points(target)
     for left in range(_TRIES, 0, -1):
         new, said = by_cloud(density, asked, 0, replace(config, scheme=CloudScheme(n_points=points)))
-        more = math.ceil(points * min(max((said["error"] / target) ** 2, 0.5), 4.0))
+        over = min(max((said["error"] / target) ** 2, 0.5), 2.0)
+        more = points if abs(over - 1.0) < _NEAR else math.ceil(points * over)
         more = min(max(more, fewest_points(target)), _MOST_POINTS)
         if left == 1 or density.read_out == "cloud" or not more > 1.2 * points:
             break
