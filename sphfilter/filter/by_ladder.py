@@ -71,7 +71,7 @@ def _on_cloud(
 ) -> tuple[Posterior, Needs]:
     """The posterior as a cloud, of more points where the error asks and the prior can be drawn from."""
     points = needs.points or fewest_points(target)
-    for left in range(_TRIES, 0, -1):
+    for left in range(1 if config.time_budget else _TRIES, 0, -1):
         new, said = by_cloud(density, asked, 0, replace(config, scheme=CloudScheme(n_points=points)))
         over = min(max((said["error"] / target) ** 2, 0.5), 2.0)
         more = points if abs(over - 1.0) < _NEAR else math.ceil(points * over)
@@ -87,7 +87,7 @@ def _on_lattice(
 ) -> tuple[Posterior, Needs]:
     """The posterior on a lattice, of more nodes where the error asks for it."""
     nodes, before = needs.nodes or fewest(density.dim), math.inf
-    for left in range(_TRIES, 0, -1):
+    for left in range(1 if config.time_budget else _TRIES, 0, -1):
         prior = density if density.family is None else on_lattice(density, nodes)
         new, said = by_lattice(prior, asked, nodes, config)
         over = said["error"] / target

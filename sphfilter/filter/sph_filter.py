@@ -26,6 +26,7 @@ from ..model.measurements import Sensor
 from ..model.sde import SDE
 from ..prediction.again import MOST, Outcome, or_as_cloud, predict_from_finer
 from ..prediction.predict import Prediction, predict
+from ..prediction.to_target import Time
 from ..validate import array, choice, count, covariance, positive, real, row, seconds, short
 from .budget import Budget, rehearse
 from .checkpoint import restored, write
@@ -199,7 +200,7 @@ class SPHFilter(Shown):
         def predicted(density: ParticleDensity, config: Any) -> Outcome[PredictInfo]:
             options: dict[str, Any] = {"t": t, "n_particles": most}
             if self._adapts:
-                options |= {"n_particles": "auto", "most_particles": most}
+                options |= {"n_particles": "auto", "time": Time(most, self._budget.fits)}
             moved, info = predict(density, self.model, dt, config, goes_on=False, **options)
             return Outcome(density, moved, info, particle_bound(moved) if self._adapts else state.n_particles)
 

@@ -17,7 +17,7 @@ from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.sde import SDE
 from . import automatic, cloud, family
-from .to_target import carried_to_target
+from .to_target import Time, carried_to_target
 
 __all__ = ["HIGHEST", "fewest_points", "first_degree", "prefers_cloud", "propagate"]
 
@@ -47,7 +47,7 @@ def fewest_points(target: float) -> int:
 
 
 def propagate(
-    density: ParticleDensity, model: SDE, t1: float, target: float, most: int | None = None
+    density: ParticleDensity, model: SDE, t1: float, target: float, time: Time
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1 as cheaply as the target error allows.
 
@@ -59,8 +59,8 @@ def propagate(
         Seconds.
     target : float
         Error of the mean, in standard deviations, that the record may have.
-    most : int, optional
-        Nodes of a lattice at most.
+    time : Time, optional
+        What a time budget leaves.
 
     Returns
     -------
@@ -84,7 +84,7 @@ def propagate(
         needs = needs.refused()
     if density.read_out == "cloud" or (prefers_cloud(density.dim, target) and model.domain.unbounded):
         return _by_cloud(density, model, t1, target, needs)
-    return _by_lattice(density, model, t1, target, needs, most)
+    return _by_lattice(density, model, t1, target, needs, time)
 
 
 def _closed_form(
@@ -130,7 +130,7 @@ def _by_cloud(
 
 
 def _by_lattice(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs, most: int | None
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs, time: Time
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
 
@@ -139,9 +139,8 @@ def _by_lattice(
         return automatic.propagate(start, model, t1, nodes)
 
     try:
-        moved, info, nodes = carried_to_target(
-            density, predicted, target, needs.nodes or fewest(density.dim), most
-        )
+        nodes = needs.nodes or fewest(density.dim)
+        moved, info, nodes = carried_to_target(density, predicted, target, nodes, time)
     except PropagationError:
         return _by_cloud(density, model, t1, target, needs)
     return replace(moved, needs=needs._replace(nodes=nodes), capacity=nodes), _as_asked(info)

@@ -28,7 +28,7 @@ from ..validate import count, onwards, real, seconds
 from . import automatic, cloud, corrected, family, ladder, log_density, paper
 from .again import Outcome, or_as_cloud
 from .exact import propagate_exactly
-from .to_target import carried_to_target
+from .to_target import ALWAYS, Time, carried_to_target
 
 __all__ = ["Prediction", "load", "predict"]
 
@@ -43,6 +43,7 @@ def predict(
     n_particles: int | Literal["auto"] | None = None,
     most_particles: int | None = None,
     goes_on: bool = True,
+    time: Time = ALWAYS,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density over dt seconds, or to time t.
 
@@ -65,6 +66,8 @@ def predict(
     goes_on : bool
         Whether ``scheme="auto"`` goes on as a cloud of points, and says so, where neither a lattice nor sums
         over kernels can; if not, what stopped them is raised.
+    time : Time, optional
+        What a time budget leaves of particles, with "auto".
 
     Returns
     -------
@@ -111,7 +114,7 @@ def predict(
         if target is None:
             density, info = _on_particles(density, model, t1, config, bound, most_particles, goes_on)
         else:
-            density, info = _to_target(density, model, t1, config, target, most_particles)
+            density, info = _to_target(density, model, t1, config, target, time)
         infos.append(info)
         return density
 
@@ -131,18 +134,18 @@ def _to_target(
     t1: float,
     config: SolverConfig | FilterConfig,
     target: float,
-    most: int | None,
+    time: Time,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1, up to which the model does not jump, with a target error."""
     scheme = config.scheme
     if not isinstance(scheme, LogDensityScheme):
-        return ladder.propagate(density, model, t1, target, most)
+        return ladder.propagate(density, model, t1, target, time)
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         return log_density.propagate(_laid(density, nodes), model, t1, scheme, nodes)
 
     first = particle_bound(density, "auto")
-    moved, info, nodes = carried_to_target(density, predicted, target, first, most)
+    moved, info, nodes = carried_to_target(density, predicted, target, first, time)
     return replace(moved, needs=(density.needs or Needs())._replace(nodes=nodes), capacity=nodes), info
 
 

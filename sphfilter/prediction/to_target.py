@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
 
 from ..density.needs import allowance, fewest
 from ..density.particle_density import ParticleDensity
@@ -9,7 +11,23 @@ from ..errors import PropagationError
 from ..info import Code, PredictInfo
 from .again import MOST
 
-__all__ = ["carried_to_target"]
+__all__ = ["ALWAYS", "Time", "carried_to_target"]
+
+
+def _always(n_particles: int) -> bool:
+    return True
+
+
+class Time(NamedTuple):
+    """What a time budget leaves of particles: for the first try, and for one more on a number of them."""
+
+    most: int = MOST
+    fits: Callable[[int], bool] = _always
+
+
+#: No time budget.
+ALWAYS = Time()
+
 
 _ORDER = 1.5  # the error falls about as N^-1.5
 _SLACK = 4.0  # below the target by so much, fewer particles are tried next time
@@ -22,7 +40,7 @@ def carried_to_target(
     predicted: Callable[[int], tuple[ParticleDensity, PredictInfo]],
     target: float,
     n_particles: int,
-    most: int | None = None,
+    time: Time = ALWAYS,
 ) -> tuple[ParticleDensity, PredictInfo, int]:
     """Predict on a lattice, again with more nodes where the estimated error is above the target.
 
@@ -36,8 +54,8 @@ def carried_to_target(
         Standard deviations.
     n_particles : int
         Of the first try.
-    most : int, optional
-        Nodes at most.
+    time : Time, optional
+        What a time budget leaves.
 
     Returns
     -------
@@ -45,7 +63,8 @@ def carried_to_target(
         With the number of nodes for the next step.
     """
     best: tuple[ParticleDensity, PredictInfo, int] | None = None
-    most, ratio, allowed = MOST if most is None else most, math.inf, allowance(density.error, target)
+    ratio, allowed = math.inf, allowance(density.error, target)
+    n_particles = min(n_particles, time.most)
     for _ in range(_TRIES):
         try:
             moved, info = predicted(n_particles)
@@ -60,9 +79,14 @@ def carried_to_target(
             break  # the density itself is coarse, not what it becomes
         best = moved, info, n_particles
         ratio = math.sqrt(max(info.error**2 - density.error**2, 0.0)) / allowed
-        if not ratio > 1.0 or n_particles >= most:
+        if not ratio > 1.0 or n_particles >= MOST:
             break
-        n_particles = min(math.ceil(n_particles * min(max(ratio ** (1.0 / _ORDER), 1.2), 3.0)), most)
+        more = min(math.ceil(n_particles * min(max(ratio ** (1.0 / _ORDER), 1.2), 3.0)), MOST)
+        if not time.fits(more):
+            late = f"the prediction on {more} particles that the target asks for: no time for it"
+            best = moved, replace(info, skipped=(*info.skipped, late)), n_particles
+            break
+        n_particles = more
     assert best is not None  # the first try raises or is one
     moved, info, bound = best
     if ratio < 1.0 / _SLACK:

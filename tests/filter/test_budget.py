@@ -1,6 +1,7 @@
 """A time budget, by a clock that is told what particles cost."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import sphfilter as sf
 from sphfilter.filter import budget as budget_room
 from sphfilter.filter import sph_filter, update_again
 from sphfilter.filter.budget import Budget
-from sphfilter.prediction import predict, to_target
+from sphfilter.prediction import automatic, ladder, predict
 
 TEXT = ["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[1.6]]
 DUFFING = sf.SDE.from_expressions(*TEXT)
@@ -27,8 +28,10 @@ class Clock:
     def __init__(self, monkeypatch):
         self.now, self.slower, self.predicted = 0.0, 1.0, []
         monkeypatch.setattr(budget_room, "clock", lambda: self.now)
-        for room in (sph_filter, update_again, to_target, predict):
+        for room in (sph_filter, update_again, predict):
             monkeypatch.setattr(room, "predict", self._taking(sf.predict, PREDICT, self.predicted))
+        tried = self._taking(automatic.propagate, PREDICT, self.predicted)
+        monkeypatch.setattr(ladder, "automatic", SimpleNamespace(propagate=tried))
         monkeypatch.setattr(update_again, "update", self._taking(sf.update, UPDATE, []))
 
     def _taking(self, verb, cost, numbers):

@@ -10,8 +10,8 @@ from sphfilter import consistency
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.errors import PropagationError, UnresolvedError
 from sphfilter.filter import sph_filter
-from sphfilter.info import Code
-from sphfilter.prediction import to_target
+from sphfilter.info import PredictInfo
+from sphfilter.prediction.to_target import carried_to_target
 
 SQUARE = load_scenario("duffing_square")
 CASE = draw_case(SQUARE, 1, 1)
@@ -75,18 +75,17 @@ def test_a_density_that_comes_from_no_update_is_refused_and_left_alone(monkeypat
 
 
 class Predictions:
-    """Stands for `predict`: each call loses what a list says, or fails where it says None."""
+    """Stands for predictions: each call loses what a list says, or fails where it says None."""
 
     def __init__(self, *lost):
         self.lost, self.sizes = list(lost), []
 
-    def __call__(self, density, model, dt, config, *, t, n_particles, goes_on):
+    def __call__(self, n_particles):
         lost = self.lost[len(self.sizes)]
         self.sizes.append(n_particles)
         if lost is None:
             raise PropagationError("no")
-        info = SimpleNamespace(scheme="log_density", mass_error=lost, code=Code.OK)
-        return len(self.sizes), info
+        return len(self.sizes), PredictInfo(scheme="log_density", mass_error=lost, error=4.0 * lost)
 
 
 @pytest.mark.parametrize(
@@ -98,19 +97,16 @@ class Predictions:
         ((0.01, 0.004, 0.001), 3, 3),
     ],
 )
-def test_auto_stops_where_more_particles_do_not_help(monkeypatch, lost, called, kept):
+def test_auto_stops_where_more_particles_do_not_help(lost, called, kept):
     predictions = Predictions(*lost)
-    monkeypatch.setattr(to_target, "predict", predictions)
-    model, config = SimpleNamespace(dim=2), sf.FilterConfig(target_error=0.01)
-    _, moved, info, bound = to_target.predict_to_target(None, model, 1.0, config, t=None, n_particles=200)
+    density = SimpleNamespace(dim=2, error=0.0)
+    moved, info, bound = carried_to_target(density, predictions, 0.01, 200)
     assert len(predictions.sizes) == called
     assert predictions.sizes == sorted(set(predictions.sizes))
     assert (moved, info.mass_error) == (kept, lost[kept - 1])
     assert bound <= predictions.sizes[kept - 1]
 
 
-def test_auto_refuses_what_the_first_prediction_refuses(monkeypatch):
-    monkeypatch.setattr(to_target, "predict", Predictions(None))
+def test_auto_refuses_what_the_first_prediction_refuses():
     with pytest.raises(PropagationError):
-        model, config = SimpleNamespace(dim=2), sf.FilterConfig()
-        to_target.predict_to_target(None, model, 1.0, config, t=None, n_particles=200)
+        carried_to_target(SimpleNamespace(dim=2, error=0.0), Predictions(None), 0.01, 200)
