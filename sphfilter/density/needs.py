@@ -5,8 +5,10 @@ from typing import NamedTuple
 
 from ..lattice.level_set import fewest_particles
 
-__all__ = ["DOUBT", "Needs", "allowance", "fewest"]
+__all__ = ["DOUBT", "MOST_POINTS", "Needs", "allowance", "fewest"]
 
+MOST_POINTS = 200_000  # of a cloud
+_FEWEST_POINTS, _POINTS = 1000, 0.5  # at least, and times the square of the error
 _LONGEST = 4  # doublings of the wait for a family that will not do
 
 
@@ -17,7 +19,8 @@ class Needs(NamedTuple):
     waits: int = 0  # predictions before one is tried again
     failed: int = 0  # predictions in a row that none would do for
     nodes: int = 0  # of a lattice; zero before the first
-    points: int = 0  # of a cloud; zero before the first
+    points: int = 0  # that a cloud would have needed; zero before the first
+    share: float = 1.0  # of a prior's volume, that the last reading left
 
     def followed(self, degree: int) -> "Needs":
         """A family of a degree did."""
@@ -31,6 +34,15 @@ class Needs(NamedTuple):
     def waited(self) -> "Needs":
         """One prediction less to wait."""
         return self._replace(waits=self.waits - 1)
+
+    def cloud(self, target: float) -> int:
+        """Points that a cloud needs for a target error."""
+        fewest = math.ceil(_POINTS / target**2)
+        return max(_FEWEST_POINTS, self.points or math.ceil(fewest / self.share))
+
+    def cloud_error(self, target: float) -> float:
+        """Error of the largest cloud that is taken, at least the target."""
+        return target * math.sqrt(max(self.cloud(target) / MOST_POINTS, 1.0))
 
 
 #: Times the allowance, up to which a family is taken all the same: so far its estimates scatter, and what

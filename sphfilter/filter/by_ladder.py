@@ -4,15 +4,17 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from ..config import CloudScheme, FilterConfig
 from ..core.family.rules import degrees
 from ..density.as_family import on_lattice, settled
-from ..density.needs import DOUBT, Needs, allowance, fewest
+from ..density.needs import DOUBT, MOST_POINTS, Needs, allowance, fewest
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.family import fits_density
-from ..prediction.ladder import HIGHEST, fewest_points, first_degree, prefers_cloud
+from ..prediction.ladder import HIGHEST, first_degree, prefers_cloud
 from .asked import Asked, kept
 from .by_cloud import by_cloud
 from .by_family import by_family
@@ -20,7 +22,7 @@ from .by_lattice import by_lattice
 
 __all__ = ["by_ladder"]
 
-_TRIES, _MOST_POINTS, _MOST_NODES = 3, 200_000, 20_000
+_TRIES, _MOST_NODES = 3, 20_000
 _NEAR = 0.3  # of the points: changes that are not made
 _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
 
@@ -36,8 +38,8 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     found = _on_family(density, asked, target, needs)
     if found is not None:
         return found
-    as_cloud = density.read_out == "cloud" or (density.field is None and prefers_cloud(density.dim, target))
-    by = _on_cloud if as_cloud else _on_lattice
+    by_cloud = density.field is None and prefers_cloud(density.dim, needs, target)
+    by = _on_cloud if density.read_out == "cloud" or by_cloud else _on_lattice
     (new, said), needs = by(density, asked, target, config, needs)
     new = replace(new, needs=needs)
     if needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
@@ -52,6 +54,8 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
         return None
     allowed = allowance(density.error, target)
     best, most = None, DOUBT * allowed
+    if prefers_cloud(density.dim, needs, target):
+        most = max(most, needs.cloud_error(target))
     first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)
     for degree in (d for d in degrees(density.dim) if 0 < first <= d <= HIGHEST):
         try:
@@ -60,7 +64,8 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
             continue
         added = math.sqrt(max(said["error"] ** 2 - (kept(density, new) * density.error) ** 2, 0.0))
         if added <= most:
-            best, most = (replace(new, needs=needs.followed(degree)), _told(said, target)), added
+            learned = needs.followed(degree)._replace(share=_share(density, new))
+            best, most = (replace(new, needs=learned), _told(said, target)), added
         if added <= allowed:
             break
     return best
@@ -70,16 +75,23 @@ def _on_cloud(
     density: ParticleDensity, asked: Asked, target: float, config: FilterConfig, needs: Needs
 ) -> tuple[Posterior, Needs]:
     """The posterior as a cloud, of more points where the error asks and the prior can be drawn from."""
-    points = needs.points or fewest_points(target)
+    points = needs.cloud(target)
     for left in range(1 if config.time_budget else _TRIES, 0, -1):
-        new, said = by_cloud(density, asked, 0, replace(config, scheme=CloudScheme(n_points=points)))
-        over = min(max((said["error"] / target) ** 2, 0.5), 2.0)
+        scheme = CloudScheme(n_points=min(points, MOST_POINTS))
+        new, said = by_cloud(density, asked, 0, replace(config, scheme=scheme))
+        added = math.sqrt(max(new.error**2 - (kept(density, new) * density.error) ** 2, 0.0))
+        over = min(max((added / allowance(density.error, target)) ** 2, 0.5), 2.0)
         more = points if abs(over - 1.0) < _NEAR else math.ceil(points * over)
-        more = min(max(more, fewest_points(target)), _MOST_POINTS)
-        if left == 1 or density.read_out == "cloud" or not more > 1.2 * points:
+        if left == 1 or density.read_out == "cloud" or not MOST_POINTS >= more > points:
             break
         points = more
     return (new, said), needs._replace(points=more)
+
+
+def _share(prior: ParticleDensity, posterior: ParticleDensity) -> float:
+    """Volume of a posterior over that of its prior: about the part of a cloud's points that would be left."""
+    before, after = (np.linalg.slogdet(density.cov())[1] for density in (prior, posterior))
+    return float(min(math.exp(0.5 * (after - before)), 1.0))
 
 
 def _on_lattice(

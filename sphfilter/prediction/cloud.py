@@ -30,7 +30,8 @@ _SEEN = 4096  # points of a cloud by which it is told how far it reaches, and ho
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
 _QUARTER, _HALVINGS = 4, 5  # blocks of which one has steps of half the length, and how often all have
-_CHANCE = 3.5  # standard deviations by which two samples may differ
+_CHANCE = 5.0  # standard deviations by which two samples may differ
+_HELPED = 0.7  # of a difference that is left by steps of half the length, if it comes from them
 _FEW = 0.5  # effective points over all, below which points are drawn anew
 _SPREAD = 0.01  # least variance that noise adds for copies of a point to part, over the cloud's
 #: States, and kernels of a cloud, from which a lattice is tried again.
@@ -196,7 +197,7 @@ def _moved(x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, f
     """
     start, block = x.copy(), np.arange(len(x)) // LANES
     fine, longest, taken = block % _QUARTER == _QUARTER - 1, math.inf, 0
-    before, chance = _apart(x, mass, fine)
+    parted, (before, chance) = math.inf, _apart(x, mass, fine)
     for halvings in range(_HALVINGS + 1):
         steps = _walked(x, alive, paths, np.flatnonzero(~fine[::LANES]), longest)
         if not fine.any():
@@ -205,8 +206,9 @@ def _moved(x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, f
         _walked(x, alive, paths, np.flatnonzero(fine[::LANES]), longest)
         own = (slice(None),) if alive.all() else (alive,)
         after, chance = _apart(x[own], mass[own], fine[own])
-        parted = float(np.max(after - before - _CHANCE * chance))
-        if parted <= 0.0 or halvings == _HALVINGS or 4 * steps > paths.scheme.max_steps:
+        earlier, parted = parted, float(np.max(after - before - _CHANCE * chance))
+        helped = parted < _HELPED * earlier  # else it is chance that the two are apart, and not their steps
+        if parted <= 0.0 or not helped or halvings == _HALVINGS or 4 * steps > paths.scheme.max_steps:
             break
         x[:], alive[:] = start, True
     return taken, max(parted, 0.0)

@@ -1,7 +1,7 @@
 """The ladder: a prediction takes the cheapest representation that keeps its error within a target.
 
-A Gaussian in closed form, one exponential family and its higher degrees, then a lattice of few states or a
-cloud of points. What the last steps needed is in the density, `density.needs`: there the next one begins.
+A Gaussian in closed form, one exponential family and its higher degrees, then a lattice or a cloud of points.
+What the last steps needed is in the density, `density.needs`: there the next one begins.
 """
 
 import math
@@ -11,7 +11,7 @@ from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
 from ..density.as_family import family_density, on_lattice, unrolled
 from ..density.family import gaussian_family
-from ..density.needs import DOUBT, Needs, allowance, fewest
+from ..density.needs import DOUBT, MOST_POINTS, Needs, allowance, fewest
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, PredictInfo
@@ -19,14 +19,13 @@ from ..model.sde import SDE
 from . import automatic, cloud, family
 from .to_target import Time, carried_to_target
 
-__all__ = ["HIGHEST", "fewest_points", "first_degree", "prefers_cloud", "propagate"]
+__all__ = ["HIGHEST", "first_degree", "prefers_cloud", "propagate"]
 
-#: Target errors above which a cloud is cheaper than a lattice, by the number of states; always for more.
-_CLOUD_ABOVE = {1: math.inf, 2: math.inf}
+#: States up to which a lattice is cheaper than a cloud, and up to which it comes where clouds are too small.
+_LATTICE, _LATTICE_IF = 2, 4
 HIGHEST, _LOWEST = 6, {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _TOLERANCE = 0.1  # of a step of a family, over the target
 _IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
-_POINTS = 0.5  # of a cloud, times the square of the target
 
 
 def first_degree(dim: int, needs: Needs) -> int:
@@ -36,14 +35,9 @@ def first_degree(dim: int, needs: Needs) -> int:
     return max(needs.degree, lowest) if lowest else 0
 
 
-def prefers_cloud(dim: int, target: float) -> bool:
-    """Whether a cloud is cheaper than a lattice."""
-    return dim not in _CLOUD_ABOVE or target > _CLOUD_ABOVE[dim]
-
-
-def fewest_points(target: float) -> int:
-    """Points that a cloud begins with."""
-    return max(1000, math.ceil(_POINTS / target**2))
+def prefers_cloud(dim: int, needs: Needs, target: float) -> bool:
+    """Whether a cloud comes after families, and not a lattice."""
+    return dim > _LATTICE_IF or (dim > _LATTICE and needs.cloud(target) <= MOST_POINTS)
 
 
 def propagate(
@@ -59,7 +53,7 @@ def propagate(
         Seconds.
     target : float
         Error of the mean, in standard deviations, that the record may have.
-    time : Time, optional
+    time : Time
         What a time budget leaves.
 
     Returns
@@ -82,7 +76,8 @@ def propagate(
         if found is not None:
             return found
         needs = needs.refused()
-    if density.read_out == "cloud" or (prefers_cloud(density.dim, target) and model.domain.unbounded):
+    by_cloud = model.domain.unbounded and prefers_cloud(density.dim, needs, target)
+    if density.read_out == "cloud" or by_cloud:
         return _by_cloud(density, model, t1, target, needs)
     return _by_lattice(density, model, t1, target, needs, time)
 
@@ -102,9 +97,14 @@ def _closed_form(
 def _by_family(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
 ) -> tuple[ParticleDensity, PredictInfo] | None:
-    """Carry one family, of a higher degree where the error asks for it; None where none will do."""
+    """Carry one family, of a higher degree where the error asks for it; None where none will do.
+
+    One that is somewhat off is taken where what comes next would not be better.
+    """
     allowed, first = allowance(density.error, target), first_degree(density.dim, needs)
     best, most = None, DOUBT * allowed
+    if prefers_cloud(density.dim, needs, target):
+        most = max(most, needs.cloud_error(target))
     for degree in (d for d in degrees(density.dim) if 0 < first <= d <= HIGHEST):
         scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE * target)
         try:
@@ -124,8 +124,8 @@ def _by_cloud(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry as many points as the target asks for."""
-    needs = needs._replace(points=needs.points or fewest_points(target))
-    moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=needs.points))
+    points = min(needs.cloud(target), MOST_POINTS)
+    moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points))
     return replace(moved, needs=needs), _as_asked(info)
 
 
