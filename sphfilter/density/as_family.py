@@ -55,24 +55,26 @@ def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
 
 def settled(density: ParticleDensity, degree: int, most: float) -> ParticleDensity | None:
     """A density on a lattice or a cloud as one family; None where that adds an error above `most`."""
+    try:
+        found = _fitted(density, degree, most / _OF_MISFIT)
+    except np.linalg.LinAlgError:  # flat along some combination of the states
+        return None
+    if found is None or not _OF_MISFIT * found[1] <= most:
+        return None
+    error = math.hypot(density.error, _OF_MISFIT * found[1])
+    new = family_density(density, found[0], error=error)
+    return new if _agree(density, new, most) else None
+
+
+def _fitted(density: ParticleDensity, degree: int, most: float) -> tuple[Family, float] | None:
+    """The family next to a density, and its misfit; None where there is none, or it is above `most`."""
     if density.domain is not None and density.domain.walled.any():
         return None
-    try:
-        if density.read_out == "cloud":
-            if density.domain is not None:
-                return None
-            found = max_entropy(density.x, density.mass, degree, most / _OF_MISFIT)
-        else:
-            found = family_of(density, degree)
-    except np.linalg.LinAlgError:
+    if density.read_out != "cloud":
+        return family_of(density, degree)
+    if density.domain is not None:  # moments do not go round a circle
         return None
-    if found is None:
-        return None
-    error = _OF_MISFIT * found[1]
-    if not error <= most:
-        return None
-    new = family_density(density, found[0], error=math.hypot(density.error, error))
-    return new if _agree(density, new, most) else None
+    return max_entropy(density.x, density.mass, degree, most)
 
 
 def _agree(density: ParticleDensity, family: ParticleDensity, most: float) -> bool:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from ..lattice.level_set import fewest_particles
 
-__all__ = ["DOUBT", "MOST_POINTS", "Needs", "allowance", "fewest"]
+__all__ = ["MOST_POINTS", "Needs", "allowance", "doubt", "fewest"]
 
 MOST_POINTS = 200_000  # of a cloud
 _FEWEST_POINTS, _POINTS = 1000, 0.5  # at least, and times the square of the error
@@ -45,9 +45,13 @@ class Needs(NamedTuple):
         return target * math.sqrt(max(self.cloud(target) / MOST_POINTS, 1.0))
 
 
-#: Times the allowance, up to which a family is taken all the same: so far its estimates scatter, and what
-#: comes next costs ten times as much or more.
-DOUBT = 2.0
+def doubt(dim: int) -> float:
+    """Times the allowance, up to which a family is taken all the same.
+
+    Its estimates scatter by a factor of two, and the truth is less more often than not; what comes next costs
+    ten times as much in two dimensions, and fifty times in more.
+    """
+    return 2.0 if dim <= 2 else 4.0
 
 
 def allowance(error: float, target: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from ..config import CloudScheme, FilterConfig
 from ..core.family.rules import degrees
 from ..density.as_family import on_lattice, settled
-from ..density.needs import DOUBT, MOST_POINTS, Needs, allowance, fewest
+from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
@@ -53,7 +53,7 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
     if density.family is None or fits_density(density):
         return None
     allowed = allowance(density.error, target)
-    best, most = None, DOUBT * allowed
+    best, most = None, doubt(density.dim) * allowed
     if prefers_cloud(density.dim, needs, target):
         most = max(most, needs.cloud_error(target))
     first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)

@@ -11,7 +11,7 @@ from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
 from ..density.as_family import family_density, on_lattice, unrolled
 from ..density.family import gaussian_family
-from ..density.needs import DOUBT, MOST_POINTS, Needs, allowance, fewest
+from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, PredictInfo
@@ -102,7 +102,7 @@ def _by_family(
     One that is somewhat off is taken where what comes next would not be better.
     """
     allowed, first = allowance(density.error, target), first_degree(density.dim, needs)
-    best, most = None, DOUBT * allowed
+    best, most = None, doubt(density.dim) * allowed
     if prefers_cloud(density.dim, needs, target):
         most = max(most, needs.cloud_error(target))
     for degree in (d for d in degrees(density.dim) if 0 < first <= d <= HIGHEST):

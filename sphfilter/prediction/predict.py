@@ -19,14 +19,14 @@ from ..density.as_family import on_lattice
 from ..density.needs import Needs
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, target_of
-from ..errors import ModelError
+from ..errors import LatticeError, ModelError, UnresolvedError
 from ..info import PredictInfo
 from ..model.domain import Domain
 from ..model.sde import SDE
 from ..model.timing import beside
 from ..validate import count, onwards, real, seconds
 from . import automatic, cloud, corrected, family, ladder, log_density, paper
-from .again import Outcome, or_as_cloud
+from .again import Ladder, Outcome, or_as_cloud
 from .exact import propagate_exactly
 from .to_target import ALWAYS, Time, carried_to_target
 
@@ -141,8 +141,14 @@ def _to_target(
     if not isinstance(scheme, LogDensityScheme):
         return ladder.propagate(density, model, t1, target, time)
 
-    def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
+    def on(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         return log_density.propagate(_laid(density, nodes), model, t1, scheme, nodes)
+
+    def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
+        try:
+            return on(nodes)
+        except (LatticeError, UnresolvedError) as problem:
+            return Ladder().within(model.dim).climbed(nodes, lambda rung: on(rung.n_particles), problem)[1]
 
     first = particle_bound(density, "auto")
     moved, info, nodes = carried_to_target(density, predicted, target, first, time)

@@ -1,0 +1,172 @@
+"""The ladder, ``n_particles="auto"``: what target errors ask for, against fine lattices and closed forms."""
+
+import numpy as np
+import pytest
+
+import sphfilter as sf
+from experiments.scene.scenario import load_scenario
+from sphfilter.campaign.campaign import draw_case
+from sphfilter.density.needs import MOST_POINTS, Needs, allowance
+from sphfilter.density.storage import from_bytes, to_bytes
+
+
+def made(scene, target, **options):
+    scenario = load_scenario(scene)
+    case = draw_case(scenario, 1, 0)
+    options = {"n_particles": "auto", "config": sf.FilterConfig(target_error=target)} | options
+    return case, sf.SPHFilter(scenario.model, scenario.measurement, case.x0, case.P0, t0=case.t0, **options)
+
+
+def followed(flt, case, end):
+    """Infos, means and covariances of the first updates."""
+    told, x, P = [], [], []
+    for t, z in zip(case.times[:end], case.z[:end], strict=True):
+        told.append((flt.predict(t=t), flt.update(z)))
+        x.append(flt.x)
+        P.append(flt.P)
+    return told, np.array(x), np.array(P)
+
+
+def test_a_gaussian_through_a_linear_model_is_kalmans():
+    model = sf.LinearSDE([[0.0, 1.0], [-1.0, -0.3]], noise=[[0.0], [0.5]])
+    sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
+    flt = sf.SPHFilter(model, sensor, [1.0, 0.0], np.eye(2), n_particles="auto")
+    m, P = np.array([1.0, 0.0]), np.eye(2)
+    for z in (0.3, -0.7, 0.1):
+        predicted, updated = flt.predict(0.8), flt.update(z)
+        F, b, Q = model.discretize(0.8)
+        m, P = F @ m + b, F @ P @ F.T + Q
+        S = P[0, 0] + 0.2
+        evidence = -0.5 * ((z - m[0]) ** 2 / S + np.log(2 * np.pi * S))
+        m, P = m + P[:, 0] / S * (z - m[0]), P - np.outer(P[:, 0], P[0]) / S
+        np.testing.assert_allclose(flt.x, m, atol=1e-9)
+        np.testing.assert_allclose(flt.P, P, atol=1e-9)
+        assert updated.log_evidence == pytest.approx(evidence, abs=1e-9)
+        assert predicted.rung == "closed form" and updated.rung == "family"
+        assert not predicted.flagged and not updated.flagged
+
+
+def test_the_error_left_is_the_one_asked_for_and_cheaper_rungs_are_taken_where_it_allows():
+    case, fine = made("van_der_pol", 0.01, n_particles=800, config=sf.FilterConfig(scheme="log_density"))
+    _, x, P = followed(fine, case, 12)
+    root = np.linalg.inv(np.linalg.cholesky(P))
+    families = []
+    for target in (0.06, 0.01):
+        case, flt = made("van_der_pol", target)
+        told, own, _ = followed(flt, case, 12)
+        off = np.linalg.norm(np.einsum("tij,tj->ti", root, own - x), axis=1)
+        assert np.sqrt(np.mean(off**2)) < 2.0 * target
+        families.append(sum(predicted.rung == "family" for predicted, _ in told))
+        assert {predicted.rung for predicted, _ in told} <= {"family", "lattice"}
+    assert families[0] > families[1]
+
+
+@pytest.mark.parametrize(
+    ("scene", "target", "end", "rung"),
+    [("van_der_pol", 0.01, 3, "lattice"), ("cart", 0.03, 3, "family"), ("lorenz", 0.03, 8, "cloud")],
+)
+def test_pure_verbs_and_files_go_on_to_the_same_bits(tmp_path, scene, target, end, rung):
+    case, flt = made(scene, target)
+    told, _, _ = followed(flt, case, end)
+    assert rung in {predicted.rung for predicted, _ in told}
+    flt.save(tmp_path / "filter.npz")
+    again = sf.SPHFilter.load(tmp_path / "filter.npz", flt.model, flt.measurement)
+    density, config = from_bytes(to_bytes(flt.density)), flt.config
+    assert density.needs == flt.density.needs != Needs()
+    for t, z in zip(case.times[end : end + 2], case.z[end : end + 2], strict=True):
+        for each in (flt, again):
+            each.predict(t=t)
+            each.update(z)
+        density, _ = sf.predict(density, flt.model, t=t, config=config)
+        density, info = sf.update(density, flt.measurement, z, config)
+        for other in (again.density, density):
+            np.testing.assert_array_equal(flt.density.x, other.x)
+            np.testing.assert_array_equal(flt.density.mass, other.mass)
+            assert flt.density.needs == other.needs
+    assert info.log_evidence == flt.log_likelihood
+
+
+def test_verbs_alone_begin_with_auto():
+    well = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
+    start = sf.initialize(sf.Gaussian([1.0], [[0.02]]), "auto")
+    assert start.read_out == "family" and start.needs == Needs()
+    later, info = sf.predict(start, well, 0.3)
+    assert later.needs is not None and info.status == "ok"
+    fine = sf.predict(sf.initialize(sf.Gaussian([1.0], [[0.02]]), 400), well, 0.3)[0]
+    assert abs(later.mean() - fine.mean()) < 0.02 * np.sqrt(fine.cov()[0, 0])
+    two = sf.initialize(lambda X: np.exp(-((X[:, 0] ** 2 - 4) ** 2)), "auto", box=[[-4, 4]])
+    assert two.field is not None and two.needs.nodes >= 60
+    posterior, _ = sf.update(two, sf.GaussianMeasurement([[1.0]], [[9.0]]), [1.0])
+    assert posterior.needs is not None
+
+
+def test_a_target_that_is_missed_is_said():
+    scenario = load_scenario("vehicle")
+    case, flt = made("vehicle", 1e-4)
+    flt.predict(t=case.times[0])
+    info = flt.update(case.z[0])
+    assert info.flagged and info.error > 1e-4 / np.sqrt(3)
+    assert sf.Code.COARSE in info.code or sf.Code.UNRESOLVED in info.code
+    assert scenario.model.dim == 3
+
+
+def test_a_reading_of_two_modes_climbs_and_one_of_none_comes_down():
+    well = sf.SDE.from_expressions(["x"], ["-x - 0.3*x**3"], [["1"]], [[0.5]])
+    size = sf.GaussianMeasurement.from_expressions(["x"], ["abs(x)"], [[0.01]])
+    direct = sf.GaussianMeasurement([[1.0]], [[0.05]])
+    flt = sf.SPHFilter(well, size, [0.1], [[1.0]], n_particles="auto")
+    assert flt.update([1.0]).rung == "lattice" and flt.density.field is not None
+    assert flt.density.pdf([[0.9], [-0.9]]).min() > 0.3
+    flt.update([1.0], direct)
+    flt.predict(0.5)
+    flt.update([0.8], direct)
+    assert flt.density.read_out == "family"
+
+
+def test_a_forced_scheme_keeps_to_it():
+    case, flt = made("van_der_pol", 0.05, config=sf.FilterConfig(scheme="log_density", target_error=0.05))
+    told, _, _ = followed(flt, case, 3)
+    assert all(predicted.rung == updated.rung == "lattice" for predicted, updated in told)
+
+
+def test_other_words_than_auto_are_refused():
+    well = sf.LinearSDE([[-1.0]], noise=[[1.0]])
+    with pytest.raises(sf.ModelError, match="'auto'"):
+        sf.SPHFilter(well, None, [0.0], [[1.0]], n_particles="atuo")
+    start = sf.initialize(sf.Gaussian([0.0], [[1.0]]), 100)
+    for verb in (
+        lambda: sf.predict(start, well, 1.0, n_particles="many"),
+        lambda: sf.initialize(sf.Gaussian([0.0], [[1.0]]), "many"),
+    ):
+        with pytest.raises(sf.ModelError, match="auto"):
+            verb()
+
+
+def test_a_failed_call_leaves_the_filter_as_it_was():
+    calls = []
+
+    def drift(X, t):
+        calls.append(len(X))
+        if len(calls) > 20:
+            raise ZeroDivisionError("mine")
+        return -X
+
+    model = sf.SDE(drift=drift, dim=1, noise=[[0.5]], vectorized=True)
+    flt = sf.SPHFilter(model, sf.GaussianMeasurement([[1.0]], [[0.1]]), [0.0], [[1.0]], n_particles="auto")
+    before = flt.density
+    with pytest.raises(ZeroDivisionError, match="mine"):
+        for _ in range(20):
+            flt.predict(0.5)
+            before = flt.density
+    assert flt.density is before
+
+
+def test_waits_double_and_an_allowance_is_never_nothing():
+    needs, waits = Needs(), []
+    for _ in range(7):
+        needs = needs.refused()
+        waits.append(needs.waits)
+    assert waits == [0, 1, 3, 7, 15, 15, 15]
+    assert needs.followed(4).waits == 0 and needs.followed(4).failed == 0
+    assert allowance(0.0, 0.01) == 0.01 and allowance(0.5, 0.01) == 0.005
+    assert Needs().cloud_error(1e-4) > 1e-4 == Needs(points=MOST_POINTS).cloud_error(1e-4)
