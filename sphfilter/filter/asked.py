@@ -49,13 +49,27 @@ class Asked(NamedTuple):
 
     def search(self, density: ParticleDensity, config: FilterConfig) -> Search:
         """How far the posterior is searched for peaks between the prior's nodes."""
-        sensor, named, states = self.measurement, getattr(self.measurement, "peaks", None), None
-        if named is not None:
-            states = state_rows("peaks", named(Reading.of(self.z).z), density.dim)
-        elif is_gaussian(sensor) and sensor.H is None and density.field is not None:
-            states = solutions(sensor, Reading.of(self.z).z, density.x, density.field.A, density.t)
-        lines = not is_gaussian(sensor)
+        cell = None if density.field is None else density.field.A
+        states = None if cell is None and self.named is None else self.explained(density.x, cell)
+        lines = not is_gaussian(self.measurement)
         return Search(config.most_left_out, lines, states, config.time_budget is None)
+
+    @property
+    def named(self) -> Any:
+        """The function of a sensor that names the states of a reading, if it has one."""
+        return getattr(self.measurement, "peaks", None)
+
+    def explained(self, X: Floats, cell: Any) -> Floats | None:
+        """States that explain the reading: those that the sensor names, or found from states X (N, n).
+
+        `cell` (n, n) holds in its columns how far apart those are; None where they resolve the likelihood.
+        """
+        sensor, z = self.measurement, Reading.of(self.z).z
+        if self.named is not None:
+            return state_rows("peaks", self.named(z), X.shape[1])
+        if is_gaussian(sensor) and sensor.H is None:
+            return solutions(sensor, z, X, cell, self.t)
+        return None
 
     @property
     def outlying(self) -> str:

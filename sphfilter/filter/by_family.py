@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from .._types import Floats
+from .._types import Floats, OfStates
 from ..density.as_family import family_density, family_of, unrolled
-from ..density.family_posterior import family_posterior
+from ..density.cloud import key_of, points_of
+from ..density.family import Family, node_moments
+from ..density.family_posterior import FamilyPosterior, family_posterior
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code
@@ -17,6 +19,9 @@ from .asked import Asked, kept, predicted_reading
 
 __all__ = ["by_family"]
 
+_LOOKED_AT, _FEW = 128, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
+_BEGUN_AT = 32  # of these, for states that explain a reading
+_MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
 _OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
 
 
@@ -38,12 +43,14 @@ def by_family(
     weight = asked.log_weight if domain is None else lambda X: asked.log_weight(domain.wrap(X))
     prior, misfit = family_of(density, degree)
     found = family_posterior(prior, weight, _linearised(density, asked))
-    if not found.error <= most:
-        raise PropagationError(f"one family of degree {degree} is off by {found.error:.2g} after the reading")
     linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
+    missed = 0.0 if linear else _elsewhere(density, asked, prior, found, weight)
+    added = math.hypot(found.error, missed)
+    if not added <= most:
+        raise PropagationError(f"one family of degree {degree} is off by {added:.2g} after the reading")
     new = family_density(density, found.family, capacity=n_particles, gaussian=density.gaussian and linear)
     before = math.hypot(density.error, _OF_MISFIT * misfit)
-    error = math.hypot(kept(density, new) * before, found.error)
+    error = math.hypot(kept(density, new) * before, added)
     code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
     return replace(new, error=error), {
         "accepted": True,
@@ -56,6 +63,40 @@ def by_family(
         "code": code,
         "scheme": "family",
     }
+
+
+def _elsewhere(
+    density: ParticleDensity, asked: Asked, prior: Family, found: FamilyPosterior, weight: OfStates
+) -> float:
+    """Shift of the mean, standard deviations, by what points of the prior see of a posterior beyond its family.
+
+    Raises
+    ------
+    PropagationError
+        A state explains the reading as well and is nowhere near, or too few points lie where the posterior is
+        to tell.
+    """
+    key = key_of(density)
+    X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key)
+    mean, cov = node_moments(prior.nodes, prior.weighted()[0])
+    own_mean, own_cov = node_moments(found.family.nodes, found.family.weighted()[0])
+    root = np.linalg.inv(np.linalg.cholesky(own_cov))
+    states = asked.explained(X[:: _LOOKED_AT // _BEGUN_AT], np.linalg.cholesky(cov))
+    share = math.exp(0.5 * (np.linalg.slogdet(own_cov)[1] - np.linalg.slogdet(cov)[1]))
+    if states is None and not is_gaussian(asked.measurement) and share * _LOOKED_AT < _FEW:
+        raise PropagationError("one family may not be all that is left of so sharp a likelihood")
+
+    def over(X: Floats) -> Floats:
+        """Log of the posterior over its family, or less than nothing where that is negligible."""
+        true = prior.log_p(X) + weight(X) - found.log_evidence
+        own = found.family.log_p(X)
+        return np.where(true > found.family.log_p(own_mean[None]) - _NEGLIGIBLE, true - own, -np.inf)
+
+    if states is not None and len(states) and np.max(over(states)) > _MORE:
+        raise PropagationError("one family does not hold the posterior: other states explain the reading too")
+    w = mass * np.exp(np.clip(weight(X) - found.log_evidence, -700.0, 700.0)) * (over(X) > _MORE)
+    away = np.linalg.norm((X - own_mean) @ root.T, axis=1) / math.sqrt(len(mean))
+    return float(min(w @ away, 1e3))
 
 
 def _linearised(density: ParticleDensity, asked: Asked) -> tuple[Floats, Floats] | None:
