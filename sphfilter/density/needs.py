@@ -20,6 +20,7 @@ class Needs(NamedTuple):
     failed: int = 0  # predictions in a row that none would do for
     nodes: int = 0  # of a lattice; zero before the first
     points: int = 0  # that a cloud would have needed; zero before the first
+    parts: bool | None = None  # whether noise moves copies of a cloud's points apart; None: not looked at
     share: float = 1.0  # of a prior's volume, that the last reading left
 
     def followed(self, degree: int) -> "Needs":

@@ -68,7 +68,7 @@ def by_family(
 def _elsewhere(
     density: ParticleDensity, asked: Asked, prior: Family, found: FamilyPosterior, weight: OfStates
 ) -> float:
-    """Shift of the mean, standard deviations, by what points of the prior see of a posterior beyond its family.
+    """Shift of the mean, standard deviations, by what points of the prior see beyond the posterior's family.
 
     Raises
     ------

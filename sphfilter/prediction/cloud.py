@@ -23,7 +23,7 @@ from ..model.sde import SDE, LinearSDE
 from ..model.simulate import noise_root, rate_of_time
 from ._shared import blow_up, carried_off, skip_notes
 
-__all__ = ["on_lattice", "propagate"]
+__all__ = ["on_lattice", "parts", "propagate"]
 
 _BIAS = 0.6  # of the steps, over the sampling error
 _SEEN = 4096  # points of a cloud by which it is told how far it reaches, and how far it forgets
@@ -144,12 +144,12 @@ def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: in
     mass = np.full(count, 1.0 / count)
     if len(density.x) == count and 1.0 / np.sum(density.mass**2) >= _FEW * count:
         return density.x.copy(), density.mass
-    if _parts(model, density, t1):
+    if parts(model, density, t1):
         return density.x[systematic(density.mass, count)], mass
     return drawn(density, count, key), mass
 
 
-def _parts(model: SDE, density: ParticleDensity, t1: float) -> bool:
+def parts(model: SDE, density: ParticleDensity, t1: float) -> bool:
     """Does the noise of an interval move copies of a point apart, in all directions?"""
     mean, cov = moments(density.x, density.mass)
     with np.errstate(all="ignore"):

@@ -37,7 +37,8 @@ def first_degree(dim: int, needs: Needs) -> int:
 
 def prefers_cloud(dim: int, needs: Needs, target: float) -> bool:
     """Whether a cloud comes after families, and not a lattice."""
-    return dim > _LATTICE_IF or (dim > _LATTICE and needs.cloud(target) <= MOST_POINTS)
+    points_do = needs.parts is not False and needs.cloud(target) <= MOST_POINTS
+    return dim > _LATTICE_IF or (dim > _LATTICE and points_do)
 
 
 def propagate(
@@ -69,6 +70,8 @@ def propagate(
     needs = density.needs or Needs()
     if density.gaussian and model.linear and model.domain.unbounded:
         return _closed_form(density, model, t1, needs)
+    if needs.parts is None and density.dim > _LATTICE:
+        needs = needs._replace(parts=cloud.parts(model, density, t1))
     if needs.waits > 0:
         needs = needs.waited()
     elif not family.fits(model, density):
