@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from .._types import Floats, Readings
 from ..config import LogDensityScheme
 from ..core.field.field import Field
+from ..density.as_family import on_lattice
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import ModelError, PropagationError
@@ -136,7 +137,7 @@ def smooth(
     >>> print(f"variance {before:.4f} before later measurements, {after:.4f} after")
     variance 0.0786 before later measurements, 0.0701 after
     """
-    times = checked_times("times", times)
+    times, filt = checked_times("times", times), _on_lattices(filt)
     sensors = _checked(filt, times, measurements, sensors)
     epochs, filtered = _forward(filt, times, measurements, sensors)
     smoothed = _backward(epochs)
@@ -151,6 +152,17 @@ def smooth(
         log_evidence=np.array(total)[of],
         extrapolated=np.array(extrapolated)[of],
     )
+
+
+def _on_lattices(filt: SPHFilter) -> SPHFilter:
+    """A filter whose densities lie on lattices, where a target error would choose among other shapes too."""
+    if not isinstance(filt, SPHFilter) or not filt.adapts or filt.config.scheme != "auto":
+        return filt
+    twin = copy.copy(filt)
+    twin.config = replace(filt.config, scheme=LogDensityScheme())
+    if filt.density.family is not None:
+        twin._state = replace(filt._state, density=on_lattice(filt.density, filt.n_particles))
+    return twin
 
 
 def _checked(

@@ -47,6 +47,14 @@ def filtering(n_particles=150, **options):
     return sf.SPHFilter(wells(), POSITION, *START, n_particles=n_particles, config=sf.FilterConfig(**options))
 
 
+def unmet():
+    """The status of an update whose target no lattice meets."""
+    flt = sf.SPHFilter(line("-x - x**3"), HEIGHT, [0.3], [[0.5]], n_particles="auto",
+                       config=sf.FilterConfig(target_error=1e-12))  # fmt: skip
+    flt.predict(0.5)
+    return flt.update([0.3]).status
+
+
 def surprised(deviations=5.5, **options):
     """Status and reason of an update far out in the tail of a prediction."""
     flt = filtering(**options)
@@ -138,6 +146,12 @@ SAID = [
     lambda: predicted(line("-x", domain=[("periodic", -9.0, 9.0)]), scheme="corrected"),
     lambda: predicted(line("4*x", domain=WALLS), 2.0, "paper", domain=WALLS),
     lambda: predicted(line("-x"), -1.0),
+    lambda: predicted(line("4*sin(3*x)", "0.5"), 3.0, "family"),
+    lambda: predicted(line("-x", domain=WALLS), scheme="family", domain=WALLS),
+    lambda: sf.predict(laid(ROUND), wells(), 1.0, sf.SolverConfig(scheme=sf.FamilyScheme(degree=8))),
+    lambda: updated(SQUARE, [4.0], scheme="family"),
+    lambda: sf.predict(laid(), line("-x"), 1.0, n_particles="many"),
+    unmet,
     lambda: predicted(wells()),
     lambda: filtering().predict(),
     lambda: sf.simulate(line("x**3"), None, [2.0], [0.0, 5.0], rng=1),

@@ -100,6 +100,17 @@ def test_verbs_alone_begin_with_auto():
     assert posterior.needs is not None
 
 
+def test_records_are_smoothed_on_lattices():
+    well = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
+    sensor, times = sf.GaussianMeasurement([[1.0]], [[0.1]]), 0.4 * np.arange(1, 6)
+    _, z = sf.simulate(well, sensor, x0=[1.0], times=times, rng=3)
+    made = [sf.SPHFilter(well, sensor, [1.0], [[0.1]], n_particles=n) for n in ("auto", 400)]
+    auto, fine = (sf.smooth(flt, times, z) for flt in made)
+    assert made[0].density.read_out == "family"
+    np.testing.assert_allclose(auto.x, fine.x, atol=0.01)
+    np.testing.assert_allclose(auto.log_evidence, fine.log_evidence, atol=0.03)
+
+
 def test_a_target_that_is_missed_is_said():
     scenario = load_scenario("vehicle")
     case, flt = made("vehicle", 1e-4)
