@@ -405,8 +405,8 @@ class FilterConfig(_Settings):
     exact_linear : bool
     acceptance : AcceptanceTest
     target_error : float
-        Length of the error of the posterior mean, in posterior standard deviations, that ``n_particles="auto"``
-        aims at; `info.error` is the root mean square of its components.
+        Length of the error of the posterior mean, in posterior standard deviations, which
+        ``n_particles="auto"`` aims at; `info.error` is the root mean square of its components.
     most_left_out : float
         Probability that an update may leave out where it finds some beyond the cut of the posterior, such as
         in a remote mode; more is flagged, `Code.UNRESOLVED`.

@@ -57,7 +57,7 @@ class SPHFilter(Shown):
     n_particles : int or "auto"
         Upper bound of the number of particles at every re-gridding. With "auto" every step
         takes the cheapest representation of the density that keeps its estimated error within the
-        configuration's `target_error`: a closed form, one exponential family, a lattice or a cloud; it is then
+        configuration's `target_error`: a closed form, one exponential family, a lattice or a cloud. It then is
         the number of nodes that the next lattice begins with.
     config : FilterConfig, optional
         With `time_budget`, n_particles is the most that a step may have: a step has as many particles as are
