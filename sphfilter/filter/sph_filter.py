@@ -57,8 +57,8 @@ class SPHFilter(Shown):
     n_particles : int or "auto"
         Upper bound of the number of particles at every re-gridding. With "auto" every step
         takes the cheapest representation of the density that keeps its estimated error within the
-        configuration's `target_error`: a closed form, one exponential family, a lattice or a cloud. The number
-        is then that of the nodes that the next lattice begins with.
+        configuration's `target_error`: a closed form, one exponential family, a lattice or a cloud. The
+        number is then that of the nodes that the next lattice begins with.
     config : FilterConfig, optional
         With `time_budget`, n_particles is the most that a step may have: a step has as many particles as are
         expected to end in time, 60 in two states at least. See `prepare`.
