@@ -13,7 +13,16 @@ from ..core.paths.blocks import move_blocks, standard_normals
 from ..core.paths.normals import LANES
 from ..core.paths.step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH
 from ..core.paths.weights import group_moments
-from ..density.cloud import KERNEL, drawn, key_of, moments, points_of, smoothing_length, systematic
+from ..density.cloud import (
+    KERNEL,
+    drawn,
+    key_of,
+    moments,
+    points_of,
+    smoothing_length,
+    standard_normal,
+    systematic,
+)
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError, StoppedError
@@ -146,7 +155,17 @@ def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: in
         return density.x.copy(), density.mass
     if parts(model, density, t1):
         return density.x[systematic(density.mass, count)], mass
-    return drawn(density, count, key), mass
+    return _beside(density, count, key) if density.domain is None else drawn(density, count, key), mass
+
+
+def _beside(density: ParticleDensity, count: int, key: int) -> Floats:
+    """Copies of heavy points, each moved by about the distance of points, with mean and covariance of all."""
+    mean, cov = moments(density.x, density.mass)
+    width = float(np.sum(density.mass**2)) ** (1.0 / density.dim)
+    values, axes = np.linalg.eigh(cov)
+    x = density.x[systematic(density.mass, count)] - mean
+    z = standard_normal(count, density.dim, key) * np.sqrt(np.maximum(values, 0.0))
+    return mean + math.sqrt(1.0 - width**2) * x + width * np.einsum("ij,kj->ik", z, axes)
 
 
 def parts(model: SDE, density: ParticleDensity, t1: float) -> bool:
