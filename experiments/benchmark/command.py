@@ -30,11 +30,13 @@ from .store import code_digest
 
 __all__ = ["SCENARIOS", "add_arguments", "main"]
 
-#: Those of the publication and the closed forms, then harder ones, then those never used in development.
+#: Those of the publication and the closed forms, then harder ones, then those never used in development, of
+#: lattices first, and in the last row of the ladder either.
 SCENARIOS = (
     "van_der_pol", "duffing", "cart", "linear_underdamped", "benes",
     "van_der_pol_sharp", "duffing_square", "lorenz",
     "pendulum", "bearing", "predator_prey", "vehicle", "fitzhugh_nagumo", "double_well", "falling_body",
+    "tracking", "bearings_only", "coordinated_turn", "three_oscillators", "volatility",
 )  # fmt: skip
 #: A name that is no scenario: what the rows of another one mean where the drift is expensive.
 _EXPENSIVE = "expensive"
