@@ -1,19 +1,18 @@
 """Densities as one exponential family, and back on lattices."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from .._types import Floats
 from ..core.family.basis import basis
-from .family import Family, gaussian_family, laid_family, node_weights, particles_of
+from .family import Family, gaussian_family, node_weights, particles_of
 from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
 from .resample import logarithm
 
-__all__ = ["family_density", "family_of", "on_lattice", "settled", "unrolled"]
+__all__ = ["family_density", "family_of", "settled", "unrolled"]
 
 _OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
 
@@ -43,14 +42,6 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
 def unrolled(density: ParticleDensity) -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) on the line: of a periodic axis it is not turned back."""
     return density.moments or (density.mass @ density.x, density.cov())
-
-
-def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
-    """A density that is one family, on a lattice."""
-    assert density.family is not None
-    laid = laid_family(density.family, density.moments, n_particles)
-    about = density.t, density.capacity, density.gaussian, density.domain
-    return replace(ParticleDensity.on_lattice(laid, *about), error=density.error, lost=density.lost)
 
 
 def settled(density: ParticleDensity, degree: int, most: float) -> ParticleDensity | None:

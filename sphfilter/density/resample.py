@@ -23,12 +23,13 @@ from ..lattice.walls import continued
 from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
+from .family import laid_family
 from .interpolant import normalised
 from .needs import fewest
 from .particle_density import ParticleDensity
 from .particles import particles_on
 
-__all__ = ["logarithm", "particle_bound", "regrid", "resample", "target_of", "times_likelihood"]
+__all__ = ["logarithm", "on_lattice", "particle_bound", "regrid", "resample", "target_of", "times_likelihood"]
 
 _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
@@ -63,7 +64,8 @@ def resample(
     True
     """
     scheme = (config or SolverConfig()).scheme
-    return regrid(density, particle_bound(density, n_particles), scheme)
+    bound = particle_bound(density, n_particles)
+    return regrid(on_lattice(density, bound), bound, scheme)
 
 
 def logarithm(density: ParticleDensity) -> OfStates:
@@ -137,7 +139,8 @@ def particle_bound(density: ParticleDensity, n_particles: int | str | None = Non
         return nodes or fewest(density.dim)
     if n_particles is not None:
         return count("n_particles", n_particles)
-    return density.capacity or density.n_particles
+    of_family = 4 * fewest(density.dim) if density.family is not None else 0
+    return density.capacity or of_family or density.n_particles
 
 
 def target_of(
@@ -152,6 +155,15 @@ def target_of(
         return None
     whole = config if isinstance(config, FilterConfig) else FilterConfig()
     return whole.target_error / math.sqrt(density.dim)
+
+
+def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
+    """A density that is one family, on a lattice; another as it is."""
+    if density.family is None:
+        return density
+    laid = laid_family(density.family, density.moments, n_particles)
+    about = density.t, density.capacity, density.gaussian, density.domain
+    return replace(ParticleDensity.on_lattice(laid, *about), error=density.error, lost=density.lost)
 
 
 def regrid(

@@ -8,9 +8,10 @@ import numpy as np
 
 from ..config import CloudScheme, FilterConfig
 from ..core.family.rules import degrees
-from ..density.as_family import on_lattice, settled
+from ..density.as_family import settled
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
+from ..density.resample import on_lattice
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.family import fits_density
@@ -100,8 +101,7 @@ def _on_lattice(
     """The posterior on a lattice, of more nodes where the error asks for it."""
     nodes, before = needs.nodes or fewest(density.dim), math.inf
     for left in range(1 if config.time_budget else _TRIES, 0, -1):
-        prior = density if density.family is None else on_lattice(density, nodes)
-        new, said = by_lattice(prior, asked, nodes, config)
+        new, said = by_lattice(on_lattice(density, nodes), asked, nodes, config)
         over = said["error"] / target
         if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= _MOST_NODES:
             break  # met, or the prior itself is coarse

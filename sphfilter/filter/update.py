@@ -5,9 +5,8 @@ from typing import Any, Literal
 from numpy.typing import ArrayLike
 
 from ..config import CloudScheme, FamilyScheme, FilterConfig, PaperScheme, checked_filter_config
-from ..density.as_family import on_lattice
 from ..density.particle_density import ParticleDensity
-from ..density.resample import particle_bound, target_of
+from ..density.resample import on_lattice, particle_bound, target_of
 from ..info import NOTHING_CAME, UpdateInfo
 from ..model.measurements import Sensor
 from ..prediction.family import degree_of
@@ -78,7 +77,7 @@ def update(
         regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
         as_cloud = density.read_out == "cloud" or isinstance(config.scheme, CloudScheme)
         by = by_cloud if as_cloud else by_regridding if regrids else by_lattice
-        prior = on_lattice(density, bound) if density.family is not None and not as_cloud else density
+        prior = density if as_cloud else on_lattice(density, bound)
         posterior, said = by(prior, asked, bound, config)
     return posterior, UpdateInfo(
         n_particles=posterior.n_particles, innovation=asked.innovation, innovation_cov=asked.S, **said

@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike
 from .._types import Floats, Readings
 from ..config import LogDensityScheme
 from ..core.field.field import Field
-from ..density.as_family import on_lattice
 from ..density.particle_density import ParticleDensity
-from ..density.resample import times_likelihood
+from ..density.resample import on_lattice, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..filter.readings import checked_sensor
 from ..filter.results import FilterResult
@@ -160,8 +159,7 @@ def _on_lattices(filt: SPHFilter) -> SPHFilter:
         return filt
     twin = copy.copy(filt)
     twin.config = replace(filt.config, scheme=LogDensityScheme())
-    if filt.density.family is not None:
-        twin._state = replace(filt._state, density=on_lattice(filt.density, filt.n_particles))
+    twin._state = replace(filt._state, density=on_lattice(filt.density, filt.n_particles))
     return twin
 
 

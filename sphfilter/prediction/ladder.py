@@ -9,10 +9,11 @@ from dataclasses import replace
 
 from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
-from ..density.as_family import family_density, on_lattice, unrolled
+from ..density.as_family import family_density, unrolled
 from ..density.family import gaussian_family
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
+from ..density.resample import on_lattice
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.sde import SDE
@@ -138,8 +139,7 @@ def _by_lattice(
     """Carry log p on as many nodes as the target asks for."""
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
-        start = density if density.family is None else on_lattice(density, nodes)
-        return automatic.propagate(start, model, t1, nodes)
+        return automatic.propagate(on_lattice(density, nodes), model, t1, nodes)
 
     try:
         nodes = needs.nodes or fewest(density.dim)

@@ -15,10 +15,9 @@ from ..config import (
     PaperScheme,
     SolverConfig,
 )
-from ..density.as_family import on_lattice
 from ..density.needs import Needs
 from ..density.particle_density import ParticleDensity
-from ..density.resample import particle_bound, target_of
+from ..density.resample import on_lattice, particle_bound, target_of
 from ..errors import LatticeError, ModelError, UnresolvedError
 from ..info import PredictInfo
 from ..model.domain import Domain
@@ -142,7 +141,7 @@ def _to_target(
         return ladder.propagate(density, model, t1, target, time)
 
     def on(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
-        return log_density.propagate(_laid(density, nodes), model, t1, scheme, nodes)
+        return log_density.propagate(on_lattice(density, nodes), model, t1, scheme, nodes)
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         try:
@@ -155,11 +154,6 @@ def _to_target(
     return replace(moved, needs=(density.needs or Needs())._replace(nodes=nodes), capacity=nodes), info
 
 
-def _laid(density: ParticleDensity, n_particles: int) -> ParticleDensity:
-    """A density that is one family, on a lattice; another as it is."""
-    return density if density.family is None else on_lattice(density, n_particles)
-
-
 def _on_particles(
     density: ParticleDensity,
     model: SDE,
@@ -170,7 +164,7 @@ def _on_particles(
     goes_on: bool,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1, up to which the model does not jump, on a number of particles."""
-    density = density if isinstance(config.scheme, FamilyScheme) else _laid(density, n_particles)
+    density = density if isinstance(config.scheme, FamilyScheme) else on_lattice(density, n_particles)
     if config.exact_linear and model.linear:
         exact = propagate_exactly(density, model, t1, n_particles)
         if exact is not None:

@@ -100,6 +100,24 @@ def test_verbs_alone_begin_with_auto():
     assert posterior.needs is not None
 
 
+def test_whoever_knows_no_family_is_given_a_lattice():
+    well = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
+    start = sf.initialize(sf.Gaussian([1.0], [[0.1]]), "auto")
+    again, info = sf.resample(start)
+    assert info.n_particles >= 100
+    np.testing.assert_allclose(again.mean(), [1.0], atol=1e-6)
+    np.testing.assert_allclose(again.cov(), [[0.1]], rtol=0.02)
+    ends = [
+        sf.predict(start, well, 0.5, sf.SolverConfig(scheme=scheme))[0].mean()
+        for scheme in ("log_density", "corrected", "cloud", "family")
+    ]
+    np.testing.assert_allclose(ends, [ends[0]] * 4, atol=0.02)
+    told = sf.propagate(start, well, [0.25, 0.5])
+    np.testing.assert_allclose(told.densities[-1].mean(), ends[0], atol=1e-3)
+    states = start.spread()
+    np.testing.assert_allclose(states.w @ states.X, [1.0], atol=1e-3)
+
+
 def test_records_are_smoothed_on_lattices():
     well = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
     sensor, times = sf.GaussianMeasurement([[1.0]], [[0.1]]), 0.4 * np.arange(1, 6)
