@@ -64,11 +64,11 @@ class Asked(NamedTuple):
 
         `cell` (n, n) holds in its columns how far apart those are; None where they resolve the likelihood.
         """
-        sensor, z = self.measurement, Reading.of(self.z).z
+        sensor = self.measurement
         if self.named is not None:
-            return state_rows("peaks", self.named(z), X.shape[1])
+            return state_rows("peaks", self.named(Reading.of(self.z).z), X.shape[1])
         if is_gaussian(sensor) and sensor.H is None:
-            return solutions(sensor, z, X, cell, self.t)
+            return solutions(sensor, Reading.of(self.z).z, X, cell, self.t)
         return None
 
     @property
