@@ -58,7 +58,12 @@ def test_every_problem_of_the_project_can_be_read(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "most"), [("oscillator_critical", 1e-3), ("cart_linear", 2e-3), ("brownian_drift", 2e-3)]
+    ("name", "most"),
+    [
+        ("oscillator_critical", 1e-3),
+        pytest.param("cart_linear", 2e-3, marks=pytest.mark.slow),
+        ("brownian_drift", 2e-3),
+    ],
 )
 def test_solutions_agree_with_closed_forms(name, most, tmp_path):
     changes = {"times.end": 1.0 if name == "brownian_drift" else 4.0, "times.drawn": []}
