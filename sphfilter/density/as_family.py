@@ -7,14 +7,12 @@ import numpy as np
 
 from .._types import Floats
 from ..core.family.basis import basis
-from .family import Family, gaussian_family, node_weights, particles_of
+from .family import OF_MISFIT, Family, gaussian_family, node_weights, particles_of
 from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
 from .resample import logarithm
 
 __all__ = ["family_density", "family_of", "settled", "unrolled"]
-
-_OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
 
 
 def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
@@ -47,12 +45,12 @@ def unrolled(density: ParticleDensity) -> tuple[Floats, Floats]:
 def settled(density: ParticleDensity, degree: int, most: float) -> ParticleDensity | None:
     """A density on a lattice or a cloud as one family; None where that adds an error above `most`."""
     try:
-        found = _fitted(density, degree, most / _OF_MISFIT)
+        found = _fitted(density, degree, most / OF_MISFIT)
     except np.linalg.LinAlgError:  # flat along some combination of the states
         return None
-    if found is None or not _OF_MISFIT * found[1] <= most:
+    if found is None or not OF_MISFIT * found[1] <= most:
         return None
-    error = math.hypot(density.error, _OF_MISFIT * found[1])
+    error = math.hypot(density.error, OF_MISFIT * found[1])
     new = family_density(density, found[0], error=error)
     return new if _agree(density, new, most) else None
 

@@ -147,16 +147,20 @@ def points_of(density: "ParticleDensity", count: int, key: int) -> tuple[Floats,
         return drawn(density, count, key), np.full(count, 1.0 / count)
     assert density.moments is not None
     mean, cov = density.moments
-    root = np.linalg.cholesky(cov)
     z = _WIDER * standard_normal(count, len(mean), key)
-    x = mean + np.einsum("ij,kj->ik", z, root)
+    x = mean + np.einsum("ij,kj->ik", z, np.linalg.cholesky(cov))
     log_w = density.family.log_p(x) + 0.5 * np.sum(z**2, axis=1) / _WIDER**2
     mass = np.exp(log_w - log_w.max())
     mass /= mass.sum()
-    own_mean, own_cov = moments(x, mass)
-    change = root @ np.linalg.inv(np.linalg.cholesky(own_cov))
-    x = mean + np.einsum("ij,kj->ik", x - own_mean, change)
+    x = _matched(x, mass, mean, cov)
     return (x if density.domain is None else density.domain.fold(x)), mass
+
+
+def _matched(x: Floats, mass: Floats, mean: Floats, cov: Floats) -> Floats:
+    """Points shifted and stretched, so that they have a mean and covariance."""
+    own_mean, own_cov = moments(x, mass)
+    change = np.linalg.cholesky(cov) @ np.linalg.inv(np.linalg.cholesky(own_cov))
+    return mean + np.einsum("ij,kj->ik", x - own_mean, change)
 
 
 def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
@@ -172,12 +176,10 @@ def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
         x = mixture.points(seen.mixture, offsets, systematic(density.mass, count))
     if domain is not None:
         return domain.fold(x)
-    mean, cov = moments(x, np.full(count, 1.0 / count))
     try:
-        change = np.linalg.cholesky(density.cov()) @ np.linalg.inv(np.linalg.cholesky(cov))
+        return _matched(x, np.full(count, 1.0 / count), density.mean(), density.cov())
     except np.linalg.LinAlgError:  # flat along some combination of the states
         return x
-    return density.mean() + np.einsum("ij,kj->ik", x - mean, change)
 
 
 def _from_cells(shape: Polynomials, count: int, uniform: Floats) -> Floats:

@@ -15,6 +15,7 @@ from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
 from .shapes import Polynomials
 
 __all__ = [
+    "OF_MISFIT",
     "Exponential",
     "Family",
     "gaussian_family",
@@ -24,6 +25,7 @@ __all__ = [
     "particles_of",
 ]
 
+OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
 _NODES = {1: 200, 2: 1000, 3: 4000}  # of a lattice for questions, and more with more states
 _MOST_NODES = 12_000
 _STEP = 1e-4  # of a difference, in standard deviations

@@ -10,13 +10,12 @@ from .._types import Floats, OfStates
 from ..core.family.basis import Basis, basis, bound, values_at
 from ..core.family.frame import moved, root_between
 from ..errors import PropagationError
-from .family import Family, node_moments, node_weights
+from .family import OF_MISFIT, Family, node_moments, node_weights
 
 __all__ = ["FamilyPosterior", "family_posterior"]
 
 _SETTLED, _ROUNDS, _ASTRAY = 1e-3, 8, 0.3  # of the moments in the frame; rounds; and what is given up
 _LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
-_OF_MISFIT = 0.5  # part of the polynomial's misfit that errors are estimated by
 _TURN = 0.6  # radians, between the rule and that of the second opinion
 
 
@@ -73,7 +72,7 @@ def family_posterior(
     seen = _Seen(b, C, log_evidence, misfit)
     other = _second_opinion(prior, log_weight, found)
     apart = _apart(seen, other)
-    error = max(apart[0], _OF_MISFIT * max(misfit, other.misfit))
+    error = max(apart[0], OF_MISFIT * max(misfit, other.misfit))
     return FamilyPosterior(found.normalised(), log_evidence, max(misfit, other.misfit), error, apart[1])
 
 

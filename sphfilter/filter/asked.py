@@ -5,11 +5,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Bools, Floats
+from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError
 from ..lattice.resolved import Search
+from ..model.domain import Domain
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from ..validate import state_rows
 from .solutions import solutions
@@ -46,6 +47,15 @@ class Asked(NamedTuple):
                 f"the likelihood of z = {self.z} is NaN at the state {where}; check the sensor function"
             )
         return values
+
+    def weight_on(self, domain: Domain | None) -> OfStates:
+        """Log-likelihood as a function of states that need not lie in a domain yet."""
+        return self.log_weight if domain is None else lambda X: self.log_weight(domain.wrap(X))
+
+    @property
+    def linear(self) -> bool:
+        """Is the reading linear in the state?"""
+        return getattr(self.measurement, "H", None) is not None and not self.measurement.angles
 
     def search(self, density: ParticleDensity, config: FilterConfig) -> Search:
         """How far the posterior is searched for peaks between the prior's nodes."""

@@ -17,8 +17,7 @@ def by_cloud(
 ) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood as a cloud of weighted points, which any likelihood leaves."""
     scheme = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
-    domain = density.domain
-    weight = asked.log_weight if domain is None else lambda X: asked.log_weight(domain.wrap(X))
+    weight = asked.weight_on(density.domain)
     new, log_evidence, evidence_error = cloud_posterior(density, weight, scheme.n_points)
     new = replace(new, capacity=n_particles, lost=density.lost)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {new.error:.2g} standard "

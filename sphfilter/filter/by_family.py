@@ -9,7 +9,7 @@ import numpy as np
 from .._types import Floats, OfStates
 from ..density.as_family import family_density, family_of, unrolled
 from ..density.cloud import key_of, points_of
-from ..density.family import Family, node_moments
+from ..density.family import OF_MISFIT, Family, node_moments
 from ..density.family_posterior import FamilyPosterior, family_posterior
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
@@ -22,7 +22,6 @@ __all__ = ["by_family"]
 _LOOKED_AT, _FEW = 128, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
-_OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
 
 
 def by_family(
@@ -39,17 +38,17 @@ def by_family(
         raise PropagationError(
             "one family does not hold this density, which has no smooth logarithm; use another scheme"
         )
-    domain = density.domain
-    weight = asked.log_weight if domain is None else lambda X: asked.log_weight(domain.wrap(X))
+    weight = asked.weight_on(density.domain)
     prior, misfit = family_of(density, degree)
     found = family_posterior(prior, weight, _linearised(density, asked))
-    linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
-    missed = 0.0 if linear else _elsewhere(density, asked, prior, found, weight)
+    missed = 0.0 if asked.linear else _elsewhere(density, asked, prior, found, weight)
     added = math.hypot(found.error, missed)
     if not added <= most:
         raise PropagationError(f"one family of degree {degree} is off by {added:.2g} after the reading")
-    new = family_density(density, found.family, capacity=n_particles, gaussian=density.gaussian and linear)
-    before = math.hypot(density.error, _OF_MISFIT * misfit)
+    new = family_density(
+        density, found.family, capacity=n_particles, gaussian=density.gaussian and asked.linear
+    )
+    before = math.hypot(density.error, OF_MISFIT * misfit)
     error = math.hypot(kept(density, new) * before, added)
     code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
     return replace(new, error=error), {

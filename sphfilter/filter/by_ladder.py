@@ -7,15 +7,13 @@ from typing import Any
 import numpy as np
 
 from ..config import CloudScheme, FilterConfig
-from ..core.family.rules import degrees
 from ..density.as_family import settled
-from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
+from ..density.needs import MOST_POINTS, Needs, allowance, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
-from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.family import fits_density
-from ..prediction.ladder import HIGHEST, first_degree, prefers_cloud
+from ..prediction.ladder import best_family, first_degree, prefers_cloud
 from .asked import Asked, kept
 from .by_cloud import by_cloud
 from .by_family import by_family
@@ -53,23 +51,19 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
     """The posterior as one family, of as high a degree as the error asks; None where none will do."""
     if density.family is None or fits_density(density):
         return None
-    allowed = allowance(density.error, target)
-    best, most = None, doubt(density.dim) * allowed
-    if prefers_cloud(density.dim, needs, target):
-        most = max(most, needs.cloud_error(target))
-    first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)
-    for degree in (d for d in degrees(density.dim) if 0 < first <= d <= HIGHEST):
-        try:
-            new, said = by_family(density, asked, degree, density.capacity or 0, most)
-        except PropagationError:
-            continue
+
+    def updated(degree: int, most: float) -> tuple[Posterior, float]:
+        new, said = by_family(density, asked, degree, density.capacity or 0, most)
         added = math.sqrt(max(said["error"] ** 2 - (kept(density, new) * density.error) ** 2, 0.0))
-        if added <= most:
-            learned = needs.followed(degree)._replace(share=_share(density, new))
-            best, most = (replace(new, needs=learned), _told(said, target)), added
-        if added <= allowed:
-            break
-    return best
+        return (new, said), added
+
+    first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)
+    best = best_family(density, target, needs, first, updated)
+    if best is None:
+        return None
+    (new, said), degree, _ = best
+    learned = needs.followed(degree)._replace(share=_share(density, new))
+    return replace(new, needs=learned), _told(said, target)
 
 
 def _on_cloud(

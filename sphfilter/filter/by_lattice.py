@@ -29,8 +29,7 @@ def by_lattice(
     density: ParticleDensity, asked: Asked, n_particles: int, config: FilterConfig
 ) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
-    linear = getattr(asked.measurement, "H", None) is not None and not asked.measurement.angles
-    gaussian, flag = density.gaussian and linear, asked.outlying
+    gaussian, flag = density.gaussian and asked.linear, asked.outlying
     found, evidence_error, error, left = None, 0.0, 0.0, 1.0
     try:
         new, log_evidence, found = times_likelihood(
@@ -39,7 +38,7 @@ def by_lattice(
             n_particles,
             config.scheme,
             gaussian,
-            None if linear and density.gaussian else asked.search(density, config),
+            None if gaussian else asked.search(density, config),
         )
         evidence_error = found.off.log_mass
         if gaussian:  # a closed form knows better than a sum over nodes

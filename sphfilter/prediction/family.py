@@ -13,7 +13,7 @@ from ..core.family.march import STATUS, Control, Report, march
 from ..core.family.rates import Flow
 from ..core.family.rules import degrees
 from ..density.as_family import family_density, family_of
-from ..density.family import Family
+from ..density.family import OF_MISFIT, Family
 from ..density.particle_density import ParticleDensity
 from ..errors import ConfigError, PropagationError, StoppedError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
@@ -22,11 +22,10 @@ from ..model.sde import SDE
 from ._shared import blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
-__all__ = ["carried", "degree_of", "fits", "fits_density", "propagate"]
+__all__ = ["HIGHEST", "carried", "degree_of", "fits", "fits_density", "propagate"]
 
-_DEGREE = 6  # the highest that is taken unless another is asked for
-# Parts of what the polynomials cannot follow, that errors are estimated by.
-_OF_MISFIT, _OF_RESIDUAL = 0.5, 0.3
+HIGHEST = 6  # degree that is taken unless another is asked for
+_OF_RESIDUAL = 0.3  # part of what the polynomials cannot follow, that errors are estimated by
 _LOST = 1.0  # standard deviations that the mean may be off by
 _NOT_FOLLOWED = (
     "no polynomial of this degree follows the logarithm of the density; predict over a shorter interval, or "
@@ -37,7 +36,7 @@ _NOT_FOLLOWED = (
 def degree_of(scheme: FamilyScheme, n: int) -> int:
     """Degree of a family of n states: the scheme's, or the highest up to six whose rule is known."""
     known = degrees(n)
-    degree = scheme.degree or max((d for d in known if d <= _DEGREE), default=0)
+    degree = scheme.degree or max((d for d in known if d <= HIGHEST), default=0)
     if degree not in known:
         raise ConfigError(f"there is no family of degree {degree or 'any'} for {n} states, but of {known}")
     return degree
@@ -101,7 +100,7 @@ def carried(
     if STATUS[report.code] != "ok":
         raise _given_up(model, y, report, density.t, t1)
     moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()
-    residual = math.hypot(_OF_RESIDUAL * report.residual, _OF_RESIDUAL * report.stepping, _OF_MISFIT * misfit)
+    residual = math.hypot(_OF_RESIDUAL * report.residual, _OF_RESIDUAL * report.stepping, OF_MISFIT * misfit)
     error = math.hypot(density.error, residual)
     if not residual < most:
         raise PropagationError(

@@ -5,7 +5,9 @@ What the last steps needed is in the density, `density.needs`: there the next on
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
@@ -20,11 +22,13 @@ from ..model.sde import SDE
 from . import automatic, cloud, family
 from .to_target import Time, carried_to_target
 
-__all__ = ["HIGHEST", "first_degree", "prefers_cloud", "propagate"]
+__all__ = ["best_family", "first_degree", "prefers_cloud", "propagate"]
+
+Found = TypeVar("Found")
 
 #: States up to which a lattice is cheaper than a cloud, and up to which it comes where clouds are too small.
 _LATTICE, _LATTICE_IF = 2, 4
-HIGHEST, _LOWEST = 6, {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
+_LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _TOLERANCE = 0.1  # of a step of a family, over the target
 _IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
 
@@ -40,6 +44,50 @@ def prefers_cloud(dim: int, needs: Needs, target: float) -> bool:
     """Whether a cloud comes after families, and not a lattice."""
     points_do = needs.parts is not False and needs.cloud(target) <= MOST_POINTS
     return dim > _LATTICE_IF or (dim > _LATTICE and points_do)
+
+
+def best_family(
+    density: ParticleDensity,
+    target: float,
+    needs: Needs,
+    first: int,
+    attempt: Callable[[int, float], tuple[Found, float]],
+) -> tuple[Found, int, float] | None:
+    """The first degree of a family whose added error is allowed, else the best; None where none will do.
+
+    One that is somewhat off is taken where what comes next would not be better.
+
+    Parameters
+    ----------
+    density : ParticleDensity
+        That the step begins with.
+    target : float
+        Standard deviations.
+    needs : Needs
+    first : int
+        Degree that is tried first.
+    attempt : callable
+        A degree, and the most error, to what comes of the step and the error that it adds; it may raise
+        `PropagationError`.
+
+    Returns
+    -------
+    What came of the step, its degree, and the error over the allowance; or None
+    """
+    allowed = allowance(density.error, target)
+    best, most = None, doubt(density.dim) * allowed
+    if prefers_cloud(density.dim, needs, target):
+        most = max(most, needs.cloud_error(target))
+    for degree in (d for d in degrees(density.dim) if 0 < first <= d <= family.HIGHEST):
+        try:
+            found, added = attempt(degree, most)
+        except PropagationError:
+            continue
+        if added <= most:
+            best, most = (found, degree, added / allowed), added
+        if added <= allowed:
+            break
+    return best
 
 
 def propagate(
@@ -101,27 +149,18 @@ def _closed_form(
 def _by_family(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
 ) -> tuple[ParticleDensity, PredictInfo] | None:
-    """Carry one family, of a higher degree where the error asks for it; None where none will do.
+    """Carry one family, of as high a degree as the error asks for; None where none will do."""
 
-    One that is somewhat off is taken where what comes next would not be better.
-    """
-    allowed, first = allowance(density.error, target), first_degree(density.dim, needs)
-    best, most = None, doubt(density.dim) * allowed
-    if prefers_cloud(density.dim, needs, target):
-        most = max(most, needs.cloud_error(target))
-    for degree in (d for d in degrees(density.dim) if 0 < first <= d <= HIGHEST):
+    def carried(degree: int, most: float) -> tuple[tuple[ParticleDensity, PredictInfo], float]:
         scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE * target)
-        try:
-            moved, info = family.carried(density, model, t1, scheme, density.capacity or 0, most)
-        except PropagationError:
-            continue
-        added = math.sqrt(max(info.error**2 - density.error**2, 0.0))
-        if added < most:
-            best = replace(moved, needs=needs.followed(degree - (added < _IDLE * allowed))), info
-            most = added
-        if added <= allowed:
-            break
-    return best
+        moved, info = family.carried(density, model, t1, scheme, density.capacity or 0, most)
+        return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
+
+    best = best_family(density, target, needs, first_degree(density.dim, needs), carried)
+    if best is None:
+        return None
+    (moved, info), degree, used = best
+    return replace(moved, needs=needs.followed(degree - (used < _IDLE))), info
 
 
 def _by_cloud(
