@@ -160,9 +160,9 @@ class Particle:
 
 @settings
 class Sph:
-    """`SPHFilter` with the default scheme: upper bound of the number of particles, and its configuration."""
+    """`SPHFilter` with the default scheme: bound of the particles, if any, and configuration."""
 
-    n_particles: Count | Literal["auto"] = 200
+    n_particles: Count | Literal["auto"] = "auto"
     config: FilterConfig = Field(default_factory=FilterConfig)
 
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.family.basis import Basis, basis, bound, size, values_at
-from ..core.family.frame import inverse, moments_of, weigh
+from ..core.family.frame import inverse, moments_of, moved, weigh
 from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
 from .shapes import Polynomials
 
 __all__ = [
+    "ASTRAY",
     "OF_MISFIT",
     "Exponential",
     "Family",
@@ -25,6 +26,7 @@ __all__ = [
     "particles_of",
 ]
 
+ASTRAY = 0.3  # of the moments in a frame, from which a family does not hold a density
 OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
 _NODES = {1: 200, 2: 1000, 3: 4000}  # of a lattice for questions, and more with more states
 _MOST_NODES = 12_000
@@ -65,6 +67,12 @@ class Family(NamedTuple):
     def weighted(self) -> tuple[Floats, float]:
         """Probabilities (N,) of the nodes, and the logarithm of the integral of the density."""
         return node_weights(self.basis, self.A, self.c @ self.basis.V)
+
+    @property
+    def astray(self) -> bool:
+        """Are the moments not those of the frame, as where the polynomial rises far out?"""
+        off = moved(*node_moments(self.basis.xi, self.weighted()[0]))
+        return not off < ASTRAY
 
     def normalised(self) -> "Family":
         """The same with an integral of one."""

@@ -10,11 +10,11 @@ from .._types import Floats, OfStates
 from ..core.family.basis import Basis, basis, bound, values_at
 from ..core.family.frame import moved, root_between
 from ..errors import PropagationError
-from .family import OF_MISFIT, Family, node_moments, node_weights
+from .family import ASTRAY, OF_MISFIT, Family, node_moments, node_weights
 
 __all__ = ["FamilyPosterior", "family_posterior"]
 
-_SETTLED, _ROUNDS, _ASTRAY = 1e-3, 8, 0.3  # of the moments in the frame; rounds; and what is given up
+_SETTLED, _ROUNDS = 1e-3, 8  # of the moments in the frame; rounds
 _LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
 _TURN = 0.6  # radians, between the rule and that of the second opinion
 
@@ -63,7 +63,7 @@ def family_posterior(
         root = np.empty(C.shape)
         root_between(C, _LEAST, _MOST, root)
         mu, A = mu + A @ (b * min(1.0, _STEP / max(float(np.linalg.norm(b)), 1e-300))), A @ root
-    if not off < _ASTRAY:
+    if not off < ASTRAY:
         raise PropagationError(
             f"one family of degree {prior.degree} does not hold the posterior: its frame does not settle"
         )

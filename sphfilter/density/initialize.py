@@ -20,7 +20,7 @@ from ..model.domain import Domain, DomainLike
 from ..validate import array, choice, count, real, row
 from .distributions import Gaussian, Uniform, checked_box, gaussian_log_pdf
 from .family import gaussian_family, particles_of
-from .needs import Needs, fewest
+from .needs import Needs, bound_of, fewest
 from .particle_density import ParticleDensity
 from .particles import particles_on, particles_with
 
@@ -53,9 +53,9 @@ def initialize(
     ----------
     distribution : Gaussian, Uniform, or callable pdf(X (M, n)) -> (M,)
         A callable need not be normalised, and needs `box`.
-    n_particles : int or "auto"
-        Upper bound of the number of particles: a lattice cannot hit a number. Not needed with a `spacing`.
-        With "auto" the steps that follow choose how the density is represented, by a target error.
+    n_particles : int or "auto", optional
+        Upper bound of the number of particles: a lattice cannot hit a number. With "auto", the default but
+        for a `spacing`, the steps that follow choose how the density is represented, by a target error.
     config : SolverConfig or FilterConfig, optional
     box : array_like, shape (n, 2), optional
         Where a callable pdf is not negligible; with a `spacing`, where a Gaussian is put on particles.
@@ -93,10 +93,12 @@ def initialize(
     scheme = (config or SolverConfig()).scheme
     if isinstance(n_particles, str):
         choice("n_particles", n_particles, ["auto"])
-        return _to_target(distribution, box, config, t, domain)
-    if spacing is not None:
+    if spacing is not None and not isinstance(n_particles, str):
         return _spaced(distribution, n_particles, scheme, box, spacing, t, domain)
-    n_particles = count("n_particles", n_particles)
+    bound = bound_of("auto" if n_particles is None else n_particles, config)
+    if isinstance(bound, str):
+        return _to_target(distribution, box, config, t, domain)
+    n_particles = count("n_particles", bound)
     gaussian, box = isinstance(distribution, Gaussian), _box_of(distribution, box)
     domain = _bounds(domain, box)
     smooth = not isinstance(distribution, Uniform) and (domain is None or gaussian)

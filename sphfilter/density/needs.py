@@ -3,12 +3,14 @@
 import math
 from typing import NamedTuple
 
+from ..config import FilterConfig, LogDensityScheme, SolverConfig
 from ..lattice.level_set import fewest_particles
 
-__all__ = ["MOST_POINTS", "Needs", "allowance", "doubt", "fewest"]
+__all__ = ["MOST_POINTS", "Needs", "allowance", "bound_of", "doubt", "fewest"]
 
 MOST_POINTS = 200_000  # of a cloud
 _FEWEST_POINTS, _POINTS = 1000, 0.5  # at least, and times the square of the error
+_USUAL = 200  # particles of a scheme that estimates no error
 _LONGEST = 4  # doublings of the wait for a family that will not do
 
 
@@ -63,3 +65,15 @@ def allowance(error: float, target: float) -> float:
 def fewest(dim: int) -> int:
     """Number of nodes that a lattice begins with, and never has less of."""
     return max(60, 3 * fewest_particles(dim))
+
+
+def bound_of(n_particles: int | str, config: SolverConfig | FilterConfig | None) -> int | str:
+    """A number of particles as given; of "auto" a number where nothing estimates an error to choose by.
+
+    The acceptance test asks where particles lie, and needs some.
+    """
+    scheme = "auto" if config is None else config.scheme
+    estimates = scheme == "auto" or isinstance(scheme, LogDensityScheme)
+    if isinstance(config, FilterConfig) and config.acceptance.enabled:
+        estimates = False
+    return n_particles if n_particles != "auto" or estimates else _USUAL

@@ -15,7 +15,7 @@ from ..config import FilterConfig, checked_filter_config
 from ..consistency.ranks import Ranker
 from ..density.distributions import Gaussian
 from ..density.initialize import initialize
-from ..density.needs import fewest
+from ..density.needs import bound_of, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
 from ..density.weighted import WeightedStates
@@ -55,10 +55,11 @@ class SPHFilter(Shown):
     t0 : float
         Time of the initial density, seconds.
     n_particles : int or "auto"
-        Upper bound of the number of particles at every re-gridding. With "auto" every step
+        Upper bound of the number of particles at every re-gridding. With "auto", the default, every step
         takes the cheapest representation of the density that keeps its estimated error within the
         configuration's `target_error`: a closed form, one exponential family, a lattice or a cloud. The
-        number is then that of the nodes that the next lattice begins with.
+        number is then that of the nodes that the next lattice begins with. A scheme that estimates no error
+        has 200 particles for "auto".
     config : FilterConfig, optional
         With `time_budget`, n_particles is the most that a step may have: a step has as many particles as are
         expected to end in time, 60 in two states at least. See `prepare`.
@@ -115,7 +116,7 @@ class SPHFilter(Shown):
         P0: ArrayLike | None = None,
         *,
         t0: float = 0.0,
-        n_particles: int | Literal["auto"] = 200,
+        n_particles: int | Literal["auto"] = "auto",
         config: FilterConfig | None = None,
         density: ParticleDensity | None = None,
         dt: Interval | None = None,
@@ -125,11 +126,14 @@ class SPHFilter(Shown):
         self.model = model
         self.measurement = None if measurement is None else checked_sensor(measurement, model)
         self.config = checked_filter_config(config)
-        self._adapts = isinstance(n_particles, str) and choice("n_particles", n_particles, ["auto"]) == "auto"
-        least = fewest(model.dim) if isinstance(n_particles, str) else count("n_particles", n_particles)
+        if isinstance(n_particles, str):
+            choice("n_particles", n_particles, ["auto"])
+        known = bound_of(n_particles, self.config)
+        self._adapts = isinstance(known, str)
+        least = fewest(model.dim) if isinstance(known, str) else count("n_particles", known)
         self.dt = None if dt is None else positive("dt", seconds("dt", dt))
         self._budget = Budget(self.config.time_budget)
-        self._state = FilterState.begun(self._start(x0, P0, t0, density, n_particles), least)
+        self._state = FilterState.begun(self._start(x0, P0, t0, density, known), least)
 
     def _start(
         self,
@@ -172,7 +176,7 @@ class SPHFilter(Shown):
 
     @property
     def n_particles(self) -> int:
-        """Upper bound of the number of particles at the next re-gridding."""
+        """Upper bound of the number of particles at the next re-gridding; a filter given one has that."""
         return self._state.n_particles
 
     @n_particles.setter
@@ -180,6 +184,7 @@ class SPHFilter(Shown):
         value = count("n_particles", value)
         if "_state" in vars(self):  # else a subclass sets it before it is made
             self._state = replace(self._state, n_particles=value)
+            self._adapts = False
 
     def predict(self, dt: Interval | None = None, *, t: float | None = None) -> PredictInfo:
         """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo.

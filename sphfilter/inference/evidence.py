@@ -2,6 +2,8 @@
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -9,10 +11,12 @@ from numpy.typing import ArrayLike
 
 from .. import validate
 from .._types import Bools, Floats, Readings
+from ..config import FamilyScheme
 from ..errors import EstimationError, ModelError, SphfilterError, nearest
 from ..filter.results import AnyFilter, FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..model.measurements import Reading
+from ..model.sde import SDE
 
 __all__ = ["Evidence", "checked_guess", "fingerprint", "n_readings"]
 
@@ -20,6 +24,8 @@ __all__ = ["Evidence", "checked_guess", "fingerprint", "n_readings"]
 Builder: TypeAlias = Callable[[dict[str, float]], AnyFilter]
 #: Lowest and highest value of a parameter.
 Bound: TypeAlias = tuple[float | None, float | None]
+_PARTICLES = 200  # where one family does not carry the density, and no number of them is given
+_TOLERANCE = 1e-4  # of the steps of a family: the log-evidence is differentiated
 #: Called with the number of runs so far, the parameters of the last and its log-evidence.
 Progress: TypeAlias = Callable[[int, dict[str, float], float], object]
 
@@ -55,8 +61,10 @@ class Evidence:
         names: Sequence[str],
         report: Progress | None,
     ) -> None:
-        self.build = _builder(filt, names) if isinstance(filt, SPHFilter) else filt
         self.times, self.measurements, self.names = np.asarray(times, dtype=float), measurements, names
+        self.build: Builder = (
+            _builder(filt, names, self.times, measurements) if isinstance(filt, SPHFilter) else filt
+        )
         self.report, self.n_evaluations = report, 0
         self.n_readings = n_readings(measurements)
 
@@ -109,20 +117,37 @@ class Evidence:
         return function
 
 
-def _builder(filt: SPHFilter, names: Sequence[str]) -> Builder:
-    """Make filters like one at its start, with other parameters of its model."""
-    if filt.adapts:
-        raise ModelError(
-            'n_particles="auto" changes from run to run, which makes the log-evidence jump; give a number'
-        )
+def _builder(filt: SPHFilter, names: Sequence[str], times: Floats, measurements: Readings) -> Builder:
+    """Make filters like one at its start, with other parameters of its model, and all of one shape.
+
+    Steps that chose anew how the density is represented would make the log-evidence jump.
+    """
     filt.model.with_parameters(**{name: filt.model.parameters.get(name, 0.0) for name in names})
+    shape: dict[str, Any] = {}
 
     def build(parameters: dict[str, float]) -> SPHFilter:
         model = filt.model.with_parameters(**parameters)
-        shape: dict[str, Any] = {"n_particles": filt.n_particles, "config": filt.config}
+        if not shape:
+            shape.update(_shape(filt, model, times, measurements))
         return SPHFilter(model, filt.measurement, density=filt.density, **shape)
 
     return build
+
+
+def _shape(filt: SPHFilter, model: SDE, times: Floats, measurements: Readings) -> dict[str, Any]:
+    """How a filter carries its density: as it does; if a target error chooses, one family if that does."""
+    if not filt.adapts:
+        return {"n_particles": filt.n_particles, "config": filt.config}
+    on_particles = {"n_particles": _PARTICLES, "config": filt.config}
+    trial, degree = SPHFilter(model, filt.measurement, density=filt.density, config=filt.config), 0
+    for t, z in zip(times, measurements, strict=True):
+        for step in (partial(trial.predict, t=t), partial(trial.update, z)):
+            step()
+            if trial.density.family is None:
+                return on_particles
+            degree = max(degree, trial.density.family.degree)
+    scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE)
+    return {"config": replace(filt.config, scheme=scheme)}
 
 
 def n_readings(measurements: Readings) -> int:

@@ -102,7 +102,7 @@ def carried(
     moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()
     residual = math.hypot(_OF_RESIDUAL * report.residual, _OF_RESIDUAL * report.stepping, OF_MISFIT * misfit)
     error = math.hypot(density.error, residual)
-    if not residual < most:
+    if not residual < most or moved.astray:
         raise PropagationError(
             f"prediction from {density.t:g} to {t1:g}: {_NOT_FOLLOWED}; the mean would be off by {error:.2g} "
             f"standard deviations"

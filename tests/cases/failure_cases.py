@@ -127,7 +127,6 @@ SAID_OF_FITS = [
     lambda: fitted(lambda a, b: -(a**2) - 0.05 * b**2 + 0.5 * NOISE.standard_normal(), "a", "b"),
     lambda: fitted(lambda a, b: -100 * (a**2 + b**2) if a + b < 0.06 else -np.inf, "a", "b"),
     lambda: fitted(refused, "a"),
-    lambda: sf.fit_parameters(filtering("auto"), [1.0], [[0.1]], {"a": 1.0}),
     lambda: sf.compare_models({"a": fitted(lambda a: -(a**2), "a")}, [2.0], [[0.0]]),
     lambda: sf.smooth(filtering(scheme="corrected"), [1.0], [[0.1]]),
     lambda: sf.smooth(sf.SPHFilter(line("-x", domain=WALLS), HEIGHT, [0.0], [[1.0]]), [1.0], [[0.1]]),

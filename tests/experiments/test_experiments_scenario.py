@@ -58,7 +58,7 @@ def test_published_parameters(name, dim, Q, interval, end, n_particles, n_runs, 
     assert (settings.times.interval, settings.times.end) == (interval, end)
     found = settings.filters
     assert (found.sph_paper.n_particles, found.pf.n_particles) == n_particles
-    assert found.sph.n_particles == n_particles[0]
+    assert found.sph.n_particles == "auto"
     assert settings.runs.published == n_runs
     assert found.sph_paper.config == FilterConfig.paper(kernel=kernel)
     assert found.sph.config == FilterConfig()

@@ -48,8 +48,8 @@ def test_rejected_measurements_count(z):
     wild = np.array(z[:6])
     wild[3] = 200.0
     times = TIMES[:6]
-    narrow = sf.SPHFilter(OSCILLATOR, POSITION, *START)
-    wide = sf.SPHFilter(OSCILLATOR, POSITION.changed(noise_cov=1e4), *START)
+    narrow = sf.SPHFilter(OSCILLATOR, POSITION, *START, n_particles=200)
+    wide = sf.SPHFilter(OSCILLATOR, POSITION.changed(noise_cov=1e4), *START, n_particles=200)
     found = sf.compare_models({"narrow": narrow, "wide": wide}, times, wild)
     assert found.names == ("wide", "narrow") and list(found.n_rejected) == [0, 1]
 

@@ -92,7 +92,7 @@ def test_four_states():
 
 def test_the_last_density_is_the_filters():
     times = np.array([1.0, 2.0])
-    flt = sf.SPHFilter(LINEAR, POSITION, *START)
+    flt = sf.SPHFilter(LINEAR, POSITION, *START, n_particles=200)
     found = sf.smooth(flt, times, [[0.5], [0.2]])
     result = flt.run(times, [[0.5], [0.2]])
     np.testing.assert_array_equal(found.x[-1], result.x[-1])
