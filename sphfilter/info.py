@@ -58,7 +58,13 @@ class Code(IntFlag):
 
 
 #: What schemes put in the place of a density.
-_RUNGS = {"exact_linear": "closed form", "family": "family", "log_density": "lattice", "cloud": "cloud"}
+_RUNGS = {
+    "exact_linear": "closed form",
+    "family": "family",
+    "pieces": "pieces",
+    "log_density": "lattice",
+    "cloud": "cloud",
+}
 
 
 class _Marked:
@@ -77,7 +83,8 @@ class _Marked:
 
     @property
     def rung(self) -> str:
-        """What stood for the density: "closed form", "family", "lattice", "cloud" or "particles"."""
+        """What stood for the density: "closed form", "family", "pieces", "lattice", "cloud" or
+        "particles"."""
         return ", ".join(
             dict.fromkeys(_RUNGS.get(name, "particles") for name in self.scheme.split(", ") if name)
         )

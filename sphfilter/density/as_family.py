@@ -10,9 +10,10 @@ from ..core.family.basis import basis
 from .family import OF_MISFIT, Family, gaussian_family, node_weights, particles_of
 from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
+from .pieces import Pieces, particles_of_pieces
 from .resample import logarithm
 
-__all__ = ["family_density", "family_of", "settled", "unrolled"]
+__all__ = ["family_density", "family_of", "pieces_density", "settled", "unrolled"]
 
 
 def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
@@ -78,7 +79,17 @@ def _agree(density: ParticleDensity, family: ParticleDensity, most: float) -> bo
 
 def family_density(density: ParticleDensity, family: Family, **changes: Any) -> ParticleDensity:
     """A density whose place in the record is that of another, as one family."""
-    about = {
-        name: getattr(density, name) for name in ("t", "capacity", "domain", "error", "lost", "gaussian")
-    }
-    return ParticleDensity(**particles_of(family), **about | changes)
+    return ParticleDensity(**particles_of(family), **_about(density) | changes)
+
+
+def pieces_density(density: ParticleDensity, pieces: Pieces, **changes: Any) -> ParticleDensity:
+    """The same as Gaussians that it is the sum of; one alone is a family, which is known to be Gaussian."""
+    if len(pieces.log_w) == 1:
+        one = gaussian_family(pieces.mean[0], pieces.cov[0], 2)
+        return family_density(density, one, **{"gaussian": True} | changes)
+    return ParticleDensity(**particles_of_pieces(pieces), **_about(density) | {"gaussian": False} | changes)
+
+
+def _about(density: ParticleDensity) -> dict[str, Any]:
+    names = "t", "capacity", "domain", "error", "lost", "gaussian"
+    return {name: getattr(density, name) for name in names}

@@ -14,6 +14,7 @@ from ..core.sph.kernels import Kernel
 from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import mixture
+from .pieces import GaussianPieces
 from .shapes import Folded, Kernels, Polynomials, spread_evenly
 
 if TYPE_CHECKING:
@@ -167,7 +168,9 @@ def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
     """Draw quasi-random points (count, n) from a density, by a key: with its mean and covariance."""
     shape: Any = density.form.shape if isinstance(density.form, Folded) else density.form
     domain, n = density.domain, density.dim
-    if isinstance(shape, Polynomials):
+    if isinstance(shape, GaussianPieces):
+        x = shape.at(systematic(shape.pieces.w, count), quasi_random(count, n, key))
+    elif isinstance(shape, Polynomials):
         shape = shape if domain is None else shape.around(domain)
         x = _from_cells(shape, count, quasi_random(count, n, key))
     else:

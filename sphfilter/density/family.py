@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._types import Floats, Ints
+from .._types import Floats, Ints, OfStates
 from ..core.family.basis import Basis, basis, bound, size, values_at
 from ..core.family.frame import inverse, moments_of, moved, weigh
 from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
@@ -128,12 +128,13 @@ def particles_of(family: Family) -> dict[str, Any]:
     }
 
 
-def laid_family(family: Family, moments: Any, n_particles: int) -> Laid:
-    """A family of given mean and covariance on a lattice of at most so many nodes."""
+def laid_family(log_p: OfStates, moments: Any, n_particles: int, middles: Floats | None = None) -> Laid:
+    """A density of given moments on a lattice of at most so many nodes, from its `middles` (K, n)."""
     mean, cov = moments
     n_particles = max(n_particles, fewest_particles(len(mean)))
     depth = 0.5 * lattice_reach(None, len(mean)) ** 2
-    return lay(family.log_p, mean, np.linalg.cholesky(cov), mean[None], n_particles, depth)
+    middles = mean[None] if middles is None else middles
+    return lay(log_p, mean, np.linalg.cholesky(cov), middles, n_particles, depth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +151,7 @@ class Exponential:
     @cached_property
     def laid(self) -> Polynomials:
         """The same density on a lattice."""
-        laid = laid_family(self.family, self.moments, _NODES.get(len(self.family.mu), _MOST_NODES))
+        laid = laid_family(self.family.log_p, self.moments, _NODES.get(len(self.family.mu), _MOST_NODES))
         return Polynomials(laid.field, laid.x, laid.mass, self.moments)
 
     def pdf(self, X: Floats) -> Floats:

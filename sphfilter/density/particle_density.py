@@ -21,12 +21,13 @@ from .cloud import Cloud
 from .family import Exponential, Family
 from .marginal import around
 from .needs import Needs
+from .pieces import GaussianPieces, Pieces
 from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
 from .weighted import WeightedStates
 
 __all__ = ["ParticleDensity"]
 
-READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "shrunk", "log_density", "cloud", "family")
+READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "shrunk", "log_density", "cloud", "family", "pieces")
 _SUMMED = 1e-14  # distance from one of the sum of masses that have been normalised already
 
 
@@ -52,9 +53,10 @@ class ParticleDensity:
         "shrunk" (the mixture with the widening by the kernels taken back: mean and covariance are those of
         the points; with a domain the mixture itself), "log_density" (sums over a lattice and the ring
         around its cut edge; the pdf is the exponential of the `field`, tails included), "cloud" (sums over
-        weighted points; the pdf is that of kernels as wide as their effective number asks) or "family" (the
-        exponential of one polynomial, and a lattice laid for what has no closed form). Questions about
-        the density between the points, read as "points", are answered by the mixture.
+        weighted points; the pdf is that of kernels as wide as their effective number asks), "family" (the
+        exponential of one polynomial, and a lattice laid for what has no closed form) or "pieces" (a few
+        Gaussians). Questions about the density between the points, read as "points", are answered by the
+        mixture.
     represented_mass : float
         Probability of the region the particles cover, where the density was cut; one if unknown.
     log_density : ndarray, shape (N,), or None
@@ -84,6 +86,8 @@ class ParticleDensity:
         density; NaN where a scheme on the way made no estimate.
     family : Family or None
         Frame and coefficients of the polynomial that log p is, where the density is one family.
+    pieces : Pieces or None
+        Gaussians that the density is the sum of.
     needs : Needs or None
         What its last steps needed, where a target error chooses how it is represented, as with
         ``n_particles="auto"``; None where a number of particles does.
@@ -122,6 +126,7 @@ class ParticleDensity:
     error: float = 0.0
     lost: float = 0.0
     family: Family | None = None
+    pieces: Pieces | None = None
     needs: Needs | None = None
 
     def __post_init__(self) -> None:
@@ -209,6 +214,8 @@ class ParticleDensity:
     def _shape(self, kind: ReadOut) -> Shape:
         """The shape that is read as `kind`."""
         shape: Kernels | Polynomials
+        if kind == "pieces" and self.pieces is not None:
+            return GaussianPieces(self.pieces)
         if kind == "family" and self.family is not None:
             assert self.moments is not None
             whole = Exponential(self.family, self.x, self.mass, self.moments)
@@ -218,7 +225,7 @@ class ParticleDensity:
         elif kind == "log_density" and self.field is not None:
             shape = Polynomials(self.field, self.x, self.mass, self.moments)
         else:
-            kind = "points" if kind in ("log_density", "family") else kind
+            kind = "points" if kind in ("log_density", "family", "pieces") else kind
             points = Cloud if kind == "cloud" else Kernels
             shape = points(self.x, self.mass, self.h, self.sph_kernel, kind)
         return shape if self.domain is None else Folded(shape, self.domain)

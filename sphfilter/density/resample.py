@@ -74,6 +74,8 @@ def logarithm(density: ParticleDensity) -> OfStates:
         return partial(field.at, density.field)
     if density.family is not None:
         return density.family.log_p
+    if density.pieces is not None:
+        return density.pieces.log_p
     if density.log_density is not None:
         return normalised(density)
     factor = np.linalg.cholesky(density.cov("points"))
@@ -139,8 +141,8 @@ def particle_bound(density: ParticleDensity, n_particles: int | str | None = Non
         return nodes or fewest(density.dim)
     if n_particles is not None:
         return count("n_particles", n_particles)
-    of_family = 4 * fewest(density.dim) if density.family is not None else 0
-    return density.capacity or of_family or density.n_particles
+    no_lattice = density.family is not None or density.pieces is not None
+    return density.capacity or (4 * fewest(density.dim) if no_lattice else density.n_particles)
 
 
 def target_of(
@@ -158,10 +160,12 @@ def target_of(
 
 
 def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
-    """A density that is one family, on a lattice; another as it is."""
-    if density.family is None:
+    """A density that is one family, or pieces, on a lattice; another as it is."""
+    whole = density.family or density.pieces
+    if whole is None:
         return density
-    laid = laid_family(density.family, density.moments, n_particles)
+    middles = None if density.pieces is None else density.pieces.mean
+    laid = laid_family(whole.log_p, density.moments, n_particles, middles)
     about = density.t, density.capacity, density.gaussian, density.domain
     return replace(ParticleDensity.on_lattice(laid, *about), error=density.error, lost=density.lost)
 

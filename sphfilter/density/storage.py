@@ -18,6 +18,7 @@ from ..model.domain import Domain
 from .family import Family
 from .needs import Needs
 from .particle_density import ParticleDensity
+from .pieces import Pieces
 
 __all__ = [
     "FORMAT",
@@ -47,7 +48,9 @@ def stored(density: ParticleDensity) -> Arrays:
         arrays |= {"moments.mean": density.moments[0], "moments.cov": density.moments[1]}
     if density.family is not None:
         arrays |= under("family", density.family._asdict())
-    special = {*_ARRAYS, "field", "moments", "domain", "family"}
+    if density.pieces is not None:
+        arrays |= under("pieces", density.pieces._asdict())
+    special = {*_ARRAYS, "field", "moments", "domain", "family", "pieces"}
     about: dict[str, Any] = {
         f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
     }
@@ -69,6 +72,8 @@ def density_from(arrays: Arrays) -> ParticleDensity:
         about["field"] = build_field(mu, A, node, kept.item(), log_p, stencils(n))
     if "family.mu" in arrays:
         about["family"] = Family(**part("family", arrays))
+    if "pieces.mean" in arrays:
+        about["pieces"] = Pieces(**part("pieces", arrays))
     if "moments.mean" in arrays:
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
     about |= {name: arrays[name] for name in _ARRAYS if name in arrays}

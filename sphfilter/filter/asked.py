@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
 from ..density.particle_density import ParticleDensity
-from ..errors import ModelError
+from ..errors import ModelError, PropagationError
 from ..lattice.resolved import Search
 from ..model.domain import Domain
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
@@ -51,6 +51,36 @@ class Asked(NamedTuple):
     def weight_on(self, domain: Domain | None) -> OfStates:
         """Log-likelihood as a function of states that need not lie in a domain yet."""
         return self.log_weight if domain is None else lambda X: self.log_weight(domain.wrap(X))
+
+    @property
+    def share(self) -> float:
+        """Volume of the posterior over that of the prior, as if both were Gaussian; or one."""
+        if not is_gaussian(self.measurement) or self.S is None:
+            return 1.0
+        R = self.measurement.noise_cov[np.ix_(self.seen, self.seen)]
+        return float(np.exp(0.5 * (np.linalg.slogdet(R)[1] - np.linalg.slogdet(self.S)[1])))
+
+    def whitened(self) -> tuple[OfStates, float]:
+        """The measurement less its reading in units of its noise, (M, k) at states (M, n); and the
+        log of the noise's density at zero.
+
+        Raises
+        ------
+        PropagationError
+            The sensor is none with Gaussian noise.
+        """
+        if not is_gaussian(self.measurement):
+            raise PropagationError("the sensor has no reading, but a likelihood only")
+        sensor, z, both = self.measurement, Reading.of(self.z).z, np.ix_(self.seen, self.seen)
+        factor = np.linalg.cholesky(sensor.noise_cov[both])
+        back = np.linalg.inv(factor).T
+
+        def white(X: Floats) -> Floats:
+            off = sensor.residual(z, sensor.predict(X, self.t))[:, self.seen]
+            return np.asarray(off @ back)
+
+        half_log_2_pi = 0.5 * float(np.log(2.0 * np.pi))
+        return white, -float(np.log(np.diag(factor)).sum()) - len(factor) * half_log_2_pi
 
     @property
     def linear(self) -> bool:

@@ -8,9 +8,10 @@ import numpy as np
 
 from ..config import CloudScheme, FilterConfig
 from ..density.as_family import settled
-from ..density.needs import MOST_POINTS, Needs, allowance, fewest
+from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
+from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.family import fits_density
 from ..prediction.ladder import best_family, first_degree, prefers_cloud
@@ -18,10 +19,13 @@ from .asked import Asked, kept
 from .by_cloud import by_cloud
 from .by_family import by_family
 from .by_lattice import by_lattice
+from .by_pieces import by_pieces
 
 __all__ = ["by_ladder"]
 
 _TRIES, _MOST_NODES = 3, 20_000
+#: Nodes of pieces, over the points of a cloud that has the same error; and so many that are always tried.
+_NODES, _NODES_MORE, _FEW_NODES = {1: 0.2, 2: 0.2}, 2.0, 20_000
 _NEAR = 0.3  # of the points: changes that are not made
 _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
 
@@ -35,6 +39,8 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     """
     needs = density.needs or Needs()
     found = _on_family(density, asked, target, needs)
+    if found is None or found[1]["error"] > target:
+        found = _on_pieces(density, asked, target, needs) or found
     if found is not None:
         return found
     by_cloud = density.field is None and prefers_cloud(density.dim, needs, target)
@@ -64,6 +70,23 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
     (new, said), degree, _ = best
     learned = needs.followed(degree)._replace(share=_share(density, new))
     return replace(new, needs=learned), _told(said, target)
+
+
+def _on_pieces(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
+    """The posterior as Gaussians; None where those would be too many. One family follows where it will do."""
+    points = min(needs._replace(share=min(needs.share, asked.share)).cloud(target), MOST_POINTS)
+    most = int(_NODES.get(density.dim, _NODES_MORE) * points)
+    try:
+        new, said = by_pieces(density, asked, target, max(most, _FEW_NODES))
+    except PropagationError:
+        return None
+    if said["error"] > doubt(density.dim) * target:
+        return None
+    if new.pieces is not None:
+        one = settled(new, first_degree(new.dim, needs), allowance(new.error, target))
+        new = new if one is None else one
+    learned = needs._replace(share=_share(density, new))
+    return replace(new, needs=learned), _told(said | {"error": new.error}, target)
 
 
 def _on_cloud(

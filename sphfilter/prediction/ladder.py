@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
-from ..density.as_family import family_density, unrolled
+from ..density.as_family import family_density, settled, unrolled
 from ..density.family import gaussian_family
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
@@ -19,7 +19,7 @@ from ..density.resample import on_lattice
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.sde import SDE
-from . import automatic, cloud, family
+from . import automatic, cloud, family, pieces
 from .to_target import Time, carried_to_target
 
 __all__ = ["best_family", "first_degree", "prefers_cloud", "propagate"]
@@ -121,7 +121,11 @@ def propagate(
         return _closed_form(density, model, t1, needs)
     if needs.parts is None and density.dim > _LATTICE:
         needs = needs._replace(parts=cloud.parts(model, density, t1))
-    if needs.waits > 0:
+    if density.pieces is not None:
+        found = _by_pieces(density, model, t1, target, needs)
+        if found is not None:
+            return found
+    elif needs.waits > 0:
         needs = needs.waited()
     elif not family.fits(model, density):
         found = _by_family(density, model, t1, target, needs)
@@ -161,6 +165,21 @@ def _by_family(
         return None
     (moved, info), degree, used = best
     return replace(moved, needs=needs.followed(degree - (used < _IDLE))), info
+
+
+def _by_pieces(
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
+) -> tuple[ParticleDensity, PredictInfo] | None:
+    """Carry Gaussians each by itself; one family takes their place where it holds what they become."""
+    allowed = allowance(density.error, target)
+    try:
+        moved, info = pieces.carried(density, model, t1, allowed)
+    except PropagationError:
+        return None
+    if moved.pieces is not None:
+        one = settled(moved, first_degree(moved.dim, needs), allowed)
+        moved = moved if one is None else one
+    return replace(moved, needs=needs), info
 
 
 def _by_cloud(

@@ -1,0 +1,185 @@
+"""A few Gaussians together: what sharp, bent or two-sided readings leave of one."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from .._types import Floats, Ints
+from ..core.family.rules import rule as family_rule
+
+__all__ = ["GaussianPieces", "Pieces", "nodes", "particles_of_pieces", "pieces_of", "root_of"]
+
+_LOG_2_PI = math.log(2.0 * math.pi)
+_ENTRIES = 2**21  # of an array of states times pieces
+_STATES = 2**15  # that stand for the density
+_OF_ONE = 5  # nodes of one state
+
+
+class Pieces(NamedTuple):
+    """p(x) = sum_k exp(log_w_k) N(x; mean_k, root_k root_k^T)."""
+
+    log_w: Floats  # (K,)
+    mean: Floats  # (K, n)
+    root: Floats  # (K, n, n)
+
+    def some(self, which: Any) -> "Pieces":
+        """Those of a mask or of numbers."""
+        return Pieces(*(part[which] for part in self))
+
+    @property
+    def w(self) -> Floats:
+        """Shares (K,) of the whole."""
+        w: Floats = np.exp(self.log_w - logsumexp(self.log_w))
+        return w
+
+    @property
+    def cov(self) -> Floats:
+        """Covariances (K, n, n)."""
+        return np.einsum("kac,kbc->kab", self.root, self.root)
+
+    def normalised(self) -> "Pieces":
+        """The same with shares of sum one, the heaviest first."""
+        order = np.argsort(-self.log_w, kind="stable")
+        return Pieces(self.log_w[order] - logsumexp(self.log_w), self.mean[order], self.root[order])
+
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean (n,) and covariance (n, n) of the whole."""
+        mean = self.w @ self.mean
+        off = self.mean - mean
+        return mean, np.einsum("k,kab->ab", self.w, self.cov) + np.einsum("k,ka,kb->ab", self.w, off, off)
+
+    def log_each(self, X: Floats) -> Floats:
+        """Logarithm of each piece, with its weight, at states (M, n); shape (M, K)."""
+        back = np.linalg.inv(self.root)
+        z = np.einsum("kab,mkb->mka", back, X[:, None] - self.mean)
+        n = X.shape[1]
+        peak = self.log_w - np.linalg.slogdet(self.root)[1] - 0.5 * n * _LOG_2_PI
+        return peak - 0.5 * np.einsum("mka,mka->mk", z, z)
+
+    def log_p(self, X: Floats) -> Floats:
+        """Logarithm of the density at states (M, n), shape (M,)."""
+        step = max(1, _ENTRIES // self.mean.size)
+        parts = [logsumexp(self.log_each(X[i : i + step]), axis=1) for i in range(0, len(X), step)]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+
+@cache
+def nodes(n: int) -> tuple[Floats, Floats]:
+    """Nodes (N, n) and positive weights (N,) exact to degree five under the standard normal law."""
+    if n == 1:
+        points, weights = np.polynomial.hermite_e.hermegauss(_OF_ONE)
+        return points[:, None], weights / weights.sum()
+    if n > 4:  # where the short rule has weights below zero
+        return family_rule(n, 2)
+    axes = math.sqrt(3.0) * np.vstack([np.eye(n), -np.eye(n)])
+    pairs = [a + b for i, a in enumerate(axes) for b in axes[i + 1 :] if np.any(a + b)]
+    xi = np.vstack([np.zeros(n), axes, pairs])
+    u = np.repeat([1.0 + (n * n - 7.0 * n) / 18.0, (4.0 - n) / 18.0, 1.0 / 36.0], [1, 2 * n, len(pairs)])
+    return np.ascontiguousarray(xi[u > 0.0]), u[u > 0.0]
+
+
+def root_of(cov: Floats) -> Floats:
+    """Lower factors of covariances (..., n, n)."""
+    return np.asarray(np.linalg.cholesky(cov), np.float64)
+
+
+def pieces_of(mean: Floats, cov: Floats) -> Pieces:
+    """One Gaussian."""
+    return Pieces(np.zeros(1), np.array([mean]), root_of(cov)[None])
+
+
+def particles_of_pieces(pieces: Pieces) -> dict[str, Any]:
+    """What a density of pieces is made of, by name: their nodes are its particles."""
+    xi, u = nodes(pieces.mean.shape[1])
+    x = pieces.mean[:, None] + np.einsum("kab,ib->kia", pieces.root, xi)
+    width = np.exp(np.linalg.slogdet(pieces.root)[1] / x.shape[2])
+    return {
+        "x": x.reshape(-1, x.shape[2]),
+        "mass": np.outer(pieces.w, u).ravel(),
+        "h": np.repeat(width, len(u)),
+        "read_out": "pieces",
+        "pieces": pieces,
+        "moments": pieces.moments(),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianPieces:
+    """A sum of Gaussians: all questions in closed form, or by states spread evenly in each."""
+
+    pieces: Pieces
+
+    widening = 0.0
+
+    def pdf(self, X: Floats) -> Floats:
+        """Density, shape (M,)."""
+        return np.exp(self.logpdf(X))
+
+    def logpdf(self, X: Floats) -> Floats:
+        """Logarithm of the density, shape (M,)."""
+        return self.pieces.log_p(X)
+
+    def gradient(self, X: Floats) -> Floats:
+        """Gradient of the density, shape (M, n)."""
+        p = np.exp(self.pieces.log_each(X))
+        pull = np.linalg.solve(self.pieces.cov, (self.pieces.mean - X[:, None])[..., None])[..., 0]
+        return np.einsum("mk,mka->ma", p, pull)
+
+    @cached_property
+    def _moments(self) -> tuple[Floats, Floats]:
+        return self.pieces.moments()
+
+    def mean(self) -> Floats:
+        """Mean, shape (n,)."""
+        return self._moments[0].copy()
+
+    def cov(self, centre: Floats | None = None) -> Floats:
+        """Covariance, shape (n, n), about the mean if no centre (n,) is given."""
+        off = np.zeros(len(self._moments[0])) if centre is None else self._moments[0] - centre
+        return self._moments[1] + np.outer(off, off)
+
+    def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
+        """States spread evenly in each piece, as many in all, and in each by its share."""
+        n_each = np.maximum((_STATES * self.pieces.w).astype(int), 64)
+        own = np.repeat(np.arange(len(n_each)), n_each)
+        return self.at(own, _even(own, self.pieces.mean.shape[1])), (self.pieces.w / n_each)[own]
+
+    def at(self, own: Ints, uniform: Floats) -> Floats:
+        """States (M, n) of pieces of given numbers (M,), at points (M, n) of the unit cube."""
+        from scipy.special import ndtri  # on use: import time
+
+        z = ndtri(np.clip(uniform, 1e-15, 1.0 - 1e-15))
+        return self.pieces.mean[own] + np.einsum("mab,mb->ma", self.pieces.root[own], z)
+
+    def sample(self, size: int, rng: np.random.Generator) -> Floats:
+        """Draw states, shape (size, n)."""
+        own = rng.choice(len(self.pieces.w), size=size, p=self.pieces.w)
+        return self.at(own, rng.random((size, self.pieces.mean.shape[1])))
+
+    def raw_moment(self, powers: Ints, centre: Floats) -> None:
+        """Moments are sums over states."""
+
+    def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
+        """Particles of the density of some axes, by name: the same pieces there."""
+        cov = self.pieces.cov[:, axes][:, :, axes]
+        own = Pieces(self.pieces.log_w, self.pieces.mean[:, axes], root_of(cov))
+        return particles_of_pieces(own)
+
+    def ends(self) -> tuple[Floats, Floats, Floats]:
+        """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
+        mean, width = self.pieces.mean[:, 0], np.abs(self.pieces.root[:, 0, 0])
+        return mean - 9.0 * width, mean + 9.0 * width, width
+
+
+def _even(own: Ints, n: int) -> Floats:
+    """Points (M, n) of the unit cube, spread evenly among those of every piece."""
+    from .shapes import spread_evenly  # shapes know of no pieces
+
+    first = np.searchsorted(own, own)
+    number = np.arange(len(own)) - first
+    return (spread_evenly(int(number.max()) + 1, n)[number] + 0.5) % 1.0

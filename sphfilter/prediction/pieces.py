@@ -1,0 +1,77 @@
+"""A few Gaussians carried by the model: exactly if it is linear, else each as a family of degree two."""
+
+import math
+
+import numpy as np
+
+from ..config import FamilyScheme
+from ..density.as_family import family_density, pieces_density
+from ..density.family import gaussian_family
+from ..density.merging import merged
+from ..density.particle_density import ParticleDensity
+from ..density.pieces import Pieces, root_of
+from ..errors import PropagationError
+from ..info import PredictInfo
+from ..model.sde import SDE
+from . import family
+
+__all__ = ["carried"]
+
+_CHANGE, _OF_CHANGE = 5.0, 0.2  # of log p by mergers: times the aim, and part of it that is an error
+_LIGHT = 0.1  # share of a piece, below which it may be off by more
+_TOLERANCE = 0.1  # of a step, over what a prediction may add
+
+
+def carried(
+    density: ParticleDensity, model: SDE, t1: float, allowed: float
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry pieces to time t1, and merge those that noise has made alike.
+
+    Raises
+    ------
+    PropagationError
+        The drift bends too much over a piece for an error of `allowed`.
+    """
+    assert density.pieces is not None
+    if model.linear and model.domain.unbounded:
+        moved, off, info = _linearly(density.pieces, model, t1 - density.t), 0.0, PredictInfo()
+    else:
+        moved, off, info = _one_by_one(density, model, t1, allowed)
+    pieces, change = merged(moved, _CHANGE * allowed)
+    error = math.hypot(density.error, off, _OF_CHANGE * change)
+    skipped = ("particles: a few Gaussians are the density",)
+    told = PredictInfo(
+        scheme="pieces",
+        error=error,
+        n_steps=info.n_steps,
+        n_evaluations=info.n_evaluations,
+        skipped=skipped,
+    )
+    return pieces_density(density, pieces, t=float(t1), error=error), told
+
+
+def _linearly(pieces: Pieces, model: SDE, dt: float) -> Pieces:
+    flow, offset, Q = model.to_linear().discretize(dt)
+    cov = np.einsum("ab,kbc,dc->kad", flow, pieces.cov, flow) + Q
+    return Pieces(pieces.log_w, pieces.mean @ flow.T + offset, root_of(cov))
+
+
+def _one_by_one(
+    density: ParticleDensity, model: SDE, t1: float, allowed: float
+) -> tuple[Pieces, float, PredictInfo]:
+    """Each piece as a family of its own; their errors, weighed by their shares; and what they took."""
+    assert density.pieces is not None
+    moved, infos, off = [], [], 0.0
+    for share, mean, cov in zip(density.pieces.w, density.pieces.mean, density.pieces.cov, strict=True):
+        own = family_density(density, gaussian_family(mean, cov, 2), error=0.0, gaussian=True)
+        scheme = FamilyScheme(degree=2, tolerance=_TOLERANCE * allowed)
+        most = allowed * max(1.0, _LIGHT / share)
+        new, info = family.carried(own, model, t1, scheme, 0, most)
+        moved.append(new.moments)
+        infos.append(info)
+        off += share * info.error
+        if off > allowed:
+            raise PropagationError("the drift bends too much over the pieces")
+    mean, cov = (np.array(part) for part in zip(*moved, strict=True))
+    steps = {name: sum(getattr(info, name) for info in infos) for name in ("n_steps", "n_evaluations")}
+    return Pieces(density.pieces.log_w, mean, root_of(cov)), off, PredictInfo(**steps)
