@@ -9,10 +9,12 @@ import numpy as np
 
 __all__ = ["degrees", "rule"]
 
-_MORE = 9  # Gauss-Hermite points of one state, over the degree: fewer do not see what a polynomial misses
+#: Gauss-Hermite points of one state, over the degree: fewer do not see what a polynomial misses. Cubics rise
+#: on one side, and see little else at points further out.
+_MORE, _MORE_OF_CUBICS = 9, 2
 #: Degrees whose own rule is blind in two and three states: a polynomial that is a half to nine tenths off
 #: seems right at its nodes. Those of the next rule see it.
-_BLIND = {(2, 3), (2, 4), (3, 4)}
+_BLIND = {(2, 4), (3, 4)}
 _HIGHEST = 8  # degree of one state
 
 
@@ -41,7 +43,7 @@ def rule(n, degree):
         No rule is known.
     """
     if n == 1:
-        points, weights = np.polynomial.hermite_e.hermegauss(degree + _MORE)
+        points, weights = np.polynomial.hermite_e.hermegauss(degree + (_MORE if degree > 3 else _MORE_OF_CUBICS))
         points, weights = points[:, None], weights / weights.sum()
     else:
         wanted = degree + ((n, degree) in _BLIND)
