@@ -177,14 +177,18 @@ def _by_lattice(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
 
+    allowed = allowance(density.error, target)
+
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
-        return automatic.propagate(on_lattice(density, nodes), model, t1, nodes)
+        return automatic.propagate(on_lattice(density, nodes), model, t1, nodes, allowed=allowed)
 
     try:
         nodes = needs.nodes or fewest(density.dim)
         moved, info, nodes = carried_to_target(density, predicted, target, nodes, time)
     except PropagationError:
         return _by_cloud(density, model, t1, target, needs)
+    if moved.field is not None:
+        nodes = max(moved.n_particles, fewest(density.dim))
     return replace(moved, needs=needs._replace(nodes=nodes), capacity=nodes), _as_asked(info)
 
 
