@@ -37,6 +37,7 @@ from ..core.characteristics.noise_paths import Noise, Paths
 from ..core.characteristics.step_choice import CHOOSE
 from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
+from ..density.needs import fewest
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
@@ -54,12 +55,12 @@ __all__ = ["fits", "load", "noise_between", "paths", "propagate"]
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _PART = 0.6  # of what steps get wrong with a density, that is wrong with its mean
 #: Of what lattices get wrong in the middles of their cells, by the number of states: there it is most, and
-#: up and down from cell to cell. Measured on eight scenes of one and two states: a tenth, seldom two.
-_LATTICES_PART = {1: 0.2, 2: 0.2}
+#: up and down from cell to cell. Measured on eight scenes of two states: a tenth, seldom two.
+_LATTICES_PART = {2: 0.2}
 _TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
 _TOLERANCES = 1e-7, 1e-4
 _SHARE = 0.5  # of the residual of a lattice, that a step's error may be
-_PATHS_SHARE, _STEPS_SHARE, _LATTICES_SHARE = 0.02, 0.4, 0.4  # of the error allowed: a path, steps, lattices
+_STEPS_SHARE, _LATTICES_SHARE = 0.4, 0.4  # of the error allowed
 # Residual that steps go by at least, in units of the spacing's fourth power; and its bounds.
 _LEAST, _LEASTS = 0.02, (1e-7, 3e-4)
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
@@ -116,6 +117,7 @@ def propagate(
         probability was lost on the way: says when, where, and what to change.
     """
     start, n = density.t, density.dim
+    allowed = allowed if n in _LATTICES_PART else 0.0
     noise, slices = noise_between(model, start, t1, density.mean())
     low, high = model.domain.walls
     noise = noise._replace(low=low, high=high)
@@ -131,13 +133,14 @@ def propagate(
     control = Control(
         n_particles=most,
         depth=depth,
-        tolerance=max(tolerance, _PATHS_SHARE * allowed),
+        tolerance=tolerance,
         share=_SHARE,
         least=least,
         noise_share=scheme.noise_share or math.inf,
         pause_after=_PAUSE_AFTER,
         most_lost=max(scheme.most_lost, allowed / _PART),
         doubtful=DOUBTFUL / _PART,
+        fewest=fewest(n),
         steps=_STEPS_SHARE * allowed / _PART,
         lattices=_LATTICES_SHARE * allowed / _LATTICES_PART.get(n, _PART),
     )

@@ -27,7 +27,7 @@ def for_lattice(control, state, h, left, span):
 
 
 @jit
-def nodes_for(residual, allowed, count, most, n):
+def nodes_for(residual, allowed, count, control, n):
     """Nodes for a residual, after a lattice of `count`, whose own tells."""
     times = (residual / (_SPARE * allowed)) ** (n / _ORDER)
-    return min(count * min(max(times, _FEWER), _MORE), float(most))
+    return min(max(count * min(max(times, _FEWER), _MORE), float(control.fewest)), float(control.n_particles))

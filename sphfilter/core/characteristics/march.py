@@ -174,7 +174,8 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
                 continue
         allowed, shorter = max(control.share * state[RESIDUAL], state[FLOOR]), np.inf
         if control.steps > 0.0:
-            allowed = max(allowed, for_step(control, state, h, times[1] - times[0], span))
+            aimed = for_step(control, state, h, times[1] - times[0], span)
+            allowed = max(allowed, min(aimed, control.share * _MOST))
         state[LATTICE_STEP] = _suited(h, error, allowed)
         seen = noise.G.shape[1] == 0 or h * noise_limit(noise.G, field.A) > _UNSEEN
         if error > allowed and seen and not error > _HELPED * before:
@@ -201,7 +202,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
                 break
             state[VOLUME], aimed = new.volume, for_lattice(control, state, h, times[1] - times[0], span)
             count = float(new.x.shape[0])
-            state[NODES] = nodes_for(residual, aimed, count, control.n_particles, n)
+            state[NODES] = nodes_for(residual, aimed, count, control, n)
             if coarse > 0.0 or residual < _AGAIN * aimed or state[NODES] < _FINER * count:
                 if residual > _HELPED * coarse > 0.0:  # it is the density before that is coarse
                     state[NODES] = count
