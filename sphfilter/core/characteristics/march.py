@@ -191,7 +191,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
             if state[LATTICE_STEP] < _GROWING * usual:
                 own, shorter, state[LATTICE_STEP] = error, h, 4.0 * h
             since, usual = 0, h
-        coarse = 0.0  # residual of a lattice that is laid again
+        coarse = np.inf  # residual of a lattice that is laid again
         while True:
             new = lay(back, step, pick.mean, pick.shape, pick.ends, control, state, counters)
             if new.code != OK:
@@ -201,11 +201,9 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
             if control.lattices == 0.0:
                 break
             state[VOLUME], aimed = new.volume, for_lattice(control, state, h, times[1] - times[0], span)
-            count = float(new.x.shape[0])
-            state[NODES] = nodes_for(residual, aimed, count, control, n)
-            if coarse > 0.0 or residual < _AGAIN * aimed or state[NODES] < _FINER * count:
-                if residual > _HELPED * coarse > 0.0:  # it is the density before that is coarse
-                    state[NODES] = count
+            count, helped = float(new.x.shape[0]), not residual > _HELPED * coarse
+            state[NODES] = nodes_for(residual, aimed, count, control, n) if helped else count
+            if not helped or residual < _AGAIN * aimed or state[NODES] < _FINER * count:
                 break
             coarse = residual
             counters[RELAID] += 1
