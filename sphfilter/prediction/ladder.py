@@ -13,7 +13,7 @@ from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
 from ..density.as_family import family_density, unrolled
 from ..density.family import gaussian_family
-from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
+from ..density.needs import AIMED, MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
@@ -177,7 +177,7 @@ def _by_lattice(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
 
-    allowed = allowance(density.error, target)
+    allowed = allowance(density.error, target, AIMED)
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         return automatic.propagate(on_lattice(density, nodes), model, t1, nodes, allowed=allowed)

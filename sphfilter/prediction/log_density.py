@@ -60,7 +60,7 @@ _LATTICES_PART = {2: 0.2}
 _TIME_PART = 0.01  # of the error of the lattice, which falls with the fourth power of its spacing
 _TOLERANCES = 1e-7, 1e-4
 _SHARE = 0.5  # of the residual of a lattice, that a step's error may be
-_STEPS_SHARE, _LATTICES_SHARE = 0.4, 0.4  # of the error allowed
+_STEPS_SHARE, _LATTICES_SHARE = 0.35, 0.35  # of the error allowed
 # Residual that steps go by at least, in units of the spacing's fourth power; and its bounds.
 _LEAST, _LEASTS = 0.02, (1e-7, 3e-4)
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never

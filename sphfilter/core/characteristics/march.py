@@ -57,7 +57,7 @@ _HELPED = 0.7  # times a step's error, to which a shorter one has to bring it
 _UNSEEN = 0.1  # variance of a step's noise, in units of the lattice, below which shorter steps gain nothing
 _PATIENCE, _GROWING = 10, 1.5  # steps that hardly grow, after which one four times as long is tried
 _FORGOTTEN = 0.95  # of the floor, that is left after a step
-_AGAIN, _FINER = 2.0, 1.2  # times the residual aimed at, and the nodes, for which a lattice is laid again
+_AGAIN, _FINER = 2.0, 1.2  # times what is aimed at, and the nodes, for which a lattice is laid again
 _SPARE, _ORDER = 1e-8, 6.0  # residual that more nodes need not make smaller; its order in the spacing
 
 back_at, choose_at, aim_at, lay_at, build_at = BACK.at, CHOOSE.at, AIMED.at, LAY.at, BUILD.at
@@ -150,6 +150,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
     span, first = times[1] - times[0], counters[STEPS]
     moments(x, m, mean, P)
     before = np.inf  # error of the step refused last
+    lost = np.inf  # what the step lost that was refused for that
     own, shorter = 0.0, np.inf  # error and length of the step before a long one that is tried
     since, usual = 0, 0.0  # steps since then, and how long they were
     while times[0] < times[1]:
@@ -198,7 +199,9 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
                 return field, x, m, mean, P, new.code
             laid = build(new.mu, new.A, new.node, new.x.shape[0], new.log_p, sten)
             residual = between(back, step, laid, new.log_mass)
-            if control.lattices == 0.0:
+            gone = abs(new.log_mass)  # no step has mass to lose: where one does, its witnesses were too few
+            refused = control.lattices > 0.0 and _AGAIN * allowed < gone < _HELPED * lost
+            if control.lattices == 0.0 or refused:
                 break
             state[VOLUME], aimed = new.volume, for_lattice(control, state, h, times[1] - times[0], span)
             count, helped = float(new.x.shape[0]), not residual > _HELPED * coarse
@@ -207,7 +210,13 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
                 break
             coarse = residual
             counters[RELAID] += 1
-        if control.lattices == 0.0:
+        if refused:
+            counters[REJECTED] += 1
+            lost, state[LATTICE_STEP] = gone, _suited(h, gone, allowed)
+            continue
+        if control.lattices > 0.0:
+            error, lost = max(error, gone), np.inf
+        else:
             if new.x.shape[0] < 0.6 * state[NODES]:  # else the next lattice has this one's spacing: it fits
                 state[VOLUME] = new.volume
             state[NODES] = needed(residual, state[NODES], control.n_particles, n)
