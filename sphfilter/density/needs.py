@@ -6,10 +6,13 @@ from typing import NamedTuple
 from ..config import FilterConfig, LogDensityScheme, SolverConfig
 from ..lattice.level_set import fewest_particles
 
-__all__ = ["MOST_POINTS", "Needs", "allowance", "bound_of", "doubt", "fewest"]
+__all__ = ["AIMED", "MOST_POINTS", "Needs", "allowance", "bound_of", "doubt", "fewest"]
 
 MOST_POINTS = 200_000  # of a cloud
 _FEWEST_POINTS, _POINTS = 1000, 0.5  # at least, and times the square of the error
+#: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
+#: little of them; half of it is not tried again.
+AIMED = 0.25
 _USUAL = 200  # particles of a scheme that estimates no error
 _LONGEST = 4  # doublings of the wait for a family that will not do
 
@@ -57,9 +60,9 @@ def doubt(dim: int) -> float:
     return 2.0 if dim <= 2 else 4.0
 
 
-def allowance(error: float, target: float) -> float:
-    """Error that a step may add to one that is there: half the target where that is used up."""
-    return max(math.sqrt(max(target**2 - error**2, 0.0)), 0.5 * target)
+def allowance(error: float, target: float, least: float = 0.5) -> float:
+    """Error that a step may add to one that is there: a part of the target where that is used up."""
+    return max(math.sqrt(max(target**2 - error**2, 0.0)), least * target)
 
 
 def fewest(dim: int) -> int:

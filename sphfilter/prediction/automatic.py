@@ -24,7 +24,12 @@ SUMMED = PaperScheme(kernel="wendland_c2")
 
 
 def propagate(
-    density: ParticleDensity, model: SDE, t1: float, n_particles: int, most: int | None = None
+    density: ParticleDensity,
+    model: SDE,
+    t1: float,
+    n_particles: int,
+    most: int | None = None,
+    allowed: float = 0.0,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1 by the log-density where that can be, else by sums over kernels.
 
@@ -37,6 +42,8 @@ def propagate(
     n_particles : int
     most : int, optional
         Particles at most where the log-density needs more than `n_particles`.
+    allowed : float
+        Error that is shared out over steps and lattices; see `log_density.propagate`.
 
     Returns
     -------
@@ -50,9 +57,9 @@ def propagate(
     reason, stopped = log_density.fits(model, density, n_particles), False
     if not reason:
         try:
-            return log_density.propagate(density, model, t1, LogDensityScheme(), n_particles)
+            return log_density.propagate(density, model, t1, LogDensityScheme(), n_particles, allowed)
         except (LatticeError, UnresolvedError) as problem:
-            return _on_more(density, model, t1, n_particles, problem, most)
+            return _on_more(density, model, t1, (n_particles, allowed), problem, most)
         except PropagationError as problem:
             reason, stopped = str(problem), isinstance(problem, StoppedError)
     if density.domain is not None:
@@ -86,7 +93,7 @@ def _on_more(
     density: ParticleDensity,
     model: SDE,
     t1: float,
-    n_particles: int,
+    asked: tuple[int, float],
     problem: PropagationError,
     most: int | None,
 ) -> tuple[ParticleDensity, PredictInfo]:
@@ -98,10 +105,11 @@ def _on_more(
     blown = carried_off(model, density.x, density.t, t1)
     if blown:
         raise PropagationError(blown) from problem
+    n_particles, allowed = asked
     ladder = Ladder(times=(3, 9, 27), most=MOST_FINER if most is None else most).within(model.dim)
     rung, (moved, info) = ladder.climbed(
         n_particles,
-        lambda rung: log_density.propagate(density, model, t1, LogDensityScheme(), rung.n_particles),
+        lambda rung: log_density.propagate(density, model, t1, LogDensityScheme(), rung.n_particles, allowed),
         problem,
     )
     return moved, info.marked(Code.FINER, f"on {rung.times} times the particles: {problem}")

@@ -13,7 +13,7 @@ from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
 from ..density.as_family import family_density, settled, unrolled
 from ..density.family import gaussian_family
-from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
+from ..density.needs import AIMED, MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
@@ -196,14 +196,18 @@ def _by_lattice(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
 
+    allowed = allowance(density.error, target, AIMED)
+
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
-        return automatic.propagate(on_lattice(density, nodes), model, t1, nodes)
+        return automatic.propagate(on_lattice(density, nodes), model, t1, nodes, allowed=allowed)
 
     try:
         nodes = needs.nodes or fewest(density.dim)
         moved, info, nodes = carried_to_target(density, predicted, target, nodes, time)
     except PropagationError:
         return _by_cloud(density, model, t1, target, needs)
+    if moved.field is not None:
+        nodes = max(moved.n_particles, fewest(density.dim))
     return replace(moved, needs=needs._replace(nodes=nodes), capacity=nodes), _as_asked(info)
 
 

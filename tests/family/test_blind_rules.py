@@ -9,9 +9,7 @@ from sphfilter.core.family.basis import basis
 from sphfilter.density.family import Family, node_weights
 
 
-@pytest.mark.parametrize(
-    ("n", "degree"), [(1, 4), (1, 6), (2, 4), (2, 5), (2, 6), (3, 4), (3, 5), (3, 6)]
-)
+@pytest.mark.parametrize(("n", "degree"), [(1, 4), (1, 6), (2, 4), (2, 5), (2, 6), (3, 4), (3, 5), (3, 6)])
 def test_the_misfit_at_the_nodes_is_that_between_them(n, degree):
     """Two-sided and skew densities, against many draws: the median over ten is at least half."""
     rng = np.random.default_rng(0)

@@ -59,9 +59,12 @@ class Control(NamedTuple):
     noise_share: float  # largest variance a step's noise may have, in units of the density's own
     most_lost: float  # sum over steps of |log of the lattice's integral| at which to stop, once in doubt
     doubtful: float  # what steps and lattices have got wrong, from which the density is in doubt
+    steps: float  # sum of the steps' errors to be kept to; zero where the number of nodes says what is right
+    fewest: int  # nodes of a lattice, with it
+    lattices: float  # root of the sum of squares of the lattices' residuals to be kept to, with it
     pause_after: int  # steps
 
 
 #: Numba's types of a `Control`, of the counters, and of the state.
-CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0))
+CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0))
 COUNTS, STATE = types.int64[::1], types.float64[::1]

@@ -32,6 +32,7 @@ __all__ = ["LAY", "Lattice", "flooded", "lattice_after"]
 _TRIES = 6
 _MANY = 4  # states, of which nodes beside a lattice are most: one path has to do for them
 _FILL = 0.85  # nodes aimed at, over those allowed
+_SOFT = 1.5  # times the nodes asked for, that there may be where an error is aimed at
 
 
 class Lattice(NamedTuple):
@@ -59,6 +60,7 @@ def lattice_after(back, step, mean, shape, seeds, control, state, counters):
     seeds: (S, n), states of which some lie in every piece of the region.
     """
     n, most = mean.size, math.ceil(state[NODES])
+    limit = most if control.steps == 0.0 else math.ceil(_SOFT * most)
     A = np.empty((n, n))
     for _ in range(_TRIES):
         spacing = (state[VOLUME] / (_FILL * most)) ** (1.0 / n)
@@ -72,11 +74,11 @@ def lattice_after(back, step, mean, shape, seeds, control, state, counters):
         new = relaid(value, low, dims, highest, asked, mean, A, step.sten, control.depth, walls)
         closed = asked.size <= MOST_ASKED * most
         count = new[1].shape[0] if closed else asked.size
-        if 0.5 * most <= count <= most:
+        if 0.5 * most <= count <= limit:
             break
         counters[RELAID] += 1
         state[VOLUME] *= max(count, 0.1 * most) / (_FILL * most)
-    if count == 0 or count > most:
+    if count == 0 or count > limit:
         return _no_lattice(TOO_FEW, n)
     node, x, log_p, m, log_mass, own_mean, cov = new
     return Lattice(OK, mean, A, node, x, log_p, m, log_mass, own_mean, cov, count * spacing**n)

@@ -22,6 +22,7 @@ from ..field.shape import local_shape, nodes_of
 from ..field.walls import is_inside
 from ..small_matrices import cholesky, moments
 from .aim import AIMED
+from .budget import for_lattice, for_step, nodes_for
 from .control import (
     FLOOR,
     LATTICE_STEP,
@@ -33,6 +34,7 @@ from .control import (
     OK,
     PAUSED,
     REJECTED,
+    RELAID,
     RESIDUAL,
     SQUARES,
     STALLED,
@@ -55,6 +57,7 @@ _HELPED = 0.7  # times a step's error, to which a shorter one has to bring it
 _UNSEEN = 0.1  # variance of a step's noise, in units of the lattice, below which shorter steps gain nothing
 _PATIENCE, _GROWING = 10, 1.5  # steps that hardly grow, after which one four times as long is tried
 _FORGOTTEN = 0.95  # of the floor, that is left after a step
+_AGAIN, _FINER = 2.0, 1.2  # times what is aimed at, and the nodes, for which a lattice is laid again
 _SPARE, _ORDER = 1e-8, 6.0  # residual that more nodes need not make smaller; its order in the spacing
 
 back_at, choose_at, aim_at, lay_at, build_at = BACK.at, CHOOSE.at, AIMED.at, LAY.at, BUILD.at
@@ -147,6 +150,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
     span, first = times[1] - times[0], counters[STEPS]
     moments(x, m, mean, P)
     before = np.inf  # error of the step refused last
+    lost = np.inf  # what the step lost that was refused for that
     own, shorter = 0.0, np.inf  # error and length of the step before a long one that is tried
     since, usual = 0, 0.0  # steps since then, and how long they were
     while times[0] < times[1]:
@@ -170,6 +174,9 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
                 state[LATTICE_STEP], shorter = shorter, np.inf
                 continue
         allowed, shorter = max(control.share * state[RESIDUAL], state[FLOOR]), np.inf
+        if control.steps > 0.0:
+            aimed = for_step(control, state, h, times[1] - times[0], span)
+            allowed = max(allowed, min(aimed, control.share * _MOST))
         state[LATTICE_STEP] = _suited(h, error, allowed)
         seen = noise.G.shape[1] == 0 or h * noise_limit(noise.G, field.A) > _UNSEEN
         if error > allowed and seen and not error > _HELPED * before:
@@ -185,20 +192,40 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
             if state[LATTICE_STEP] < _GROWING * usual:
                 own, shorter, state[LATTICE_STEP] = error, h, 4.0 * h
             since, usual = 0, h
-        new = lay(back, step, pick.mean, pick.shape, pick.ends, control, state, counters)
-        if new.code != OK:
-            return field, x, m, mean, P, new.code
-        if new.x.shape[0] < 0.6 * state[NODES]:  # else the next lattice has this one's spacing: it fits
-            state[VOLUME] = new.volume
+        coarse = np.inf  # residual of a lattice that is laid again
+        while True:
+            new = lay(back, step, pick.mean, pick.shape, pick.ends, control, state, counters)
+            if new.code != OK:
+                return field, x, m, mean, P, new.code
+            laid = build(new.mu, new.A, new.node, new.x.shape[0], new.log_p, sten)
+            residual = between(back, step, laid, new.log_mass)
+            gone = abs(new.log_mass)  # no step has mass to lose: where one does, its witnesses were too few
+            refused = control.lattices > 0.0 and _AGAIN * allowed < gone < _HELPED * lost
+            if control.lattices == 0.0 or refused:
+                break
+            state[VOLUME], aimed = new.volume, for_lattice(control, state, h, times[1] - times[0], span)
+            count, helped = float(new.x.shape[0]), not residual > _HELPED * coarse
+            state[NODES] = nodes_for(residual, aimed, count, control, n) if helped else count
+            if not helped or residual < _AGAIN * aimed or state[NODES] < _FINER * count:
+                break
+            coarse = residual
+            counters[RELAID] += 1
+        if refused:
+            counters[REJECTED] += 1
+            lost, state[LATTICE_STEP] = gone, _suited(h, gone, allowed)
+            continue
+        if control.lattices > 0.0:
+            error, lost = max(error, gone), np.inf
+        else:
+            if new.x.shape[0] < 0.6 * state[NODES]:  # else the next lattice has this one's spacing: it fits
+                state[VOLUME] = new.volume
+            state[NODES] = needed(residual, state[NODES], control.n_particles, n)
         state[LOST_MASS] += abs(new.log_mass)
         state[NET_MASS] += new.log_mass
-        x, m, mean, P = new.x, new.mass, new.mean, new.cov
-        field = build(new.mu, new.A, new.node, new.x.shape[0], new.log_p, sten)
-        residual = between(back, step, field, new.log_mass)
+        field, x, m, mean, P = laid, new.x, new.mass, new.mean, new.cov
         state[RESIDUAL] = min(max(residual, control.least), _MOST)
         state[SQUARES] += residual**2
         state[STEP_ERRORS] += error
-        state[NODES] = needed(residual, state[NODES], control.n_particles, x.shape[1])
         counters[STEPS] += 1
         times[0] = times[1] if pick.last else t1
         doubted = not wrong(state) < control.doubtful

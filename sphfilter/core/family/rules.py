@@ -43,7 +43,9 @@ def rule(n, degree):
         No rule is known.
     """
     if n == 1:
-        points, weights = np.polynomial.hermite_e.hermegauss(degree + (_MORE if degree > 3 else _MORE_OF_CUBICS))
+        points, weights = np.polynomial.hermite_e.hermegauss(
+            degree + (_MORE if degree > 3 else _MORE_OF_CUBICS)
+        )
         points, weights = points[:, None], weights / weights.sum()
     else:
         wanted = degree + ((n, degree) in _BLIND)

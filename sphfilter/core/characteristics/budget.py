@@ -1,0 +1,33 @@
+"""What each step of a march, and each of its lattices, may get wrong where a target error is shared out."""
+
+import math
+
+from .._jit import jit
+from .control import SQUARES, STEP_ERRORS
+
+__all__ = ["for_lattice", "for_step", "nodes_for"]
+
+_OVERDRAWN = 0.3  # of an even share, that is left to the rest of an interval at least
+_ORDER = 5.0  # of a lattice's residual in its spacing
+_FEWER, _MORE = 0.75, 4.0  # times the nodes of one lattice, that the next one may have
+_SPARE = 0.7  # of the residual aimed at, that nodes are counted for
+
+
+@jit
+def for_step(control, state, h, left, span):
+    """Error that a step of length h may have, of those of which the time left is made up."""
+    return h * max((control.steps - state[STEP_ERRORS]) / left, _OVERDRAWN * control.steps / span)
+
+
+@jit
+def for_lattice(control, state, h, left, span):
+    """Residual that the lattice after a step of length h may have; those of lattices add up by squares."""
+    squares = control.lattices**2
+    return math.sqrt(h * max((squares - state[SQUARES]) / left, _OVERDRAWN * squares / span))
+
+
+@jit
+def nodes_for(residual, allowed, count, control, n):
+    """Nodes for a residual, after a lattice of `count`, whose own tells."""
+    times = (residual / (_SPARE * allowed)) ** (n / _ORDER)
+    return min(max(count * min(max(times, _FEWER), _MORE), float(control.fewest)), float(control.n_particles))
