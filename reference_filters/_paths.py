@@ -96,9 +96,9 @@ class Paths:
         constants = self.model.p, variance, self._root
 
         def share(first, last):
-            stream = (self._scheme, seed, first, last)
+            which, stream = np.arange(first, last), (self._scheme, seed)
             with surfacing():
-                move_blocks()(x, alive, report, span, limits, addresses, constants, everywhere, stream)
+                move_blocks()(x, alive, report, which, span, limits, addresses, constants, everywhere, stream)
 
         n_shares = max(1, min(self.n_threads, n_blocks // _BLOCKS_PER_THREAD))
         edges = [n_blocks * i // n_shares for i in range(n_shares + 1)]

@@ -1,7 +1,6 @@
 """A cloud of weighted points on random paths: carries any density, with the error of as many samples."""
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,16 +12,8 @@ from ..core.paths.blocks import move_blocks, standard_normals
 from ..core.paths.normals import LANES
 from ..core.paths.step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH
 from ..core.paths.weights import group_moments
-from ..density.cloud import (
-    KERNEL,
-    drawn,
-    key_of,
-    moments,
-    points_of,
-    smoothing_length,
-    standard_normal,
-    systematic,
-)
+from ..density.as_cloud import cloud_density
+from ..density.cloud import KERNEL, drawn, key_of, moments, moments_of, points_of, systematic
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError, StoppedError
@@ -36,6 +27,7 @@ __all__ = ["on_lattice", "parts", "propagate"]
 
 _BIAS = 0.6  # of the steps, over the sampling error
 _SEEN = 4096  # points of a cloud by which it is told how far it reaches, and how far it forgets
+_ASIDE = 1  # of a key, for normals that are not those of paths
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
 _QUARTER, _HALVINGS = 4, 5  # blocks of which one has steps of half the length, and how often all have
@@ -79,35 +71,34 @@ def propagate(
         The model carries a tenth of the probability to infinity, or needs more steps than allowed.
     """
     key = key_of(density)
-    x, mass = _points(density, model, t1, scheme.n_points, key)
-    before, alive, steps, bias = x.copy(), np.ones(len(x), dtype=bool), 1, 0.0
+    before, mass = _points(density, model, t1, scheme.n_points, key)
+    x, alive, steps, bias = before.copy(), np.ones(len(before), dtype=bool), 1, 0.0
     if model.linear:
         x = _exactly(x, model, t1 - density.t, key)
     else:
-        few = x[systematic(mass, LANES)]  # tell a model that blows up at once
+        few = before[systematic(mass, LANES)]  # tell a model that blows up at once
         pilot, kept, even = few.copy(), np.ones(LANES, dtype=bool), np.full(LANES, 1.0 / LANES)
         paths = _Paths(model, (density.t, t1), scheme, key, np.diag(moments(few, even)[1]).copy())
-        _walked(pilot, kept, paths)
+        _, first = _walked(pilot, kept, paths)
         if kept.mean() < 1.0 - _CERTAIN:
             raise PropagationError(_blow_up(model, few[~kept], density.t, t1))
-        steps, bias = _moved(x, mass, alive, paths._replace(variance=np.diag(moments(x, mass)[1]).copy()))
+        variance = np.diag(moments(x, mass)[1]).copy()
+        steps, bias = _moved(before, x, mass, alive, paths._replace(variance=variance, first=first))
     alive &= _near(before, x)
-    lost = float(mass[~alive].sum())
-    if lost > _MOST_LOST:
-        raise PropagationError(_blow_up(model, before[~alive], density.t, t1))
-    x, mass = x[alive], mass[alive] / (1.0 - lost)
-    error, left = _error(density, before[alive], x, mass)
+    lost = 0.0
+    if not alive.all():
+        lost = float(mass[~alive].sum())
+        if lost > _MOST_LOST:
+            raise PropagationError(_blow_up(model, before[~alive], density.t, t1))
+        before, x, mass = before[alive], x[alive], mass[alive] / (1.0 - lost)
+    error, left = _error(density, before, x, mass)
     error = math.hypot(error, bias)
-    moved = ParticleDensity(
-        x=x if density.domain is None else density.domain.wrap(x),
-        mass=mass,
-        h=smoothing_length(x, mass),
+    moved = cloud_density(
+        density,
+        x if density.domain is None else density.domain.wrap(x),
+        mass,
         t=float(t1),
-        kernel=KERNEL,
-        read_out="cloud",
-        represented_mass=density.represented_mass,
         capacity=density.capacity if n_particles is None else n_particles,
-        domain=density.domain,
         error=error,
         lost=left * density.lost,
     )
@@ -139,7 +130,7 @@ def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity | 
     if max(off, 0.5 * wider) > _AGREES * max(density.error, _LEAST_ERROR) or residual > _RESIDUAL:
         return None
     error = math.hypot(density.error, float(off))
-    return replace(laid, error=error, lost=density.lost, capacity=density.capacity)
+    return laid.noted(error=error, lost=density.lost, capacity=density.capacity)
 
 
 def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: int) -> tuple[Floats, Floats]:
@@ -152,7 +143,7 @@ def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: in
         return points_of(density, count, key)
     mass = np.full(count, 1.0 / count)
     if len(density.x) == count and 1.0 / np.sum(density.mass**2) >= _FEW * count:
-        return density.x.copy(), density.mass
+        return density.x, density.mass
     if parts(model, density, t1):
         return density.x[systematic(density.mass, count)], mass
     return _beside(density, count, key) if density.domain is None else drawn(density, count, key), mass
@@ -160,17 +151,17 @@ def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: in
 
 def _beside(density: ParticleDensity, count: int, key: int) -> Floats:
     """Copies of heavy points, each moved by about the distance of points, with mean and covariance of all."""
-    mean, cov = moments(density.x, density.mass)
+    mean, cov = moments_of(density)
     width = float(np.sum(density.mass**2)) ** (1.0 / density.dim)
     values, axes = np.linalg.eigh(cov)
     x = density.x[systematic(density.mass, count)] - mean
-    z = standard_normal(count, density.dim, key) * np.sqrt(np.maximum(values, 0.0))
+    z = standard_normals(key ^ _ASIDE, count, density.dim) * np.sqrt(np.maximum(values, 0.0))
     return mean + math.sqrt(1.0 - width**2) * x + width * np.einsum("ij,kj->ik", z, axes)
 
 
 def parts(model: SDE, density: ParticleDensity, t1: float) -> bool:
     """Does the noise of an interval move copies of a point apart, in all directions?"""
-    mean, cov = moments(density.x, density.mass)
+    mean, cov = moments_of(density)
     with np.errstate(all="ignore"):
         D = model.diffusion(mean, density.t)[0]
         if not np.isfinite(D).all():
@@ -202,10 +193,11 @@ class _Paths(NamedTuple):
     scheme: CloudScheme
     key: int
     variance: Floats  # (n,) of all points: the unit of what steps may be off by
+    first: float = math.inf  # step that is tried first, seconds
 
 
-def _moved(x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, float]:
-    """Move points in place, a quarter by steps of half the length; paths given up are no longer alive.
+def _moved(start: Floats, x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, float]:
+    """Move points x from their start, a quarter by steps of half the length; those given up are not alive.
 
     Where the two part beyond chance, steps are too long, as they may be for jumps: all is done again.
 
@@ -214,15 +206,15 @@ def _moved(x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, f
     int, float
         The steps of a block, and in standard deviations by how much the two have parted nevertheless.
     """
-    start, block = x.copy(), np.arange(len(x)) // LANES
-    fine, longest, taken = block % _QUARTER == _QUARTER - 1, math.inf, 0
+    fine = np.arange(len(x)) // LANES % _QUARTER == _QUARTER - 1
+    some, others, longest, taken = np.flatnonzero(fine[::LANES]), np.flatnonzero(~fine[::LANES]), math.inf, 0
     parted, (before, chance) = math.inf, _apart(x, mass, fine)
     for halvings in range(_HALVINGS + 1):
-        steps = _walked(x, alive, paths, np.flatnonzero(~fine[::LANES]), longest)
-        if not fine.any():
+        steps, _ = _walked(x, alive, paths, others, longest)
+        if not len(some):
             return steps, 0.0
         longest, taken = 0.5 * (paths.span[1] - paths.span[0]) / steps, taken + steps
-        _walked(x, alive, paths, np.flatnonzero(fine[::LANES]), longest)
+        _walked(x, alive, paths, some, longest)
         own = (slice(None),) if alive.all() else (alive,)
         after, chance = _apart(x[own], mass[own], fine[own])
         earlier, parted = parted, float(np.max(after - before - _CHANCE * chance))
@@ -241,18 +233,27 @@ def _apart(x: Floats, mass: Floats, some: Bools) -> tuple[Floats, Floats]:
     n = x.shape[1]
     if some.all() or not some.any():
         return np.zeros((2, n)), np.zeros((2, n))
-    (total, squares), mean, (second, fourth) = np.empty((2, 2)), np.empty(n), np.empty((2, 2, n))
-    group_moments(x, mass, some, total, squares, mean, second, fourth)
-    first = mass[some] @ x[some] / total[0]
+    own, (mean, second, fourth) = mass * some, np.empty((3, 2, n))
+    part = group_moments(np.ascontiguousarray(x), mass, own, mean, second, fourth)
     variance = np.maximum(second[1], 1e-300)
-    apart = np.array([np.abs(first - mean) / np.sqrt(variance), 0.5 * np.abs(second[0] / variance - 1.0)])
+    off = np.abs(mean[0] - mean[1]) / np.sqrt(variance)
+    apart = np.array([off, 0.5 * np.abs(second[0] / variance - 1.0)])
     by_chance = np.array([np.ones(n), 0.5 * np.sqrt(np.maximum(fourth[1] / variance**2 - 1.0, 0.0))])
-    return apart, math.sqrt(squares.sum()) * by_chance
+    squares = float(np.sum(own**2)) / part**2 + float(np.sum((mass - own) ** 2)) / (1.0 - part) ** 2
+    return apart, math.sqrt(squares) * by_chance
 
 
-def _walked(x: Floats, alive: Bools, paths: _Paths, which: Ints | None = None, most: float = math.inf) -> int:
-    """Move some blocks of points, or all, by steps of at most a length. Returns the mean steps of a block."""
-    model, span, scheme, key, variance = paths
+def _walked(
+    x: Floats, alive: Bools, paths: _Paths, which: Ints | None = None, most: float = math.inf
+) -> tuple[int, float]:
+    """Move some blocks of points, or all, by steps of at most a length.
+
+    Returns
+    -------
+    int, float
+        Mean number of steps of a block, and the shortest first one.
+    """
+    model, span, scheme, key, variance, first = paths
     steps = PLATEN if model.state_dependent_noise else SHIFTED_PATH
     blocks = -(-len(x) // LANES)
     which = np.arange(blocks) if which is None else which
@@ -263,13 +264,12 @@ def _walked(x: Floats, alive: Bools, paths: _Paths, which: Ints | None = None, m
     longest = min(part / rate if rate > 0.0 else math.inf, model.max_step)
     if model.domain.walled.any():
         longest = min(longest, _beside_walls(model, x, variance, span[0]))
-    limits = min(longest, most), math.inf, tolerance, float(scheme.max_steps)
+    limits = min(longest, most), first, tolerance, float(scheme.max_steps)
     entries = address_of(model.drift_batch), address_of(model.noise_batch)
     constants = model.p, variance, noise_root(model.spectral_density)
     with surfacing():
-        for block in which:
-            stream = steps, key, int(block), int(block) + 1
-            move_blocks()(x, alive, report, span, limits, entries, constants, model.domain.codes, stream)
+        codes, stream = model.domain.codes, (steps, key)
+        move_blocks()(x, alive, report, which, span, limits, entries, constants, codes, stream)
     report = report[which]
     if not report[:, 0].all():
         stopped = report[report[:, 0] == 0, 1][0]
@@ -278,18 +278,17 @@ def _walked(x: Floats, alive: Bools, paths: _Paths, which: Ints | None = None, m
             f"{scheme.max_steps} steps were not enough for a cloud; the drift is stiff. Allow more with "
             f"scheme=CloudScheme(max_steps=...), or predict over a shorter interval"
         )
-    return math.ceil(report[:, 0].mean())
+    return math.ceil(report[:, 0].mean()), float(report[:, 1].min())
 
 
 def _near(before: Floats, after: Floats) -> Bools:
     """Which points have not run away, out of all proportion to where they and others were and are."""
     with np.errstate(invalid="ignore", over="ignore"):
+        if np.all(np.ptp(after, axis=0) <= _AWAY * np.ptp(before[:_SEEN], axis=0)):
+            return np.ones(len(after), dtype=bool)
         few = slice(None, None, max(len(after) // _SEEN, 1))
         low, middle, high = np.percentile(after[few], [25.0, 50.0, 75.0], axis=0)
         extent = np.maximum(np.ptp(before[few], axis=0), high - low)
-        ends = np.array([after.min(axis=0), after.max(axis=0)])
-        if np.all(np.abs(ends - middle) <= _AWAY * extent):
-            return np.ones(len(after), dtype=bool)
         return np.asarray(np.all(np.abs(after - middle) <= _AWAY * extent, axis=1))
 
 

@@ -160,7 +160,7 @@ def _by_family(
     if best is None:
         return None
     (moved, info), degree, used = best
-    return replace(moved, needs=needs.followed(degree - (used < _IDLE))), info
+    return moved.noted(needs=needs.followed(degree - (used < _IDLE))), info
 
 
 def _by_cloud(
@@ -169,7 +169,7 @@ def _by_cloud(
     """Carry as many points as the target asks for."""
     points = min(needs.cloud(target), MOST_POINTS)
     moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points))
-    return replace(moved, needs=needs), _as_asked(info)
+    return moved.noted(needs=needs), _as_asked(info)
 
 
 def _by_lattice(
@@ -185,7 +185,7 @@ def _by_lattice(
         moved, info, nodes = carried_to_target(density, predicted, target, nodes, time)
     except PropagationError:
         return _by_cloud(density, model, t1, target, needs)
-    return replace(moved, needs=needs._replace(nodes=nodes), capacity=nodes), _as_asked(info)
+    return moved.noted(needs=needs._replace(nodes=nodes), capacity=nodes), _as_asked(info)
 
 
 def _as_asked(info: PredictInfo) -> PredictInfo:

@@ -222,12 +222,12 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
     return taken, first
 
 
-def _move_blocks(x, alive, report, span, limits, addresses, constants, domain, stream):
-    """Move the blocks first <= b < last of x (N, n); `report` (blocks, 2) gets what `_move_block` returns."""
-    scheme, seed, first, last = stream
+def _move_blocks(x, alive, report, which, span, limits, addresses, constants, domain, stream):
+    """Move some blocks of x (N, n), by number; `report` (blocks, 2) gets what `_move_block` returns."""
+    scheme, seed = stream
     state = np.empty((6, LANES), dtype=np.uint64)
     functions = (function_at(addresses[0]), function_at(addresses[1]))
-    for b in range(first, last):
+    for b in which:
         seed_lanes(np.uint64(seed), np.uint64(b), state)
         rows = slice(b * LANES, min((b + 1) * LANES, x.shape[0]))
         report[b, 0], report[b, 1] = _move_block(
@@ -240,16 +240,16 @@ def move_blocks():
     """The compiled loop over blocks, for any model; compiled (or loaded from the disk cache) at first use.
 
     Its arguments are the states x (N, n), moved in place; `alive` (N,), where paths given up are marked;
-    `report` (blocks, 2), which gets the steps taken and the first of them; the span (t0, t1); the longest
-    step, the one to try first, the tolerance in standard deviations and the most steps; addresses of drift
-    and noise; p, the variance (n,) of all states, and L with L Lᵀ = Q; the domain; and scheme, seed, and the
-    numbers of the blocks, from the first to before the last.
+    `report` (blocks, 2), which gets the steps taken and the first of them; the numbers of the blocks; the
+    span (t0, t1); the longest step, the one to try first, the tolerance in standard deviations and the most
+    steps; addresses of drift and noise; p, the variance (n,) of all states, and L with L Lᵀ = Q; the domain;
+    and scheme and seed.
     """
     constants = types.Tuple((VECTOR, VECTOR, MATRIX))
     numbers = types.UniTuple(types.float64, 2), types.UniTuple(types.float64, 4)
-    functions, stream = types.UniTuple(ADDRESS, 2), types.UniTuple(types.int64, 4)
-    alive = types.boolean[::1]
-    signature = types.void(MATRIX, alive, MATRIX, *numbers, functions, constants, DOMAIN, stream)
+    functions, stream = types.UniTuple(ADDRESS, 2), types.UniTuple(types.int64, 2)
+    alive, which = types.boolean[::1], types.int64[::1]
+    signature = types.void(MATRIX, alive, MATRIX, which, *numbers, functions, constants, DOMAIN, stream)
     return jit_for(signature, _move_blocks)
 
 
