@@ -7,7 +7,7 @@ from .cloud import KERNEL, Cloud, moments, smoothing_length
 from .particle_density import ParticleDensity
 from .shapes import Folded
 
-__all__ = ["cloud_density"]
+__all__ = ["cloud_density", "thinned"]
 
 
 def cloud_density(density: ParticleDensity, x: Floats, mass: Floats, **changes: Any) -> ParticleDensity:
@@ -27,3 +27,9 @@ def cloud_density(density: ParticleDensity, x: Floats, mass: Floats, **changes: 
     assert isinstance(shape, Cloud)
     vars(shape)["summed"] = summed  # else it would be summed again
     return new
+
+
+def thinned(density: ParticleDensity, count: int) -> ParticleDensity:
+    """A part of a cloud's points, at least `count`; the cloud itself where that is more than half of them."""
+    every = slice(None, None, max(density.n_particles // count, 1))
+    return density if every.step == 1 else cloud_density(density, density.x[every], density.mass[every])

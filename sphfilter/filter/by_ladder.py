@@ -31,7 +31,7 @@ Posterior = tuple[ParticleDensity, dict[str, Any]]
 def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: FilterConfig) -> Posterior:
     """Prior times likelihood on the cheapest rung whose own error leaves the target.
 
-    Where a lattice or a cloud had to be taken, the posterior comes down to one family again if that holds it.
+    Where a lattice had to be taken, the posterior comes down to one family again if that holds it.
     """
     needs = density.needs or Needs()
     found = _on_family(density, asked, target, needs)
@@ -41,7 +41,8 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     by = _on_cloud if density.read_out == "cloud" or by_cloud else _on_lattice
     (new, said), needs = by(density, asked, target, config, needs)
     new = new.noted(needs=needs)
-    if needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
+    laid = new.read_out != "cloud"  # else a prediction tells whether a family does
+    if laid and needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
         one = settled(new, first_degree(new.dim, needs), allowance(new.error, target))
         new, needs = (new, needs.refused()) if one is None else (one, needs)
     return new.noted(needs=needs), _told(said | {"error": new.error}, target)

@@ -11,7 +11,8 @@ from typing import TypeVar
 
 from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
-from ..density.as_family import family_density, unrolled
+from ..density.as_cloud import thinned
+from ..density.as_family import family_density, settled, unrolled
 from ..density.family import gaussian_family
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
@@ -30,6 +31,7 @@ Found = TypeVar("Found")
 _LATTICE, _LATTICE_IF = 2, 4
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _TOLERANCE = 0.1  # of a step of a family, over the target
+_FEW = 2000  # points of a cloud that tell whether a family will do
 _IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
 
 
@@ -123,8 +125,9 @@ def propagate(
         needs = needs._replace(parts=cloud.parts(model, density, t1))
     if needs.waits > 0:
         needs = needs.waited()
-    elif not family.fits(model, density):
-        found = _by_family(density, model, t1, target, needs)
+    elif density.read_out == "cloud" or not family.fits(model, density):
+        by = _settled if density.read_out == "cloud" else _by_family
+        found = by(density, model, t1, target, needs)
         if found is not None:
             return found
         needs = needs.refused()
@@ -161,6 +164,20 @@ def _by_family(
         return None
     (moved, info), degree, used = best
     return moved.noted(needs=needs.followed(degree - (used < _IDLE))), info
+
+
+def _settled(
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
+) -> tuple[ParticleDensity, PredictInfo] | None:
+    """Carry a cloud as one family; None where none will do, which a part of the points tells already."""
+    few = thinned(density, _FEW)
+    found, most = None, allowance(density.error, target)
+    for points in (density,) if few is density else (few, density):
+        one = settled(points, first_degree(density.dim, needs), most)
+        found = None if one is None else _by_family(one, model, t1, target, needs)
+        if found is None:
+            break
+    return found
 
 
 def _by_cloud(
