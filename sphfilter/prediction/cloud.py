@@ -9,11 +9,21 @@ from .._types import Bools, Floats, Ints
 from ..config import CloudScheme
 from ..core._addresses import address_of
 from ..core.paths.blocks import move_blocks, standard_normals
+from ..core.paths.curve import along_curve
 from ..core.paths.normals import LANES
 from ..core.paths.step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH
 from ..core.paths.weights import group_moments
 from ..density.as_cloud import cloud_density
-from ..density.cloud import KERNEL, drawn, key_of, moments, moments_of, points_of, systematic
+from ..density.cloud import (
+    KERNEL,
+    drawn,
+    key_of,
+    moments,
+    moments_of,
+    points_of,
+    standard_normal,
+    systematic,
+)
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError, StoppedError
@@ -73,9 +83,11 @@ def propagate(
     """
     key = key_of(density)
     before, mass = _points(density, model, t1, scheme.n_points, key)
+    dealt = _dealt(len(before))
+    before, mass = before[dealt], mass[dealt]
     x, alive, steps, bias = before.copy(), np.ones(len(before), dtype=bool), 1, 0.0
     if model.linear:
-        x = _exactly(x, model, t1 - density.t, key)
+        x = _exactly(x, model, t1 - density.t, key, dealt)
     else:
         few = before[systematic(mass, LANES)]  # tell a model that blows up at once
         pilot, kept = few.copy(), np.ones(LANES, dtype=bool)
@@ -83,7 +95,8 @@ def propagate(
         _, first = _walked(pilot, kept, paths)
         if kept.mean() < 1.0 - _CERTAIN:
             raise PropagationError(_blow_up(model, few[~kept], density.t, t1))
-        steps, bias = _moved(before, x, mass, alive, paths._replace(first=first))
+        paths = paths._replace(first=first, ends=_ends(model, dealt, key))
+        steps, bias = _moved(before, x, mass, alive, paths)
     alive &= _near(before, x)
     lost = 0.0
     if not alive.all():
@@ -140,21 +153,51 @@ def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: in
     from the density that is read between them.
     """
     if density.read_out != "cloud":
-        return points_of(density, count, key)
-    mass = np.full(count, 1.0 / count)
-    if len(density.x) == count and 1.0 / np.sum(density.mass**2) >= _FEW * count:
-        return density.x, density.mass
-    if parts(model, density, t1):
-        return density.x[systematic(density.mass, count)], mass
-    return _beside(density, count, key) if density.domain is None else drawn(density, count, key), mass
+        x, mass = points_of(density, count, key)
+        order = _along(x, *moments(x, mass))
+        return x[order], mass[order]
+    order = _along(density.x, *moments_of(density))
+    mass = density.mass[order]
+    if len(mass) == count and 1.0 / np.sum(mass**2) >= _FEW * count:
+        return density.x[order], mass
+    if density.domain is not None and not parts(model, density, t1):
+        return drawn(density, count, key), np.full(count, 1.0 / count)
+    x = density.x[order[systematic(mass, count)]]
+    if not parts(model, density, t1):
+        x = _beside(x, density, key)
+    return x, np.full(count, 1.0 / count)
 
 
-def _beside(density: ParticleDensity, count: int, key: int) -> Floats:
+def _along(x: Floats, mean: Floats, cov: Floats) -> Ints:
+    """Numbers of points (N, n) in an order in which neighbours follow each other."""
+    place = np.empty(len(x), np.uint16)
+    try:
+        white = np.linalg.inv(np.linalg.cholesky(cov))
+    except np.linalg.LinAlgError:  # flat along some combination of the states
+        white = np.diag(1.0 / np.sqrt(np.maximum(np.diag(cov), 1e-300)))
+    along_curve(np.ascontiguousarray(x), mean, np.ascontiguousarray(white), place)
+    return np.argsort(place, kind="stable")
+
+
+def _dealt(count: int) -> Ints:
+    """Numbers of points that lie in order, as they are dealt to blocks: to each a few from everywhere."""
+    blocks = -(-count // LANES)
+    dealt = np.arange(blocks * LANES).reshape(LANES, blocks).T.ravel()
+    return dealt[dealt < count]
+
+
+def _ends(model: SDE, dealt: Ints, key: int) -> Floats:
+    """Where the noise of each point's path ends (m, N): evenly spread among those that begin close by."""
+    return np.ascontiguousarray(standard_normal(len(dealt), len(model.spectral_density), key)[dealt].T)
+
+
+def _beside(x: Floats, density: ParticleDensity, key: int) -> Floats:
     """Copies of heavy points, each moved by about the distance of points, with mean and covariance of all."""
+    count = len(x)
     mean, cov = moments_of(density)
     width = float(np.sum(density.mass**2)) ** (1.0 / density.dim)
     values, axes = np.linalg.eigh(cov)
-    x = density.x[systematic(density.mass, count)] - mean
+    x = x - mean
     z = standard_normals(key ^ _ASIDE, count, density.dim) * np.sqrt(np.maximum(values, 0.0))
     return mean + math.sqrt(1.0 - width**2) * x + width * np.einsum("ij,kj->ik", z, axes)
 
@@ -177,10 +220,10 @@ def parts(model: SDE, density: ParticleDensity, t1: float) -> bool:
     return bool(np.linalg.eigvalsh(white.T @ added @ white)[0] > _SPREAD)
 
 
-def _exactly(x: Floats, model: SDE, dt: float, key: int) -> Floats:
+def _exactly(x: Floats, model: SDE, dt: float, key: int, dealt: Ints) -> Floats:
     """Points moved by the exact transition of a linear model."""
     flow, offset, Q = model.to_linear().discretize(dt)
-    noise = standard_normals(key, *x.shape)
+    noise = standard_normal(*x.shape, key)[dealt]
     # not matrix products: their last bits depend on the threads
     return np.einsum("ij,kj->ik", x, flow) + offset + np.einsum("ij,kj->ik", noise, noise_root(Q))
 
@@ -194,6 +237,7 @@ class _Paths(NamedTuple):
     key: int
     variance: Floats  # (n,) of all points: the unit of what steps may be off by
     first: float = math.inf  # step that is tried first, seconds
+    ends: Floats | None = None  # (m, N) where noise ends, or anywhere
 
 
 def _moved(start: Floats, x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, float]:
@@ -253,7 +297,8 @@ def _walked(
     int, float
         Mean number of steps of a block, and the shortest first one.
     """
-    model, span, scheme, key, variance, first = paths
+    model, span, scheme, key, variance, first, ends = paths
+    ends = np.empty((0, len(x))) if ends is None else ends
     steps = PLATEN if model.state_dependent_noise else SHIFTED_PATH
     blocks = -(-len(x) // LANES)
     which = np.arange(blocks) if which is None else which
@@ -269,7 +314,7 @@ def _walked(
     constants = model.p, variance, noise_root(model.spectral_density)
     with surfacing():
         codes, stream = model.domain.codes, (steps, key)
-        move_blocks()(x, alive, report, which, span, limits, entries, constants, codes, stream)
+        move_blocks()(x, alive, ends, report, which, span, limits, entries, constants, codes, stream)
     report = report[which]
     if not report[:, 0].all():
         stopped = report[report[:, 0] == 0, 1][0]
