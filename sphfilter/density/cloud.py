@@ -135,7 +135,8 @@ def key_of(density: "ParticleDensity") -> int:
 def quasi_random(count: int, n: int, key: int) -> Floats:
     """Points (count, n) evenly spread over the unit cube, shifted by a key."""
     shift = np.random.Generator(np.random.Philox(key)).random(n)
-    return (spread_evenly(count, n) + shift) % 1.0
+    shifted = spread_evenly(count, n) + shift
+    return shifted - np.floor(shifted)
 
 
 def standard_normal(count: int, n: int, key: int) -> Floats:

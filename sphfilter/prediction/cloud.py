@@ -223,7 +223,7 @@ def parts(model: SDE, density: ParticleDensity, t1: float) -> bool:
 def _exactly(x: Floats, model: SDE, dt: float, key: int, dealt: Ints) -> Floats:
     """Points moved by the exact transition of a linear model."""
     flow, offset, Q = model.to_linear().discretize(dt)
-    noise = standard_normal(*x.shape, key)[dealt]
+    noise = standard_normal(len(x), x.shape[1], key)[dealt]
     # not matrix products: their last bits depend on the threads
     return np.einsum("ij,kj->ik", x, flow) + offset + np.einsum("ij,kj->ik", noise, noise_root(Q))
 
