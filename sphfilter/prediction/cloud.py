@@ -41,7 +41,7 @@ _SEEN = 2048  # points of a cloud by which it is told how far it reaches, and ho
 _ASIDE = 1  # of a key, for normals that are not those of paths
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
-_QUARTER, _HALVINGS = 4, 5  # blocks of which one has steps of half the length, and how often all have
+_GROUP, _HALVINGS = 8, 5  # blocks of which one has steps of half the length, and how often all have
 _CHANCE = 5.0  # standard deviations by which two samples may differ
 _HELPED = 0.7  # of a difference that is left by steps of half the length, if it comes from them
 _FEW = 0.5  # effective points over all, below which points are drawn anew
@@ -241,7 +241,7 @@ class _Paths(NamedTuple):
 
 
 def _moved(start: Floats, x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, float]:
-    """Move points x from their start, a quarter by steps of half the length; those given up are not alive.
+    """Move points x from their start, an eighth by steps of half the length; those given up are not alive.
 
     Where the two part beyond chance, steps are too long, as they may be for jumps: all is done again.
 
@@ -250,7 +250,7 @@ def _moved(start: Floats, x: Floats, mass: Floats, alive: Bools, paths: _Paths) 
     int, float
         The steps of a block, and in standard deviations by how much the two have parted nevertheless.
     """
-    fine = np.arange(len(x)) // LANES % _QUARTER == _QUARTER - 1
+    fine = np.arange(len(x)) // LANES % _GROUP == _GROUP - 1
     some, others, longest, taken = np.flatnonzero(fine[::LANES]), np.flatnonzero(~fine[::LANES]), math.inf, 0
     parted, (before, chance) = math.inf, _apart(x, mass, fine)
     for halvings in range(_HALVINGS + 1):
