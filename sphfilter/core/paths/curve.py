@@ -16,12 +16,13 @@ def along_curve(x, mean, white, place):
     N, n = x.shape
     bits = max(_BITS // n, 1)
     top, X = 1 << bits, np.empty(n, np.int64)
+    scale = 0.5 * top / _REACH
     for i in range(N):
         for a in range(n):
-            z = 0.0
+            z = 0.5 * top
             for b in range(a + 1):
-                z += white[a, b] * (x[i, b] - mean[b])
-            X[a] = min(max(int((0.5 + 0.5 * z / _REACH) * top), 0), top - 1)
+                z += scale * white[a, b] * (x[i, b] - mean[b])
+            X[a] = int(min(max(z, 0.0), top - 1.0))
         _transposed(X, top)
         found = 0
         for level in range(bits - 1, -1, -1):
@@ -36,12 +37,10 @@ def _transposed(X, top):
     n, q = X.size, top >> 1
     while q > 1:
         for a in range(n):
-            if X[a] & q:
-                X[0] ^= q - 1
-            else:
-                t = (X[0] ^ X[a]) & (q - 1)
-                X[0] ^= t
-                X[a] ^= t
+            t = q - 1 if X[a] & q else 0
+            swapped = (X[0] ^ X[a]) & (q - 1 - t)
+            X[0] ^= t | swapped
+            X[a] ^= swapped
         q >>= 1
     for a in range(1, n):
         X[a] ^= X[a - 1]
