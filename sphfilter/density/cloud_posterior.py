@@ -8,6 +8,7 @@ import numpy as np
 from .._types import Bools, Floats, OfStates
 from ..core.sph.kernels import Kernel
 from ..errors import PropagationError
+from ..info import DOUBTFUL
 from ..model.domain import Domain
 from . import mixture
 from .as_cloud import cloud_density
@@ -34,7 +35,7 @@ _KERNELS = 2048  # of what they are drawn from
 _WIDE, _WIDENED = 0.1, 4.0  # share of points from a Gaussian that is wider than what they are drawn from
 _ROUNDS, _CORRECTED = 60, 6  # powers of a likelihood, and draws that are weighted by the prior
 _ASKED = 64  # points of a posterior that are asked for the kernels that they see
-_FEW_A_TERM = 20  # effective points for a state, below which they do not tell the posterior's shape
+_FEW_A_TERM = 20  # effective points for a state, below which kernels are not fitted to them
 
 
 class CloudPosterior(NamedTuple):
@@ -76,7 +77,7 @@ def cloud_posterior(prior: ParticleDensity, log_weight: OfStates, n_points: int)
         )
     w, log_evidence = _normalised(np.log(mass) + weight)
     before = _effective(mass)
-    if _effective(w) >= min(_FEW_A_TERM * prior.dim, 0.5 * before):
+    if _effective(w) >= min(1.0 / DOUBTFUL**2, 0.5 * before):
         inflow = float(np.sum(w**2)) - 1.0 / before
         return CloudPosterior(_cloud(prior, x, w, -1.0 / before), log_evidence, math.sqrt(max(inflow, 0.0)))
     return _closed_in(prior, x, mass, weight, log_weight, key)
