@@ -6,8 +6,9 @@ from .._jit import jit
 
 __all__ = ["along_curve"]
 
-#: Bits of a place on the curve, and standard deviations to either side that are told apart.
-_BITS, _REACH = 16, 3.0
+#: Bits of a place on the curve, and standard deviations to either side that are told apart: as far as
+#: outlying readings ask.
+_BITS, _REACH = 16, 4.0
 
 
 @jit
