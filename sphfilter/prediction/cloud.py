@@ -38,6 +38,7 @@ __all__ = ["on_lattice", "parts", "propagate"]
 
 _BIAS = 0.6  # of the steps, over the sampling error
 _SEEN = 2048  # points of a cloud by which it is told how far it reaches, and how far it forgets
+_PLANE = 2  # states up to which normals are not evenly spread
 _ASIDE = 1  # of a key, for normals that are not those of paths
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
@@ -190,9 +191,9 @@ def _dealt(count: int) -> Ints:
 def _normals(dealt: Ints, dim: int, k: int, key: int) -> Floats:
     """Standard normals (N, k) for points as they were dealt, evenly spread among those that lie close by.
 
-    Not in one dimension, where the error would be a tenth of what is told of it.
+    Not in one or two dimensions, where the error would be a fifth of what is told of it, or less.
     """
-    if dim == 1:
+    if dim <= _PLANE:
         return standard_normals(key ^ _ASIDE, len(dealt), k)
     return standard_normal(len(dealt), k, key)[dealt]
 
