@@ -91,14 +91,16 @@ class Paths:
     def _in_blocks(self, x, span, limits, variance, seed):
         n_blocks = -(-len(x) // LANES)
         report, alive = np.zeros((n_blocks, 2)), np.ones(len(x), dtype=bool)
+        free = np.empty((0, len(x)))  # noise that ends anywhere
         everywhere = Domain(*self.model.dim * [None]).codes
         addresses = address_of(self.model.drift_batch), address_of(self.model.noise_batch)
         constants = self.model.p, variance, self._root
 
         def share(first, last):
-            stream = (self._scheme, seed, first, last)
+            which, stream = np.arange(first, last), (self._scheme, seed)
             with surfacing():
-                move_blocks()(x, alive, report, span, limits, addresses, constants, everywhere, stream)
+                numbers = span, limits, addresses, constants
+                move_blocks()(x, alive, free, report, which, *numbers, everywhere, stream)
 
         n_shares = max(1, min(self.n_threads, n_blocks // _BLOCKS_PER_THREAD))
         edges = [n_blocks * i // n_shares for i in range(n_shares + 1)]

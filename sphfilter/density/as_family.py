@@ -46,7 +46,7 @@ def unrolled(density: ParticleDensity) -> tuple[Floats, Floats]:
 def settled(density: ParticleDensity, degree: int, most: float) -> ParticleDensity | None:
     """A density on a lattice or a cloud as one family; None where that adds an error above `most`."""
     try:
-        found = _fitted(density, degree, most / OF_MISFIT)
+        found = _fitted(density, degree)
     except np.linalg.LinAlgError:  # flat along some combination of the states
         return None
     if found is None or not OF_MISFIT * found[1] <= most:
@@ -56,15 +56,15 @@ def settled(density: ParticleDensity, degree: int, most: float) -> ParticleDensi
     return new if _agree(density, new, most) else None
 
 
-def _fitted(density: ParticleDensity, degree: int, most: float) -> tuple[Family, float] | None:
-    """The family next to a density, and its misfit; None where there is none, or it is above `most`."""
+def _fitted(density: ParticleDensity, degree: int) -> tuple[Family, float] | None:
+    """The family next to a density, and its misfit; None where there is none."""
     if density.domain is not None and density.domain.walled.any():
         return None
     if density.read_out != "cloud":
         return family_of(density, degree)
     if density.domain is not None:  # moments do not go round a circle
         return None
-    return max_entropy(density.x, density.mass, degree, most)
+    return max_entropy(density.x, density.mass, degree)
 
 
 def _agree(density: ParticleDensity, family: ParticleDensity, most: float) -> bool:

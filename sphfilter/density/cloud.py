@@ -26,6 +26,7 @@ __all__ = [
     "drawn",
     "key_of",
     "moments",
+    "moments_of",
     "points_of",
     "quasi_random",
     "smoothing_length",
@@ -56,17 +57,18 @@ class Cloud(Kernels):
         return mixture.mixture(self.x, self.mass, self.h, self.kernel) if found is None else found
 
     @cached_property
-    def _moments(self) -> tuple[Floats, Floats]:
+    def summed(self) -> tuple[Floats, Floats]:
+        """Mean (n,) and covariance (n, n) of the points as they lie."""
         return moments(self.x, self.mass)
 
     def mean(self) -> Floats:
         """Mean, shape (n,)."""
-        return self._moments[0].copy()
+        return self.summed[0].copy()
 
     def cov(self, centre: Floats | None = None) -> Floats:
         """Covariance, shape (n, n), about the mean if no centre (n,) is given."""
-        off = np.zeros(self.x.shape[1]) if centre is None else self._moments[0] - centre
-        return self._moments[1] + np.outer(off, off)
+        off = np.zeros(self.x.shape[1]) if centre is None else self.summed[0] - centre
+        return self.summed[1] + np.outer(off, off)
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """Points in the kernels, as many for the whole cloud as serve a lattice: always the same ones."""
@@ -77,8 +79,8 @@ class Cloud(Kernels):
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """The same points along some axes, by name."""
-        x = self.x[:, axes]
-        return {"x": x, "mass": self.mass, "h": smoothing_length(x, self.mass), "read_out": "cloud"}
+        h = smoothing_length(self.mass, self.summed[1][np.ix_(axes, axes)])
+        return {"x": self.x[:, axes], "mass": self.mass, "h": h, "read_out": "cloud"}
 
     def around(self, domain: Domain) -> "Cloud":
         """The same points with images beyond the ends of a domain; kernels are as wide as each axis asks."""
@@ -99,13 +101,19 @@ def moments(x: Floats, mass: Floats) -> tuple[Floats, Floats]:
     return mean, cov
 
 
-def smoothing_length(x: Floats, mass: Floats) -> Floats:
-    """Smoothing lengths (N,) for points (N, n): those of spheres with the volume of the best kernel."""
-    n, kernel = x.shape[1], Kernel.of(KERNEL, x.shape[1])
-    cov = moments(x, mass)[1]
+def moments_of(density: "ParticleDensity") -> tuple[Floats, Floats]:
+    """Mean (n,) and covariance (n, n) of a density's points as they lie; of a cloud they are summed once."""
+    shape: Any = density.form.shape if isinstance(density.form, Folded) else density.form
+    return shape.summed if isinstance(shape, Cloud) else moments(density.x, density.mass)
+
+
+def smoothing_length(mass: Floats, cov: Floats) -> Floats:
+    """Smoothing lengths (N,) of points with covariance (n, n): spheres as large as the best kernel."""
+    n = len(cov)
+    kernel = Kernel.of(KERNEL, n)
     values = np.maximum(np.linalg.eigvalsh(cov), max(1e-24 * np.trace(cov), 1e-280))
     size = mixture.silverman(mass, n) * math.exp(0.5 * np.log(values).mean())
-    return np.full(len(x), size / math.sqrt(kernel.variance))
+    return np.full(len(mass), size / math.sqrt(kernel.variance))
 
 
 def systematic(mass: Floats, count: int, shift: float = 0.5) -> Ints:
@@ -119,7 +127,7 @@ def key_of(density: "ParticleDensity") -> int:
     """Number that the time and the mean of a density give, by all their bits: where its points begin."""
     key = _KEY
     with np.errstate(over="ignore"):
-        for word in np.append(moments(density.x, density.mass)[0], density.t).view(np.uint64):
+        for word in np.append(moments_of(density)[0], density.t).view(np.uint64):
             key = (key ^ word) * _MIX
             key ^= key >> np.uint64(31)
     return int(key >> np.uint64(1))
@@ -128,7 +136,8 @@ def key_of(density: "ParticleDensity") -> int:
 def quasi_random(count: int, n: int, key: int) -> Floats:
     """Points (count, n) evenly spread over the unit cube, shifted by a key."""
     shift = np.random.Generator(np.random.Philox(key)).random(n)
-    return (spread_evenly(count, n) + shift) % 1.0
+    shifted = spread_evenly(count, n) + shift
+    return shifted - np.floor(shifted)
 
 
 def standard_normal(count: int, n: int, key: int) -> Floats:

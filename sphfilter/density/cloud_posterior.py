@@ -8,15 +8,17 @@ import numpy as np
 from .._types import Bools, Floats, OfStates
 from ..core.sph.kernels import Kernel
 from ..errors import PropagationError
+from ..info import DOUBTFUL
 from ..model.domain import Domain
 from . import mixture
+from .as_cloud import cloud_density
 from .cloud import (
     KERNEL,
     key_of,
     moments,
+    moments_of,
     points_of,
     quasi_random,
-    smoothing_length,
     standard_normal,
     systematic,
 )
@@ -27,7 +29,7 @@ from .shapes import Folded
 
 __all__ = ["CloudPosterior", "cloud_posterior"]
 
-_ENOUGH = 800  # effective points below which new ones are drawn where the posterior is
+_ENOUGH = 800  # effective points that are drawn anew, where too few of the prior's are in the posterior
 _MOST_DRAWN = 4096  # points whose densities are compared
 _KERNELS = 2048  # of what they are drawn from
 _WIDE, _WIDENED = 0.1, 4.0  # share of points from a Gaussian that is wider than what they are drawn from
@@ -75,7 +77,7 @@ def cloud_posterior(prior: ParticleDensity, log_weight: OfStates, n_points: int)
         )
     w, log_evidence = _normalised(np.log(mass) + weight)
     before = _effective(mass)
-    if _effective(w) >= min(_ENOUGH, 0.5 * before):
+    if _effective(w) >= min(1.0 / DOUBTFUL**2, 0.5 * before):
         inflow = float(np.sum(w**2)) - 1.0 / before
         return CloudPosterior(_cloud(prior, x, w, -1.0 / before), log_evidence, math.sqrt(max(inflow, 0.0)))
     return _closed_in(prior, x, mass, weight, log_weight, key)
@@ -234,23 +236,14 @@ def _cloud(
     Its square is the sampling error of the weights, and what the prior's error leaves: as much less as the
     reading narrows the density. `inflow` is added; with `whole` weights it is that share of the prior's.
     """
+    new = cloud_density(prior, x, w)
     unit = np.sqrt(np.maximum(np.diag(prior.cov()), 1e-300))
-    d = _unrolled(prior, x, w) / unit
-    mean, cov = moments(d, w)
-    before = prior.cov() / np.outer(unit, unit)
+    mean, cov = moments_of(new) if prior.domain is None else moments(_unrolled(prior, x, w), w)
+    squares = float(np.sum(w**2))
+    middle, second = moments(_unrolled(prior, x, w), w**2 / squares)
+    second = squares * (second + np.outer(middle - mean, middle - mean))
+    before, cov, second = (C / np.outer(unit, unit) for C in (prior.cov(), cov, second))
     keeps = min(float(np.trace(np.linalg.lstsq(before, cov, rcond=None)[0])) / prior.dim, 1.0)
-    white, d = np.linalg.pinv(cov, hermitian=True), d - mean
-    sampled = float(np.sum(w**2 * np.sum(np.einsum("ia,ab->ib", d, white) * d, axis=1))) / prior.dim
+    sampled = float(np.sum(np.linalg.pinv(cov, hermitian=True) * second)) / prior.dim
     square = sampled + keeps * prior.error**2 + (keeps * inflow if whole else inflow)
-    return ParticleDensity(
-        x=x,
-        mass=w,
-        h=smoothing_length(x, w),
-        t=prior.t,
-        kernel=KERNEL,
-        read_out="cloud",
-        represented_mass=prior.represented_mass,
-        capacity=prior.capacity,
-        domain=prior.domain,
-        error=math.sqrt(max(square, 0.0)),
-    )
+    return new.noted(error=math.sqrt(max(square, 0.0)))

@@ -14,14 +14,11 @@ from .family import Family, gaussian_family
 __all__ = ["max_entropy"]
 
 _ROUNDS, _FOUND, _HALVINGS = 30, 1e-9, 20
-_FEW = 2000  # points that are looked at first
 _LONGEST = 2.0  # change of log p in a round, rms over the density
 
 
-def max_entropy(x: Floats, mass: Floats, degree: int, most: float) -> tuple[Family, float] | None:
+def max_entropy(x: Floats, mass: Floats, degree: int) -> tuple[Family, float] | None:
     """Find the family of a degree that has the moments of points (N, n) with weights (N,) up to that degree.
-
-    `most` is the misfit from which none is wanted.
 
     Returns
     -------
@@ -29,15 +26,6 @@ def max_entropy(x: Floats, mass: Floats, degree: int, most: float) -> tuple[Fami
         The family and its misfit, what chance explains taken off: by how much moments of one degree more, and
         the variance of log p, differ from those of the points. None where no family has the moments.
     """
-    few = slice(None, None, max(len(x) // _FEW, 1))
-    if len(x) >= 2 * _FEW:  # nothing is lost where a part of the points knows that already
-        first = _fitted(x[few], mass[few] / mass[few].sum(), degree)
-        if first is None or first[1] > most:
-            return None
-    return _fitted(x, mass, degree)
-
-
-def _fitted(x: Floats, mass: Floats, degree: int) -> tuple[Family, float] | None:
     mean, cov = moments(x, mass)
     try:
         start = gaussian_family(mean, cov, degree)

@@ -361,6 +361,15 @@ class ParticleDensity:
         about |= {"kernel": self.kernel, "represented_mass": self.represented_mass}
         return ParticleDensity(**given, **about)
 
+    def noted(self, **known: Any) -> "ParticleDensity":
+        """The same density with other notes on its record, such as `error`, `needs` or `capacity`.
+
+        Nothing is checked or summed again: what is noted must not change the density itself.
+        """
+        new = object.__new__(type(self))
+        vars(new).update(vars(self) | known)
+        return new
+
     def _read(self, kind: ReadOut | None) -> "ParticleDensity":
         """The density with another read-out, or itself."""
         read_out = self.read_out if kind is None else choice("kind", kind, READ_OUTS)

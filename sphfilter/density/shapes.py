@@ -348,7 +348,8 @@ def _cell_points(n: int, cells: int, smooth: bool) -> Floats:
 def spread_evenly(count: int, n: int) -> Floats:
     """Points (count, n) of the additive sequence of the root of x^(n+1) = x + 1, even over the unit cube."""
     root = optimize.brentq(lambda x: x ** (n + 1) - x - 1.0, 1.0, 2.0)
-    return np.arange(count)[:, None] * root ** -np.arange(1.0, n + 1.0) % 1.0
+    even = np.arange(count)[:, None] * root ** -np.arange(1.0, n + 1.0)
+    return even - np.floor(even)  # several times faster than the remainder
 
 
 def lattice_particles(laid: Laid) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Prior times likelihood as a cloud of weighted points, which any likelihood leaves."""
 
-from dataclasses import replace
 from typing import Any
 
 from ..config import CloudScheme, FilterConfig
@@ -19,7 +18,7 @@ def by_cloud(
     scheme = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
     weight = asked.weight_on(density.domain)
     new, log_evidence, evidence_error = cloud_posterior(density, weight, scheme.n_points)
-    new = replace(new, capacity=n_particles, lost=density.lost)
+    new = new.noted(capacity=n_particles, lost=density.lost)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {new.error:.2g} standard "
     status += f"deviations; {why}" if why else "deviations"
     return new, {

@@ -35,7 +35,7 @@ Posterior = tuple[ParticleDensity, dict[str, Any]]
 def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: FilterConfig) -> Posterior:
     """Prior times likelihood on the cheapest rung whose own error leaves the target.
 
-    Where a lattice or a cloud had to be taken, the posterior comes down to one family again if that holds it.
+    Where a lattice had to be taken, the posterior comes down to one family again if that holds it.
     """
     needs = density.needs or Needs()
     found = _on_family(density, asked, target, needs)
@@ -46,11 +46,12 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     by_cloud = density.field is None and prefers_cloud(density.dim, needs, target)
     by = _on_cloud if density.read_out == "cloud" or by_cloud else _on_lattice
     (new, said), needs = by(density, asked, target, config, needs)
-    new = replace(new, needs=needs)
-    if needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
+    new = new.noted(needs=needs)
+    laid = new.read_out != "cloud"  # else a prediction tells whether a family does
+    if laid and needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
         one = settled(new, first_degree(new.dim, needs), allowance(new.error, target))
         new, needs = (new, needs.refused()) if one is None else (one, needs)
-    return replace(new, needs=needs), _told(said | {"error": new.error}, target)
+    return new.noted(needs=needs), _told(said | {"error": new.error}, target)
 
 
 def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
@@ -69,7 +70,7 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
         return None
     (new, said), degree, _ = best
     learned = needs.followed(degree)._replace(share=_share(density, new))
-    return replace(new, needs=learned), _told(said, target)
+    return new.noted(needs=learned), _told(said, target)
 
 
 def _on_pieces(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
@@ -123,7 +124,7 @@ def _on_lattice(
         if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= _MOST_NODES:
             break  # met, or the prior itself is coarse
         before, nodes = said["error"], min(math.ceil(nodes * min(over ** (1.0 / _ORDER), 3.0)), _MOST_NODES)
-    return (replace(new, capacity=nodes), said), needs._replace(nodes=nodes)
+    return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes)
 
 
 def _told(said: dict[str, Any], target: float) -> dict[str, Any]:

@@ -9,13 +9,13 @@ from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm, matrix_balance
 
 from .. import validate
 from .._types import BatchFunction, Bools, Floats
 from ..errors import ModelError, nearest, plain
 from . import derived
 from .compile import Maker, StateFunction, compile_rows, shared, surfacing
+from .discretization import transition
 from .domain import Domain, DomainLike
 from .noise import Noise, constant_root, noise_parts, reads_time
 from .timing import roots
@@ -457,8 +457,6 @@ class LinearSDE(SDE):
     def discretize(self, dt: float) -> tuple[Floats, Floats, Floats]:
         """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly.
 
-        Van Loan's block exponential over a part of dt short enough for its growing block, then doubling.
-
         Parameters
         ----------
         dt : float
@@ -473,26 +471,8 @@ class LinearSDE(SDE):
         dt = validate.real("dt", dt)
         if dt < 0:
             raise ModelError(f"dt must not be negative, got {dt!r}.")
-        n = self.dim
-        # in units in which the rows of A are like its columns: norms say nothing in those of the states
-        A, (unit, _) = matrix_balance(self.A, permute=False, separate=True)
-        doublings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(A, 1)) * dt, 1.0)))))
-        h = dt / 2**doublings
-        g = self.noise(np.zeros((1, n)), 0.0)[0] / unit[:, None]
-        gQg = g @ self.spectral_density @ g.T
-        size = np.abs(gQg).max() or 1.0
-        b = self.b / unit
-        length = np.abs(b).max() or 1.0
-        E = expm(np.block([[-A, gQg / size], [np.zeros((n, n)), A.T]]) * h)
-        affine = expm(np.block([[A, b[:, None] / length], [np.zeros((1, n + 1))]]) * h)
-        Phi, offset = affine[:n, :n], affine[:n, n]
-        Qd = E[n:, n:].T @ E[:n, n:]
-        for _ in range(doublings):
-            offset = Phi @ offset + offset
-            Qd = Phi @ Qd @ Phi.T + Qd
-            Phi = Phi @ Phi
-        Qd = 0.5 * size * (Qd + Qd.T) * np.outer(unit, unit)
-        return Phi * unit[:, None] / unit, offset * length * unit, Qd
+        g = self.noise(np.zeros((1, self.dim)), 0.0)[0]
+        return transition(self.A, self.b, g @ self.spectral_density @ g.T, dt)
 
 
 class _Functions:

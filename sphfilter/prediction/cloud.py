@@ -1,7 +1,6 @@
 """A cloud of weighted points on random paths: carries any density, with the error of as many samples."""
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,16 +9,18 @@ from .._types import Bools, Floats, Ints
 from ..config import CloudScheme
 from ..core._addresses import address_of
 from ..core.paths.blocks import move_blocks, standard_normals
+from ..core.paths.curve import along_curve
 from ..core.paths.normals import LANES
 from ..core.paths.step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH
 from ..core.paths.weights import group_moments
+from ..density.as_cloud import cloud_density
 from ..density.cloud import (
     KERNEL,
     drawn,
     key_of,
     moments,
+    moments_of,
     points_of,
-    smoothing_length,
     standard_normal,
     systematic,
 )
@@ -28,17 +29,20 @@ from ..density.resample import times_likelihood
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
 from ..model.compile import surfacing
-from ..model.sde import SDE, LinearSDE
+from ..model.discretization import transition
+from ..model.sde import SDE
 from ..model.simulate import noise_root, rate_of_time
 from ._shared import blow_up, carried_off, skip_notes
 
 __all__ = ["on_lattice", "parts", "propagate"]
 
 _BIAS = 0.6  # of the steps, over the sampling error
-_SEEN = 4096  # points of a cloud by which it is told how far it reaches, and how far it forgets
+_SEEN = 2048  # points of a cloud by which it is told how far it reaches, and how far it forgets
+_PLANE = 2  # states up to which normals are not evenly spread
+_ASIDE = 1  # of a key, for normals that are not those of paths
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
-_QUARTER, _HALVINGS = 4, 5  # blocks of which one has steps of half the length, and how often all have
+_GROUP, _HALVINGS = 8, 5  # blocks of which one has steps of half the length, and how often all have
 _CHANCE = 5.0  # standard deviations by which two samples may differ
 _HELPED = 0.7  # of a difference that is left by steps of half the length, if it comes from them
 _FEW = 0.5  # effective points over all, below which points are drawn anew
@@ -79,35 +83,37 @@ def propagate(
         The model carries a tenth of the probability to infinity, or needs more steps than allowed.
     """
     key = key_of(density)
-    x, mass = _points(density, model, t1, scheme.n_points, key)
-    before, alive, steps, bias = x.copy(), np.ones(len(x), dtype=bool), 1, 0.0
+    before, mass = _points(density, model, t1, scheme.n_points, key)
+    dealt = _dealt(len(before))
+    before, mass = before[dealt], mass[dealt]
+    x, alive, steps, bias = before.copy(), np.ones(len(before), dtype=bool), 1, 0.0
     if model.linear:
-        x = _exactly(x, model, t1 - density.t, key)
+        x = _exactly(x, model, t1 - density.t, key, dealt)
     else:
-        few = x[systematic(mass, LANES)]  # tell a model that blows up at once
-        pilot, kept, even = few.copy(), np.ones(LANES, dtype=bool), np.full(LANES, 1.0 / LANES)
-        paths = _Paths(model, (density.t, t1), scheme, key, np.diag(moments(few, even)[1]).copy())
-        _walked(pilot, kept, paths)
+        few = before[systematic(mass, LANES)]  # tell a model that blows up at once
+        pilot, kept = few.copy(), np.ones(LANES, dtype=bool)
+        paths = _Paths(model, (density.t, t1), scheme, key, np.diag(density.cov()).copy())
+        _, first = _walked(pilot, kept, paths)
         if kept.mean() < 1.0 - _CERTAIN:
             raise PropagationError(_blow_up(model, few[~kept], density.t, t1))
-        steps, bias = _moved(x, mass, alive, paths._replace(variance=np.diag(moments(x, mass)[1]).copy()))
+        ends = _normals(dealt, model.dim, len(model.spectral_density), key)
+        paths = paths._replace(first=first, ends=np.ascontiguousarray(ends.T))
+        steps, bias = _moved(before, x, mass, alive, paths)
     alive &= _near(before, x)
-    lost = float(mass[~alive].sum())
-    if lost > _MOST_LOST:
-        raise PropagationError(_blow_up(model, before[~alive], density.t, t1))
-    x, mass = x[alive], mass[alive] / (1.0 - lost)
-    error, left = _error(density, before[alive], x, mass)
+    lost = 0.0
+    if not alive.all():
+        lost = float(mass[~alive].sum())
+        if lost > _MOST_LOST:
+            raise PropagationError(_blow_up(model, before[~alive], density.t, t1))
+        before, x, mass = before[alive], x[alive], mass[alive] / (1.0 - lost)
+    error, left = _error(density, before, x, mass)
     error = math.hypot(error, bias)
-    moved = ParticleDensity(
-        x=x if density.domain is None else density.domain.wrap(x),
-        mass=mass,
-        h=smoothing_length(x, mass),
+    moved = cloud_density(
+        density,
+        x if density.domain is None else density.domain.wrap(x),
+        mass,
         t=float(t1),
-        kernel=KERNEL,
-        read_out="cloud",
-        represented_mass=density.represented_mass,
         capacity=density.capacity if n_particles is None else n_particles,
-        domain=density.domain,
         error=error,
         lost=left * density.lost,
     )
@@ -139,7 +145,7 @@ def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity | 
     if max(off, 0.5 * wider) > _AGREES * max(density.error, _LEAST_ERROR) or residual > _RESIDUAL:
         return None
     error = math.hypot(density.error, float(off))
-    return replace(laid, error=error, lost=density.lost, capacity=density.capacity)
+    return laid.noted(error=error, lost=density.lost, capacity=density.capacity)
 
 
 def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: int) -> tuple[Floats, Floats]:
@@ -149,34 +155,69 @@ def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: in
     from the density that is read between them.
     """
     if density.read_out != "cloud":
-        return points_of(density, count, key)
-    mass = np.full(count, 1.0 / count)
-    if len(density.x) == count and 1.0 / np.sum(density.mass**2) >= _FEW * count:
-        return density.x.copy(), density.mass
-    if parts(model, density, t1):
-        return density.x[systematic(density.mass, count)], mass
-    return _beside(density, count, key) if density.domain is None else drawn(density, count, key), mass
+        x, mass = points_of(density, count, key)
+        order = _along(x, *moments(x, mass))
+        return x[order], mass[order]
+    order = _along(density.x, *moments_of(density))
+    mass = density.mass[order]
+    if len(mass) == count and 1.0 / np.sum(mass**2) >= _FEW * count:
+        return density.x[order], mass
+    if density.domain is not None and not parts(model, density, t1):
+        return drawn(density, count, key), np.full(count, 1.0 / count)
+    x = density.x[order[systematic(mass, count)]]
+    if not parts(model, density, t1):
+        x = _beside(x, density, key)
+    return x, np.full(count, 1.0 / count)
 
 
-def _beside(density: ParticleDensity, count: int, key: int) -> Floats:
+def _along(x: Floats, mean: Floats, cov: Floats) -> Ints:
+    """Numbers of points (N, n) in an order in which neighbours follow each other."""
+    place = np.empty(len(x), np.uint16)
+    try:
+        white = np.linalg.inv(np.linalg.cholesky(cov))
+    except np.linalg.LinAlgError:  # flat along some combination of the states
+        white = np.diag(1.0 / np.sqrt(np.maximum(np.diag(cov), 1e-300)))
+    along_curve(np.ascontiguousarray(x), mean, np.ascontiguousarray(white), place)
+    return np.argsort(place, kind="stable")
+
+
+def _dealt(count: int) -> Ints:
+    """Numbers of points that lie in order, as they are dealt to blocks: to each a few from everywhere."""
+    blocks = -(-count // LANES)
+    dealt = np.arange(blocks * LANES).reshape(LANES, blocks).T.ravel()
+    return dealt[dealt < count]
+
+
+def _normals(dealt: Ints, dim: int, k: int, key: int) -> Floats:
+    """Standard normals (N, k) for points as they were dealt, evenly spread among those that lie close by.
+
+    Not in one or two dimensions, where the error would be a fifth of what is told of it, or less.
+    """
+    if dim <= _PLANE:
+        return standard_normals(key ^ _ASIDE, len(dealt), k)
+    return standard_normal(len(dealt), k, key)[dealt]
+
+
+def _beside(x: Floats, density: ParticleDensity, key: int) -> Floats:
     """Copies of heavy points, each moved by about the distance of points, with mean and covariance of all."""
-    mean, cov = moments(density.x, density.mass)
+    count = len(x)
+    mean, cov = moments_of(density)
     width = float(np.sum(density.mass**2)) ** (1.0 / density.dim)
     values, axes = np.linalg.eigh(cov)
-    x = density.x[systematic(density.mass, count)] - mean
-    z = standard_normal(count, density.dim, key) * np.sqrt(np.maximum(values, 0.0))
+    x = x - mean
+    z = standard_normals(key ^ _ASIDE, count, density.dim) * np.sqrt(np.maximum(values, 0.0))
     return mean + math.sqrt(1.0 - width**2) * x + width * np.einsum("ij,kj->ik", z, axes)
 
 
 def parts(model: SDE, density: ParticleDensity, t1: float) -> bool:
     """Does the noise of an interval move copies of a point apart, in all directions?"""
-    mean, cov = moments(density.x, density.mass)
+    mean, cov = moments_of(density)
     with np.errstate(all="ignore"):
         D = model.diffusion(mean, density.t)[0]
         if not np.isfinite(D).all():
             return False
-        linear = LinearSDE(np.nan_to_num(model.jacobian(mean, density.t)), noise=noise_root(2.0 * D))
-        flow, _, added = linear.discretize(t1 - density.t)
+        slope = np.nan_to_num(model.jacobian(mean, density.t))
+        flow, _, added = transition(slope, np.zeros(len(mean)), 2.0 * D, t1 - density.t)
         total = flow @ cov @ flow.T + added
     if not np.isfinite(total).all():
         return False
@@ -186,10 +227,10 @@ def parts(model: SDE, density: ParticleDensity, t1: float) -> bool:
     return bool(np.linalg.eigvalsh(white.T @ added @ white)[0] > _SPREAD)
 
 
-def _exactly(x: Floats, model: SDE, dt: float, key: int) -> Floats:
+def _exactly(x: Floats, model: SDE, dt: float, key: int, dealt: Ints) -> Floats:
     """Points moved by the exact transition of a linear model."""
     flow, offset, Q = model.to_linear().discretize(dt)
-    noise = standard_normals(key, *x.shape)
+    noise = _normals(dealt, model.dim, model.dim, key)
     # not matrix products: their last bits depend on the threads
     return np.einsum("ij,kj->ik", x, flow) + offset + np.einsum("ij,kj->ik", noise, noise_root(Q))
 
@@ -202,10 +243,12 @@ class _Paths(NamedTuple):
     scheme: CloudScheme
     key: int
     variance: Floats  # (n,) of all points: the unit of what steps may be off by
+    first: float = math.inf  # step that is tried first, seconds
+    ends: Floats | None = None  # (m, N) where noise ends, or anywhere
 
 
-def _moved(x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, float]:
-    """Move points in place, a quarter by steps of half the length; paths given up are no longer alive.
+def _moved(start: Floats, x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, float]:
+    """Move points x from their start, an eighth by steps of half the length; those given up are not alive.
 
     Where the two part beyond chance, steps are too long, as they may be for jumps: all is done again.
 
@@ -214,15 +257,15 @@ def _moved(x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, f
     int, float
         The steps of a block, and in standard deviations by how much the two have parted nevertheless.
     """
-    start, block = x.copy(), np.arange(len(x)) // LANES
-    fine, longest, taken = block % _QUARTER == _QUARTER - 1, math.inf, 0
+    fine = np.arange(len(x)) // LANES % _GROUP == _GROUP - 1
+    some, others, longest, taken = np.flatnonzero(fine[::LANES]), np.flatnonzero(~fine[::LANES]), math.inf, 0
     parted, (before, chance) = math.inf, _apart(x, mass, fine)
     for halvings in range(_HALVINGS + 1):
-        steps = _walked(x, alive, paths, np.flatnonzero(~fine[::LANES]), longest)
-        if not fine.any():
+        steps, _ = _walked(x, alive, paths, others, longest)
+        if not len(some):
             return steps, 0.0
         longest, taken = 0.5 * (paths.span[1] - paths.span[0]) / steps, taken + steps
-        _walked(x, alive, paths, np.flatnonzero(fine[::LANES]), longest)
+        _walked(x, alive, paths, some, longest)
         own = (slice(None),) if alive.all() else (alive,)
         after, chance = _apart(x[own], mass[own], fine[own])
         earlier, parted = parted, float(np.max(after - before - _CHANCE * chance))
@@ -241,18 +284,28 @@ def _apart(x: Floats, mass: Floats, some: Bools) -> tuple[Floats, Floats]:
     n = x.shape[1]
     if some.all() or not some.any():
         return np.zeros((2, n)), np.zeros((2, n))
-    (total, squares), mean, (second, fourth) = np.empty((2, 2)), np.empty(n), np.empty((2, 2, n))
-    group_moments(x, mass, some, total, squares, mean, second, fourth)
-    first = mass[some] @ x[some] / total[0]
+    own, (mean, second, fourth) = mass * some, np.empty((3, 2, n))
+    part = group_moments(np.ascontiguousarray(x), mass, own, mean, second, fourth)
     variance = np.maximum(second[1], 1e-300)
-    apart = np.array([np.abs(first - mean) / np.sqrt(variance), 0.5 * np.abs(second[0] / variance - 1.0)])
+    off = np.abs(mean[0] - mean[1]) / np.sqrt(variance)
+    apart = np.array([off, 0.5 * np.abs(second[0] / variance - 1.0)])
     by_chance = np.array([np.ones(n), 0.5 * np.sqrt(np.maximum(fourth[1] / variance**2 - 1.0, 0.0))])
-    return apart, math.sqrt(squares.sum()) * by_chance
+    squares = float(np.sum(own**2)) / part**2 + float(np.sum((mass - own) ** 2)) / (1.0 - part) ** 2
+    return apart, math.sqrt(squares) * by_chance
 
 
-def _walked(x: Floats, alive: Bools, paths: _Paths, which: Ints | None = None, most: float = math.inf) -> int:
-    """Move some blocks of points, or all, by steps of at most a length. Returns the mean steps of a block."""
-    model, span, scheme, key, variance = paths
+def _walked(
+    x: Floats, alive: Bools, paths: _Paths, which: Ints | None = None, most: float = math.inf
+) -> tuple[int, float]:
+    """Move some blocks of points, or all, by steps of at most a length.
+
+    Returns
+    -------
+    int, float
+        Mean number of steps of a block, and the shortest first one.
+    """
+    model, span, scheme, key, variance, first, ends = paths
+    ends = np.empty((0, len(x))) if ends is None else ends
     steps = PLATEN if model.state_dependent_noise else SHIFTED_PATH
     blocks = -(-len(x) // LANES)
     which = np.arange(blocks) if which is None else which
@@ -263,13 +316,12 @@ def _walked(x: Floats, alive: Bools, paths: _Paths, which: Ints | None = None, m
     longest = min(part / rate if rate > 0.0 else math.inf, model.max_step)
     if model.domain.walled.any():
         longest = min(longest, _beside_walls(model, x, variance, span[0]))
-    limits = min(longest, most), math.inf, tolerance, float(scheme.max_steps)
+    limits = min(longest, most), first, tolerance, float(scheme.max_steps)
     entries = address_of(model.drift_batch), address_of(model.noise_batch)
     constants = model.p, variance, noise_root(model.spectral_density)
     with surfacing():
-        for block in which:
-            stream = steps, key, int(block), int(block) + 1
-            move_blocks()(x, alive, report, span, limits, entries, constants, model.domain.codes, stream)
+        codes, stream = model.domain.codes, (steps, key)
+        move_blocks()(x, alive, ends, report, which, span, limits, entries, constants, codes, stream)
     report = report[which]
     if not report[:, 0].all():
         stopped = report[report[:, 0] == 0, 1][0]
@@ -278,18 +330,18 @@ def _walked(x: Floats, alive: Bools, paths: _Paths, which: Ints | None = None, m
             f"{scheme.max_steps} steps were not enough for a cloud; the drift is stiff. Allow more with "
             f"scheme=CloudScheme(max_steps=...), or predict over a shorter interval"
         )
-    return math.ceil(report[:, 0].mean())
+    return math.ceil(report[:, 0].mean()), float(report[:, 1].min())
 
 
 def _near(before: Floats, after: Floats) -> Bools:
     """Which points have not run away, out of all proportion to where they and others were and are."""
     with np.errstate(invalid="ignore", over="ignore"):
+        extent = np.ptp(before[:: max(len(before) // LANES, 1)], axis=0)
+        if np.abs((after - before) / extent).max() <= 0.1 * _AWAY:  # as ever: none can be
+            return np.ones(len(after), dtype=bool)
         few = slice(None, None, max(len(after) // _SEEN, 1))
         low, middle, high = np.percentile(after[few], [25.0, 50.0, 75.0], axis=0)
         extent = np.maximum(np.ptp(before[few], axis=0), high - low)
-        ends = np.array([after.min(axis=0), after.max(axis=0)])
-        if np.all(np.abs(ends - middle) <= _AWAY * extent):
-            return np.ones(len(after), dtype=bool)
         return np.asarray(np.all(np.abs(after - middle) <= _AWAY * extent, axis=1))
 
 

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
+from ..density.as_cloud import thinned
 from ..density.as_family import family_density, settled, unrolled
 from ..density.family import gaussian_family
 from ..density.needs import AIMED, MOST_POINTS, Needs, allowance, doubt, fewest
@@ -30,6 +31,7 @@ Found = TypeVar("Found")
 _LATTICE, _LATTICE_IF = 2, 4
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _TOLERANCE = 0.1  # of a step of a family, over the target
+_FEW = 2000  # points of a cloud that tell whether a family will do
 _IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
 
 
@@ -127,8 +129,9 @@ def propagate(
             return found
     elif needs.waits > 0:
         needs = needs.waited()
-    elif not family.fits(model, density):
-        found = _by_family(density, model, t1, target, needs)
+    elif density.read_out == "cloud" or not family.fits(model, density):
+        by = _settled if density.read_out == "cloud" else _by_family
+        found = by(density, model, t1, target, needs)
         if found is not None:
             return found
         needs = needs.refused()
@@ -164,7 +167,21 @@ def _by_family(
     if best is None:
         return None
     (moved, info), degree, used = best
-    return replace(moved, needs=needs.followed(degree - (used < _IDLE))), info
+    return moved.noted(needs=needs.followed(degree - (used < _IDLE))), info
+
+
+def _settled(
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
+) -> tuple[ParticleDensity, PredictInfo] | None:
+    """Carry a cloud as one family; None where none will do, which a part of the points tells already."""
+    few = thinned(density, _FEW)
+    found, most = None, allowance(density.error, target)
+    for points in (density,) if few is density else (few, density):
+        one = settled(points, first_degree(density.dim, needs), most)
+        found = None if one is None else _by_family(one, model, t1, target, needs)
+        if found is None:
+            break
+    return found
 
 
 def _by_pieces(
@@ -179,7 +196,7 @@ def _by_pieces(
     if moved.pieces is not None:
         one = settled(moved, first_degree(moved.dim, needs), allowed)
         moved = moved if one is None else one
-    return replace(moved, needs=needs), info
+    return moved.noted(needs=needs), info
 
 
 def _by_cloud(
@@ -188,7 +205,7 @@ def _by_cloud(
     """Carry as many points as the target asks for."""
     points = min(needs.cloud(target), MOST_POINTS)
     moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points))
-    return replace(moved, needs=needs), _as_asked(info)
+    return moved.noted(needs=needs), _as_asked(info)
 
 
 def _by_lattice(
@@ -208,7 +225,7 @@ def _by_lattice(
         return _by_cloud(density, model, t1, target, needs)
     if moved.field is not None:
         nodes = max(moved.n_particles, fewest(density.dim))
-    return replace(moved, needs=needs._replace(nodes=nodes), capacity=nodes), _as_asked(info)
+    return moved.noted(needs=needs._replace(nodes=nodes), capacity=nodes), _as_asked(info)
 
 
 def _as_asked(info: PredictInfo) -> PredictInfo:

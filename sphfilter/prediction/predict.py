@@ -121,10 +121,10 @@ def predict(
         before, after = beside(stop, start, end)
         if density.t < before:
             density = carried(density, before)
-        density = replace(density, t=after)
+        density = density.noted(t=after)
     if density.t < end:
         density = carried(density, end)
-    return (density if density.t == end else replace(density, t=end)), PredictInfo.joined(infos)
+    return (density if density.t == end else density.noted(t=end)), PredictInfo.joined(infos)
 
 
 def _to_target(
@@ -152,7 +152,7 @@ def _to_target(
 
     first = particle_bound(density, "auto")
     moved, info, nodes = carried_to_target(density, predicted, target, first, time)
-    return replace(moved, needs=(density.needs or Needs())._replace(nodes=nodes), capacity=nodes), info
+    return moved.noted(needs=(density.needs or Needs())._replace(nodes=nodes), capacity=nodes), info
 
 
 def _on_particles(

@@ -21,7 +21,7 @@ def bent():
 
 def test_points_of_a_family_give_it_back(bent):
     x, mass = points_of(bent, 20_000, 7)
-    found, misfit = max_entropy(x, mass, 4, 1.0)
+    found, misfit = max_entropy(x, mass, 4)
     near = bent.sample(200, 3)
     np.testing.assert_allclose(found.log_p(near), bent.logpdf(near), atol=0.15)
     assert misfit < 0.05
@@ -30,7 +30,7 @@ def test_points_of_a_family_give_it_back(bent):
 
 def test_a_lower_degree_misses_more(bent):
     x, mass = points_of(bent, 20_000, 7)
-    misfits = [max_entropy(x, mass, degree, 9.0)[1] for degree in (2, 3, 4)]
+    misfits = [max_entropy(x, mass, degree)[1] for degree in (2, 3, 4)]
     assert misfits[0] > 2.0 * misfits[1] > 4.0 * misfits[2]
 
 

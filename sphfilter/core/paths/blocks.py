@@ -85,6 +85,23 @@ def _reflect(before, x, t, dt, noise, p, L, domain, xi):
 
 
 @jit
+def _bridged(xi, dt, left, rest):
+    """Make the increments in normals xi (steps, k, N), its first rows, those of paths whose ends are known.
+
+    `rest` (m, N) is what is missing of each path's noise over the seconds that are left, and is brought
+    forward by the steps of length dt.
+    """
+    for s in range(xi.shape[0]):
+        part = min(dt / left, 1.0)
+        pull, own = part / np.sqrt(dt), np.sqrt(1.0 - part)
+        for k in range(rest.shape[0]):
+            for i in range(rest.shape[1]):
+                xi[s, k, i] = pull * rest[k, i] + own * xi[s, k, i]
+                rest[k, i] -= np.sqrt(dt) * xi[s, k, i]
+        left -= dt
+
+
+@jit
 def _give_up(x, alive, gone):
     """Mark paths and put them on one that goes on; False where there is none."""
     kept = -1
@@ -163,10 +180,11 @@ def _fastest(x, t, drift, p, gone):
 
 
 @jit
-def _move_block(scheme, x, alive, span, limits, functions, constants, domain, state):
+def _move_block(scheme, x, alive, ends, span, limits, functions, constants, domain, state):
     """Move one block x in place over the span; return (steps taken, length of the first).
 
-    No steps taken means that they were too many.
+    Noise sums up to that of `ends` (m, N), in units of its own standard deviation; to anything where that
+    has no rows. No steps taken means that they were too many.
     """
     (t0, t1), (longest, h, tolerance, most) = span, limits
     (N, n), m = x.shape, constants[2].shape[0]
@@ -174,6 +192,8 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
     n_normals += 2 * np.sum(domain.kind == REFLECTING)
     normals, gone = np.empty(((_STEPS_PER_LOOK + 1) * n_normals, N)), np.zeros(N, np.bool_)
     before, tries, extents = np.empty_like(x), 0, np.empty((2, n))
+    rest = np.sqrt(t1 - t0) * ends
+    rest_before = rest.copy()
     for a in range(n):
         low, high = x[:, a].min(), x[:, a].max()
         extents[0, a] = 0.5 * (low + high)
@@ -198,6 +218,8 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
         fill_normals(state, normals[: drawn * n_normals])
         xi = normals[: drawn * n_normals].reshape((drawn, n_normals, N))
         before[:] = x
+        rest_before[:] = rest
+        _bridged(xi, dt, whole - elapsed, rest)
         _take(scheme, x, t, dt, functions, constants, domain, xi)
         lost = _lost(x, before, constants[1], domain, gone)
         if tolerance == np.inf:  # steps of given length are left as they are, as long as they are finite
@@ -206,7 +228,7 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
             lost = gone.sum()
         if lost:
             if tries < _TRIES:  # a stiff drift throws states about where steps are too long for it
-                x[:], h, tries = before, _SHORTER * dt, tries + 1
+                x[:], rest[:], h, tries = before, rest_before, _SHORTER * dt, tries + 1
                 continue
             if not _give_up(x, alive, gone):
                 return max(taken, 1), first
@@ -222,16 +244,16 @@ def _move_block(scheme, x, alive, span, limits, functions, constants, domain, st
     return taken, first
 
 
-def _move_blocks(x, alive, report, span, limits, addresses, constants, domain, stream):
-    """Move the blocks first <= b < last of x (N, n); `report` (blocks, 2) gets what `_move_block` returns."""
-    scheme, seed, first, last = stream
+def _move_blocks(x, alive, ends, report, which, span, limits, addresses, constants, domain, stream):
+    """Move some blocks of x (N, n), by number; `report` (blocks, 2) gets what `_move_block` returns."""
+    scheme, seed = stream
     state = np.empty((6, LANES), dtype=np.uint64)
     functions = (function_at(addresses[0]), function_at(addresses[1]))
-    for b in range(first, last):
+    for b in which:
         seed_lanes(np.uint64(seed), np.uint64(b), state)
         rows = slice(b * LANES, min((b + 1) * LANES, x.shape[0]))
         report[b, 0], report[b, 1] = _move_block(
-            scheme, x[rows], alive[rows], span, limits, functions, constants, domain, state
+            scheme, x[rows], alive[rows], ends[:, rows], span, limits, functions, constants, domain, state
         )
 
 
@@ -240,16 +262,18 @@ def move_blocks():
     """The compiled loop over blocks, for any model; compiled (or loaded from the disk cache) at first use.
 
     Its arguments are the states x (N, n), moved in place; `alive` (N,), where paths given up are marked;
-    `report` (blocks, 2), which gets the steps taken and the first of them; the span (t0, t1); the longest
-    step, the one to try first, the tolerance in standard deviations and the most steps; addresses of drift
-    and noise; p, the variance (n,) of all states, and L with L Lᵀ = Q; the domain; and scheme, seed, and the
-    numbers of the blocks, from the first to before the last.
+    `ends` (m, N), standard normals that say where noise ends, or (0, N);
+    `report` (blocks, 2), which gets the steps taken and the first of them; the numbers of the blocks; the
+    span (t0, t1); the longest step, the one to try first, the tolerance in standard deviations and the most
+    steps; addresses of drift and noise; p, the variance (n,) of all states, and L with L Lᵀ = Q; the domain;
+    and scheme and seed.
     """
     constants = types.Tuple((VECTOR, VECTOR, MATRIX))
     numbers = types.UniTuple(types.float64, 2), types.UniTuple(types.float64, 4)
-    functions, stream = types.UniTuple(ADDRESS, 2), types.UniTuple(types.int64, 4)
-    alive = types.boolean[::1]
-    signature = types.void(MATRIX, alive, MATRIX, *numbers, functions, constants, DOMAIN, stream)
+    functions, stream = types.UniTuple(ADDRESS, 2), types.UniTuple(types.int64, 2)
+    alive, which = types.boolean[::1], types.int64[::1]
+    arrays = MATRIX, alive, MATRIX, MATRIX, which
+    signature = types.void(*arrays, *numbers, functions, constants, DOMAIN, stream)
     return jit_for(signature, _move_blocks)
 
 

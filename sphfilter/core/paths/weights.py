@@ -60,34 +60,34 @@ def weighted_moments(X, w, mean, cov):
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
-def group_moments(X, w, first, mass, squares, mean, second, fourth):
-    """Moments of two groups of states X (N, n) with weights w (N,): `first` ones (N,), and the others.
+def group_moments(X, w, own, mean, second, fourth):
+    """Moments of states X (N, n) with weights w (N,), and of a group of them.
 
-    Fills the sums of weights and of their squares (2,), the mean (n,) of the others, and about it the second
-    and fourth moments (2, n) along each axis of the two.
+    `own` (N,) are the weights of the group, zero outside. Fills the means (2, n) of the group and of the
+    others, and about the others' mean the second and fourth moments (2, n) along each axis; returns the
+    group's weight.
     """
     N, n = X.shape
-    mass[:] = 0.0
-    squares[:] = 0.0
+    part = 0.0
     for i in range(N):
-        g = 0 if first[i] else 1
-        mass[g] += w[i]
-        squares[g] += w[i] * w[i]
-    for g in range(2):
-        squares[g] /= mass[g] ** 2
+        part += own[i]
+    rest = 1.0 - part
     for a in range(n):
-        total = 0.0
+        first = other = 0.0
         for i in range(N):
-            total += 0.0 if first[i] else w[i] * X[i, a]
-        mean[a] = total / mass[1]
-        second[0, a] = second[1, a] = fourth[0, a] = fourth[1, a] = 0.0
+            first += own[i] * X[i, a]
+            other += (w[i] - own[i]) * X[i, a]
+        mean[0, a], mean[1, a] = first / part, other / rest
+        middle, s2, s4, r2, r4 = mean[1, a], 0.0, 0.0, 0.0, 0.0
         for i in range(N):
-            g, square = 0 if first[i] else 1, (X[i, a] - mean[a]) ** 2
-            second[g, a] += w[i] * square
-            fourth[g, a] += w[i] * square * square
-        for g in range(2):
-            second[g, a] /= mass[g]
-            fourth[g, a] /= mass[g]
+            square = (X[i, a] - middle) ** 2
+            s2 += own[i] * square
+            s4 += own[i] * square * square
+            r2 += (w[i] - own[i]) * square
+            r4 += (w[i] - own[i]) * square * square
+        second[0, a], second[1, a] = s2 / part, r2 / rest
+        fourth[0, a], fourth[1, a] = s4 / part, r4 / rest
+    return part
 
 
 @jit

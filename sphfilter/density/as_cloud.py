@@ -1,0 +1,35 @@
+"""Densities as clouds of weighted points."""
+
+from typing import Any
+
+from .._types import Floats
+from .cloud import KERNEL, Cloud, moments, smoothing_length
+from .particle_density import ParticleDensity
+from .shapes import Folded
+
+__all__ = ["cloud_density", "thinned"]
+
+
+def cloud_density(density: ParticleDensity, x: Floats, mass: Floats, **changes: Any) -> ParticleDensity:
+    """A density whose place in the record is that of another, as a cloud of points x (N, n), weights (N,)."""
+    heavy = mass > 0.0
+    if not heavy.all():
+        x, mass = x[heavy], mass[heavy]
+    mass = mass / mass.sum()
+    x = x.view()
+    x.flags.writeable = False  # as it will be: what sums it is compiled for either kind
+    summed = moments(x, mass)
+    names = ("t", "represented_mass", "capacity", "domain", "error", "lost")
+    about = {name: getattr(density, name) for name in names} | changes
+    h = smoothing_length(mass, summed[1])
+    new = ParticleDensity(x=x, mass=mass, h=h, kernel=KERNEL, read_out="cloud", **about)
+    shape: Any = new.form.shape if isinstance(new.form, Folded) else new.form
+    assert isinstance(shape, Cloud)
+    vars(shape)["summed"] = summed  # else it would be summed again
+    return new
+
+
+def thinned(density: ParticleDensity, count: int) -> ParticleDensity:
+    """A part of a cloud's points, at least `count`; the cloud itself where that is more than half of them."""
+    every = slice(None, None, max(density.n_particles // count, 1))
+    return density if every.step == 1 else cloud_density(density, density.x[every], density.mass[every])

@@ -1,0 +1,49 @@
+"""The exact transition of a linear model."""
+
+import numpy as np
+from scipy.linalg import expm, matrix_balance
+
+from .._types import Floats
+
+__all__ = ["transition"]
+
+
+def transition(A: Floats, b: Floats, spread: Floats, dt: float) -> tuple[Floats, Floats, Floats]:
+    """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly.
+
+    Van Loan's block exponential over a part of dt short enough for its growing block, then doubling.
+
+    Parameters
+    ----------
+    A, b : ndarray, shapes (n, n), (n,)
+        Drift A x + b.
+    spread : ndarray, shape (n, n)
+        Covariance that noise adds in a second.
+    dt : float
+        Seconds, >= 0.
+
+    Returns
+    -------
+    Phi : ndarray, shape (n, n)
+    offset : ndarray, shape (n,)
+    Qd : ndarray, shape (n, n)
+    """
+    n = len(A)
+    # in units in which the rows of A are like its columns: norms say nothing in those of the states
+    A, (unit, _) = matrix_balance(A, permute=False, separate=True)
+    doublings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(A, 1)) * dt, 1.0)))))
+    h = dt / 2**doublings
+    spread = spread / np.outer(unit, unit)
+    size = np.abs(spread).max() or 1.0
+    b = b / unit
+    length = np.abs(b).max() or 1.0
+    E = expm(np.block([[-A, spread / size], [np.zeros((n, n)), A.T]]) * h)
+    affine = expm(np.block([[A, b[:, None] / length], [np.zeros((1, n + 1))]]) * h)
+    Phi, offset = affine[:n, :n], affine[:n, n]
+    Qd = E[n:, n:].T @ E[:n, n:]
+    for _ in range(doublings):
+        offset = Phi @ offset + offset
+        Qd = Phi @ Qd @ Phi.T + Qd
+        Phi = Phi @ Phi
+    Qd = 0.5 * size * (Qd + Qd.T) * np.outer(unit, unit)
+    return Phi * unit[:, None] / unit, offset * length * unit, Qd
