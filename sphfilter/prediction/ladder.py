@@ -14,7 +14,7 @@ from ..core.family.rules import degrees
 from ..density.as_cloud import thinned
 from ..density.as_family import family_density, settled, unrolled
 from ..density.family import gaussian_family
-from ..density.needs import AIMED, MOST_POINTS, Needs, allowance, doubt, fewest
+from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
@@ -212,8 +212,7 @@ def _by_lattice(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs, time: Time
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
-
-    allowed = allowance(density.error, target, AIMED)
+    allowed = time.for_lattices(density, target)
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         return automatic.propagate(on_lattice(density, nodes), model, t1, nodes, allowed=allowed)

@@ -15,7 +15,7 @@ from ..config import (
     PaperScheme,
     SolverConfig,
 )
-from ..density.needs import AIMED, Needs, allowance
+from ..density.needs import Needs
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice, particle_bound, target_of
 from ..errors import LatticeError, ModelError, UnresolvedError
@@ -141,7 +141,7 @@ def _to_target(
         return ladder.propagate(density, model, t1, target, time)
 
     def on(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
-        allowed = allowance(density.error, target, AIMED)
+        allowed = time.for_lattices(density, target)
         return log_density.propagate(on_lattice(density, nodes), model, t1, scheme, nodes, allowed)
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from ..density.needs import allowance, fewest
+from ..density.needs import AIMED, allowance, fewest
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import Code, PredictInfo
@@ -23,6 +23,10 @@ class Time(NamedTuple):
 
     most: int = MOST
     fits: Callable[[int], bool] = _always
+
+    def for_lattices(self, density: ParticleDensity, target: float) -> float:
+        """Error by which the lattices of a prediction choose their nodes; zero where time chooses them."""
+        return allowance(density.error, target, AIMED) if self.most >= MOST else 0.0
 
 
 #: No time budget.

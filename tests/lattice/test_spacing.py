@@ -93,7 +93,6 @@ def test_a_spacing_is_kept_or_lowered():
         ({"spacing": 1e-4}, "nodes, more than 2e"),
         ({"spacing": 0.1, "n_particles": 100}, "lays 625 particles, more than n_particles = 100"),
         ({"spacing": 0.1, "config": sf.SolverConfig(scheme="log_density")}, "spacing is for schemes"),
-        ({}, "n_particles must be a whole number"),
     ],
 )
 def test_bad_spacings(options, sentence):
