@@ -15,6 +15,7 @@ from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import mixture
 from .pieces import GaussianPieces
+from .quasi_random import quasi_random, weighted_points
 from .shapes import Folded, Kernels, Polynomials, spread_evenly
 
 if TYPE_CHECKING:
@@ -28,16 +29,13 @@ __all__ = [
     "moments",
     "moments_of",
     "points_of",
-    "quasi_random",
     "smoothing_length",
-    "standard_normal",
     "systematic",
 ]
 
 KERNEL = "wendland_c2"
 _STATES = 128  # points that stand for a cloud, over those that stand for one kernel of other densities
 _CANDIDATES = 8  # states in the cells of a lattice, over the points drawn from them
-_WIDER = 1.15  # standard deviations of a Gaussian that points of a family are drawn from, over its own
 _KEY, _MIX = np.uint64(0x5EED0C10D), np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -133,36 +131,13 @@ def key_of(density: "ParticleDensity") -> int:
     return int(key >> np.uint64(1))
 
 
-def quasi_random(count: int, n: int, key: int) -> Floats:
-    """Points (count, n) evenly spread over the unit cube, shifted by a key."""
-    shift = np.random.Generator(np.random.Philox(key)).random(n)
-    shifted = spread_evenly(count, n) + shift
-    return shifted - np.floor(shifted)
-
-
-def standard_normal(count: int, n: int, key: int) -> Floats:
-    """Points (count, n) evenly spread as the standard normal law is, by a key."""
-    from scipy.special import ndtri  # on use: import time
-
-    normal: Floats = ndtri(np.clip(quasi_random(count, n, key), 1e-12, 1.0 - 1e-12))
-    return normal
-
-
 def points_of(density: "ParticleDensity", count: int, key: int) -> tuple[Floats, Floats]:
-    """Quasi-random points (count, n) with weights (count,) that stand for a density of any kind.
-
-    Of a family they come from a Gaussian somewhat wider than that, weighted by the ratio of the two.
-    """
+    """Quasi-random points (count, n) with weights (count,) that stand for a density of any kind."""
     if density.family is None:
         return drawn(density, count, key), np.full(count, 1.0 / count)
     assert density.moments is not None
-    mean, cov = density.moments
-    z = _WIDER * standard_normal(count, len(mean), key)
-    x = mean + np.einsum("ij,kj->ik", z, np.linalg.cholesky(cov))
-    log_w = density.family.log_p(x) + 0.5 * np.sum(z**2, axis=1) / _WIDER**2
-    mass = np.exp(log_w - log_w.max())
-    mass /= mass.sum()
-    x = _matched(x, mass, mean, cov)
+    x, mass = weighted_points(density.family.log_p, density.moments, count, key)
+    x = _matched(x, mass, *density.moments)
     return (x if density.domain is None else density.domain.fold(x)), mass
 
 

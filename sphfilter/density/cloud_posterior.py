@@ -18,12 +18,11 @@ from .cloud import (
     moments,
     moments_of,
     points_of,
-    quasi_random,
-    standard_normal,
     systematic,
 )
 from .distributions import gaussian_log_pdf
 from .particle_density import ParticleDensity
+from .quasi_random import quasi_random, standard_normal
 from .resample import logarithm
 from .shapes import Folded
 

@@ -12,6 +12,7 @@ from .._types import Floats, Ints, OfStates
 from ..core.family.basis import Basis, basis, bound, size, values_at
 from ..core.family.frame import inverse, moments_of, moved, weigh
 from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
+from .quasi_random import weighted_points
 from .shapes import Polynomials
 
 __all__ = [
@@ -24,13 +25,16 @@ __all__ = [
     "node_moments",
     "node_weights",
     "particles_of",
+    "turn",
 ]
 
 ASTRAY = 0.3  # of the moments in a frame, from which a family does not hold a density
 OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
 _NODES = {1: 200, 2: 1000, 3: 4000}  # of a lattice for questions, and more with more states
 _MOST_NODES = 12_000
+_ON_LATTICE, _POINTS = 2, 2**15  # states up to which a lattice answers, and points that do for more
 _STEP = 1e-4  # of a difference, in standard deviations
+_TURN = 0.6  # radians
 
 
 class Family(NamedTuple):
@@ -100,6 +104,18 @@ def node_moments(xi: Floats, w: Floats) -> tuple[Floats, Floats]:
     b, C = np.empty(n), np.empty((n, n))
     moments_of(xi, w, b, C)
     return b, C
+
+
+@cache
+def turn(n: int) -> Floats:
+    """A turn (n, n) in every plane of two axes that follow one another: of the nodes of a second opinion."""
+    whole = np.eye(n)
+    for a in range(n - 1):
+        plane = np.eye(n)
+        plane[a, a] = plane[a + 1, a + 1] = math.cos(_TURN)
+        plane[a, a + 1], plane[a + 1, a] = -math.sin(_TURN), math.sin(_TURN)
+        whole = whole @ plane
+    return whole
 
 
 def gaussian_family(mean: Floats, cov: Floats, degree: int) -> Family:
@@ -177,8 +193,10 @@ class Exponential:
         return self.moments[1].copy()
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
-        """States in every cell of the lattice."""
-        return self.laid.states(count, smooth)
+        """States in every cell of the lattice; of many states points spread evenly, with weights."""
+        if len(self.family.mu) <= _ON_LATTICE:
+            return self.laid.states(count, smooth)
+        return weighted_points(self.logpdf, self.moments, _POINTS, 0)
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""

@@ -10,13 +10,12 @@ from .._types import Floats, OfStates
 from ..core.family.basis import Basis, basis, bound, values_at
 from ..core.family.frame import moved, root_between
 from ..errors import PropagationError
-from .family import ASTRAY, OF_MISFIT, Family, node_moments, node_weights
+from .family import ASTRAY, OF_MISFIT, Family, node_moments, node_weights, turn
 
 __all__ = ["FamilyPosterior", "family_posterior"]
 
 _SETTLED, _ROUNDS = 1e-3, 8  # of the moments in the frame; rounds
 _LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
-_TURN = 0.6  # radians, between the rule and that of the second opinion
 
 
 class FamilyPosterior(NamedTuple):
@@ -122,10 +121,4 @@ def _turned(n: int, degree: int) -> Basis:
     if n == 1:
         more = basis(1, degree + 1)
         return rule._replace(xi=more.xi, u=more.u, log_w=more.log_w)
-    turn = np.eye(n)
-    for a in range(n - 1):
-        plane = np.eye(n)
-        plane[a, a] = plane[a + 1, a + 1] = math.cos(_TURN)
-        plane[a, a + 1], plane[a + 1, a] = -math.sin(_TURN), math.sin(_TURN)
-        turn = turn @ plane
-    return rule._replace(xi=np.ascontiguousarray(rule.xi @ turn.T))
+    return rule._replace(xi=np.ascontiguousarray(rule.xi @ turn(n).T))

@@ -13,7 +13,8 @@ from ..density.merging import merged
 from ..density.needs import allowance
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, nodes, pieces_of
-from ..density.pieces_posterior import Settings, White, pieces_posterior
+from ..density.pieces_posterior import Settings, pieces_posterior
+from ..density.splitting import White
 from ..errors import PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code
 from .asked import Asked, kept

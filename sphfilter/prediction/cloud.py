@@ -21,10 +21,10 @@ from ..density.cloud import (
     moments,
     moments_of,
     points_of,
-    standard_normal,
     systematic,
 )
 from ..density.particle_density import ParticleDensity
+from ..density.quasi_random import standard_normal
 from ..density.resample import times_likelihood
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo

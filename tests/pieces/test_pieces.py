@@ -8,7 +8,8 @@ import sphfilter as sf
 from sphfilter.density.as_family import pieces_density
 from sphfilter.density.merging import merged
 from sphfilter.density.pieces import Pieces, nodes, pieces_of
-from sphfilter.density.pieces_posterior import Settings, _children, _Front, pieces_posterior
+from sphfilter.density.pieces_posterior import Settings, pieces_posterior
+from sphfilter.density.splitting import Front, children
 from sphfilter.density.storage import from_bytes, to_bytes
 from sphfilter.filter.asked import Asked
 from sphfilter.filter.by_pieces import by_pieces
@@ -94,8 +95,8 @@ class TestQuestions:
 
 class TestMerging:
     def test_moments_stay(self):
-        fine = _children(
-            _Front(THREE.log_w, THREE.mean, THREE.root, np.arange(3)), np.eye(2)[[0, 1, 0]], np.full(3, 0.4)
+        fine = children(
+            Front(THREE.log_w, THREE.mean, THREE.root, np.arange(3)), np.eye(2)[[0, 1, 0]], np.full(3, 0.4)
         )
         many = Pieces(*fine[:3])
         few, change = merged(many, 0.05)
@@ -108,8 +109,8 @@ class TestMerging:
         assert len(few.log_w) == 3 and change == 0.0
 
     def test_the_density_changes_as_little_as_it_says(self):
-        fine = _children(
-            _Front(*pieces_of(np.zeros(2), np.eye(2)), np.zeros(1, int)), np.eye(2)[:1], np.array([0.3])
+        fine = children(
+            Front(*pieces_of(np.zeros(2), np.eye(2)), np.zeros(1, int)), np.eye(2)[:1], np.array([0.3])
         )
         few, change = merged(Pieces(*fine[:3]), 0.1)
         X = np.random.default_rng(3).normal(size=(20_000, 2))
@@ -120,8 +121,8 @@ class TestMerging:
 def test_children_together_are_their_parent():
     parent = pieces_of(np.array([1.0, -2.0]), np.array([[2.0, 0.5], [0.5, 1.0]]))
     for ratio in (0.15, 0.4, 0.7):
-        front = _Front(*parent, np.zeros(1, int))
-        made = Pieces(*_children(front, np.array([[0.6, 0.8]]), np.array([ratio]))[:3])
+        front = Front(*parent, np.zeros(1, int))
+        made = Pieces(*children(front, np.array([[0.6, 0.8]]), np.array([ratio]))[:3])
         X = parent.mean + np.random.default_rng(0).normal(size=(500, 2)) @ parent.root[0].T
         np.testing.assert_allclose(made.log_p(X), parent.log_p(X), atol=5e-3)
 
