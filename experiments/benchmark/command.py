@@ -36,7 +36,7 @@ SCENARIOS = (
     "van_der_pol", "duffing", "cart", "linear_underdamped", "benes",
     "van_der_pol_sharp", "duffing_square", "lorenz",
     "pendulum", "bearing", "predator_prey", "vehicle", "fitzhugh_nagumo", "double_well", "falling_body",
-    "tracking", "bearings_only", "coordinated_turn", "three_oscillators", "volatility",
+    "tracking", "sharp_range", "bearings_only", "coordinated_turn", "three_oscillators", "volatility",
 )  # fmt: skip
 #: A name that is no scenario: what the rows of another one mean where the drift is expensive.
 _EXPENSIVE = "expensive"
