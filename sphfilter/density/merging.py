@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from .._types import Bools, Floats, Ints
-from .pieces import Pieces, nodes
+from .pieces import Pieces, nodes, root_of
 
 __all__ = ["merged"]
 
@@ -70,7 +70,7 @@ def _pairs(pieces: Pieces, alive: Bools, new: Ints) -> Ints:
     from scipy.spatial import cKDTree  # on use: import time
 
     others, back = np.flatnonzero(alive), np.linalg.inv(pieces.root[new])
-    whole = np.linalg.inv(np.linalg.cholesky(pieces.some(alive).moments()[1]))
+    whole = np.linalg.inv(root_of(pieces.some(alive).moments()[1]))
     tree, count = cKDTree(pieces.mean[others] @ whole.T), min(_LOOKED_AT, len(others))
     near = others[tree.query(pieces.mean[new] @ whole.T, count)[1].reshape(len(new), count)]
     z = np.einsum("kab,klb->kla", back, pieces.mean[near] - pieces.mean[new, None])
@@ -91,7 +91,7 @@ def _together(pieces: Pieces, pairs: Ints, debt: Floats, total: float) -> _Joine
     off = pieces.mean[pairs] - mean[:, None]
     own = pieces.root[pairs]
     cov = np.einsum("ps,psac,psbc->pab", share, own, own) + np.einsum("ps,psa,psb->pab", share, off, off)
-    root = np.linalg.cholesky(cov)
+    root = root_of(cov)
     xi, u = nodes(mean.shape[1])
     X = np.einsum("pab,ib->pia", root, xi)
     back = np.linalg.inv(own)

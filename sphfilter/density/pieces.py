@@ -11,6 +11,7 @@ from scipy.special import logsumexp
 
 from .._types import Floats, Ints
 from ..core.family.rules import rule as family_rule
+from ..errors import PropagationError
 
 __all__ = ["GaussianPieces", "Pieces", "nodes", "particles_of_pieces", "pieces_of", "root_of"]
 
@@ -84,8 +85,11 @@ def nodes(n: int) -> tuple[Floats, Floats]:
 
 
 def root_of(cov: Floats) -> Floats:
-    """Lower factors of covariances (..., n, n)."""
-    return np.asarray(np.linalg.cholesky(cov), np.float64)
+    """Lower factors of covariances (..., n, n); raises `PropagationError` where one is flat."""
+    try:
+        return np.asarray(np.linalg.cholesky(cov), np.float64)
+    except np.linalg.LinAlgError:
+        raise PropagationError("a piece is flat along some combination of the states") from None
 
 
 def pieces_of(mean: Floats, cov: Floats) -> Pieces:

@@ -1,7 +1,6 @@
 """Bayes' rule on a few Gaussians: each is split before the update to where the reading no longer bends."""
 
 import math
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ from scipy.special import logsumexp
 from .._types import Bools, Floats, Ints
 from .family import turn
 from .pieces import Pieces, nodes, root_of
-from .splitting import Asked, Front, White, at, children, look, straightened
+from .splitting import Asked, Front, White, at, children, look, quadratics, straightened
 
 __all__ = ["PiecesPosterior", "Settings", "pieces_posterior"]
 
@@ -166,19 +165,9 @@ def _product(front: Front, ask: Asked, b: Floats, root: Floats, rule: tuple[Floa
     cov = np.einsum("ki,kia,kib->kab", w, off, off)
     one = np.eye(xi.shape[1])
     moved = np.maximum(np.abs(mean).max(axis=1), np.abs(cov - one).max(axis=(1, 2)))
-    fit = _quadratics(len(xi), xi.shape[1])
+    fit = quadratics(xi.shape[1])
     misfit = np.sqrt(np.einsum("ki,ki->k", w, (T - T @ fit) ** 2))
     return _Product(total + np.linalg.slogdet(root)[1], mean, cov, moved, misfit)
-
-
-@cache
-def _quadratics(count: int, n: int) -> Floats:
-    """Projection (N, N) of values at the nodes on quadratic polynomials; the same for a turned rule."""
-    xi, u = nodes(n)
-    pairs = [(a, b) for a in range(n) for b in range(a + 1)]
-    V = np.column_stack([np.ones(count), xi, *(xi[:, a] * xi[:, b] for a, b in pairs)])
-    root = np.sqrt(u)[:, None]
-    return (np.linalg.pinv(V * root) * root.T).T @ V.T
 
 
 def _root_of(C: Floats, least: float = _LEAST) -> Floats:
@@ -207,4 +196,4 @@ def _lifted(prior: Pieces, front: Front, new: _Updated, sees: Ints) -> Pieces:
     )
     less = P[:, sees][:, :, sees] - np.einsum("kac,kbc->kab", new.root, new.root)
     cov = P - np.einsum("kaq,kqr,kbr->kab", gain, less, gain)
-    return Pieces(new.log_w, mean, np.linalg.cholesky(0.5 * (cov + cov.transpose(0, 2, 1))))
+    return Pieces(new.log_w, mean, root_of(0.5 * (cov + cov.transpose(0, 2, 1))))

@@ -7,6 +7,7 @@ largest.
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from .._types import Bools, Floats, Ints
 from ..errors import PropagationError
 from .pieces import nodes
 
-__all__ = ["Asked", "Front", "White", "at", "children", "look", "straightened"]
+__all__ = ["Asked", "Front", "White", "at", "children", "look", "quadratics", "straightened"]
 
 _BENT = 1.5  # times the bend that is allowed, from which a piece is split
 _NARROWEST, _WIDEST = 0.15, 0.7  # of a piece along the split, over its own width
@@ -97,6 +98,8 @@ def look(front: Front, ask: Asked) -> _Look:
     xi, u = nodes(front.mean.shape[1])
     r = ask(at(front, xi))
     v, bend = _bent_along(r, xi, u)
+    w, ripple = _rippled_along(r, xi, u)
+    v, bend = np.where((ripple > bend)[:, None], w, v), np.maximum(bend, ripple)
     mean = np.einsum("i,kim->km", u, r)
     off = r - mean[:, None]
     S = np.einsum("i,kim,kil->kml", u, off, off) + np.eye(r.shape[2])
@@ -119,6 +122,24 @@ def _bent_along(r: Floats, xi: Floats, u: Floats) -> tuple[Floats, Floats]:
         v = np.where(size > 0.0, step / np.maximum(size, 1e-300), v)
     along = np.einsum("kmab,ka,kb->km", B, v, v)
     return v, np.sqrt(np.sum(along**2, axis=1))
+
+
+def _rippled_along(r: Floats, xi: Floats, u: Floats) -> tuple[Floats, Floats]:
+    """Direction (K, q) along which readings (K, N, k) are no quadratics, and by how much."""
+    off = r - np.einsum("kim,ij->kjm", r, quadratics(xi.shape[1]))
+    square = u * np.einsum("kim,kim->ki", off, off)
+    along = np.linalg.eigh(np.einsum("ki,ia,ib->kab", square, xi, xi))[1][:, :, -1]
+    return along, np.sqrt(2.0 * square.sum(axis=1))
+
+
+@cache
+def quadratics(n: int) -> Floats:
+    """Projection (N, N) of values at the nodes on quadratic polynomials; the same for a turned rule."""
+    xi, u = nodes(n)
+    pairs = [(a, b) for a in range(n) for b in range(a + 1)]
+    V = np.column_stack([np.ones(len(xi)), xi, *(xi[:, a] * xi[:, b] for a, b in pairs)])
+    root = np.sqrt(u)[:, None]
+    return (np.linalg.pinv(V * root) * root.T).T @ V.T
 
 
 def children(front: Front, v: Floats, ratio: Floats) -> Front:
