@@ -31,7 +31,7 @@ Found = TypeVar("Found")
 _LATTICE, _LATTICE_IF = 2, 4
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _TOLERANCE = 0.1  # of a step of a family, over the target
-_FEW = 2000  # points of a cloud that tell whether a family will do
+_FEW, _CHANCE = 2000, 2.0  # points of a cloud that tell whether a family will do, and what is chance
 _IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
 
 
@@ -174,14 +174,12 @@ def _settled(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
 ) -> tuple[ParticleDensity, PredictInfo] | None:
     """Carry a cloud as one family; None where none will do, which a part of the points tells already."""
-    few = thinned(density, _FEW)
-    found, most = None, allowance(density.error, target)
-    for points in (density,) if few is density else (few, density):
-        one = settled(points, first_degree(density.dim, needs), most)
-        found = None if one is None else _by_family(one, model, t1, target, needs)
-        if found is None:
-            break
-    return found
+    few, degree = thinned(density, _FEW), first_degree(density.dim, needs)
+    most = allowance(density.error, target)
+    if few is not density and settled(few, degree, math.hypot(most, _CHANCE / math.sqrt(_FEW))) is None:
+        return None
+    one = settled(density, degree, most)
+    return None if one is None else _by_family(one, model, t1, target, needs)
 
 
 def _by_pieces(
