@@ -7,7 +7,7 @@ import numpy as np
 from experiments.show.comparison import Distance, moment_errors, rms
 from sphfilter import consistency
 
-__all__ = ["Errors", "errors", "root_mean_square", "truth_errors"]
+__all__ = ["Errors", "errors", "left_by_epoch", "root_mean_square", "truth_errors"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,12 @@ def errors(result, reference):
     evidence = rms(result.log_evidence - reference.log_evidence)
     total = abs(np.sum(result.log_evidence) - np.sum(reference.log_evidence))
     return Errors(rms(mean), rms(cov), evidence, float(mean.max()), float(total))
+
+
+def left_by_epoch(result, reference):
+    """Errors of the mean at every epoch (T,), root mean squares over the states: what `info.error` tells."""
+    mean, _ = moment_errors(result.x, result.P, reference.x, reference.P)
+    return mean / np.sqrt(result.x.shape[1])
 
 
 def truth_errors(result, truth):

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from .densities import hellinger
-from .errors import errors, root_mean_square, truth_errors
+from .errors import errors, left_by_epoch, root_mean_square, truth_errors
 from .watch import TooSlow, Watched, resident, watch_peak
 
 __all__ = ["measure", "warm_up"]
@@ -80,7 +80,8 @@ def _numbers(result, reference, case):
     if not (np.all(np.isfinite(result.x)) and np.all(np.isfinite(result.P))):
         raise FloatingPointError("mean or covariance is not finite")
     rmse, nees = truth_errors(result, case.truth)
-    return {**asdict(errors(result, reference.result)), "rmse": rmse.tolist(), "nees": nees}
+    left = left_by_epoch(result, reference.result).tolist()
+    return {**asdict(errors(result, reference.result)), "left": left, "rmse": rmse.tolist(), "nees": nees}
 
 
 def _reports(watched, method):
@@ -92,6 +93,7 @@ def _reports(watched, method):
         "schemes": dict(schemes),
         "troubles": [p.status for p in watched.predictions if p.status != "ok"],
         "predictions": len(watched.predictions),
+        "told": [getattr(u, "error", 0.0) for u in watched.updates],
         "refused": sum(not u.accepted for u in watched.updates),
     }
 

@@ -86,16 +86,14 @@ def short(family):
 def size_text(family, size):
     """A size in words: particles or nodes, or the error that n_particles="auto" aims at; empty for none."""
     if family == "auto":
-        return f"target error {1 / size:.3g}"
+        return f"target error {1 / size:.2g}"
     return f"N = {size:,}" if size else ""
 
 
 def default_families(scenario):
     """Families that fit a scenario."""
     exact = scenario.settings.exact
-    fitting = ["sph", "paper", "ekf", "ukf", "pf", "pf4"]
-    if scenario.settings.start.kind == "gaussian":
-        fitting.insert(1, "auto")  # other starts are laid on a number of particles beforehand
+    fitting = ["sph", "auto", "paper", "ekf", "ukf", "pf", "pf4"]
     if boxed.fits(scenario):
         fitting.append("grid")
     return fitting + [exact] * (exact in FAMILIES)

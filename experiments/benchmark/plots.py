@@ -8,6 +8,7 @@ from experiments.show.style import COLOURS, frame, grid, legend_below, logarithm
 from .expensive import COSTS, fastest
 from .methods import label
 from .summary import MEASURES, particle_law
+from .told import told_figure
 
 __all__ = ["draw", "draw_expensive", "expensive_figure", "frontier_figure", "style"]
 
@@ -47,6 +48,9 @@ def draw(folder, outcomes):
         shown = [o for o in outcomes if any(_points(o.lines, s, measure) for s in _series(o.lines))]
         if shown:
             drawn.append(save(frontier_figure(shown, measure), folder / f"frontier_{measure}.png"))
+    telling = [o for o in outcomes if any(len(line.told) for line in o.lines)]
+    if telling:
+        drawn.append(save(told_figure(telling), folder / "told.png"))
     return drawn
 
 

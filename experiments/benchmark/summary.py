@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import root_mean_square
+from .told import NONE, told_and_left
 
 __all__ = ["MEASURES", "Line", "ReferenceError", "fastest_to_reach", "particle_law", "summarise"]
 
@@ -74,6 +75,8 @@ class Line:
         Growth of the process, MB; the largest of the runs.
     certified : bool
         The reference's own error of the mean is at most a fifth of this one.
+    told : ndarray, shape (K, 2)
+        At every epoch the error of the mean that the filter told, and the one that it left.
     failure : str
         One of the messages.
     """
@@ -104,6 +107,7 @@ class Line:
     refused: int
     memory: float
     certified: bool
+    told: np.ndarray
     failure: str
 
 
@@ -152,6 +156,7 @@ def summarise(scenario, method, rows, drift, reference):
         refused=sum(row["refused"] for row in done),
         memory=max((row["memory"] for row in done), default=np.nan),
         certified=bool(reference.mean * _MARGIN <= rms["mean"]),
+        told=told_and_left(done) if method.family == "auto" else NONE,
         failure=next((row["failure"] for row in rows if "failure" in row), ""),
     )
 

@@ -9,6 +9,7 @@ from experiments.show.files import write_csv as write_lines
 
 from .methods import label, short, size_text
 from .summary import Line, fastest_to_reach, particle_law
+from .told import ratios, sentence
 
 __all__ = ["LEVELS", "markdown", "rows", "sentences", "table", "write_csv"]
 
@@ -99,6 +100,7 @@ def sentences(outcome):
         said.append(f"Left out, as a run would take too long: {', '.join(outcome.left_out)}.")
     if any(i.family == "auto" for i in lines):
         said.append("SPH, auto: in place of N stands the error of the mean that was asked for.")
+    said += [told for i in lines if (told := sentence(i))]
     said += [f"{_called(i)}: {i.failure}" for i in lines if i.failed]
     said += [s for error in LEVELS if (s := _at_level(lines, error))]
     return said
@@ -135,9 +137,10 @@ def markdown(outcomes, title):
 
 def write_csv(path, outcomes):
     """All lines with all their numbers as one CSV file."""
-    names = [f.name for f in fields(Line) if f.name not in ("rmse", "schemes", "failure")]
+    names = [f.name for f in fields(Line) if f.name not in ("rmse", "schemes", "told", "failure")]
     own = ("mean", "cov", "evidence", "total")
-    heading = [*names, "rmse", "schemes", "failure", *(f"reference_{name}" for name in own)]
+    shares = [f"told_over_left_{share}" for share in (10, 50, 90)]
+    heading = [*names, *shares, "rmse", "schemes", "failure", *(f"reference_{name}" for name in own)]
     found = []
     for outcome in outcomes:
         reference = [getattr(outcome.reference, name) for name in own]
@@ -145,7 +148,7 @@ def write_csv(path, outcomes):
             rmse = " ".join(f"{v:.6g}" for v in line.rmse)
             schemes = " ".join(f"{name}:{count}" for name, count in line.schemes.items())
             numbers = [getattr(line, name) for name in names]
-            found.append([*numbers, rmse, schemes, line.failure, *reference])
+            found.append([*numbers, *ratios(line), rmse, schemes, line.failure, *reference])
     write_lines(path, heading, found)
 
 

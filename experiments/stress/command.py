@@ -43,6 +43,8 @@ def add_arguments(parser):
     parser.add_argument("--random", type=counted, metavar="N", help="N random problems instead of the grid")
     again = "random problem number K of seed S alone, as S:K; may be repeated"
     parser.add_argument("--random-case", type=_pair, action="append", default=[], metavar="S:K", help=again)
+    auto = "random problems: judge the default filter, which chooses by its error, not 100 to 800 particles"
+    parser.add_argument("--auto", action="store_true", help=auto)
     parser.add_argument("--list", action="store_true", help="print the names of the cells and stop")
 
 
@@ -70,6 +72,8 @@ def main(args):
     if args.random or args.random_case:
         random.main(console, args)
         return
+    if args.auto:
+        raise ConfigError("--auto goes with --random and --random-case")
     grid = chosen(args.only, args.quick)
     if args.list:
         for cell in grid:

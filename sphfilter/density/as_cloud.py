@@ -30,6 +30,8 @@ def cloud_density(density: ParticleDensity, x: Floats, mass: Floats, **changes: 
 
 
 def thinned(density: ParticleDensity, count: int) -> ParticleDensity:
-    """A part of a cloud's points, at least `count`; the cloud itself where that is more than half of them."""
+    """A part of a cloud's points, at least `count`; the density itself where it has not twice as many."""
     every = slice(None, None, max(density.n_particles // count, 1))
-    return density if every.step == 1 else cloud_density(density, density.x[every], density.mass[every])
+    if density.read_out != "cloud" or every.step == 1:
+        return density
+    return cloud_density(density, density.x[every], density.mass[every])

@@ -7,13 +7,14 @@ import numpy as np
 
 from .._types import Floats
 from ..core.family.basis import basis
+from .families import Families, particles_of_families
 from .family import OF_MISFIT, Family, gaussian_family, node_weights, particles_of
 from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
 from .pieces import Pieces, particles_of_pieces
 from .resample import logarithm
 
-__all__ = ["family_density", "family_of", "pieces_density", "settled", "unrolled"]
+__all__ = ["families_density", "family_density", "family_of", "pieces_density", "settled", "unrolled"]
 
 
 def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
@@ -88,6 +89,14 @@ def pieces_density(density: ParticleDensity, pieces: Pieces, **changes: Any) -> 
         one = gaussian_family(pieces.mean[0], pieces.cov[0], 2)
         return family_density(density, one, **{"gaussian": True} | changes)
     return ParticleDensity(**particles_of_pieces(pieces), **_about(density) | {"gaussian": False} | changes)
+
+
+def families_density(density: ParticleDensity, families: Families, **changes: Any) -> ParticleDensity:
+    """The same as families that it is the sum of; one alone is a family."""
+    if len(families.log_w) == 1:
+        return family_density(density, families.one(0), **{"gaussian": False} | changes)
+    about = _about(density) | {"gaussian": False} | changes
+    return ParticleDensity(**particles_of_families(families), **about)
 
 
 def _about(density: ParticleDensity) -> dict[str, Any]:

@@ -14,9 +14,10 @@ from ..core.sph.kernels import Kernel
 from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import mixture
+from .families import Families
 from .pieces import GaussianPieces
-from .quasi_random import quasi_random, weighted_points
-from .shapes import Folded, Kernels, Polynomials, spread_evenly
+from .quasi_random import quasi_random, spread_evenly, weighted_points
+from .shapes import Folded, Kernels, Polynomials
 
 if TYPE_CHECKING:
     from .particle_density import ParticleDensity
@@ -35,6 +36,7 @@ __all__ = [
 
 KERNEL = "wendland_c2"
 _STATES = 128  # points that stand for a cloud, over those that stand for one kernel of other densities
+_FEW = 64  # points of a family, below which they do not have its mean and covariance
 _CANDIDATES = 8  # states in the cells of a lattice, over the points drawn from them
 _KEY, _MIX = np.uint64(0x5EED0C10D), np.uint64(0x9E3779B97F4A7C15)
 
@@ -133,12 +135,26 @@ def key_of(density: "ParticleDensity") -> int:
 
 def points_of(density: "ParticleDensity", count: int, key: int) -> tuple[Floats, Floats]:
     """Quasi-random points (count, n) with weights (count,) that stand for a density of any kind."""
-    if density.family is None:
+    whole = density.family or density.families
+    if whole is None:
         return drawn(density, count, key), np.full(count, 1.0 / count)
+    if density.families is not None and count > _FEW * len(density.families.log_w):
+        return _of_each(density.families, count, key)
     assert density.moments is not None
-    x, mass = weighted_points(density.family.log_p, density.moments, count, key)
+    x, mass = weighted_points(whole.log_p, density.moments, count, key)
     x = _matched(x, mass, *density.moments)
     return (x if density.domain is None else density.domain.fold(x)), mass
+
+
+def _of_each(families: Families, count: int, key: int) -> tuple[Floats, Floats]:
+    """Points of every family, as many as its share says."""
+    own, seen, parts = systematic(families.w, count), families.looked_at(), []
+    for k, each in zip(*np.unique(own, return_counts=True), strict=True):
+        about = seen.mean[k], seen.cov[k]
+        x, mass = weighted_points(families.one(k).log_p, about, int(each), key)
+        parts.append((_matched(x, mass, *about) if each > _FEW else x, mass * (each / count)))
+    x, mass = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return x, mass
 
 
 def _matched(x: Floats, mass: Floats, mean: Floats, cov: Floats) -> Floats:

@@ -20,6 +20,7 @@ __all__ = [
     "OF_MISFIT",
     "Exponential",
     "Family",
+    "degree_of",
     "gaussian_family",
     "laid_family",
     "node_moments",
@@ -47,7 +48,7 @@ class Family(NamedTuple):
     @property
     def degree(self) -> int:
         """d."""
-        return _degree(len(self.mu), len(self.c))
+        return degree_of(len(self.mu), len(self.c))
 
     @property
     def basis(self) -> Basis:
@@ -86,7 +87,7 @@ class Family(NamedTuple):
 
 
 @cache
-def _degree(n: int, M: int) -> int:
+def degree_of(n: int, M: int) -> int:
     """Degree of M polynomials of n states."""
     return next(d for d in range(2, M) if size(n, d) == M)
 
@@ -155,19 +156,20 @@ def laid_family(log_p: OfStates, moments: Any, n_particles: int, middles: Floats
 
 @dataclass(frozen=True, eq=False)
 class Exponential:
-    """One exponential family: density and moments by its polynomial, all else on a lattice laid for that."""
+    """One exponential family, or a few: density and moments by polynomials, all else on a lattice laid."""
 
-    family: Family
-    x: Floats  # (N, n), its nodes
+    log_p: OfStates
+    x: Floats  # (N, n), their nodes
     mass: Floats  # (N,)
     moments: tuple[Floats, Floats]  # mean (n,) and covariance (n, n)
+    middles: Floats | None = None  # (K, n), of several families
 
     widening = 0.0
 
     @cached_property
     def laid(self) -> Polynomials:
         """The same density on a lattice."""
-        laid = laid_family(self.family.log_p, self.moments, _NODES.get(len(self.family.mu), _MOST_NODES))
+        laid = laid_family(self.log_p, self.moments, _NODES.get(self.x.shape[1], _MOST_NODES), self.middles)
         return Polynomials(laid.field, laid.x, laid.mass, self.moments)
 
     def pdf(self, X: Floats) -> Floats:
@@ -176,13 +178,13 @@ class Exponential:
 
     def logpdf(self, X: Floats) -> Floats:
         """Logarithm of the density, shape (M,)."""
-        return self.family.log_p(X)
+        return self.log_p(X)
 
     def gradient(self, X: Floats) -> Floats:
         """Gradient of the density, shape (M, n)."""
-        steps = _STEP * self.family.A.T
-        slopes = [(self.logpdf(X + step) - self.logpdf(X - step)) / (2.0 * _STEP) for step in steps]
-        return np.linalg.solve(self.family.A.T, slopes).T * self.pdf(X)[:, None]
+        frame = np.linalg.cholesky(self.moments[1]).T
+        slopes = [(self.logpdf(X + step) - self.logpdf(X - step)) / (2.0 * _STEP) for step in _STEP * frame]
+        return np.linalg.solve(frame, slopes).T * self.pdf(X)[:, None]
 
     def mean(self) -> Floats:
         """Mean, shape (n,)."""
@@ -194,7 +196,7 @@ class Exponential:
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """States in every cell of the lattice; of many states points spread evenly, with weights."""
-        if len(self.family.mu) <= _ON_LATTICE:
+        if self.x.shape[1] <= _ON_LATTICE:
             return self.laid.states(count, smooth)
         return weighted_points(self.logpdf, self.moments, _POINTS, 0)
 

@@ -12,7 +12,7 @@ from ..core.family.frame import moved, root_between
 from ..errors import PropagationError
 from .family import ASTRAY, OF_MISFIT, Family, node_moments, node_weights, turn
 
-__all__ = ["FamilyPosterior", "family_posterior"]
+__all__ = ["FamilyPosterior", "family_posterior", "turned"]
 
 _SETTLED, _ROUNDS = 1e-3, 8  # of the moments in the frame; rounds
 _LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
@@ -94,7 +94,7 @@ def _product(prior: Family, log_weight: OfStates, X: Floats) -> Floats:
 
 def _second_opinion(prior: Family, log_weight: OfStates, found: Family) -> _Seen:
     """The same posterior at nodes that it was not fitted to."""
-    rule = _turned(len(found.mu), found.degree)
+    rule = turned(len(found.mu), found.degree)
     log_p = _product(prior, log_weight, found.mu + rule.xi @ found.A.T)
     w, log_evidence = node_weights(rule, found.A, log_p)
     fitted = np.empty(len(log_p))
@@ -115,7 +115,7 @@ def _rms(w: Floats, off: Floats) -> float:
 
 
 @cache
-def _turned(n: int, degree: int) -> Basis:
+def turned(n: int, degree: int) -> Basis:
     """The rule turned in every plane of two axes that follow one another; of one state, with a point more."""
     rule = basis(n, degree)
     if n == 1:

@@ -9,7 +9,7 @@ from ..lattice.level_set import fewest_particles
 __all__ = ["AIMED", "MOST_POINTS", "Needs", "allowance", "bound_of", "doubt", "fewest"]
 
 MOST_POINTS = 200_000  # of a cloud
-_FEWEST_POINTS, _POINTS = 1000, 0.5  # at least, and times the square of the error
+_FEWEST_POINTS, _POINTS = 1000, 1.0  # at least, and times the square of the error
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
 AIMED = 0.25

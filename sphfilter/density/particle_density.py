@@ -18,6 +18,7 @@ from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
 from . import statistics
 from .cloud import Cloud
+from .families import Families
 from .family import Exponential, Family
 from .marginal import around
 from .needs import Needs
@@ -55,8 +56,8 @@ class ParticleDensity:
         around its cut edge; the pdf is the exponential of the `field`, tails included), "cloud" (sums over
         weighted points; the pdf is that of kernels as wide as their effective number asks), "family" (the
         exponential of one polynomial, and a lattice laid for what has no closed form) or "pieces" (a few
-        Gaussians). Questions about the density between the points, read as "points", are answered by the
-        mixture.
+        Gaussians, or families). Questions about the density between the points, read as "points", are
+        answered by the mixture.
     represented_mass : float
         Probability of the region the particles cover, where the density was cut; one if unknown.
     log_density : ndarray, shape (N,), or None
@@ -88,6 +89,8 @@ class ParticleDensity:
         Frame and coefficients of the polynomial that log p is, where the density is one family.
     pieces : Pieces or None
         Gaussians that the density is the sum of.
+    families : Families or None
+        Exponential families that the density is the sum of.
     needs : Needs or None
         What its last steps needed, where a target error chooses how it is represented, as with
         ``n_particles="auto"``; None where a number of particles does.
@@ -127,6 +130,7 @@ class ParticleDensity:
     lost: float = 0.0
     family: Family | None = None
     pieces: Pieces | None = None
+    families: Families | None = None
     needs: Needs | None = None
 
     def __post_init__(self) -> None:
@@ -216,9 +220,12 @@ class ParticleDensity:
         shape: Kernels | Polynomials
         if kind == "pieces" and self.pieces is not None:
             return GaussianPieces(self.pieces)
+        if kind == "pieces" and self.families is not None:
+            assert self.moments is not None
+            return Exponential(self.families.log_p, self.x, self.mass, self.moments, self.families.mu)
         if kind == "family" and self.family is not None:
             assert self.moments is not None
-            whole = Exponential(self.family, self.x, self.mass, self.moments)
+            whole = Exponential(self.family.log_p, self.x, self.mass, self.moments)
             if self.domain is None:
                 return whole
             shape = whole.laid

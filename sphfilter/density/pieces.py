@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 from .._types import Floats, Ints
 from ..core.family.rules import rule as family_rule
 from ..errors import PropagationError
+from .quasi_random import spread_evenly
 
 __all__ = ["GaussianPieces", "Pieces", "nodes", "particles_of_pieces", "pieces_of", "root_of"]
 
@@ -182,8 +183,5 @@ class GaussianPieces:
 
 def _even(own: Ints, n: int) -> Floats:
     """Points (M, n) of the unit cube, spread evenly among those of every piece."""
-    from .shapes import spread_evenly  # shapes know of no pieces
-
-    first = np.searchsorted(own, own)
-    number = np.arange(len(own)) - first
-    return (spread_evenly(int(number.max()) + 1, n)[number] + 0.5) % 1.0
+    number = np.arange(len(own)) - np.searchsorted(own, own)
+    return spread_evenly(len(own), n, 0.5, number)

@@ -1,27 +1,51 @@
 """Points that lie more evenly than random ones, by a key: always the same."""
 
+from functools import cache
+
 import numpy as np
 
-from .._types import Floats, OfStates
-from .shapes import spread_evenly
+from .._types import Floats, Ints, OfStates
+from ..core.paths.curve import spread
 
-__all__ = ["quasi_random", "standard_normal", "weighted_points"]
+__all__ = ["quasi_random", "spread_evenly", "standard_normal", "weighted_points"]
 
 _WIDER = 1.15  # standard deviations of the Gaussian that points come from, over the density's own
 
 
-def quasi_random(count: int, n: int, key: int) -> Floats:
-    """Points (count, n) evenly spread over the unit cube, shifted by a key."""
-    shift = np.random.Generator(np.random.Philox(key)).random(n)
-    shifted = spread_evenly(count, n) + shift
-    return shifted - np.floor(shifted)
+def spread_evenly(count: int, n: int, shift: Floats | float = 0.0, order: Ints | None = None) -> Floats:
+    """Points (count, n) of the additive sequence of the root of x^(n+1) = x + 1, even over the unit cube.
+
+    Parameters
+    ----------
+    count, n : int
+    shift : float or array_like, shape (n,), optional
+        That all are shifted by, modulo one.
+    order : ndarray of int, shape (count,), optional
+        Numbers of the points, as they come; else from the first on.
+    """
+    uniform = np.empty((n, count))
+    order = np.arange(count) if order is None else order
+    spread(_root(n) ** -np.arange(1.0, n + 1.0), np.broadcast_to(shift, n).astype(float), order, uniform)
+    return uniform.T
 
 
-def standard_normal(count: int, n: int, key: int) -> Floats:
-    """Points (count, n) evenly spread as the standard normal law is, by a key."""
+@cache
+def _root(n: int) -> float:
+    from scipy import optimize  # on use: import time
+
+    return float(optimize.brentq(lambda x: x ** (n + 1) - x - 1.0, 1.0, 2.0))
+
+
+def quasi_random(count: int, n: int, key: int, order: Ints | None = None) -> Floats:
+    """Points (count, n) evenly spread over the unit cube, shifted by a key; by number in some order."""
+    return spread_evenly(count, n, np.random.Generator(np.random.Philox(key)).random(n), order)
+
+
+def standard_normal(count: int, n: int, key: int, order: Ints | None = None) -> Floats:
+    """Points (count, n) evenly spread as the standard normal law is, by a key; by number in some order."""
     from scipy.special import ndtri  # on use: import time
 
-    normal: Floats = ndtri(np.clip(quasi_random(count, n, key), 1e-12, 1.0 - 1e-12))
+    normal: Floats = ndtri(quasi_random(count, n, key, order))
     return normal
 
 

@@ -72,10 +72,9 @@ def logarithm(density: ParticleDensity) -> OfStates:
     """Return log p as a function of states (M, n), defined far outside of the particles too."""
     if density.field is not None:
         return partial(field.at, density.field)
-    if density.family is not None:
-        return density.family.log_p
-    if density.pieces is not None:
-        return density.pieces.log_p
+    whole = density.family or density.pieces or density.families
+    if whole is not None:
+        return whole.log_p
     if density.log_density is not None:
         return normalised(density)
     factor = np.linalg.cholesky(density.cov("points"))
@@ -141,7 +140,7 @@ def particle_bound(density: ParticleDensity, n_particles: int | str | None = Non
         return nodes or fewest(density.dim)
     if n_particles is not None:
         return count("n_particles", n_particles)
-    no_lattice = density.family is not None or density.pieces is not None
+    no_lattice = density.read_out in ("family", "pieces")
     return density.capacity or (4 * fewest(density.dim) if no_lattice else density.n_particles)
 
 
@@ -161,10 +160,10 @@ def target_of(
 
 def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
     """A density that is one family, or pieces, on a lattice; another as it is."""
-    whole = density.family or density.pieces
+    whole = density.family or density.pieces or density.families
     if whole is None:
         return density
-    middles = None if density.pieces is None else density.pieces.mean
+    middles = density.pieces.mean if density.pieces else density.families.mu if density.families else None
     laid = laid_family(whole.log_p, density.moments, n_particles, middles)
     about = density.t, density.capacity, density.gaussian, density.domain
     return replace(ParticleDensity.on_lattice(laid, *about), error=density.error, lost=density.lost)

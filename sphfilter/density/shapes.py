@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from .._types import Floats, Ints
 from ..core.field.field import Field
@@ -23,9 +23,9 @@ from ..lattice.level_set import Laid
 from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import marginal, mixture
+from .quasi_random import spread_evenly
 
-__all__ = ["LATTICE_SUPPORT", "Folded", "Kernels", "Polynomials", "Shape", "lattice_particles",
-           "spread_evenly"]  # fmt: skip
+__all__ = ["LATTICE_SUPPORT", "Folded", "Kernels", "Polynomials", "Shape", "lattice_particles"]
 
 LATTICE_SUPPORT = 1.2  # smoothing length on a lattice, in units of its spacing
 _CELL_POINTS = 2**17  # points in all cells, up to 128 in each and at least 16
@@ -343,13 +343,6 @@ def _cell_points(n: int, cells: int, smooth: bool) -> Floats:
     count = 2 ** int(np.clip(np.log2(_CELL_POINTS / cells), 4, 7))
     uniform = qmc.Sobol(n, scramble=False).random(count) + 0.5 / count
     return uniform if smooth else uniform + spread_evenly(cells, n)[:, None]
-
-
-def spread_evenly(count: int, n: int) -> Floats:
-    """Points (count, n) of the additive sequence of the root of x^(n+1) = x + 1, even over the unit cube."""
-    root = optimize.brentq(lambda x: x ** (n + 1) - x - 1.0, 1.0, 2.0)
-    even = np.arange(count)[:, None] * root ** -np.arange(1.0, n + 1.0)
-    return even - np.floor(even)  # several times faster than the remainder
 
 
 def lattice_particles(laid: Laid) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from .._types import Bools, Floats, Ints
 from ..errors import PropagationError
 from .pieces import nodes
 
-__all__ = ["Asked", "Front", "White", "at", "children", "look", "quadratics", "straightened"]
+__all__ = ["Asked", "Front", "White", "at", "bent_along", "children", "look", "quadratics", "straightened"]
 
 _BENT = 1.5  # times the bend that is allowed, from which a piece is split
 _NARROWEST, _WIDEST = 0.15, 0.7  # of a piece along the split, over its own width
@@ -97,7 +97,7 @@ class _Look(NamedTuple):
 def look(front: Front, ask: Asked) -> _Look:
     xi, u = nodes(front.mean.shape[1])
     r = ask(at(front, xi))
-    v, bend = _bent_along(r, xi, u)
+    v, bend = bent_along(r, xi, u)
     w, ripple = _rippled_along(r, xi, u)
     v, bend = np.where((ripple > bend)[:, None], w, v), np.maximum(bend, ripple)
     mean = np.einsum("i,kim->km", u, r)
@@ -109,7 +109,7 @@ def look(front: Front, ask: Asked) -> _Look:
     return _Look(bend, v, front.log_w + np.maximum(linear, summed))
 
 
-def _bent_along(r: Floats, xi: Floats, u: Floats) -> tuple[Floats, Floats]:
+def bent_along(r: Floats, xi: Floats, u: Floats) -> tuple[Floats, Floats]:
     """Direction (K, q) along which readings (K, N, k) at the nodes bend most, and by how much."""
     second = u[:, None, None] * (np.einsum("ia,ib->iab", xi, xi) - np.eye(xi.shape[1]))
     B = np.einsum("iab,kim->kmab", second, r)

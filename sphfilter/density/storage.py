@@ -15,6 +15,7 @@ from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
 from ..errors import ModelError
 from ..model.domain import Domain
+from .families import Families
 from .family import Family
 from .needs import Needs
 from .particle_density import ParticleDensity
@@ -50,7 +51,9 @@ def stored(density: ParticleDensity) -> Arrays:
         arrays |= under("family", density.family._asdict())
     if density.pieces is not None:
         arrays |= under("pieces", density.pieces._asdict())
-    special = {*_ARRAYS, "field", "moments", "domain", "family", "pieces"}
+    if density.families is not None:
+        arrays |= under("families", density.families._asdict())
+    special = {*_ARRAYS, "field", "moments", "domain", "family", "pieces", "families"}
     about: dict[str, Any] = {
         f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
     }
@@ -74,6 +77,8 @@ def density_from(arrays: Arrays) -> ParticleDensity:
         about["family"] = Family(**part("family", arrays))
     if "pieces.mean" in arrays:
         about["pieces"] = Pieces(**part("pieces", arrays))
+    if "families.mu" in arrays:
+        about["families"] = Families(**part("families", arrays))
     if "moments.mean" in arrays:
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
     about |= {name: arrays[name] for name in _ARRAYS if name in arrays}

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
+from ..density.cloud import moments
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError, PropagationError
 from ..lattice.resolved import Search
@@ -150,12 +151,11 @@ def predicted_reading(density: ParticleDensity, measurement: GaussianSensor) -> 
         H, cov = measurement.H, density.cov()
         return reference, H @ cov @ H.T, cov @ H.T
     around = measurement.residual(measurement.predict(density.x, density.t), reference)
-    mean = density.mass @ around
-    weighted = (around - mean) * density.mass[:, None]
-    from_mean = density.x - density.mean()
+    states, n = density.x, density.dim
     if density.domain is not None:
-        from_mean = density.domain.nearest(from_mean)
-    return reference + mean, weighted.T @ (around - mean), from_mean.T @ weighted
+        states = density.domain.nearest(states - density.mean())
+    mean, cov = moments(np.hstack([states, around]), density.mass)
+    return reference + mean[n:], cov[n:, n:], cov[:n, n:]
 
 
 def kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:

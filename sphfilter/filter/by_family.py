@@ -10,18 +10,21 @@ from .._types import Floats, OfStates
 from ..density.as_family import family_density, family_of, unrolled
 from ..density.cloud import key_of, points_of
 from ..density.family import OF_MISFIT, Family, node_moments
-from ..density.family_posterior import FamilyPosterior, family_posterior
+from ..density.family_posterior import family_posterior
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code
 from ..model.measurements import is_gaussian
 from .asked import Asked, kept, predicted_reading
 
-__all__ = ["by_family"]
+__all__ = ["by_family", "elsewhere"]
 
 _LOOKED_AT, _FEW = 128, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
+
+#: Logarithm of a density, and its mean and covariance.
+Shape = tuple[OfStates, tuple[Floats, Floats]]
 
 
 def by_family(
@@ -41,7 +44,10 @@ def by_family(
     weight = asked.weight_on(density.domain)
     prior, misfit = family_of(density, degree)
     found = family_posterior(prior, weight, _linearised(density, asked))
-    missed = 0.0 if asked.linear else _elsewhere(density, asked, prior, found, weight)
+    missed = 0.0
+    if not asked.linear:
+        both = (prior.log_p, _moments(prior)), (found.family.log_p, _moments(found.family))
+        missed = elsewhere(density, asked, *both, found.log_evidence)
     added = math.hypot(found.error, missed)
     if not added <= most:
         raise PropagationError(f"one family of degree {degree} is off by {added:.2g} after the reading")
@@ -64,8 +70,8 @@ def by_family(
     }
 
 
-def _elsewhere(
-    density: ParticleDensity, asked: Asked, prior: Family, found: FamilyPosterior, weight: OfStates
+def elsewhere(
+    density: ParticleDensity, asked: Asked, prior: Shape, posterior: Shape, log_evidence: float
 ) -> float:
     """Shift of the mean, standard deviations, by what points of the prior see beyond the posterior's family.
 
@@ -77,8 +83,8 @@ def _elsewhere(
     """
     key = key_of(density)
     X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key)
-    mean, cov = node_moments(prior.nodes, prior.weighted()[0])
-    own_mean, own_cov = node_moments(found.family.nodes, found.family.weighted()[0])
+    weight = asked.weight_on(density.domain)
+    (log_prior, (mean, cov)), (log_posterior, (own_mean, own_cov)) = prior, posterior
     root = np.linalg.inv(np.linalg.cholesky(own_cov))
     states = asked.explained(X[:: _LOOKED_AT // _BEGUN_AT], np.linalg.cholesky(cov))
     share = math.exp(0.5 * (np.linalg.slogdet(own_cov)[1] - np.linalg.slogdet(cov)[1]))
@@ -87,15 +93,19 @@ def _elsewhere(
 
     def over(X: Floats) -> Floats:
         """Log of the posterior over its family, or less than nothing where that is negligible."""
-        true = prior.log_p(X) + weight(X) - found.log_evidence
-        own = found.family.log_p(X)
-        return np.where(true > found.family.log_p(own_mean[None]) - _NEGLIGIBLE, true - own, -np.inf)
+        true = log_prior(X) + weight(X) - log_evidence
+        own = log_posterior(X)
+        return np.where(true > log_posterior(own_mean[None]) - _NEGLIGIBLE, true - own, -np.inf)
 
     if states is not None and len(states) and np.max(over(states)) > _MORE:
         raise PropagationError("one family does not hold the posterior: other states explain the reading too")
-    w = mass * np.exp(np.clip(weight(X) - found.log_evidence, -700.0, 700.0)) * (over(X) > _MORE)
+    w = mass * np.exp(np.clip(weight(X) - log_evidence, -700.0, 700.0)) * (over(X) > _MORE)
     away = np.linalg.norm((X - own_mean) @ root.T, axis=1) / math.sqrt(len(mean))
     return float(min(w @ away, 1e3))
+
+
+def _moments(family: Family) -> tuple[Floats, Floats]:
+    return node_moments(family.nodes, family.weighted()[0])
 
 
 def _linearised(density: ParticleDensity, asked: Asked) -> tuple[Floats, Floats] | None:

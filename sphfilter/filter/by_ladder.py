@@ -17,15 +17,17 @@ from ..prediction.family import fits_density
 from ..prediction.ladder import best_family, first_degree, prefers_cloud
 from .asked import Asked, kept
 from .by_cloud import by_cloud
+from .by_families import by_families
 from .by_family import by_family
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
 
-__all__ = ["by_ladder"]
+__all__ = ["by_ladder", "over_allowance"]
 
 _TRIES, _MOST_NODES = 3, 20_000
 #: Nodes of pieces, over the points of a cloud that has the same error; and so many that are always tried.
 _NODES, _NODES_MORE, _FEW_NODES = {1: 0.2, 2: 0.2}, 2.0, 20_000
+_AIMED = 1.3  # times the points, as the next reading may be sharper
 _NEAR = 0.3  # of the points: changes that are not made
 _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
 
@@ -38,8 +40,8 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     Where a lattice had to be taken, the posterior comes down to one family again if that holds it.
     """
     needs = density.needs or Needs()
-    found = _on_family(density, asked, target, needs)
-    if found is None or found[1]["error"] > target:
+    found = _on_families(density, asked, target, needs) or _on_family(density, asked, target, needs)
+    if density.families is None and (found is None or found[1]["error"] > target):
         found = _on_pieces(density, asked, target, needs) or found
     if found is not None:
         return found
@@ -73,6 +75,20 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
     return new.noted(needs=learned), _told(said, target)
 
 
+def _on_families(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
+    """The posterior as a few families, or one if that holds it; None where they will not do."""
+    if density.families is None:
+        return None
+    try:
+        degree, allowed = first_degree(density.dim, needs), allowance(density.error, target)
+        new, said = by_families(density, asked, degree, allowed)
+    except (PropagationError, np.linalg.LinAlgError):
+        return None
+    if not said["error"] <= doubt(density.dim) * target:
+        return None
+    return new.noted(needs=needs._replace(share=_share(density, new))), _told(said, target)
+
+
 def _on_pieces(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
     """The posterior as Gaussians; None where those would be too many. One family follows where it will do."""
     points = min(needs._replace(share=min(needs.share, asked.share)).cloud(target), MOST_POINTS)
@@ -94,17 +110,24 @@ def _on_cloud(
     density: ParticleDensity, asked: Asked, target: float, config: FilterConfig, needs: Needs
 ) -> tuple[Posterior, Needs]:
     """The posterior as a cloud, of more points where the error asks and the prior can be drawn from."""
-    points = needs.cloud(target)
-    for left in range(1 if config.time_budget else _TRIES, 0, -1):
+    fixed = density.read_out == "cloud"  # its points are there, and the next one's are told by them
+    points = density.n_particles if fixed else needs.cloud(target)
+    for left in range(1 if fixed or config.time_budget else _TRIES, 0, -1):
         scheme = CloudScheme(n_points=min(points, MOST_POINTS))
         new, said = by_cloud(density, asked, 0, replace(config, scheme=scheme))
-        added = math.sqrt(max(new.error**2 - (kept(density, new) * density.error) ** 2, 0.0))
-        over = min(max((added / allowance(density.error, target)) ** 2, 0.5), 2.0)
+        least = 1.0 if fixed and new.error > target else 0.5
+        over = min(max(_AIMED * over_allowance(density, new, target), least), 2.0)
         more = points if abs(over - 1.0) < _NEAR else math.ceil(points * over)
-        if left == 1 or density.read_out == "cloud" or not MOST_POINTS >= more > points:
+        if left == 1 or not MOST_POINTS >= more > points:
             break
         points = more
     return (new, said), needs._replace(points=more)
+
+
+def over_allowance(prior: ParticleDensity, posterior: ParticleDensity, target: float) -> float:
+    """Points that a cloud's update would have needed for a target error, over those that it had."""
+    added = max(posterior.error**2 - (kept(prior, posterior) * prior.error) ** 2, 0.0)
+    return added / allowance(prior.error, target) ** 2
 
 
 def _share(prior: ParticleDensity, posterior: ParticleDensity) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from .._types import Interval, Readings
 from ..config import FilterConfig, checked_filter_config
 from ..consistency.ranks import Ranker
+from ..density.as_cloud import thinned
 from ..density.distributions import Gaussian
 from ..density.initialize import initialize
 from ..density.needs import bound_of, fewest
@@ -37,6 +38,8 @@ from .state import FilterState, Shown
 from .update_again import update_or_predict_again
 
 __all__ = ["SPHFilter"]
+
+_RANKED = 2**14  # points of a cloud that a truth is ranked among
 
 
 class SPHFilter(Shown):
@@ -305,8 +308,8 @@ class SPHFilter(Shown):
         return filt
 
     def spread(self) -> WeightedStates:
-        """The density now as states and weights, `WeightedStates`."""
-        return self._state.density.spread()
+        """The density now as states and weights, `WeightedStates`; of a large cloud, of a part of it."""
+        return thinned(self._state.density, _RANKED).spread()
 
     def run(
         self,

@@ -3,6 +3,7 @@
 A cloud, which takes over where these are refused, comes back to a lattice where one holds it.
 """
 
+import math
 from contextlib import suppress
 
 from ..config import CloudScheme, CorrectedScheme, LogDensityScheme, PaperScheme
@@ -30,6 +31,7 @@ def propagate(
     n_particles: int,
     most: int | None = None,
     allowed: float = 0.0,
+    most_work: float = math.inf,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1 by the log-density where that can be, else by sums over kernels.
 
@@ -44,6 +46,9 @@ def propagate(
         Particles at most where the log-density needs more than `n_particles`.
     allowed : float
         Error that is shared out over steps and lattices; see `log_density.propagate`.
+    most_work : float
+        Evaluations of the drift, after which the log-density is given up: whoever bounds them goes on with a
+        cloud, which knows its error.
 
     Returns
     -------
@@ -57,10 +62,14 @@ def propagate(
     reason, stopped = log_density.fits(model, density, n_particles), False
     if not reason:
         try:
-            return log_density.propagate(density, model, t1, LogDensityScheme(), n_particles, allowed)
+            return log_density.propagate(
+                density, model, t1, LogDensityScheme(), n_particles, allowed, most_work
+            )
         except (LatticeError, UnresolvedError) as problem:
-            return _on_more(density, model, t1, (n_particles, allowed), problem, most)
+            return _on_more(density, model, t1, (n_particles, allowed, most_work), problem, most)
         except PropagationError as problem:
+            if most_work < math.inf and density.domain is None:
+                raise
             reason, stopped = str(problem), isinstance(problem, StoppedError)
     if density.domain is not None:
         moved, info = _in_domain(density, model, t1, n_particles)
@@ -93,7 +102,7 @@ def _on_more(
     density: ParticleDensity,
     model: SDE,
     t1: float,
-    asked: tuple[int, float],
+    asked: tuple[int, float, float],
     problem: PropagationError,
     most: int | None,
 ) -> tuple[ParticleDensity, PredictInfo]:
@@ -105,11 +114,11 @@ def _on_more(
     blown = carried_off(model, density.x, density.t, t1)
     if blown:
         raise PropagationError(blown) from problem
-    n_particles, allowed = asked
+    n_particles, *bounds = asked
     ladder = Ladder(times=(3, 9, 27), most=MOST_FINER if most is None else most).within(model.dim)
     rung, (moved, info) = ladder.climbed(
         n_particles,
-        lambda rung: log_density.propagate(density, model, t1, LogDensityScheme(), rung.n_particles, allowed),
+        lambda rung: log_density.propagate(density, model, t1, LogDensityScheme(), rung.n_particles, *bounds),
         problem,
     )
     return moved, info.marked(Code.FINER, f"on {rung.times} times the particles: {problem}")

@@ -83,9 +83,8 @@ def propagate(
         The model carries a tenth of the probability to infinity, or needs more steps than allowed.
     """
     key = key_of(density)
-    before, mass = _points(density, model, t1, scheme.n_points, key)
-    dealt = _dealt(len(before))
-    before, mass = before[dealt], mass[dealt]
+    dealt = _dealt(scheme.n_points)
+    before, mass = _points(density, model, t1, key, dealt)
     x, alive, steps, bias = before.copy(), np.ones(len(before), dtype=bool), 1, 0.0
     if model.linear:
         x = _exactly(x, model, t1 - density.t, key, dealt)
@@ -148,36 +147,36 @@ def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity | 
     return laid.noted(error=error, lost=density.lost, capacity=density.capacity)
 
 
-def _points(density: ParticleDensity, model: SDE, t1: float, count: int, key: int) -> tuple[Floats, Floats]:
-    """Points (N, n) that are to be moved, and their weights.
+def _points(density: ParticleDensity, model: SDE, t1: float, key: int, dealt: Ints) -> tuple[Floats, Floats]:
+    """Points (N, n) that are to be moved, dealt to blocks, and their weights.
 
     Copies of heavy points part by themselves where the noise is enough for that; else the points are drawn
     from the density that is read between them.
     """
+    count = len(dealt)
+    evenly = np.full(count, 1.0 / count)
     if density.read_out != "cloud":
         x, mass = points_of(density, count, key)
-        order = _along(x, *moments(x, mass))
-        return x[order], mass[order]
+        dealt = _along(x, *moments(x, mass))[dealt]
+        return x[dealt], mass[dealt]
     order = _along(density.x, *moments_of(density))
-    mass = density.mass[order]
+    mass = density.mass
     if len(mass) == count and 1.0 / np.sum(mass**2) >= _FEW * count:
-        return density.x[order], mass
-    if density.domain is not None and not parts(model, density, t1):
-        return drawn(density, count, key), np.full(count, 1.0 / count)
-    x = density.x[order[systematic(mass, count)]]
-    if not parts(model, density, t1):
-        x = _beside(x, density, key)
-    return x, np.full(count, 1.0 / count)
+        return density.x[order[dealt]], mass[order[dealt]]
+    drift_apart = parts(model, density, t1)
+    if density.domain is not None and not drift_apart:
+        return drawn(density, count, key)[dealt], evenly
+    x = density.x[order[systematic(mass[order], count)[dealt]]]
+    return (x if drift_apart else _beside(x, density, key)), evenly
 
 
 def _along(x: Floats, mean: Floats, cov: Floats) -> Ints:
     """Numbers of points (N, n) in an order in which neighbours follow each other."""
-    place = np.empty(len(x), np.uint16)
     try:
         white = np.linalg.inv(np.linalg.cholesky(cov))
     except np.linalg.LinAlgError:  # flat along some combination of the states
         white = np.diag(1.0 / np.sqrt(np.maximum(np.diag(cov), 1e-300)))
-    along_curve(np.ascontiguousarray(x), mean, np.ascontiguousarray(white), place)
+    place = along_curve(np.ascontiguousarray(x), mean, np.ascontiguousarray(white))
     return np.argsort(place, kind="stable")
 
 
@@ -195,7 +194,7 @@ def _normals(dealt: Ints, dim: int, k: int, key: int) -> Floats:
     """
     if dim <= _PLANE:
         return standard_normals(key ^ _ASIDE, len(dealt), k)
-    return standard_normal(len(dealt), k, key)[dealt]
+    return standard_normal(len(dealt), k, key, dealt)
 
 
 def _beside(x: Floats, density: ParticleDensity, key: int) -> Floats:
@@ -337,7 +336,9 @@ def _near(before: Floats, after: Floats) -> Bools:
     """Which points have not run away, out of all proportion to where they and others were and are."""
     with np.errstate(invalid="ignore", over="ignore"):
         extent = np.ptp(before[:: max(len(before) // LANES, 1)], axis=0)
-        if np.abs((after - before) / extent).max() <= 0.1 * _AWAY:  # as ever: none can be
+        off = after - before
+        off /= extent
+        if max(off.max(), -off.min()) <= 0.1 * _AWAY:  # as ever: none can be
             return np.ones(len(after), dtype=bool)
         few = slice(None, None, max(len(after) // _SEEN, 1))
         low, middle, high = np.percentile(after[few], [25.0, 50.0, 75.0], axis=0)

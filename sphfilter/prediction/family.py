@@ -22,10 +22,20 @@ from ..model.sde import SDE
 from ._shared import blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
-__all__ = ["HIGHEST", "carried", "degree_of", "fits", "fits_density", "propagate"]
+__all__ = [
+    "HIGHEST",
+    "OF_RESIDUAL",
+    "carried",
+    "degree_of",
+    "fits",
+    "fits_density",
+    "flow_of",
+    "longest_step",
+    "propagate",
+]
 
 HIGHEST = 6  # degree that is taken unless another is asked for
-_OF_RESIDUAL = 0.3  # part of what the polynomials cannot follow, that errors are estimated by
+OF_RESIDUAL = 0.3  # part of what the polynomials cannot follow, that errors are estimated by
 _LOST = 1.0  # standard deviations that the mean may be off by
 _NOT_FOLLOWED = (
     "no polynomial of this degree follows the logarithm of the density; predict over a shorter interval, or "
@@ -93,14 +103,14 @@ def carried(
     assert degree is not None
     start, misfit = family_of(density, degree)
     y = np.concatenate([start.mu, start.A.ravel(), start.c])
-    longest = _longest(model, density, t1)
-    control = Control(density.t, t1, scheme.tolerance, longest, scheme.max_steps, most / _OF_RESIDUAL)
+    longest = longest_step(model, density, t1)
+    control = Control(density.t, t1, scheme.tolerance, longest, scheme.max_steps, most / OF_RESIDUAL)
     with surfacing():
-        report = march(_flow(model), basis(n, degree), control, y)
+        report = march(flow_of(model), basis(n, degree), control, y)
     if STATUS[report.code] != "ok":
         raise _given_up(model, y, report, density.t, t1)
     moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()
-    residual = math.hypot(_OF_RESIDUAL * report.residual, _OF_RESIDUAL * report.stepping, OF_MISFIT * misfit)
+    residual = math.hypot(OF_RESIDUAL * report.residual, OF_RESIDUAL * report.stepping, OF_MISFIT * misfit)
     error = math.hypot(density.error, residual)
     if not residual < most or moved.astray:
         raise PropagationError(
@@ -113,7 +123,7 @@ def carried(
     ), _info(model, report, error)
 
 
-def _flow(model: SDE) -> Flow:
+def flow_of(model: SDE) -> Flow:
     """The model as families are carried by it; it must outlive its use."""
     n, drift = model.dim, address_of(model.drift_batch)
     slope = curvature = drift  # never called
@@ -134,7 +144,7 @@ def _flow(model: SDE) -> Flow:
     )
 
 
-def _longest(model: SDE, density: ParticleDensity, t1: float) -> float:
+def longest_step(model: SDE, density: ParticleDensity, t1: float) -> float:
     """Longest step, seconds, that sees a model change in time."""
     if model.autonomous:
         return model.max_step

@@ -1,6 +1,7 @@
 """The ladder: a prediction takes the cheapest representation that keeps its error within a target.
 
-A Gaussian in closed form, one exponential family and its higher degrees, then a lattice or a cloud of points.
+A Gaussian in closed form, one exponential family and its higher degrees, a few of them where the drift bends,
+then a lattice or a cloud of points.
 What the last steps needed is in the density, `density.needs`: there the next one begins.
 """
 
@@ -8,6 +9,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
+
+import numpy as np
 
 from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
@@ -20,7 +23,7 @@ from ..density.resample import on_lattice
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.sde import SDE
-from . import automatic, cloud, family, pieces
+from . import automatic, cloud, families, family, pieces
 from .to_target import Time, carried_to_target
 
 __all__ = ["best_family", "first_degree", "prefers_cloud", "propagate"]
@@ -29,9 +32,12 @@ Found = TypeVar("Found")
 
 #: States up to which a lattice is cheaper than a cloud, and up to which it comes where clouds are too small.
 _LATTICE, _LATTICE_IF = 2, 4
+_NEARLY = 2.0  # times the points that a cloud may have: with as many less it is taken nevertheless
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _TOLERANCE = 0.1  # of a step of a family, over the target
-_FEW, _CHANCE = 2000, 2.0  # points of a cloud that tell whether a family will do, and what is chance
+_FEW, _CHANCE = (2000, 20_000), 2.0  # points of a cloud that tell whether a family will do; what is chance
+_WORK = 1000.0  # evaluations of the drift, that a lattice may take for each point of a usual cloud
+_NODES = 30.0  # that families ask a model at, over a cloud's points that cost as much
 _IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
 
 
@@ -44,8 +50,13 @@ def first_degree(dim: int, needs: Needs) -> int:
 
 def prefers_cloud(dim: int, needs: Needs, target: float) -> bool:
     """Whether a cloud comes after families, and not a lattice."""
-    points_do = needs.parts is not False and needs.cloud(target) <= MOST_POINTS
+    points_do = needs.parts is not False and needs.cloud(target) <= _NEARLY * MOST_POINTS
     return dim > _LATTICE_IF or (dim > _LATTICE and points_do)
+
+
+def _in_parts(density: ParticleDensity) -> bool:
+    """Whether a few families may stand for a density where one does not."""
+    return density.dim > _LATTICE and density.domain is None and density.family is not None
 
 
 def best_family(
@@ -123,8 +134,11 @@ def propagate(
         return _closed_form(density, model, t1, needs)
     if needs.parts is None and density.dim > _LATTICE:
         needs = needs._replace(parts=cloud.parts(model, density, t1))
-    if density.pieces is not None:
-        found = _by_pieces(density, model, t1, target, needs)
+    if density.pieces is not None or density.families is not None:
+        if density.pieces is None:
+            found = _by_families(density, model, t1, target, needs, families.LEVELS)
+        else:
+            found = _by_pieces(density, model, t1, target, needs)
         if found is not None:
             return found
     elif needs.waits > 0:
@@ -164,20 +178,42 @@ def _by_family(
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
 
     best = best_family(density, target, needs, first_degree(density.dim, needs), carried)
+    if (best is None or best[2] > 1.0) and _in_parts(density) and families.bent(density, model, t1):
+        levels = families.LEVELS if best is None else 1
+        found = _by_families(density, model, t1, target, needs, levels)
+        if found is not None and (best is None or found[1].error < best[0][1].error):
+            return found
     if best is None:
         return None
     (moved, info), degree, used = best
     return moved.noted(needs=needs.followed(degree - (used < _IDLE))), info
 
 
+def _by_families(
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs, levels: int
+) -> tuple[ParticleDensity, PredictInfo] | None:
+    """Carry a few families, or one in parts; None where a cloud would be cheaper."""
+    most = _NODES * min(needs.cloud(target), MOST_POINTS)
+    try:
+        allowed = allowance(density.error, target)
+        moved, info = families.carried(density, model, t1, allowed, most, levels)
+    except (PropagationError, np.linalg.LinAlgError):
+        return None
+    if not info.error <= doubt(density.dim) * target:
+        return None
+    degree = max(d for d in degrees(density.dim) if d <= family.HIGHEST)
+    return moved.noted(needs=needs.followed(degree)), info
+
+
 def _settled(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
 ) -> tuple[ParticleDensity, PredictInfo] | None:
     """Carry a cloud as one family; None where none will do, which a part of the points tells already."""
-    few, degree = thinned(density, _FEW), first_degree(density.dim, needs)
-    most = allowance(density.error, target)
-    if few is not density and settled(few, degree, math.hypot(most, _CHANCE / math.sqrt(_FEW))) is None:
-        return None
+    degree, most = first_degree(density.dim, needs), allowance(density.error, target)
+    for count in _FEW:
+        few = thinned(density, count)
+        if few is not density and settled(few, degree, math.hypot(most, _CHANCE / math.sqrt(count))) is None:
+            return None
     one = settled(density, degree, most)
     return None if one is None else _by_family(one, model, t1, target, needs)
 
@@ -211,13 +247,15 @@ def _by_lattice(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
     allowed = time.for_lattices(density, target)
+    work = _WORK * min(Needs().cloud(target), MOST_POINTS) if allowed else math.inf
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
-        return automatic.propagate(on_lattice(density, nodes), model, t1, nodes, allowed=allowed)
+        laid = on_lattice(density, nodes)
+        return automatic.propagate(laid, model, t1, nodes, allowed=allowed, most_work=work)
 
     try:
         nodes = needs.nodes or fewest(density.dim)
-        moved, info, nodes = carried_to_target(density, predicted, target, nodes, time)
+        moved, info, nodes = carried_to_target(density, predicted, target, nodes, time, work)
     except PropagationError:
         return _by_cloud(density, model, t1, target, needs)
     if moved.field is not None:

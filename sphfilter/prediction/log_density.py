@@ -90,6 +90,7 @@ def propagate(
     scheme: LogDensityScheme,
     n_particles: int,
     allowed: float = 0.0,
+    most_work: float = math.inf,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density that has a `field` to time t1.
 
@@ -105,6 +106,8 @@ def propagate(
     allowed : float
         Error of the mean, in standard deviations, that is shared out over steps and lattices: each of these
         then has the nodes that its share asks for, and the first one n_particles. Zero: as many as there are.
+    most_work : float
+        Evaluations of the drift, after which it is given up.
 
     Returns
     -------
@@ -138,6 +141,7 @@ def propagate(
         least=least,
         noise_share=scheme.noise_share or math.inf,
         pause_after=_PAUSE_AFTER,
+        most_work=most_work,
         most_lost=max(scheme.most_lost, allowed / _PART),
         doubtful=DOUBTFUL / _PART,
         fewest=fewest(n),
@@ -159,6 +163,9 @@ def propagate(
     while status == "paused":
         if counters[STEPS] >= scheme.max_steps:
             status = "too many steps"
+            break
+        if counters[EVALUATIONS] > most_work:
+            status = "too much work"
             break
         with surfacing():
             field, x, mass, mean, cov, code = march(
@@ -273,6 +280,7 @@ _REASONS: dict[str, tuple[type[PropagationError], str]] = {
         StoppedError,
         "{steps} steps were not enough; allow more with scheme=LogDensityScheme(max_steps=...)",
     ),
+    "too much work": (StoppedError, "a lattice takes far more work than a cloud of points"),
 }
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ..density.needs import AIMED, allowance, fewest
 from ..density.particle_density import ParticleDensity
-from ..errors import PropagationError
+from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
 from .again import MOST
 
@@ -45,6 +45,7 @@ def carried_to_target(
     target: float,
     n_particles: int,
     time: Time = ALWAYS,
+    most_work: float = math.inf,
 ) -> tuple[ParticleDensity, PredictInfo, int]:
     """Predict on a lattice, again with more nodes where the estimated error is above the target.
 
@@ -60,14 +61,21 @@ def carried_to_target(
         Of the first try.
     time : Time, optional
         What a time budget leaves.
+    most_work : float
+        Evaluations of the drift that all tries may take together.
 
     Returns
     -------
     ParticleDensity, PredictInfo, int
         With the number of nodes for the next step.
+
+    Raises
+    ------
+    PropagationError
+        The first try could not be made, or the one that the target asks for next is too much work.
     """
     best: tuple[ParticleDensity, PredictInfo, int] | None = None
-    ratio, allowed = math.inf, allowance(density.error, target)
+    ratio, allowed, work = math.inf, allowance(density.error, target), 0.0
     n_particles = min(n_particles, time.most)
     for _ in range(_TRIES):
         try:
@@ -86,6 +94,9 @@ def carried_to_target(
         if not ratio > 1.0 or n_particles >= MOST:
             break
         more = min(math.ceil(n_particles * min(max(ratio ** (1.0 / _ORDER), 1.2), 3.0)), MOST)
+        work += info.n_evaluations
+        if work + info.n_evaluations * more / n_particles > most_work:
+            raise StoppedError(f"a lattice of {more} particles would take more work than there may be")
         if not time.fits(more):
             late = f"the prediction on {more} particles that the target asks for: no time for it"
             best = moved, replace(info, skipped=(*info.skipped, late)), n_particles

@@ -17,6 +17,7 @@ from experiments.benchmark.measure import measure
 from experiments.benchmark.methods import Method, default_families, label, methods, size_text
 from experiments.benchmark.store import Rows
 from experiments.benchmark.summary import Line, ReferenceError, fastest_to_reach, particle_law
+from experiments.benchmark.told import ratios, sentence, told_and_left
 from experiments.benchmark.watch import TooSlow, Watched
 from experiments.scene.filters import Factory
 from experiments.scene.scenario import load_scenario
@@ -217,7 +218,7 @@ def test_evaluations_of_the_drift_are_counted():
 
 
 def _line(family, size, seconds, mean, failed=0, threads=1, drift=0.0):
-    blank = dict.fromkeys((f for f in Line.__dataclass_fields__), 0.0)
+    blank = dict.fromkeys((f for f in Line.__dataclass_fields__), 0.0) | {"told": np.empty((0, 2))}
     return Line(**blank | {"family": family, "series": family, "size": size, "seconds": seconds, "mean": mean,
                            "failed": failed, "threads": threads, "drift": drift})  # fmt: skip
 
@@ -238,7 +239,7 @@ def test_the_fastest_and_the_law():
 
 def test_sizes_in_words():
     assert size_text("sph", 1600) == "N = 1,600"
-    assert size_text("auto", 300) == "target error 0.00333"
+    assert size_text("auto", 300) == "target error 0.0033"
     assert size_text("ekf", 0) == ""
 
 
@@ -253,6 +254,21 @@ def test_tables_show_what_auto_was_asked_for():
     said = " ".join(tables.sentences(outcome))
     assert "Error 0.01: SPH filter, target error 0.01, in 0.1 s." in said
     assert "in place of N stands the error" in said
+
+
+def test_errors_told_are_held_against_errors_left():
+    rows = [
+        {"told": [0.02, 0.01, 0.0], "left": [0.01, 0.02, 0.03]},  # the last tells nothing
+        {"told": [0.01, np.nan], "left": [0.05, 0.01]},
+    ]
+    found = told_and_left(rows)
+    np.testing.assert_array_equal(found, [[0.02, 0.01], [0.01, 0.02], [0.01, 0.05]])
+    line = replace(_line("auto", 100, 0.1, 0.006), told=found)
+    np.testing.assert_allclose(ratios(line), np.quantile([2.0, 0.5, 0.2], [0.1, 0.5, 0.9]))
+    said = sentence(line)
+    assert said.startswith("Target error 0.01: the error told is 0.5 times the error left")
+    assert "67% of 3 errors" in said
+    assert sentence(_line("ekf", 0, 0.1, 0.1)) == ""
 
 
 def test_who_wins_depends_on_the_cost_of_the_drift():

@@ -206,6 +206,20 @@ def test_command_writes_its_files_and_resumes(tmp_path, capsys, monkeypatch):
     assert "choose from the grid" in capsys.readouterr().err
 
 
+def test_the_default_filter_is_judged_beside_the_one_of_so_many_particles(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(command, "_WARM", ())
+    for auto in ([], ["--auto"]):
+        assert main(["stress", "--random-case", _CASE, "--out", str(tmp_path), *auto]) == 0
+    assert "auto particles" in capsys.readouterr().out
+    with open(tmp_path / "random.csv", encoding="utf-8") as file:
+        (row,) = csv.DictReader(file)
+    assert row["n_particles"] == "auto" and row["verdict"] == "right"
+    assert len(list(tmp_path.rglob("reference.npz"))) == 1  # the same for either
+    assert len(list(tmp_path.rglob("default.npz"))) == 2
+    assert main(["stress", "--auto"]) == 1
+    assert "goes with" in capsys.readouterr().err
+
+
 def test_a_process_that_dies_is_a_verdict(tmp_path, capsys, monkeypatch):
     lost = Lost("the process died", timeout=False)
 

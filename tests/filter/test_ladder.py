@@ -7,7 +7,9 @@ import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.density.needs import MOST_POINTS, Needs, allowance
+from sphfilter.density.resample import on_lattice
 from sphfilter.density.storage import from_bytes, to_bytes
+from sphfilter.prediction import automatic
 
 
 def made(scene, target, **options):
@@ -61,9 +63,28 @@ def test_the_error_left_is_the_one_asked_for_and_cheaper_rungs_are_taken_where_i
     assert families[0] > families[1]
 
 
+def test_parts_of_a_family_are_taken_where_the_drift_bends_too_much_for_one():
+    case, many = made(
+        "vehicle", 0.03, n_particles=200, config=sf.FilterConfig(scheme=sf.CloudScheme(n_points=400_000))
+    )
+    _, x, P = followed(many, case, 4)
+    case, flt = made("vehicle", 0.03)
+    told, own, cov = followed(flt, case, 4)
+    assert [predicted.rung for predicted, _ in told].count("pieces") >= 2
+    assert all(predicted.rung in ("family", "pieces") for predicted, _ in told)
+    root = np.linalg.inv(np.linalg.cholesky(P))
+    assert np.linalg.norm(np.einsum("tij,tj->ti", root, own - x), axis=1).max() < 0.03
+    np.testing.assert_allclose(np.diagonal(cov, 0, 1, 2), np.diagonal(P, 0, 1, 2), rtol=0.04)
+
+
 @pytest.mark.parametrize(
     ("scene", "target", "end", "rung"),
-    [("van_der_pol", 0.01, 3, "lattice"), ("cart", 0.03, 3, "family"), ("lorenz", 0.03, 8, "cloud")],
+    [
+        ("van_der_pol", 0.01, 3, "lattice"),
+        ("cart", 0.03, 3, "family"),
+        ("vehicle", 0.03, 2, "pieces"),
+        ("lorenz", 0.03, 8, "cloud"),
+    ],
 )
 def test_pure_verbs_and_files_go_on_to_the_same_bits(tmp_path, scene, target, end, rung):
     case, flt = made(scene, target)
@@ -199,3 +220,56 @@ def test_waits_double_and_an_allowance_is_never_nothing():
     assert needs.followed(4).waits == 0 and needs.followed(4).failed == 0
     assert allowance(0.0, 0.01) == 0.01 and allowance(0.5, 0.01) == 0.005
     assert Needs().cloud_error(1e-4) > 1e-4 == Needs(points=MOST_POINTS).cloud_error(1e-4)
+
+
+def test_a_cloud_is_drawn_again_where_a_reading_leaves_too_few_points(tmp_path):
+    """A sharp reading after vague ones: the error asked for is kept, and a saved filter does the same."""
+    scenario = load_scenario("lorenz")
+    sharp = scenario.measurement.changed(noise_cov=0.1 * scenario.measurement.noise_cov)
+    case, flt = made("lorenz", 0.05)
+    followed(flt, case, 7)
+    assert flt.predict(t=case.times[7]).rung == "cloud"
+    before = flt.density.n_particles
+    flt.save(tmp_path / "flt.npz")
+    info = flt.update(case.z[7], sharp)
+    assert info.error <= 1.5 * 0.05 / np.sqrt(3.0)
+    assert flt.density.read_out != "cloud" or flt.density.n_particles > 4 * before
+    again = sf.SPHFilter.load(tmp_path / "flt.npz", scenario.model, scenario.measurement)
+    again.update(case.z[7], sharp)
+    np.testing.assert_array_equal(again.x, flt.x)
+    # the same question to a hundred times the points
+    _, many = made(
+        "lorenz", 0.05, config=sf.FilterConfig(scheme=sf.CloudScheme(n_points=400_000)), n_particles=200
+    )
+    followed(many, case, 7)
+    many.predict(t=case.times[7])
+    many.update(case.z[7], sharp)
+    off = np.linalg.solve(np.linalg.cholesky(many.P), flt.x - many.x)
+    assert np.linalg.norm(off) < 2.0 * 0.05
+
+
+def test_a_lattice_that_takes_far_more_work_than_a_cloud_gives_way_to_it(monkeypatch):
+    case, flt = made("van_der_pol", 0.01)
+    lattice, info = sf.predict(flt.density, flt.model, t=case.times[0], config=flt.config)
+    assert info.rung == "lattice"
+    monkeypatch.setattr("sphfilter.prediction.ladder._WORK", 1.0)
+    cloud, info = sf.predict(flt.density, flt.model, t=case.times[0], config=flt.config)
+    assert info.rung == "cloud" and info.error < 0.05
+    std = np.sqrt(np.diag(lattice.cov()))
+    np.testing.assert_allclose((cloud.mean() - lattice.mean()) / std, 0.0, atol=0.05)
+    with pytest.raises(sf.PropagationError, match="far more work"):
+        automatic.propagate(on_lattice(flt.density, 200), flt.model, case.times[0], 200, most_work=1e3)
+
+
+def test_a_cloud_that_misses_the_target_has_no_fewer_points_next():
+    hasty = sf.FilterConfig(target_error=0.05, time_budget=60.0)  # else it would be predicted again
+    case, flt = made("lorenz", 0.05, config=hasty)
+    sharp = flt.measurement.changed(noise_cov=1e-2 * flt.measurement.noise_cov)
+    followed(flt, case, 7)
+    missed = 0
+    for t, z in zip(case.times[7:11], case.z[7:11], strict=True):
+        predicted, before = flt.predict(t=t), flt.density.n_particles
+        if flt.update(z, sharp).error > 0.05 / np.sqrt(3) and predicted.rung == "cloud":
+            missed += 1
+            assert flt.density.needs.points >= before
+    assert missed

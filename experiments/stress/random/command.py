@@ -33,10 +33,11 @@ def main(console, args):
         raise ConfigError(
             "--random and --random-case go without --only and --quick, which choose from the grid"
         )
-    pairs = [(args.seed, k) for k in range(args.random or 0)] + args.random_case
+    named = [(seed, RandomCase(k, args.auto)) for seed, k in args.random_case]
+    pairs = [(args.seed, RandomCase(k, args.auto)) for k in range(args.random or 0)] + named
     if args.list:
-        for seed, number in pairs:
-            console.print(f"{seed}:{number} {_problem(seed, number)}", soft_wrap=True)
+        for seed, case in pairs:
+            console.print(f"{seed}:{case.number} {_problem(seed, case)}", soft_wrap=True)
         return
     console.print(f"{len(pairs)} random cases, at most {args.limit:g} s a run", style="dim")
     _walk(console, pairs, args)
@@ -46,7 +47,7 @@ def main(console, args):
         console.print(shown.table(title, headings, lines))
     for line in failures(rows):
         console.print(line, style="red", soft_wrap=True, markup=False)
-    for pair in args.random_case:
+    for pair in named:
         _tell(console, pair, args.out)
     console.print(f"\nEvery case is in {args.out}/random.csv, the rest in random.md.")
 
@@ -54,37 +55,38 @@ def main(console, args):
 def _walk(console, pairs, args):
     """Run what is not yet on disk."""
     tasks = [
-        (seed, number, part, str(args.out))
-        for seed, number in pairs
+        (seed, case, part, str(args.out))
+        for seed, case in pairs
         for part in _PARTS
-        if _stored(args.out, seed, number, part) is None
+        if _stored(args.out, seed, case, part) is None
     ]
     if tasks:
         console.print("preparing (the first time compiles, for minutes)", style="dim")
-        run_tasks(_compile, _WARM, 1, lambda number: _COMPILE_LIMIT, lambda number, result: None)
+        warm = [RandomCase(number, args.auto) for number in _WARM]
+        run_tasks(_compile, warm, 1, lambda case: _COMPILE_LIMIT, lambda case, result: None)
     kept, count = f"finished runs are kept in {args.out}. The same command goes on from there.", 0
     with bar(console, "runs", len(tasks), left=True) as move, resumable(lambda: kept):
 
         def done(task, result):
             nonlocal count
             count += 1
-            seed, number, part, out = task
+            seed, case, part, out = task
             if isinstance(result, Lost):
                 lost = Referee(why=result.sentence)
                 if part != "reference":
                     lost = Record("timeout" if result.timeout else "crash", result.sentence)
-                _save(out, seed, number, part, lost)
-            move(count, text=f"{seed}:{number} {part}")
+                _save(out, seed, case, part, lost)
+            move(count, text=f"{seed}:{case.number} {part}")
             if not console.is_terminal and count % 50 == 0:
                 console.print(f"{count} of {len(tasks)} runs done", style="dim")
 
         run_tasks(_task, tasks, args.jobs, partial(_limit, args.limit), done)
 
 
-def _compile(number):
-    record_of(_problem(0, number))
-    if number < _WARM_REFERENCES:
-        referee(_problem(0, number), 0)
+def _compile(case):
+    record_of(_problem(0, case))
+    if case.number < _WARM_REFERENCES:
+        referee(_problem(0, case), 0)
 
 
 def _limit(seconds, task):
@@ -92,30 +94,30 @@ def _limit(seconds, task):
 
 
 @lru_cache(maxsize=8)
-def _problem(seed, number):
-    return RandomCase(number).problem(seed)
+def _problem(seed, case):
+    return case.problem(seed)
 
 
 def _task(task):
     """Make one result and store it (in a process of its own)."""
-    seed, number, part, out = task
-    problem = _problem(seed, number)
+    seed, case, part, out = task
+    problem = _problem(seed, case)
     if part == "reference":
         found = referee(problem, seed)
     elif part == "default":
         found = record_of(problem)
     else:
-        base = _stored(out, seed, number, "default")
+        base = _stored(out, seed, case, "default")
         if base is not None and base.end != "finished":
             found = Record("left out")
         else:
-            found = record_of(related(problem, _relation(seed, number, part), seed, number))
-    _save(out, seed, number, part, found)
+            found = record_of(related(problem, _relation(seed, case, part), seed, case.number))
+    _save(out, seed, case, part, found)
 
 
-def _relation(seed, number, part):
+def _relation(seed, case, part):
     """Name of the first or second relation of a case."""
-    return chosen_relations(_problem(seed, number), seed, number)[_PARTS.index(part) - 2]
+    return chosen_relations(_problem(seed, case), seed, case.number)[_PARTS.index(part) - 2]
 
 
 @cache
@@ -133,22 +135,27 @@ def _sources(part):
     return digest_of(files)
 
 
-def _stored(out, seed, number, part):
+def _stored(out, seed, case, part):
     kind = Referee if part == "reference" else Record
-    return load(path_of(out, RandomCase(number), seed, part), kind, _sources(part))
+    return load(_file(out, seed, case, part), kind, _sources(part))
 
 
-def _save(out, seed, number, part, result):
-    save(path_of(out, RandomCase(number), seed, part), result, _sources(part))
+def _save(out, seed, case, part, result):
+    save(_file(out, seed, case, part), result, _sources(part))
+
+
+def _file(out, seed, case, part):
+    """Where a result is; references are the same whatever the filter."""
+    return path_of(out, RandomCase(case.number) if part == "reference" else case, seed, part)
 
 
 def _judged(pair, out):
     """Case, seed, problem, record, reference and verdict of what is on disk."""
-    seed, number = pair
+    seed, case = pair
     problem, (record, reference, *others) = _problem(*pair), (_stored(out, *pair, part) for part in _PARTS)
-    names = (_relation(seed, number, part) for part in _PARTS[2:])
+    names = (_relation(seed, case, part) for part in _PARTS[2:])
     verdict = judge(record, reference, dict(zip(names, others, strict=True)))
-    return RandomCase(number), seed, problem, record, reference, verdict
+    return case, seed, problem, record, reference, verdict
 
 
 def _tell(console, pair, out):
@@ -162,5 +169,5 @@ def _tell(console, pair, out):
     ]
     headings = "t", *(f"{name} error" for name in LIMITS), "info.error", "flag"
     console.print(shown.table(f"epochs against {reference.name or 'nothing'}", headings, lines))
-    again = f"problem = RandomCase({pair[1]}).problem({pair[0]}); record = record_of(problem)"
+    again = f"problem = {pair[1]}.problem({pair[0]}); record = record_of(problem)"
     console.print(f"In Python: {again} (experiments.stress.random.problems, .records)", soft_wrap=True)

@@ -1,6 +1,6 @@
 """Random filtering problems, each made alone from a seed and its number."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from zlib import crc32
 
@@ -39,7 +39,7 @@ class RandomProblem:
         Gaussian start, and its time in seconds.
     times : ndarray, shape (T,)
     truth : ndarray, shape (T, n)
-    n_particles : int
+    n_particles : int or "auto"
     parts : int
         Predictions from one time to the next.
     T, c : ndarray, shapes (n, n), (n,), optional
@@ -57,7 +57,7 @@ class RandomProblem:
     times: np.ndarray
     t0: float = 0.0
     truth: np.ndarray = field(repr=False)
-    n_particles: int = 200
+    n_particles: int | str = 200
     parts: int = 1
     T: np.ndarray | None = None
     c: np.ndarray | None = None
@@ -87,14 +87,18 @@ class RandomProblem:
 
 @dataclass(frozen=True)
 class RandomCase:
-    """One random problem by its number; `unit`, `family` and the like are a cell's, see `Cell`."""
+    """One random problem by its number; `unit`, `family` and the like are a cell's, see `Cell`.
+
+    Where it is `auto`, the filter chooses what carries the density by its error.
+    """
 
     number: int
+    auto: bool = False
 
     @property
     def name(self):
         """Name in files."""
-        return f"random/{self.number}"
+        return f"random/{self.number}{'/auto' * self.auto}"
 
     def problem(self, seed):
         """Make the problem; the same seed and number give the same bits."""
@@ -105,7 +109,7 @@ class RandomCase:
             except SphfilterError:  # a path that the simulator cannot follow
                 continue
             if found is not None:
-                return found
+                return replace(found, n_particles="auto") if self.auto else found
         raise RuntimeError(f"no plausible problem of number {self.number}, seed {seed}")
 
 

@@ -55,7 +55,7 @@ class Record:
 
 
 def default_filter(problem):
-    """The filter on trial: every setting but the number of particles is the default."""
+    """The filter on trial: every setting but the number of particles, where it is one, is the default."""
     start = {"x0": problem.x0, "P0": problem.P0, "t0": problem.t0}
     return sf.SPHFilter(problem.model, problem.sensors[0], **start, n_particles=problem.n_particles)
 

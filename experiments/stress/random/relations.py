@@ -17,8 +17,8 @@ def _eight(problem, rng):
 
 
 def _finer(problem, rng):
-    """More particles: 800 for 200, twice as many as are more than that."""
-    n = problem.n_particles
+    """More particles: 800 for 200 or the filter's own choice, twice as many as are more than that."""
+    n = 200 if problem.n_particles == "auto" else problem.n_particles
     return replace(problem, n_particles=4 * n if n <= 200 else 2 * n)
 
 

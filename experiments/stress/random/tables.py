@@ -117,7 +117,8 @@ def write(out, rows):
     text = ["# Random problems", "", said, "", *(f"- {v}: {what}." for v, what in VERDICTS.items()), ""]
     for title, headings, lines in sections(rows):
         text += [f"## {title}", "", *tables.markdown(headings, lines), ""]
-    text += ["Again: `python -m experiments stress --random-case SEED:NUMBER`.", ""]
+    auto = ", with --auto where the filter chose its particles"
+    text += [f"Again: `python -m experiments stress --random-case SEED:NUMBER`{auto}.", ""]
     for verdict in _LISTED:
         found = [row for row in rows if row["verdict"] == verdict]
         cells = [

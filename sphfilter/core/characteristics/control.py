@@ -63,8 +63,9 @@ class Control(NamedTuple):
     fewest: int  # nodes of a lattice, with it
     lattices: float  # root of the sum of squares of the lattices' residuals to be kept to, with it
     pause_after: int  # steps
+    most_work: float  # evaluations of the drift, after which it pauses, too
 
 
 #: Numba's types of a `Control`, of the counters, and of the state.
-CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0))
+CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0, 0.0))
 COUNTS, STATE = types.int64[::1], types.float64[::1]

@@ -24,6 +24,7 @@ from ..small_matrices import cholesky, moments
 from .aim import AIMED
 from .budget import for_lattice, for_step, nodes_for
 from .control import (
+    EVALUATIONS,
     FLOOR,
     LATTICE_STEP,
     LOST,
@@ -154,7 +155,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
     own, shorter = 0.0, np.inf  # error and length of the step before a long one that is tried
     since, usual = 0, 0.0  # steps since then, and how long they were
     while times[0] < times[1]:
-        if counters[STEPS] - first >= control.pause_after:
+        if counters[STEPS] - first >= control.pause_after or counters[EVALUATIONS] > control.most_work:
             return field, x, m, mean, P, PAUSED
         if not cholesky(P, L):
             return field, x, m, mean, P, NOT_FINITE

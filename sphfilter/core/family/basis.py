@@ -5,7 +5,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import typeof
+from numba import njit, typeof
 
 from .._jit import jit
 from ..monomials import up_to
@@ -13,6 +13,7 @@ from .rules import rule
 
 __all__ = ["BASIS", "Basis", "averages", "basis", "size", "values_at"]
 
+_AT_ONCE = 64  # points: vector instructions, and tables that fit the first-level cache
 _BEYOND, _FALL = 1.6, 0.15  # standard deviations beyond the root of n, and least fall of log p out there
 
 
@@ -62,55 +63,85 @@ def values_at(power, c, xi, bound, out):
 
     Beyond the radius `bound` the values fall at least as a wide Gaussian does: polynomials may rise there.
     """
-    n, table = xi.shape[1], np.empty((xi.shape[1], power.max() + 1))
-    for i in range(xi.shape[0]):
-        square = 0.0
-        for a in range(n):
-            square += xi[i, a] ** 2
-        out[i] = _value(power, c, xi[i], 1.0, table)
-        if square > bound * bound:
-            edge = _value(power, c, xi[i], bound / math.sqrt(square), table)
-            out[i] = min(out[i], edge - _FALL * (square - bound * bound))
+    _values(power, c, xi, out)
+    if bound == np.inf:
+        return
+    square = np.zeros(xi.shape[0])
+    for a in range(xi.shape[1]):
+        square += xi[:, a] ** 2
+    beyond = np.flatnonzero(square > bound * bound)
+    edge, there = np.empty((beyond.size, xi.shape[1])), np.empty(beyond.size)
+    for k in range(beyond.size):
+        edge[k] = xi[beyond[k]] * (bound / math.sqrt(square[beyond[k]]))
+    _values(power, c, edge, there)
+    for k in range(beyond.size):
+        i = beyond[k]
+        out[i] = min(out[i], there[k] - _FALL * (square[i] - bound * bound))
+
+
+@jit
+def _values(power, c, xi, out):
+    table, product = np.empty((xi.shape[1], power.max() + 1, _AT_ONCE)), np.empty(_AT_ONCE)
+    for start in range(0, out.size, _AT_ONCE):
+        some, values = xi[start : start + _AT_ONCE], out[start : start + _AT_ONCE]
+        _tabulate(some, table)
+        values[:] = 0.0
+        for j in range(c.size):
+            _multiply(power[j], table, product)
+            for i in range(values.size):
+                values[i] += c[j] * product[i]
 
 
 @jit
 def averages(power, xi, mass, first, second):
     """Averages of polynomials of powers (M, n) over points (N, n) of weights (N,), and of their squares."""
-    (M, n), table = power.shape, np.empty((xi.shape[1], power.max() + 1))
+    (N, n), M = xi.shape, power.shape[0]
+    table, product = np.empty((n, power.max() + 1, _AT_ONCE)), np.empty(_AT_ONCE)
     first[:] = 0.0
     second[:] = 0.0
-    for i in range(xi.shape[0]):
-        _tabulate(xi[i], 1.0, table)
+    for start in range(0, N, _AT_ONCE):
+        some, own = xi[start : start + _AT_ONCE], mass[start : start + _AT_ONCE]
+        _tabulate(some, table)
         for j in range(M):
-            product = 1.0
-            for a in range(n):
-                product *= table[a, power[j, a]]
-            first[j] += mass[i] * product
-            second[j] += mass[i] * product**2
+            _multiply(power[j], table, product)
+            once, twice = _sums(own, product)
+            first[j] += once
+            second[j] += twice
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
+def _sums(own, product):
+    """Weighted sums of products and of their squares, in any order, as vector instructions want it."""
+    once = twice = 0.0
+    for i in range(own.size):
+        part = own[i] * product[i]
+        once += part
+        twice += part * product[i]
+    return once, twice
 
 
 @jit
-def _tabulate(x, scale, table):
-    """Orthonormal polynomials of one variable at the coordinates `scale` x (n,), into table (n, top + 1)."""
-    for a in range(x.size):
-        table[a, 0] = 1.0
+def _tabulate(x, table):
+    """Orthonormal polynomials of each coordinate of points x (K, n), into table (n, top + 1, K)."""
+    for a in range(x.shape[1]):
+        for i in range(x.shape[0]):
+            table[a, 0, i] = 1.0
         for k in range(table.shape[1] - 1):
-            below = math.sqrt(k) * table[a, k - 1] if k > 0 else 0.0
-            table[a, k + 1] = (scale * x[a] * table[a, k] - below) / math.sqrt(k + 1.0)
+            down, up = math.sqrt(k), 1.0 / math.sqrt(k + 1.0)
+            for i in range(x.shape[0]):
+                below = down * table[a, k - 1, i] if k > 0 else 0.0
+                table[a, k + 1, i] = (x[i, a] * table[a, k, i] - below) * up
 
 
 @jit
-def _value(power, c, x, scale, table):
-    """sum_j c_j h_j at the point `scale` x (n,)."""
-    M, n = power.shape
-    _tabulate(x, scale, table)
-    total = 0.0
-    for j in range(M):
-        product = c[j]
-        for a in range(n):
-            product *= table[a, power[j, a]]
-        total += product
-    return total
+def _multiply(power, table, product):
+    """The product of one variable's polynomials of powers (n,), at all points of a table (n, top + 1, K)."""
+    for i in range(product.size):
+        product[i] = 1.0
+    for a in range(power.size):
+        if power[a] > 0:
+            for i in range(product.size):
+                product[i] *= table[a, power[a], i]
 
 
 def bound(n):

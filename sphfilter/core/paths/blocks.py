@@ -18,7 +18,7 @@ from ..sde_steps import platen_steps, shifted_path_steps, split_steps
 from .normals import LANES, fill_normals, seed_lanes
 from .step_length import SHIFTED_PATH, SPLIT, step_length
 
-__all__ = ["MOST_STEPS", "move_blocks", "standard_normals"]
+__all__ = ["MOST_STEPS", "fill_rows", "move_blocks", "standard_normals"]
 
 #: Steps between two looks at the step length, and the most steps a block may take.
 _STEPS_PER_LOOK, MOST_STEPS = 4, 1_000_000
@@ -280,12 +280,13 @@ def move_blocks():
 def standard_normals(seed, N, k):
     """Return independent standard normals, shape (N, k)."""
     out = np.empty((N, k))
-    _fill_rows(seed, out)
+    fill_rows(seed, out)
     return out
 
 
 @jit
-def _fill_rows(seed, out):
+def fill_rows(seed, out):
+    """Fill out (N, k) with independent standard normals."""
     state, rows = np.empty((6, LANES), dtype=np.uint64), np.empty((out.shape[1], LANES))
     for b in range(-(-out.shape[0] // LANES)):
         seed_lanes(np.uint64(seed), np.uint64(b), state)
