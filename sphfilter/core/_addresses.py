@@ -1,7 +1,7 @@
 """Functions by address: a compiled loop is entered in a microsecond, not sixty for each function.
 
 Numba looks a jitted function up in its tables every time one is passed from Python as a first-class value.
-Its addresses never change, so they are looked up once and passed as numbers; compiled code makes them a value
+Its address never changes, so it is looked up once and passed as a number; compiled code makes it a value
 of a function's type again. Exceptions come through as ever.
 
 The large parts of a compiled loop come the same way. Where compiled code calls a jitted function by name,
@@ -19,10 +19,12 @@ from numba.extending import intrinsic
 
 from ._jit import BATCH, BATCH_FUNCTION
 
-__all__ = ["ADDRESS", "Entry", "address_of", "addresses", "function_at"]
+__all__ = ["ADDRESS", "NOWHERE_AT", "Entry", "address_of", "addresses", "function_at"]
 
-#: Type of what `address_of` returns: entry for compiled callers, entry for C.
-ADDRESS = types.UniTuple(types.uint64, 2)
+#: Type of what `address_of` returns.
+ADDRESS = types.uint64
+#: Stands for a function that is not called.
+NOWHERE_AT = np.uint64(0)
 
 _KNOWN = WeakKeyDictionary()
 
@@ -35,21 +37,28 @@ class Entry:
     function : dispatcher
     arguments : tuple
         Numba types; an `Entry` where a function of its type is passed.
+    returns : type, optional
+        Numba's, of what the function returns. Where it is given, compiled code that may call the function
+        does not wait for it to be compiled: what is never called never is.
     """
 
-    def __init__(self, function, arguments):
-        self._function, self._given = function, arguments
+    def __init__(self, function, arguments, returns=None):
+        self._function, self._given, self._returns = function, arguments, returns
         self.at = _function_of(lambda: self.type)
 
     @property
     def type(self):
-        """Type of the function as a value; compiles or loads it."""
+        """Type of the function as a value; compiles or loads it, unless what it returns is known."""
+        if self._returns is not None:
+            return types.FunctionType(self._returns(*self._arguments))
         return types.FunctionType(_compiled(self._function, self._arguments).signature)
 
     @cached_property
     def address(self):
-        """The two addresses; compiles or loads the function."""
-        return _addresses(_compiled(self._function, self._arguments))
+        """The address; compiles or loads the function."""
+        compiled = _compiled(self._function, self._arguments)
+        assert self._returns in (None, compiled.signature.return_type)
+        return _address(compiled)
 
     @property
     def _arguments(self):
@@ -62,42 +71,42 @@ def _compiled(function, arguments):
     return function.overloads[arguments]
 
 
-def _addresses(compiled):
-    names = compiled.fndesc.llvm_func_name, compiled.fndesc.llvm_cfunc_wrapper_name
-    return tuple(np.uint64(compiled.library.get_pointer_to_function(name)) for name in names)
+def _address(compiled):
+    return np.uint64(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
 def address_of(function):
-    """Return the two addresses of an `Entry` or of a jitted function of signature `BATCH`.
+    """Return the address of an `Entry` or of a jitted function of signature `BATCH`.
 
-    The function must outlive their use.
+    The function must outlive its use.
     """
     if isinstance(function, Entry):
         return function.address
     if function not in _KNOWN:
-        _KNOWN[function] = _addresses(_compiled(function, BATCH.args))
+        _KNOWN[function] = _address(_compiled(function, BATCH.args))
     return _KNOWN[function]
 
 
 def addresses(kind, *functions):
-    """Return a named tuple of a kind that holds the addresses of functions, as `address_of` takes them."""
-    return kind(*[address_of(function) for function in functions])
+    """Return a named tuple of a kind that holds the addresses of functions, as `address_of` takes them.
+
+    None stands for a function that is not called, and not compiled.
+    """
+    return kind(*[NOWHERE_AT if function is None else address_of(function) for function in functions])
 
 
 def _function_of(type_of):
-    """Make what turns addresses into a first-class function of a type, in compiled code."""
+    """Make what turns an address into a first-class function of a type, in compiled code."""
 
     @intrinsic
-    def at(typing_context, addresses):
+    def at(typing_context, address):
         type_ = type_of()
 
         def codegen(context, builder, signature, arguments):
             function = cgutils.create_struct_proxy(type_)(context, builder)
             pointer = context.get_value_type(types.voidptr)
-            compiled, c = (builder.extract_value(arguments[0], i) for i in range(2))
-            function.jit_addr = builder.inttoptr(compiled, pointer)
-            function.c_addr = builder.inttoptr(c, pointer)
-            function.py_addr = context.get_constant_null(types.voidptr)
+            function.jit_addr = builder.inttoptr(arguments[0], pointer)
+            function.c_addr = function.py_addr = context.get_constant_null(types.voidptr)
             return function._getvalue()
 
         return type_(ADDRESS), codegen
@@ -105,5 +114,5 @@ def _function_of(type_of):
     return at
 
 
-#: Makes addresses a model's function.
+#: Makes an address a model's function.
 function_at = _function_of(lambda: BATCH_FUNCTION)

@@ -59,7 +59,8 @@ def jit(function):
     Cached on disk, but for private functions: their code is part of those that call them.
     """
     private = function.__name__.startswith("_")
-    return njit(_named_for_the_cache(function), cache=not private, error_model="numpy")
+    options = {"cache": not private, "error_model": "numpy", "no_cfunc_wrapper": True}  # C does not call them
+    return njit(_named_for_the_cache(function), **options)
 
 
 def parallel_jit(function):

@@ -18,9 +18,9 @@ class Equations(NamedTuple):
     `function_at` makes functions again.
     """
 
-    drift: tuple
-    diffusion: tuple
-    divergence: tuple
+    drift: int
+    diffusion: int
+    divergence: int
     p: np.ndarray  # parameters of the model
     D: np.ndarray  # (n, n), used where neither time nor state changes it
     rows: np.ndarray  # numbers of the rows of D that are not zero

@@ -6,6 +6,7 @@ matrices are stored row-major in the columns.
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 
 from .._types import BatchFunction, Floats
 from .compile import batch
@@ -20,7 +21,7 @@ __all__ = [
 _STEP = np.finfo(float).eps ** (1 / 3)
 
 
-@njit(error_model="numpy")
+@register_jitable
 def scales(D: Floats) -> Floats:
     """Return roots of the diagonal of D (n, n), one where it is zero: in units of them D has a unit diagonal.
 

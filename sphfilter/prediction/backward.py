@@ -14,7 +14,7 @@ from .._types import Floats, OfStates
 from ..core._addresses import addresses, function_at
 from ..core._jit import jit
 from ..core.characteristics.aim import AIMED
-from ..core.characteristics.expectation import BACK, Step
+from ..core.characteristics.expectation import BACK, EXPECTED, REFLECTED, Step
 from ..core.characteristics.noise_paths import Noise
 from ..core.characteristics.step_limits import driven_error
 from ..core.field.field import Field
@@ -40,10 +40,12 @@ back_at, aim_at = BACK.at, AIMED.at
 class _Entries(NamedTuple):
     """Addresses of what a step back calls."""
 
-    drift: tuple[int, int]
-    divergence: tuple[int, int]
-    aim: tuple[int, int]
-    back: tuple[int, int]
+    drift: int
+    divergence: int
+    aim: int
+    back: int
+    expected: int
+    reflected: int  # nowhere if no axis ends at a wall
 
 
 class _Leg(NamedTuple):
@@ -92,7 +94,9 @@ def carried_back(model: SDE, found: Field, prior: ParticleDensity, t1: float) ->
         begin, end = after if before <= begin else begin, before if end <= after else end
     noise = noise_between(model, begin, end, mean)[0]._replace(constant_divergence=True)
     drift, none = model.flow_drift_batch, shared(zeros)
-    entries, rule = addresses(_Entries, drift, none, AIMED, BACK), paths(noise.G.shape[1], _QUADRATURE)
+    reflected = REFLECTED if noise.low.size else None
+    entries = addresses(_Entries, drift, none, AIMED, BACK, EXPECTED, reflected)
+    rule = paths(noise.G.shape[1], _QUADRATURE)
     x, mass, L = np.array(prior.x), np.array(prior.mass), np.linalg.cholesky(prior.cov())
     with surfacing():
         parts = _parts(entries, noise, x, mass, L, begin, end - begin)
@@ -122,7 +126,10 @@ def _ahead(
     """λ (M,) at the states X (M, n) before a step of the noise."""
     drift, divergence = function_at(entries.drift), function_at(entries.divergence)
     response = aim_at(entries.aim)(drift, noise, field, centre, leg.t, -leg.h, leg.parts)
-    step = Step(drift, divergence, noise, field, sten, paths, response, leg.t, -leg.h, leg.parts, leg.blurred)
+    step = Step(
+        drift, divergence, noise, field, sten, paths, response, leg.t, -leg.h, leg.parts, leg.blurred,
+        entries.expected, entries.reflected,
+    )  # fmt: skip
     out = np.empty(X.shape[0])
     back_at(entries.back)(step, X, -np.inf, out)
     return out

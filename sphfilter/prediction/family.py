@@ -10,7 +10,7 @@ from ..config import FamilyScheme
 from ..core._addresses import address_of
 from ..core.family.basis import basis
 from ..core.family.march import STATUS, Control, Report, march
-from ..core.family.rates import Flow
+from ..core.family.rates import RATES, Flow
 from ..core.family.rules import degrees
 from ..density.as_family import family_density, family_of
 from ..density.family import OF_MISFIT, Family
@@ -141,6 +141,7 @@ def flow_of(model: SDE) -> Flow:
         np.ascontiguousarray(model.diffusion(np.zeros((1, n)), 0.0)[0]) if constant else np.zeros((n, n)),
         not constant and not model.state_dependent_noise,
         model.state_dependent_noise,
+        address_of(RATES),
     )
 
 

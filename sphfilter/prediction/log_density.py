@@ -29,11 +29,11 @@ from ..core.characteristics.control import (
     VOLUME,
     Control,
 )
-from ..core.characteristics.expectation import BACK, BACK_IN_BLOCKS
+from ..core.characteristics.expectation import BACK, BACK_IN_BLOCKS, EXPECTED, REFLECTED
 from ..core.characteristics.flood import LAY
 from ..core.characteristics.judge import BETWEEN, JUDGE
 from ..core.characteristics.march import Entries, march, needed
-from ..core.characteristics.noise_paths import Noise, Paths
+from ..core.characteristics.noise_paths import ALONG, Noise, Paths
 from ..core.characteristics.step_choice import CHOOSE
 from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
@@ -199,10 +199,11 @@ def noise_between(model: SDE, t0: float, t1: float, around: Floats) -> tuple[Noi
     """The noise from t0 to t1, and steps that see it change around a state (n,)."""
     if not model.state_dependent_noise:
         G, slices = _noise_factor(model, t0, t1)
-        return Noise(G, model.p, not model.constant_diffusion, model.linear), slices
+        own = Noise(G, model.p, not model.constant_diffusion, model.linear)
+        return own._replace(along=address_of(ALONG)), slices
     slices = 1 if model.autonomous else noise_samples(model, t0, t1, around)[1]
-    G, columns = np.zeros((model.dim, model.n_columns)), np.array(address_of(model.noise_columns_batch))
-    return Noise(G, model.p, True, False, True, columns), slices
+    G, columns = np.zeros((model.dim, model.n_columns)), address_of(model.noise_columns_batch)
+    return Noise(G, model.p, True, False, True, columns, along=address_of(ALONG)), slices
 
 
 def _held_by_walls(model: SDE, density: ParticleDensity) -> str:
@@ -252,9 +253,11 @@ def _entries(model: SDE, threads: bool) -> Entries:
     if threads:
         start_threads()
     own = model.flow_drift_batch, model.flow_divergence_batch, model.diffusion_batch
+    reflected = REFLECTED if model.domain.walled.any() else None
     return addresses(
-        Entries, *own, BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, JUDGE, LAY, BETWEEN, BUILD
-    )
+        Entries, *own, BACK_IN_BLOCKS if threads else BACK, CHOOSE, AIMED, JUDGE, LAY, BETWEEN, BUILD,
+        EXPECTED, reflected,
+    )  # fmt: skip
 
 
 #: What a march is given up with, by its status.

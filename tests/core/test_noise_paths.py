@@ -7,11 +7,11 @@ from scipy.integrate import solve_ivp
 from scipy.stats import multivariate_normal
 
 import sphfilter as sf
-from sphfilter.core._addresses import address_of, function_at
+from sphfilter.core._addresses import NOWHERE_AT, address_of, function_at
 from sphfilter.core._jit import jit, start_threads
 from sphfilter.core.characteristics.aim import aimed
-from sphfilter.core.characteristics.expectation import Step, back, back_in_blocks
-from sphfilter.core.characteristics.noise_paths import Noise, Pull, along, noise_factor_at, unblurred
+from sphfilter.core.characteristics.expectation import EXPECTED, Step, back, back_in_blocks
+from sphfilter.core.characteristics.noise_paths import ALONG, Noise, Pull, along, noise_factor_at, unblurred
 from sphfilter.core.field.fitting import build_field
 from sphfilter.core.field.stencils import stencils
 from sphfilter.prediction.log_density import paths
@@ -33,7 +33,7 @@ def _ends(addresses, noise, x, t, h, parts, straight, bend):
     end, action, alone = np.empty_like(x), np.empty(x.shape[0]), np.empty_like(x)
     pull = Pull(straight, bend, straight[:0])
     along(drift, divergence, noise, x, f, d, t, h, parts, pull, end, action)
-    along(drift, None, noise, x, f, d, t, h, parts, pull, alone, action)
+    along(drift, drift, noise, x, f, d, t, h, parts, pull, alone, action[:0])
     return end, action, alone
 
 
@@ -56,7 +56,8 @@ def _back(addresses, noise, field, sten, rule, times, parts, Y, floor, threads):
     drift, divergence = function_at(addresses[0]), function_at(addresses[1])
     h, out = times[1] - times[0], np.empty(Y.shape[0])
     aim = aimed(drift, noise, field, field.mu, times[1], h, parts)
-    step = Step(drift, divergence, noise, field, sten, rule, aim, times[1], h, parts, True)
+    own = addresses[2], NOWHERE_AT
+    step = Step(drift, divergence, noise, field, sten, rule, aim, times[1], h, parts, True, own[0], own[1])
     if threads is None:  # noqa: SIM108 by type, so that the branch not taken is not compiled
         full = back(step, Y, floor, out)
     else:
@@ -70,11 +71,12 @@ def _factor(addresses, x, t, noise):
 
 
 def noise_of(model, G):
-    return Noise(np.asarray(G, float), model.p, not model.constant_diffusion, model.linear)
+    own = Noise(np.asarray(G, float), model.p, not model.constant_diffusion, model.linear)
+    return own._replace(along=address_of(ALONG))
 
 
 def addresses_of(model):
-    return tuple([address_of(function) for function in (model.drift_batch, model.divergence_batch)])
+    return tuple([address_of(function) for function in (model.drift_batch, model.divergence_batch, EXPECTED)])
 
 
 def ends(model, x, t, h, parts, straight, bend):

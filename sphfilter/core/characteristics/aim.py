@@ -15,7 +15,7 @@ from .._addresses import Entry
 from .._jit import BATCH_FUNCTION, VECTOR, jit
 from ..field.field import FIELD
 from ..small_matrices import cholesky, invert_lower
-from .noise_paths import NOISE, along, displace, pushes, unblurred
+from .noise_paths import NOISE, along_at, displace, pushes, unblurred
 
 __all__ = ["AIM", "AIMED", "Aim", "aimed", "centred", "leg_ends", "response", "rooted"]
 
@@ -47,7 +47,7 @@ def leg_ends(drift, noise, Y, t1, h, parts, legs, w, end):
     """
     M, n = Y.shape
     K = w.shape[1] // legs
-    f, action, own = np.empty((M, n)), np.empty(M), np.empty(K)
+    f, own, along, unasked = np.empty((M, n)), np.empty(K), along_at(noise.along), np.empty(0)
     push, start = pushes(noise, h / legs), Y.copy()
     pull = unblurred(M, push.shape[1])
     for leg in range(legs):
@@ -57,7 +57,7 @@ def leg_ends(drift, noise, Y, t1, h, parts, legs, w, end):
                 own[k] = w[i, first + k]
             displace(push, own, pull, i)
         drift(start, t, noise.p, f)
-        along(drift, None, noise, start, f, f, t, -h / legs, parts, pull, end, action)
+        along(drift, drift, noise, start, f, f, t, -h / legs, parts, pull, end, unasked)
         for i in range(M):
             for a in range(n):
                 start[i, a] = end[i, a]

@@ -11,16 +11,19 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange, types
 
-from .._addresses import Entry
+from .._addresses import ADDRESS, Entry
 from .._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit, parallel_jit
 from ..field.cells import LOWEST
 from ..field.field import FIELD, Field, evaluate, slopes
 from ..field.stencils import STENCILS, Stencils
 from .aim import AIM, Aim, centred, leg_ends, response, rooted
-from .noise_paths import NOISE, PATHS, Noise, Paths, Pull, along, blurring, displace, pushes, unblurred
+from .noise_paths import NOISE, PATHS, Noise, Paths, Pull, along_at, blurring, displace, pushes, unblurred
 from .reflection import reflected
 
-__all__ = ["BACK", "BACK_IN_BLOCKS", "STEP", "Step", "back", "back_in_blocks", "back_in_halves"]
+__all__ = [
+    "BACK", "BACK_IN_BLOCKS", "EXPECTED", "REFLECTED", "STEP", "Step", "back", "back_in_blocks", "back_in_halves",
+    "expected",
+]  # fmt: skip
 
 _SURE = 1.0  # nats below the last level kept, from which one path will do
 _BLURRED = 2  # noises up to which paths are bent, and leave a bridge
@@ -44,6 +47,8 @@ class Step(NamedTuple):
     h: float
     parts: int  # Runge-Kutta steps of a path
     blurred: bool  # drift and divergence are averaged over what paths leave of the noise
+    expected: int  # address of the function of that name
+    reflected: int  # the same; nowhere if no axis ends at a wall
 
 
 @jit
@@ -60,10 +65,11 @@ def back(step, Y, floor, out):
     push, end, action = pushes(noise, h), np.empty((M, n)), np.zeros(M)
     pull = unblurred(M, push.shape[1])
     owner, slope, centre = np.empty(M, np.int64), np.empty((M, n)), np.zeros((M, K))
+    along = along_at(noise.along)
     step.drift(Y, t1, noise.p, f1)
     step.divergence(Y, t1, noise.p, d1)
     if K > 0:
-        along(step.drift, None, noise, Y, f1, d1, t1, -h, step.parts, pull, end, action)
+        along(step.drift, step.drift, noise, Y, f1, d1, t1, -h, step.parts, pull, end, np.empty(0))
         slopes(step.field, step.sten, end, owner, slope)
         centre = centred(aim, owner, slope)
         for i in range(M):
@@ -71,7 +77,7 @@ def back(step, Y, floor, out):
     along(step.drift, step.divergence, noise, Y, f1, d1, t1, -h, step.parts, pull, end, action)
     evaluate(step.field, step.sten, end, out)
     if noise.low.size > 0:
-        reflected(step, t1 - h, end, out)
+        reflected_at(step.reflected)(step, t1 - h, end, out)
     for i in range(M):
         out[i] += action[i]
         if K > 0:
@@ -86,7 +92,8 @@ def back(step, Y, floor, out):
     for i in range(high.size):
         owner[i] = owner[high[i]]
     log_p = np.empty(high.size)
-    _expected(step, aim, _rows(Y, high), _rows(f1, high), _rows(d1, high), _rows(centre, high), owner, log_p)
+    some = _rows(Y, high), _rows(f1, high), _rows(d1, high), _rows(centre, high)
+    expected_at(step.expected)(step, aim, some[0], some[1], some[2], some[3], owner, log_p)
     for i in range(high.size):
         out[high[i]] = log_p[i]
     return high.size
@@ -107,12 +114,14 @@ def back_in_halves(step, around, Y, out):
     slopes(step.field, step.sten, end, owner, slope)
     tail, f1, d1 = np.empty((M, n, n)), np.empty((M, n)), np.empty((M, 1))
     for i in range(M):
-        tail[i] = step.field.tail[owner[i]]
+        for a in range(n):
+            for b in range(n):
+                tail[i, a, b] = step.field.tail[owner[i], a, b]
         owner[i] = i
     aim = rooted(B, tail)
     step.drift(Y, step.t1, step.noise.p, f1)
     step.divergence(Y, step.t1, step.noise.p, d1)
-    _expected(step, aim, Y, f1, d1, centred(aim, owner, slope), owner, out)
+    expected_at(step.expected)(step, aim, Y, f1, d1, centred(aim, owner, slope), owner, out)
 
 
 @jit
@@ -143,7 +152,7 @@ def _rows(values, which):
 
 
 @jit
-def _expected(step, aim, Y, f1, d1, centre, owner, out):
+def expected(step, aim, Y, f1, d1, centre, owner, out):
     """Logarithm of the expectation over the paths back from states Y (M, n), in the legs that an aim is for.
 
     All paths of some states go at once: calls of the model's functions are few, and long.
@@ -194,14 +203,16 @@ def _brought_by_legs(step, aim, Y, f1, d1, centre, owner):
             pull = Pull(pull.straight, pull.bend, np.empty((R, push.shape[1])))
         _displaced(step.noise, aim, paths, centre, owner, drawn, low, push, pull, value)
         end, action = np.empty((R, n)), np.empty(R)
-        along(step.drift, step.divergence, step.noise, start, f, d, t, -h, parts, pull, end, action)
+        along_at(step.noise.along)(
+            step.drift, step.divergence, step.noise, start, f, d, t, -h, parts, pull, end, action
+        )
         for r in range(R):
             value[r] += action[r]
         start = end
     log_p = np.empty(value.size)
     evaluate(step.field, step.sten, start, log_p)
     if step.noise.low.size > 0:
-        reflected(step, step.t1 - step.h, start, log_p)
+        reflected_at(step.reflected)(step, step.t1 - step.h, start, log_p)
     for r in range(value.size):
         value[r] = _brought(value[r] + log_p[r])
     return value
@@ -213,7 +224,9 @@ def _branched(paths, M, rows):
     Q, (R, k) = paths.log_weight.size, rows.shape
     out = np.empty((R * Q, k))
     for c in range(R // M * Q):
-        out[c * M : (c + 1) * M] = rows[c // Q * M : (c // Q + 1) * M]
+        for i in range(M):
+            for a in range(k):
+                out[c * M + i, a] = rows[c // Q * M + i, a]
     return out
 
 
@@ -259,22 +272,33 @@ def back_in_blocks(step, Y, floor, out):
     full = np.zeros((Y.shape[0] + _BLOCK - 1) // _BLOCK, np.int64)
     _blocks(
         step.drift, step.divergence, step.noise, step.field, step.sten, step.paths, step.aim, step.t1, step.h,
-        step.parts, step.blurred, Y, floor, out, full,
+        step.parts, step.blurred, step.expected, step.reflected, Y, floor, out, full,
     )  # fmt: skip
     return full.sum()
 
 
 @parallel_jit
-def _blocks(drift, divergence, noise, field, sten, paths, aim, t1, h, parts, blurred, Y, floor, out, full):
+def _blocks(
+    drift, divergence, noise, field, sten, paths, aim, t1, h, parts, blurred, expected, reflected, Y, floor,
+    out, full,
+):  # fmt: skip
     """The loop of `back_in_blocks`; numba hands threads tuples of arrays, but no tuples of tuples."""
     for block in prange(full.size):
-        step = Step(drift, divergence, noise, field, sten, paths, aim, t1, h, parts, blurred)
+        step = Step(
+            drift, divergence, noise, field, sten, paths, aim, t1, h, parts, blurred, expected, reflected
+        )
         first, last = block * _BLOCK, min((block + 1) * _BLOCK, Y.shape[0])
         full[block] = back(step, Y[first:last], floor, out[first:last])
 
 
 #: Numba's type of a `Step`.
 _NUMBERS = types.float64, types.float64, types.int64, types.boolean
-STEP = types.NamedTuple([BATCH_FUNCTION, BATCH_FUNCTION, NOISE, FIELD, STENCILS, PATHS, AIM, *_NUMBERS], Step)
+STEP = types.NamedTuple(
+    [BATCH_FUNCTION, BATCH_FUNCTION, NOISE, FIELD, STENCILS, PATHS, AIM, *_NUMBERS, ADDRESS, ADDRESS], Step
+)
+#: What is entered by address in a step: loops of paths, and walls where there are any.
+EXPECTED = Entry(expected, (STEP, AIM, MATRIX, MATRIX, MATRIX, MATRIX, types.int64[::1], VECTOR), types.void)
+REFLECTED = Entry(reflected, (STEP, types.float64, MATRIX, VECTOR), types.void)
+expected_at, reflected_at = EXPECTED.at, REFLECTED.at
 #: `back` and `back_in_blocks` by their addresses.
 BACK, BACK_IN_BLOCKS = (Entry(f, (STEP, MATRIX, types.float64, VECTOR)) for f in (back, back_in_blocks))

@@ -68,16 +68,18 @@ judge_at, between_at = JUDGE.at, BETWEEN.at
 class Entries(NamedTuple):
     """Addresses of what the march calls."""
 
-    drift: tuple
-    divergence: tuple
-    diffusion: tuple
-    back: tuple  # or `back_in_blocks`
-    choose: tuple
-    aim: tuple
-    judge: tuple
-    lay: tuple
-    between: tuple
-    build: tuple
+    drift: int
+    divergence: int
+    diffusion: int
+    back: int  # or `back_in_blocks`
+    choose: int
+    aim: int
+    judge: int
+    lay: int
+    between: int
+    build: int
+    expected: int
+    reflected: int  # nowhere if no axis ends at a wall
 
 
 @jit
@@ -165,7 +167,10 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
             return field, x, m, mean, P, pick.code
         h, parts, t1 = pick.h, pick.parts, times[0] + pick.h
         response = aim(drift, noise, field, pick.mean, t1, h, parts)
-        step = Step(drift, divergence, noise, field, sten, paths, response, t1, h, parts, pick.blurred)
+        step = Step(
+            drift, divergence, noise, field, sten, paths, response, t1, h, parts, pick.blurred,
+            entries.expected, entries.reflected,
+        )  # fmt: skip
         error = judge(back, step, pick.mean, m, pick.ends)
         if h > shorter:
             if error * shorter < own * h:  # less goes wrong by the second: what is seen is the lattice's own

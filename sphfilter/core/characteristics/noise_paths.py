@@ -9,21 +9,22 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import typeof
+from numba import typeof, types
 
-from .._addresses import function_at
-from .._jit import jit
+from .._addresses import NOWHERE_AT, Entry, function_at
+from .._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit
 from ..field.walls import NOWHERE
 from ..small_matrices import eigen
 
 __all__ = [
-    "ADDITIVE",
+    "ALONG",
     "NOISE",
     "PATHS",
     "Noise",
     "Paths",
     "Pull",
     "along",
+    "along_at",
     "averaged",
     "blurring",
     "displace",
@@ -35,8 +36,6 @@ __all__ = [
 
 #: A twist c u (1 - 2 u), the opposite in the second half: of mean variance 1 / 15, which other paths lack.
 _TWIST = math.sqrt(8.0)
-#: Stands for the columns of noise that does not depend on the state.
-ADDITIVE = np.zeros(2, np.uint64)
 
 
 class Noise(NamedTuple):
@@ -47,11 +46,10 @@ class Noise(NamedTuple):
     time_dependent: bool
     constant_divergence: bool
     state_dependent: bool = False
-    columns: np.ndarray = (
-        ADDITIVE  # address of the batch function of G(x), and of its columns' divergences below
-    )
+    columns: int = NOWHERE_AT  # address of the batch function of G(x), and its columns' divergences below
     low: np.ndarray = NOWHERE  # (n,) walls, low and high, that no path passes; empty if no axis ends
     high: np.ndarray = NOWHERE
+    along: int = NOWHERE_AT  # address of the function of that name
 
 
 class Paths(NamedTuple):
@@ -91,7 +89,7 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
     Parameters
     ----------
     drift, divergence : function
-        Of signature `BATCH`; the divergence may be None.
+        Of signature `BATCH`.
     noise : Noise
     x : ndarray, shape (M, n)
         States where the paths start.
@@ -106,7 +104,7 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
     end : ndarray, shape (M, n), written
         States where the paths end.
     action : ndarray, shape (M,), written
-        Integral of the divergence along each path, unless the divergence is None.
+        Integral of the divergence along each path; if empty, the divergence is not asked.
     """
     M, n = x.shape
     parts *= 2 if noise.state_dependent else 1
@@ -118,10 +116,8 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
     other = np.empty((M if blur.size > 0 else 0, n))
     for e in range(E):
         ends[e] = zs[e]
-    d = d1.copy()
-    if divergence is not None:
-        for i in range(M):
-            action[i] = 0.0
+    d, integrated = d1.copy(), action.size > 0
+    action[:] = 0.0
     for stage in range(4 * parts):
         k = stage % 4
         u = (stage // 4 + (0.0 if k == 0 else 1.0 if k == 3 else 0.5)) / parts
@@ -130,18 +126,18 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
             left = 0.0
         if stage > 0 and (blur.size == 0 or left <= 0.0):
             drift(y, t + u * h, noise.p, f)
-            if divergence is not None and not noise.constant_divergence:
+            if integrated and not noise.constant_divergence:
                 divergence(y, t + u * h, noise.p, d)
         elif stage > 0:
             averaged(drift, y, t + u * h, noise.p, blur, math.sqrt(left), other, f)
-            if divergence is not None and not noise.constant_divergence:
+            if integrated and not noise.constant_divergence:
                 averaged(divergence, y, t + u * h, noise.p, blur, math.sqrt(left), other, d)
         if noise.state_dependent:
             driven(noise, z if stage == 0 else y, t + u * h, pull, u, stage < 2 * parts, h, columns, f, d)
         c = step / 6.0 if k in (0, 3) else step / 3.0
         ahead, v = (step if k == 2 else 0.5 * step), u + (0.5 / parts if k in (0, 2) else 0.0)
         bent = 6.0 * v * (1.0 - v)
-        if divergence is not None:
+        if integrated:
             for i in range(M):
                 action[i] += c * d[i, 0]
         for e in range(E):
@@ -168,7 +164,7 @@ def driven(noise, y, t, pull, u, early, h, columns, f, d):
     early: u is seen from the first half, where both meet.
     """
     n, m = y.shape[1], pull.straight.shape[1]
-    function_at((noise.columns[0], noise.columns[1]))(y, t, noise.p, columns)
+    function_at(noise.columns)(y, t, noise.p, columns)
     for i in range(y.shape[0]):
         for k in range(m):
             rate = (pull.straight[i, k] + 6.0 * (1.0 - 2.0 * u) * pull.bend[i, k]) / h
@@ -271,14 +267,29 @@ def noise_factor_at(diffusion, x, t, noise):
 def freeze(x, m, t, noise):
     """G at time t in the mean of states x (N, n) with masses m."""
     n, k = noise.G.shape
-    mean, total, row = np.zeros((1, n)), m.sum(), np.empty((1, (n + 1) * k))
+    mean, total, row = np.zeros((1, n)), 0.0, np.empty((1, (n + 1) * k))
+    for i in range(m.size):
+        total += m[i]
     for i in range(m.size):
         for a in range(n):
             mean[0, a] += m[i] / total * x[i, a]
-    function_at((noise.columns[0], noise.columns[1]))(mean, t, noise.p, row)
-    noise.G[:] = row[0, : n * k].reshape((n, k))
+    function_at(noise.columns)(mean, t, noise.p, row)
+    for a in range(n):
+        for b in range(k):
+            noise.G[a, b] = row[0, a * k + b]
 
 
 _VECTOR, _MATRIX = np.empty(1), np.empty((1, 1))
 #: Numba's types of `Noise` and `Paths`.
 NOISE, PATHS = typeof(Noise(_MATRIX, _VECTOR, False, False)), typeof(Paths(_VECTOR, _MATRIX, _VECTOR))
+#: `along` by its address.
+_PULL = typeof(Pull(_MATRIX, _MATRIX, _MATRIX))
+ALONG = Entry(
+    along,
+    (
+        BATCH_FUNCTION, BATCH_FUNCTION, NOISE, MATRIX, MATRIX, MATRIX, types.float64, types.float64,
+        types.int64, _PULL, MATRIX, VECTOR,
+    ),
+    types.void,
+)  # fmt: skip
+along_at = ALONG.at

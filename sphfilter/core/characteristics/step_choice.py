@@ -23,7 +23,7 @@ from .control import (
     STALLED,
     STATE,
 )
-from .noise_paths import NOISE, along, freeze, noise_factor_at, pushes, unblurred
+from .noise_paths import NOISE, along_at, freeze, noise_factor_at, pushes, unblurred
 from .step_limits import blur_share, driven_error, noise_limit, path_error, predicted
 
 __all__ = ["CHOOSE", "Choice", "chosen"]
@@ -80,6 +80,7 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     once, twice = np.empty(x.shape), np.empty(x.shape)
     f, still = np.empty(x.shape), unblurred(x.shape[0], pushes(noise, 1.0).shape[1])
     drift(x, t, noise.p, f)
+    along, unasked = along_at(noise.along), np.empty(0)
     if noise.state_dependent:
         freeze(x, m, t, noise)
     while True:
@@ -98,8 +99,8 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         if parts > _MOST_PARTS:
             state[LATTICE_STEP] = _MOST_PARTS * state[PATH_STEP]
             continue
-        along(drift, None, noise, x, f, f, t, h, parts, still, once, m)
-        along(drift, None, noise, x, f, f, t, h, 2 * parts, still, twice, m)
+        along(drift, drift, noise, x, f, f, t, h, parts, still, once, unasked)
+        along(drift, drift, noise, x, f, f, t, h, 2 * parts, still, twice, unasked)
         counters[EVALUATIONS] += 12 * parts * x.shape[0]
         error = path_error(once, twice, m, S) / control.tolerance
         if noise.state_dependent:

@@ -7,7 +7,7 @@ import numpy as np
 from .._jit import jit
 from ..field.walls import fold
 from ..small_matrices import moments, whiten
-from .noise_paths import along, averaged, displace, pushes, unblurred
+from .noise_paths import along_at, averaged, displace, pushes, unblurred
 
 __all__ = ["blur_share", "driven_error", "noise_limit", "path_error", "predicted"]
 
@@ -68,8 +68,9 @@ def driven_error(drift, noise, x, f, m, t, h, parts, L):
         for k in range(w.size):
             w[k] = math.sqrt(3.0) if (i >> k) % 2 else -math.sqrt(3.0)
         displace(push, w, pull, i)
-    along(drift, None, noise, x, f, f, t, h, parts, pull, once, m)
-    along(drift, None, noise, x, f, f, t, h, 2 * parts, pull, twice, m)
+    along, unasked = along_at(noise.along), np.empty(0)
+    along(drift, drift, noise, x, f, f, t, h, parts, pull, once, unasked)
+    along(drift, drift, noise, x, f, f, t, h, 2 * parts, pull, twice, unasked)
     return path_error(once, twice, m, L)
 
 
@@ -109,14 +110,14 @@ def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
         for a in range(n):
             X[i, a] = ahead[i, a]
     pushed, w = pushes(noise, h), np.zeros(2 * noise.G.shape[1])
-    pull = unblurred(N, pushed.shape[1])
+    pull, along, unasked = unblurred(N, pushed.shape[1]), along_at(noise.along), np.empty(0)
     for push in range(n_pushes):
         w[push // 2] = (1.0 if push % 2 else -1.0) * math.sqrt(width)
         for i in range(N):
             displace(pushed, w, pull, i)
         w[push // 2] = 0.0
         first = (push + 1) * N
-        along(drift, None, noise, x, f, f, t, h, parts, pull, X[first : first + N], M)
+        along(drift, drift, noise, x, f, f, t, h, parts, pull, X[first : first + N], unasked)
         for i in range(N):
             M[first + i] = m[i] * share
     fold(noise.low, noise.high, X)

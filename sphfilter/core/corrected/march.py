@@ -42,8 +42,8 @@ search_at, velocity_at = SEARCH.at, VELOCITY.at
 class Parts(NamedTuple):
     """Addresses of the large parts of a march."""
 
-    search: tuple
-    velocity: tuple  # due to diffusion
+    search: int
+    velocity: int  # due to diffusion
 
 
 def parts():

@@ -5,9 +5,9 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, typeof
+from numba import njit, types
 
-from .._jit import jit
+from .._jit import MATRIX, VECTOR, jit
 from ..monomials import up_to
 from .rules import rule
 
@@ -66,26 +66,47 @@ def values_at(power, c, xi, bound, out):
     _values(power, c, xi, out)
     if bound == np.inf:
         return
-    square = np.zeros(xi.shape[0])
-    for a in range(xi.shape[1]):
-        square += xi[:, a] ** 2
-    beyond = np.flatnonzero(square > bound * bound)
-    edge, there = np.empty((beyond.size, xi.shape[1])), np.empty(beyond.size)
-    for k in range(beyond.size):
-        edge[k] = xi[beyond[k]] * (bound / math.sqrt(square[beyond[k]]))
-    _values(power, c, edge, there)
-    for k in range(beyond.size):
-        i = beyond[k]
-        out[i] = min(out[i], there[k] - _FALL * (square[i] - bound * bound))
+    edge, further, count = np.empty(xi.shape), np.empty(xi.shape[0]), 0
+    for i in range(xi.shape[0]):
+        further[i] = _square(xi[i]) - bound * bound
+        if further[i] > 0.0:
+            for a in range(xi.shape[1]):
+                edge[count, a] = xi[i, a] * bound / math.sqrt(further[i] + bound * bound)
+            count += 1
+    there, k = np.empty(count), 0
+    _values(power, c, edge[:count], there)
+    for i in range(xi.shape[0]):
+        if further[i] > 0.0:
+            out[i] = min(out[i], there[k] - _FALL * further[i])
+            k += 1
+
+
+@jit
+def _square(xi):
+    total = 0.0
+    for a in range(xi.size):
+        total += xi[a] ** 2
+    return total
+
+
+@jit
+def _top(power):
+    """The highest power of powers (M, n)."""
+    top = 0
+    for j in range(power.shape[0]):
+        for a in range(power.shape[1]):
+            top = max(top, power[j, a])
+    return top
 
 
 @jit
 def _values(power, c, xi, out):
-    table, product = np.empty((xi.shape[1], power.max() + 1, _AT_ONCE)), np.empty(_AT_ONCE)
+    table, product = np.empty((xi.shape[1], _top(power) + 1, _AT_ONCE)), np.empty(_AT_ONCE)
     for start in range(0, out.size, _AT_ONCE):
         some, values = xi[start : start + _AT_ONCE], out[start : start + _AT_ONCE]
         _tabulate(some, table)
-        values[:] = 0.0
+        for i in range(values.size):
+            values[i] = 0.0
         for j in range(c.size):
             _multiply(power[j], table, product)
             for i in range(values.size):
@@ -96,9 +117,9 @@ def _values(power, c, xi, out):
 def averages(power, xi, mass, first, second):
     """Averages of polynomials of powers (M, n) over points (N, n) of weights (N,), and of their squares."""
     (N, n), M = xi.shape, power.shape[0]
-    table, product = np.empty((n, power.max() + 1, _AT_ONCE)), np.empty(_AT_ONCE)
-    first[:] = 0.0
-    second[:] = 0.0
+    table, product = np.empty((n, _top(power) + 1, _AT_ONCE)), np.empty(_AT_ONCE)
+    for j in range(M):
+        first[j] = second[j] = 0.0
     for start in range(0, N, _AT_ONCE):
         some, own = xi[start : start + _AT_ONCE], mass[start : start + _AT_ONCE]
         _tabulate(some, table)
@@ -150,4 +171,7 @@ def bound(n):
 
 
 #: Numba's type of a `Basis`.
-BASIS = typeof(basis(1, 2))
+_INTS = types.int64[:, ::1]
+BASIS = types.NamedTuple(
+    [_INTS, _INTS, MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, types.int64[::1]], Basis
+)

@@ -8,7 +8,7 @@ import numpy as np
 from .. import dormand_prince as dp
 from .._jit import jit
 from .frame import inverse, moments_of, moved, reframed, root_between, weigh
-from .rates import rates, work
+from .rates import RATES, work
 
 __all__ = ["STATUS", "Control", "Report", "march"]
 
@@ -20,6 +20,8 @@ _OFF, _ASTRAY = 0.15, 3.0  # of the moments in the frame: when it follows, and w
 _LEAST, _MOST = 0.2, 5.0  # variances in the frame, that one reframing goes to
 _TRIES = 5  # steps refused one after the other
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 5.0
+
+rates_at = RATES.at
 
 
 class Control(NamedTuple):
@@ -48,13 +50,14 @@ class Report(NamedTuple):
 @jit
 def march(flow, basis, control, y):
     """Carry y = (mu, A, c) from t to t1, in place; returns a `Report`."""
-    own, n = work(basis, flow.state_dependent), basis.xi.shape[1]
+    own, n, rates = work(basis, flow.state_dependent), basis.xi.shape[1], rates_at(flow.rates)
     k, trial, error = np.empty((7, y.size)), np.empty(y.size), np.empty(y.size)
     t, residual, stepping, steps, rejected, refused, asked = control.t, 0.0, 0.0, 0, 0, 0, 1
     before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
-    if not np.isfinite(k[0]).all():
+    speed = _norm(own, n, k[0])
+    if not math.isfinite(speed):
         return Report(NOT_FINITE, t, 0, 0, 1, 0.0, 0.0)
-    h = min(control.t1 - t, control.longest, control.tolerance**0.2 / max(_norm(own, n, k[0]), 1e-300))
+    h = min(control.t1 - t, control.longest, control.tolerance**0.2 / max(speed, 1e-300))
     while t < control.t1:
         if steps + rejected >= control.max_steps:
             return Report(TOO_MANY, t, steps, rejected, asked, residual, stepping)
@@ -77,7 +80,8 @@ def march(flow, basis, control, y):
         residual += 0.5 * h * (before + after)
         stepping += off * control.tolerance
         t, steps, refused = control.t1 if last else t + h, steps + 1, 0
-        y[:] = trial
+        for e in range(y.size):
+            y[e] = trial[e]
         h = min(h * min(_GROW, _SAFETY * max(off, 1e-10) ** -0.2), control.longest)
         followed = _follow(basis, y, 0.0 if t >= control.t1 else _OFF)
         if followed < 0 or not residual < control.most_residual:
@@ -86,14 +90,16 @@ def march(flow, basis, control, y):
             before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
             asked += 1
         else:
-            before, k[0] = after, k[6]
+            before = after
+            for e in range(y.size):  # not k[0] = k[6]: numba compiles forty functions for that
+                k[0, e] = k[6, e]
     return Report(OK, t, steps, rejected, asked, residual, stepping)
 
 
 @jit
 def _step(flow, basis, own, t, h, y, k, trial):
     """One step from y, whose rates are k[0]; returns the residual's rate at its end."""
-    left = 0.0
+    left, rates = 0.0, rates_at(flow.rates)
     for s in range(1, 7):
         for e in range(y.size):
             trial[e] = y[e]

@@ -12,26 +12,29 @@ in the ordinary terms of Ito. What the polynomials cannot follow is R less its p
 from typing import NamedTuple
 
 import numpy as np
+from numba import typeof, types
 
-from .._addresses import function_at
-from .._jit import jit
+from .._addresses import NOWHERE_AT, Entry, function_at
+from .._jit import VECTOR, jit
+from .basis import BASIS
 from .frame import inverse
 
-__all__ = ["Flow", "Work", "rates", "work"]
+__all__ = ["RATES", "Flow", "Work", "rates", "work"]
 
 
 class Flow(NamedTuple):
     """A model as families are carried by it: addresses of batch functions, and what needs no asking."""
 
-    drift: tuple
-    divergence: tuple  # of the drift
-    diffusion: tuple  # D
-    diffusion_divergence: tuple  # div D
-    diffusion_curvature: tuple  # div div D
+    drift: int
+    divergence: int  # of the drift
+    diffusion: int  # D
+    diffusion_divergence: int  # div D
+    diffusion_curvature: int  # div div D
     p: np.ndarray
     D: np.ndarray  # (n, n), used where neither time nor state changes it
     time_dependent: bool  # D depends on time
     state_dependent: bool  # D depends on the state
+    rates: int = NOWHERE_AT  # address of the function of that name
 
 
 class Work(NamedTuple):
@@ -138,7 +141,8 @@ def _ask(flow, basis, own, t, mu, A):
     elif flow.time_dependent:
         function_at(flow.diffusion)(own.x[:1], t, flow.p, own.D)
     else:
-        own.D[0] = flow.D.reshape(n * n)
+        for e in range(n * n):
+            own.D[0, e] = flow.D[e // n, e % n]
     other = np.empty((n, n))
     for i in range(own.D.shape[0]):
         _twice_in_frame(own.inverse, own.D[i].reshape((n, n)), other)
@@ -293,3 +297,10 @@ def _add_noise(basis, own):
             _add(basis, own.bend, basis.lower[1], own.row)
             for i in range(N):
                 own.R[i] += 0.5 * own.D[i, a * n + b] * own.row[i]
+
+
+_ROW, _ROWS = np.empty(1), np.empty((1, 1))
+_FLOW = typeof(Flow(*[NOWHERE_AT] * 5, _ROW, _ROWS, False, False))
+_WORK = types.NamedTuple([typeof(a) for a in [_ROWS] * 9 + [_ROW] * 3 + [_ROWS] * 2], Work)
+#: `rates` by its address.
+RATES = Entry(rates, (_FLOW, BASIS, _WORK, types.float64, VECTOR, VECTOR), types.float64)

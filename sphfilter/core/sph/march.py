@@ -31,9 +31,9 @@ search_at, density_at, smoothing_at = SEARCH.at, DENSITY.at, UPDATE.at
 class Parts(NamedTuple):
     """Addresses of the large parts of a march: each is compiled once, not at every level that calls it."""
 
-    search: tuple
-    density: tuple
-    smoothing: tuple
+    search: int
+    density: int
+    smoothing: int
 
 
 def parts():
