@@ -21,8 +21,8 @@ from .noise_paths import NOISE, PATHS, Noise, Paths, Pull, along_at, blurring, d
 from .reflection import reflected
 
 __all__ = [
-    "BACK", "BACK_IN_BLOCKS", "EXPECTED", "REFLECTED", "STEP", "Step", "back", "back_in_blocks", "back_in_halves",
-    "expected",
+    "BACK", "BACK_IN_BLOCKS", "EXPECTED", "REFLECTED", "STEP", "Step", "back", "back_in_blocks",
+    "back_in_halves", "expected",
 ]  # fmt: skip
 
 _SURE = 1.0  # nats below the last level kept, from which one path will do
