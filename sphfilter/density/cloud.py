@@ -107,6 +107,18 @@ def moments_of(density: "ParticleDensity") -> tuple[Floats, Floats]:
     return shape.summed if isinstance(shape, Cloud) else moments(density.x, density.mass)
 
 
+def variance_error(density: "ParticleDensity") -> float:
+    """Standard error of the worst state's variance, over that variance, as the points of a cloud tell it.
+
+    Where a light part of a density lies far out it is most of the variance, and few points stand for it: the
+    mean may be good there, and its covariance is not.
+    """
+    off = density.x - density.mean()
+    off = off if density.domain is None else density.domain.nearest(off)
+    variance = np.maximum(density.mass @ off**2, 1e-300)
+    return float(np.sqrt(((density.mass[:, None] * (off**2 / variance - 1.0)) ** 2).sum(axis=0)).max())
+
+
 def smoothing_length(mass: Floats, cov: Floats) -> Floats:
     """Smoothing lengths (N,) of points with covariance (n, n): spheres as large as the best kernel."""
     n = len(cov)

@@ -1,12 +1,15 @@
 """What a reading asks of a density: its likelihood, and how far it is from what was predicted."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermevander
 from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
+from ..density.as_family import unrolled
 from ..density.cloud import moments
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError, PropagationError
@@ -164,4 +167,26 @@ def kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     What is wrong with the weights of a density's pieces, or its shape, no reading forgets as fast as a shift.
     """
     ratio = np.trace(np.linalg.solve(prior.cov(), posterior.cov())) / prior.dim
-    return float(np.sqrt(np.clip(ratio, 0.0 if posterior.gaussian else _LEFT, 1.0)))
+    left = float(np.sqrt(np.clip(ratio, 0.0 if posterior.gaussian else _LEFT, 1.0)))
+    if prior.family is None or prior.gaussian:
+        return left
+    out, n = max(left, _brought_out(prior, posterior)), prior.dim  # along one direction of n
+    return math.sqrt(((n - 1) * left**2 + out**2) / n)
+
+
+def _brought_out(prior: ParticleDensity, posterior: ParticleDensity) -> float:
+    """Part of an error that a reading makes of what the prior's family does not hold, along the mean's way.
+
+    That is taken for the next polynomials: where a reading leads far out, they are steep, and what was wrong
+    with a tail is wrong with the mean.
+    """
+    assert prior.family is not None
+    degree = prior.family.degree
+    (mean, cov), (own_mean, own_cov) = unrolled(prior), unrolled(posterior)
+    way = np.linalg.solve(np.linalg.cholesky(cov), (posterior.x - mean).T)
+    shift = posterior.mass @ way.T
+    along = (shift / max(float(np.linalg.norm(shift)), 1e-300)) @ way
+    y = np.linalg.solve(np.linalg.cholesky(own_cov), (posterior.x - own_mean).T)
+    size = [math.sqrt(math.factorial(k)) for k in (degree + 1, degree + 2)]
+    following = hermevander(along, degree + 2)[:, -2:] / size
+    return float(np.linalg.norm((y * posterior.mass) @ following, axis=0).max())

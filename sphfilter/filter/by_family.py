@@ -19,9 +19,10 @@ from .asked import Asked, kept, predicted_reading
 
 __all__ = ["by_family", "elsewhere"]
 
-_LOOKED_AT, _FEW = 128, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
+_LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
+_HIGHEST, _LOST = 700.0, 1e3  # logarithm of a weight, and an error, that are as bad as any
 
 #: Logarithm of a density, and its mean and covariance.
 Shape = tuple[OfStates, tuple[Floats, Floats]]
@@ -73,7 +74,10 @@ def by_family(
 def elsewhere(
     density: ParticleDensity, asked: Asked, prior: Shape, posterior: Shape, log_evidence: float
 ) -> float:
-    """Shift of the mean, standard deviations, by what points of the prior see beyond the posterior's family.
+    """Error of the posterior's family, standard deviations, as points of the prior see it.
+
+    At these the posterior and its family weigh the prior, and the difference of the weights tells by how much
+    mean and covariance differ: in tails, too, which lie beyond all nodes.
 
     Raises
     ------
@@ -91,21 +95,26 @@ def elsewhere(
     if states is None and not is_gaussian(asked.measurement) and share * _LOOKED_AT < _FEW:
         raise PropagationError("one family may not be all that is left of so sharp a likelihood")
 
-    def over(X: Floats) -> Floats:
-        """Log of the posterior over its family, or less than nothing where that is negligible."""
-        true = log_prior(X) + weight(X) - log_evidence
-        own = log_posterior(X)
-        return np.where(true > log_posterior(own_mean[None]) - _NEGLIGIBLE, true - own, -np.inf)
-
-    if states is not None and len(states) and np.max(over(states)) > _MORE:
-        raise PropagationError("one family does not hold the posterior: other states explain the reading too")
-    w = mass * np.exp(np.clip(weight(X) - log_evidence, -700.0, 700.0)) * (over(X) > _MORE)
-    away = np.linalg.norm((X - own_mean) @ root.T, axis=1) / math.sqrt(len(mean))
-    return float(min(w @ away, 1e3))
+    if states is not None and len(states):
+        true = log_prior(states) + weight(states) - log_evidence
+        there = true > log_posterior(own_mean[None]) - _NEGLIGIBLE
+        if np.any(there & (true - log_posterior(states) > _MORE)):
+            raise PropagationError(
+                "one family does not hold the posterior: other states explain the reading too"
+            )
+    likely, own = weight(X) - log_evidence, log_posterior(X) - log_prior(X)
+    off = mass * (np.exp(np.minimum(likely, _HIGHEST)) - np.exp(np.minimum(own, _HIGHEST)))
+    y, n = (X - own_mean) @ root.T, len(mean)
+    shift = float(np.linalg.norm(off @ y)) / math.sqrt(n)
+    wider = float(np.linalg.norm((y * off[:, None]).T @ y - off.sum() * np.eye(n))) / n
+    return min(max(shift, 0.5 * wider), _LOST)
 
 
 def _moments(family: Family) -> tuple[Floats, Floats]:
-    return node_moments(family.nodes, family.weighted()[0])
+    mean, cov = node_moments(family.nodes, family.weighted()[0])
+    if not np.linalg.eigvalsh(cov)[0] > 0.0:
+        raise PropagationError("one family does not hold the posterior: hardly a node of it has any weight")
+    return mean, cov
 
 
 def _linearised(density: ParticleDensity, asked: Asked) -> tuple[Floats, Floats] | None:

@@ -8,11 +8,12 @@ import numpy as np
 
 from ..config import CloudScheme, FilterConfig
 from ..density.as_family import settled
+from ..density.cloud import variance_error
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
-from ..info import DOUBTFUL, Code
+from ..info import DOUBTFUL, UNSURE, VARIANCE_MAY_BE_OFF, Code
 from ..prediction.family import fits_density
 from ..prediction.ladder import best_family, first_degree, prefers_cloud
 from .asked import Asked, kept
@@ -28,6 +29,7 @@ _TRIES, _MOST_NODES = 3, 20_000
 #: Nodes of pieces, over the points of a cloud that has the same error; and so many that are always tried.
 _NODES, _NODES_MORE, _FEW_NODES = {1: 0.2, 2: 0.2}, 2.0, 20_000
 _AIMED = 1.3  # times the points, as the next reading may be sharper
+_MISSED = 1.5  # times the target, from which that is said: estimates are no better, and rather too high
 _NEAR = 0.3  # of the points: changes that are not made
 _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
 
@@ -53,7 +55,7 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     if laid and needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
         one = settled(new, first_degree(new.dim, needs), allowance(new.error, target))
         new, needs = (new, needs.refused()) if one is None else (one, needs)
-    return new.noted(needs=needs), _told(said | {"error": new.error}, target)
+    return new.noted(needs=needs), _unsure(new, _told(said | {"error": new.error}, target))
 
 
 def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
@@ -150,12 +152,23 @@ def _on_lattice(
     return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes)
 
 
+def _unsure(density: ParticleDensity, said: dict[str, Any]) -> dict[str, Any]:
+    """What was said, and that a cloud's variance is not to be trusted where a few points make it."""
+    if density.read_out != "cloud" or not said["error"] < DOUBTFUL:
+        return said
+    off = variance_error(density)
+    if off < UNSURE:
+        return said
+    status = VARIANCE_MAY_BE_OFF.format(said["error"], 2.0 * off)
+    return said | {"status": status, "code": said["code"] | Code.UNRESOLVED}
+
+
 def _told(said: dict[str, Any], target: float) -> dict[str, Any]:
     """What a rung said, less what the target asked for: that there are more nodes, or points."""
     usual = Code.CLOUD | Code.FINER
     if said["code"] & ~usual or not said["error"] < DOUBTFUL:
         return said
-    if said["error"] <= target:
+    if said["error"] <= _MISSED * target:
         return said | {"status": "ok", "code": Code.OK}
     missed = f"the mean is good to {said['error']:.2g} standard deviations, not to the {target:g} asked for"
     return said | {"status": missed, "code": Code.COARSE}

@@ -16,12 +16,13 @@ from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
 from ..density.as_cloud import thinned
 from ..density.as_family import family_density, settled, unrolled
+from ..density.cloud import variance_error
 from ..density.family import gaussian_family
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
-from ..info import DOUBTFUL, Code, PredictInfo
+from ..info import DOUBTFUL, UNSURE, VARIANCE_MAY_BE_OFF, Code, PredictInfo
 from ..model.sde import SDE
 from . import automatic, cloud, families, family, pieces
 from .to_target import Time, carried_to_target
@@ -239,7 +240,10 @@ def _by_cloud(
     """Carry as many points as the target asks for."""
     points = min(needs.cloud(target), MOST_POINTS)
     moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points))
-    return moved.noted(needs=needs), _as_asked(info)
+    info, off = _as_asked(info), variance_error(moved)
+    if off > UNSURE and info.error < DOUBTFUL:
+        info = info.marked(Code.UNRESOLVED, VARIANCE_MAY_BE_OFF.format(info.error, 2.0 * off))
+    return moved.noted(needs=needs), info
 
 
 def _by_lattice(
