@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .._types import Floats, OfStates
 from ..core.sph.neighbors import build_index, choose_method
@@ -36,6 +35,8 @@ def interpolant(x: Floats, log_p: Floats, factor: Floats) -> OfStates:
     factor : ndarray, shape (n, n)
         Lower factor of the covariance that whitens.
     """
+    from scipy.spatial import cKDTree  # on use: import time
+
     whiten = np.linalg.inv(factor).T
     z = x @ whiten
     N, n = z.shape
@@ -72,6 +73,8 @@ def smoothed(z: Floats, values: Floats) -> tuple[Floats, Floats]:
     smooth, nearest : ndarray, shape (N,)
         Values of the polynomials at their own points, and distances to the nearest point.
     """
+    from scipy.spatial import cKDTree  # on use: import time
+
     tree = cKDTree(z)
     c, _, nearest = _fit(tree, z, values, _terms(z.shape[1], 2, len(z)))
     return c[:, 0], nearest

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from scipy import ndimage
 from scipy.special import logsumexp
 
 from .._types import Floats, Ints, OfStates
@@ -111,6 +110,8 @@ def _summed(field: Field, order: Ints, factor: Floats, others: Floats, walls: Wa
 
 def _plane(z: Floats) -> tuple[Floats, float]:
     """Points (Q, m) of a lattice that cover nodes z (N, m) and the cells around them, and its spacing."""
+    from scipy import ndimage  # on use: import time
+
     m = z.shape[1]
     if m == 0:
         return np.zeros((1, 0)), 1.0

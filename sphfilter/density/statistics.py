@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import integrate, optimize
 
 from .._types import Bools, Floats, Ints, OfStates
 from ..errors import ModelError
@@ -161,6 +160,8 @@ def hpd_rank(density: "ParticleDensity", X: ArrayLike) -> Floats:
 
 def mode(density: "ParticleDensity") -> Floats:
     """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
+    from scipy import optimize  # on use: import time
+
     X = states(density, _FEW_SUBPOINTS)[0] if density.read_out == "cloud" else density.x
     best = X[np.argmax(density.pdf(X))]
     simplex = np.vstack([best, best + 0.5 * np.median(density.h) * np.eye(density.dim)])
@@ -187,6 +188,8 @@ def _checked_part(probability: ArrayLike) -> Floats:
 
 def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:
     """Distribution function of a density of one state: places (K,) and its values there."""
+    from scipy import integrate  # on use: import time
+
     lows, highs, width = one.form.ends()
     low, high = float(lows.min()), float(highs.max())
     count = int(min(_FINE * (high - low) / float(np.median(width)), _MOST_FINE))

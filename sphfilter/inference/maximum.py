@@ -1,7 +1,6 @@
 """The search for parameters of largest log-evidence: a simplex, then Newton's method, within bounds."""
 
 import numpy as np
-from scipy.optimize import minimize
 
 from .._types import Bools, Floats
 from .evidence import Evidence
@@ -25,6 +24,8 @@ def searched(
     evidence: Evidence, theta: Floats, low: Floats, high: Floats, max_evaluations: int
 ) -> tuple[Floats, float]:
     """Simplex search from a guess; returns the best point and its log-evidence."""
+    from scipy.optimize import minimize  # on use: import time
+
     step = _first_steps(theta, low, high)
     step = np.where(theta + step > high, -step, step)
     simplex = np.vstack([theta, theta + np.diag(step)])

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import optimize, sparse
 
 from .._types import Bools, Floats, Ints
 from ..config import PaperScheme
@@ -168,6 +167,8 @@ class _Ellipsoid(NamedTuple):
 
 def _spacing_for(n_particles: int, ellipsoid: _Ellipsoid, aspect: Floats) -> float | None:
     """Spacing at which the grown ellipsoid's volume is n_particles cells, or None if there is none."""
+    from scipy import optimize  # on use: import time
+
     n = len(ellipsoid.deviations)
     ball = math.pi ** (n / 2) / math.gamma(n / 2 + 1)
     stretch = float(np.prod(aspect)) ** (1.0 / n)
@@ -261,6 +262,8 @@ def heaviest(values: Floats, share: float) -> Bools:
 
 def collocation_masses(x: Floats, h: float, target: Floats, kernel_name: str) -> Floats | None:
     """Masses whose mixture takes the target values at the particles (002 (48)); None if any is negative."""
+    from scipy import sparse  # on use: import time
+
     kernel, n = Kernel.of(kernel_name, x.shape[1]), x.shape[1]
     support = np.full(len(x), kernel.radius * h)
     index = build_index(x, support[0], choose_method(len(x), n))

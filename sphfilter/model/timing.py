@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
 
 from .._types import Floats
 
@@ -25,6 +24,8 @@ def roots(value: Callable[[float], Floats], t0: float, t1: float, step: float) -
 
     They are looked at every `step` seconds at least; a number that does not oscillate may change at any time.
     """
+    from scipy.optimize import brentq  # on use: import time
+
     parts = _SAMPLES + (0 if math.isinf(step) else math.ceil((t1 - t0) / step))
     times = np.linspace(t0, t1, parts + 1)
     values = np.array([value(t) for t in times])

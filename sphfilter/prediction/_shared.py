@@ -3,7 +3,6 @@
 import itertools
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from .._types import Floats
 from ..core._addresses import address_of
@@ -70,6 +69,8 @@ def blow_up(model: SDE, state: Floats, t: float, start: float, t1: float, scheme
 
 def carried_off(model: SDE, x: Floats, start: float, t1: float) -> str:
     """`blow_up`'s sentence if the drift alone carries some of the states x (N, n) to infinity; else empty."""
+    from scipy.integrate import solve_ivp  # on use: import time
+
     asked = itertools.count()
 
     def velocity(t: float, y: Floats) -> Floats:
