@@ -13,7 +13,12 @@ from types import FunctionType
 
 from numba import get_num_threads, njit, types
 
+from ._compiling import find_folder, listen
+
 __all__ = ["BATCH", "BATCH_FUNCTION", "MATRIX", "VECTOR", "jit", "jit_for", "parallel_jit", "start_threads"]
+
+find_folder()
+listen()
 
 #: Signature of every compiled model function: ``fill(x, t, p, out)`` writes one row of ``out`` (N, k)
 #: for each row of ``x`` (N, n) at time ``t`` with parameters ``p``.

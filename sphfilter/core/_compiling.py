@@ -1,0 +1,87 @@
+"""Compiled code: where it is kept, and a word to the user while it is made.
+
+Numba compiles without a sound, for half a minute where nothing is kept yet. It tells listeners of every
+function that it compiles; after two seconds of them the logger "sphfilter" has a WARNING, once a process.
+"""
+
+import logging
+import os
+import stat
+import tempfile
+from pathlib import Path
+from time import monotonic
+
+from numba import config, njit
+from numba.core import event
+
+__all__ = ["find_folder", "listen"]
+
+_LOGGER = logging.getLogger("sphfilter")
+_PATIENCE = 2.0  # seconds of compiling
+_COMPILING = (
+    "compiling: up to a minute the first time that a scheme is used, once for all models; kept in %s "
+    "(elsewhere: set NUMBA_CACHE_DIR)"
+)
+_TEMPORARY = (
+    "compiled code is kept in %s, as neither the installation nor the home can be written to; "
+    "set NUMBA_CACHE_DIR to a folder that lasts"
+)
+_PACKAGE = __name__.partition(".")[0]
+
+
+class _Listener(event.Listener):
+    """Adds up the seconds in which functions of the package are compiled."""
+
+    def __init__(self):
+        self.depth, self.ours, self.began, self.seconds, self.said = 0, False, 0.0, 0.0, False
+
+    def on_start(self, event):
+        if self.depth == 0:
+            self.began, self.ours = monotonic(), _is_ours(event.data["dispatcher"])
+        self.depth += 1
+        if self.ours and not self.said and self.seconds + monotonic() - self.began > _PATIENCE:
+            self.said = True
+            _LOGGER.warning(_COMPILING, config.CACHE_DIR or event.data["dispatcher"].stats.cache_path)
+
+    def on_end(self, event):
+        self.depth -= 1
+        if self.depth == 0 and self.ours:
+            self.seconds += monotonic() - self.began
+
+
+def _is_ours(dispatcher):
+    return (dispatcher.py_func.__module__ or "").partition(".")[0] == _PACKAGE
+
+
+def listen():
+    """Tell the user where compiling takes long."""
+    event.register("numba:compile", _Listener())
+
+
+def find_folder():
+    """Let numba keep compiled code in a temporary folder, where it finds no other that it may write to.
+
+    That is so in a read-only installation without a home. The folder is the user's alone: what is loaded from
+    it is run.
+    """
+    if config.DISABLE_JIT:
+        raise ImportError("sphfilter runs compiled code only: unset NUMBA_DISABLE_JIT")
+    try:
+        njit(cache=True)(_probe)
+    except RuntimeError:  # no locator available
+        config.CACHE_DIR = str(_own_folder())
+        _LOGGER.warning(_TEMPORARY, config.CACHE_DIR)
+
+
+def _own_folder():
+    """A temporary folder that later processes find again; another one where that is somebody else's."""
+    user = getattr(os, "getuid", int)()  # zero where there are no such numbers
+    folder = Path(tempfile.gettempdir()) / f"sphfilter-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    mine = stat.S_ISDIR(found.st_mode) and found.st_uid == user and not found.st_mode & 0o022
+    return folder if mine else Path(tempfile.mkdtemp(prefix="sphfilter-"))
+
+
+def _probe():
+    """Nothing."""
