@@ -26,7 +26,7 @@ from .quasi_random import quasi_random, standard_normal
 from .resample import logarithm
 from .shapes import Folded
 
-__all__ = ["CloudPosterior", "cloud_posterior"]
+__all__ = ["CloudPosterior", "cloud_posterior", "passed_on"]
 
 _ENOUGH = 800  # effective points that are drawn anew, where too few of the prior's are in the posterior
 _MOST_DRAWN = 4096  # points whose densities are compared
@@ -233,7 +233,8 @@ def _cloud(
     """The posterior of points and weights, with its error.
 
     Its square is the sampling error of the weights, and what the prior's error leaves: as much less as the
-    reading narrows the density. `inflow` is added; with `whole` weights it is that share of the prior's.
+    reading narrows the density, and more where its points are copies of few. `inflow` is added; with `whole`
+    weights it is that share of the prior's.
     """
     new = cloud_density(prior, x, w)
     unit = np.sqrt(np.maximum(np.diag(prior.cov()), 1e-300))
@@ -244,5 +245,29 @@ def _cloud(
     before, cov, second = (C / np.outer(unit, unit) for C in (prior.cov(), cov, second))
     keeps = min(float(np.trace(np.linalg.lstsq(before, cov, rcond=None)[0])) / prior.dim, 1.0)
     sampled = float(np.sum(np.linalg.pinv(cov, hermitian=True) * second)) / prior.dim
-    square = sampled + keeps * prior.error**2 + (keeps * inflow if whole else inflow)
+    left = keeps * prior.error**2 + (keeps * inflow if whole else inflow)
+    if whole and prior.read_out == "cloud":
+        left = passed_on(prior, squares, keeps)
+    square = sampled + left
     return new.noted(error=math.sqrt(max(square, 0.0)))
+
+
+def passed_on(prior: ParticleDensity, squares: float, keeps: float) -> float:
+    """Square of the error that a cloud's posterior has from what is wrong with its prior beyond the weights.
+
+    Points may be copies of fewer, and fill a part of the density's volume, as far as noise has moved them
+    apart. A reading that leaves less than that of it leaves fewer of the points that they come from.
+
+    Parameters
+    ----------
+    prior : ParticleDensity
+        A cloud.
+    squares : float
+        Sum of the squares of the posterior's weights.
+    keeps : float
+        Variance of the posterior over that of the prior.
+    """
+    before = float(np.sum(prior.mass**2))
+    n, apart = prior.dim, 1.0 - prior.inherited
+    seen = min(1.0, (min(1.0, before / squares) ** (2.0 / n) + apart) ** (0.5 * n))
+    return max(keeps, min(1.0, keeps / max(apart, 1e-9)) / seen) * max(prior.error**2 - before, 0.0)

@@ -96,6 +96,9 @@ class ParticleDensity:
         ``n_particles="auto"``; None where a number of particles does.
     lost : float
         Probability that lattices have gained on the way, or lost (negative), as far as it still matters.
+    inherited : float
+        Of a cloud: part of its variance that its points had before the last prediction's noise. Copies of a
+        point are apart by the rest.
 
     Arrays are read-only; particles without mass are left out.
 
@@ -128,6 +131,7 @@ class ParticleDensity:
     residual: float | None = None
     error: float = 0.0
     lost: float = 0.0
+    inherited: float = 0.0
     family: Family | None = None
     pieces: Pieces | None = None
     families: Families | None = None

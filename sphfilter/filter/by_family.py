@@ -112,8 +112,12 @@ def elsewhere(
 
 def _moments(family: Family) -> tuple[Floats, Floats]:
     mean, cov = node_moments(family.nodes, family.weighted()[0])
-    if not np.linalg.eigvalsh(cov)[0] > 0.0:
-        raise PropagationError("one family does not hold the posterior: hardly a node of it has any weight")
+    try:
+        np.linalg.cholesky(cov)
+    except np.linalg.LinAlgError:
+        raise PropagationError(
+            "one family does not hold the density: few of its nodes have any weight"
+        ) from None
     return mean, cov
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from ..config import CloudScheme, FilterConfig
 from ..density.as_family import settled
 from ..density.cloud import variance_error
+from ..density.cloud_posterior import passed_on
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
@@ -128,8 +129,11 @@ def _on_cloud(
 
 def over_allowance(prior: ParticleDensity, posterior: ParticleDensity, target: float) -> float:
     """Points that a cloud's update would have needed for a target error, over those that it had."""
-    added = max(posterior.error**2 - (kept(prior, posterior) * prior.error) ** 2, 0.0)
-    return added / allowance(prior.error, target) ** 2
+    left = kept(prior, posterior)
+    before = (left * prior.error) ** 2
+    if prior.read_out == "cloud":
+        before = passed_on(prior, float(np.sum(posterior.mass**2)), left**2)
+    return max(posterior.error**2 - before, 0.0) / allowance(prior.error, target) ** 2
 
 
 def _share(prior: ParticleDensity, posterior: ParticleDensity) -> float:

@@ -115,6 +115,7 @@ def propagate(
         capacity=density.capacity if n_particles is None else n_particles,
         error=error,
         lost=left * density.lost,
+        inherited=left**2 if density.read_out == "cloud" else 0.0,
     )
     return moved, _info(model, len(x), steps, lost, error)
 

@@ -1,6 +1,7 @@
 """Random problems: their generator, relations and referees, the judge judged, and fixed seeds."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -255,3 +256,20 @@ def test_random_problems_are_never_silently_wrong(tmp_path):
         rows = list(csv.DictReader(file))
     bad = [row for row in rows if row["verdict"] in ("wrong, silent", "crash")]
     assert [(row["number"], row["sentence"]) for row in bad] == []
+
+
+@pytest.mark.parametrize("number", ["31:30", "43:59"])
+def test_problems_that_once_ended_with_a_matrix_error_are_followed(number):
+    """A family whose nodes have hardly any weight is none: the next rung goes on."""
+    seed, k = map(int, number.split(":"))
+    assert record_of(RandomCase(number=k, auto=True).problem(seed)).end == "finished"
+
+
+def test_a_tail_that_the_next_reading_asks_for_is_not_lost():
+    """Cubes read of a state near zero leave a plateau; a family without its tail was off by .08, untold."""
+    problem = RandomCase(number=8, auto=True).problem(31)
+    own, fine = record_of(problem), record_of(replace(problem, n_particles=800))
+    std = np.sqrt(np.diagonal(fine.P, axis1=1, axis2=2))
+    off = np.abs(own.x - fine.x) / std
+    assert np.all(off.max(axis=1) < 3.0 * (own.error + fine.error) + 0.01)
+    np.testing.assert_allclose(np.diagonal(own.P, axis1=1, axis2=2), std**2, rtol=0.1)

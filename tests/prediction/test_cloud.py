@@ -7,6 +7,8 @@ import pytest
 from scipy import integrate, stats
 
 import sphfilter as sf
+from sphfilter.density.as_cloud import cloud_density
+from sphfilter.density.cloud import variance_error
 from sphfilter.density.storage import from_bytes, to_bytes
 
 CLOUD = sf.FilterConfig(scheme="cloud")
@@ -201,3 +203,39 @@ def test_a_cloud_comes_back_to_a_lattice_that_holds_it():
     assert info.scheme == "log_density" and density.field is not None
     exact = np.exp(-2.0) + 0.5 * (1.0 - np.exp(-2.0))
     np.testing.assert_allclose(density.cov()[0, 0], exact, rtol=0.05)
+
+
+def test_copies_of_few_points_are_not_taken_for_as_many():
+    """A state that hardly moves, read again and again: points that a reading left out do not come back."""
+    model = sf.LinearSDE(np.zeros((3, 3)), noise=1e-3 * np.eye(3))
+    sensors = [sf.GaussianMeasurement(np.eye(3)[[k]], [[0.03]]) for k in range(3)]
+    config = sf.FilterConfig(scheme=sf.CloudScheme(n_points=20_000))
+    off, told = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        flt = sf.SPHFilter(model, sensors[0], np.zeros(3), np.eye(3), n_particles=300, config=config)
+        x, exact = rng.standard_normal(3), np.ones(3)
+        mean = np.zeros(3)
+        for k in (0, 1, 2, 0):
+            z = x[k] + np.sqrt(0.03) * rng.standard_normal()
+            exact += 1e-6
+            gain = exact[k] / (exact[k] + 0.03)
+            mean[k], exact[k] = mean[k] + gain * (z - mean[k]), (1.0 - gain) * exact[k]
+            flt.predict(1.0)
+            info = flt.update(z, sensors[k])
+        off.append((flt.x - mean) / np.sqrt(exact))
+        told.append(info.error)
+    assert 0.5 < np.sqrt(np.mean(np.square(told)) / np.mean(np.square(off))) < 3.0
+
+
+def test_a_variance_that_few_points_make_is_told():
+    rng = np.random.default_rng(3)
+    even = cloud_of(rng.standard_normal((5000, 1)))
+    assert variance_error(even) == pytest.approx(np.sqrt(2.0 / 5000), rel=0.1)
+    far = np.append(0.01 * rng.standard_normal(4990), np.full(10, 3.0))
+    assert variance_error(cloud_of(far[:, None])) > 0.25
+
+
+def cloud_of(x):
+    start = sf.initialize(sf.Gaussian(np.zeros(x.shape[1]), np.eye(x.shape[1])), 60)
+    return cloud_density(start, x, np.full(len(x), 1.0 / len(x)))
