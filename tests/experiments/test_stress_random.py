@@ -266,10 +266,9 @@ def test_problems_that_once_ended_with_a_matrix_error_are_followed(number):
 
 
 def test_a_tail_that_the_next_reading_asks_for_is_not_lost():
-    """Cubes read of a state near zero leave a plateau; a family without its tail was off by .08, untold."""
+    """Cubes read of a state near zero leave a plateau; without its tail a family was off by .12."""
     problem = RandomCase(number=8, auto=True).problem(31)
     own, fine = record_of(problem), record_of(replace(problem, n_particles=800))
     std = np.sqrt(np.diagonal(fine.P, axis1=1, axis2=2))
-    off = np.abs(own.x - fine.x) / std
-    assert np.all(off.max(axis=1) < 3.0 * (own.error + fine.error) + 0.01)
+    assert np.abs((own.x - fine.x) / std).max() < 0.05
     np.testing.assert_allclose(np.diagonal(own.P, axis1=1, axis2=2), std**2, rtol=0.1)
