@@ -142,18 +142,26 @@ def _share(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     return float(min(math.exp(0.5 * (after - before)), 1.0))
 
 
+def _left(laid: ParticleDensity, asked: Asked) -> float:
+    """Part of a cloud's points that a reading would leave, by the weights that it gives a lattice's nodes."""
+    weight = asked.weight_on(laid.domain)(laid.x)
+    w = laid.mass * np.exp(np.clip(weight - weight.max(), -300.0, 0.0))
+    return float(w.sum() ** 2 / np.maximum(np.sum(w**2 / laid.mass), 1e-300))
+
+
 def _on_lattice(
     density: ParticleDensity, asked: Asked, target: float, config: FilterConfig, needs: Needs
 ) -> tuple[Posterior, Needs]:
     """The posterior on a lattice, of more nodes where the error asks for it."""
     nodes, before = needs.nodes or fewest(density.dim), math.inf
     for left in range(1 if config.time_budget else _TRIES, 0, -1):
-        new, said = by_lattice(on_lattice(density, nodes), asked, nodes, config)
+        laid = on_lattice(density, nodes)
+        new, said = by_lattice(laid, asked, nodes, config)
         over = said["error"] / target
         if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= _MOST_NODES:
             break  # met, or the prior itself is coarse
         before, nodes = said["error"], min(math.ceil(nodes * min(over ** (1.0 / _ORDER), 3.0)), _MOST_NODES)
-    return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes)
+    return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes, share=_left(laid, asked))
 
 
 def _unsure(density: ParticleDensity, said: dict[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """A cloud of weighted points on random paths: carries any density, with the error of as many samples."""
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,8 @@ _PLANE = 2  # states up to which normals are not evenly spread
 _ASIDE = 1  # of a key, for normals that are not those of paths
 _LOOKED_AT = 64  # states at which the rate of change with time is looked at
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
+_PATIENT = 2000  # steps of points that have no noise
+_NARROW = 0.1  # of the spread of all points, that of the narrowest part of a density without noise
 _GROUP, _HALVINGS = 8, 5  # blocks of which one has steps of half the length, and how often all have
 _CHANCE = 5.0  # standard deviations by which two samples may differ
 _HELPED = 0.7  # of a difference that is left by steps of half the length, if it comes from them
@@ -96,8 +99,10 @@ def propagate(
         if kept.mean() < 1.0 - _CERTAIN:
             raise PropagationError(_blow_up(model, few[~kept], density.t, t1))
         ends = _normals(dealt, model.dim, len(model.spectral_density), key)
-        paths = paths._replace(first=first, ends=np.ascontiguousarray(ends.T))
+        longest, drifted = _longest(few, paths, len(x))
+        paths = paths._replace(first=first, longest=longest, ends=np.ascontiguousarray(ends.T))
         steps, bias = _moved(before, x, mass, alive, paths)
+        bias = math.hypot(bias, drifted)
     alive &= _near(before, x)
     lost = 0.0
     if not alive.all():
@@ -244,7 +249,37 @@ class _Paths(NamedTuple):
     key: int
     variance: Floats  # (n,) of all points: the unit of what steps may be off by
     first: float = math.inf  # step that is tried first, seconds
+    longest: float = math.inf  # step
+    still: bool = False  # without noise
     ends: Floats | None = None  # (m, N) where noise ends, or anywhere
+
+
+def _longest(few: Floats, paths: _Paths, count: int) -> tuple[float, float]:
+    """Longest step by which the drift alone leads points where half of it does; and how far the two part.
+
+    That is in units of the noise, and of a tenth of the spread: no part of a density is narrower, and a
+    reading may leave one of them alone. By how far the means of all points part is not enough to tell. Of a
+    drift that jumps nothing can be told without noise.
+    """
+    model, span = paths.model, paths.span[1] - paths.span[0]
+    patient = min(paths.scheme.max_steps, _PATIENT)
+    paths = paths._replace(still=True, scheme=replace(paths.scheme, max_steps=patient))
+    allowed, off, ends = _BIAS / math.sqrt(count), 0.0, few.copy()
+    alive = np.ones(len(few), dtype=bool)
+    try:
+        steps, _ = _walked(ends, alive, paths)
+        D = np.diagonal(model.diffusion(few, paths.span[0]), axis1=1, axis2=2).mean(axis=0)
+        unit = np.sqrt(np.maximum(2.0 * D * span + _NARROW**2 * np.var(ends, axis=0), 1e-300))
+        for _ in range(_HALVINGS):
+            finer = few.copy()
+            twice, _ = _walked(finer, alive, paths, most=0.5 * span / steps)
+            off = float(np.nanmean(np.abs(ends - finer) / unit, axis=0).max())
+            if not off > allowed:
+                break
+            ends, steps = finer, twice
+    except StoppedError:
+        return math.inf, 0.0
+    return span / steps, off
 
 
 def _moved(start: Floats, x: Floats, mass: Floats, alive: Bools, paths: _Paths) -> tuple[int, float]:
@@ -304,7 +339,7 @@ def _walked(
     int, float
         Mean number of steps of a block, and the shortest first one.
     """
-    model, span, scheme, key, variance, first, ends = paths
+    model, span, scheme, key, variance, first, bound, still, ends = paths
     ends = np.empty((0, len(x))) if ends is None else ends
     steps = PLATEN if model.state_dependent_noise else SHIFTED_PATH
     blocks = -(-len(x) // LANES)
@@ -316,9 +351,10 @@ def _walked(
     longest = min(part / rate if rate > 0.0 else math.inf, model.max_step)
     if model.domain.walled.any():
         longest = min(longest, _beside_walls(model, x, variance, span[0]))
-    limits = min(longest, most), first, tolerance, float(scheme.max_steps)
+    limits = min(longest, most, bound), first, tolerance, float(scheme.max_steps)
     entries = address_of(model.drift_batch), address_of(model.noise_batch)
-    constants = model.p, variance, noise_root(model.spectral_density)
+    root = noise_root(model.spectral_density)
+    constants = model.p, variance, np.zeros_like(root) if still else root
     with surfacing():
         codes, stream = model.domain.codes, (steps, key)
         move_blocks()(x, alive, ends, report, which, span, limits, entries, constants, codes, stream)
