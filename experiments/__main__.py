@@ -14,7 +14,9 @@ def main(argv=None):
 
 def _commands():
     try:
-        from . import commands  # takes seconds, in which Ctrl-C is to be answered already
+        from . import commands
+
+        commands.load(sys.argv[1:])  # takes seconds, in which Ctrl-C is to be answered already
     except ModuleNotFoundError as problem:
         if problem.name.startswith(("experiments", "reference_filters", "sphfilter")):
             raise  # a mistake of ours

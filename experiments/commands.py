@@ -1,48 +1,55 @@
 """The commands, and the command line that they make."""
 
 import argparse
+import ast
 import sys
+from importlib import import_module
+from importlib.util import find_spec
 
-from sphfilter.errors import SphfilterError
+from . import guide
 
-from . import guide, listing, realtime, run, scaling
-from .benchmark import command as benchmark
-from .campaign import command as campaign
-from .converge import command as converge
-from .estimate import command as estimate
-from .own_data import command as own_data
-from .skips import command as skips
-from .stress import command as stress
-from .sunspots import command as sunspots
-from .sweep import command as sweep
-from .transient import command as transient
-
-__all__ = ["COMMANDS", "main"]
+__all__ = ["COMMANDS", "load", "main", "module", "parser"]
 
 #: Modules with a one-line docstring, ``add_arguments(parser)`` and ``main(args)``, which returns an exit code
-#: or None; ``EPILOG`` ends their help, if they have one.
+#: or None; ``EPILOG`` ends their help, if they have one. They are imported when they are asked for: a wrong
+#: word on the command line is answered at once.
 COMMANDS = {
-    "list": listing,
-    "run": run,
-    "campaign": campaign,
-    "transient": transient,
-    "sweep": sweep,
-    "converge": converge,
-    "estimate": estimate,
-    "filter": own_data,
-    "benchmark": benchmark,
-    "stress": stress,
-    "skips": skips,
-    "scaling": scaling,
-    "realtime": realtime,
+    "list": "listing",
+    "run": "run",
+    "campaign": "campaign.command",
+    "transient": "transient.command",
+    "sweep": "sweep.command",
+    "converge": "converge.command",
+    "estimate": "estimate.command",
+    "filter": "own_data.command",
+    "benchmark": "benchmark.command",
+    "stress": "stress.command",
+    "skips": "skips.command",
+    "scaling": "scaling",
+    "realtime": "realtime",
 }
 #: Names that `run` takes and that are no scenarios: measured data, with options of their own.
-MEASURED = {"sunspots": sunspots}
+MEASURED = {"sunspots": "sunspots.command"}
 
 
-def parser():
-    """The command line."""
-    summaries = {name: _summary(module) for name, module in COMMANDS.items()}
+def module(name):
+    """The module of a command, or of measured data."""
+    return import_module(f"{__package__}.{(COMMANDS | MEASURED)[name]}")
+
+
+def load(argv):
+    """Import what a command line asks for."""
+    if argv and argv[0] in COMMANDS:
+        module(argv[1] if _is_measured(argv) else argv[0])
+
+
+def _is_measured(argv):
+    return argv[:1] == ["run"] and len(argv) > 1 and argv[1] in MEASURED
+
+
+def parser(argv):
+    """The command line, with the options of the command that argv begins with."""
+    summaries = {name: _summary(name) for name in COMMANDS}
     top = argparse.ArgumentParser(
         prog="python -m experiments",
         usage="python -m experiments COMMAND [options]",
@@ -53,8 +60,11 @@ def parser():
     commands = top.add_subparsers(
         dest="command", required=True, metavar="COMMAND", help=argparse.SUPPRESS, prog="python -m experiments"
     )
-    for name, module in COMMANDS.items():
-        _filled(commands.add_parser(name, description=summaries[name], epilog=_epilog(name, module)), module)
+    for name in COMMANDS:
+        own = commands.add_parser(name, description=summaries[name])
+        if argv[:1] == [name]:
+            own.epilog = _epilog(name, module(name))
+            _filled(own, module(name))
     return top
 
 
@@ -72,13 +82,15 @@ def _epilog(name, module):
 
 def _measured_parser(name):
     """The command line of `run` with a name of `MEASURED`."""
-    module, prog = MEASURED[name], f"python -m experiments run {name}"
+    prog = f"python -m experiments run {name}"
     example = f"Example:\n  {prog} --out results/{name}"
-    return _filled(argparse.ArgumentParser(prog, description=_summary(module), epilog=example), module)
+    return _filled(argparse.ArgumentParser(prog, description=_summary(name), epilog=example), module(name))
 
 
-def _summary(module):
-    return module.__doc__.partition("`: ")[2].splitlines()[0]
+def _summary(name):
+    """What the docstring of a command's module begins with, read without importing the module."""
+    source = find_spec(f"{__package__}.{(COMMANDS | MEASURED)[name]}").loader.get_source(None)
+    return ast.get_docstring(ast.parse(source)).partition("`: ")[2].splitlines()[0]
 
 
 def main(argv=None):
@@ -87,8 +99,10 @@ def main(argv=None):
     A command that tells of a filter that failed, and goes on with the others, ends with 1 too.
     """
     argv = sys.argv[1:] if argv is None else list(argv)
-    measured = argv[:1] == ["run"] and len(argv) > 1 and argv[1] in MEASURED
-    args = _measured_parser(argv[1]).parse_args(argv[2:]) if measured else parser().parse_args(argv)
+    measured = _is_measured(argv)
+    args = _measured_parser(argv[1]).parse_args(argv[2:]) if measured else parser(argv).parse_args(argv)
+    from sphfilter.errors import SphfilterError  # its command has imported the library by now
+
     try:
         return args.main(args) or 0
     except SphfilterError as problem:

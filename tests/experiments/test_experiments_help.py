@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 
 import pytest
 
@@ -34,7 +36,7 @@ def test_every_example_is_a_command(capsys):
     assert len(examples) >= 2 * 10
     for line in examples:
         if "--help" not in line:
-            assert commands.parser().parse_args(line).main is commands.COMMANDS[line[0]].main
+            assert commands.parser(line).parse_args(line).main is commands.module(line[0]).main
 
 
 @pytest.mark.parametrize("name", commands.COMMANDS)
@@ -52,3 +54,11 @@ def test_a_command_that_no_group_has_comes_last():
     summaries = dict.fromkeys(commands.COMMANDS, "words") | {"brandnew": "what is new"}
     assert re.search(r"More\n(  .*\n)*  brandnew +what is new", guide.overview(summaries))
     assert guide.examples("brandnew") == ""
+
+
+def test_a_wrong_word_is_answered_before_the_library_is_imported():
+    code = "import sys\nfrom experiments.__main__ import main\ntry:\n    main(['nosuch'])\nfinally:\n"
+    code += "    assert 'numba' not in sys.modules and 'sphfilter' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "invalid choice: 'nosuch'" in done.stderr
+    assert "AssertionError" not in done.stderr
