@@ -21,7 +21,7 @@ from ..density.family import gaussian_family
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
-from ..errors import PropagationError
+from ..errors import PropagationError, UnresolvedError
 from ..info import DOUBTFUL, UNSURE, VARIANCE_MAY_BE_OFF, Code, PredictInfo
 from ..model.sde import SDE
 from . import automatic, cloud, families, family, pieces
@@ -39,6 +39,7 @@ _TOLERANCE = 0.1  # of a step of a family, over the target
 _FEW, _CHANCE = (2000, 20_000), 2.0  # points of a cloud that tell whether a family will do; what is chance
 _WORK = 1000.0  # evaluations of the drift, that a lattice may take for each point of a usual cloud
 _NODES = 30.0  # that families ask a model at, over a cloud's points that cost as much
+_FINER = 1, 3  # times the nodes of a first lattice that loses probability
 _IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
 
 
@@ -257,10 +258,18 @@ def _by_lattice(
         laid = on_lattice(density, nodes)
         return automatic.propagate(laid, model, t1, nodes, allowed=allowed, most_work=work)
 
-    try:
-        nodes = needs.nodes or fewest(density.dim)
-        moved, info, nodes = carried_to_target(density, predicted, target, nodes, time, work)
-    except PropagationError:
+    nodes = needs.nodes or fewest(density.dim)
+    for finer in _FINER:
+        try:
+            moved, info, nodes = carried_to_target(density, predicted, target, finer * nodes, time, work)
+            break
+        except (
+            UnresolvedError
+        ):  # a first lattice, which knows nothing of the density, may be too coarse for it
+            continue
+        except PropagationError:
+            return _by_cloud(density, model, t1, target, needs)
+    else:
         return _by_cloud(density, model, t1, target, needs)
     if moved.field is not None:
         nodes = max(moved.n_particles, fewest(density.dim))

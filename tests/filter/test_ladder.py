@@ -273,3 +273,20 @@ def test_a_cloud_that_misses_the_target_has_no_fewer_points_next():
             missed += 1
             assert flt.density.needs.points >= before
     assert missed
+
+
+def test_many_short_predictions_stay_on_families_and_lattices():
+    """A family that splits in two is laid on more nodes where the first lattice loses probability."""
+    case, flt = made("duffing", 0.01)
+    _, fine = made("duffing", 0.01, n_particles=800, config=sf.FilterConfig(scheme="log_density"))
+    before, rungs = case.t0, set()
+    for t, z in zip(case.times[:3], case.z[:3], strict=True):
+        for stop in np.linspace(before, t, 21)[1:]:
+            rungs.add(flt.predict(t=stop).rung)
+        fine.predict(t=t)
+        flt.update(z)
+        fine.update(z)
+        before = t
+        off = np.linalg.solve(np.linalg.cholesky(fine.P), flt.x - fine.x)
+        assert np.linalg.norm(off) < 0.02
+    assert rungs == {"family", "lattice"}
