@@ -90,7 +90,7 @@ def overview(summaries):
     summaries : dict of str to str
         A line on each command, by name. Those that no group has come last.
     """
-    parts = [f"Try first:  {_RUN} run duffing    # half a minute; the first time three, to compile"]
+    parts = [f"Try first:  {_RUN} run duffing    # half a minute; the first time two, to compile"]
     for heading, group in _GROUPS.items():
         parts.append(f"{heading}\n" + "\n".join(_entry(n, summaries[n], lines) for n, lines in group.items()))
     known = {name for group in _GROUPS.values() for name in group}
