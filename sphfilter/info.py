@@ -15,8 +15,6 @@ __all__ = [
     "DOUBTFUL",
     "MAY_BE_OFF",
     "NOTHING_CAME",
-    "UNSURE",
-    "VARIANCE_MAY_BE_OFF",
     "Code",
     "PredictInfo",
     "ResampleInfo",
@@ -30,9 +28,6 @@ NOTHING_CAME = "no measurement came"
 #: Estimated error of a mean, in standard deviations, that is said in words: errors lie within three times
 #: what is estimated, and a fifth of a standard deviation is wrong.
 DOUBTFUL = 0.2 / 3.0
-#: The same of a variance, over that variance.
-UNSURE = 0.2 / 2.0
-VARIANCE_MAY_BE_OFF = "the mean is good to {:.2g} standard deviations, but the variance may be off by {:.0%}"
 MAY_BE_OFF = "the mean may be off by {:.2g} standard deviations"
 
 

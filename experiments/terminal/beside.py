@@ -43,19 +43,19 @@ def compiled_beside(scenario, filters):
             starter.process.terminate()
 
 
-def take_one(scenario, filters):
-    """Let filters take one measurement each; yields what they raise."""
-    case = scenario.draw(np.random.default_rng(0))
-    for make in filters.values():
-        try:
-            make(case, np.random.default_rng(0)).run(case.times[:1], case.z[:1])
-        except Exception as problem:
-            yield problem
+def take_one(make, case):
+    """Let a filter take the first measurement of a case; returns what it raises."""
+    try:
+        make(case, np.random.default_rng(0)).run(case.times[:1], case.z[:1])
+    except Exception as problem:
+        return problem
+    return None
 
 
 def _alone(scenario, filters):
     """The same in a process that the user does not see: Ctrl-C is its parent's, which ends it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.getLogger("sphfilter").addHandler(logging.NullHandler())
-    for _ in take_one(scenario, filters):
-        pass  # the parent meets it again
+    case = scenario.draw(np.random.default_rng(0))
+    for make in filters.values():
+        take_one(make, case)  # what it raises the parent meets again

@@ -3,6 +3,7 @@
 from contextlib import contextmanager
 from time import perf_counter
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
@@ -42,11 +43,13 @@ def warm_up(console, scenario, filters):
     names = sorted(filters, key=lambda name: name != "sph")
     others = {name: filters[name] for name in names[1:]}
     with status(console) as say, compiled_beside(scenario, others) as wait:
+        case = scenario.draw(np.random.default_rng(0))
         for i, name in enumerate(names):
             say(f"preparing {name_of(name)} (the first time compiles, for a minute)")
             if i == 1:
                 wait()
-            for problem in take_one(scenario, {name: filters[name]}):  # the campaign records it, run by run
+            problem = take_one(filters[name], case)
+            if problem is not None:  # the campaign records it, run by run
                 say(f"{name_of(name)}: {problem}")
 
 

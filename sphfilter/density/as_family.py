@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats
-from ..core.family.basis import basis
 from .families import Families, particles_of_families
-from .family import OF_MISFIT, Family, gaussian_family, node_weights, particles_of
+from .family import OF_MISFIT, Family, fitted, gaussian_family, moments_apart, particles_of
 from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
 from .pieces import Pieces, particles_of_pieces
@@ -31,12 +30,7 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     mean, cov = unrolled(density)
     if density.gaussian:
         return gaussian_family(mean, cov, degree), 0.0
-    rule = basis(len(mean), degree)
-    A: Floats = np.asarray(np.linalg.cholesky(cov), np.float64)
-    log_p = logarithm(density)(mean + rule.xi @ A.T)
-    c = log_p @ rule.F
-    w = node_weights(rule, A, log_p)[0]
-    return Family(mean, A, c).normalised(), math.sqrt(float(w @ (log_p - c @ rule.V) ** 2))
+    return fitted(logarithm(density), mean, cov, degree)
 
 
 def unrolled(density: ParticleDensity) -> tuple[Floats, Floats]:
@@ -72,10 +66,7 @@ def _agree(density: ParticleDensity, family: ParticleDensity, most: float) -> bo
     """Are mean and covariance the same, as far as an error of `most` lets them differ?"""
     (mean, cov), (own_mean, own_cov) = unrolled(density), unrolled(family)
     root = np.linalg.inv(np.linalg.cholesky(cov))
-    n = len(mean)
-    off = float(np.linalg.norm(root @ (own_mean - mean))) / math.sqrt(n)
-    wider = float(np.linalg.norm(root @ own_cov @ root.T - np.eye(n))) / n
-    return max(off, 0.5 * wider) <= most
+    return moments_apart(root @ (own_mean - mean), root @ own_cov @ root.T - np.eye(len(mean))) <= most
 
 
 def family_density(density: ParticleDensity, family: Family, **changes: Any) -> ParticleDensity:

@@ -11,6 +11,7 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.paths.weights import weighted_moments
 from ..core.sph.kernels import Kernel
+from ..info import DOUBTFUL
 from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import mixture
@@ -32,11 +33,14 @@ __all__ = [
     "points_of",
     "smoothing_length",
     "systematic",
+    "variance_doubt",
+    "variance_error",
 ]
 
 KERNEL = "wendland_c2"
 _STATES = 128  # points that stand for a cloud, over those that stand for one kernel of other densities
 _FEW = 64  # points of a family, below which they do not have its mean and covariance
+_UNSURE = 0.1  # standard error of a variance, over it: a fifth of it is wrong
 _CANDIDATES = 8  # states in the cells of a lattice, over the points drawn from them
 _KEY, _MIX = np.uint64(0x5EED0C10D), np.uint64(0x9E3779B97F4A7C15)
 
@@ -117,6 +121,17 @@ def variance_error(density: "ParticleDensity") -> float:
     off = off if density.domain is None else density.domain.nearest(off)
     variance = np.maximum(density.mass @ off**2, 1e-300)
     return float(np.sqrt(((density.mass[:, None] * (off**2 / variance - 1.0)) ** 2).sum(axis=0)).max())
+
+
+def variance_doubt(density: "ParticleDensity", error: float) -> str:
+    """What is to be said of a density whose mean is good to an error, if its variance is not; else empty."""
+    if density.read_out != "cloud" or not error < DOUBTFUL:  # which is said already
+        return ""
+    off = variance_error(density)
+    if off < _UNSURE:
+        return ""
+    mean = f"the mean is good to {error:.2g} standard deviations"
+    return f"{mean}, but the variance may be off by {2.0 * off:.0%}"
 
 
 def smoothing_length(mass: Floats, cov: Floats) -> Floats:

@@ -11,7 +11,7 @@ from ..core.family.basis import Basis, basis, bound, values_at
 from ..core.family.together import nodes_of, own_logs
 from ..errors import PropagationError
 from .families import Families, Look, at_nodes, log_total, looked_at, shares
-from .family import ASTRAY, OF_MISFIT, Family
+from .family import ASTRAY, OF_MISFIT, Family, moments_apart
 from .family_posterior import turned
 from .splitting import Front, bent_along, children
 
@@ -60,15 +60,14 @@ def families_posterior(prior: Families, log_weight: OfStates, least: float) -> F
     other, misfit = _second_opinion(prior, found, weight)
     whole, mean, cov = found.seen.together(prior.log_w)
     again = other.together(prior.log_w)
-    root, n = np.linalg.inv(np.linalg.cholesky(cov)), len(mean)
-    off = float(np.linalg.norm(root @ (again[1] - mean))) / math.sqrt(n)
-    wider = float(np.linalg.norm(root @ (again[2] - cov) @ root.T)) / n
+    root = np.linalg.inv(np.linalg.cholesky(cov))
+    apart = moments_apart(root @ (again[1] - mean), root @ (again[2] - cov) @ root.T)
     posterior = found.families
     misfit = np.where(posterior.w > 0.0, np.maximum(found.misfit, misfit), 0.0)
     odd = OF_MISFIT * math.sqrt(float(posterior.w @ misfit**2))
     heavy = posterior.w > least
     lost = -math.expm1(float(log_total(posterior.log_w[heavy])) - whole)
-    error = math.hypot(max(off, 0.5 * wider, odd), AWAY * lost)
+    error = math.hypot(max(apart, odd), AWAY * lost)
     return FamiliesPosterior(posterior.some(heavy).normalised(), whole, error, abs(again[0] - whole))
 
 

@@ -21,8 +21,10 @@ __all__ = [
     "Exponential",
     "Family",
     "degree_of",
+    "fitted",
     "gaussian_family",
     "laid_family",
+    "moments_apart",
     "node_moments",
     "node_weights",
     "particles_of",
@@ -105,6 +107,21 @@ def node_moments(xi: Floats, w: Floats) -> tuple[Floats, Floats]:
     b, C = np.empty(n), np.empty((n, n))
     moments_of(xi, w, b, C)
     return b, C
+
+
+def fitted(log_p: OfStates, mean: Floats, cov: Floats, degree: int) -> tuple[Family, float]:
+    """The family of a degree next to a log-density, in its moments' frame, and the misfit over its mass."""
+    rule, A = basis(len(mean), degree), np.asarray(np.linalg.cholesky(cov), np.float64)
+    values = log_p(mean + rule.xi @ A.T)
+    c = values @ rule.F
+    w = node_weights(rule, A, values)[0]
+    return Family(mean, A, c).normalised(), math.sqrt(float(w @ (values - c @ rule.V) ** 2))
+
+
+def moments_apart(shift: Floats, change: Floats) -> float:
+    """How far moments are apart in a frame: rms of a shift (n,), half of a covariance's change (n, n)."""
+    n = len(shift)
+    return max(float(np.linalg.norm(shift)) / math.sqrt(n), 0.5 * float(np.linalg.norm(change)) / n)
 
 
 @cache

@@ -10,7 +10,7 @@ from .._types import Floats, OfStates
 from ..core.family.basis import Basis, basis, bound, values_at
 from ..core.family.frame import moved, root_between
 from ..errors import PropagationError
-from .family import ASTRAY, OF_MISFIT, Family, node_moments, node_weights, turn
+from .family import ASTRAY, OF_MISFIT, Family, moments_apart, node_moments, node_weights, turn
 
 __all__ = ["FamilyPosterior", "family_posterior", "turned"]
 
@@ -104,10 +104,8 @@ def _second_opinion(prior: Family, log_weight: OfStates, found: Family) -> _Seen
 
 def _apart(one: _Seen, other: _Seen) -> tuple[float, float]:
     """How far two opinions are apart: in the mean, standard deviations, and in the evidence, nats."""
-    n = len(one.b)
-    mean = float(np.linalg.norm(one.b - other.b)) / math.sqrt(n)
-    cov = float(np.linalg.norm(one.C - other.C)) / n
-    return max(mean, 0.5 * cov), abs(one.log_evidence - other.log_evidence)
+    apart = moments_apart(one.b - other.b, one.C - other.C)
+    return apart, abs(one.log_evidence - other.log_evidence)
 
 
 def _rms(w: Floats, off: Floats) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from .._types import Bools, Floats
 from .families import Families, log_total
-from .family import OF_MISFIT, Family, node_moments, node_weights
+from .family import OF_MISFIT, Family, fitted, moments_apart, node_moments
 
 __all__ = ["gathered"]
 
@@ -46,11 +46,6 @@ def _side(away: Floats, w: Floats, cov: Floats) -> Bools:
 
 def _fitted(families: Families, mean: Floats, cov: Floats) -> tuple[Family, float]:
     """One family in the place of several, and what it is off by: in log p, the mean, or the covariance."""
-    rule, A = families.basis, np.asarray(np.linalg.cholesky(cov), np.float64)
-    log_p = families.log_p(mean + rule.xi @ A.T)
-    c = log_p @ rule.F
-    one = Family(mean, A, c).normalised()
-    misfit = math.sqrt(float(node_weights(rule, A, log_p)[0] @ (log_p - c @ rule.V) ** 2))
-    n, (b, C) = len(mean), node_moments(rule.xi, one.weighted()[0])
-    off = max(float(np.linalg.norm(b)) / math.sqrt(n), 0.5 * float(np.linalg.norm(C - np.eye(n))) / n)
-    return one, max(OF_MISFIT * misfit, off)
+    one, misfit = fitted(families.log_p, mean, cov, families.degree)
+    b, C = node_moments(one.basis.xi, one.weighted()[0])
+    return one, max(OF_MISFIT * misfit, moments_apart(b, C - np.eye(len(mean))))

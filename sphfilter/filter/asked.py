@@ -13,13 +13,14 @@ from ..density.as_family import unrolled
 from ..density.cloud import moments
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError, PropagationError
+from ..info import DOUBTFUL, MAY_BE_OFF, Code
 from ..lattice.resolved import Search
 from ..model.domain import Domain
 from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
 from ..validate import state_rows
 from .solutions import solutions
 
-__all__ = ["Asked", "kept", "predicted_reading"]
+__all__ = ["Asked", "kept", "predicted_reading", "said_of"]
 
 _LEFT = 0.25  # of the square of an error of a density that is no Gaussian
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
@@ -159,6 +160,23 @@ def predicted_reading(density: ParticleDensity, measurement: GaussianSensor) -> 
         states = density.domain.nearest(states - density.mean())
     mean, cov = moments(np.hstack([states, around]), density.mass)
     return reference + mean[n:], cov[n:, n:], cov[:n, n:]
+
+
+def said_of(
+    asked: Asked, scheme: str, log_evidence: float, error: float, evidence_error: float
+) -> dict[str, Any]:
+    """What an update by families or Gaussians says; with a flag where its error leaves the mean in doubt."""
+    code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
+    return {
+        "accepted": True,
+        "log_evidence": log_evidence,
+        "reason": asked.outlying,
+        "error": error,
+        "evidence_error": evidence_error,
+        "status": status,
+        "code": code,
+        "scheme": scheme,
+    }
 
 
 def kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:

@@ -7,8 +7,7 @@ from ..density.as_family import families_density, settled, unrolled
 from ..density.families_posterior import families_posterior
 from ..density.gathering import gathered
 from ..density.particle_density import ParticleDensity
-from ..info import DOUBTFUL, MAY_BE_OFF, Code
-from .asked import Asked, kept
+from .asked import Asked, kept, said_of
 from .by_family import elsewhere
 
 _LIGHT = 0.03  # of the error that may be added, over the share of a family that is dropped
@@ -41,15 +40,4 @@ def by_families(
     if one is None:
         few, change = gathered(found.families, allowed, _HEAVY)
         one = families_density(new, few, error=math.hypot(error, change))
-    new, error = one, one.error
-    code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
-    return new, {
-        "accepted": True,
-        "log_evidence": found.log_evidence,
-        "reason": asked.outlying,
-        "error": error,
-        "evidence_error": found.evidence_error,
-        "status": status,
-        "code": code,
-        "scheme": "pieces",
-    }
+    return one, said_of(asked, "pieces", found.log_evidence, one.error, found.evidence_error)

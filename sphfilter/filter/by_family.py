@@ -9,15 +9,14 @@ import numpy as np
 from .._types import Floats, OfStates
 from ..density.as_family import family_density, family_of, unrolled
 from ..density.cloud import key_of, points_of
-from ..density.family import OF_MISFIT, Family, node_moments
+from ..density.family import OF_MISFIT, Family, moments_apart, node_moments
 from ..density.family_posterior import family_posterior
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
-from ..info import DOUBTFUL, MAY_BE_OFF, Code
 from ..model.measurements import is_gaussian
-from .asked import Asked, kept, predicted_reading
+from .asked import Asked, kept, predicted_reading, said_of
 
-__all__ = ["by_family", "elsewhere"]
+__all__ = ["by_family", "elsewhere", "family_update"]
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
@@ -29,14 +28,21 @@ Shape = tuple[OfStates, tuple[Floats, Floats]]
 
 
 def by_family(
-    density: ParticleDensity, asked: Asked, degree: int, n_particles: int, most: float = math.inf
+    density: ParticleDensity, asked: Asked, degree: int, n_particles: int
 ) -> tuple[ParticleDensity, dict[str, Any]]:
-    """Prior times likelihood as a family of a degree.
+    """Prior times likelihood as a family of a degree; it raises as `family_update` does."""
+    return family_update(density, asked, degree, n_particles)[:2]
+
+
+def family_update(
+    density: ParticleDensity, asked: Asked, degree: int, n_particles: int, most: float = math.inf
+) -> tuple[ParticleDensity, dict[str, Any], float]:
+    """The same, and the error in standard deviations that it adds to what is left of the prior's.
 
     Raises
     ------
     PropagationError
-        No family holds it, or the error of that, in standard deviations, would be above `most`.
+        No family holds it, or the error of that would be above `most`.
     """
     if density.read_out == "cloud" or (density.domain is not None and density.domain.walled.any()):
         raise PropagationError(
@@ -55,20 +61,11 @@ def by_family(
     new = family_density(
         density, found.family, capacity=n_particles, gaussian=density.gaussian and asked.linear
     )
-    before = math.hypot(density.error, OF_MISFIT * misfit)
-    error = math.hypot(kept(density, new) * before, added)
-    code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
-    return replace(new, error=error), {
-        "accepted": True,
-        "log_evidence": found.log_evidence,
-        "reason": asked.outlying,
-        "residual": found.misfit,
-        "error": error,
-        "evidence_error": found.evidence_error,
-        "status": status,
-        "code": code,
-        "scheme": "family",
-    }
+    left = kept(density, new)
+    added = math.hypot(left * OF_MISFIT * misfit, added)
+    error = math.hypot(left * density.error, added)
+    said = said_of(asked, "family", found.log_evidence, error, found.evidence_error)
+    return replace(new, error=error), said | {"residual": found.misfit}, added
 
 
 def elsewhere(
@@ -104,10 +101,8 @@ def elsewhere(
             )
     likely, own = weight(X) - log_evidence, log_posterior(X) - log_prior(X)
     off = mass * (np.exp(np.minimum(likely, _HIGHEST)) - np.exp(np.minimum(own, _HIGHEST)))
-    y, n = (X - own_mean) @ root.T, len(mean)
-    shift = float(np.linalg.norm(off @ y)) / math.sqrt(n)
-    wider = float(np.linalg.norm((y * off[:, None]).T @ y - off.sum() * np.eye(n))) / n
-    return min(max(shift, 0.5 * wider), _LOST)
+    y = (X - own_mean) @ root.T
+    return min(moments_apart(off @ y, (y * off[:, None]).T @ y - off.sum() * np.eye(len(mean))), _LOST)
 
 
 def _moments(family: Family) -> tuple[Floats, Floats]:

@@ -8,19 +8,19 @@ import numpy as np
 
 from ..config import CloudScheme, FilterConfig
 from ..density.as_family import settled
-from ..density.cloud import variance_error
+from ..density.cloud import variance_doubt
 from ..density.cloud_posterior import passed_on
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
-from ..info import DOUBTFUL, UNSURE, VARIANCE_MAY_BE_OFF, Code
+from ..info import DOUBTFUL, Code
 from ..prediction.family import fits_density
 from ..prediction.ladder import best_family, first_degree, prefers_cloud
 from .asked import Asked, kept
 from .by_cloud import by_cloud
 from .by_families import by_families
-from .by_family import by_family
+from .by_family import family_update
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
 
@@ -65,8 +65,7 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
         return None
 
     def updated(degree: int, most: float) -> tuple[Posterior, float]:
-        new, said = by_family(density, asked, degree, density.capacity or 0, most)
-        added = math.sqrt(max(said["error"] ** 2 - (kept(density, new) * density.error) ** 2, 0.0))
+        new, said, added = family_update(density, asked, degree, density.capacity or 0, most)
         return (new, said), added
 
     first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)
@@ -166,13 +165,8 @@ def _on_lattice(
 
 def _unsure(density: ParticleDensity, said: dict[str, Any]) -> dict[str, Any]:
     """What was said, and that a cloud's variance is not to be trusted where a few points make it."""
-    if density.read_out != "cloud" or not said["error"] < DOUBTFUL:
-        return said
-    off = variance_error(density)
-    if off < UNSURE:
-        return said
-    status = VARIANCE_MAY_BE_OFF.format(said["error"], 2.0 * off)
-    return said | {"status": status, "code": said["code"] | Code.UNRESOLVED}
+    status = variance_doubt(density, said["error"])
+    return said | {"status": status, "code": said["code"] | Code.UNRESOLVED} if status else said
 
 
 def _told(said: dict[str, Any], target: float) -> dict[str, Any]:

@@ -16,8 +16,7 @@ from ..density.pieces import Pieces, nodes, pieces_of
 from ..density.pieces_posterior import Settings, pieces_posterior
 from ..density.splitting import White
 from ..errors import PropagationError
-from ..info import DOUBTFUL, MAY_BE_OFF, Code
-from .asked import Asked, kept
+from .asked import Asked, kept, said_of
 
 __all__ = ["by_pieces"]
 
@@ -55,17 +54,8 @@ def by_pieces(
     new = pieces_density(density, pieces)
     before = math.hypot(density.error, OF_MISFIT * misfit)
     error = math.hypot(kept(density, new) * before, _OF_OFF * found.error, _OF_CHANGE * change)
-    code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
-    return replace(new, error=error), {
-        "accepted": True,
-        "log_evidence": found.log_evidence + log_scale,
-        "reason": asked.outlying,
-        "error": error,
-        "evidence_error": found.evidence_error,
-        "status": status,
-        "code": code,
-        "scheme": "pieces",
-    }
+    said = said_of(asked, "pieces", found.log_evidence + log_scale, error, found.evidence_error)
+    return replace(new, error=error), said
 
 
 def _prior(density: ParticleDensity, most: float) -> tuple[Pieces, float]:

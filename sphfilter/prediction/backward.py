@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, OfStates
-from ..core._addresses import addresses, function_at
+from ..core._addresses import NOWHERE_AT, addresses, function_at
 from ..core._jit import jit
 from ..core.characteristics.aim import AIMED
-from ..core.characteristics.expectation import BACK, EXPECTED, REFLECTED, Step
+from ..core.characteristics.expectation import BACK, EXPECTED, Step
 from ..core.characteristics.noise_paths import Noise
 from ..core.characteristics.step_limits import driven_error
 from ..core.field.field import Field
@@ -45,7 +45,6 @@ class _Entries(NamedTuple):
     aim: int
     back: int
     expected: int
-    reflected: int  # nowhere if no axis ends at a wall
 
 
 class _Leg(NamedTuple):
@@ -94,8 +93,7 @@ def carried_back(model: SDE, found: Field, prior: ParticleDensity, t1: float) ->
         begin, end = after if before <= begin else begin, before if end <= after else end
     noise = noise_between(model, begin, end, mean)[0]._replace(constant_divergence=True)
     drift, none = model.flow_drift_batch, shared(zeros)
-    reflected = REFLECTED if noise.low.size else None
-    entries = addresses(_Entries, drift, none, AIMED, BACK, EXPECTED, reflected)
+    entries = addresses(_Entries, drift, none, AIMED, BACK, EXPECTED)
     rule = paths(noise.G.shape[1], _QUADRATURE)
     x, mass, L = np.array(prior.x), np.array(prior.mass), np.linalg.cholesky(prior.cov())
     with surfacing():
@@ -128,7 +126,7 @@ def _ahead(
     response = aim_at(entries.aim)(drift, noise, field, centre, leg.t, -leg.h, leg.parts)
     step = Step(
         drift, divergence, noise, field, sten, paths, response, leg.t, -leg.h, leg.parts, leg.blurred,
-        entries.expected, entries.reflected,
+        entries.expected, NOWHERE_AT,
     )  # fmt: skip
     out = np.empty(X.shape[0])
     back_at(entries.back)(step, X, -np.inf, out)

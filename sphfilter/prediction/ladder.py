@@ -16,13 +16,13 @@ from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
 from ..density.as_cloud import thinned
 from ..density.as_family import family_density, settled, unrolled
-from ..density.cloud import variance_error
+from ..density.cloud import variance_doubt
 from ..density.family import gaussian_family
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
-from ..info import DOUBTFUL, UNSURE, VARIANCE_MAY_BE_OFF, Code, PredictInfo
+from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.sde import SDE
 from . import automatic, cloud, families, family, pieces
 from .to_target import Time, carried_to_target
@@ -39,7 +39,7 @@ _TOLERANCE = 0.1  # of a step of a family, over the target
 _FEW, _CHANCE = (2000, 20_000), 2.0  # points of a cloud that tell whether a family will do; what is chance
 _WORK = 1000.0  # evaluations of the drift, that a lattice may take for each point of a usual cloud
 _NODES = 30.0  # that families ask a model at, over a cloud's points that cost as much
-_FINER = 1, 3  # times the nodes of a first lattice that loses probability
+_FINER = 3  # times the nodes of a first lattice that loses probability
 _IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
 
 
@@ -241,10 +241,8 @@ def _by_cloud(
     """Carry as many points as the target asks for."""
     points = min(needs.cloud(target), MOST_POINTS)
     moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points))
-    info, off = _as_asked(info), variance_error(moved)
-    if off > UNSURE and info.error < DOUBTFUL:
-        info = info.marked(Code.UNRESOLVED, VARIANCE_MAY_BE_OFF.format(info.error, 2.0 * off))
-    return moved.noted(needs=needs), info
+    info, status = _as_asked(info), variance_doubt(moved, info.error)
+    return moved.noted(needs=needs), info.marked(Code.UNRESOLVED, status) if status else info
 
 
 def _by_lattice(
@@ -258,18 +256,16 @@ def _by_lattice(
         laid = on_lattice(density, nodes)
         return automatic.propagate(laid, model, t1, nodes, allowed=allowed, most_work=work)
 
+    def tried(nodes: int) -> tuple[ParticleDensity, PredictInfo, int]:
+        return carried_to_target(density, predicted, target, nodes, time, work)
+
     nodes = needs.nodes or fewest(density.dim)
-    for finer in _FINER:
+    try:
         try:
-            moved, info, nodes = carried_to_target(density, predicted, target, finer * nodes, time, work)
-            break
-        except (
-            UnresolvedError
-        ):  # a first lattice, which knows nothing of the density, may be too coarse for it
-            continue
-        except PropagationError:
-            return _by_cloud(density, model, t1, target, needs)
-    else:
+            moved, info, nodes = tried(nodes)
+        except UnresolvedError:  # a first lattice knows nothing of the density, and may be too coarse
+            moved, info, nodes = tried(_FINER * nodes)
+    except PropagationError:
         return _by_cloud(density, model, t1, target, needs)
     if moved.field is not None:
         nodes = max(moved.n_particles, fewest(density.dim))

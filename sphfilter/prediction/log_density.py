@@ -199,8 +199,8 @@ def noise_between(model: SDE, t0: float, t1: float, around: Floats) -> tuple[Noi
     """The noise from t0 to t1, and steps that see it change around a state (n,)."""
     if not model.state_dependent_noise:
         G, slices = _noise_factor(model, t0, t1)
-        own = Noise(G, model.p, not model.constant_diffusion, model.linear)
-        return own._replace(along=address_of(ALONG)), slices
+        noise = Noise(G, model.p, not model.constant_diffusion, model.linear, along=address_of(ALONG))
+        return noise, slices
     slices = 1 if model.autonomous else noise_samples(model, t0, t1, around)[1]
     G, columns = np.zeros((model.dim, model.n_columns)), address_of(model.noise_columns_batch)
     return Noise(G, model.p, True, False, True, columns, along=address_of(ALONG)), slices

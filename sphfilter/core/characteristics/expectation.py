@@ -92,8 +92,9 @@ def back(step, Y, floor, out):
     for i in range(high.size):
         owner[i] = owner[high[i]]
     log_p = np.empty(high.size)
-    some = _rows(Y, high), _rows(f1, high), _rows(d1, high), _rows(centre, high)
-    expected_at(step.expected)(step, aim, some[0], some[1], some[2], some[3], owner, log_p)
+    expected_at(step.expected)(
+        step, aim, _rows(Y, high), _rows(f1, high), _rows(d1, high), _rows(centre, high), owner, log_p
+    )
     for i in range(high.size):
         out[high[i]] = log_p[i]
     return high.size
