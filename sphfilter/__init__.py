@@ -45,7 +45,8 @@ from .inference.model_comparison import ModelComparison, compare_models
 from .inference.smoother import SmoothedResult, smooth
 from .info import Code, PredictInfo, ResampleInfo, UpdateInfo
 from .model.domain import Domain
-from .model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from .model.likelihood import LikelihoodMeasurement
+from .model.measurements import GaussianMeasurement
 from .model.sde import SDE, LinearSDE
 from .model.simulate import simulate
 from .prediction.predict import predict

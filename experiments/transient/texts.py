@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphfilter.errors import ExpressionError, ModelError
-from sphfilter.model.symbolic import symbolic_rows
+from sphfilter.model.symbolic import Vocabulary, symbolic_rows
 
 __all__ = ["Pdf", "condition", "expression", "reads_time"]
 
@@ -17,7 +17,7 @@ _ROUNDS = 10_000
 def expression(model, text, name):
     """A function (X (M, n), t) -> (M,) of a text of states, parameters and t; `name` is its key in errors."""
     names, values = tuple(model.parameters or ()), np.array([*(model.parameters or {}).values()], dtype=float)
-    fill = symbolic_rows(model.states, (text,), (name,), names)
+    fill = symbolic_rows(model.states, (text,), (name,), Vocabulary(names))
 
     def function(X, t=0.0):
         X = np.ascontiguousarray(X, dtype=float)

@@ -15,7 +15,7 @@ from scipy.special import gammainc, ndtr
 
 from .._types import Floats
 from ..density.weighted import WeightedStates, hpd_rank, state_rank
-from ..model.measurements import GaussianMeasurement, Sensor
+from ..model.measurements import NoisySensor, Sensor, has_gaussian_noise
 from . import normalised
 
 __all__ = ["Ranker", "gaussian_ranks", "ranked_reading"]
@@ -56,7 +56,7 @@ class Ranker:
     def before(self, filt: Ranked, z: ArrayLike | None, k: int) -> tuple[Floats, Floats, Floats]:
         """Return what `ranked_reading` tells of the next measurement, k numbers, in the prediction."""
         start, sensor = perf_counter(), filt.measurement
-        if isinstance(sensor, GaussianMeasurement) and sensor.observed(z).any():
+        if has_gaussian_noise(sensor) and sensor.observed(z).any():
             found = ranked_reading(filt.spread(), sensor, sensor.reading(z).z, filt.t)
         else:
             found = np.full(k, np.nan), np.full(k, np.nan), np.full((k, k), np.nan)
@@ -72,7 +72,7 @@ class Ranker:
 
 
 def ranked_reading(
-    spread: WeightedStates, sensor: GaussianMeasurement, z: ArrayLike, t: float
+    spread: WeightedStates, sensor: NoisySensor, z: ArrayLike, t: float
 ) -> tuple[Floats, Floats, Floats]:
     """Rank a measurement in its predictive density, and tell its innovation.
 
@@ -80,7 +80,7 @@ def ranked_reading(
     ----------
     spread : WeightedStates
         The prediction.
-    sensor : GaussianMeasurement
+    sensor : GaussianMeasurement or Sensors
     z : array_like, shape (k,)
         NaN where a component is missing.
     t : float
@@ -92,19 +92,22 @@ def ranked_reading(
         Probability that the prediction gave to a lower reading, each component alone; of an angle, counted
         from the far side of the predicted direction. NaN where it is missing.
     innovation, innovation_cov : ndarray, shapes (k,), (k, k)
-        z minus its expectation, and the covariance of the prediction plus R.
+        z minus its expectation, and the covariance of the prediction plus R, its mean
+        where it differs from state to state.
     """
     z = sensor.reading(z).z
     h = sensor.predict(spread.X, t)
     known = np.isfinite(h).all(axis=1)  # where h is undefined the likelihood is zero
+    R = sensor.covariance(spread.X[known], t)
     h, w = h[known], spread.w[known] / spread.w[known].sum()
     anchor = h[np.argmax(w)]
     # einsum, as sums of matrix products depend on the number of threads in their last bits
     centre = sensor.residual(anchor + np.einsum("i,ij->j", w, sensor.residual(h, anchor)), 0.0)
     off = sensor.residual(h, centre)
     y = sensor.residual(z, centre)
-    pit = np.einsum("i,ij->j", w, ndtr((y - off) / np.sqrt(np.diag(sensor.noise_cov))))
-    return np.clip(pit, 0.0, 1.0), y, np.einsum("i,ij,ik->jk", w, off, off) + sensor.noise_cov
+    pit = np.einsum("i,ij->j", w, ndtr((y - off) / np.sqrt(np.diagonal(R, axis1=1, axis2=2))))
+    S = np.einsum("i,ij,ik->jk", w, off, off) + np.einsum("i,ijk->jk", w, R)
+    return np.clip(pit, 0.0, 1.0), y, S
 
 
 def gaussian_ranks(

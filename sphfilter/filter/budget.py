@@ -11,7 +11,8 @@ import numpy as np
 
 from ..errors import PropagationError
 from ..info import Code, PredictInfo, UpdateInfo
-from ..model.measurements import GaussianMeasurement, LikelihoodMeasurement, Sensor
+from ..model.likelihood import LikelihoodMeasurement
+from ..model.measurements import Sensor, has_gaussian_noise
 from ..prediction.predict import load, predict
 from .update import update
 
@@ -170,6 +171,6 @@ def _load_rest(filt: Any, dt: float) -> None:
 def _expected(filt: Any) -> tuple[Sensor, Any]:
     """A sensor, and a reading of it that changes little."""
     sensor = filt.measurement
-    if isinstance(sensor, GaussianMeasurement):
+    if has_gaussian_noise(sensor):
         return sensor, sensor.predict(filt.x, filt.t)[0]
     return LikelihoodMeasurement(lambda z, X, t: np.zeros(len(X))), 0.0

@@ -36,6 +36,6 @@ def checked_sensor(measurement: Any, model: SDE) -> Sensor:
         raise ModelError(
             f"measurement must be a GaussianMeasurement or LikelihoodMeasurement, got {short(measurement)}"
         )
-    if isinstance(measurement, GaussianMeasurement):
+    if hasattr(measurement, "check_dim"):
         measurement.check_dim(model.dim)
     return measurement

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from .._types import Floats
 from ..density.particle_density import ParticleDensity
 from ..info import PredictInfo, UpdateInfo, innovation_of
-from ..model.measurements import GaussianMeasurement, Sensor
+from ..model.measurements import Sensor, has_gaussian_noise
 from ..model.sde import SDE
 from ..prediction.again import Outcome
 from ..prediction.predict import Prediction
@@ -184,7 +184,7 @@ def _moments(density: ParticleDensity) -> tuple[Floats, Floats]:
 
 def _said(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo) -> dict[str, Any]:
     """A measurement, its innovation and the covariance of that, in shapes of the sensor, by name."""
-    if not isinstance(measurement, GaussianMeasurement):
+    if not has_gaussian_noise(measurement):
         return {
             "z": None if z is None else np.atleast_1d(np.array(unmasked(z), dtype=float)),
             "y": None,

@@ -11,7 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit, objmode
@@ -23,14 +23,36 @@ from .._types import BatchFunction, Floats
 from ..core._jit import BATCH
 from ..errors import ModelError
 
-__all__ = ["Maker", "StateFunction", "accepts", "batch", "compile_rows", "compile_source", "probe",
-           "probe_states", "reads_argument", "surfacing"]  # fmt: skip
+__all__ = ["NO_DATA", "Data", "Maker", "StateFunction", "arguments_of", "batch", "compile_rows",
+           "compile_source", "probe", "probe_states", "reads_argument", "shared", "surfacing"]  # fmt: skip
 
-#: A user's function of (x), (x, t) or (x, t, p): of one state in numba's types, or of rows of states.
+#: A user's function of (x), (x, t), (x, t, p) or (x, t, p, u): of one state in numba's types, or of rows of
+#: states.
 StateFunction: TypeAlias = Callable[..., Any]
 #: Makes a batch function from the others of its model, by name.
 Maker: TypeAlias = Callable[[Any], BatchFunction]
 
+
+class Data(NamedTuple):
+    """What a user's functions see beside state and time: values of parameters, then of inputs."""
+
+    p: Floats = np.empty(0)
+    u: Floats = np.empty(0)
+
+    def seen(self, names: Sequence[str]) -> list[str]:
+        """Source of arguments by name, cut out of the one array in which compiled functions get all data."""
+        k, m = len(self.p), len(self.u)
+        cut = {"x": "x[i]", "p": f"p[:{k}]", "u": f"p[{k}:{k + m}]"}
+        return [cut.get(name, name) for name in names]
+
+    def given(self, names: Sequence[str], x: Any, t: float, p: Floats) -> list[Any]:
+        """Arguments by name."""
+        k, m = len(self.p), len(self.u)
+        values = {"x": x, "t": t, "p": p[:k], "u": p[k : k + m]}
+        return [values[name] for name in names]
+
+
+NO_DATA = Data()
 #: Vectorised numpy callables by number: compiled code can hold a number, not a Python object.
 _BLACK_BOXES: list[BatchFunction] = []
 #: What users' functions raised while compiled code ran, the first by thread; 0 for compiled code's threads.
@@ -57,23 +79,34 @@ def batch(function: Callable[..., None]) -> BatchFunction:
     return njit(BATCH, error_model="numpy")(function)
 
 
-def accepts(function: object, name: str, allowed: tuple[int, ...] = (1, 2, 3)) -> int:
-    """Return how many positional arguments to pass: 1 for f(x), 2 for f(x, t), 3 for f(x, t, p)."""
+def arguments_of(function: object, name: str, data: Data = NO_DATA) -> tuple[str, ...]:
+    """Return what to pass to a user's function: x; x, t; x, t, p; with inputs also x, t, u or x, t, p, u.
+
+    Raises
+    ------
+    ModelError
+        It cannot be called, or takes another number of arguments.
+    """
+    forms: tuple[tuple[str, ...], ...] = (("x",), ("x", "t"), ("x", "t", "p"))
+    if data.u.size:
+        forms += (("x", "t", "p", "u"),)
+    shown = ", ".join(f"({', '.join(form)})" for form in forms)
     if not callable(function):
-        raise ModelError(f"{name} must be a function of (x, t) or (x, t, p), got {function!r}.")
+        raise ModelError(f"{name} must be a function of {shown}, got {function!r}.")
     try:
         parameters = inspect.signature(_python(function)).parameters.values()
     except (TypeError, ValueError):
-        return 2
+        return forms[1]
     if any(p.kind is p.VAR_POSITIONAL for p in parameters):
-        return max(allowed)
+        return forms[-1]
     positional = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
     needed = sum(p.default is p.empty for p in positional)
-    fitting = [a for a in allowed if needed <= a <= len(positional)]
+    fitting = [form for form in forms if needed <= len(form) <= len(positional)]
     if not fitting:
-        forms = ", ".join(("(x)", "(x, t)", "(x, t, p)")[a - 1] for a in allowed)
-        raise ModelError(f"{name} takes {len(positional)} arguments; write it as a function of {forms}.")
-    return max(fitting)
+        raise ModelError(f"{name} takes {len(positional)} arguments; write it as a function of {shown}.")
+    if data.u.size and len(fitting[-1]) == 3 and (positional[2].name == "u" or not data.p.size):
+        return ("x", "t", "u")
+    return fitting[-1]
 
 
 def reads_argument(function: object, index: int) -> bool:
@@ -101,7 +134,7 @@ def compile_rows(
     shape: tuple[int, ...],
     name: str,
     dim: int | None,
-    p: Floats,
+    data: Data = NO_DATA,
     vectorized: bool = False,
 ) -> BatchFunction:
     """Compile a user's function into a batch function.
@@ -109,16 +142,16 @@ def compile_rows(
     Parameters
     ----------
     function : callable
-        f(x), f(x, t) or f(x, t, p) of one state x (dim,) that returns numbers in nested tuples of `shape`;
-        with `vectorized`, of states X (N, dim), returning an array (N, *shape).
+        f(x), f(x, t), f(x, t, p) or f(x, t, p, u) of one state x (dim,) that returns numbers in nested tuples
+        of `shape`; with `vectorized`, of states X (N, dim), returning an array (N, *shape).
     shape : tuple of int
         () one number, (k,) a tuple of numbers, (k, m) a tuple of k tuples of m numbers.
     name : str
         What the function is, for messages.
     dim : int or None
         Length of the state; None when not known yet (nothing is tried then).
-    p : ndarray, shape (K,)
-        Parameter values; the function sees these K only.
+    data : Data
+        Values of parameters and inputs; the function sees as many of p as these.
 
     Returns
     -------
@@ -130,23 +163,22 @@ def compile_rows(
     ModelError
         Wrong arguments, wrong number of values, an index beyond the state, or numba cannot compile it.
     """
-    n_args = accepts(function, name)
+    arguments = arguments_of(function, name, data)
     if dim is not None:
-        probe(function, shape, name, dim, p, vectorized)
+        probe(function, shape, name, dim, data, vectorized)
     if vectorized:
-        return _compile_vectorized(function, n_args, shape, name, p.size)
-    core, returned = _compile_one(function, n_args, name)
+        return _compile_vectorized(function, arguments, shape, name, data)
+    core, returned = _compile_one(function, arguments, name)
     _check_shape(returned, shape, name)
     scalar = not isinstance(returned, types.BaseTuple | types.Array)
-    arguments = ", ".join(("x[i]", "t", f"p[:{p.size}]")[:n_args])
-    lines = [f"r = f({arguments})"]
+    lines = [f"r = f({', '.join(data.seen(arguments))})"]
     for column, index in enumerate(np.ndindex(*shape)):
         lines.append(f"out[i, {column}] = r" + ("" if scalar else "".join(f"[{j}]" for j in index)))
     if not _may_raise(core):
         return compile_source([], lines, f=core)
     lines = ["try:", *(f"    {line}" for line in lines)]
     lines += ["except Exception:", "    again(x[i : i + 1], t, p, out[i : i + 1])"]
-    return compile_source([], lines, f=core, again=_raised_again(core, n_args, p.size))
+    return compile_source([], lines, f=core, again=_raised_again(core, arguments, data))
 
 
 def compile_source(before: Sequence[str], per_row: Sequence[str], **names: Any) -> BatchFunction:
@@ -162,9 +194,9 @@ def _python(function: Any) -> Any:
     return getattr(function, "py_func", function)
 
 
-def _compile_one(function: Any, n_args: int, name: str) -> tuple[Any, Any]:
+def _compile_one(function: Any, arguments: Sequence[str], name: str) -> tuple[Any, Any]:
     """Return the compiled function of one state and the numba type it returns."""
-    signature = (types.float64[::1], types.float64, types.float64[::1])[:n_args]
+    signature = tuple(types.float64 if argument == "t" else types.float64[::1] for argument in arguments)
     core = function if hasattr(function, "py_func") else njit(function, error_model="numpy")
     try:
         core.compile(signature)
@@ -188,12 +220,12 @@ def _may_raise(core: Any) -> bool:
         return True
 
 
-def _raised_again(core: Any, n_args: int, k: int) -> BatchFunction:
+def _raised_again(core: Any, arguments: Sequence[str], data: Data) -> BatchFunction:
     """Batch function that asks a compiled function of one state once more, from Python, for its exception."""
 
     def call(x: Floats, t: float, p: Floats, out: Floats) -> None:
         out[0] = np.nan
-        core(*(x[0], t, p[:k])[:n_args])
+        core(*data.given(arguments, x[0], t, p))
 
     return _through_python(call)
 
@@ -241,7 +273,7 @@ def probe(
     shape: tuple[int, ...],
     name: str,
     dim: int,
-    p: Floats,
+    data: Data = NO_DATA,
     vectorized: bool = False,
 ) -> None:
     """Try a function once, uncompiled, for what compiled code would not notice: sizes and indices.
@@ -251,8 +283,8 @@ def probe(
     ModelError
         It reads beyond the state or the parameters, or returns the wrong number of values.
     """
-    states = probe_states(dim)
-    arguments = (states if vectorized else states[0], 0.0, p)[: accepts(function, name)]
+    states, names = probe_states(dim), arguments_of(function, name, data)
+    arguments = data.given(names, states if vectorized else states[0], 0.0, np.concatenate(data))
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -266,8 +298,8 @@ def probe(
                 "x[0], x[1] and so on, or pass vectorized=True for a numpy function of all states at once."
             ) from error
         raise ModelError(
-            f"{name} reads beyond the state (dim={dim}) or the parameters ({p.size} given): {error}. "
-            "Check dim, parameters and the indices of x and p."
+            f"{name} reads beyond the state (dim={dim}), the parameters ({data.p.size} given) or the inputs "
+            f"({data.u.size} given): {error}. Check dim, parameters, inputs and the indices of x, p and u."
         ) from error
     except Exception:
         # a function may be undefined at the probe; what it is for the compiler is checked elsewhere
@@ -290,12 +322,12 @@ def _rows_of(values: ArrayLike, n_rows: int, shape: tuple[int, ...], name: str) 
 
 
 def _compile_vectorized(
-    function: Callable[..., Any], n_args: int, shape: tuple[int, ...], name: str, k: int
+    function: Callable[..., Any], arguments: Sequence[str], shape: tuple[int, ...], name: str, data: Data
 ) -> BatchFunction:
     """Wrap a numpy function of many states; compiled loops reach it through the interpreter."""
 
     def call(x: Floats, t: float, p: Floats, out: Floats) -> None:
-        out[:] = _rows_of(function(*(x, t, p[:k])[:n_args]), len(x), shape, name)
+        out[:] = _rows_of(function(*data.given(arguments, x, t, p)), len(x), shape, name)
 
     return _through_python(call)
 

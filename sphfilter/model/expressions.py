@@ -8,13 +8,16 @@ names of this module's own choice.
 import ast
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import sympy as sp
 
 from ..errors import ExpressionError, nearest, plain
-from .symbols import FUNCTIONS, And, Ge, Gt, Not, Or, Where
+from .symbols import FUNCTIONS, And, Ge, Gt, Linear, Not, Or, Previous, Where
+from .tables import Table
 
 __all__ = ["Names", "parse"]
 
@@ -22,11 +25,12 @@ __all__ = ["Names", "parse"]
 MAX_CHARACTERS, MAX_NODES, MAX_EXPONENT = 10_000, 1_000, 64
 
 _ALLOWED = (
-    "Allowed are the states, t, the parameters, numbers, pi, + - * / **, comparisons, 'and', 'or', 'not', "
-    f"and the functions {' '.join(FUNCTIONS)} where."
+    "Allowed are the states, t, parameters, inputs, numbers, pi, + - * / **, comparisons, 'and', 'or', "
+    f"'not', and the functions {' '.join(FUNCTIONS)} where table."
 )
 _CONDITIONS = (Ge, Gt, And, Or, Not)
-_RESERVED = ("t", "pi", "where", *FUNCTIONS)
+_RESERVED = ("t", "pi", "where", "table", *FUNCTIONS)
+_NO_TABLES: Mapping[str, Table] = MappingProxyType({})
 
 
 class Names:
@@ -35,6 +39,16 @@ class Names:
     Parameters
     ----------
     states, parameters : sequence of str
+        Inputs are parameters here.
+    tables : mapping of str to Table
+        What ``table("name", ...)`` may call.
+
+    Attributes
+    ----------
+    used : set of str
+        Names that a text has used so far.
+    data : ndarray
+        Arguments and values of all tables, as they follow the parameters' values in p.
 
     Raises
     ------
@@ -42,7 +56,9 @@ class Names:
         A name that is no identifier, is reserved, or is given twice.
     """
 
-    def __init__(self, states: Sequence[str], parameters: Sequence[str] = ()) -> None:
+    def __init__(
+        self, states: Sequence[str], parameters: Sequence[str] = (), tables: Mapping[str, Table] = _NO_TABLES
+    ) -> None:
         states, parameters = [*map(plain, states)], [*map(plain, parameters)]
         seen = set()
         for name in (*states, *parameters):
@@ -58,6 +74,22 @@ class Names:
         self.t = sp.Symbol("t")
         self.symbols = dict(zip((*states, *parameters, "t"), (*self.x, *self.p, self.t), strict=True))
         self.symbols["pi"] = sp.pi
+        self.used: set[str] = set()
+        self.tables = {plain(name): table for name, table in tables.items()}
+        self.data = np.concatenate([[], *(part for own in tables.values() for part in (own.at, own.values))])
+        sizes = [2 * len(table.at) for table in tables.values()]
+        starts = len(parameters) + np.cumsum([0, *sizes])[:-1]
+        self._starts = dict(zip(self.tables, map(int, starts), strict=True))
+
+    def table(self, name: str, argument: sp.Expr) -> sp.Expr:
+        """What stands for the value of a table."""
+        self.used.add(name)
+        known, start = self.tables[name], self._starts[name]
+        return (Linear if known.kind == "linear" else Previous)(start, len(known.at), argument)
+
+    def unused(self, names: Sequence[str]) -> str | None:
+        """The first of these names that no text has used."""
+        return next((name for name in names if plain(name) not in self.used), None)
 
 
 def parse(text: str | float, names: Names, where: str = "expression") -> sp.Expr:
@@ -134,13 +166,14 @@ class _Walk:
 
     def _name(self, node: ast.Name) -> sp.Expr:
         if node.id in self.names.symbols:
+            self.names.used.add(node.id)
             return self.names.symbols[node.id]
-        known = [*self.names.symbols, *FUNCTIONS, "where"]
+        known = [*self.names.symbols, *FUNCTIONS, "where", "table"]
         if node.id in known:
             raise self._error(f"{node.id!r} is a function; write {node.id}(...).")
         raise self._error(
             f"unknown name {node.id!r}{nearest(node.id, known)}. The names here are "
-            f"{', '.join(self.names.symbols)}, and the functions {' '.join(FUNCTIONS)} where."
+            f"{', '.join(self.names.symbols)}, and the functions {' '.join(FUNCTIONS)} where table."
         )
 
     def _unaryop(self, node: ast.UnaryOp) -> Any:
@@ -189,8 +222,10 @@ class _Walk:
             if len(node.args) != 3:
                 raise self._error("where takes (condition, value if true, value if false).")
             return Where(self._condition(node.args[0]), self._value(node.args[1]), self._value(node.args[2]))
+        if name == "table":
+            return self._table(node.args)
         if name not in FUNCTIONS:
-            known = [*FUNCTIONS, "where"]
+            known = [*FUNCTIONS, "where", "table"]
             raise self._error(f"unknown function {name!r}{nearest(name, known)}. {_ALLOWED}")
         build, compute, n_args = FUNCTIONS[name]
         arguments = [self._value(a) for a in node.args]
@@ -199,6 +234,16 @@ class _Walk:
         if all(a.is_number for a in arguments):
             return self._fold(lambda: compute(*map(float, arguments)))
         return build(*arguments)
+
+    def _table(self, arguments: Sequence[ast.expr]) -> sp.Expr:
+        known = self.names.tables
+        match arguments:
+            case [ast.Constant(value=str(name)), argument] if plain(name) in known:
+                return self.names.table(plain(name), self._value(argument))
+            case [ast.Constant(value=str(name)), _]:
+                listed = f"; the tables here are {', '.join(known)}" if known else ""
+                raise self._error(f"there is no table {name!r}{nearest(name, known)}{listed}; give tables=.")
+        raise self._error('table takes a name in quotes and an argument, such as table("current", t).')
 
     def _compare(self, node: ast.Compare) -> Any:
         values = [self._value(v) for v in (node.left, *node.comparators)]

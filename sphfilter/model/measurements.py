@@ -1,28 +1,25 @@
 """Measurement models: what a sensor reads in a state, and how likely a reading is."""
 
-import inspect
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple, Protocol, TypeAlias, TypeGuard
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol, Self, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from .. import validate
-from .._types import Bools, Floats, Ints, Seed
+from .._types import BatchFunction, Bools, Floats, Ints, Seed
 from ..errors import ModelError
 from .compile import StateFunction, compile_rows, probe, surfacing
+from .named import Inputs, Values, changed
+from .tables import Tables, tables_of
 
-__all__ = ["GaussianMeasurement", "GaussianSensor", "LikelihoodMeasurement", "Reading", "Sensor",
-           "is_gaussian"]  # fmt: skip
+__all__ = ["GaussianMeasurement", "GaussianSensor", "NoisySensor", "Reading", "Sensor", "direct_states",
+           "has_gaussian_noise", "is_gaussian", "wrapped"]  # fmt: skip
 
-#: loglik(z, X, t) → (N,), and sample(X, t, rng) → (N, k).
-LogLikelihood: TypeAlias = Callable[[Floats, Floats, float], ArrayLike]
-Sampler: TypeAlias = Callable[[Floats, float, np.random.Generator], ArrayLike]
-#: peaks(z) → (M, n), states.
-Peaks: TypeAlias = Callable[[Floats], ArrayLike]
-
-_NO_PARAMETERS = np.empty(0)
+_HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 _DIFFERENT = (
     "The sensor's h is of {} states, but the state has {}: h has a column, or a name, for each state."
 )
@@ -82,12 +79,8 @@ class Sensor(Protocol):
         """Return log p(z | x) for each state X (N, n), shape (N,)."""
 
 
-class GaussianSensor(Sensor, Protocol):
-    """A sensor with Gaussian noise, of which readings can be predicted."""
-
-    @property
-    def noise_cov(self) -> Floats:
-        """R, shape (k, k)."""
+class Predicting(Sensor, Protocol):
+    """A sensor of which readings can be predicted."""
 
     def predict(self, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return the noise-free reading in each state X (N, n), shape (N, k)."""
@@ -96,35 +89,70 @@ class GaussianSensor(Sensor, Protocol):
         """Return z − zhat (..., k), angles wrapped to (−π, π]."""
 
 
+class GaussianSensor(Predicting, Protocol):
+    """A sensor with Gaussian noise, the same in all states."""
+
+    @property
+    def noise_cov(self) -> Floats:
+        """R, shape (k, k)."""
+
+
+class NoisySensor(Predicting, Protocol):
+    """A sensor with Gaussian noise, which may be another in each state."""
+
+    dim_z: int
+
+    def reading(self, z: ArrayLike | None) -> Reading:
+        """Return z as a `Reading` of k numbers."""
+
+    def covariance(self, X: ArrayLike, t: float = 0.0) -> Floats:
+        """Return R in each state X (N, n), shape (N, k, k)."""
+
+
 def is_gaussian(sensor: Sensor) -> TypeGuard[GaussianSensor]:
-    """Whether a sensor has a noise covariance."""
+    """Whether a sensor has one noise covariance for all states."""
     return sensor.noise_cov is not None
 
 
+def has_gaussian_noise(sensor: object) -> TypeGuard[NoisySensor]:
+    """Whether the readings of a sensor in a state are Gaussian, in every state."""
+    return getattr(sensor, "gaussian_noise", False) is True
+
+
 class GaussianMeasurement:
-    """z = h(x, t) + v with v ~ N(0, R) (002 (2)).
+    """z = h(x, t) + v with v ~ N(0, R) (002 (2)); R may depend on state and time too.
 
     Parameters
     ----------
     h : array_like (k, n) or callable
-        Matrix H, or h(x) or h(x, t) of one state returning a tuple of k numbers; with `vectorized`, of
-        X (N, n) returning (N, k).
-    noise_cov : array_like, shape (k, k)
-        R, the covariance of one reading, positive definite, in squared units of z.
+        Matrix H, or h(x), h(x, t) or h(x, t, p) of one state returning a tuple of k numbers; with
+        `vectorized`, of X (N, n) returning (N, k). With `inputs` also h(x, t, u) or h(x, t, p, u).
+    noise_cov : array_like, shape (k, k), or callable
+        R, the covariance of one reading, positive definite, in squared units of z; or a function of the same
+        arguments as `h`, returning k tuples of k numbers ((N, k, k) with `vectorized`).
     angles : sequence of int
         Components of z that are angles in radians: their differences are wrapped to (−π, π]. The density then
         counts the nearest turn only, which is exact as long as the standard deviation is well below π.
     vectorized : bool
-        `h` takes all states at once and is not compiled.
+        `h`, and `noise_cov` if it is a function, take all states at once and are not compiled.
+    parameters : mapping of str to float, optional
+        Values that the functions get as p, in this order; `fit_parameters` can fit them.
+    inputs : sequence of str, or mapping of str to float, optional
+        Inputs that the functions get as u. A filter's sensor has the values that the model's inputs of the
+        same names had in the prediction before.
+    dim_z : int, optional
+        k, where both `h` and `noise_cov` are functions.
 
     Attributes
     ----------
     dim_z : int
         k.
-    noise_cov : ndarray, shape (k, k)
+    noise_cov : ndarray, shape (k, k), or None
+        None when R is a function; see `covariance`.
     H : ndarray, shape (k, n), or None
-        None when h is a function.
+        None when h or R is a function.
     angles : tuple of int
+    parameters, inputs : mapping of str to float, read-only
     directly_observed : tuple of (ndarray of int (k,), ndarray (k,)), or None
         State indices and scales when each row of H has one non-zero entry, in distinct columns, and R is
         diagonal; else None.
@@ -132,7 +160,7 @@ class GaussianMeasurement:
     Raises
     ------
     ModelError
-        Shapes that do not fit, R not positive definite, or an `h` that cannot be compiled.
+        Shapes that do not fit, R not positive definite, or a function that cannot be compiled.
 
     Examples
     --------
@@ -143,43 +171,55 @@ class GaussianMeasurement:
     >>> distance = sf.GaussianMeasurement(h=lambda x: (x[0] ** 2 + x[1] ** 2,), noise_cov=[[0.1]])
     >>> print(distance.log_likelihood([25.0], [[3.0, 4.0]]).round(4))
     [0.2324]
+    >>> radar = sf.GaussianMeasurement.from_expressions(
+    ...     ["x", "y"], ["sqrt(x**2 + y**2) + b"], [["s*(1 + x**2 + y**2)"]], parameters={"b": 0.5, "s": 0.01}
+    ... )
+    >>> print(radar.predict([3.0, 4.0]), radar.with_parameters(b=0.0).covariance([3.0, 4.0]))
+    [[5.5]] [[[0.26]]]
     """
+
+    gaussian_noise = True
+    noise_cov: Floats | None
+    H: Floats | None
+    parameters: Mapping[str, float]
+    inputs: Mapping[str, float]
+    _matrix: Floats | None  # h, whatever R is
+    _fill: BatchFunction | None
+    _noise: BatchFunction | None
+    _n: int | None  # states, where known
 
     def __init__(
         self,
         h: ArrayLike | StateFunction,
-        noise_cov: ArrayLike,
+        noise_cov: ArrayLike | StateFunction,
         angles: Iterable[int] = (),
         vectorized: bool = False,
+        *,
+        parameters: Mapping[str, float] | None = None,
+        inputs: Inputs | None = None,
+        dim_z: int | None = None,
     ) -> None:
-        self.noise_cov = validate.covariance("noise_cov", noise_cov)
-        self.noise_cov.setflags(write=False)
-        self.dim_z = len(self.noise_cov)
-        if isinstance(angles, str) or not isinstance(angles, Iterable):
-            raise ModelError(f"angles must list components of z, such as angles=[0], got {angles!r}.")
-        angles = tuple(angles)
-        self.angles = tuple(sorted({validate.count("angles", a, least=0) for a in angles}))
-        if self.angles and self.angles[-1] >= self.dim_z:
-            raise ModelError(f"angles names component {self.angles[-1]}, but z has {self.dim_z} (from 0).")
-        self._recipe: tuple[Any, Any, tuple[int, ...], bool] = (h, noise_cov, angles, vectorized)
-        self._factors: dict[bytes, tuple[Floats, float]] = {}
-        self._tried: set[int] = set()
-        self.H: Floats | None = None
+        recipe = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
+        values = Values.of(parameters, inputs)
+        self._begin(GaussianMeasurement, recipe | {"angles": tuple(_listed(angles))}, values)
+        self._set_noise(noise_cov, vectorized, h, dim_z)
         if callable(h):
-            self._fill = compile_rows(h, (self.dim_z,), "h", None, _NO_PARAMETERS, vectorized)
+            self._fill = compile_rows(h, (self.dim_z,), "h", None, values.data, vectorized)
         else:
-            self.H = validate.array("h", h, (None, None))
-            if len(self.H) != self.dim_z:
-                raise ModelError(
-                    f"h of shape {self.H.shape} and noise_cov of shape {self.noise_cov.shape} do not fit: "
-                    "both need a row for each component of z."
-                )
-            self.H.setflags(write=False)
-        self.directly_observed = self._direct()
+            self._set_matrix(h)
+        self._finish(angles)
 
     @classmethod
     def from_expressions(
-        cls, states: Sequence[str], h: Sequence[str], noise_cov: ArrayLike, angles: Iterable[int] = ()
+        cls,
+        states: Sequence[str],
+        h: Sequence[str],
+        noise_cov: ArrayLike | Sequence[Sequence[str | float]],
+        angles: Iterable[int] = (),
+        *,
+        parameters: Mapping[str, float] | None = None,
+        inputs: Inputs | None = None,
+        tables: Tables | None = None,
     ) -> "GaussianMeasurement":
         """Build a sensor from text, as `SDE.from_expressions` builds a model.
 
@@ -188,70 +228,185 @@ class GaussianMeasurement:
         states : sequence of str
             Names of the n states.
         h : sequence of str, length k
-            Readings as expressions of the states and t.
-        noise_cov, angles
+            Readings as expressions of the states, t, parameters, inputs and tables.
+        noise_cov : array_like, shape (k, k), or nested sequence of str or float
+            Numbers, or expressions.
+        angles, parameters, inputs
             As for the constructor.
+        tables : mapping of str to Table or to (arguments, values), optional
+            What ``table("name", ...)`` calls.
 
         Raises
         ------
         ExpressionError
             Unknown name or forbidden syntax.
         """
-        return cls(_Expressions(states, h), noise_cov, angles, vectorized=True)
+        recipe = {k: v for k, v in locals().items() if k != "cls"}
+        from .symbolic import Vocabulary, symbolic_rows  # imports sympy, which takes a second
+
+        values, self = Values.of(parameters, inputs), cls.__new__(cls)
+        words = Vocabulary([*values.parameters], [*values.inputs], tables_of(tables))
+        names = words.with_states(states)
+        self._begin(GaussianMeasurement.from_expressions, recipe | {"angles": tuple(_listed(angles))}, values)
+        self._n = len(states)
+        self._fill = symbolic_rows(states, h, "h", names)
+        texts = _texts(noise_cov)
+        if texts is None:
+            self._set_noise(noise_cov, False, h, None)
+        else:
+            self.dim_z = len(texts)
+            if [len(row) for row in texts] != [len(h)] * len(h):
+                raise ModelError(f"noise_cov must be {len(h)} rows of {len(h)}, one for each of h")
+            where = [f"noise_cov[{i}][{j}]" for i, row in enumerate(texts) for j in range(len(row))]
+            self._noise = symbolic_rows(states, [text for row in texts for text in row], where, names)
+        words.check_used(names)
+        self._tail = names.data
+        self._finish(angles, len(h))
+        return self
+
+    def _begin(self, made: Callable[..., Any], recipe: dict[str, Any], values: Values) -> None:
+        self._made, self._recipe = made, recipe
+        self._factors: dict[bytes, tuple[Floats, float]] = {}
+        self._tried: set[int] = set()
+        self._tail = np.empty(0)
+        self.noise_cov = self.H = self._matrix = self._n = None
+        self._fill = self._noise = None
+        self._set(values)
+
+    def _set(self, values: Values) -> None:
+        self._values, (self.parameters, self.inputs) = values, map(MappingProxyType, values)
+        self._p = np.concatenate([*values.data, self._tail])
+
+    def _set_noise(self, noise_cov: Any, vectorized: bool, h: Any, dim_z: int | None) -> None:
+        """Take R, a matrix or a function of a known number of readings."""
+        if not callable(noise_cov):
+            self.noise_cov = validate.covariance("noise_cov", noise_cov)
+            self.noise_cov.setflags(write=False)
+            self.dim_z = len(self.noise_cov)
+            return
+        if dim_z is None and callable(h):
+            raise ModelError("h and noise_cov are functions: give dim_z= too, the number of readings")
+        self.dim_z = validate.count("dim_z", np.shape(h)[0] if dim_z is None else dim_z)
+        shape, data = (self.dim_z, self.dim_z), self._values.data
+        self._noise = compile_rows(noise_cov, shape, "noise_cov", None, data, vectorized)
+
+    def _set_matrix(self, h: ArrayLike) -> None:
+        """Take H."""
+        H = validate.array("h", h, (None, None))
+        if len(H) != self.dim_z:
+            raise ModelError(
+                f"h of shape {H.shape} and noise_cov of shape {(self.dim_z, self.dim_z)} do not fit: "
+                "both need a row for each component of z."
+            )
+        H.setflags(write=False)
+        self._matrix, self._n = H, H.shape[1]
+        self.H = None if self._noise else H
+
+    def _finish(self, angles: Iterable[int], readings: int | None = None) -> None:
+        if readings not in (None, self.dim_z):
+            raise ModelError(
+                f"noise_cov of shape {(self.dim_z, self.dim_z)} and {readings} readings of h do not fit: "
+                "both need a row for each component of z."
+            )
+        self.angles = tuple(sorted({validate.count("angles", a, least=0) for a in _listed(angles)}))
+        if self.angles and self.angles[-1] >= self.dim_z:
+            raise ModelError(f"angles names component {self.angles[-1]}, but z has {self.dim_z} (from 0).")
+        self._set(self._values)
+        self.directly_observed = direct_states(self.H, self.noise_cov, self.angles)
 
     def changed(
         self, noise_cov: ArrayLike | None = None, h: ArrayLike | StateFunction | None = None
     ) -> "GaussianMeasurement":
         """The same sensor with another noise covariance, a number r for R = r I, or another h."""
-        own_h, own_cov, angles, vectorized = self._recipe
-        if noise_cov is None:
-            noise_cov = own_cov
-        elif np.ndim(noise_cov) == 0:
+        if noise_cov is not None and np.ndim(noise_cov) == 0:
             noise_cov = validate.positive("noise_cov", noise_cov) * np.eye(self.dim_z)
-        if h is None:
-            return GaussianMeasurement(own_h, noise_cov, angles, vectorized)
-        return GaussianMeasurement(h, noise_cov, angles)
+        if h is not None:
+            cov: Any = self._recipe["noise_cov"] if noise_cov is None else noise_cov
+            return GaussianMeasurement(h, cov, self.angles, **self._values._asdict())
+        new = self._copied()
+        if noise_cov is not None:
+            new._recipe, new._factors, new._noise = self._recipe | {"noise_cov": noise_cov}, {}, None
+            new._set_noise(noise_cov, False, None, None)
+            new.H = new._matrix
+            new._finish(self.angles, self.dim_z)
+        return new
+
+    def with_parameters(self, **changes: float) -> Self:
+        """Return the sensor with other parameter values; nothing is compiled again.
+
+        Raises
+        ------
+        ModelError
+            Unknown name, or a value that is not one finite number.
+        """
+        return self._with(parameters=changed("parameter", self.parameters, changes, "The sensor"))
+
+    def with_inputs(self, u: Mapping[str, float]) -> Self:
+        """Return the sensor with these values of its inputs, by name."""
+        return self._with(inputs=changed("input", self.inputs, u, "The sensor"))
+
+    def _with(self, **changes: dict[str, float]) -> Self:
+        new = self._copied()
+        new._set(self._values._replace(**changes))
+        return new
+
+    def _copied(self) -> Self:
+        new = object.__new__(type(self))
+        new.__dict__.update(self.__dict__)
+        return new
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return GaussianMeasurement, self._recipe
+        return _rebuild, (self._made, self._recipe | self._values._asdict())
 
     def __repr__(self) -> str:
-        h = _name(self._recipe[0]) if self.H is None else validate.short(self.H.tolist())
-        angles = f", angles={list(self.angles)}" if self.angles else ""
-        return f"GaussianMeasurement(h={h}, noise_cov={validate.short(self.noise_cov.tolist())}{angles})"
+        h = _shown(self._recipe["h"])
+        R = _shown(self._recipe["noise_cov"] if self.noise_cov is None else self.noise_cov)
+        more = (("angles", list(self.angles)), ("parameters", dict(self.parameters)))
+        shown = "".join(f", {name}={value}" for name, value in more if value)
+        return f"GaussianMeasurement(h={h}, noise_cov={R}{shown})"
 
     def predict(self, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return the noise-free reading in each state X (N, n), shape (N, k)."""
         X = np.array(X, dtype=float, order="C", ndmin=2)
         self.check_dim(X.shape[1])
-        if self.H is not None:
-            return X @ self.H.T
-        out = np.empty((len(X), self.dim_z))
+        if self._matrix is not None:
+            return X @ self._matrix.T
+        assert self._fill is not None
+        return self._filled(self._fill, X, t, self.dim_z)
+
+    def covariance(self, X: ArrayLike, t: float = 0.0) -> Floats:
+        """Return R in each state X (N, n), shape (N, k, k)."""
+        X = np.array(X, dtype=float, order="C", ndmin=2)
+        self.check_dim(X.shape[1])
+        if self._noise is None:
+            return np.broadcast_to(self.noise_cov, (len(X), self.dim_z, self.dim_z))  # type: ignore[arg-type]
+        return self._filled(self._noise, X, t, self.dim_z, self.dim_z)
+
+    def _filled(self, fill: BatchFunction, X: Floats, t: float, *shape: int) -> Floats:
+        out = np.empty((len(X), math.prod(shape)))
         with surfacing():
-            self._fill(X, float(t), _NO_PARAMETERS, out)
-        return out
+            fill(X, float(t), self._p, out)
+        return out.reshape(len(X), *shape)
 
     def check_dim(self, n: int) -> None:
         """Raise `ModelError` if the sensor cannot read states of length n."""
-        if self.H is not None:
-            if n != self.H.shape[1]:
-                raise ModelError(_DIFFERENT.format(self.H.shape[1], n))
-        elif n not in self._tried:
-            h, _, _, vectorized = self._recipe
-            probe(h, (self.dim_z,), "h", n, _NO_PARAMETERS, vectorized)
-            self._tried.add(n)
+        if self._n not in (None, n):
+            raise ModelError(_DIFFERENT.format(self._n, n))
+        if n in self._tried:
+            return
+        for name, shape in (("h", (self.dim_z,)), ("noise_cov", (self.dim_z, self.dim_z))):
+            if callable(self._recipe[name]):
+                probe(self._recipe[name], shape, name, n, self._values.data, self._recipe["vectorized"])
+        self._tried.add(n)
 
     def residual(self, z: ArrayLike, zhat: ArrayLike) -> Floats:
         """Return z − zhat (..., k), angles wrapped to (−π, π]."""
-        r = np.asarray(z, dtype=float) - np.asarray(zhat, dtype=float)
-        for a in self.angles:
-            r[..., a] -= 2 * np.pi * np.ceil((r[..., a] - np.pi) / (2 * np.pi))
-        return r
+        return wrapped(np.asarray(z, dtype=float) - np.asarray(zhat, dtype=float), self.angles)
 
     def jacobian(self, x: ArrayLike, t: float = 0.0) -> Floats:
         """Return ∂h/∂x at one state x (n,), shape (k, n): H, or central differences."""
-        if self.H is not None:
-            return self.H.copy()
+        if self._matrix is not None:
+            return self._matrix.copy()
         x = np.asarray(x, dtype=float)
         steps = np.diag(np.finfo(float).eps ** (1 / 3) * np.maximum(1.0, np.abs(x)))
         above, below = x + steps, x - steps
@@ -280,158 +435,95 @@ class GaussianMeasurement:
         z, seen = self.reading(z)
         if not seen.any():
             return np.zeros(np.shape(X)[0])
-        whiten, constant = self._factor(seen)
         # a state where h is undefined gives NaN here, for the caller to judge
-        y = self.residual(z, self.predict(X, t))[:, seen] @ whiten
+        off = self.residual(z, self.predict(X, t))[:, seen]
+        if self._noise is not None:
+            L = self._roots(X, t, seen)
+            y = np.linalg.solve(L, off[:, :, None])[:, :, 0]
+            constant = -np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1) - seen.sum() * _HALF_LOG_2_PI
+        else:
+            whiten, constant = self._factor(seen)
+            y = off @ whiten
         return constant - 0.5 * np.einsum("ik,ik->i", y, y)
 
     def sample(self, x: ArrayLike, t: float = 0.0, rng: Seed = None) -> Floats:
         """Draw readings of one state (n,) → (k,), or of many (N, n) → (N, k); angles in (−π, π]."""
         zhat = self.predict(x, t)
-        noise = validate.generator(rng).standard_normal(zhat.shape) @ np.linalg.cholesky(self.noise_cov).T
+        drawn = validate.generator(rng).standard_normal(zhat.shape)
+        if self._noise is not None:
+            L = self._roots(x, t, np.ones(self.dim_z, dtype=bool))
+            noise = np.einsum("ijk,ik->ij", L, drawn)
+        else:
+            assert self.noise_cov is not None
+            noise = drawn @ np.linalg.cholesky(self.noise_cov).T
         z = self.residual(zhat + noise, 0.0)
         return z[0] if np.ndim(x) == 1 else z
+
+    def _roots(self, X: ArrayLike, t: float, seen: Bools) -> Floats:
+        """L with R = L Lᵀ in each state, observed block, shape (N, s, s)."""
+        R = self.covariance(X, t)[:, seen][:, :, seen]
+        try:
+            return np.asarray(np.linalg.cholesky(R))
+        except np.linalg.LinAlgError:
+            least = np.linalg.eigvalsh(np.nan_to_num(R, nan=-1.0, posinf=-1.0, neginf=-1.0))[:, 0]
+            worst = int(np.argmin(least))
+            x = np.atleast_2d(X)[worst]
+            raise ModelError(
+                f"noise_cov is not positive definite at the state {validate.row(x)}: {R[worst].tolist()}. "
+                "It must be, wherever the density is."
+            ) from None
 
     def _factor(self, seen: Bools) -> tuple[Floats, float]:
         """Return L^-T for R = L Lᵀ, observed block, and the log of the normalising constant.
 
         Residuals are multiplied by it: on tall, narrow arrays a triangular solve costs a hundred times more.
         """
+        assert self.noise_cov is not None
         key = seen.tobytes()
         if key not in self._factors:
             L = np.linalg.cholesky(self.noise_cov[np.ix_(seen, seen)])
-            constant = -np.log(np.diag(L)).sum() - 0.5 * len(L) * np.log(2 * np.pi)
+            constant = -np.log(np.diag(L)).sum() - len(L) * _HALF_LOG_2_PI
             self._factors[key] = solve_triangular(L, np.eye(len(L)), lower=True).T, constant
         return self._factors[key]
 
-    def _direct(self) -> tuple[Ints, Floats] | None:
-        if self.H is None or self.angles or not np.all((self.H != 0).sum(axis=1) == 1):
-            return None
-        columns = np.argmax(self.H != 0, axis=1)
-        diagonal = np.count_nonzero(self.noise_cov - np.diag(np.diag(self.noise_cov))) == 0
-        if len(set(columns)) < self.dim_z or not diagonal:
-            return None
-        return columns, self.H[np.arange(self.dim_z), columns]
+
+def wrapped(r: Floats, angles: Iterable[int]) -> Floats:
+    """Return differences (..., k), changed in place, with components that are angles in (−π, π]."""
+    for a in angles:
+        r[..., a] -= 2 * np.pi * np.ceil((r[..., a] - np.pi) / (2 * np.pi))
+    return r
 
 
-class _Expressions:
-    """h(X, t) of a sensor given as text; copies are made from the text."""
-
-    def __init__(self, states: Sequence[str], texts: Sequence[str]) -> None:
-        from .symbolic import symbolic_rows  # imports sympy, which takes a second
-
-        self.states, self.expressions = tuple(states), tuple(texts)
-        self._fill = symbolic_rows(states, texts, "h")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _Expressions, (self.states, self.expressions)
-
-    def __repr__(self) -> str:
-        return validate.short(list(self.expressions))
-
-    def __call__(self, X: Floats, t: float) -> Floats:
-        """Return the readings (N, k) in the states X (N, n)."""
-        if X.shape[1] != len(self.states):
-            raise ModelError(_DIFFERENT.format(len(self.states), X.shape[1]))
-        out = np.empty((len(X), len(self.expressions)))
-        self._fill(X, t, _NO_PARAMETERS, out)
-        return out
+def direct_states(H: Floats | None, R: Floats | None, angles: Sequence[int]) -> tuple[Ints, Floats] | None:
+    """State indices and scales (k,), where each reading is of a state of its own, with noise of its own."""
+    if H is None or R is None or angles or not np.all((H != 0).sum(axis=1) == 1):
+        return None
+    columns = np.argmax(H != 0, axis=1)
+    if len(set(columns)) < len(H) or np.count_nonzero(R - np.diag(np.diag(R))):
+        return None
+    return columns, H[np.arange(len(H)), columns]
 
 
-class LikelihoodMeasurement:
-    """Any sensor whose likelihood can be computed.
-
-    Parameters
-    ----------
-    loglik : callable
-        loglik(z, X, t) → (N,): log p(z | x) of every state X (N, n); −inf where z is impossible. It should
-        contain its normalising constant, or the evidence lacks it.
-    dim_z : int, optional
-        Length of z; not checked when None.
-    sample : callable, optional
-        sample(X, t, rng) → (N, k), for simulation.
-    peaks : callable, optional
-        peaks(z) → (M, n): states at which the likelihood of z may be far higher than around, so that a
-        lattice would overlook them.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import sphfilter as sf
-    >>> counter = sf.LikelihoodMeasurement(lambda z, X, t: z[0] * X[:, 0] - np.exp(X[:, 0]))  # a Poisson rate
-    >>> print(counter.log_likelihood([3.0], np.log([[1.0], [3.0]])).round(3))
-    [-1.     0.296]
-    """
-
-    H: None = None
-    directly_observed: None = None
-    noise_cov: None = None
-    angles: tuple[int, ...] = ()
-
-    def __init__(
-        self,
-        loglik: LogLikelihood,
-        dim_z: int | None = None,
-        sample: Sampler | None = None,
-        peaks: Peaks | None = None,
-    ) -> None:
-        if not callable(loglik):
-            raise ModelError(f"loglik must be a function (z, X, t) -> (N,), got {loglik!r}.")
-        _check_arguments(loglik)
-        self.dim_z = None if dim_z is None else validate.count("dim_z", dim_z)
-        self._loglik, self._sample, self.peaks = loglik, sample, peaks
-
-    def __repr__(self) -> str:
-        return f"LikelihoodMeasurement(loglik={_name(self._loglik)}, dim_z={self.dim_z})"
-
-    def observed(self, z: ArrayLike | None) -> Bools:
-        """Return which components of z were measured, bool (k,); all False for None."""
-        return self.reading(z).seen
-
-    def reading(self, z: ArrayLike | None) -> Reading:
-        """Return z as a `Reading`."""
-        return Reading.of(z, self.dim_z)
-
-    def log_likelihood(self, z: ArrayLike | None, X: ArrayLike, t: float = 0.0) -> Floats:
-        """Return log p(z | x) for each state X (N, n), shape (N,); zeros when all of z is missing."""
-        X = np.asarray(X, dtype=float)
-        z, seen = self.reading(z)
-        if not seen.any():
-            return np.zeros(len(X))
-        value = np.array(self._loglik(z, X, t) if len(X) else [], dtype=float)
-        if value.shape != (len(X),):
-            raise ModelError(f"loglik returned shape {value.shape}; ({len(X)},) is needed, one per state.")
-        wrong = np.flatnonzero(np.isnan(value) | (value == np.inf))
-        if wrong.size:
-            raise ModelError(
-                f"loglik returned {value[wrong[0]]} at state {X[wrong[0]]}; "
-                "it must be finite, or -inf where z is impossible."
-            )
-        return value
-
-    def sample(self, x: ArrayLike, t: float = 0.0, rng: Seed = None) -> Floats:
-        """Draw readings of one state (n,) → (k,), or of many (N, n) → (N, k)."""
-        if self._sample is None:
-            raise ModelError("This LikelihoodMeasurement cannot be simulated; give it sample=f(X, t, rng).")
-        X = np.array(x, dtype=float, ndmin=2)
-        z = np.array(self._sample(X, t, validate.generator(rng)), dtype=float).reshape(len(X), -1)
-        return z[0] if np.ndim(x) == 1 else z
+def _rebuild(made: Callable[..., GaussianMeasurement], recipe: dict[str, Any]) -> GaussianMeasurement:
+    return made(**recipe)
 
 
-def _check_arguments(loglik: Callable[..., object]) -> None:
-    """Refuse a likelihood that cannot be called with (z, X, t), where its signature is known."""
-    try:
-        signature = inspect.signature(loglik)
-    except (TypeError, ValueError):
-        return
-    try:
-        signature.bind(None, None, None)
-    except TypeError:
-        raise ModelError(
-            f"loglik must be a function of (z, X, t), but its arguments are {signature}."
-        ) from None
+def _listed(angles: Iterable[int]) -> list[int]:
+    if isinstance(angles, str) or not isinstance(angles, Iterable):
+        raise ModelError(f"angles must list components of z, such as angles=[0], got {angles!r}.")
+    return list(angles)
 
 
-def _name(function: object) -> str:
-    """Name of a function, or the text of what has none."""
-    return getattr(function, "__name__", None) or repr(function)
+def _texts(noise_cov: Any) -> list[list[str | float]] | None:
+    """Rows of expressions, if there is a text among them."""
+    nested = isinstance(noise_cov, list | tuple) and all(isinstance(row, list | tuple) for row in noise_cov)
+    if not nested or not any(isinstance(entry, str) for row in noise_cov for entry in row):
+        return None
+    return [list(row) for row in noise_cov]
+
+
+def _shown(given: Any) -> str:
+    """Name of a function, or the text of anything else."""
+    if callable(given):
+        return getattr(given, "__name__", None) or repr(given)
+    return validate.short(np.asarray(given).tolist())

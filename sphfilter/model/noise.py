@@ -10,7 +10,16 @@ from .. import validate
 from .._types import Floats
 from ..errors import ModelError
 from . import derived
-from .compile import Maker, StateFunction, accepts, compile_rows, probe_states, reads_argument, shared
+from .compile import (
+    Data,
+    Maker,
+    StateFunction,
+    arguments_of,
+    compile_rows,
+    probe_states,
+    reads_argument,
+    shared,
+)
 
 __all__ = ["Noise", "constant_root", "noise_parts", "reads_time", "structure"]
 
@@ -19,9 +28,9 @@ Noise: TypeAlias = ArrayLike | StateFunction
 NoiseParts: TypeAlias = tuple[dict[str, Maker], Floats, Floats, dict[str, Any]]
 
 
-def reads_time(function: Callable[..., Any], name: str) -> bool:
+def reads_time(function: Callable[..., Any], name: str, data: Data) -> bool:
     """Tell whether a model function may depend on time; False is a proof."""
-    return accepts(function, name) > 1 and reads_argument(function, 1)
+    return len(arguments_of(function, name, data)) > 1 and reads_argument(function, 1)
 
 
 def noise_parts(
@@ -29,7 +38,7 @@ def noise_parts(
     spectral_density: ArrayLike | None,
     diffusion: Noise | None,
     n: int,
-    p: Floats,
+    data: Data,
     vectorized: bool,
 ) -> NoiseParts:
     """Return makers of g, D and ∇·D, then Q, the constants that end p, and the flags of the noise."""
@@ -37,10 +46,10 @@ def noise_parts(
         if noise is not None or spectral_density is not None:
             raise ModelError("Give either noise= with spectral_density=, or diffusion=, not both.")
         if callable(diffusion):
-            return _diffusion_function(diffusion, n, p, vectorized)
+            return _diffusion_function(diffusion, n, data, vectorized)
         noise = constant_root(validate.covariance("diffusion", diffusion, n, definite=False))
     if callable(noise):
-        return _noise_function(noise, spectral_density, n, p, vectorized)
+        return _noise_function(noise, spectral_density, n, data, vectorized)
     if noise is None and spectral_density is not None:
         raise ModelError("spectral_density= is given without noise=; give noise= of shape (n, m) too.")
     what = f"a row for each of dim = {n} states, a column for each noise"
@@ -57,36 +66,36 @@ def noise_parts(
 
 
 def _noise_function(
-    noise: Callable[..., Any], spectral_density: ArrayLike | None, n: int, p: Floats, vectorized: bool
+    noise: Callable[..., Any], spectral_density: ArrayLike | None, n: int, data: Data, vectorized: bool
 ) -> NoiseParts:
     if spectral_density is None:
         raise ModelError("noise= is a function: give spectral_density= of shape (m, m) too, it tells m.")
     Q = _spectral_density(spectral_density, None)
-    g = compile_rows(noise, (n, len(Q)), "noise", n, p, vectorized)
+    g = compile_rows(noise, (n, len(Q)), "noise", n, data, vectorized)
     makers = {"noise": lambda fs: g, "diffusion": lambda fs: derived.diffusion_from_noise(g, Q)}
-    return _with_divergence(makers, noise, "noise", Q)
+    return _with_divergence(makers, noise, "noise", Q, data)
 
 
-def _diffusion_function(diffusion: Callable[..., Any], n: int, p: Floats, vectorized: bool) -> NoiseParts:
-    D = compile_rows(diffusion, (n, n), "diffusion", n, p, vectorized)
+def _diffusion_function(diffusion: Callable[..., Any], n: int, data: Data, vectorized: bool) -> NoiseParts:
+    D = compile_rows(diffusion, (n, n), "diffusion", n, data, vectorized)
     out = np.empty((3, n * n))
-    D(probe_states(n), 0.0, p, out)
+    D(probe_states(n), 0.0, np.concatenate(data), out)
     for matrix in out.reshape(-1, n, n):
         if np.isfinite(matrix).all():
             validate.covariance("diffusion", matrix, n, definite=False)
     makers = {"noise": lambda fs: derived.noise_from_diffusion(D), "diffusion": lambda fs: D}
-    return _with_divergence(makers, diffusion, "diffusion", np.eye(n))
+    return _with_divergence(makers, diffusion, "diffusion", np.eye(n), data)
 
 
 def _with_divergence(
-    makers: dict[str, Maker], function: Callable[..., Any], name: str, Q: Floats
+    makers: dict[str, Maker], function: Callable[..., Any], name: str, Q: Floats, data: Data
 ) -> NoiseParts:
     depends = reads_argument(function, 0)
     if depends:
         makers["diffusion_divergence"] = lambda fs: derived.row_divergence_from(fs["diffusion"])
     else:
         makers["diffusion_divergence"] = lambda fs: shared(derived.zeros)
-    return makers, Q, np.empty(0), structure(depends, reads_time(function, name))
+    return makers, Q, np.empty(0), structure(depends, reads_time(function, name, data))
 
 
 def structure(state_dependent: bool, time_dependent: bool) -> dict[str, Any]:

@@ -12,15 +12,17 @@ from numpy.typing import ArrayLike
 
 from .. import validate
 from .._types import BatchFunction, Bools, Floats
-from ..errors import ModelError, nearest, plain
+from ..errors import ModelError
 from . import derived
-from .compile import Maker, StateFunction, compile_rows, shared, surfacing
+from .compile import Data, Maker, StateFunction, compile_rows, shared, surfacing
 from .discretization import transition
 from .domain import Domain, DomainLike
+from .named import Inputs, InputValues, Values, changed
 from .noise import Noise, constant_root, noise_parts, reads_time
+from .tables import Tables, tables_of
 from .timing import roots
 
-__all__ = ["SDE", "LinearSDE"]
+__all__ = ["SDE", "LinearSDE", "driven"]
 
 Interpretation: TypeAlias = Literal["ito", "stratonovich"]
 _PART_OF_PERIOD = 1.0 / 8.0  # of a sine, that a step may take
@@ -35,8 +37,8 @@ class SDE:
     ----------
     drift : callable
         f(x, t), f(x) or f(x, t, p) of one state x (n,), returning a tuple of n numbers; p holds the
-        parameter values in the order of `parameters` (``p[0]``, ``p[1]``, ...). With `vectorized`, of
-        X (N, n) → (N, n).
+        parameter values in the order of `parameters` (``p[0]``, ``p[1]``, ...). With `inputs` also
+        f(x, t, u) or f(x, t, p, u). With `vectorized`, of X (N, n) → (N, n).
     dim : int
         n, the length of the state.
     noise : array_like (n, m) or callable, optional
@@ -48,6 +50,9 @@ class SDE:
     diffusion : array_like (n, n) or callable, optional
         D itself, instead of `noise` and `spectral_density`; then g is a root of 2 D and Q the identity.
     parameters : mapping of str to float, optional
+    inputs : sequence of str, or mapping of str to float, optional
+        Names of what is held over each interval, such as controls, and their values where a prediction gives
+        none (zero by default): ``flt.predict(dt, u=...)``.
     divergence : callable, optional
         ∇·f of the Itô drift, one number per state; else central differences of the drift are used.
     vectorized : bool
@@ -65,9 +70,10 @@ class SDE:
     dim, n_noise : int
         n and m.
     states : tuple of str
-    parameters : mapping of str to float, read-only
+    parameters, inputs : mapping of str to float, read-only
     p : ndarray
-        What the compiled functions take as p: the parameter values, then constants of the model.
+        What the compiled functions take as p: values of parameters, then of inputs, then constants of the
+        model.
     spectral_density : ndarray, shape (m, m)
     drift_batch, noise_batch, diffusion_batch, diffusion_divergence_batch, jacobian_batch, divergence_batch
         Compiled functions ``fill(x, t, p, out)`` with out of n, n·m, n·n, n, n·n and 1 columns. The drift is
@@ -111,6 +117,7 @@ class SDE:
     n_noise: int
     states: tuple[str, ...]
     parameters: Mapping[str, float]
+    inputs: Mapping[str, float]
     p: Floats
     spectral_density: Floats
     domain: Domain
@@ -137,14 +144,15 @@ class SDE:
         domain: DomainLike = None,
         max_step: float | None = None,
         events: ArrayLike = (),
+        inputs: Inputs | None = None,
     ) -> None:
         recipe = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         n = validate.count("dim", dim)
         validate.choice("interpretation", interpretation, ("ito", "stratonovich"))
-        values = _parameters(parameters)
-        p = np.array(list(values.values()))
-        makers, Q, tail, flags = noise_parts(noise, spectral_density, diffusion, n, p, vectorized)
-        f = compile_rows(drift, (n,), "drift", n, p, vectorized)
+        values = Values.of(parameters, inputs)
+        data = values.data
+        makers, Q, tail, flags = noise_parts(noise, spectral_density, diffusion, n, data, vectorized)
+        f = compile_rows(drift, (n,), "drift", n, data, vectorized)
         makers["drift"] = lambda fs: f
         if interpretation == "stratonovich" and flags["state_dependent_noise"]:
             if diffusion is not None:
@@ -152,9 +160,9 @@ class SDE:
             makers["drift"] = lambda fs: derived.stratonovich_drift(f, fs["noise"], Q)
             makers["flow_drift"] = lambda fs: f
         if divergence is not None:
-            given = compile_rows(divergence, (), "divergence", n, p, vectorized)
+            given = compile_rows(divergence, (), "divergence", n, data, vectorized)
             makers["divergence"] = lambda fs: given
-        flags["autonomous"] = flags["autonomous"] and not reads_time(drift, "drift")
+        flags["autonomous"] = flags["autonomous"] and not reads_time(drift, "drift", data)
         names = [f"x{i}" for i in range(n)]
         self._assemble((SDE, recipe), names, values, Q, makers, tail, flags, domain, max_step, events)
 
@@ -171,6 +179,8 @@ class SDE:
         domain: DomainLike = None,
         max_step: float | None = None,
         events: ArrayLike = (),
+        inputs: Inputs | None = None,
+        tables: Tables | None = None,
     ) -> "SDE":
         """Build a model from text; derivatives are symbolic.
 
@@ -190,6 +200,11 @@ class SDE:
         max_step, events
             As for the constructor. Text knows by itself when conditions on t alone change, and how fast sines
             of t are.
+        inputs : sequence of str, or mapping of str to float, optional
+            As for the constructor.
+        tables : mapping of str to Table or to (arguments, values), optional
+            What ``table("name", t)`` calls. No step goes over an argument of a table of t, or of t times a
+            number: they are among the `events`.
 
         Raises
         ------
@@ -201,7 +216,8 @@ class SDE:
         Notes
         -----
         Allowed: states, t, parameters, numbers, pi, ``+ - * / **``, sin cos tan asin acos atan atan2 sinh
-        cosh tanh exp log sqrt abs sign min max, and where(condition, a, b) with comparisons, ``and``, ``or``.
+        cosh tanh exp log sqrt abs sign min max, where(condition, a, b) with comparisons, ``and``, ``or``, and
+        table("name", a). A parameter, input or table that no expression uses is an error.
 
         Examples
         --------
@@ -210,23 +226,24 @@ class SDE:
         >>> print(model.drift([[2.0]], t=0.0), model.jacobian([2.0], t=0.0))
         [[-6.]] [[-11.]]
         """
-        from .symbolic import symbolic_model  # imports sympy, which takes a second
+        recipe = {k: v for k, v in locals().items() if k != "cls"}
+        from .symbolic import Vocabulary, symbolic_model  # imports sympy, which takes a second
 
-        recipe = {k: v for k, v in locals().items() if k not in ("cls", "symbolic_model")}
         validate.choice("interpretation", interpretation, ("ito", "stratonovich"))
-        values = _parameters(parameters)
-        makers, Q, flags = symbolic_model(states, drift, noise, diffusion, spectral_density, tuple(values),
-                                          interpretation)  # fmt: skip
-        self = cls.__new__(cls)
-        made = (SDE.from_expressions, recipe)
-        self._assemble(made, states, values, Q, makers, np.empty(0), flags, domain, max_step, events)
+        values = Values.of(parameters, inputs)
+        words = Vocabulary([*values.parameters], [*values.inputs], tables_of(tables))
+        makers, Q, tail, flags = symbolic_model(states, drift, noise, diffusion, spectral_density, words,
+                                                interpretation)  # fmt: skip
+        self, made = cls.__new__(cls), (SDE.from_expressions, recipe)
+        stops = np.concatenate([validate.array("events", events, (None,)), flags.pop("breakpoints")])
+        self._assemble(made, states, values, Q, makers, tail, flags, domain, max_step, stops)
         return self
 
     def _assemble(
         self,
         recipe: tuple[Callable[..., "SDE"], dict[str, Any]],
         states: Sequence[str],
-        values: dict[str, float],
+        values: Values,
         Q: Floats,
         makers: dict[str, Maker],
         tail: Floats,
@@ -248,13 +265,12 @@ class SDE:
         self.events.setflags(write=False)
         for name in ("constant_diffusion", "state_dependent_noise", "autonomous", "linear"):
             setattr(self, name, bool(flags[name]))
-        self._set_parameters(values)
+        self._set(values)
         self._functions["drift"]  # what is wrong with a drift should show now, not in a first step
 
-    def _set_parameters(self, values: dict[str, float]) -> None:
-        self.parameters = MappingProxyType(values)
-        # writable for numba's sake: a read-only array has another type there
-        self.p = np.concatenate([np.array(list(values.values())), self._tail])
+    def _set(self, values: Values) -> None:
+        self._values, (self.parameters, self.inputs) = values, map(MappingProxyType, values)
+        self.p = self._data(values.data)
         rows = np.array(self._flags.get("diffusion_rows", np.ones(self.dim, dtype=bool)))
         if self.constant_diffusion:
             rows = np.any(self.diffusion(np.zeros((1, self.dim)), 0.0)[0] != 0.0, axis=1)
@@ -262,6 +278,10 @@ class SDE:
         self.diffusion_rows = rows
         fastest = np.abs(self._at("frequencies", 0.0)).max(initial=0.0)
         self.max_step = min(self._longest, _PART_OF_PERIOD * 2.0 * np.pi / fastest if fastest else np.inf)
+
+    def _data(self, data: Data) -> Floats:
+        """Values and constants as compiled functions take them, writable: read-only is another type there."""
+        return np.concatenate([*data, self._tail])
 
     def _at(self, name: str, t: float) -> Floats:
         """What text knows about its times: "switches" or "frequencies", as many numbers as it has of them."""
@@ -285,24 +305,41 @@ class SDE:
         ModelError
             Unknown name, or a value that is not one finite number.
         """
-        known_as = {plain(name): name for name in self.parameters}
-        changes = {known_as.get(plain(name), name): value for name, value in changes.items()}
-        for name in changes:
-            if name not in self.parameters:
-                known = ", ".join(self.parameters) or "none"
-                raise ModelError(
-                    f"The model has no parameter {name!r}{nearest(name, self.parameters)}; it has: {known}."
-                )
+        return self._with(parameters=changed("parameter", self.parameters, changes, "The model"))
+
+    def with_inputs(self, u: InputValues) -> Self:
+        """Return the model with these values of its inputs; nothing is compiled again.
+
+        Parameters
+        ----------
+        u : array_like (m,), number, or mapping of str to float
+            Values in the order of `inputs`, or by name; those that a mapping does not name stay.
+
+        Raises
+        ------
+        ModelError
+            Unknown name, another number of values, or one that is not finite.
+        """
+        if isinstance(u, Mapping):
+            return self._with(inputs=changed("input", self.inputs, u, "The model"))
+        if not self.inputs:
+            raise ModelError(f"u = {validate.short(u)} is given, but the model has no inputs: inputs=[...]")
+        values = validate.array(
+            "u", np.ravel(np.asarray(u)), (len(self.inputs),), f"of {', '.join(self.inputs)}"
+        )
+        return self._with(inputs=dict(zip(self.inputs, map(float, values), strict=True)))
+
+    def _with(self, **changes: dict[str, float]) -> Self:
         new = object.__new__(type(self))
         new.__dict__.update(self.__dict__)
-        new._set_parameters(_parameters({**self.parameters, **changes}))
+        new._set(self._values._replace(**changes))
         return new
 
     def __reduce__(self) -> tuple[Any, ...]:
         constructor, arguments = self._recipe
         if "parameters" in arguments:
-            arguments = {**arguments, "parameters": dict(self.parameters)}
-        return _rebuild, (constructor, arguments)
+            arguments = arguments | {"parameters": dict(self.parameters), "inputs": dict(self.inputs)}
+        return _rebuild, (constructor, arguments, dict(self.inputs))
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(states={self.states}, n_noise={self.n_noise})"
@@ -410,7 +447,7 @@ class SDE:
 
 
 class LinearSDE(SDE):
-    """dX = (A X + b) dt + g dW with constant A, b and g.
+    """dX = (A X + B u + b) dt + g dW with constant A, B, b and g.
 
     Parameters
     ----------
@@ -419,6 +456,8 @@ class LinearSDE(SDE):
     noise : array_like, shape (n, m), optional
     spectral_density : array_like, shape (m, m), optional
         Identity if not given.
+    B : array_like, shape (n, k), optional
+        What the k inputs u0, u1, ... do, which are held over each interval: ``flt.predict(dt, u=...)``.
 
     Examples
     --------
@@ -434,21 +473,28 @@ class LinearSDE(SDE):
         b: ArrayLike | None = None,
         noise: ArrayLike | None = None,
         spectral_density: ArrayLike | None = None,
+        B: ArrayLike | None = None,
     ) -> None:
         recipe = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         A = validate.square("A", A)
         n = len(A)
         b = np.zeros(n) if b is None else validate.array("b", b, (n,))
+        B = np.zeros((n, 0)) if B is None else validate.array("B", B, (n, None), "a column for each input")
         if callable(noise):
             raise ModelError("The noise of a LinearSDE is a constant matrix; use SDE for a function.")
-        makers, Q, tail, flags = noise_parts(noise, spectral_density, None, n, np.empty(0), False)
+        makers, Q, tail, flags = noise_parts(noise, spectral_density, None, n, Data(), False)
         makers["drift"] = lambda fs: shared(derived.linear_drift)
         makers["jacobian"] = lambda fs: shared(derived.linear_jacobian)
         makers["divergence"] = lambda fs: shared(derived.linear_divergence)
         flags["linear"] = True
-        tail = np.concatenate([A.ravel(), b, tail])
-        self.A, self.b = A, b
-        self._assemble((LinearSDE, recipe), [f"x{i}" for i in range(n)], {}, Q, makers, tail, flags)
+        self.A, self.b, self.B, self._own_b = A, b, B, b
+        values = Values.of(None, [f"u{k}" for k in range(B.shape[1])])
+        self._assemble((LinearSDE, recipe), [f"x{i}" for i in range(n)], values, Q, makers, tail, flags)
+
+    def _data(self, data: Data) -> Floats:
+        """A, b with what the inputs add to it, and the noise."""
+        self.b = self._own_b + self.B @ data.u
+        return np.concatenate([self.A.ravel(), self.b, self._tail])
 
     def to_linear(self) -> "LinearSDE":
         """Return the model itself."""
@@ -498,9 +544,11 @@ class _Functions:
         return self._made[name]
 
 
-def _rebuild(constructor: Callable[..., SDE], arguments: dict[str, Any]) -> SDE:
-    return constructor(**arguments)
+def driven(sensor: Any, model: SDE) -> Any:
+    """Return a sensor with the values that the inputs of a model have now, as far as both know them."""
+    shared = {name: model.inputs[name] for name in getattr(sensor, "inputs", ()) if name in model.inputs}
+    return sensor.with_inputs(shared) if shared else sensor
 
 
-def _parameters(parameters: Mapping[str, float] | None) -> dict[str, float]:
-    return {str(k): validate.real(f"parameter {k}", v) for k, v in dict(parameters or {}).items()}
+def _rebuild(constructor: Callable[..., SDE], arguments: dict[str, Any], inputs: dict[str, float]) -> SDE:
+    return constructor(**arguments).with_inputs(inputs)

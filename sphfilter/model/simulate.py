@@ -3,7 +3,7 @@
 import math
 from functools import lru_cache
 from itertools import pairwise
-from typing import overload
+from typing import Protocol, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +16,8 @@ from ..errors import ModelError, PropagationError
 from .compile import surfacing
 from .derived import scales
 from .domain import Domain
-from .measurements import GaussianMeasurement, LikelihoodMeasurement
-from .sde import SDE
+from .named import InputRecord, each_input
+from .sde import SDE, driven
 from .timing import beside
 
 __all__ = ["advance", "noise_root", "rate_of_time", "simulate"]
@@ -29,15 +29,23 @@ _STEPS_PER_LOOK, _LOOKED_AT, _NORMALS_AT_ONCE = 16, 64, 1_000_000
 _MAX_STEPS = 10_000_000
 
 
+class Sampled(Protocol):
+    """A sensor of which readings can be drawn."""
+
+    def sample(self, x: ArrayLike, t: float, rng: np.random.Generator, /) -> Floats:
+        """Draw readings of many states (N, n), shape (N, k)."""
+
+
 @overload
 def simulate(
     model: SDE,
-    measurement: GaussianMeasurement | LikelihoodMeasurement,
+    measurement: Sampled,
     x0: ArrayLike,
     times: ArrayLike,
     rng: Seed = None,
     n_paths: int | None = None,
     max_step: float | None = None,
+    inputs: InputRecord | None = None,
 ) -> tuple[Floats, Floats]: ...
 
 
@@ -50,17 +58,19 @@ def simulate(
     rng: Seed = None,
     n_paths: int | None = None,
     max_step: float | None = None,
+    inputs: InputRecord | None = None,
 ) -> tuple[Floats, None]: ...
 
 
 def simulate(
     model: SDE,
-    measurement: GaussianMeasurement | LikelihoodMeasurement | None,
+    measurement: Sampled | None,
     x0: ArrayLike,
     times: ArrayLike,
     rng: Seed = None,
     n_paths: int | None = None,
     max_step: float | None = None,
+    inputs: InputRecord | None = None,
 ) -> tuple[Floats, Floats | None]:
     """Draw paths of a model and readings of them.
 
@@ -69,7 +79,7 @@ def simulate(
     Parameters
     ----------
     model : SDE
-    measurement : GaussianMeasurement, LikelihoodMeasurement with a sampler, or None
+    measurement : GaussianMeasurement, LikelihoodMeasurement with a sampler, Sensors, or None
     x0 : array_like, shape (n,) or (R, n)
         State at ``times[0]``, of one path or of R.
     times : array_like, shape (T,)
@@ -79,6 +89,8 @@ def simulate(
         R, to start R paths from one x0 (n,).
     max_step : float, optional
         Upper bound of the step, seconds; chosen from the model when None.
+    inputs : array_like (T, m), or mapping of str to array_like (T,), optional
+        What the model's inputs are over the interval that ends at each time; the first row has none.
 
     Returns
     -------
@@ -114,12 +126,16 @@ def simulate(
         x = np.repeat(x, validate.count("n_paths", n_paths), axis=0)
     truth = np.empty((len(times), *x.shape))
     truth[0] = x
+    each = [
+        model if u is None else model.with_inputs(u) for u in each_input(model.inputs, inputs, len(times))
+    ]
     for i, (before, t) in enumerate(pairwise(times), start=1):
-        x = model.domain.wrap(advance(model, x, before, t, rng, max_step)) if t > before else x
+        x = model.domain.wrap(advance(each[i], x, before, t, rng, max_step)) if t > before else x
         truth[i] = x
     z = None
     if measurement is not None:
-        z = np.stack([measurement.sample(x, t, rng) for x, t in zip(truth, times, strict=True)], axis=1)
+        read = zip(truth, times, each, strict=True)
+        z = np.stack([driven(measurement, own).sample(x, t, rng) for x, t, own in read], axis=1)
     truth = truth.transpose(1, 0, 2).copy()
     return (truth[0], None if z is None else z[0]) if single else (truth, z)
 

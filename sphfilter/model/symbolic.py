@@ -1,7 +1,8 @@
 """From the texts of a model to its batch functions and structure flags, with symbolic derivatives."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -9,17 +10,38 @@ from numpy.typing import ArrayLike
 
 from .. import validate
 from .._types import BatchFunction, Floats
-from ..errors import ExpressionError, ModelError
+from ..errors import ExpressionError, ModelError, nearest
 from . import derived
 from .compile import Maker, compile_source, shared
 from .expressions import Names, parse
 from .noise import constant_root
-from .symbols import Abs, Ge, Gt, Max, Min, Sign, source
+from .symbols import Abs, Ge, Gt, Linear, Max, Min, Previous, Sign, source
+from .tables import Table, linear, previous, slope
 
-__all__ = ["symbolic_model", "symbolic_rows"]
+__all__ = ["Vocabulary", "symbolic_model", "symbolic_rows"]
 
 #: Derivatives of a short text can be long; beyond this many operations compiling would take minutes.
 MAX_OPERATIONS = 20_000
+
+
+class Vocabulary(NamedTuple):
+    """Names that texts may use beside the states'."""
+
+    parameters: Sequence[str] = ()
+    inputs: Sequence[str] = ()
+    tables: Mapping[str, Table] = MappingProxyType({})
+
+    def with_states(self, states: Sequence[str]) -> Names:
+        """All names of a model or a sensor."""
+        return Names(states, (*self.parameters, *self.inputs), self.tables)
+
+    def check_used(self, names: Names) -> None:
+        """Raise `ExpressionError` if a parameter, input or table is used by no text."""
+        for kind, own in zip(("parameter", "input", "table"), self, strict=True):
+            idle = names.unused([*own])
+            if idle is not None:
+                near = nearest(idle, [word for word in names.symbols if word != idle])
+                raise ExpressionError(f"The {kind} {idle!r} is used by no expression{near}; leave it out.")
 
 
 def symbolic_model(
@@ -28,17 +50,18 @@ def symbolic_model(
     noise: Any,
     diffusion: Any,
     spectral_density: ArrayLike | None,
-    parameters: Sequence[str],
+    words: Vocabulary,
     interpretation: str,
-) -> tuple[dict[str, Maker], Floats, dict[str, Any]]:
-    """Return (makers, Q, flags) of a model in text; arguments as in `SDE.from_expressions`."""
+) -> tuple[dict[str, Maker], Floats, Floats, dict[str, Any]]:
+    """Return (makers, Q, tables, flags) of a model in text; arguments as in `SDE.from_expressions`."""
     if isinstance(states, str) or isinstance(drift, str):
         raise ModelError('states and drift are lists of text, one per state, for instance states=["x", "v"].')
-    names, n = Names(states, parameters), len(states)
+    names, n = words.with_states(states), len(states)
     if n == 0 or len(drift) != n:
         raise ModelError(f"drift has {len(drift)} expressions, but there are {n} states; give one for each.")
     f = sp.Matrix([parse(text, names, f"drift[{i}]") for i, text in enumerate(drift)])
     g, D, Q = _noise(noise, diffusion, spectral_density, names, n)
+    words.check_used(names)
     if interpretation == "stratonovich":
         f = f + _stratonovich_term(f, g, D, Q, names)
     noisy = bool((D if g is None else g).free_symbols & set(names.x))
@@ -65,12 +88,15 @@ def symbolic_model(
     own = [*f, *(D if g is None else g)]
     timing = {"switches": _switches(own, names), "frequencies": _frequencies(own, names)}
     makers |= {name: _maker(name, sp.Matrix(found), names) for name, found in timing.items() if found}
-    flags = _flags(f, J, D if g is None else g, D, names)
-    return makers, Q, flags | {name: len(found) for name, found in timing.items()}
+    flags = _flags(f, J, D if g is None else g, D, names) | {"breakpoints": _breakpoints(own, names)}
+    return makers, Q, names.data, flags | {name: len(found) for name, found in timing.items()}
 
 
 def symbolic_rows(
-    states: Sequence[str], texts: Sequence[str], name: str | Sequence[str], parameters: Sequence[str] = ()
+    states: Sequence[str],
+    texts: Sequence[str | float],
+    name: str | Sequence[str],
+    words: Vocabulary | Names | None = None,
 ) -> BatchFunction:
     """Return the batch function of k expressions of the states and t: rows of states in, k columns out.
 
@@ -79,12 +105,12 @@ def symbolic_rows(
     states, texts : sequence of str
     name : str, or sequence of k str
         What the expressions, or each of them, are, for messages.
-    parameters : sequence of str
+    words : Vocabulary or Names
         Names whose values the function takes.
     """
     if isinstance(states, str) or isinstance(texts, str):
         raise ModelError(f'states and {name} are lists of text, for instance {name}=["x**2"].')
-    names = Names(states, parameters)
+    names = words if isinstance(words, Names) else (words or Vocabulary()).with_states(states)
     each = [f"{name}[{i}]" for i in range(len(texts))] if isinstance(name, str) else name
     rows = sp.Matrix([parse(text, names, where) for text, where in zip(texts, each, strict=True)])
     return _maker(name if isinstance(name, str) else name[0], rows, names)(None)
@@ -194,6 +220,19 @@ def _frequencies(entries: Sequence[sp.Expr], names: Names) -> list[sp.Expr]:
     return sorted(found, key=str)
 
 
+def _breakpoints(entries: Sequence[sp.Expr], names: Names) -> Floats:
+    """Times at which tables of t, or of a number of times t, have their arguments."""
+    found = [np.empty(0)]
+    for call in {atom for entry in entries for atom in entry.atoms(Linear, Previous)}:
+        start, count, argument = call.args
+        rate = argument.diff(names.t)
+        offset = argument.subs(names.t, 0)
+        if rate.is_Number and rate != 0 and offset.is_Number:
+            first = int(start) - len(names.p)
+            found.append((names.data[first : first + int(count)] - float(offset)) / float(rate))
+    return np.concatenate(found)
+
+
 def _is_affine(f: sp.Matrix, J: sp.Matrix, names: Names) -> bool:
     """Tell whether f = A x + b is proven, with A and b free of state and time."""
     varying = {*names.x, names.t}
@@ -221,7 +260,8 @@ def _maker(name: str, matrix: sp.Matrix, names: Names) -> Maker:
             lines += [f"out[i, {k}] = {source(v)}" for k, v in enumerate(reduced)]
         except ValueError as error:
             raise ExpressionError(f"The {name} cannot be worked out: {error}.") from error
-        return compile_source([f"{s} = p[{j}]" for j, s in enumerate(names.p)], lines, np=np)
+        return compile_source([f"{s} = p[{j}]" for j, s in enumerate(names.p)], lines, np=np, linear=linear,
+                              previous=previous, slope=slope)  # fmt: skip
 
     return make
 

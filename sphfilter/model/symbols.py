@@ -11,7 +11,7 @@ from typing import Any
 
 import sympy as sp
 
-__all__ = ["FUNCTIONS", "And", "Ge", "Gt", "Not", "Or", "Where", "source"]
+__all__ = ["FUNCTIONS", "And", "Ge", "Gt", "Linear", "Not", "Or", "Previous", "Where", "source"]
 
 
 class _Function(sp.Function):
@@ -89,6 +89,22 @@ class Min(_Function):
         return _select(Ge(b, a), a.diff(s), b.diff(s))
 
 
+class Previous(_Flat):
+    """Value of a table that stands in p, from a place on, so many arguments and values; each held."""
+
+
+class Slope(_Flat):
+    """Slope of `Linear`."""
+
+
+class Linear(_Function):
+    """As `Previous`, with straight lines between the values."""
+
+    def _eval_derivative(self, s: sp.Symbol) -> sp.Expr:
+        *where, argument = self.args
+        return Slope(*where, argument) * argument.diff(s)
+
+
 def _select(condition: sp.Expr, a: sp.Expr, b: sp.Expr) -> sp.Expr:
     return a if a == b else Where(condition, a, b)
 
@@ -140,6 +156,9 @@ def source(e: Any) -> str:
         if value.imag != 0 or not math.isfinite(value.real):
             raise ValueError(f"{e} is not a finite real number")
         return f"({value.real!r})"
+    if isinstance(e, Linear | Previous | Slope):
+        start, count, argument = e.args
+        return f"{type(e).__name__.lower()}(p, {start}, {count}, {source(argument)})"
     a = [source(v) for v in e.args] if not e.is_Pow else []
     if e.is_Add:
         return "(" + " + ".join(a) + ")"

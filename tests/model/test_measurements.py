@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from sphfilter.errors import ExpressionError, ModelError
-from sphfilter.model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from sphfilter.model.likelihood import LikelihoodMeasurement
+from sphfilter.model.measurements import GaussianMeasurement
 
 X = np.random.default_rng(3).normal(size=(5, 3))
 H = np.array([[1.0, 0.0, 0.5], [0.0, 2.0, 0.0], [1.0, 1.0, 1.0]])

@@ -9,7 +9,8 @@ from scipy.sparse.linalg import expm_multiply
 
 from sphfilter.core.sde_steps import normals_per_step, steps
 from sphfilter.errors import ModelError, PropagationError
-from sphfilter.model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from sphfilter.model.likelihood import LikelihoodMeasurement
+from sphfilter.model.measurements import GaussianMeasurement
 from sphfilter.model.sde import SDE, LinearSDE
 from sphfilter.model.simulate import advance, simulate
 

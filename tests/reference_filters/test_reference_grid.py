@@ -12,7 +12,8 @@ from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter import consistency
 from sphfilter.errors import ModelError, PropagationError
-from sphfilter.model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from sphfilter.model.likelihood import LikelihoodMeasurement
+from sphfilter.model.measurements import GaussianMeasurement
 from sphfilter.model.sde import SDE, LinearSDE
 from sphfilter.model.simulate import simulate
 

@@ -8,7 +8,8 @@ from scipy.stats import multivariate_normal
 from reference_filters.closed_forms import linear_moments
 from reference_filters.kalman import ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
 from sphfilter.errors import ModelError, PropagationError
-from sphfilter.model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from sphfilter.model.likelihood import LikelihoodMeasurement
+from sphfilter.model.measurements import GaussianMeasurement
 from sphfilter.model.sde import SDE, LinearSDE
 
 A = np.array([[0.0, 1.0], [-1.0, -0.2]])

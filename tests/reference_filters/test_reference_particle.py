@@ -11,7 +11,8 @@ from reference_filters.particle import ParticleFilter
 from sphfilter import consistency
 from sphfilter.core.paths.weights import condition, resample, weighted_moments
 from sphfilter.errors import ModelError, PropagationError
-from sphfilter.model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from sphfilter.model.likelihood import LikelihoodMeasurement
+from sphfilter.model.measurements import GaussianMeasurement
 from sphfilter.model.sde import SDE, LinearSDE
 
 OSCILLATOR = LinearSDE(A=[[0.0, 1.0], [-1.0, -0.2]], noise=[[0.0], [1.0]], spectral_density=[[0.8]])

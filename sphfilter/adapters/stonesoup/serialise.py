@@ -16,8 +16,10 @@ from ...density.storage import from_bytes, to_bytes
 from ...errors import ModelError, SphfilterError
 from ...info import PredictInfo, ResampleInfo, UpdateInfo
 from ...model.domain import Domain
-from ...model.measurements import GaussianMeasurement, LikelihoodMeasurement
+from ...model.likelihood import LikelihoodMeasurement
+from ...model.measurements import GaussianMeasurement
 from ...model.sde import SDE, LinearSDE
+from ...model.tables import Table
 
 __all__ = ["extend"]
 
@@ -81,20 +83,23 @@ def _density_from(text: str) -> ParticleDensity:
 
 
 def _model_text(model: SDE) -> str:
-    _, (constructor, arguments) = model.__reduce__()
+    _, (constructor, arguments, inputs) = model.__reduce__()
     if constructor == SDE:
         raise ModelError(_CODE.format("the drift of this SDE"))
-    return json.dumps({name: _plain(name, value) for name, value in arguments.items() if value is not None})
+    if isinstance(model, LinearSDE):
+        arguments = arguments | {"u": inputs}
+    return _json(arguments)
+
+
+def _linear_from(text: str) -> LinearSDE:
+    parts = json.loads(text)
+    inputs = parts.pop("u", {})
+    return LinearSDE(**parts).with_inputs(inputs)
 
 
 def _sensor_text(sensor: GaussianMeasurement) -> str:
-    _, (h, noise_cov, angles, _) = sensor.__reduce__()
-    parts = {"noise_cov": noise_cov, "angles": angles}
-    if hasattr(h, "expressions"):
-        parts |= {"states": h.states, "h": h.expressions}
-    else:
-        parts["h"] = h
-    return json.dumps({name: _plain(name, value) for name, value in parts.items()})
+    _, (_, recipe) = sensor.__reduce__()
+    return _json(recipe)
 
 
 def _sensor_from(text: str) -> GaussianMeasurement:
@@ -130,12 +135,19 @@ def _update_from(text: str) -> UpdateInfo:
     return UpdateInfo(**parts)
 
 
+def _json(arguments: dict[str, Any]) -> str:
+    given = {name: value for name, value in arguments.items() if value is not None}
+    return json.dumps({name: _plain(name, value) for name, value in given.items()})
+
+
 def _plain(name: str, value: Any) -> Any:
     """Numbers, text, lists and mappings of a value."""
     if callable(value):
         raise ModelError(_CODE.format(f"the {name} of this model"))
     if isinstance(value, Domain):
         value = value.axes
+    if isinstance(value, Table):
+        value = (value.at, value.values, value.kind)
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, dict):
@@ -147,7 +159,7 @@ def _plain(name: str, value: Any) -> Any:
 _FORMS: dict[type, tuple[Callable[[Any], str], Callable[[str], Any]]] = {
     ParticleDensity: (_density_text, _density_from),
     SDE: (_model_text, lambda text: SDE.from_expressions(**json.loads(text))),
-    LinearSDE: (_model_text, lambda text: LinearSDE(**json.loads(text))),
+    LinearSDE: (_model_text, _linear_from),
     GaussianMeasurement: (_sensor_text, _sensor_from),
     LikelihoodMeasurement: (_refused, _refused),
     FilterConfig: (FilterConfig.to_toml, FilterConfig.from_toml),

@@ -1,0 +1,90 @@
+"""Values by name: parameters of models and sensors, and inputs."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import validate
+from ..errors import ModelError, nearest, plain
+from .compile import Data
+
+__all__ = ["InputRecord", "InputValues", "Inputs", "Values", "changed", "each_input"]
+
+#: Names of inputs, or their values where a prediction gives none.
+Inputs: TypeAlias = Sequence[str] | Mapping[str, float]
+#: Values of inputs, in their order or by name.
+InputValues: TypeAlias = ArrayLike | Mapping[str, float]
+#: Values of inputs at each of T times: (T, m), (T,) of one input, or columns (T,) by name.
+InputRecord: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
+
+
+class Values(NamedTuple):
+    """Values of parameters and inputs by name."""
+
+    parameters: dict[str, float]
+    inputs: dict[str, float]
+
+    @classmethod
+    def of(cls, parameters: Mapping[str, float] | None, inputs: Inputs | None) -> "Values":
+        """Values as they are given; inputs of which there are names only are zero."""
+        if isinstance(inputs, str):
+            raise ModelError(f"inputs lists names, such as inputs=[{inputs!r}], or maps them to values")
+        given = inputs if isinstance(inputs, Mapping) else dict.fromkeys(inputs or (), 0.0)
+        found = cls(_named("parameter", parameters), _named("input", given))
+        twice = set(found.parameters) & set(found.inputs)
+        if twice:
+            raise ModelError(f"{min(twice)!r} is a parameter and an input; each needs a name of its own")
+        return found
+
+    @property
+    def data(self) -> Data:
+        """Values as compiled functions take them."""
+        p, u = (np.array([*values.values()], dtype=float) for values in self)
+        return Data(p, u)
+
+
+def _named(kind: str, values: Mapping[str, float] | None) -> dict[str, float]:
+    """Finite numbers by name; kind says what they are, for messages."""
+    return {str(name): validate.real(f"{kind} {name}", value) for name, value in dict(values or {}).items()}
+
+
+def changed(
+    kind: str, known: Mapping[str, float], changes: Mapping[str, float], whose: str
+) -> dict[str, float]:
+    """Values by name with some of them changed.
+
+    Raises
+    ------
+    ModelError
+        Unknown name (the nearest is named), or a value that is not one finite number.
+    """
+    known_as = {plain(name): name for name in known}
+    own = {known_as.get(plain(name), name): value for name, value in changes.items()}
+    for name in own:
+        if name not in known:
+            listed = ", ".join(known) or "none"
+            raise ModelError(f"{whose} has no {kind} {name!r}{nearest(name, known)}; it has: {listed}.")
+    return _named(kind, {**known, **own})
+
+
+def each_input(names: Iterable[str], record: InputRecord | None, count: int) -> list[dict[str, float] | None]:
+    """Values of inputs by name, for each of `count` intervals; None each where nothing is given.
+
+    Raises
+    ------
+    ModelError
+        Another number of rows or columns, a name that is no input, or values that are not finite.
+    """
+    if record is None:
+        return [None] * count
+    names = [*names]
+    if isinstance(record, Mapping):
+        changed("input", dict.fromkeys(names, 0.0), dict.fromkeys(record, 0.0), "The model")
+        names, given = [*record], np.column_stack([np.asarray(column) for column in record.values()])
+    else:
+        given = np.asarray(record)
+    what = f"a row for each time, a column for each input ({', '.join(names) or 'the model has none'})"
+    rows = validate.array("inputs", given[:, None] if given.ndim == 1 else given, (count, len(names)), what)
+    return [dict(zip(names, map(float, row), strict=True)) for row in rows]

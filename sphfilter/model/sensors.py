@@ -1,0 +1,266 @@
+"""Several sensors as one, each with readings at times of its own."""
+
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+
+from .. import validate
+from .._types import Bools, Floats, Seed
+from ..errors import ModelError, nearest
+from .measurements import Reading, direct_states, has_gaussian_noise, is_gaussian, wrapped
+from .named import changed
+
+__all__ = ["Sensors"]
+
+
+class Sensors(Mapping[str, Any]):
+    """Several sensors of one system as one sensor, whose reading is theirs one after the other.
+
+    Where a sensor has no reading, its numbers are NaN: each may have its own rate. Their noises are
+    independent of each other.
+
+    Parameters
+    ----------
+    sensors : mapping of str to sensor
+        `GaussianMeasurement` or `LikelihoodMeasurement` with a `dim_z`, by name. Parameters of the same name
+        are one parameter.
+
+    Attributes
+    ----------
+    dim_z : int
+        k, of all readings together.
+    noise_cov : ndarray, shape (k, k), or None
+        None if a sensor has no constant Gaussian noise.
+    H : ndarray, shape (k, n), or None
+        None if a sensor is not linear.
+    angles : tuple of int
+    parameters, inputs : mapping of str to float, read-only
+    directly_observed : tuple of (ndarray of int (k,), ndarray (k,)), or None
+        As that of a `GaussianMeasurement`.
+
+    Raises
+    ------
+    ModelError
+        No sensors, one without `dim_z`, or parameters of one name with different values.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> gps = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[4.0]])
+    >>> speed = sf.GaussianMeasurement(h=[[0.0, 1.0]], noise_cov=[[0.01]])
+    >>> both = sf.Sensors({"gps": gps, "speed": speed})
+    >>> times, z = both.merged({"gps": ([0.0, 1.0], [3.0, 4.0]), "speed": ([0.5, 1.0], [1.2, 1.1])})
+    >>> print(times, z.tolist())
+    [0.  0.5 1. ] [[3.0, nan], [nan, 1.2], [4.0, 1.1]]
+    >>> model = sf.LinearSDE([[0.0, 1.0], [0.0, 0.0]], noise=[[0.0], [0.1]])
+    >>> flt = sf.SPHFilter(model, both, x0=[3.0, 1.0], P0=[[1.0, 0.0], [0.0, 1.0]])
+    >>> result = flt.run(times, z)
+    >>> flt.update({"gps": 4.2}).accepted, flt.update(1.1, "speed").accepted
+    (True, True)
+    """
+
+    def __init__(self, sensors: Mapping[str, Any]) -> None:
+        self._parts = {str(name): sensor for name, sensor in dict(sensors).items()}
+        if not self._parts:
+            raise ModelError('Sensors needs at least one sensor, such as {"gps": gps}.')
+        for name, sensor in self._parts.items():
+            if not hasattr(sensor, "log_likelihood") or getattr(sensor, "dim_z", None) is None:
+                raise ModelError(
+                    f"sensor {name!r} must be a GaussianMeasurement, or a LikelihoodMeasurement with dim_z=; "
+                    f"got {validate.short(sensor)}"
+                )
+        sizes = np.array([sensor.dim_z for sensor in self._parts.values()])
+        ends = np.cumsum(sizes)
+        self._rows = {
+            name: slice(int(end - size), int(end))
+            for name, size, end in zip(self._parts, sizes, ends, strict=True)
+        }
+        self.dim_z = int(ends[-1])
+        own = [*self._parts.values()]
+        self._check_widths()
+        covs, Hs = [s.noise_cov for s in own], [s.H for s in own]
+        self.gaussian_noise = all(has_gaussian_noise(sensor) for sensor in own)
+        self.noise_cov: Floats | None = None if any(R is None for R in covs) else block_diag(*covs)
+        linear = self.noise_cov is not None and all(H is not None for H in Hs)
+        self.H: Floats | None = np.vstack(Hs) if linear else None
+        self.angles = tuple(self._rows[name].start + a for name, s in self._parts.items() for a in s.angles)
+        self.directly_observed = direct_states(self.H, self.noise_cov, self.angles)
+        self.parameters = MappingProxyType(self._shared("parameters"))
+        self.inputs = MappingProxyType(self._shared("inputs"))
+
+    def _check_widths(self) -> None:
+        """All sensors that are matrices read states of one length."""
+        widths = {name: s.H.shape[1] for name, s in self._parts.items() if s.H is not None}
+        if len(set(widths.values())) > 1:
+            raise ModelError(f"the sensors read states of different lengths: {widths}")
+
+    def _shared(self, kind: str) -> dict[str, float]:
+        """Parameters or inputs of all sensors by name."""
+        found: dict[str, float] = {}
+        for sensor in self._parts.values():
+            for name, value in getattr(sensor, kind, {}).items():
+                if found.setdefault(name, value) != value:
+                    raise ModelError(
+                        f"two sensors give {name!r} different values: {found[name]:g}, {value:g}"
+                    )
+        return found
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._parts:
+            known = ", ".join(self._parts)
+            raise ModelError(f"there is no sensor {name!r}{nearest(name, self._parts)}; there are {known}")
+        return self._parts[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._parts)
+
+    def __len__(self) -> int:
+        return len(self._parts)
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def __repr__(self) -> str:
+        return f"Sensors({self._parts})"
+
+    def rows(self, name: str) -> slice:
+        """Place of a sensor's numbers among all."""
+        self[name]
+        return self._rows[name]
+
+    def merged(self, readings: Mapping[str, tuple[ArrayLike, Any]]) -> tuple[Floats, Floats]:
+        """Put records of several sensors into one, which `SPHFilter.run`, fits and the smoother take.
+
+        Parameters
+        ----------
+        readings : mapping of str to (times, z)
+            Times (T_s,) of a sensor, not decreasing, seconds, and its readings (T_s, k_s), or (T_s,) of one
+            number.
+
+        Returns
+        -------
+        times : ndarray, shape (T,)
+        z : ndarray, shape (T, k)
+            NaN where no reading came.
+        """
+        found: list[tuple[float, str, Floats]] = []
+        for name, (times, z) in readings.items():
+            t = validate.times(f"times of {name!r}", times)
+            values = np.array(validate.unmasked(z), dtype=float).reshape(len(t), -1)
+            if values.shape[1] != self[name].dim_z:
+                raise ModelError(
+                    f"readings of {name!r} have {values.shape[1]} numbers, not {self[name].dim_z}"
+                )
+            found += [(at, name, row) for at, row in zip(t, values, strict=True)]
+        found.sort(key=lambda row: row[0])
+        if not found:
+            return np.empty(0), np.empty((0, self.dim_z))
+        times = validate.onwards(np.array([at for at, _, _ in found]), found[0][0])
+        kept: list[tuple[float, Floats, set[str]]] = []
+        for at, (_, name, row) in zip(times, found, strict=True):
+            if not kept or at != kept[-1][0] or name in kept[-1][2]:
+                kept.append((at, np.full(self.dim_z, np.nan), set()))
+            kept[-1][1][self._rows[name]] = row
+            kept[-1][2].add(name)
+        return np.array([at for at, _, _ in kept]), np.array([z for _, z, _ in kept])
+
+    def vector(self, z: Any) -> Any:
+        """The numbers (k,) of readings by the sensors' names; any other reading as it is."""
+        if not isinstance(z, Mapping):
+            return z
+        out = np.full(self.dim_z, np.nan)
+        for name, value in z.items():
+            out[self.rows(name)] = Reading.of(value, self[name].dim_z).z
+        return out
+
+    def reading(self, z: Any) -> Reading:
+        """Return z, numbers (k,) or a mapping of sensors' names to theirs, as a `Reading`."""
+        return Reading.of(self.vector(z), self.dim_z)
+
+    def observed(self, z: Any) -> Bools:
+        """Return which components of z were measured, bool (k,)."""
+        return self.reading(z).seen
+
+    def check_dim(self, n: int) -> None:
+        """Raise `ModelError` if a sensor cannot read states of length n."""
+        for sensor in self._parts.values():
+            if hasattr(sensor, "check_dim"):
+                sensor.check_dim(n)
+
+    def log_likelihood(self, z: Any, X: Floats, t: float = 0.0) -> Floats:
+        """Return log p(z | x) for each state X (N, n), shape (N,): the sum of the sensors' that came."""
+        z, seen = self.reading(z)
+        total = np.zeros(len(X))
+        for name, sensor in self._parts.items():
+            rows = self._rows[name]
+            if seen[rows].any():
+                total += sensor.log_likelihood(z[rows], X, t)
+        return total
+
+    def predict(self, X: ArrayLike, t: float = 0.0) -> Floats:
+        """Return the noise-free readings in each state X (N, n), shape (N, k)."""
+        return np.hstack([sensor.predict(X, t) for sensor in self._parts.values()])
+
+    def covariance(self, X: ArrayLike, t: float = 0.0) -> Floats:
+        """Return R in each state X (N, n), shape (N, k, k), block by block."""
+        out = np.zeros((len(np.atleast_2d(X)), self.dim_z, self.dim_z))
+        for name, sensor in self._parts.items():
+            out[:, self._rows[name], self._rows[name]] = sensor.covariance(X, t)
+        return out
+
+    def residual(self, z: ArrayLike, zhat: ArrayLike) -> Floats:
+        """Return z − zhat (..., k), angles wrapped to (−π, π]."""
+        return wrapped(np.asarray(z, dtype=float) - np.asarray(zhat, dtype=float), self.angles)
+
+    def jacobian(self, x: ArrayLike, t: float = 0.0) -> Floats:
+        """Return ∂h/∂x at one state x (n,), shape (k, n)."""
+        return np.vstack([sensor.jacobian(x, t) for sensor in self._parts.values()])
+
+    def sample(self, x: ArrayLike, t: float = 0.0, rng: Seed = None) -> Floats:
+        """Draw readings of one state (n,) → (k,), or of many (N, n) → (N, k)."""
+        rng = validate.generator(rng)
+        return np.concatenate([sensor.sample(x, t, rng) for sensor in self._parts.values()], axis=-1)
+
+    @property
+    def peaks(self) -> Callable[[Floats], Floats] | None:
+        """States at which a likelihood may be far higher than around, if a sensor names them."""
+        named = {name: s.peaks for name, s in self._parts.items() if getattr(s, "peaks", None) is not None}
+        if not named or is_gaussian(self):
+            return None
+
+        def states(z: Floats) -> Floats:
+            came = [name for name in named if np.isfinite(z[self._rows[name]]).any()]
+            found = [np.atleast_2d(np.asarray(named[name](z[self._rows[name]]), float)) for name in came]
+            return np.vstack(found) if found else np.empty((0, 0))
+
+        return states
+
+    def with_parameters(self, **changes: float) -> Self:
+        """Return the sensors with other parameter values; nothing is compiled again.
+
+        Raises
+        ------
+        ModelError
+            Unknown name, or a value that is not one finite number.
+        """
+        return self._with("parameters", changed("parameter", self.parameters, changes, "The sensors"))
+
+    def with_inputs(self, u: Mapping[str, float]) -> Self:
+        """Return the sensors with these values of their inputs, by name."""
+        return self._with("inputs", changed("input", self.inputs, u, "The sensors"))
+
+    def _with(self, kind: str, values: Mapping[str, float]) -> Self:
+        def own(sensor: Any) -> Any:
+            known = {name: values[name] for name in getattr(sensor, kind, {})}
+            if not known:
+                return sensor
+            return sensor.with_parameters(**known) if kind == "parameters" else sensor.with_inputs(known)
+
+        return type(self)({name: own(sensor) for name, sensor in self._parts.items()})
