@@ -14,6 +14,7 @@ from .errors import ModelError, nearest
 __all__ = [
     "array",
     "choice",
+    "column",
     "count",
     "covariance",
     "generator",
@@ -64,6 +65,15 @@ def array(name: str, value: object, shape: tuple[int | None, ...], what: str = "
     if not np.isfinite(a).all():
         raise ModelError(f"{name} contains NaN or infinity ({short(value)}); every entry must be finite.")
     return a
+
+
+def column(value: Any) -> Any:
+    """Return a column (k, 1), as filterpy writes vectors, as a row (k,); anything else as it is."""
+    try:
+        shape = np.shape(value)
+    except ValueError:  # rows of different lengths
+        return value
+    return np.ravel(value) if len(shape) == 2 and shape[1] == 1 else value
 
 
 def covariance(name: str, value: object, dim: int | None = None, definite: bool = True) -> Floats:
