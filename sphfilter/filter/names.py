@@ -17,8 +17,6 @@ _IN_MODEL = "dynamics belong to the model: SDE(drift=...) or LinearSDE(A), in co
 _MADE_OF = "the model and the sensor say it: SPHFilter(model, measurement, x0, P0)"
 _SIGMAS = "a filter that carries the density has no sigma points"
 _LINEARISED = "nothing is linearised: give h alone, update(z, R, h), or as the h of a GaussianMeasurement"
-    "nothing is linearised: give h alone, update(z, R, h), or a measurement=GaussianMeasurement(h, R)"
-)
 _AS_A_RECORD = "give the whole record to run(times, measurements)"
 _IN_DRIFT = "write the control into the drift of the model"
 #: Names of filterpy's filters, and what stands for them here.

@@ -1,6 +1,7 @@
 """Prediction: a density carried through the Fokker-Planck-Kolmogorov equation."""
 
 from dataclasses import replace
+from time import perf_counter
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -88,6 +89,7 @@ def predict(
     >>> print(f"t = {later.t}, {info.scheme}, {info.status}, variance {later.cov()[0, 0]:.3f}")
     t = 2.0, log_density, ok, variance 0.788
     """
+    began = perf_counter()
     if (dt is None) == (t is None):
         raise ModelError("predict takes either dt or t=, one of them")
     if model.dim != density.dim:
@@ -124,7 +126,8 @@ def predict(
         density = density.noted(t=after)
     if density.t < end:
         density = carried(density, end)
-    return (density if density.t == end else density.noted(t=end)), PredictInfo.joined(infos)
+    density = density if density.t == end else density.noted(t=end)
+    return density, replace(PredictInfo.joined(infos), seconds=perf_counter() - began)
 
 
 def _to_target(
