@@ -93,6 +93,12 @@ def covariance(name: str, value: object, dim: int | None = None, definite: bool 
     d = np.sqrt(np.abs(np.diag(a)))
     d[d == 0] = 1.0
     least = np.linalg.eigvalsh(a / np.outer(d, d)).min(initial=np.inf)
+    zero = np.flatnonzero(np.diag(a) == 0.0)
+    if definite and zero.size:
+        raise ModelError(
+            f"{name} has a zero on its diagonal, at index {zero[0]}, and must be positive definite: give a "
+            f"standard deviation of 1e-6 of its scale, a variance of 1e-12 for what is around 1"
+        )
     if least < (1e-14 if definite else -1e-12):
         kind = "definite" if definite else "semidefinite"
         raise ModelError(
