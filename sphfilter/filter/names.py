@@ -61,6 +61,13 @@ _FILTERPY = {
     "sigmas_h": _SIGMAS,
     "UT": _SIGMAS,
     "compute_process_sigmas": _SIGMAS,
+    "x_mean": "say which states go round with SDE(..., domain=)",
+    "z_mean": "say which readings are angles with GaussianMeasurement(..., angles=)",
+    "Wm": _SIGMAS,
+    "Wc": _SIGMAS,
+    "args": "a function of other arguments is written as lambda x: h(x, ...)",
+    "hx_args": "a function of other arguments is written as lambda x: h(x, ...)",
+    "fx_args": "numbers that a model depends on are its parameters: SDE(..., parameters={...})",
     "compute_log_likelihood": "the log_likelihood is always there",
 }
 _MIXED = {"x": "mean", "P": "covariance"}

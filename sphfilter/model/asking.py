@@ -10,8 +10,8 @@ __all__ = ["noted", "watched"]
 _LOGGER = logging.getLogger("sphfilter")
 _LONG, _MUCH = 1.0, 0.5  # seconds of a prediction, and the share of one function, from which it is said
 _SAYS = (
-    "%.0f %% of a prediction of %.2g s went into %d calls of the vectorized function %s, with %.2g states each "
-    "on average; as text (SDE.from_expressions), or for numba as a function of one state, it would be compiled"
+    "%.0f %% of a prediction of %.2g s went into %d calls of the vectorized function %s, of %.2g states on "
+    "average; as text (SDE.from_expressions), or for numba as a function of one state, it is compiled"
 )
 
 
