@@ -10,6 +10,7 @@ __all__ = [
     "ConfigError",
     "EstimationError",
     "ExpressionError",
+    "MissingNameError",
     "ModelError",
     "PropagationError",
     "SphfilterError",
@@ -70,6 +71,10 @@ class ModelError(SphfilterError, ValueError):
         ...
     sphfilter.errors.ModelError: noise_cov is not positive definite: its smallest eigenvalue, ...
     """
+
+
+class MissingNameError(ModelError, AttributeError):
+    """A name of another toolkit's filters, which a filter here has not; says what to use instead."""
 
 
 class EstimationError(SphfilterError, RuntimeError):

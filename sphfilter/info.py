@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from ._lines import in_a_line
 from ._types import Bools, Floats
 
 __all__ = [
@@ -134,7 +135,7 @@ class PredictInfo(_Marked):
     code : Code
         What the status says, for programs.
     seconds : float
-        Wall-clock time, measured under a time budget only.
+        Wall-clock time of the call, compiling included. Two infos are equal whatever it is.
 
     Examples
     --------
@@ -162,7 +163,7 @@ class PredictInfo(_Marked):
     scheme: str = "paper"
     status: str = "ok"
     code: Code = Code.OK
-    seconds: float = 0.0
+    seconds: float = field(default=0.0, compare=False, repr=False)
 
     @classmethod
     def joined(cls, infos: Sequence["PredictInfo"]) -> "PredictInfo":
@@ -247,7 +248,7 @@ class UpdateInfo(_Marked):
     code : Code
         What the status says, for programs.
     seconds : float
-        Wall-clock time, measured under a time budget only.
+        Wall-clock time of the call, compiling included. Two infos are equal whatever it is.
     scheme : str
         What holds the posterior; empty where nothing came.
     kernel_ratio : float
@@ -277,10 +278,12 @@ class UpdateInfo(_Marked):
     mass_left_out: float = 0.0
     status: str = "ok"
     code: Code = Code.OK
-    seconds: float = 0.0
+    seconds: float = field(default=0.0, compare=False, repr=False)
     scheme: str = ""
     kernel_ratio: float = 0.0
     resample: ResampleInfo | None = field(default=None, repr=False)
+
+    __repr__ = in_a_line
 
     @property
     def flagged(self) -> bool:

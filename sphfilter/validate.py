@@ -14,6 +14,7 @@ from .errors import ModelError, nearest
 __all__ = [
     "array",
     "choice",
+    "column",
     "count",
     "covariance",
     "generator",
@@ -66,6 +67,15 @@ def array(name: str, value: object, shape: tuple[int | None, ...], what: str = "
     return a
 
 
+def column(value: Any) -> Any:
+    """Return a column (k, 1), as filterpy writes vectors, as a row (k,); anything else as it is."""
+    try:
+        shape = np.shape(value)
+    except ValueError:  # rows of different lengths
+        return value
+    return np.ravel(value) if len(shape) == 2 and shape[1] == 1 else value
+
+
 def covariance(name: str, value: object, dim: int | None = None, definite: bool = True) -> Floats:
     """Return a symmetric positive (semi)definite matrix, shape (dim, dim); a number stands for 1 × 1.
 
@@ -83,6 +93,12 @@ def covariance(name: str, value: object, dim: int | None = None, definite: bool 
     d = np.sqrt(np.abs(np.diag(a)))
     d[d == 0] = 1.0
     least = np.linalg.eigvalsh(a / np.outer(d, d)).min(initial=np.inf)
+    zero = np.flatnonzero(np.diag(a) == 0.0)
+    if definite and zero.size:
+        raise ModelError(
+            f"{name} is not positive definite: it has a zero on its diagonal, at index {zero[0]}; give a "
+            f"standard deviation of 1e-6 of its scale, a variance of 1e-12 for what is around 1"
+        )
     if least < (1e-14 if definite else -1e-12):
         kind = "definite" if definite else "semidefinite"
         raise ModelError(

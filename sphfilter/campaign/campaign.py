@@ -82,6 +82,11 @@ class CampaignResult:
     run_time: dict[str, Floats]
     failures: list[Failure]
 
+    def __repr__(self) -> str:
+        n_runs, n_epochs, n = np.shape(self.truth)
+        ran = f"{n_runs} runs of {n_epochs} epochs of {n} states, seed {self.seed}: {', '.join(self.results)}"
+        return f"CampaignResult({self.scenario!r}, {ran}; {len(self.failures)} failures)"
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write everything to one ``.npz`` file."""
         store.save_result(self, path)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import consistency
+from .._lines import in_a_line
 from .._types import Bools, Floats, Ints
 from ..consistency import p_values
 from ..filter.results import FilterResult
@@ -71,6 +72,8 @@ class Ranks:
     state_pit_p: Floats
     hpd_p: float
     outside_95: float
+
+    __repr__ = in_a_line
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +144,8 @@ class FilterReport:
     ranks: Ranks
     exits_p: float = np.nan
     verdict: str = ""
+
+    __repr__ = in_a_line
 
 
 def filter_report(

@@ -14,6 +14,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._lines import in_a_line
 from .._types import Floats
 from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
@@ -56,6 +57,8 @@ class Case:
     x0: Floats
     P0: Floats
     t0: float = 0.0
+
+    __repr__ = in_a_line
 
     def __init__(
         self, times: ArrayLike, truth: ArrayLike, z: ArrayLike, x0: ArrayLike, P0: ArrayLike, t0: float = 0.0

@@ -86,6 +86,10 @@ class Report:
     filters: dict[str, FilterReport]
     labels: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        said = "; ".join(f"{name}: {f.verdict}" for name, f in self.filters.items())
+        return f"Report({self.scenario!r}, {self.n_runs} runs of {self.n_epochs} epochs; {said})"
+
     def rows(self) -> list[tuple[str, dict[str, float]]]:
         """Return the table as a list of (label, {filter: number}).
 

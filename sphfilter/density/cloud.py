@@ -11,6 +11,7 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.paths.weights import weighted_moments
 from ..core.sph.kernels import Kernel
+from ..errors import PropagationError
 from ..info import DOUBTFUL
 from ..lattice.walls import inside
 from ..model.domain import Domain
@@ -215,6 +216,10 @@ def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
 def _from_cells(shape: Polynomials, count: int, uniform: Floats) -> Floats:
     """Points in the cells of a lattice: of many states in each, as many as the density says."""
     cells, n = len(shape.cells), uniform.shape[1]
+    if not cells:
+        raise PropagationError(
+            f"no points can be drawn from so coarse a lattice of {n} states; use more particles"
+        )
     each = 2 ** math.ceil(math.log2(max(_CANDIDATES * count / cells, 2.0)))
     X = shape.in_cells(spread_evenly(each, n))
     p = shape.pdf(X) * inside(shape.walls, X)

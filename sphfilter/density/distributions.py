@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._lines import in_a_line
 from .._types import Floats, OfStates
 from ..errors import ModelError
 from ..validate import array, covariance
@@ -25,6 +26,8 @@ class Gaussian:
 
     mean: Floats
     cov: Floats
+
+    __repr__ = in_a_line
 
     def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
         centre = array("mean", mean, (None,))
@@ -50,6 +53,8 @@ class Uniform:
     """
 
     box: Floats
+
+    __repr__ = in_a_line
 
     def __init__(self, box: ArrayLike) -> None:
         object.__setattr__(self, "box", checked_box(box))

@@ -1,7 +1,9 @@
 """Initial densities: a Gaussian, a uniform box, or any pdf with a box, put on particles."""
 
+import logging
 import math
 from dataclasses import replace
+from functools import cache
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -9,12 +11,13 @@ from numpy.typing import ArrayLike
 
 from .._types import Floats, OfStates
 from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
+from ..core.family.rules import degrees
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
 from ..lattice.check import deep_enough, misfit, remote
 from ..lattice.field import held
-from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
+from ..lattice.level_set import Laid, enough_particles, fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
 from ..validate import array, choice, count, real, row
@@ -29,6 +32,8 @@ __all__ = ["Gaussian", "Uniform", "initialize", "on_equal_lattice"]
 #: What a density may start from; a callable is a pdf of states (M, n).
 Distribution: TypeAlias = Gaussian | Uniform | OfStates
 
+_LOGGER = logging.getLogger("sphfilter")
+_MISSING = 0.05  # of the variance of a Gaussian, from which it is said
 _FAR = 6.0  # standard deviations within which a Gaussian is put on a domain with ends
 _TRIES = 5  # numbers of nodes, each twice the one before, for a target error
 _MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
@@ -124,12 +129,18 @@ def _to_target(
     """A Gaussian as one family, another distribution on as many nodes as a target error asks for."""
     known = None if domain is None else Domain.of(domain, len(_box_of(distribution, box)))
     ladder = config is None or config.scheme == "auto"
+    n = len(_box_of(distribution, box))
+    if ladder and not degrees(n):
+        raise ModelError(
+            f'n_particles="auto" carries densities of few states, and {n} are too many: leave states out of '
+            f"the model, or give a number of particles, about {enough_particles(n)} for a Gaussian"
+        )
     if ladder and isinstance(distribution, Gaussian) and (known is None or not known.walled.any()):
         start = gaussian_family(distribution.mean, distribution.cov, 2)
         about: dict[str, Any] = {"t": t, "gaussian": known is None or known.unbounded, "domain": known}
         return ParticleDensity(**particles_of(start), **about, needs=Needs())
     target = config.target_error if isinstance(config, FilterConfig) else FilterConfig().target_error
-    nodes = fewest(len(_box_of(distribution, box)))
+    nodes = fewest(n)
     for _ in range(_TRIES):
         density = initialize(distribution, nodes, config, box=box, t=t, domain=domain)
         if not density.error > 0.5 * target:
@@ -261,6 +272,9 @@ def _on_level_set(
         log_pdf, seed = gaussian_log_pdf(mean, cov), np.clip(mean, *walls) if walls[0].size else mean
         laid = _laid(log_pdf, mean, factor, seed[None], n_particles, depth, walls)
         whole = not walls[0].size
+        if whole:
+            kept = float(np.trace(np.linalg.solve(cov, laid.cov))) / len(mean)
+            _say_what_is_missing(len(mean), n_particles, round(kept, 2))  # no difference by rounding
         residual = 0.0 if whole else misfit(laid, log_pdf).residual
         return ParticleDensity.on_lattice(laid, t, n_particles, whole, domain, residual=residual)
     seen = PaperScheme(represented_mass=_SEEN)
@@ -279,6 +293,20 @@ def _on_level_set(
     far = remote(laid.mean, laid.cov, coarse.x[beyond], coarse.mass[beyond])
     error = math.hypot(off.mean, far.mean, 0.5 * far.variance)  # a part of the variance, as one of its root
     return ParticleDensity.on_lattice(laid, t, n_particles, residual=off.residual, error=error)
+
+
+@cache
+def _say_what_is_missing(n: int, n_particles: int, kept: float) -> None:
+    """Say it, once, where a lattice has only a part of the variance that a Gaussian came with."""
+    if abs(kept - 1.0) > _MISSING:
+        _LOGGER.warning(
+            "%d particles hold an initial Gaussian of %d states with %.2g of its variance; use about %d%s",
+            n_particles,
+            n,
+            kept,
+            enough_particles(n),
+            ', or n_particles="auto"' if degrees(n) else "",
+        )
 
 
 def _laid(

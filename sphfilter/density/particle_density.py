@@ -1,7 +1,7 @@
 """The probability density a filter carries: particles with mass and smoothing length, and what to ask it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, overload
 
@@ -181,8 +181,12 @@ class ParticleDensity:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
-        return _rebuild, (values,)  # through the constructor: copies are read-only too
+        from .storage import density_from, stored  # which knows this class
+
+        return density_from, (stored(self),)  # without what can be made again: a quarter, in 4-D a tenth
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "ParticleDensity":
+        return self  # nothing in it can be changed
 
     @property
     def dim(self) -> int:
@@ -389,7 +393,3 @@ class ParticleDensity:
     def _between(self, kind: ReadOut | None) -> "ParticleDensity":
         """The density as it is read between its points."""
         return self._read("mixture" if kind is None and self.read_out == "points" else kind)
-
-
-def _rebuild(values: dict[str, Any]) -> ParticleDensity:
-    return ParticleDensity(**values)

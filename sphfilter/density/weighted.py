@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._lines import in_a_line
 from .._types import Floats
 
 __all__ = ["WeightedStates", "hpd_rank", "state_rank"]
@@ -21,6 +22,9 @@ class WeightedStates(NamedTuple):
     w: Floats
     logpdf: Callable[[Floats], Floats] | None = None
     log_p: Floats | None = None
+
+    def __repr__(self) -> str:
+        return in_a_line(self)
 
 
 def state_rank(spread: WeightedStates, x: Floats) -> Floats:

@@ -34,7 +34,7 @@ class Budget:
     Parameters
     ----------
     seconds : float or None
-        What a step may take; None for no budget, which never looks at a clock.
+        What a step may take; None for no budget, where time is measured and nothing hangs on it.
 
     Attributes
     ----------
@@ -64,9 +64,8 @@ class Budget:
 
     def begin(self, step: bool = False) -> None:
         """A call begins, and with a prediction a new step."""
-        if self.seconds is not None:
-            self._began = clock()
-            self.spent = 0.0 if step else self.spent
+        self._began = clock()
+        self.spent = 0.0 if step else self.spent
 
     def bound(self, n_particles: int, least: int) -> int:
         """Particles that a step can afford: `n_particles` at most, and `least` if those are not fewer.
@@ -105,10 +104,10 @@ class Budget:
         repeated : bool
             Whether the call made other predictions or updates again, so that it says nothing of a particle.
         """
+        took = clock() - self._began
+        info, self.spent = replace(info, seconds=took), self.spent + took
         if self.seconds is None:
             return info
-        took = clock() - self._began
-        self.spent += took
         if what == "predict":
             before, self._again = self._again, repeated or n_particles > self._most
             self._too_few.append(self._most if before and self._again else 0)
@@ -116,7 +115,7 @@ class Budget:
             self._costs[what].append(took / n_particles)
         elif what and len(self._costs[what]) > 1:
             self._costs[what].popleft()  # time passes: a busy spell of the machine must not last for ever
-        return replace(self._timed(info), seconds=took)
+        return self._timed(info)
 
     def _timed(self, info: Info) -> Info:
         """The info, which says so if the step has taken too long."""

@@ -11,6 +11,7 @@ from ..errors import ModelError
 from ..model.measurements import Sensor
 from ..model.sde import SDE
 from ..prediction.predict import Prediction
+from .found import found
 from .state import FilterState
 from .update_again import Update
 
@@ -56,7 +57,7 @@ def restored(
     }
     state: dict[str, Any] = {name: arrays.get(name) for name in _STATE}
     for name in _MOMENTS:
-        state[name].flags.writeable = False
+        state[name] = found(state[name])
     state = {k: v.item() if v is not None and v.ndim == 0 else v for k, v in state.items()}
     state["origin"] = _origin(part("origin", arrays), model, measurement)
     about = {"_adapts": bool(arrays["adapts"]), "dt": float(arrays["dt"]) if "dt" in arrays else None}

@@ -1,26 +1,74 @@
-"""Attributes that a filter refuses to be given, with the name to use instead."""
+"""Names that a filter refuses, to be read, set or given, with what to use instead."""
 
-from collections.abc import Iterable
+import inspect
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
-from ..errors import ModelError
-from .state import Shown
+from ..errors import MissingNameError, ModelError
 
-__all__ = ["check_assigned"]
+__all__ = ["check_assigned", "check_read", "in_own_words"]
 
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
+
+_IN_MODEL = "dynamics belong to the model: SDE(drift=...) or LinearSDE(A), in continuous time"
+_MADE_OF = "the model and the sensor say it: SPHFilter(model, measurement, x0, P0)"
+_SIGMAS = "a filter that carries the density has no sigma points"
+_LINEARISED = "nothing is linearised: give h alone, update(z, R, h), or as the h of a GaussianMeasurement"
+_AS_A_RECORD = "give the whole record to run(times, measurements)"
+_IN_DRIFT = "write the control into the drift of the model"
 #: Names of filterpy's filters, and what stands for them here.
 _FILTERPY = {
-    "R": "give update(z, R=...), or a measurement=GaussianMeasurement(h, noise_cov=R)",
-    "H": "give update(z, R, H), or a measurement=GaussianMeasurement(h=H, noise_cov=R)",
-    "hx": "give a measurement=GaussianMeasurement(h=hx, noise_cov=R)",
+    "R": "give update(z, R=...), or a measurement=GaussianMeasurement(h, noise_cov=R), its noise_cov",
+    "H": "give update(z, R, H), or a measurement=GaussianMeasurement(h=H, noise_cov=R), its H",
+    "hx": "give update(z, R, hx), or a measurement=GaussianMeasurement(h=hx, noise_cov=R)",
     "Q": "process noise belongs to the model: SDE(..., noise=g, spectral_density=Q)",
-    "F": "dynamics belong to the model: SDE(drift=...) or LinearSDE(A)",
+    "F": _IN_MODEL,
     "fx": "dynamics belong to the model: SDE(drift=fx, ...), in continuous time",
-    "B": "write the control into the drift of the model",
+    "B": _IN_DRIFT,
+    "u": _IN_DRIFT,
+    "dim_u": _IN_DRIFT,
     "K": "a filter that carries the density has no gain",
-    "inv": "a filter that carries the density inverts no innovation covariance",
+    "inv": "a filter that carries the density inverts no innovation covariance; SI is its inverse",
+    "alpha": "fading memory is process noise: a larger spectral_density of the model",
+    "M": "noise of process and measurement are independent here",
     "residual_x": "say which states go round with SDE(..., domain=)",
     "residual_z": "say which readings are angles with GaussianMeasurement(..., angles=)",
+    "residual_of": "take z - measurement.predict(flt.x_prior, flt.t)[0]",
+    "residual": "say which readings are angles with GaussianMeasurement(..., angles=)",
+    "measurement_of_state": "take measurement.predict(x, flt.t)[0]",
+    "log_likelihood_of": "take sf.update(flt.density, measurement, z)[1].log_evidence",
+    "get_prediction": "take sf.predict(flt.density, model, dt)",
+    "get_update": "take sf.update(flt.density, measurement, z)",
+    "predict_x": _IN_MODEL,
+    "predict_update": "call predict(dt), then update(z)",
+    "predict_steadystate": "call predict(dt)",
+    "update_steadystate": "call update(z)",
+    "update_correlated": "noise of process and measurement are independent here: call update(z)",
+    "update_sequential": "call update(z, measurement=...) once a sensor",
+    "batch_filter": _AS_A_RECORD,
+    "rts_smoother": "take sf.smooth(flt, times, measurements)",
+    "test_matrix_dimensions": "shapes are checked when the model, the sensor and the filter are made",
+    "HJacobian": _LINEARISED,
+    "Hx": _LINEARISED,
+    "dim_x": _MADE_OF,
+    "dim_z": _MADE_OF,
+    "points": _SIGMAS,
+    "points_fn": _SIGMAS,
+    "sigmas_f": _SIGMAS,
+    "sigmas_h": _SIGMAS,
+    "UT": _SIGMAS,
+    "compute_process_sigmas": _SIGMAS,
+    "x_mean": "say which states go round with SDE(..., domain=)",
+    "z_mean": "say which readings are angles with GaussianMeasurement(..., angles=)",
+    "Wm": _SIGMAS,
+    "Wc": _SIGMAS,
+    "args": "a function of other arguments is written as lambda x: h(x, ...)",
+    "hx_args": "a function of other arguments is written as lambda x: h(x, ...)",
+    "fx_args": "numbers that a model depends on are its parameters: SDE(..., parameters={...})",
+    "compute_log_likelihood": "the log_likelihood is always there",
 }
 _MIXED = {"x": "mean", "P": "covariance"}
 _NEAR = 0.75  # likeness of two names from which one is taken for the other mistyped
@@ -46,13 +94,34 @@ def check_assigned(name: str, cls: type, base: type) -> None:
             f"the {_MIXED[name]} of a density filter cannot be overwritten (IMM mixing does that); "
             f"make a new {base.__name__} with x0 and P0"
         )
-    if hasattr(Shown, name):
+    if isinstance(getattr(base, name, None), property):
         raise ModelError(f"{name} is what a density filter has found: it is read, not set")
     if cls is base and name in _FILTERPY:
         raise ModelError(f"{base.__name__} has no {name} to be set: {_FILTERPY[name]}")
     near = get_close_matches(name, _SETTABLE, n=1, cutoff=_NEAR)
     if cls is base and near:
         raise ModelError(f"{base.__name__} has no attribute {name!r} (did you mean {near[0]!r}?)")
+
+
+def check_read(name: str, cls: type) -> None:
+    """Raise `MissingNameError` if a filter has another word for an attribute that it has not."""
+    if name in _FILTERPY:
+        raise MissingNameError(f"{cls.__name__} has no {name}: {_FILTERPY[name]}")
+
+
+def in_own_words(method: Callable[Given, Returned]) -> Callable[Given, Returned]:
+    """Let a method refuse the keywords of filterpy's, which it does not take, with what to use instead."""
+    known = inspect.signature(method).parameters
+
+    @wraps(method)
+    def checked(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
+        for name in kwargs:
+            if name not in known and name in _FILTERPY:
+                raise ModelError(f"{method.__qualname__} takes no {name}=: {_FILTERPY[name]}")
+        return method(*args, **kwargs)
+
+    checked.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]  # else that of `checked`
+    return checked
 
 
 _SETTABLE = "model", "measurement", "config", "dt", "n_particles", "log_evidence"

@@ -18,6 +18,11 @@ def sensor_of(
     own: Sensor | None, given: Sensor | ArrayLike | None, H: ArrayLike | StateFunction | None, model: SDE
 ) -> Sensor:
     """The sensor of a reading: the filter's own, the one given, or the own one with another R or h."""
+    if callable(given) and not hasattr(given, "log_likelihood"):
+        raise ModelError(
+            "a function stands in the place of the sensor, as in the update(z, HJacobian, Hx) of an EKF; "
+            "nothing is linearised: give h alone, update(z, R, h), or a measurement=GaussianMeasurement(h, R)"
+        )
     if H is None and (given is None or hasattr(given, "log_likelihood") or not _numbers(given)):
         return checked_sensor(own if given is None else given, model)
     if not isinstance(own, GaussianMeasurement):

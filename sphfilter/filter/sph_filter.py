@@ -5,7 +5,7 @@ from copy import copy
 from dataclasses import replace
 from functools import partial
 from os import PathLike
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,10 +28,10 @@ from ..model.sde import SDE
 from ..prediction.again import MOST, Outcome, or_as_cloud, predict_from_finer
 from ..prediction.predict import Prediction, predict
 from ..prediction.to_target import Time
-from ..validate import array, choice, count, covariance, positive, real, row, seconds, short
+from ..validate import array, choice, column, count, covariance, positive, real, row, seconds, short
 from .budget import Budget, rehearse
 from .checkpoint import restored, write
-from .names import check_assigned
+from .names import check_assigned, check_read, in_own_words
 from .readings import checked_sensor, sensor_of
 from .results import FilterResult, run_filter
 from .state import FilterState, Shown
@@ -78,8 +78,8 @@ class SPHFilter(Shown):
     t : float
     density : ParticleDensity
     z, y, S : ndarray or None
-        Last measurement, its innovation and innovation covariance, NaN where no reading came; None before
-        the first, and y and S for sensors that are no `GaussianMeasurement`.
+        Last measurement, its innovation and innovation covariance, NaN where no reading came and before the
+        first; y and S, and z before the first, are None for sensors that are no `GaussianMeasurement`.
     log_likelihood : float
         Log-evidence of the last measurement, given all before; zero where none came.
     log_evidence : float
@@ -91,9 +91,10 @@ class SPHFilter(Shown):
     same input gives the same bits, unless it has a `time_budget`: then its particles hang on the clock.
 
     Of filterpy's filters it has ``predict()``, ``update(z)``, ``update(None)``, ``update(z, R, H)``; x, P,
-    their priors and posteriors, z, y, S, log_likelihood and likelihood, to be read; and it works in ``Saver``
-    and ``MMAEFilterBank``. It has no F, Q, K or H to be set, no ``update(z, HJacobian, Hx)``, and no place in
-    ``IMMEstimator``, which overwrites x and P.
+    their priors and posteriors, z, y, S, SI, mahalanobis, log_likelihood, likelihood, dim_x and dim_z, to be
+    read; and it works in ``Saver`` and ``MMAEFilterBank``. x0 and z may be columns, (n, 1) and (k, 1). It
+    has no F, Q, K or H, no ``update(z, HJacobian, Hx)``, and no place in ``IMMEstimator``, which overwrites
+    x and P; a `ModelError` says what to use instead.
 
     Examples
     --------
@@ -111,6 +112,7 @@ class SPHFilter(Shown):
     -3.562, 0.0007
     """
 
+    @in_own_words
     def __init__(
         self,
         model: SDE,
@@ -136,7 +138,7 @@ class SPHFilter(Shown):
         least = fewest(model.dim) if isinstance(known, str) else count("n_particles", known)
         self.dt = None if dt is None else positive("dt", seconds("dt", dt))
         self._budget = Budget(self.config.time_budget)
-        self._state = FilterState.begun(self._start(x0, P0, t0, density, known), least)
+        self._state = FilterState.begun(self._start(x0, P0, t0, density, known), least, self.measurement)
 
     def _start(
         self,
@@ -155,7 +157,7 @@ class SPHFilter(Shown):
         if x0 is None or P0 is None:
             raise ModelError("the filter needs x0 and P0, or density=")
         n = self.model.dim
-        x0 = array("x0", x0, (n,), f"a value for each of the model's {n} states")
+        x0 = array("x0", column(x0), (n,), f"a value for each of the model's {n} states")
         P0 = covariance("P0", P0, dim=self.model.dim)
         about: dict[str, Any] = {"t": real("t0", t0), "domain": self.model.domain}
         return initialize(Gaussian(x0, P0), n_particles, self.config, **about)
@@ -171,6 +173,17 @@ class SPHFilter(Shown):
     def __setattr__(self, name: str, value: Any) -> None:
         check_assigned(name, type(self), SPHFilter)
         object.__setattr__(self, name, value)
+
+    if not TYPE_CHECKING:  # a checker would take every name for one that is there
+
+        def __getattr__(self, name: str) -> Any:
+            check_read(name, type(self))
+            return object.__getattribute__(self, name)  # raises what Python says
+
+    @property
+    def dim_z(self) -> int | None:
+        """Number of components of the filter's own sensor; None without one, or where any number will do."""
+        return getattr(self.measurement, "dim_z", None)
 
     @property
     def adapts(self) -> bool:
@@ -189,6 +202,7 @@ class SPHFilter(Shown):
             self._state = replace(self._state, n_particles=value)
             self._adapts = False
 
+    @in_own_words
     def predict(self, dt: Interval | None = None, *, t: float | None = None) -> PredictInfo:
         """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo.
 
@@ -255,6 +269,7 @@ class SPHFilter(Shown):
         self._budget.adopt(budget)
         return taken
 
+    @in_own_words
     def update(
         self,
         z: ArrayLike | None,

@@ -1,5 +1,6 @@
 """What a filter is between two calls: one value, which predict and update replace as their last act."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from ..model.sde import SDE
 from ..prediction.again import Outcome
 from ..prediction.predict import Prediction
 from ..validate import unmasked
+from .found import found
 from .update_again import Update
 
 __all__ = ["FilterState", "Shown"]
@@ -54,9 +56,13 @@ class FilterState:
     log_evidence: float = 0.0
 
     @classmethod
-    def begun(cls, density: ParticleDensity, n_particles: int) -> "FilterState":
-        """The state of a filter that starts with a density."""
-        return cls(density, n_particles, None, *3 * _moments(density))
+    def begun(
+        cls, density: ParticleDensity, n_particles: int, measurement: Sensor | None = None
+    ) -> "FilterState":
+        """The state of a filter that starts with a density, and has a sensor."""
+        moments = 3 * _moments(density)
+        said = _said(measurement, None, None) if has_gaussian_noise(measurement) else {}
+        return cls(density, n_particles, None, *moments, **said)
 
     def predicted(self, outcome: Outcome[PredictInfo], model: SDE) -> "FilterState":
         """The state after a prediction."""
@@ -107,6 +113,11 @@ class Shown:
         return self._state.x
 
     @property
+    def dim_x(self) -> int:
+        """Number of states n."""
+        return len(self._state.x)
+
+    @property
     def P(self) -> Floats:
         """Covariance, shape (n, n)."""
         return self._state.P
@@ -133,7 +144,7 @@ class Shown:
 
     @property
     def z(self) -> Floats | None:
-        """Last measurement, shape (k,), NaN where no reading came; None before the first."""
+        """Last measurement, shape (k,), NaN where no reading came and before the first; or None."""
         return self._state.z
 
     @property
@@ -145,6 +156,24 @@ class Shown:
     def S(self) -> Floats | None:
         """Covariance of the innovation, shape (k, k), or None."""
         return self._state.S
+
+    @property
+    def SI(self) -> Floats | None:
+        """Inverse of S, that of the components that came; NaN where none did, or None."""
+        if self.S is None:
+            return None
+        came = np.isfinite(np.diag(self.S))
+        both, inverse = np.ix_(came, came), np.full_like(self.S, np.nan)
+        inverse[both] = np.linalg.inv(self.S[both])
+        return inverse
+
+    @property
+    def mahalanobis(self) -> float:
+        """Length of the last innovation in standard deviations of its prediction; NaN where none came."""
+        y, inverse = self.y, self.SI
+        if y is None or inverse is None or np.isnan(y).all():
+            return math.nan
+        return math.sqrt(np.nansum(y[:, None] * inverse * y))
 
     @property
     def log_likelihood(self) -> float:
@@ -177,13 +206,14 @@ class Shown:
 
 
 def _moments(density: ParticleDensity) -> tuple[Floats, Floats]:
-    x, P = density.mean(), density.cov()
-    x.flags.writeable = P.flags.writeable = False  # else flt.x += d would half succeed
-    return x, P
+    return found(density.mean()), found(density.cov())
 
 
-def _said(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo) -> dict[str, Any]:
-    """A measurement, its innovation and the covariance of that, in shapes of the sensor, by name."""
+def _said(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo | None) -> dict[str, Any]:
+    """A measurement, its innovation and the covariance of that, in shapes of the sensor, by name.
+
+    Without an info there was no measurement yet.
+    """
     if not has_gaussian_noise(measurement):
         return {
             "z": None if z is None else np.atleast_1d(np.array(unmasked(z), dtype=float)),
@@ -191,5 +221,5 @@ def _said(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo) -> dict[st
             "S": None,
         }
     numbers, seen = measurement.reading(z)
-    y, S = innovation_of(info, seen, measurement.dim_z)
+    y, S = innovation_of(info or UpdateInfo(accepted=True, log_evidence=0.0), seen, measurement.dim_z)
     return {"z": numbers, "y": y, "S": S}

@@ -1,5 +1,6 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
+from time import perf_counter
 from typing import Any, Literal
 
 from numpy.typing import ArrayLike
@@ -63,12 +64,12 @@ def update(
     >>> print(f"{posterior.mean()[0]:.4f} {posterior.cov()[0, 0]:.4f} {info.log_evidence:.4f}")
     1.0000 0.5000 -2.2655
     """
-    config = checked_filter_config(config)
+    began, config = perf_counter(), checked_filter_config(config)
     target, bound = target_of(density, config, n_particles), particle_bound(density, n_particles)
     asked = Asked.of(density, measurement, z)
     if not asked.seen.any():
         said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
-        return density, UpdateInfo(n_particles=density.n_particles, **said)
+        return density, UpdateInfo(n_particles=density.n_particles, seconds=perf_counter() - began, **said)
     if target is not None and config.scheme == "auto" and not config.acceptance.enabled:
         posterior, said = by_ladder(density, asked, target, config)
     elif isinstance(config.scheme, FamilyScheme):
@@ -79,6 +80,6 @@ def update(
         by = by_cloud if as_cloud else by_regridding if regrids else by_lattice
         prior = density if as_cloud else on_lattice(density, bound)
         posterior, said = by(prior, asked, bound, config)
-    return posterior, UpdateInfo(
-        n_particles=posterior.n_particles, innovation=asked.innovation, innovation_cov=asked.S, **said
-    )
+    off: dict[str, Any] = {"innovation": asked.innovation, "innovation_cov": asked.S}
+    seconds = perf_counter() - began
+    return posterior, UpdateInfo(n_particles=posterior.n_particles, seconds=seconds, **off, **said)

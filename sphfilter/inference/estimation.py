@@ -102,6 +102,9 @@ class ParameterFit:
         """Schwarz' criterion: n log(readings) − 2 log-evidence."""
         return len(self.estimate) * float(np.log(self.n_readings)) - 2.0 * self.log_evidence
 
+    def __repr__(self) -> str:
+        return f"ParameterFit({'; '.join(str(self).splitlines())})"
+
     def __str__(self) -> str:
         rows = [f"{k} = {v:.5g} ± {self.standard_error[k]:.2g}" for k, v in self.estimate.items()]
         return "\n".join([*rows, f"log-evidence {self.log_evidence:.3f} nat; {self.status}"])

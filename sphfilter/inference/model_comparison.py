@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._lines import in_a_line
 from .._types import Floats, Ints, Readings
 from ..errors import ModelError
 from ..filter.results import AnyFilter
@@ -66,6 +67,8 @@ class ModelComparison:
     n_readings: int
     span: tuple[float, float]
     data: str
+
+    __repr__ = in_a_line
 
     @property
     def aic(self) -> Floats:

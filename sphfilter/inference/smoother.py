@@ -7,7 +7,7 @@ that is: by itself it need not have an end.
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -82,6 +82,10 @@ class SmoothedResult:
     filtered: FilterResult
     log_evidence: Floats
     extrapolated: Floats
+
+    def __repr__(self) -> str:
+        names = ", ".join(f.name for f in fields(self))
+        return f"SmoothedResult({len(self.t)} epochs of {np.shape(self.x)[-1]} states: {names})"
 
 
 def smooth(

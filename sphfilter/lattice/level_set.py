@@ -22,10 +22,13 @@ from ..errors import PropagationError
 from .flood import flood
 from .walls import near_walls
 
-__all__ = ["Laid", "fewest_particles", "gaussian_volume", "lattice_reach", "lay"]
+__all__ = ["Laid", "enough_particles", "fewest_particles", "gaussian_volume", "lattice_reach", "lay"]
 
 _TRIES = 24
 _SMALL_BOX = 4  # cells, over the number of particles wanted
+#: Spacing, in standard deviations, of a lattice whose sums have the variance of a Gaussian within 1.5 %: by
+#: Poisson's formula they lack 2 k² exp(-k²/2) of it, k = 2 pi / spacing.
+_WIDE = 1.6
 _ROUNDED = 20.0  # roundings a standard deviation must be wide
 
 
@@ -56,6 +59,12 @@ def gaussian_volume(n: int, depth: float) -> float:
 def fewest_particles(n: int) -> int:
     """Particles below which no lattice resolves a Gaussian: a complete node two cells from the centre."""
     return (3**n if n <= 2 else 2 * n * n + 1) * (2 if n > 1 else 3)
+
+
+def enough_particles(n: int) -> int:
+    """Particles, to two digits, of a lattice that holds a Gaussian of n states and its variance."""
+    nodes = gaussian_volume(n, 0.5 * lattice_reach(None, n) ** 2) / _WIDE**n
+    return max(fewest_particles(n), int(float(f"{nodes:.2g}")))
 
 
 def lay(
@@ -117,7 +126,7 @@ def lay(
         if not fits:
             raise PropagationError(
                 f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces "
-                f"are much smaller than the distance between them, or it has no edge"
+                f"are much smaller than the distance between them, it has no edge, or {n} states are too many"
             )
         new = relaid(value, *box, highest, asked, mean, A, sten, depth, walls)
         count = len(new[1]) if asked.size < most else asked.size
@@ -134,7 +143,8 @@ def lay(
     if best is None:
         raise PropagationError(
             f"no lattice of at most {n_particles} particles resolves the density of {n} states near {mean} "
-            f"(the last one had {count}); use more particles"
+            f"(the last one had {count}); use more particles: a Gaussian of {n} states takes about "
+            f"{enough_particles(n)}"
         )
     A, volume, node, x, log_density, mass, log_mass, new_mean, cov = best
     return Laid(

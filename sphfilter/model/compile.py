@@ -7,6 +7,7 @@ that signature, accept every model.
 import dis
 import functools
 import inspect
+import itertools
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +23,7 @@ from numpy.typing import ArrayLike
 from .._types import BatchFunction, Floats
 from ..core._jit import BATCH
 from ..errors import ModelError
+from .asking import noted
 
 __all__ = ["NO_DATA", "Data", "Maker", "StateFunction", "arguments_of", "batch", "compile_rows",
            "compile_source", "probe", "probe_states", "reads_argument", "shared", "surfacing"]  # fmt: skip
@@ -55,6 +57,7 @@ class Data(NamedTuple):
 NO_DATA = Data()
 #: Vectorised numpy callables by number: compiled code can hold a number, not a Python object.
 _BLACK_BOXES: list[BatchFunction] = []
+_NUMBERS = itertools.count()  # of functions whose cost is noted
 #: What users' functions raised while compiled code ran, the first by thread; 0 for compiled code's threads.
 _RAISED: dict[int, BaseException] = {}
 
@@ -326,8 +329,11 @@ def _compile_vectorized(
 ) -> BatchFunction:
     """Wrap a numpy function of many states; compiled loops reach it through the interpreter."""
 
+    number, called = next(_NUMBERS), getattr(function, "__name__", name)
+
     def call(x: Floats, t: float, p: Floats, out: Floats) -> None:
-        out[:] = _rows_of(function(*data.given(arguments, x, t, p)), len(x), shape, name)
+        with noted(number, called, len(x)):
+            out[:] = _rows_of(function(*data.given(arguments, x, t, p)), len(x), shape, name)
 
     return _through_python(call)
 

@@ -43,7 +43,7 @@ class Reading(NamedTuple):
         if z is None:
             return cls(np.full(k or 1, np.nan), np.zeros(k or 1, dtype=bool))
         try:
-            z = np.array(validate.unmasked(z), dtype=float, ndmin=1)
+            z = np.array(validate.column(validate.unmasked(z)), dtype=float, ndmin=1)
         except (TypeError, ValueError) as error:
             raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
         if z.ndim != 1 or (k is not None and len(z) != k):

@@ -42,7 +42,7 @@ from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
 from ..lattice.check import beside, deep_enough, left_out
-from ..lattice.level_set import Laid, fewest_particles, gaussian_volume, lattice_reach
+from ..lattice.level_set import Laid, enough_particles, fewest_particles, gaussian_volume, lattice_reach
 from ..model.compile import surfacing
 from ..model.derived import scales
 from ..model.sde import SDE
@@ -177,6 +177,7 @@ def propagate(
     if status != "ok":
         kind, reason = _REASONS[status]
         about = {"lost": 100 * state[LOST_MASS], "nodes": n_particles, "steps": scheme.max_steps}
+        about |= {"dim": model.dim, "enough": enough_particles(model.dim)}
         raise _given_up(kind(reason.format(**about)), (start, times[0], t1), counters)
     laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov, model.domain.walls)
     gaussian = density.gaussian and model.linear
@@ -269,11 +270,13 @@ _REASONS: dict[str, tuple[type[PropagationError], str]] = {
     ),
     "too few nodes": (
         LatticeError,
-        "no lattice of at most {nodes} particles resolves the density; use more particles",
+        "no lattice of at most {nodes} particles resolves the density; use more particles (a Gaussian of "
+        "{dim} states takes about {enough})",
     ),
     "outgrown": (
         LatticeError,
-        "the density is spread over more lattice cells than fit into memory; use fewer particles",
+        "the density is spread over more lattice cells than fit into memory: its pieces are far apart, or "
+        '{dim} states are too many; carry it as a cloud, scheme="cloud"',
     ),
     "stalled": (
         StoppedError,

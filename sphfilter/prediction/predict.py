@@ -1,6 +1,7 @@
 """Prediction: a density carried through the Fokker-Planck-Kolmogorov equation."""
 
 from dataclasses import replace
+from time import perf_counter
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice, particle_bound, target_of
 from ..errors import LatticeError, ModelError, UnresolvedError
 from ..info import PredictInfo
+from ..model.asking import watched
 from ..model.domain import Domain
 from ..model.sde import SDE
 from ..model.timing import beside
@@ -88,6 +90,7 @@ def predict(
     >>> print(f"t = {later.t}, {info.scheme}, {info.status}, variance {later.cov()[0, 0]:.3f}")
     t = 2.0, log_density, ok, variance 0.788
     """
+    began = perf_counter()
     if (dt is None) == (t is None):
         raise ModelError("predict takes either dt or t=, one of them")
     if model.dim != density.dim:
@@ -117,14 +120,16 @@ def predict(
         infos.append(info)
         return density
 
-    for stop in model.breaks(start, end):
-        before, after = beside(stop, start, end)
-        if density.t < before:
-            density = carried(density, before)
-        density = density.noted(t=after)
-    if density.t < end:
-        density = carried(density, end)
-    return (density if density.t == end else density.noted(t=end)), PredictInfo.joined(infos)
+    with watched():
+        for stop in model.breaks(start, end):
+            before, after = beside(stop, start, end)
+            if density.t < before:
+                density = carried(density, before)
+            density = density.noted(t=after)
+        if density.t < end:
+            density = carried(density, end)
+    density = density if density.t == end else density.noted(t=end)
+    return density, replace(PredictInfo.joined(infos), seconds=perf_counter() - began)
 
 
 def _to_target(

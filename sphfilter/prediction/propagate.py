@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from os import PathLike
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,10 @@ class Trajectory:
     times: Floats
     densities: tuple[ParticleDensity, ...]
     infos: tuple[PredictInfo, ...]
+
+    def __repr__(self) -> str:
+        span = f", t = {self.times[0]:g} to {self.times[-1]:g}" if len(self.times) else ""
+        return f"Trajectory({len(self.times)} densities{span})"
 
     def moment(self, powers: Sequence[int], central: bool = False, kind: ReadOut | None = None) -> Floats:
         """`ParticleDensity.moment` at all times, shape (T,)."""
@@ -164,7 +169,7 @@ def _piecewise(
     origin: Prediction | None,
 ) -> tuple[ParticleDensity, PredictInfo, Prediction | None]:
     """One interval, cut where a new lattice may be needed: its end, its info, and what led there."""
-    infos: list[PredictInfo] = []
+    began, infos = perf_counter(), list[PredictInfo]()
     while not infos or density.t < t:
         density, told, regridded = remeshing.renewed(density, model, t)
         stop = remeshing.stop(density, model, t)
@@ -176,7 +181,7 @@ def _piecewise(
             status = told if info.status == "ok" else f"{told}; {info.status.removeprefix('ok; ')}"
             info = replace(info.marked(Code.REGRIDDED, status), n_regrids=info.n_regrids + regridded)
         infos.append(info)
-    return density, PredictInfo.joined(infos), origin
+    return density, replace(PredictInfo.joined(infos), seconds=perf_counter() - began), origin
 
 
 def _carried(

@@ -207,7 +207,8 @@ def test_failures_are_sentences_and_change_nothing():
     predictor, updater = SPHPredictor(duffing()), SPHUpdater(position())
     prior = SPHState(sf.initialize(sf.Gaussian([3.0, 0.0], np.diag([0.2, 1.0])), 200), START)
     before = prior.density
-    wild = SPHPredictor(sf.SDE.from_expressions(["x", "v"], ["v", "x**5"], noise=[["0"], ["1"]]))
+    model = sf.SDE.from_expressions(["x", "v"], ["v", "x**5"], noise=[["0"], ["1"]])
+    wild = SPHPredictor(model, on_failure="raise")
     for call, sentence in (
         (lambda: predictor.predict(prior, at(-1)), "back in time"),
         (lambda: predictor.predict(prior), "timestamp"),

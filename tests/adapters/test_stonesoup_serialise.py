@@ -1,5 +1,6 @@
 """Pickle and Stone Soup's YAML: states, predictors, updaters and what they hold, to the last bit."""
 
+import copy
 import pickle
 
 import numpy as np
@@ -160,3 +161,16 @@ def test_without_the_entry_point_yaml_is_taught():
     yaml = YAML()
     extend(yaml)
     assert yaml.load(yaml.dumps(SPHPredictor(duffing()))).n_particles == 200
+
+
+def test_a_pickled_state_is_small_and_does_not_grow_with_its_track():
+    """Neither polynomials, which are fitted again, nor what the prior came from, are in it."""
+    predictor, updater = _filter()
+    early, late = (_steps(predictor, updater, gaussian(), range(1, k)) for k in (3, 7))
+    sizes = [len(pickle.dumps(state)) for state in (early, late)]
+    plain = late.density.field.coefficient.nbytes + late.density.field.tail.nbytes
+    assert sizes[1] < 1.5 * sizes[0] and len(pickle.dumps(late.density)) < plain
+    again = _through_pickle(late)
+    _same(again.hypothesis.prediction.prior.density, late.hypothesis.prediction.prior.density)
+    assert late.hypothesis.prediction.prior.hypothesis is not None  # here it is all there
+    assert copy.copy(late.hypothesis.prediction).prior is late.hypothesis.prediction.prior

@@ -168,3 +168,16 @@ def test_a_failed_update_leaves_tracker_and_track_as_they_were():
         next(steps)
     assert len(track) == 3 and track.state.density is density
     assert START + datetime.timedelta(seconds=2) == track.timestamp
+
+
+def test_plotters_draw_the_points_of_a_track():
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    from stonesoup.plotter import Plotter
+
+    track = Track([SPHPredictor(duffing()).predict(gaussian(), at(k)) for k in (1, 2)])
+    drawn = Plotter().plot_tracks({track}, [0, 1], uncertainty=True, particle=True)
+    points = Track([state.to_particle_state(200, rng=1) for state in track])
+    drawn = Plotter().plot_tracks({points}, [0, 1], particle=True)
+    assert sum(len(line.get_xdata()) == 200 for line in drawn if hasattr(line, "get_xdata")) == 2
+    matplotlib.pyplot.close("all")

@@ -1,5 +1,6 @@
 """A time budget, by a clock that is told what particles cost."""
 
+import itertools
 import math
 from types import SimpleNamespace
 
@@ -143,14 +144,25 @@ def test_the_target_error_waits_for_time(clock):
     assert ample.n_particles > 3 * late.n_particles
 
 
-def test_no_budget_no_clock(monkeypatch):
-    def clock():
-        raise AssertionError("a filter without a budget looked at the clock")
+def test_without_a_budget_time_is_told_and_nothing_hangs_on_it(clock, monkeypatch):
+    known, usual = (made(None, n_particles=100) for _ in range(2))
+    predicted, updated = steps(known, 2)[0]
+    assert predicted.seconds > 0.0 and updated.seconds > 0.0
+    ticks = itertools.count(0.0, 1e4)
+    monkeypatch.setattr(budget_room, "clock", lambda: next(ticks))
+    again = steps(usual, 2)[0]
+    assert repr(again) == repr((predicted, updated)) and again[0].seconds >= 1e4
+    assert np.array_equal(known.density.x, usual.density.x) and known.log_evidence == usual.log_evidence
 
-    monkeypatch.setattr(budget_room, "clock", clock)
-    flt = made(None, n_particles=100)
-    predicted, updated = steps(flt, 2)[0]
-    assert predicted.seconds == updated.seconds == 0.0
+
+def test_the_verbs_tell_their_time_too():
+    start = sf.initialize(sf.Gaussian([0.0], [[0.5]]), n_particles=60)
+    model, sensor = sf.LinearSDE([[-1.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[0.1]])
+    moved, predicted = sf.predict(start, model, 1.0)
+    _, updated = sf.update(moved, sensor, [0.1])
+    _, nothing = sf.update(moved, sensor, None)
+    (transient,) = sf.propagate(start, model, [1.0]).infos
+    assert min(info.seconds for info in (predicted, updated, nothing, transient)) > 0.0
 
 
 def test_a_rehearsal_changes_nothing(clock):

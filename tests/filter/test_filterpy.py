@@ -111,6 +111,9 @@ def test_what_mixes_filters_is_refused():
         ("F", "LinearSDE"),
         ("B", "write the control into the drift"),
         ("K", "no gain"),
+        ("inv", "SI is its inverse"),
+        ("dim_x", "dim_x is what a density filter has found"),
+        ("SI", "SI is what a density filter has found"),
         ("hx", "h=hx"),
         ("x", "the mean of a density filter cannot be overwritten"),
         ("density", "density is what a density filter has found"),
@@ -123,7 +126,128 @@ def test_names_that_would_do_nothing_are_refused_with_the_one_to_use(name, sente
     flt = ours()
     with pytest.raises(sf.ModelError, match=sentence):
         setattr(flt, name, np.eye(2))
-    assert not hasattr(flt, name) or name in ("x", "density", "x_prior")
+    assert not hasattr(flt, name) or name in ("x", "density", "x_prior", "dim_x", "SI")
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("K", "SPHFilter has no K: .* no gain"),
+        ("R", "its noise_cov"),
+        ("H", "h=H"),
+        ("Q", "spectral_density=Q"),
+        ("F", "LinearSDE"),
+        ("B", "drift"),
+        ("inv", "SI is its inverse"),
+        ("residual_of", "measurement.predict"),
+        ("batch_filter", "the whole record to run"),
+        ("rts_smoother", r"sf\.smooth"),
+        ("predict_update", r"predict\(dt\), then update\(z\)"),
+    ],
+)
+def test_names_that_are_not_offered_name_what_is(name, sentence):
+    flt = ours()
+    assert not hasattr(flt, name) and getattr(flt, name, "nothing") == "nothing"
+    with pytest.raises(AttributeError, match=sentence) as raised:
+        getattr(flt, name)
+    assert isinstance(raised.value, sf.ModelError)
+    with pytest.raises(AttributeError, match="has no attribute 'densities'"):
+        flt.densities  # noqa: B018 - reading it is the test
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda flt: flt.update(Z[1], lambda x: x, lambda x: x), "nothing is linearised"),
+        (lambda flt: flt.update(Z[1], HJacobian=np.eye(2), Hx=abs), "HJacobian=: nothing is linearised"),
+        (lambda flt: flt.update(Z[1], hx=lambda x: (x[0],)), r"hx=: give update\(z, R, hx\)"),
+        (lambda flt: flt.predict(fx=lambda x, dt: x), "fx=: dynamics belong to the model"),
+        (lambda flt: flt.predict(Q=np.eye(2)), "Q=: process noise belongs to the model"),
+        (lambda flt: sf.SPHFilter(dim_x=2, dim_z=1), r"dim_x=: .* SPHFilter\(model, measurement, x0, P0\)"),
+    ],
+)
+def test_arguments_of_other_filters_are_refused_with_the_ones_to_give(call, sentence):
+    with pytest.raises(sf.ModelError, match=sentence):
+        call(ours())
+    with pytest.raises(TypeError, match="unexpected keyword"):
+        ours().update(Z[1], noise=3.0)
+
+
+def _inflated(flt):
+    flt.P *= 50
+
+
+def _moved(flt):
+    flt.x += 1.0
+
+
+def _overwritten(flt):
+    flt.P[0, 0] = 3.0
+
+
+@pytest.mark.parametrize("change", [_inflated, _moved, _overwritten])
+def test_moments_changed_in_place_are_refused_and_stay(change):
+    flt = ours()
+    flt.predict()
+    x, P = np.array(flt.x), np.array(flt.P)
+    with pytest.raises(sf.ModelError, match="make a new SPHFilter with x0 and P0"):
+        change(flt)
+    assert np.array_equal(flt.x, x) and np.array_equal(flt.P, P)
+
+
+def test_what_is_computed_from_moments_is_a_plain_array():
+    flt = ours()
+    copied, P = flt.P.copy(), np.array(flt.P)
+    copied *= 2.0
+    copied[0, 0] += 1.0
+    assert np.array_equal(copied, 2.0 * P + np.diag([1.0, 0.0]))
+    assert type(2.0 * flt.P) is type(flt.P @ flt.x) is np.ndarray
+    assert repr(flt.x) == repr(pickle.loads(pickle.dumps(flt.x))) == repr(np.array(flt.x))
+    out = np.zeros(2)
+    assert np.add(flt.x, 1.0, out=out) is out and np.array_equal(out, np.array(flt.x) + 1.0)
+
+
+def test_columns_stand_for_vectors():
+    a = ours()
+    b = sf.SPHFilter(MODEL, POSITION, x0=X0[:, None], P0=P0, dt=DT, n_particles=300)
+    a.predict(), b.predict()
+    a.update(Z[1]), b.update(np.array([Z[1]]).T)
+    assert np.array_equal(a.x, b.x) and a.log_evidence == b.log_evidence
+    assert b.z.shape == (1,)
+    with pytest.raises(sf.ModelError, match=r"shape \(2,\), but the sensor gives \(1,\)"):
+        b.update([[1.0], [2.0]])
+
+
+def test_dimensions_inverse_and_distance_of_the_innovation():
+    both = sf.GaussianMeasurement(np.eye(2), [[0.2, 0.05], [0.05, 0.1]])
+    flt, reference = sf.SPHFilter(MODEL, both, X0, P0, dt=DT, n_particles=300), theirs()
+    reference.dim_z, reference.H, reference.R = 2, np.eye(2), both.noise_cov
+    assert (flt.dim_x, flt.dim_z) == (2, 2) and np.isnan(flt.mahalanobis) and np.isnan(flt.SI).all()
+    for each in (flt, reference):
+        each.predict()
+        each.update(np.array([0.4, -0.5]))
+    np.testing.assert_allclose(flt.SI, reference.SI, rtol=0.01)
+    assert flt.mahalanobis == pytest.approx(reference.mahalanobis, rel=0.01)
+    flt.update([0.3, np.nan])
+    assert flt.SI[0, 0] == pytest.approx(1.0 / flt.S[0, 0]) and np.isnan(flt.SI[0, 1])
+    assert flt.mahalanobis == pytest.approx(abs(flt.y[0]) / flt.S[0, 0] ** 0.5)
+    flt.update(None)
+    assert np.isnan(flt.mahalanobis)
+    counter = sf.LikelihoodMeasurement(lambda z, X, t: -((z[0] - X[:, 0]) ** 2))
+    flt.update([0.3], counter)
+    assert flt.SI is None and np.isnan(flt.mahalanobis)
+
+
+def test_a_saver_that_begins_before_the_first_reading():
+    flt = ours()
+    saver = Saver(flt, save_current=True)
+    flt.predict()
+    saver.save()
+    flt.update(Z[1])
+    saver.save()
+    saver.to_array()
+    assert saver.z.shape == (3, 1) and saver.S.shape == saver.SI.shape == (3, 1, 1)
+    assert np.isnan(saver.z[:2]).all() and np.isfinite(saver.z[2]).all()
 
 
 def test_what_may_be_set_and_what_subclasses_carry():

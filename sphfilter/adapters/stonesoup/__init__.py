@@ -34,6 +34,9 @@ predictor goes on from those. Detections associated together need one timestamp.
 A call that fails raises `ModelError` or `PropagationError` with a sentence, and leaves track and states as
 they were. `info` of predictions and updates says how they went. `notebooks/stone_soup.ipynb` shows a tracker.
 
+Plotters draw the mean of a state; `SPHState.to_particle_state` makes the states whose points they draw with
+``plot_tracks({Track([state.to_particle_state(200) for state in track])}, [0, 1], particle=True)``.
+
 Objects pickle. `stonesoup.serialise.YAML` writes and reads states, predictors and updaters, densities as
 arrays and models as their text; a model that is a Python function is refused with a sentence. Where the
 package is not installed but on the path, `extend(yaml)` teaches a YAML object their classes.

@@ -19,18 +19,19 @@ from ...errors import ModelError, PropagationError
 from ...filter.update import update
 from ...filter.update_again import Update
 from ...info import Code, PredictInfo, UpdateInfo
-from ...lattice.level_set import lattice_reach
+from ...lattice.level_set import enough_particles, lattice_reach
 from ...model.measurements import Sensor
 from ...prediction.again import Ladder, Outcome
 
-__all__ = ["Alone", "Association", "alone", "mixed_mean", "one_prediction", "predicted_apart",
-           "probability_of", "resolved"]  # fmt: skip
+__all__ = ["Alone", "Association", "alone", "check_sharpness", "mixed_mean", "one_prediction",
+           "predicted_apart", "probability_of", "resolved"]  # fmt: skip
 
 _LADDER = Ladder(times=(1, 3, 9), most=math.inf)  # for products of density and likelihood
 _NEGLIGIBLE = 1e-6  # probability of a part
 _DEEPER = 0.7  # standard deviations that lattices reach further, each time
 #: Standard deviations that a mean may be off, and part of the mass: not tried again, and refused above.
 _RESOLVED, _LOST = 0.01, 0.1
+_HOPELESS = 3.0  # times the nodes of the finest lattice that is tried, from which none is
 
 
 class Association:
@@ -99,10 +100,11 @@ class Total:
 
 
 class Alone(NamedTuple):
-    """The log-evidence of a detection, and the mean of its posterior; None where it would not be used."""
+    """The log-evidence of a detection, and the moments of its posterior; None where it would not be used."""
 
     log_evidence: float
     mean: Floats | None
+    cov: Floats | None = None
 
 
 def alone(
@@ -121,7 +123,22 @@ def alone(
         )
     except PropagationError:
         return Alone(float(logsumexp(log_likelihood, b=density.mass)), None)
-    return Alone(info.log_evidence, posterior.mean() if info.accepted else None)
+    return Alone(info.log_evidence, *((posterior.mean(), posterior.cov()) if info.accepted else (None, None)))
+
+
+def check_sharpness(parts: Sequence[tuple[float, Floats]], n_particles: int) -> None:
+    """Raise `PropagationError` for weights and covariances so different in width that no lattice will do.
+
+    One that spans the widest with the spacing that the sharpest needs has as many times the nodes of a
+    Gaussian as their volumes differ.
+    """
+    log_volume = [0.5 * np.linalg.slogdet(cov)[1] for weight, cov in parts if weight > _NEGLIGIBLE]
+    ratio = math.exp(max(log_volume) - min(log_volume))
+    if ratio * enough_particles(len(parts[0][1])) > _HOPELESS * max(_LADDER.times) * n_particles:
+        raise PropagationError(
+            f"detections much sharper than the prediction, {ratio:.2g} times, leave a density too sharp and "
+            f"too broad for one lattice; use more particles"
+        )
 
 
 def mixed_mean(parts: Sequence[tuple[float, Floats]]) -> Floats:

@@ -21,8 +21,9 @@ from ...model.sde import SDE
 from ...prediction.again import Outcome, or_as_cloud, predict_from_finer
 from ...prediction.predict import Prediction as Origin
 from ...prediction.predict import predict
-from ...validate import count
+from ...validate import choice, count
 from .association import Association, predicted_apart
+from .failures import ON_FAILURE, OnFailure, laid, linearised, said
 from .recent import Recent
 from .states import SPHState, SPHStatePrediction, current, density_of, origin_of, remember, retimed
 from .transition import SDETransitionModel, transition_of
@@ -44,6 +45,12 @@ class SPHPredictor(Predictor):
     n_particles : int
         Upper bound of the number of particles.
     config : FilterConfig, optional
+    on_failure : "gaussian", "drop" or "raise"
+        What comes of a density that could not be carried (`PropagationError`). With "gaussian" the Gaussian
+        that the model linearised along the mean makes of its mean and covariance, as of an extended Kalman
+        filter; where there is none, as with "drop". With "drop" the prediction is left out: the density
+        stays what it was, at the new time. `info.status` says so, and why; `info.flagged` is True. With
+        "raise" the error is raised, and ends a run of a tracker.
 
     Notes
     -----
@@ -56,6 +63,9 @@ class SPHPredictor(Predictor):
     )
     n_particles: int = Property(default=200, doc="Upper bound of the number of particles.")
     config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
+    on_failure: OnFailure = Property(
+        default="gaussian", doc='What a prediction that fails becomes: "gaussian", "drop" or "raise".'
+    )
 
     @transition_model.setter  # type: ignore[no-redef]  # Stone Soup makes a property of it
     def transition_model(self, model: SDETransitionModel | SDE | TransitionModel) -> None:
@@ -65,6 +75,7 @@ class SPHPredictor(Predictor):
         super().__init__(*args, **kwargs)
         if self.control_model is not None:
             raise ModelError(_NO_CONTROL.format("control_model"))
+        choice("on_failure", self.on_failure, ON_FAILURE)
         self._kept = Recent(_KEPT)
 
     def predict(
@@ -93,7 +104,8 @@ class SPHPredictor(Predictor):
         ModelError
             Timestamps that are missing or run backwards, or a state that is no density.
         PropagationError
-            The model blew up, or no lattice holds the density; says what to change. The prior is as it was.
+            With ``on_failure="raise"``: the model blew up, or no lattice holds the density; says what to
+            change. The prior is as it was.
         """
         if control_input is not None:
             raise ModelError(_NO_CONTROL.format("control_input"))
@@ -103,6 +115,7 @@ class SPHPredictor(Predictor):
         density = density_of(prior, n_particles, config, sde.domain)
         dt = _seconds(prior.timestamp, timestamp)
         before, moved, info, _ = self._carried(prior, density, dt, config, n_particles)
+        failed = info.scheme == ""
         prediction = Prediction.from_state(
             prior if isinstance(prior, SPHState) else SPHState(density, prior.timestamp),
             density=moved,
@@ -111,7 +124,7 @@ class SPHPredictor(Predictor):
             prior=prior,
             info=info,
         )
-        return remember(prediction, Origin(before, info.mass_error, sde, moved.t))
+        return remember(prediction, Origin(None if failed else before, info.mass_error, sde, moved.t))
 
     def _carried(
         self, prior: State, density: ParticleDensity, dt: float, config: FilterConfig, n_particles: int
@@ -119,10 +132,15 @@ class SPHPredictor(Predictor):
         """The `Outcome` of dt seconds; kept a while."""
         transition = self.transition_model
         sde, start = transition.sde, retimed(density, transition, prior.timestamp)
-        key = start, sde, sde.p.tobytes(), dt, config, n_particles
+        key = start, sde, sde.p.tobytes(), dt, config, n_particles, self.on_failure
 
         def carried() -> Outcome[PredictInfo]:
-            found = self._predicted(start, origin_of(prior), predicted, n_particles)
+            try:
+                found = self._predicted(start, origin_of(prior), predicted, n_particles)
+            except PropagationError as problem:
+                if self.on_failure == "raise":
+                    raise
+                found = self._stand_in(problem, start, dt, config, n_particles)
             before, moved = retimed(found.before, transition, prior.timestamp), found.density
             if moved.capacity != n_particles:  # more particles for once are not more ever after
                 moved = replace(moved, capacity=n_particles)
@@ -136,6 +154,24 @@ class SPHPredictor(Predictor):
             return predict(density, sde, dt, config, **options)
 
         return self._kept.result(key, carried)
+
+    def _stand_in(
+        self,
+        problem: PropagationError,
+        start: ParticleDensity,
+        dt: float,
+        config: FilterConfig,
+        n_particles: int,
+    ) -> Outcome[PredictInfo]:
+        """The `Outcome` of a prediction that failed; no scheme carried it."""
+        if self.on_failure == "gaussian":
+            with suppress(ModelError, PropagationError):
+                gaussian = linearised(start, self.transition_model.sde, dt)
+                moved = laid(gaussian, start, start.t + dt, n_particles, config)
+                info = PredictInfo(scheme="", **said(problem, "a Gaussian stands for the density"))
+                return Outcome(start, moved, info, n_particles)
+        info = PredictInfo(scheme="", **said(problem, "left out, the density is that before"))
+        return Outcome(start, replace(start, t=start.t + dt), info, n_particles)
 
     def _predicted(
         self,

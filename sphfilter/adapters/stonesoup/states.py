@@ -107,6 +107,19 @@ class SPHStatePrediction(Prediction, SPHState):
 
     info: PredictInfo = Property(default=None, doc="What the prediction did.")
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """A prediction in a file has the density of its prior, not what that came from."""
+        made, arguments, values, *rest = super().__reduce_ex__(protocol)
+        if isinstance(self.prior, SPHStateUpdate):
+            prior = SPHState(self.prior.density, timestamp=self.prior.timestamp)
+            values = values | {"_property_prior": prior}
+        return (made, arguments, values, *rest)
+
+    def __copy__(self) -> "SPHStatePrediction":
+        other = type(self).__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        return other
+
 
 class SPHStateUpdate(Update, SPHState):
     """A posterior density; `info` says what was done with the detection (`UpdateInfo`).

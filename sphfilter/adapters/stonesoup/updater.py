@@ -1,9 +1,12 @@
 """Stone Soup's updater interface to the update: density times likelihood."""
 
 import datetime
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from stonesoup.base import Property
 from stonesoup.models.measurement.base import MeasurementModel
 from stonesoup.types.array import CovarianceMatrix
@@ -17,26 +20,29 @@ from stonesoup.updater.base import Updater
 
 from ..._types import Floats
 from ...config import FilterConfig, checked_filter_config
+from ...density.initialize import Gaussian
 from ...density.particle_density import ParticleDensity
 from ...density.resample import particle_bound
-from ...errors import ModelError
+from ...errors import ModelError, PropagationError
 from ...filter.asked import predicted_reading
 from ...filter.update_again import Update as UpdateOrigin
 from ...filter.update_again import update_or_predict_again
-from ...info import UpdateInfo
+from ...info import Code, UpdateInfo
 from ...model.measurements import Sensor, is_gaussian
 from ...prediction.again import Outcome
 from ...prediction.predict import Prediction as PredictionOrigin
-from ...validate import count
+from ...validate import choice, count
 from .association import (
     Alone,
     Association,
     alone,
+    check_sharpness,
     mixed_mean,
     one_prediction,
     probability_of,
     resolved,
 )
+from .failures import ON_FAILURE, OnFailure, laid, merged, multiplied, said
 from .recent import Recent
 from .sensors import reading_of, sensor_for, typed
 from .states import SPHState, SPHStateUpdate, current, density_of, origin_of, remember
@@ -57,6 +63,15 @@ class SPHUpdater(Updater):
     n_particles : int, optional
         Upper bound of the number of particles; by default the bound of the prediction.
     config : FilterConfig, optional
+    on_failure : "gaussian", "drop" or "raise"
+        What comes of a detection, or an association of several, whose posterior could not be made
+        (`PropagationError`). With "gaussian" the posterior is a Gaussian: of a detection that which an
+        unscented Kalman filter makes, with the density's particles as its points (of a sensor that is not
+        Gaussian, that of the particles weighted by their likelihood); of an association that with the mean
+        and covariance of the mixture of these. Where there is none, as with "drop". With "drop" the
+        detections are left out, as if they had been missed: the posterior is the prediction, and
+        `info.accepted` is False. `info.status` says so, and why; `info.flagged` is True. With "raise" the
+        error is raised, and ends a run of a tracker.
     """
 
     measurement_model: MeasurementModel = Property(
@@ -64,9 +79,13 @@ class SPHUpdater(Updater):
     )
     n_particles: int = Property(default=None, doc="Upper bound of the number of particles.")
     config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
+    on_failure: OnFailure = Property(
+        default="gaussian", doc='What an update that fails becomes: "gaussian", "drop" or "raise".'
+    )
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        choice("on_failure", self.on_failure, ON_FAILURE)
         self._kept = Recent(_KEPT)
 
     def predict_measurement(
@@ -129,7 +148,7 @@ class SPHUpdater(Updater):
         ModelError
             A detection or model that does not fit, or hypotheses of different times.
         PropagationError
-            No lattice holds the posterior. The prediction is as it was.
+            With ``on_failure="raise"``: no lattice holds the posterior. The prediction is as it was.
         """
         if isinstance(hypothesis, MultipleHypothesis):
             return self._associated(hypothesis)
@@ -137,24 +156,31 @@ class SPHUpdater(Updater):
         if not hypothesis:
             density = self._density(prediction)
             return self._posterior(prediction, hypothesis, _unused(density), None)
-        asked = self._asked(prediction, detection)
-        return self._posterior(
-            prediction, hypothesis, self._multiplied(prediction, *asked), asked, detection.timestamp
-        )
+        sensor, z = self._asked(prediction, detection)
+        try:
+            found = self._multiplied(prediction, sensor, z)
+        except PropagationError as problem:
+            log_evidence = self._alone(prediction, sensor, z).log_evidence
+            found = self._stand_in(problem, prediction, 0.0, [(sensor, z, 1.0)], log_evidence)
+            return self._posterior(prediction, hypothesis, found, None, detection.timestamp)
+        return self._posterior(prediction, hypothesis, found, (sensor, z), detection.timestamp)
 
     def _associated(self, hypotheses: MultipleHypothesis) -> SPHStateUpdate:
         prediction = one_prediction(hypotheses)
-        density, missed, parts, means = self._density(prediction), 0.0, [], []
+        density, missed, parts, means, covs = self._density(prediction), 0.0, [], [], []
         for hypothesis in hypotheses:
             weight, one = probability_of(hypothesis), None
             if hypothesis and weight > 0.0:
                 sensor, z = self._asked(prediction, hypothesis.measurement)
                 one = self._alone(prediction, sensor, z)
-            if one is None or one.mean is None:  # what would not be used alone is not used here
+            if (
+                one is None or one.mean is None or one.cov is None
+            ):  # what would not be used alone is not used here
                 missed += weight
             else:
                 parts.append((sensor, z, weight, one.log_evidence))
                 means.append((weight, one.mean))
+                covs.append((weight, one.cov))
         if not parts:
             return self._posterior(prediction, hypotheses, _unused(density), None)
         association, readings = Association(missed, parts), tuple(part[1] for part in parts)
@@ -163,8 +189,39 @@ class SPHUpdater(Updater):
         def multiplied(times: int, config: FilterConfig) -> Outcome[UpdateInfo]:
             return self._multiplied(prediction, association, readings, times, config)
 
-        found = resolved(multiplied, checked_filter_config(self.config), density.dim, mixed)
+        try:
+            check_sharpness([(missed, density.cov()), *covs], particle_bound(density, self.n_particles))
+            found = resolved(multiplied, checked_filter_config(self.config), density.dim, mixed)
+        except PropagationError as problem:
+            found = self._stand_in(problem, prediction, missed, [part[:3] for part in parts])
+            return self._posterior(prediction, hypotheses, found, None)
         return self._posterior(prediction, hypotheses, found, (association, readings))
+
+    def _stand_in(
+        self,
+        problem: PropagationError,
+        prediction: State,
+        missed: float,
+        parts: Sequence[tuple[Sensor, Floats, float]],
+        log_evidence: float = 0.0,
+    ) -> Outcome[UpdateInfo]:
+        """The `Outcome` of detections with weights that no posterior could be made of, or `problem`."""
+        if self.on_failure == "raise":
+            raise problem
+        density, config = self._density(prediction), checked_filter_config(self.config)
+        known: dict[str, Any] = {"log_evidence": log_evidence}
+        if self.on_failure == "gaussian":
+            with suppress(ModelError, PropagationError, np.linalg.LinAlgError):
+                each = [(missed, Gaussian(density.mean(), density.cov()))] if missed > 0.0 else []
+                each += [(weight, multiplied(density, sensor, z)) for sensor, z, weight in parts]
+                n_particles = particle_bound(density, self.n_particles)
+                posterior = laid(merged(each), density, density.t, n_particles, config)
+                known |= said(problem, "a Gaussian stands for the posterior")
+                info = UpdateInfo(accepted=True, n_particles=posterior.n_particles, **known)
+                return Outcome(density, posterior, info, n_particles)
+        known |= {"reason": f"not used: {problem}", "n_particles": density.n_particles}
+        info = UpdateInfo(accepted=False, code=Code.FALLBACK, status="left out", **known)
+        return Outcome(density, density, info, density.n_particles)
 
     def _alone(self, prediction: State, sensor: Sensor, z: Floats) -> Alone:
         """What a detection says alone; kept for data association, which scores it first and uses it then."""

@@ -1,0 +1,103 @@
+"""What stands for a density that could not be carried, so that a tracker goes on."""
+
+from collections.abc import Sequence
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from ..._types import Floats
+from ...config import FilterConfig
+from ...density.initialize import Gaussian, initialize
+from ...density.particle_density import ParticleDensity
+from ...errors import ModelError, PropagationError
+from ...filter.asked import predicted_reading
+from ...info import Code
+from ...model.measurements import Sensor, is_gaussian
+from ...model.sde import SDE
+
+__all__ = ["ON_FAILURE", "OnFailure", "laid", "linearised", "merged", "multiplied", "said"]
+
+OnFailure: TypeAlias = Literal["gaussian", "drop", "raise"]
+ON_FAILURE = "gaussian", "drop", "raise"
+_TOLERANCE = 1e-6  # of moments, relative
+
+
+def said(problem: PropagationError, what: str) -> dict[str, Any]:
+    """Status and code of an info whose step ended in a problem."""
+    return {"status": f"{what}: {problem}", "code": Code.FALLBACK}
+
+
+def linearised(density: ParticleDensity, model: SDE, dt: float) -> Gaussian:
+    """The Gaussian that the model, linearised along its mean, makes of a density, as an extended Kalman
+    filter predicts: dm/dt = f(m), dP/dt = F P + P F' + 2 D(m).
+
+    Raises
+    ------
+    ModelError
+        That is infinite, or no Gaussian.
+    """
+    from scipy.integrate import solve_ivp  # on use: import time
+
+    n = density.dim
+
+    def rate(t: float, moments: Floats) -> Floats:
+        m, P = moments[:n], moments[n:].reshape(n, n)
+        FP = model.jacobian(m, t) @ P
+        return np.concatenate(
+            [model.drift(m[None], t)[0], (FP + FP.T + 2.0 * model.diffusion(m[None], t)[0]).ravel()]
+        )
+
+    start = np.concatenate([density.mean(), density.cov().ravel()])
+    with np.errstate(all="ignore"):
+        found = solve_ivp(rate, (density.t, density.t + dt), start, rtol=_TOLERANCE, atol=0.0)
+    if not found.success:
+        raise ModelError(f"the moments could not be carried either: {found.message}")
+    return _gaussian(found.y[:n, -1], found.y[n:, -1].reshape(n, n))
+
+
+def multiplied(density: ParticleDensity, sensor: Sensor, z: Floats) -> Gaussian:
+    """The Gaussian that a reading makes of a density, by the covariance of the two.
+
+    With a Gaussian sensor as an unscented Kalman filter does it, with the density's particles as its points;
+    with another one the moments of the particles, weighted by their likelihood.
+
+    Raises
+    ------
+    ModelError
+        There is no such Gaussian: too few particles, or none, are likely.
+    """
+    mean, cov = density.mean(), density.cov()
+    if is_gaussian(sensor):
+        reading, S, cross = predicted_reading(density, sensor)
+        gain = np.linalg.solve(S + sensor.noise_cov, cross.T).T
+        return _gaussian(mean + gain @ sensor.residual(z, reading), cov - gain @ cross.T)
+    log_w = sensor.log_likelihood(z, density.x, density.t) + np.log(density.mass)
+    highest = log_w.max(initial=-np.inf)
+    if not np.isfinite(highest):
+        raise ModelError("the likelihood is zero at all particles")
+    w = np.exp(log_w - highest)
+    mean = w @ density.x / w.sum()
+    d = density.x - mean
+    return _gaussian(mean, (d * w[:, None]).T @ d / w.sum())
+
+
+def merged(parts: Sequence[tuple[float, Gaussian]]) -> Gaussian:
+    """The Gaussian with the mean and covariance of a mixture of weights and Gaussians."""
+    w = np.array([weight for weight, _ in parts])
+    w = w / w.sum()
+    means = np.array([part.mean for _, part in parts])
+    mean = w @ means
+    d = means - mean
+    cov = np.einsum("k,kij->ij", w, np.array([part.cov for _, part in parts]))
+    return _gaussian(mean, cov + (d * w[:, None]).T @ d)
+
+
+def laid(
+    gaussian: Gaussian, density: ParticleDensity, t: float, n_particles: int, config: FilterConfig
+) -> ParticleDensity:
+    """A Gaussian on particles, at time t, where a density lived."""
+    return initialize(gaussian, n_particles, config, t=t, domain=density.domain)
+
+
+def _gaussian(mean: Floats, cov: Floats) -> Gaussian:
+    return Gaussian(mean, 0.5 * (cov + cov.T))
