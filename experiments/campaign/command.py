@@ -10,6 +10,7 @@ import joblib
 from experiments.scene.files import add_change_option, changes_of
 from experiments.scene.filters import name_of, takes_grid
 from experiments.scene.scenario import load_scenario, read_settings
+from experiments.terminal.beside import Second
 from experiments.terminal.options import add_run_options
 from experiments.terminal.running import new_console, status
 from sphfilter.campaign.report import report
@@ -62,6 +63,8 @@ def main(args):
     referee, out = _referee(args.referee, scenario, work.filters), work.out
 
     with _workers(args.dask):
+        with Second() as second:
+            work.prepare(console, out / "runs", second)
         campaign = work.run(console, None if args.dask else args.jobs, out / "runs")
     numbers = report(campaign, referee=referee, labels=scenario.labels)
     facts = {"runs": numbers.n_runs, "referee": referee}

@@ -35,17 +35,17 @@ def duration(seconds):
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def warm_up(console, scenario, filters):
+def warm_up(console, scenario, filters, second):
     """Let every filter take one measurement, so that compiling neither surprises nor counts as run time.
 
-    The SPH filter compiles for as long as all others together: these are compiled beside it.
+    The SPH filter compiles for as long as all others together: these are compiled in a `second` process.
     """
     names = sorted(filters, key=lambda name: name != "sph")
     others = {name: filters[name] for name in names[1:]}
-    with status(console) as say, compiled_beside(scenario, others) as wait:
+    with status(console) as say, compiled_beside(second, scenario, others) as wait:
         case = scenario.draw(np.random.default_rng(0))
         for i, name in enumerate(names):
-            say(f"preparing {name_of(name)} (the first time compiles, for a minute)")
+            say(f"preparing {name_of(name)}" + " (the first time compiles, for a minute)" * (i == 0))
             if i == 1:
                 wait()
             problem = take_one(filters[name], case)
