@@ -64,7 +64,7 @@ _GROUPS = {
             ("stress --random 50 --seed 3", "random problems instead"),
         ),
         "skips": (
-            ("skips --samples 3", "all of them, quickly"),
+            ("skips --samples 5", "all of them, quickly"),
             ("skips --only 'no measurement'", "those with these words in their name"),
         ),
         "scaling": (

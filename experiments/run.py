@@ -11,29 +11,15 @@ from sphfilter.errors import SphfilterError
 from .campaign.work import exit_code, tell_failures, work_of
 from .pictures import drawing
 from .pictures.names import chosen
-from .scene.files import add_change_option, changes_of
+from .scene.files import changes_of
 from .scene.scenario import load_scenario
 from .show import plots
 from .show.campaign_tables import distance_table, result_table, sentences
 from .show.comparison import distances, reference_name
 from .terminal.beside import Second
-from .terminal.options import add_run_options
 from .terminal.running import new_console, status, tell
 
-__all__ = ["add_arguments", "main"]
-
-
-def add_arguments(parser):
-    """Add the options of `run`."""
-    add_run_options(parser, "the scenario's", "results/NAME")
-    parser.add_argument("--n-particles", type=int, help="particles of the SPH filters, at most")
-    parser.add_argument(
-        "--pictures",
-        metavar="NAMES",
-        help="comma-separated pictures of the paper to draw besides the histories, or none "
-        "(default: all the scenario has, if sph_paper runs)",
-    )
-    add_change_option(parser)
+__all__ = ["main"]
 
 
 def main(args):

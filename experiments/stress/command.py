@@ -4,66 +4,25 @@ Walks a grid of small filtering problems that are made hard in one respect each,
 published SPH scheme and the particle filter, and compares every answer with a reference.
 """
 
-import argparse
 from functools import partial
-from pathlib import Path
 
-from experiments.terminal.options import counted, names_of
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
-from sphfilter.errors import ConfigError, nearest
 
 from . import plots, tables
 from .grid import cells, chosen
 from .pool import Lost, run_tasks
 from .random import command as random
 from .references import Reference, reference
-from .runs import METHODS, Outcome, run
+from .runs import Outcome, run
 from .store import load, path_of, save, sources
 
-__all__ = ["add_arguments", "main"]
+__all__ = ["main"]
 
 #: Seconds a reference may take.
 _REFERENCE_LIMIT = 150.0
 #: Cells that make every method compile what it needs, and seconds that may take on an empty cache.
 _WARM, _COMPILE_LIMIT = ("dimension/*/[1-4]", "outlier/tanh_drift/5"), 1800.0
-
-
-def add_arguments(parser):
-    """Add the options of `stress`."""
-    parser.add_argument("--quick", action="store_true", help="a reduced grid, that the tests walk too")
-    only = "cells to run: a family, or FAMILY/SYSTEM/LEVEL with * and ?; may be repeated"
-    parser.add_argument("--only", action="append", default=[], metavar="CELL", help=only)
-    names = f"comma-separated, of {', '.join(METHODS)} (default: all)"
-    parser.add_argument("--methods", type=names_of, default=list(METHODS), help=names)
-    parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
-    parser.add_argument("--limit", type=_seconds, default=60.0, help="seconds a run may take (default: 60)")
-    parser.add_argument("--out", type=Path, default=Path("results/stress"), help="folder for results")
-    parser.add_argument("--jobs", type=counted, default=1, help="processes")
-    parser.add_argument("--random", type=counted, metavar="N", help="N random problems instead of the grid")
-    again = "random problem number K of seed S alone, as S:K; may be repeated"
-    parser.add_argument("--random-case", type=_pair, action="append", default=[], metavar="S:K", help=again)
-    auto = "random problems: judge the default filter, which chooses by its error, not 100 to 800 particles"
-    parser.add_argument("--auto", action="store_true", help=auto)
-    parser.add_argument("--list", action="store_true", help="print the names of the cells and stop")
-
-
-def _seconds(text):
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"a number of seconds above zero is needed, not {text!r}")
-    return value
-
-
-def _pair(text):
-    """Seed and number of a random problem."""
-    parts = text.split(":")
-    if len(parts) != 2 or not all(part.isdigit() for part in parts):
-        raise argparse.ArgumentTypeError(f"a seed and a number such as 1:20 are needed, not {text!r}")
-    return int(parts[0]), int(parts[1])
 
 
 def main(args):
@@ -72,18 +31,13 @@ def main(args):
     if args.random or args.random_case:
         random.main(console, args)
         return
-    if args.auto:
-        raise ConfigError("--auto goes with --random and --random-case")
     grid = chosen(args.only, args.quick)
     if args.list:
         for cell in grid:
             console.print(cell.name, soft_wrap=True)
         return
-    methods = args.methods
-    for name in methods:
-        if name not in METHODS:
-            raise ConfigError(f"no method {name!r}{nearest(name, METHODS)}; there are {', '.join(METHODS)}")
-    console.print(f"{len(grid)} cells, {len(methods)} methods, at most {args.limit:g} s each", style="dim")
+    methods = args.filters
+    console.print(f"{len(grid)} cells, {len(methods)} filters, at most {args.limit:g} s each", style="dim")
     _walk(console, grid, methods, args)
     rows = _rows(grid, methods, args)
     tables.write(args.out, rows, args.seed)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sphfilter.errors import ConfigError
 
-from ..scene.filters import FILTERS
+from ..scene.names import FILTERS
 
 __all__ = ["add_run_options", "counted", "names_of", "numbers", "positive"]
 

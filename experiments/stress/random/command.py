@@ -7,7 +7,6 @@ import reference_filters
 import sphfilter
 from experiments.show import tables as shown
 from experiments.terminal.progress import bar, resumable
-from sphfilter.errors import ConfigError
 
 from ..pool import Lost, run_tasks
 from ..store import digest_of, load, path_of, save
@@ -29,10 +28,6 @@ _PARTS = "default", "reference", "relation 1", "relation 2"
 
 def main(console, args):
     """Run the cases 0 ... N - 1 of a seed, or those named by --random-case; print and write the tables."""
-    if args.only or args.quick:
-        raise ConfigError(
-            "--random and --random-case go without --only and --quick, which choose from the grid"
-        )
     named = [(seed, RandomCase(k, args.auto)) for seed, k in args.random_case]
     pairs = [(args.seed, RandomCase(k, args.auto)) for k in range(args.random or 0)] + named
     if args.list:

@@ -1,0 +1,31 @@
+"""What `run` takes."""
+
+from pathlib import Path
+
+from experiments.pictures.names import chosen
+from experiments.scene.files import add_change_option, changes_of
+from experiments.scene.names import check_filters
+from experiments.scene.reading import read_settings
+from experiments.terminal.options import add_run_options
+
+__all__ = ["add_arguments", "check"]
+
+
+def add_arguments(parser):
+    """Add the options of `run`."""
+    add_run_options(parser, "the scenario's", "results/NAME")
+    parser.add_argument("--n-particles", type=int, help="particles of the SPH filters, at most")
+    parser.add_argument(
+        "--pictures",
+        metavar="NAMES",
+        help="comma-separated pictures of the paper to draw besides the histories, or none "
+        "(default: all the scenario has, if sph_paper runs)",
+    )
+    add_change_option(parser)
+
+
+def check(args):
+    """Raise what is wrong with scenario, filters or pictures."""
+    read_settings(args.scenario, changes_of(args))
+    check_filters(args.filters)
+    chosen(Path(args.scenario).stem, args.pictures)
