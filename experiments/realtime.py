@@ -15,7 +15,7 @@ from .benchmark import reference
 from .benchmark.errors import errors, root_mean_square
 from .benchmark.watch import Watched
 from .scene.scenario import load_scenario
-from .show.tables import number, table
+from .show.tables import number, print_table, table
 from .terminal.running import new_console, status, tell
 
 __all__ = ["main"]
@@ -79,7 +79,7 @@ def main(args):
                 outcome = _outcome(scenario, pairs, 1e-3 * budget)
                 rows.append((scenario.name, f"{budget:g} ms", *_cells(outcome, 1e-3 * budget, args.runs)))
                 told += [f"{scenario.name}, {budget:g} ms: {text}" for text in outcome.failures]
-    console.print(table("", _HEADINGS, rows))
+    print_table(console, table("", _HEADINGS, rows), keep=2)
     tell(console, told)
 
 

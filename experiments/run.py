@@ -16,6 +16,7 @@ from .scene.scenario import load_scenario
 from .show import plots
 from .show.campaign_tables import distance_table, result_table, sentences
 from .show.comparison import distances, reference_name
+from .show.tables import print_table
 from .terminal.beside import Second
 from .terminal.running import new_console, status, tell
 
@@ -93,9 +94,9 @@ def _picture(console, name, second):
 
 
 def _tell(console, scenario, campaign, numbers, distance, reference):
-    console.print(result_table(numbers, scenario))
+    print_table(console, result_table(numbers, scenario))
     if distance:
-        console.print(distance_table(distance, reference))
+        print_table(console, distance_table(distance, reference))
     tell(console, sentences(numbers, scenario))
     tell_failures(console, campaign.failures)
     console.print()

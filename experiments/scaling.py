@@ -12,7 +12,7 @@ import sphfilter as sf
 from .arguments.scaling import counts_of
 from .benchmark.watch import resident, watch_peak
 from .show.files import write_csv
-from .show.tables import table
+from .show.tables import print_table, table
 from .terminal.running import new_console, status, tell
 from .transient.problem import load_problem
 
@@ -56,7 +56,7 @@ def main(args):
             for count in counts:
                 say(f"measuring {scheme} on {count} particles")
                 cells.append(_alone(measured, args.scenario, scheme, count, args.interval, args.samples))
-    console.print(_table(args, cells))
+    print_table(console, _table(args, cells), keep=2)
     tell(console, _sentences(schemes, cells))
     write_csv(args.out / "scaling.csv", [f.name for f in fields(Cell)], (asdict(c).values() for c in cells))
     console.print(f"Table: {args.out}/scaling.csv")

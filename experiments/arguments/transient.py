@@ -24,6 +24,11 @@ def add_arguments(parser):
         metavar="RULES",
         help="solve with each rule for new lattices on the way, e.g. never,health,2 (seconds), and compare",
     )
+    columns = (
+        "of the printed table: means and standard deviations of six states at most, and what the file asks "
+        "for; or all moments, as in statistics.csv (default: %(default)s)"
+    )
+    parser.add_argument("--columns", choices=("states", "all"), default="states", help=columns)
     parser.add_argument("--no-reference", action="store_true", help="do not compute the reference")
     parser.add_argument("--animate", metavar="FILE", help="write the densities as a film, .gif or .mp4")
     parser.add_argument("--live", action="store_true", help="show the densities in a window as they come")

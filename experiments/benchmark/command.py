@@ -15,6 +15,7 @@ from experiments.arguments.benchmark import EXPENSIVE, SCENARIOS
 from experiments.scene.files import changes_of
 from experiments.scene.scenario import load_scenario
 from experiments.show.files import write_json
+from experiments.show.tables import print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.campaign import draw_case
@@ -92,7 +93,7 @@ def _measured(console, scenario, competitors, plan):
 
 
 def _tell(console, outcome):
-    console.print(tables.table(outcome))
+    print_table(console, tables.table(outcome), keep=2)
     tell(console, tables.sentences(outcome))
     console.print()
 
@@ -105,7 +106,7 @@ def _expensive(console, scenario, competitors, outcomes, plan):
             scenario, draw_case(scenario, plan.seed, 0), competitors, lines, plan.limit
         )
     title = f"{scenario.name} with an expensive drift: the fastest to reach an error of the mean"
-    console.print(expensive.table(lines, title))
+    print_table(console, expensive.table(lines, title))
     if checked:
         ratio = [c.measured / c.predicted for c in checked]
         console.print(

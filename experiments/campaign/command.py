@@ -12,7 +12,7 @@ from experiments.scene.filters import name_of, takes_grid
 from experiments.scene.reading import read_settings
 from experiments.scene.scenario import load_scenario
 from experiments.terminal.beside import Second
-from experiments.terminal.running import new_console, status
+from experiments.terminal.running import new_console, status, tell
 from sphfilter.campaign.report import report
 from sphfilter.errors import ConfigError
 
@@ -47,6 +47,7 @@ def main(args):
     written = page.write(out, scenario, numbers, facts, campaign.failures, pictures)
     for name, f in numbers.filters.items():
         console.print(f"[bold]{name_of(name)}[/]: {f.verdict}")
+    tell(console, filter(None, [page.unseen(numbers)]))
     tell_failures(console, campaign.failures[:5])
     console.print(f"\nThe report is {written}; {out}/campaign.npz holds every run's histories.")
     return exit_code(numbers)

@@ -11,7 +11,7 @@ from experiments.scene.filters import factories, name_of
 from experiments.scene.scenario import load_scenario
 from experiments.show.comparison import distances
 from experiments.show.files import write_csv
-from experiments.show.tables import table
+from experiments.show.tables import print_table, table
 from experiments.terminal.progress import bar
 from sphfilter.campaign.campaign import run_campaign
 from sphfilter.errors import ConfigError
@@ -86,7 +86,7 @@ def study(args, console, name, counts):
     """
     rows = _shown(console, args, name, counts)
     slopes = orders(rows, load_scenario(name).model.dim)
-    console.print(_table(name, name_of(args.filter), rows, slopes))
+    print_table(console, _table(name, name_of(args.filter), rows, slopes))
     path = (args.out or Path("results") / name) / "convergence.csv"
     lines = ([count, *asdict(distance).values(), *rest] for count, distance, *rest in rows)
     write_csv(path, ["particles", *MEASURES, "seconds", "refused"], lines)

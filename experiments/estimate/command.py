@@ -15,7 +15,7 @@ import sphfilter as sf
 from experiments.arguments.estimate import guesses
 from experiments.scene.files import changes_of
 from experiments.show.files import write_json
-from experiments.show.tables import table
+from experiments.show.tables import print_table, table
 from experiments.terminal.running import new_console, status
 from sphfilter.errors import ConfigError, SphfilterError
 
@@ -43,7 +43,7 @@ def main(args):
     console.print(f"[bold]{args.scenario}[/]: {problem.build.scenario.settings.description}")
     fit = _fitted(console, problem, guess)
     truth = {name: problem.values[name] for name in fit.names} if problem.simulated else {}
-    console.print(_table(fit, truth))
+    print_table(console, _table(fit, truth))
     console.print(f"• {_sentence(fit)}")
     record = _record(args, fit, truth)
     if args.compare:

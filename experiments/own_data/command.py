@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.scene.filters import factories, name_of
 from experiments.show.files import write_csv
-from experiments.show.tables import table
+from experiments.show.tables import print_table, table
 from experiments.terminal.running import new_console
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import SphfilterError
@@ -79,7 +79,7 @@ def _tell(console, results, seconds):
     for name, result in results.items():
         evidence, rejected = f"{result.log_evidence.sum():.2f}", str(int(np.sum(~result.accepted)))
         rows.append((name_of(name), evidence, rejected, f"{seconds[name]:.2f}"))
-    console.print(table("", ("filter", "log-evidence (nat)", "lines rejected", "run time (s)"), rows))
+    print_table(console, table("", ("filter", "log-evidence (nat)", "lines rejected", "run time (s)"), rows))
     console.print(
         "• The log-evidence is the log-density that a filter gave to all measurements before it saw them. "
         "Compare models by it (one filter, the same data): the larger explains the data better, and a "

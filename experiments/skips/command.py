@@ -4,7 +4,7 @@ Every shortcut is run with and without on a scene that can use it. Times are pro
 """
 
 from experiments.show.files import write_csv
-from experiments.show.tables import markdown, table
+from experiments.show.tables import markdown, print_table, table
 from experiments.terminal.running import new_console, status
 from sphfilter.errors import ConfigError
 
@@ -36,7 +36,7 @@ def main(args):
         lattices = [tuple(map(str, (n, *lattice_against_box(n, N)))) for n, N in _LATTICES]
     text = []
     for name, heads, body, left in (("skips", _HEADS, rows, 2), ("particles", _LATTICE_HEADS, lattices, 0)):
-        console.print(table(_TITLES[name], heads, body, left))
+        print_table(console, table(_TITLES[name], heads, body, left), keep=2)
         write_csv(args.out / f"{name}.csv", heads, body)
         text += [*markdown(heads, body, left), ""]
     (args.out / "skips.md").write_text("\n".join(text), encoding="utf-8")

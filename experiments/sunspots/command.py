@@ -24,6 +24,7 @@ from experiments.own_data.model_file import load_model
 from experiments.own_data.plots import draw_forecasts
 from experiments.scene.filters import factories, name_of
 from experiments.show.files import write_toml
+from experiments.show.tables import print_table
 from experiments.terminal.running import new_console, tell
 from reference_filters.grid import GridFilter
 from sphfilter.errors import ConfigError, SphfilterError
@@ -54,7 +55,7 @@ def main(args):
     scores = _scores(console, filters, scenario, data, args.seed)
     learnt, tested = split(data)
     history = {h: score_history(learnt.z[:, 0], tested.times, tested.z[:, 0]) for h in HORIZONS}
-    console.print(score_table(scores | {"history": history}, HORIZONS))
+    print_table(console, score_table(scores | {"history": history}, HORIZONS))
     tell(console, sentences(scores, history, FIRST))
     write_scores(args.out / "forecasts.csv", scores)
     draw_forecasts(args.out / "forecasts.png", scores)

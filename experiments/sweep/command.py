@@ -14,6 +14,7 @@ from experiments.scene.files import changes_of
 from experiments.scene.filters import factories
 from experiments.scene.reading import read_settings
 from experiments.scene.scenario import load_scenario
+from experiments.show.tables import print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.campaign import run_campaign
@@ -67,7 +68,7 @@ def main(args):
     effort = f"{len(cells)} combinations, {n_runs} runs each; the filters compile at first use"
     console.print(f"{effort}\n", style="dim")
     rows = _sweep(console, work, n_runs, seed, args.jobs, out)
-    console.print(tables.table(rows, name))
+    print_table(console, tables.table(rows, name))
     tell(console, tables.sentences(rows))
     tables.write(out, rows, name)
     drawn = plots.draw(out, rows, name)

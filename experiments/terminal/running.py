@@ -1,5 +1,6 @@
 """What commands of many runs share: a console, compiling ahead, progress with the time left, stopping."""
 
+import os
 from contextlib import contextmanager
 from time import perf_counter
 
@@ -17,9 +18,11 @@ __all__ = ["duration", "new_console", "run_shown", "status", "tell", "warm_up"]
 
 
 def new_console(width=132):
-    """A console of the terminal's width, or of a table's where the output goes to a file."""
+    """A console of the terminal's width, or of COLUMNS; a table's where the output goes to a file."""
     console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=width)
+    if console.is_terminal or "COLUMNS" in os.environ:
+        return console
+    return Console(highlight=False, width=width)
 
 
 def tell(console, sentences):

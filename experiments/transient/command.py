@@ -11,6 +11,7 @@ from rich.markup import escape
 import sphfilter as sf
 from experiments.scene.files import changes_of
 from experiments.show.files import write_json, write_toml
+from experiments.show.tables import print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.store import versions
@@ -54,9 +55,9 @@ def _solve(console, args, changes, film):
     solution = _followed(console, problem, folder, watches)
     reference = _reference(console, problem)
     rivals = rivals_of(problem)
-    console.print(table(problem, solution, reference))
+    print_table(console, table(problem, solution, reference, args.columns == "all"), keep=2)
     if problem.settings.steady:
-        console.print(steady_table(problem, solution, rivals))
+        print_table(console, steady_table(problem, solution, rivals))
     for rival in rivals:
         console.print(f"• {rival.name}: {rival.seconds:.2g} s{'; ' * bool(rival.diverged)}{rival.diverged}")
     tell(console, sentences(problem, solution, reference))
@@ -95,7 +96,7 @@ def _compare_remeshing(console, args, changes):
         for name, problem in problems.items()
     ]
     reference = _reference(console, first)
-    console.print(remeshing.table(rules, reference))
+    print_table(console, remeshing.table(rules, reference))
     for rule in rules:
         told = sentences(rule.problem, rule.solution, reference)
         tell(console, (f"{rule.name}: {sentence}" for sentence in told))

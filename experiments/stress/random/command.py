@@ -39,7 +39,7 @@ def main(console, args):
     rows = [row_of(*_judged(pair, args.out)) for pair in pairs]
     write(args.out, rows)
     for title, headings, lines in sections(rows):
-        console.print(shown.table(title, headings, lines))
+        shown.print_table(console, shown.table(title, headings, lines))
     for line in failures(rows):
         console.print(line, style="red", soft_wrap=True, markup=False)
     for pair in named:
