@@ -10,8 +10,10 @@ from experiments.terminal.options import names_of
 __all__ = ["EPILOG", "add_arguments", "check"]
 
 EPILOG = """\
-my.csv: a line of names, then a time and what was measured on each line. Cells may be empty; the times need
-not be regular.
+my.csv: a line of names, then a time and what was measured on each line. The times need not be regular, and
+may be dates (2024-05-01, 2024-05-01T12:30), counted from the first in data.time_unit. Cells are empty, or
+n/a, where nothing was measured. Semicolons may stand between the cells, and then commas in the numbers;
+without a line of names the columns are "column 1", "column 2" ...
 
   t,position
   0.0,3.1
@@ -38,7 +40,7 @@ my.toml: text is allowed wherever a model has functions (see `SDE.from_expressio
   # time = -1.0                         # ... unless another time is given
 
   [data]
-  time_unit = "s"                       # for the picture; that of the model's rates
+  time_unit = "s"                       # that of the model's rates; for the picture, and for dates
   # time = "t"                          # the time is the first column, unless another is named ...
   # columns = ["position"]              # ... and all others are measured, unless some are named
 
@@ -63,5 +65,6 @@ def add_arguments(parser):
 def check(args):
     """Raise what is wrong with one of the files, or with the filters."""
     settings = read_model(args.model)
-    read_measurements(args.data, len(settings.sensor.h), settings.data.time, settings.data.columns)
+    columns = settings.data
+    read_measurements(args.data, len(settings.sensor.h), columns.time, columns.columns, columns.time_unit)
     check_filters(args.filters)

@@ -27,7 +27,9 @@ def main(args):
     console = new_console()
     scenario = load_model(args.model)
     columns = scenario.settings.data
-    data = read_measurements(args.data, scenario.measurement.dim_z, columns.time, columns.columns)
+    data = read_measurements(
+        args.data, scenario.measurement.dim_z, columns.time, columns.columns, columns.time_unit
+    )
     filters = factories(args.filters, scenario)
     out = args.out or Path("results") / args.data.stem
 

@@ -33,7 +33,8 @@ class Belief:
 class Columns:
     """Names of columns: the time (the first if None) and the measurements (all others if empty).
 
-    `time_unit` is for the axes of pictures: seconds or years, whatever the rates of the model are in.
+    `time_unit` is for the axes of pictures: seconds or years, whatever the rates of the model are in; and for
+    dates, which are counted in it (s, min, h, d or a; seconds if it is empty).
     """
 
     time: str | None = None
