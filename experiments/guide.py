@@ -9,7 +9,7 @@ _GROUPS = {
     "Look around": {
         "list": (("list", "what there is to run"), ("list --help", "every command has its --help")),
         "run": (
-            ("run duffing", "simulate, filter five ways, tell, draw"),
+            ("run duffing", "simulate, filter, tell, draw"),
             ("run van_der_pol --runs 25 --jobs 2", "a table of the paper, two processes"),
         ),
     },
@@ -90,7 +90,7 @@ def overview(summaries):
     summaries : dict of str to str
         A line on each command, by name. Those that no group has come last.
     """
-    parts = [f"Try first:  {_RUN} run duffing    # half a minute; the first time two, to compile"]
+    parts = [f"Try first:  {_RUN} run duffing    # half a minute; the first time more, to compile"]
     for heading, group in _GROUPS.items():
         parts.append(f"{heading}\n" + "\n".join(_entry(n, summaries[n], lines) for n, lines in group.items()))
     known = {name for group in _GROUPS.values() for name in group}

@@ -9,7 +9,6 @@ from rich.table import Table
 __all__ = ["UNKNOWN", "counted", "markdown", "number", "percent", "print_table", "table"]
 
 UNKNOWN = "–"
-_GAP = 3  # between columns at most
 
 
 def number(value, form=".3g", unit="", unknown=UNKNOWN):
@@ -63,18 +62,21 @@ def print_table(console, made, keep=1):
     keep : int
         So many columns at the left are repeated in every piece.
     """
-    numbers, ample = range(len(made.columns)), console.options.update(width=10_000)
-    wide = [Measurement.get(console, ample, _part(made, [k])).maximum + _GAP for k in numbers]
-    pieces, first = [], list(numbers[:keep])
-    for k in numbers[keep:]:
-        joined = made.columns[k].style == "dim" and pieces  # what is beside a column stays there
-        if not pieces or (not joined and sum(wide[j] for j in pieces[-1]) + wide[k] > console.width):
+    first, pieces = list(range(keep)), []
+    for k in range(keep, len(made.columns)):
+        joined = made.columns[k].style == "dim"  # what is beside a column stays there
+        if not pieces or (not joined and _width(console, _part(made, [*pieces[-1], k])) > console.width):
             pieces.append(list(first))
         pieces[-1].append(k)
     for number, piece in enumerate(pieces or [first]):
         if number and made.box is None:
             console.print()
         console.print(_part(made, piece))
+
+
+def _width(console, made):
+    """Columns of characters that a table would like to have."""
+    return Measurement.get(console, console.options.update(width=10_000), made).maximum
 
 
 def _part(made, chosen):

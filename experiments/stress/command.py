@@ -5,9 +5,11 @@ published SPH scheme and the particle filter, and compares every answer with a r
 """
 
 from functools import partial
+from itertools import pairwise
 
+from experiments.show.tables import counted
 from experiments.terminal.progress import bar, resumable
-from experiments.terminal.running import new_console, tell
+from experiments.terminal.running import new_console, status, tell
 
 from . import plots, tables
 from .grid import cells, chosen
@@ -37,7 +39,8 @@ def main(args):
             console.print(cell.name, soft_wrap=True)
         return
     methods = args.filters
-    console.print(f"{len(grid)} cells, {len(methods)} filters, at most {args.limit:g} s each", style="dim")
+    told = f"{counted(len(grid), 'cell')}, {counted(len(methods), 'filter')}, at most {args.limit:g} s a run"
+    console.print(told, style="dim")
     _walk(console, grid, methods, args)
     rows = _rows(grid, methods, args)
     tables.write(args.out, rows, args.seed)
@@ -52,8 +55,15 @@ def main(args):
 
 def _warm_up(console, methods):
     """Let every method compile, in a process of its own, so that compiling does not count as run time."""
-    console.print("preparing (the first time compiles, for minutes)", style="dim")
-    run_tasks(_compile, methods, 1, lambda method: _COMPILE_LIMIT, lambda method, result: None)
+    with status(console) as say:
+        say(f"preparing {methods[0]} (the first time compiles, for minutes)")
+        following = dict(pairwise(methods))
+
+        def done(method, result):
+            if method in following:
+                say(f"preparing {following[method]}")
+
+        run_tasks(_compile, methods, 1, lambda method: _COMPILE_LIMIT, done)
 
 
 def _compile(method):
@@ -82,8 +92,8 @@ def _walk(console, grid, methods, args):
             if isinstance(result, Lost):
                 _save_lost(by_name[name], method, args, result)
             move(count, text=f"{name} {method}")
-            if not console.is_terminal and count % 50 == 0:
-                console.print(f"{count} of {len(tasks)} runs done", style="dim")
+            if not console.is_terminal and (count % 10 == 0 or count == len(tasks)):
+                console.print(f"{count} of {counted(len(tasks), 'run')} done", style="dim")
 
         run_tasks(_task, tasks, args.jobs, partial(_limit, args.limit), done)
 

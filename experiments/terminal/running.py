@@ -98,18 +98,21 @@ def _clear(folder):
 
 
 def _told(console, move):
-    """What moves a bar, or prints lines where there is no terminal; runs that were found took no time."""
-    found, start = [], perf_counter()
+    """What moves a bar, or prints lines where there is no terminal; runs that were found took no time.
+
+    The first run made compiles what nobody needed before: the time left is that of the later ones.
+    """
+    seen = []
 
     def progress(done, total):
-        move(done, total, found=not found)
-        found.append(done)
-        if console.is_terminal:
+        move(done, total, found=not seen)
+        seen.append((done, perf_counter()))
+        if console.is_terminal or not done:
             return
         left = ""
-        if done > found[0]:
-            seconds = (perf_counter() - start) / (done - found[0]) * (total - done)
-            left = f", about {duration(seconds)} left"
+        if len(seen) > 2 and done < total:
+            (first, start), (last, now) = seen[1], seen[-1]
+            left = f", about {duration((now - start) / (last - first) * (total - done))} left"
         console.print(f"run {done} of {total} done{left}", style="dim")
 
     return progress

@@ -34,7 +34,8 @@ def main(console, args):
         for seed, case in pairs:
             console.print(f"{seed}:{case.number} {_problem(seed, case)}", soft_wrap=True)
         return
-    console.print(f"{len(pairs)} random cases, at most {args.limit:g} s a run", style="dim")
+    told = f"{shown.counted(len(pairs), 'random case')}, at most {args.limit:g} s a run"
+    console.print(told, style="dim")
     _walk(console, pairs, args)
     rows = [row_of(*_judged(pair, args.out)) for pair in pairs]
     write(args.out, rows)
@@ -72,8 +73,8 @@ def _walk(console, pairs, args):
                     lost = Record("timeout" if result.timeout else "crash", result.sentence)
                 _save(out, seed, case, part, lost)
             move(count, text=f"{seed}:{case.number} {part}")
-            if not console.is_terminal and count % 50 == 0:
-                console.print(f"{count} of {len(tasks)} runs done", style="dim")
+            if not console.is_terminal and (count % 10 == 0 or count == len(tasks)):
+                console.print(f"{count} of {shown.counted(len(tasks), 'run')} done", style="dim")
 
         run_tasks(_task, tasks, args.jobs, partial(_limit, args.limit), done)
 
