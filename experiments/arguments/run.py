@@ -13,7 +13,9 @@ __all__ = ["add_arguments", "check"]
 
 def add_arguments(parser):
     """Add the options of `run`."""
-    add_run_options(parser, "the scenario's", "results/NAME")
+    few = "the scenario's, 5 unless its file says otherwise"
+    own = "the scenario's, mostly ekf, ukf, pf, sph and sph_paper"
+    add_run_options(parser, few, "results/NAME", own)
     parser.add_argument("--n-particles", type=int, help="particles of the SPH filters, at most")
     parser.add_argument(
         "--pictures",

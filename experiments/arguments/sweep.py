@@ -12,7 +12,13 @@ def add_arguments(parser):
     """Add the options of `sweep`."""
     filters = ["ekf", "ukf", "pf", "sph"]
     more = " at each combination"
-    add_run_options(parser, "the scenario's", "results/sweep_NAME", ",".join(filters), more)
+    add_run_options(
+        parser,
+        "the scenario's, 5 unless its file says otherwise",
+        "results/sweep_NAME",
+        ",".join(filters),
+        more,
+    )
     parser.set_defaults(filters=filters)
     for key, what, default in (
         ("interval", "seconds between measurements", "0.5, 1, 1.5 and 2 times the scenario's"),

@@ -28,8 +28,8 @@ MEASURES = ("mean", "cov", "evidence")
 _NO_ORDER = 0.5
 _FLAT = (
     "Orders near zero, or below: these errors are small on the fewest particles already, and do not fall "
-    "with more. What is left does not come from the spacing, but from the tails where lattices end. Where the "
-    "spacing counts orders are seen: converge van_der_pol --over scheme."
+    "with more. What is left does not come from the spacing, but from the tails where lattices end. Where "
+    "the spacing counts orders are seen: converge van_der_pol --over scheme."
 )
 
 

@@ -96,7 +96,7 @@ def _moments(problem, solution, reference, rivals):
             value, width = reference.values[:, j], reference.half_width[:, j]
             ax.fill_between(problem.times, value - width, value + width, color=_THEIRS, alpha=0.25, lw=0)
             ax.plot(problem.times, value, color=_THEIRS, lw=1.2, ls=":", label=reference.name)
-        ax.plot(*_history(problem, solution, j), color=_OURS, lw=1.4, **_dots(problem), label="SPH", zorder=1)
+        ax.plot(*_history(problem, solution, j), color=_OURS, **_joined(problem), label="SPH", zorder=1)
         room = _room(ax, problem, solution, problem.quantities[j].powers)
         for shade, rival in zip(np.linspace(0.3, 0.9, len(rivals)), rivals, strict=True):
             ax.plot(problem.times, rival.values[:, j], color=plt.cm.plasma(shade), lw=0.9, label=rival.name)
@@ -111,9 +111,10 @@ def _history(problem, solution, j):
     return np.append(solution.start.t, problem.times), np.append(first, solution.values[:, j])
 
 
-def _dots(problem):
-    """Marks at the times of output where they are few: nothing is known of what lies between."""
-    return {"marker": ".", "ms": 6.0} if len(problem.times) <= _MOST_MARKED else {}
+def _joined(problem):
+    """A line through many times of output; marks, thinly joined, at few: what lies between is not known."""
+    few = len(problem.times) <= _MOST_MARKED
+    return {"marker": "o", "ms": 3.2, "lw": 0.6} if few else {"lw": 1.4}
 
 
 def _confidence(problem, solution, reference):
@@ -170,7 +171,7 @@ def _exceedances(problem, solution, reference):
         t, p = _history(problem, solution, j)
         p[p <= 0.0] = np.nan  # no particle lies there: a gap, for zero has no place on this axis
         empty |= np.isnan(p).any()
-        ax.plot(t, p, color=colour, **_dots(problem), label=problem.quantities[j].name)
+        ax.plot(t, p, color=colour, **_joined(problem), label=problem.quantities[j].name)
         if reference is not None:
             value, width = reference.values[:, j], reference.half_width[:, j]
             shown = np.where(value > width, value, np.nan)
