@@ -1,4 +1,4 @@
-"""`python -m experiments run NAME`: simulate a scenario, run filters on it, tell and draw what came out."""
+"""`python -m experiments run NAME`: simulate a scenario, run filters on it, tell and draw the results."""
 
 import hashlib
 import shutil

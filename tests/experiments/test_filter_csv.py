@@ -2,14 +2,17 @@
 
 import csv
 import inspect
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from experiments.__main__ import main
+from experiments.own_data import plots
 from experiments.own_data.csv_data import read_measurements
 from experiments.own_data.model_file import load_model
 from experiments.scene.filters import Factory
+from experiments.show.style import plt
 from sphfilter.errors import ConfigError, ModelError, PropagationError, SphfilterError
 
 A, Q, R, M0, P0 = 0.4, 0.5, 0.3, 1.0, 2.0
@@ -236,3 +239,16 @@ class TestModelFile:
         model.write_text(MODEL.replace("h = [[1.0]]", "h = [[1.0, 0.0]]"), encoding="utf-8")
         with pytest.raises(ModelError, match="2 columns"):
             load_model(model)
+
+
+@pytest.mark.parametrize(("h", "seen"), [("[[1.0]]", True), ('["x**2"]', False)])
+def test_the_picture_speaks_of_dots_where_there_are_some(model, data, tmp_path, monkeypatch, h, seen):
+    model.write_text(MODEL.replace("h = [[1.0]]", f"h = {h}"), encoding="utf-8")
+    scenario, found, titles = load_model(model), read_measurements(data, 1), []
+    monkeypatch.setattr(plots, "save", lambda figure, path: titles.append(figure.get_suptitle()))
+    x = np.zeros((len(found.times), 1))
+    plots.draw(
+        tmp_path / "x.png", scenario, found, {"ekf": SimpleNamespace(t=found.times, x=x, P=x[:, None])}
+    )
+    plt.close("all")
+    assert ("measurements (dots)" in titles[0]) == seen
