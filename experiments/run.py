@@ -46,10 +46,10 @@ def main(args):
         with status(console) as say:
             drawn = plots.draw(work.out, scenario, work.filters, campaign, say)
         kept = f"{work.out}/campaign.npz and run.json, the scenario as run in scenario.toml"
-        console.print(f"Numbers are in {kept}.")
+        console.print(f"Numbers are in {kept}.", soft_wrap=True)
         for name in sorted(wanted, key=drawing.OF_RUNS.__contains__):
             drawn += _picture(console, name, second)
-    console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
+    console.print(f"Pictures: {', '.join(str(path) for path in drawn)}", soft_wrap=True)
     _mention_unfinished(console, work.out)
     return exit_code(numbers)
 
@@ -77,7 +77,7 @@ def _mention_unfinished(console, out):
     left = ", ".join(str(folder) for folder in sorted(out.glob("unfinished-*")))
     if left:
         text = "Interrupted runs of other settings wait to be gone on with, or to be deleted, in"
-        console.print(f"{text} {left}", style="dim")
+        console.print(f"{text} {left}", style="dim", soft_wrap=True)
 
 
 def _picture(console, name, second):

@@ -59,7 +59,7 @@ def main(args):
     print_table(console, _table(args, cells), keep=2)
     tell(console, _sentences(schemes, cells))
     write_csv(args.out / "scaling.csv", [f.name for f in fields(Cell)], (asdict(c).values() for c in cells))
-    console.print(f"Table: {args.out}/scaling.csv")
+    console.print(f"Table: {args.out}/scaling.csv", soft_wrap=True)
 
 
 def _alone(function, *args):

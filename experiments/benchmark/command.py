@@ -60,8 +60,10 @@ def main(args):
     if EXPENSIVE in names:
         base, competitors = next(pair for pair in work if pair[0].name == expensive.BASE)
         drawn.append(_expensive(console, base, competitors, outcomes, plan))
-    console.print(f"Numbers are in {args.out}/benchmark.csv and .md, all settings in benchmark.json.")
-    console.print(f"Pictures: {', '.join(map(str, drawn))}")
+    console.print(
+        f"Numbers are in {args.out}/benchmark.csv and .md, all settings in benchmark.json.", soft_wrap=True
+    )
+    console.print(f"Pictures: {', '.join(map(str, drawn))}", soft_wrap=True)
 
 
 def _plan(args, evaluations):

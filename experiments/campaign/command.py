@@ -49,7 +49,9 @@ def main(args):
         console.print(f"[bold]{name_of(name)}[/]: {f.verdict}")
     tell(console, filter(None, [page.unseen(numbers)]))
     tell_failures(console, campaign.failures[:5])
-    console.print(f"\nThe report is {written}; {out}/campaign.npz holds every run's histories.")
+    console.print(
+        f"\nThe report is {written}; {out}/campaign.npz holds every run's histories.", soft_wrap=True
+    )
     return exit_code(numbers)
 
 

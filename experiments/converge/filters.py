@@ -102,7 +102,9 @@ def study(args, console, name, counts):
     path = (args.out or Path("results") / name) / "convergence.csv"
     lines = ([count, *asdict(distance).values(), *rest] for count, distance, *rest in rows)
     write_csv(path, ["particles", *MEASURES, "seconds", "refused"], lines)
-    console.print(f"Table and picture: {path}, {draw_filter(path.with_suffix('.png'), rows, slopes)}")
+    console.print(
+        f"Table and picture: {path}, {draw_filter(path.with_suffix('.png'), rows, slopes)}", soft_wrap=True
+    )
 
 
 def _shown(console, args, name, counts):

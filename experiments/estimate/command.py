@@ -56,7 +56,8 @@ def main(args):
         draw_profiles(out / "profiles.png", fit, profiles, truth, _title(args, fit))
     write_json(out / "fit.json", record)
     console.print(
-        f"Numbers are in {out}/fit.json" + ("." if args.no_profile else ", profiles in profiles.png.")
+        f"Numbers are in {out}/fit.json" + ("." if args.no_profile else ", profiles in profiles.png."),
+        soft_wrap=True,
     )
     return 0 if fit.converged else 1
 

@@ -46,7 +46,9 @@ def main(args):
         write_result(out / f"{name}.csv", result, scenario.settings.model.states, data.time_name)
     draw(out / "estimates.png", scenario, data, results)
     listed = ", ".join(f"{name}.csv" for name in results)
-    console.print(f"Estimates are in {out}: {listed}; the picture is {out / 'estimates.png'}.")
+    console.print(
+        f"Estimates are in {out}: {listed}; the picture is {out / 'estimates.png'}.", soft_wrap=True
+    )
     return int(bool(problems))
 
 

@@ -50,7 +50,9 @@ def main(args):
         if row["verdict"] == "wrong" and row["method"] == "default":
             console.print(f"wrong: default, {row['cell']}: {row['sentence']}", style="red", soft_wrap=True)
     drawn = plots.draw(args.out / "stress.png", rows)
-    console.print(f"\nEvery run is in {args.out}/stress.csv, the rest in stress.md. Picture: {drawn}")
+    console.print(
+        f"\nEvery run is in {args.out}/stress.csv, the rest in stress.md. Picture: {drawn}", soft_wrap=True
+    )
 
 
 def _warm_up(console, methods):

@@ -59,7 +59,7 @@ def main(args):
     tell(console, sentences(scores, history, FIRST))
     write_scores(args.out / "forecasts.csv", scores)
     draw_forecasts(args.out / "forecasts.png", scores)
-    console.print(f"\nForecasts are in {args.out}/forecasts.csv and forecasts.png.")
+    console.print(f"\nForecasts are in {args.out}/forecasts.csv and forecasts.png.", soft_wrap=True)
     return int(len(scores) < len(filters))
 
 

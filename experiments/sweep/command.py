@@ -72,7 +72,10 @@ def main(args):
     tell(console, tables.sentences(rows))
     tables.write(out, rows, name)
     drawn = plots.draw(out, rows, name)
-    console.print(f"\nNumbers are in {out}/sweep.csv and sweep.md. Pictures: {', '.join(map(str, drawn))}")
+    console.print(
+        f"\nNumbers are in {out}/sweep.csv and sweep.md. Pictures: {', '.join(map(str, drawn))}",
+        soft_wrap=True,
+    )
 
 
 def _sweep(console, work, n_runs, seed, n_jobs, out):

@@ -74,7 +74,7 @@ def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):
     Interrupted
     """
     if any(folder.glob("run_*.npz")):
-        console.print(f"going on from the runs that are in {folder}")
+        console.print(f"going on from the runs that are in {folder}", soft_wrap=True)
     with bar(console, "runs", left=True) as move:
         try:
             return run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, _told(console, move))

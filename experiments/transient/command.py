@@ -68,9 +68,10 @@ def _solve(console, args, changes, film):
         densities = solution.trajectory.densities
         drawn.append(animate(film, problem, [solution.start, *(densities[k] for k in problem.kept)]))
     console.print(
-        f"\nNumbers are in {out}/trajectory.npz, statistics.csv and run.json, the file in transient.toml."
+        f"\nNumbers are in {out}/trajectory.npz, statistics.csv and run.json, the file in transient.toml.",
+        soft_wrap=True,
     )
-    console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
+    console.print(f"Pictures: {', '.join(str(path) for path in drawn)}", soft_wrap=True)
     if window and window.open:
         console.print("Close the window to end.")
         window.wait()
@@ -103,7 +104,7 @@ def _compare_remeshing(console, args, changes):
     drawn = remeshing.draw(out, rules, reference)
     for folder in folders.values():
         shutil.rmtree(folder)
-    console.print(f"\nPictures: {', '.join(str(path) for path in drawn)}")
+    console.print(f"\nPictures: {', '.join(str(path) for path in drawn)}", soft_wrap=True)
 
 
 def _warm_up(console, problem):

@@ -60,9 +60,7 @@ def test_the_same_command_reads_and_more_runs_are_added(out, capsys):
     capsys.readouterr()
     assert main(["campaign", "duffing", "--runs", "13", *words]) == 0
     said = capsys.readouterr().out
-    assert (
-        "run 12 of 13 done" in said and "run 13 of 13 done" in said and "run 11 " not in said
-    )
+    assert "run 12 of 13 done" in said and "run 13 of 13 done" in said and "run 11 " not in said
     assert all(path.stat().st_mtime_ns == time for path, time in before.items())
 
 

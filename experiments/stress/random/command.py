@@ -45,7 +45,7 @@ def main(console, args):
         console.print(line, style="red", soft_wrap=True, markup=False)
     for pair in named:
         _tell(console, pair, args.out)
-    console.print(f"\nEvery case is in {args.out}/random.csv, the rest in random.md.")
+    console.print(f"\nEvery case is in {args.out}/random.csv, the rest in random.md.", soft_wrap=True)
 
 
 def _walk(console, pairs, args):
