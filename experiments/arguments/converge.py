@@ -104,7 +104,7 @@ def counts_of(args, study):
     """Numbers of particles that are asked for."""
     counts = numbers("--counts", args.counts or _COUNTS[study], int)
     if len(counts) < 2:
-        raise ConfigError(f"--counts needs two different numbers at least, not {args.counts}")
+        raise ConfigError(f"--counts: two different counts at least are needed, not {args.counts}")
     return counts
 
 

@@ -177,7 +177,7 @@ def study(args, console, builders, counts, stem):
     headings = ("", *map(str, counts), "worst", "refused", "flagged")
     text = markdown(headings, [(f"{row.name}, {row.note}", *_cells(row, "{} ({})")) for row in rows])
     (out / f"{stem}.md").write_text("\n".join([*text, ""]), encoding="utf-8")
-    console.print(f"Tables: {out / stem}.md, {out / stem}.csv", soft_wrap=True)
+    console.print(f"Tables: {out / stem}.md, {out / stem}.csv")
 
 
 def _table(rows, n_runs):

@@ -79,7 +79,7 @@ WRONG = {
     "transient dufing": "no transient scenario 'dufing'",
     "transient duffing --set times.ende=3": "unknown key times.ende (did you mean 'end'?)",
     "sweep duffing --set modell.x=3": "unknown key modell",
-    "converge duffing --counts 100": "--counts needs two different numbers",
+    "converge duffing --counts 100": "two different counts at least are needed",
     "converge dufing": "no scenario 'dufing'",
     "estimate dufing": "no scenario 'dufing'",
     "filter --model {file} --data {file}": "is not valid TOML",
