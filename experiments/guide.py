@@ -9,7 +9,7 @@ _GROUPS = {
     "Look around": {
         "list": (("list", "what there is to run"), ("list --help", "every command has its --help")),
         "run": (
-            ("run duffing", "simulate, filter five ways, tell, draw"),
+            ("run duffing", "simulate, filter, tell, draw"),
             ("run van_der_pol --runs 25 --jobs 2", "a table of the paper, two processes"),
         ),
     },
@@ -37,7 +37,7 @@ _GROUPS = {
                 "campaign van_der_pol --runs 50 --filters ekf,sph",
                 "some of them",
             ),
-            ("campaign cart --runs 1000 --dask tcp://192.168.1.5:8786", "on many machines"),
+            ("campaign cart --runs 1000 --dask tcp://10.0.0.5:8786", "on many machines"),
         ),
         "sweep": (
             ("sweep duffing", "over update interval and noise"),
@@ -64,7 +64,7 @@ _GROUPS = {
             ("stress --random 50 --seed 3", "random problems instead"),
         ),
         "skips": (
-            ("skips --samples 3", "all of them, quickly"),
+            ("skips --samples 5", "all of them, quickly"),
             ("skips --only 'no measurement'", "those with these words in their name"),
         ),
         "scaling": (
@@ -73,7 +73,7 @@ _GROUPS = {
         ),
     },
 }
-_WIDE = 36  # longer lines have what they do below
+_WIDE = 80  # columns of a terminal; longer lines have what they do below
 
 
 def examples(command):
@@ -90,14 +90,16 @@ def overview(summaries):
     summaries : dict of str to str
         A line on each command, by name. Those that no group has come last.
     """
-    parts = [f"Try first:  {_RUN} run duffing    # half a minute; the first time two, to compile"]
+    parts = [f"Try first:\n  {_RUN} run duffing  # half a minute; the first time more"]
     for heading, group in _GROUPS.items():
         parts.append(f"{heading}\n" + "\n".join(_entry(n, summaries[n], lines) for n, lines in group.items()))
     known = {name for group in _GROUPS.values() for name in group}
     rest = [_entry(name, text, ()) for name, text in summaries.items() if name not in known]
     if rest:
         parts.append("More\n" + "\n".join(rest))
-    parts.append("Results go to the folder results. Ctrl-C keeps what is finished: the same command goes on.")
+    parts.append(
+        "Results go to the folder results. Ctrl-C keeps what is finished: the same\ncommand goes on."
+    )
     return "\n\n".join(parts)
 
 
@@ -107,6 +109,6 @@ def _entry(name, summary, lines):
 
 def _block(lines, indent="  "):
     """One example a line, and what it does as a comment: beside it, or below a long one."""
-    beside = f"{indent}{_RUN} {{:<{_WIDE}}}  # {{}}"
-    below = f"{indent}{_RUN} {{}}\n{indent}    # {{}}"
-    return "\n".join((beside if len(line) <= _WIDE else below).format(line, does) for line, does in lines)
+    beside = [f"{indent}{_RUN} {line}  # {does}" for line, does in lines]
+    below = [f"{indent}{_RUN} {line}\n{indent}    # {does}" for line, does in lines]
+    return "\n".join(a if len(a) <= _WIDE else b for a, b in zip(beside, below, strict=True))

@@ -7,11 +7,7 @@ from .scene.scenario import read_settings, scenario_names
 from .sunspots import command as sunspots
 from .transient.problem import load_problem, problem_names
 
-__all__ = ["add_arguments", "main"]
-
-
-def add_arguments(parser):
-    """Add no options."""
+__all__ = ["main"]
 
 
 def main(args):

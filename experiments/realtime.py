@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -11,18 +10,16 @@ from sphfilter.campaign.campaign import draw_case
 from sphfilter.errors import SphfilterError
 from sphfilter.filter import budget as timing
 
+from .arguments.realtime import budgets_of
 from .benchmark import reference
 from .benchmark.errors import errors, root_mean_square
 from .benchmark.watch import Watched
 from .scene.scenario import load_scenario
-from .show.tables import number, table
-from .terminal.options import names_of, numbers
+from .show.tables import number, print_table, table
 from .terminal.running import new_console, status, tell
 
-__all__ = ["EPILOG", "add_arguments", "main"]
+__all__ = ["main"]
 
-SCENARIOS = "van_der_pol,duffing,cart,lorenz"
-_BUDGETS = "5,10,20,50"
 _CLOCKS = {"wall": time.perf_counter, "processor": time.process_time}
 _MOST = 20_000  # particles
 _HEADINGS = (
@@ -35,9 +32,6 @@ _HEADINGS = (
     "steps repeated",
     "runs refused",
 )
-EPILOG = """\
-Times are of a machine and its load. On one that does other things, steps are late that would not have been.
-"""
 
 
 @dataclass(frozen=True)
@@ -69,26 +63,11 @@ class Outcome:
         return float(np.mean(self.seconds <= budget)) if len(self.seconds) else np.nan
 
 
-def add_arguments(parser):
-    """Add the options of `realtime`."""
-    names = f"names from `list`, comma-separated (default: {SCENARIOS})"
-    own = {"type": names_of, "default": names_of(SCENARIOS), "metavar": "NAME,NAME"}
-    parser.add_argument("scenarios", nargs="?", help=names, **own)
-    budgets = f"milliseconds a predict and update may take, comma-separated (default: {_BUDGETS})"
-    parser.add_argument("--budgets", default=_BUDGETS, help=budgets)
-    parser.add_argument("--runs", type=int, default=3, help="simulated runs (default: 3)")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the runs (default: 1)")
-    clock = "processor: what other processes take does not count (default: wall)"
-    parser.add_argument("--clock", choices=_CLOCKS, default="wall", help=clock)
-    folder = "folder of the references, which are the benchmark's (default: results/benchmark)"
-    parser.add_argument("--out", type=Path, default=Path("results/benchmark"), help=folder)
-
-
 def main(args):
     """Run the command; prints to standard output."""
     console = new_console()
     timing.clock = _CLOCKS[args.clock]
-    budgets = numbers("--budgets", args.budgets, float, _BUDGETS)
+    budgets = budgets_of(args)
     scenarios = [load_scenario(name) for name in args.scenarios]
     rows, told = [], []
     with status(console) as say:
@@ -100,7 +79,7 @@ def main(args):
                 outcome = _outcome(scenario, pairs, 1e-3 * budget)
                 rows.append((scenario.name, f"{budget:g} ms", *_cells(outcome, 1e-3 * budget, args.runs)))
                 told += [f"{scenario.name}, {budget:g} ms: {text}" for text in outcome.failures]
-    console.print(table("", _HEADINGS, rows))
+    print_table(console, table("", _HEADINGS, rows), keep=2)
     tell(console, told)
 
 

@@ -1,4 +1,4 @@
-"""`python -m experiments run NAME`: simulate a scenario, run filters on it, tell and draw what came out."""
+"""`python -m experiments run NAME`: simulate a scenario, run filters on it, tell and draw the results."""
 
 import hashlib
 import shutil
@@ -10,28 +10,17 @@ from sphfilter.errors import SphfilterError
 
 from .campaign.work import exit_code, tell_failures, work_of
 from .pictures import drawing
-from .scene.files import add_change_option, changes_of
+from .pictures.names import chosen
+from .scene.files import changes_of
 from .scene.scenario import load_scenario
 from .show import plots
 from .show.campaign_tables import distance_table, result_table, sentences
 from .show.comparison import distances, reference_name
-from .terminal.options import add_run_options
+from .show.tables import print_table
+from .terminal.beside import Second
 from .terminal.running import new_console, status, tell
 
-__all__ = ["add_arguments", "main"]
-
-
-def add_arguments(parser):
-    """Add the options of `run`."""
-    add_run_options(parser, "the scenario's", "results/NAME")
-    parser.add_argument("--n-particles", type=int, help="particles of the SPH filters, at most")
-    parser.add_argument(
-        "--pictures",
-        metavar="NAMES",
-        help="comma-separated pictures of the paper to draw besides the histories, or none "
-        "(default: all the scenario has, if sph_paper runs)",
-    )
-    add_change_option(parser)
+__all__ = ["main"]
 
 
 def main(args):
@@ -44,57 +33,70 @@ def main(args):
     n_runs = args.runs or scenario.settings.runs.default
     work = work_of(args, scenario, args.filters, n_runs, Path("results") / scenario.name)
     asked = args.pictures if "sph_paper" in work.filters else args.pictures or "none"
-    wanted = drawing.chosen(scenario, asked)
+    wanted = chosen(scenario.name, asked)
 
-    campaign = _campaign(console, work, args.jobs)
-    numbers = report(campaign)
-    reference = reference_name(scenario, work.filters)
-    distance = distances(campaign.results, reference) if reference else {}
-    _tell(console, scenario, campaign, numbers, distance, reference)
-    _write(work, campaign, numbers, distance)
-    with status(console) as say:
-        drawn = plots.draw(work.out, scenario, work.filters, campaign, say)
-    kept = f"{work.out}/campaign.npz and run.json, the scenario as run in scenario.toml"
-    console.print(f"Numbers are in {kept}.")
-    for name in wanted:
-        drawn += _picture(console, name, work)
-    console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
+    with Second() as second:
+        campaign = _campaign(console, work, args.jobs, second, wanted)
+        numbers = report(campaign)
+        reference = reference_name(scenario, work.filters)
+        distance = distances(campaign.results, reference) if reference else {}
+        _tell(console, scenario, campaign, numbers, distance, reference)
+        _write(work, campaign, numbers, distance)
+        _ask(second, work, [name for name in wanted if name in drawing.OF_RUNS], work.out / "campaign.npz")
+        with status(console) as say:
+            drawn = plots.draw(work.out, scenario, work.filters, campaign, say)
+        kept = f"{work.out}/campaign.npz and run.json, the scenario as run in scenario.toml"
+        console.print(f"Numbers are in {kept}.", soft_wrap=True)
+        for name in sorted(wanted, key=drawing.OF_RUNS.__contains__):
+            drawn += _picture(console, name, second)
+    console.print(f"Pictures: {', '.join(str(path) for path in drawn)}", soft_wrap=True)
     _mention_unfinished(console, work.out)
     return exit_code(numbers)
 
 
-def _campaign(console, work, n_jobs):
-    """Run the campaign. Finished runs wait in a folder of its own until all are done."""
+def _campaign(console, work, n_jobs, second, wanted):
+    """Run the campaign. Finished runs wait in a folder of its own until all are done.
+
+    Pictures that need no runs are drawn beside it, in the second process.
+    """
     which = hashlib.sha256(f"{work.scenario} {work.filters} {work.seed}".encode()).hexdigest()[:8]
     folder = work.out / f"unfinished-{which}"
+    work.prepare(console, folder, second)
+    _ask(second, work, [name for name in wanted if name not in drawing.OF_RUNS])
     campaign = work.run(console, n_jobs, folder)
     shutil.rmtree(folder)
     return campaign
+
+
+def _ask(second, work, names, campaign=None):
+    for name in names:
+        second.ask(drawing.draw, name, work.scenario, work.out, work.seed, work.n_runs, campaign)
 
 
 def _mention_unfinished(console, out):
     left = ", ".join(str(folder) for folder in sorted(out.glob("unfinished-*")))
     if left:
         text = "Interrupted runs of other settings wait to be gone on with, or to be deleted, in"
-        console.print(f"{text} {left}", style="dim")
+        console.print(f"{text} {left}", style="dim", soft_wrap=True)
 
 
-def _picture(console, name, work):
-    """Draw a picture of the paper; one that cannot be drawn costs none of the results."""
+def _picture(console, name, second):
+    """Wait for a picture of the paper; one that cannot be drawn costs none of the results."""
     with status(console) as say:
         say(f"drawing {name} (up to half a minute; the numbers are safe)")
         try:
-            told = work.scenario, work.out, work.seed, work.n_runs
-            return drawing.draw(name, *told, lambda text: console.print(f"• {text}"))
+            paths, sentences = second.answer()
         except SphfilterError as problem:
             console.print(f"picture {name}: {problem}", style="red")
             return []
+    tell(console, sentences)
+    return paths
 
 
 def _tell(console, scenario, campaign, numbers, distance, reference):
-    console.print(result_table(numbers, scenario))
+    print_table(console, result_table(numbers, scenario))
     if distance:
-        console.print(distance_table(distance, reference))
+        print_table(console, distance_table(distance, reference))
     tell(console, sentences(numbers, scenario))
     tell_failures(console, campaign.failures)
     console.print()

@@ -4,24 +4,19 @@ import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields
-from pathlib import Path
 
 import numpy as np
 
 import sphfilter as sf
-from sphfilter.errors import ConfigError
 
+from .arguments.scaling import counts_of
 from .benchmark.watch import resident, watch_peak
 from .show.files import write_csv
-from .show.tables import table
-from .terminal.options import names_of, numbers
+from .show.tables import print_table, table
 from .terminal.running import new_console, status, tell
 from .transient.problem import load_problem
 
-__all__ = ["add_arguments", "main"]
-
-SCHEMES = ("log_density", "corrected", "paper")
-_COUNTS = "500,1000,2000,5000,10000,20000"
+__all__ = ["main"]
 
 
 @dataclass(frozen=True)
@@ -52,38 +47,19 @@ class Cell:
         return self.seconds / (self.n_particles * self.n_steps)
 
 
-def add_arguments(parser):
-    """Add the options of `scaling`."""
-    transient = "a transient scenario with a Gaussian start (default: van_der_pol)"
-    parser.add_argument("scenario", nargs="?", default="van_der_pol", help=transient)
-    schemes = "comma-separated (default: all)"
-    parser.add_argument("--schemes", type=names_of, default=list(SCHEMES), help=schemes)
-    parser.add_argument("--counts", default=_COUNTS, help=f"particles, comma-separated (default: {_COUNTS})")
-    parser.add_argument("--interval", type=float, default=0.2, help="seconds to predict (default: 0.2)")
-    parser.add_argument("--samples", type=int, default=3, help="samples a median is taken of (default: 3)")
-    parser.add_argument("--out", type=Path, default=Path("results/scaling"), help="folder for the table")
-
-
 def main(args):
     """Run the command; prints to standard output."""
-    schemes, counts = args.schemes, numbers("--counts", args.counts, int, _COUNTS)
-    unknown = [s for s in schemes if s not in SCHEMES]
-    if unknown:
-        raise ConfigError(f"no scheme {unknown[0]!r}; there are {', '.join(SCHEMES)}")
-    if not args.interval > 0.0 or args.samples < 1:
-        raise ConfigError("scaling needs an --interval above 0 and one sample at least")
-    if load_problem(args.scenario).settings.start.kind != "gaussian":
-        raise ConfigError(f"{args.scenario} does not start from a Gaussian, which all schemes can carry")
+    schemes, counts = args.schemes, counts_of(args)
     console, cells = new_console(), []
     with status(console) as say:
         for scheme in schemes:
             for count in counts:
                 say(f"measuring {scheme} on {count} particles")
                 cells.append(_alone(measured, args.scenario, scheme, count, args.interval, args.samples))
-    console.print(_table(args, cells))
+    print_table(console, _table(args, cells), keep=2)
     tell(console, _sentences(schemes, cells))
     write_csv(args.out / "scaling.csv", [f.name for f in fields(Cell)], (asdict(c).values() for c in cells))
-    console.print(f"Table: {args.out}/scaling.csv")
+    console.print(f"Table: {args.out}/scaling.csv", soft_wrap=True)
 
 
 def _alone(function, *args):

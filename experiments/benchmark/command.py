@@ -8,14 +8,14 @@ import platform
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
-from pathlib import Path
 
 import numba
 
-from experiments.scene.files import add_change_option, changes_of
+from experiments.arguments.benchmark import EXPENSIVE, SCENARIOS
+from experiments.scene.files import changes_of
 from experiments.scene.scenario import load_scenario
 from experiments.show.files import write_json
-from experiments.terminal.options import counted, names_of
+from experiments.show.tables import print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.campaign import draw_case
@@ -24,61 +24,27 @@ from sphfilter.errors import ConfigError, SphfilterError
 
 from . import expensive, plots, tables
 from .campaign import Plan, run_scenario
-from .methods import FAMILIES, default_families, methods
+from .families import FAMILIES
+from .methods import default_families, methods
 from .reference import Effort
 from .store import code_digest
 
-__all__ = ["SCENARIOS", "add_arguments", "main"]
+__all__ = ["main"]
 
-#: Those of the publication and the closed forms, then harder ones, then those never used in development, of
-#: lattices first, and in the last row of the ladder either.
-SCENARIOS = (
-    "van_der_pol", "duffing", "cart", "linear_underdamped", "benes",
-    "van_der_pol_sharp", "duffing_square", "lorenz",
-    "pendulum", "bearing", "predator_prey", "vehicle", "fitzhugh_nagumo", "double_well", "falling_body",
-    "tracking", "sharp_range", "bearings_only", "coordinated_turn", "three_oscillators", "volatility",
-)  # fmt: skip
-#: A name that is no scenario: what the rows of another one mean where the drift is expensive.
-_EXPENSIVE = "expensive"
 _QUICK = Effort(error=1e-2, first=0, last=1, n_paths=20_000, n_runs=4)
 _FULL = Effort(error=2e-5, first=2, last=5, n_runs=50)
-
-
-def add_arguments(parser):
-    """Add the options of `benchmark`."""
-    names = f"names from `list` or paths of TOML files, or {_EXPENSIVE} (default: all of them)"
-    parser.add_argument("scenarios", nargs="*", metavar="NAME", help=names)
-    families = f"comma-separated, of {', '.join(FAMILIES)}, sph:SCHEME (default: all that fit)"
-    parser.add_argument("--filters", type=names_of, help=families)
-    counts = "particles of the SPH and particle filters, comma-separated, instead of the usual ones"
-    parser.add_argument("--counts", type=_counts, metavar="N,N", help=counts)
-    parser.add_argument("--runs", type=counted, help="simulated runs (default 5)")
-    parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
-    limit = "seconds a run may take; larger sizes are left out (default 10)"
-    parser.add_argument("--limit", type=float, help=limit)
-    paths = "particles in all of a reference above two states; more of them later add to those on disk"
-    parser.add_argument("--reference-paths", type=float, metavar="N", help=paths)
-    parser.add_argument("--out", type=Path, default=Path("results/benchmark"), help="folder for results")
-    size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="two runs, coarse references: does it work?")
-    size.add_argument("--full", action="store_true", help="larger sizes and finer references: takes hours")
-    add_change_option(parser)
-
-
-def _counts(text):
-    return tuple(sorted({counted(part) for part in names_of(text)}))
 
 
 def main(args):
     """Run the command; prints to standard output."""
     console = new_console(width=140)
     changes = changes_of(args)
-    names = args.scenarios or [*SCENARIOS, _EXPENSIVE]
-    scenarios = {name: load_scenario(name, **changes) for name in names if name != _EXPENSIVE}
-    if _EXPENSIVE in names:
+    names = args.scenarios or [*SCENARIOS, EXPENSIVE]
+    scenarios = {name: load_scenario(name, **changes) for name in names if name != EXPENSIVE}
+    if EXPENSIVE in names:
         scenarios.setdefault(expensive.BASE, load_scenario(expensive.BASE, **changes))
     work = [(scenario, _competitors(scenario, args)) for scenario in scenarios.values()]
-    evaluations = tuple(scenarios) if args.full else (expensive.BASE,) * (_EXPENSIVE in names)
+    evaluations = tuple(scenarios) if args.full else (expensive.BASE,) * (EXPENSIVE in names)
     plan, machine, outcomes = _plan(args, evaluations), {"start": _machine()}, []
     for scenario, competitors in work:
         try:
@@ -91,11 +57,13 @@ def main(args):
         drawn = _write(args, plan, outcomes, machine | {"end": _machine()}, work)
     if not outcomes:
         raise ConfigError("nothing was measured: no scenario has a reference")
-    if _EXPENSIVE in names:
+    if EXPENSIVE in names:
         base, competitors = next(pair for pair in work if pair[0].name == expensive.BASE)
         drawn.append(_expensive(console, base, competitors, outcomes, plan))
-    console.print(f"Numbers are in {args.out}/benchmark.csv and .md, all settings in benchmark.json.")
-    console.print(f"Pictures: {', '.join(map(str, drawn))}")
+    console.print(
+        f"Numbers are in {args.out}/benchmark.csv and .md, all settings in benchmark.json.", soft_wrap=True
+    )
+    console.print(f"Pictures: {', '.join(map(str, drawn))}", soft_wrap=True)
 
 
 def _plan(args, evaluations):
@@ -127,7 +95,7 @@ def _measured(console, scenario, competitors, plan):
 
 
 def _tell(console, outcome):
-    console.print(tables.table(outcome))
+    print_table(console, tables.table(outcome), keep=2)
     tell(console, tables.sentences(outcome))
     console.print()
 
@@ -140,7 +108,7 @@ def _expensive(console, scenario, competitors, outcomes, plan):
             scenario, draw_case(scenario, plan.seed, 0), competitors, lines, plan.limit
         )
     title = f"{scenario.name} with an expensive drift: the fastest to reach an error of the mean"
-    console.print(expensive.table(lines, title))
+    print_table(console, expensive.table(lines, title))
     if checked:
         ratio = [c.measured / c.predicted for c in checked]
         console.print(
@@ -158,7 +126,7 @@ def _write(args, plan, outcomes, machine, work):
     title = f"Filters side by side: {plan.n_runs} runs, seed {plan.seed}"
     (plan.folder / "benchmark.md").write_text(tables.markdown(outcomes, title), encoding="utf-8")
     record = {
-        "arguments": {key: str(value) for key, value in vars(args).items() if key != "main"},
+        "arguments": {key: str(value) for key, value in vars(args).items()},
         "plan": {key: str(value) for key, value in asdict(plan).items()},
         "code": code_digest(),
         "versions": versions(),

@@ -5,26 +5,12 @@ from dataclasses import dataclass
 from experiments.scene.filters import Factory
 from experiments.scene.settings import Grid, MomentFilter, Particle, Sph
 from sphfilter.config import FilterConfig
-from sphfilter.errors import ConfigError, nearest
 
 from . import boxed
+from .families import FAMILIES, check_families
 
-__all__ = ["FAMILIES", "Method", "default_families", "label", "methods", "short", "size_text"]
+__all__ = ["Method", "default_families", "label", "methods", "short", "size_text"]
 
-#: What the names stand for, short and in words. Any scheme of the SPH filter can be forced with sph:SCHEME.
-FAMILIES = {
-    "sph": ("SPH", "SPH filter, default"),
-    "auto": ("SPH, auto", "SPH filter, particles by target error"),
-    "paper": ("SPH, paper", "SPH filter, scheme of the paper"),
-    "ekf": ("EKF", "extended Kalman filter"),
-    "ukf": ("UKF", "unscented Kalman filter"),
-    "kf": ("KF", "Kalman filter (linear models)"),
-    "pf": ("PF, order 2", "particle filter, weak order 2"),
-    "pf4": ("PF, order 4", "particle filter, weak order 4"),
-    "grid": ("Grid, boxed", "grid filter in a box it is told"),
-    "referee": ("Grid, free", "grid filter that finds its box"),
-    "benes": ("Beneš", "closed form of the Beneš problem"),
-}
 #: Particles by number of states (three stands for all above two), quick or not.
 _SPH = {1: (25, 50, 100, 200), 2: (100, 200, 400, 800, 1600), 3: (200, 500, 1000, 2000, 4000)}
 #: Of n_particles="auto": one over the target error.
@@ -120,6 +106,7 @@ def methods(families, scenario, counts=None, full=False):
     ConfigError
         Unknown family or scheme, or one that does not fit the scenario.
     """
+    check_families(families)
     return [m for family in families for m in _family(family, scenario, counts, full)]
 
 
@@ -143,11 +130,8 @@ def _family(family, scenario, counts, full):
     elif family == "sph" or scheme != family:
         config = FilterConfig() if scheme == family else FilterConfig(scheme=scheme)
         name, made = "sph", _sized(counts or _SPH[n], config)
-    elif family in FAMILIES:
-        name, made = family, {0: MomentFilter() if family in ("ekf", "ukf") else None}
     else:
-        known = [*FAMILIES, "sph:SCHEME"]
-        raise ConfigError(f"no competitor {family!r}{nearest(family, known)}; there are {', '.join(known)}")
+        name, made = family, {0: MomentFilter() if family in ("ekf", "ukf") else None}
     return [Method(family, size, 1, Factory(name, scenario, own)) for size, own in made.items()]
 
 

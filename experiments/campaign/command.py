@@ -7,47 +7,19 @@ from pathlib import Path
 
 import joblib
 
-from experiments.scene.files import add_change_option, changes_of
+from experiments.scene.files import changes_of
 from experiments.scene.filters import name_of, takes_grid
-from experiments.scene.scenario import load_scenario, read_settings
-from experiments.terminal.options import add_run_options
-from experiments.terminal.running import new_console, status
+from experiments.scene.reading import read_settings
+from experiments.scene.scenario import load_scenario
+from experiments.terminal.beside import Second
+from experiments.terminal.running import new_console, status, tell
 from sphfilter.campaign.report import report
 from sphfilter.errors import ConfigError
 
 from . import page, plots
 from .work import exit_code, tell_failures, work_of
 
-__all__ = ["EPILOG", "add_arguments", "main"]
-
-EPILOG = """\
-Runs have seeds of their own: the figures are the same for any number of processes, and run 7 is the same run
-however many there are. Every filter sees the same measurements. Each finished run is kept in OUT/runs;
-stopped (Ctrl-C, or worse), the same command goes on, and with a larger --runs it adds to what is there.
-"""
-_RUNS = 100
-
-
-def add_arguments(parser):
-    """Add the options of `campaign`."""
-    own = "the scenario's, and grid if it can"
-    add_run_options(parser, str(_RUNS), "results/campaign/NAME", own)
-    parser.set_defaults(runs=_RUNS)
-    parser.add_argument(
-        "--referee", help="the filter that is right, or none (default: the scenario's exact one, else grid)"
-    )
-    parser.add_argument(
-        "--own-prior",
-        action="store_true",
-        help="draw truths from the filters' own prior, start.mean and start.cov: then a filter that is right "
-        "is consistent from the first measurement on",
-    )
-    parser.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help="run on the machines of a dask scheduler (extra: dask), which have sphfilter installed",
-    )
-    add_change_option(parser)
+__all__ = ["main"]
 
 
 def main(args):
@@ -62,6 +34,8 @@ def main(args):
     referee, out = _referee(args.referee, scenario, work.filters), work.out
 
     with _workers(args.dask):
+        with Second() as second:
+            work.prepare(console, out / "runs", second)
         campaign = work.run(console, None if args.dask else args.jobs, out / "runs")
     numbers = report(campaign, referee=referee, labels=scenario.labels)
     facts = {"runs": numbers.n_runs, "referee": referee}
@@ -73,8 +47,11 @@ def main(args):
     written = page.write(out, scenario, numbers, facts, campaign.failures, pictures)
     for name, f in numbers.filters.items():
         console.print(f"[bold]{name_of(name)}[/]: {f.verdict}")
+    tell(console, filter(None, [page.unseen(numbers)]))
     tell_failures(console, campaign.failures[:5])
-    console.print(f"\nThe report is {written}; {out}/campaign.npz holds every run's histories.")
+    console.print(
+        f"\nThe report is {written}; {out}/campaign.npz holds every run's histories.", soft_wrap=True
+    )
     return exit_code(numbers)
 
 

@@ -31,13 +31,16 @@ class Work:
     seed: int
     out: Path
 
-    def run(self, console, n_jobs, folder):
-        """Compile, and run all with a progress bar; finished runs are kept in `folder`."""
+    def prepare(self, console, folder, second):
+        """Say what is going to be run, and compile, some of it in a `second` process."""
         settings = self.scenario.settings
         console.print(f"[bold]{self.scenario.name}[/]: {settings.description}")
         console.print(f"{settings.source}\n", style="dim")
         if len(list(folder.glob("run_*.npz"))) < self.n_runs:
-            warm_up(console, self.scenario, self.filters)
+            warm_up(console, self.scenario, self.filters, second)
+
+    def run(self, console, n_jobs, folder):
+        """Run all with a progress bar; finished runs are kept in `folder`."""
         return run_shown(console, self.scenario, self.filters, self.n_runs, self.seed, n_jobs, folder)
 
     def write(self, name, campaign, numbers, settings, **facts):

@@ -2,134 +2,35 @@
 
 from pathlib import Path
 
-from experiments.scene.files import add_change_option, changes_of
-from experiments.scene.scenario import scenario_names
-from experiments.terminal.options import names_of, numbers
+from experiments.arguments.converge import FILTER, counts_of, sizes_of, study_of
+from experiments.scene.files import changes_of
+from experiments.terminal.options import names_of
 from experiments.terminal.running import new_console
-from experiments.transient.problem import problem_names
-from sphfilter.errors import ConfigError
 
 from . import calibration, courant, filters, nodes, sensors, transient
 
-__all__ = ["EPILOG", "add_arguments", "main"]
-
-EPILOG = """\
-What is studied:
-  NAME of a filter scenario       the SPH filter against its exact filter, over particles
-  [NAME,...] --over nodes         whether more nodes make the SPH filter worse: scenarios of one or two states
-  [NAME,...] --sensors            ... on sensors of one state, such as cubic,Laplace
-  NAME --over particles           a density without measurements (`list`), over particles, as its file says
-  NAME --over scheme              ... of every scheme, with run times
-  NAME --over step                ... of the published scheme, over time steps (or C_CFL) and integrators
-  [NAME] --calibrate              C_CFL, C_NNS and M_B of the published scheme (002 4.4-4.5); van_der_pol
-  [NAME] --cfl                    absolute against relative CFL (000 Table 4); five Duffing oscillators
-"""
-_FILTER, _DEFAULTS = "a filter scenario", {"filter": "sph", "runs": 3, "seed": 0, "limit": 300.0}
-#: Options that each study takes besides NAME, --out and --set; the others are refused.
-_TAKES = {
-    _FILTER: {"filter", "counts", "runs", "seed"},
-    "--over nodes": {"counts", "runs", "seed"},
-    "--sensors": {"counts", "runs", "seed"},
-    "--over particles": {"counts", "end", "limit"},
-    "--over scheme": {"counts", "schemes", "end", "limit"},
-    "--over step": {"n_particles", "steps", "c_cfl", "end", "limit"},
-    "--calibrate": {"counts", "end", "limit", "repeats", "quick"},
-    "--cfl": {"n_particles", "end", "limit", "quick"},
-}
-_COUNTS = {_FILTER: "100,200,400,800,1600", "--over particles": "200,400,800,1600"}
-_COUNTS["--over scheme"] = _COUNTS["--over particles"]
-_COUNTS["--over nodes"] = _COUNTS["--sensors"] = "50,100,200,400,800,1600"
-
-
-def add_arguments(parser):
-    """Add the options of `converge`."""
-    parser.add_argument(
-        "scenario", nargs="?", metavar="NAME", help="default: linear_underdamped, or see below"
-    )
-    parser.add_argument("--over", choices=("particles", "scheme", "step", "nodes"), help="see below")
-    parser.add_argument("--sensors", action="store_true", help="nodes doubled on sensors of one state")
-    parser.add_argument("--calibrate", action="store_true", help="the search bypassed and not")
-    parser.add_argument("--cfl", action="store_true", help="absolute against relative CFL")
-    parser.add_argument("--counts", help="particles at most, comma-separated")
-    parser.add_argument("--n-particles", type=int, help="particles of --over step and --cfl, at most")
-    parser.add_argument("--schemes", help="comma-separated (default: log_density,corrected,paper)")
-    parser.add_argument("--steps", help="fixed time steps in seconds, comma-separated")
-    parser.add_argument("--c-cfl", help="or values of C_CFL, comma-separated")
-    parser.add_argument("--end", type=float, help="time at which a density is left alone, seconds")
-    parser.add_argument("--limit", type=float, help="seconds one solution may take (default: 300)")
-    parser.add_argument("--repeats", type=int, help="runs that --calibrate takes the median of (default: 3)")
-    parser.add_argument("--quick", action="store_true", help="a small version of --calibrate or --cfl")
-    parser.add_argument("--filter", choices=("sph", "sph_paper"), help="of a filter scenario (default: sph)")
-    parser.add_argument("--runs", type=int, help="simulated runs of a filter for each count (default: 3)")
-    parser.add_argument("--seed", type=int, help="seed of everything random, of a filter scenario")
-    parser.add_argument("--out", type=Path, help="folder for table and picture (default: in results)")
-    example = (
-        "e.g. times.interval=3; scheme.kernel=gaussian of a filter, solver.config.scheme.kernel=gaussian"
-    )
-    add_change_option(parser, f"change a key of the scenario, {example} of a density; may be repeated")
+__all__ = ["main"]
 
 
 def main(args):
     """Run the command; prints to standard output."""
     console = new_console()
-    study = _study(args)
-    _refuse_others(args, study)
-    for key, value in _DEFAULTS.items():
-        if getattr(args, key) is None:
-            setattr(args, key, value)
+    study = study_of(args)
     if study == "--calibrate":
         calibration.study(args, console)
     elif study == "--cfl":
         courant.study(args, console)
     elif study == "--over step":
-        transient.study_steps(args, console, *_sizes(args))
+        transient.study_steps(args, console, *sizes_of(args))
     else:
-        counts = numbers("--counts", args.counts or _COUNTS[study], int)
-        if len(counts) < 2 or args.runs < 1:
-            raise ConfigError("converge needs two different counts at least, and one run")
-        names = names_of(args.scenario) if args.scenario else []
+        counts, names = counts_of(args, study), names_of(args.scenario) if args.scenario else []
         if study == "--sensors":
-            if args.changes:
-                raise ConfigError("--set has no meaning for --sensors")
             nodes.study(args, console, sensors.problems(names, args.runs, args.seed), counts, "sensors")
         elif study == "--over nodes":
             folder = (args.out or Path("results/converge_nodes")) / "references"
             built = nodes.scenes(names, args.runs, args.seed, changes_of(args), folder)
             nodes.study(args, console, built, counts, "nodes")
-        elif study == _FILTER:
+        elif study == FILTER:
             filters.study(args, console, args.scenario or "linear_underdamped", counts)
         else:
             transient.study_schemes(args, console, counts)
-
-
-def _sizes(args):
-    """The rule of `--over step` and its values, None if none are given."""
-    if args.steps and args.c_cfl:
-        raise ConfigError("--steps and --c-cfl are two ways to choose time steps: give one of them")
-    if args.c_cfl:
-        return "c_cfl", numbers("--c-cfl", args.c_cfl, float)
-    return "step", numbers("--steps", args.steps, float) if args.steps else None
-
-
-def _study(args):
-    """Which of `_TAKES` is asked for; a name that filters do not know may be one of a density."""
-    asked = [f"--{name}" for name in ("sensors", "calibrate", "cfl") if getattr(args, name)]
-    asked += [f"--over {args.over}"] if args.over else []
-    if len(asked) > 1:
-        raise ConfigError(f"{' and '.join(asked)} are different studies: ask for one of them")
-    if asked:
-        return asked[0]
-    return "--over particles" if args.scenario in _densities_only() else _FILTER
-
-
-def _densities_only():
-    return set(problem_names()) - set(scenario_names())
-
-
-def _refuse_others(args, study):
-    every = set().union(*_TAKES.values())
-    for name in sorted(every - _TAKES[study]):
-        if getattr(args, name):
-            option = "--" + name.replace("_", "-")
-            known = ", ".join("--" + key.replace("_", "-") for key in sorted(_TAKES[study]))
-            raise ConfigError(f"{option} has no meaning for {study}, which takes {known}, --out and --set")

@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.scene.files import changes_of
 from experiments.show.style import COLOURS, frame, legend_below, panels, save
-from experiments.show.tables import number, table
+from experiments.show.tables import number, print_table, table
 from sphfilter.errors import ConfigError
 
 from . import tables
@@ -92,7 +92,7 @@ def study(args, console):
     with progress(console, len(_KINDS) * len(settings)) as told:
         runs = [run for pair in zip(settings, truths, strict=True) for run in compare(*pair, keys, told)]
     title = f"S = .1, Euler, to {end:g} s (published: to 50 s on 64 cores with 1789 or 4049 particles)"
-    console.print(_table(title, runs))
+    print_table(console, _table(title, runs))
     draw = partial(_draw, title=title, runs=runs)
     rows = [_row(run) for run in runs]
     tables.end(console, args, "converge_cfl", "cfl", [run.cell for run in runs], rows, draw)

@@ -11,8 +11,9 @@ from experiments.scene.filters import factories, name_of
 from experiments.scene.scenario import load_scenario
 from experiments.show.comparison import distances
 from experiments.show.files import write_csv
-from experiments.show.tables import table
+from experiments.show.tables import print_table, table
 from experiments.terminal.progress import bar
+from experiments.terminal.running import tell
 from sphfilter.campaign.campaign import run_campaign
 from sphfilter.errors import ConfigError
 
@@ -21,6 +22,15 @@ from .plots import draw_filter
 __all__ = ["convergence", "orders", "study"]
 
 MEASURES = ("mean", "cov", "evidence")
+
+
+#: Orders below this are none, and why they are.
+_NO_ORDER = 0.5
+_FLAT = (
+    "Orders near zero, or below: these errors are small on the fewest particles already, and do not fall "
+    "with more. What is left does not come from the spacing, but from the tails where lattices end. Where "
+    "the spacing counts orders are seen: converge van_der_pol --over scheme."
+)
 
 
 def convergence(name, counts, n_runs, seed, which="sph", progress=lambda *numbers: None, **changes):
@@ -86,11 +96,15 @@ def study(args, console, name, counts):
     """
     rows = _shown(console, args, name, counts)
     slopes = orders(rows, load_scenario(name).model.dim)
-    console.print(_table(name, name_of(args.filter), rows, slopes))
+    print_table(console, _table(name, name_of(args.filter), rows, slopes))
+    if min(slopes.values()) < _NO_ORDER:
+        tell(console, [_FLAT])
     path = (args.out or Path("results") / name) / "convergence.csv"
     lines = ([count, *asdict(distance).values(), *rest] for count, distance, *rest in rows)
     write_csv(path, ["particles", *MEASURES, "seconds", "refused"], lines)
-    console.print(f"Table and picture: {path}, {draw_filter(path.with_suffix('.png'), rows, slopes)}")
+    console.print(
+        f"Table and picture: {path}, {draw_filter(path.with_suffix('.png'), rows, slopes)}", soft_wrap=True
+    )
 
 
 def _shown(console, args, name, counts):

@@ -12,7 +12,7 @@ from experiments.scene.filters import Factory, takes_grid
 from experiments.scene.scenario import load_scenario, read_settings, scenario_names
 from experiments.show.comparison import moment_errors
 from experiments.show.files import write_rows
-from experiments.show.tables import markdown, number, table
+from experiments.show.tables import markdown, number, print_table, table
 from experiments.terminal.running import tell
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.errors import ConfigError, SphfilterError
@@ -170,7 +170,7 @@ def study(args, console, builders, counts, stem):
     with progress(console, len(builders) * (args.runs + len(counts))) as told:
         for build in builders:
             rows.append(measured(build(), counts, told))
-    console.print(_table(rows, args.runs))
+    print_table(console, _table(rows, args.runs))
     tell(console, _sentences(rows))
     out = args.out or Path("results") / f"converge_{stem}"
     write_rows(out / f"{stem}.csv", [line for row in rows for line in _lines(row)])

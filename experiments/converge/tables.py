@@ -97,4 +97,4 @@ def end(console, args, name, stem, cells, rows, draw):
             tell(console, [f"{label}: {cell.failure}"])
     out = args.out or Path("results") / name
     write_rows(out / f"{stem}.csv", rows)
-    console.print(f"Table and picture: {out / stem}.csv, {draw(out / f'{stem}.png')}")
+    console.print(f"Table and picture: {out / stem}.csv, {draw(out / f'{stem}.png')}", soft_wrap=True)

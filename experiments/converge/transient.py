@@ -6,7 +6,7 @@ from functools import partial
 from rich.markup import escape
 
 from experiments.scene.files import changes_of
-from experiments.show.tables import number
+from experiments.show.tables import number, print_table
 from experiments.terminal.progress import bar
 from sphfilter.errors import ConfigError
 
@@ -35,7 +35,7 @@ def study_schemes(args, console, counts):
     with progress(console, len(counts) * len(schemes)) as told:
         cells = by_scheme(setting, truth, counts, schemes, told)
     dim, title = setting.problem.model.dim, _title(setting, truth)
-    console.print(tables.scheme_table(title, cells, dim))
+    print_table(console, tables.scheme_table(title, cells, dim))
     draw = partial(plots.draw_schemes, title=title, cells=cells, truth=truth, dim=dim)
     rows = [row_of(cell) for cell in cells]
     tables.end(console, args, _folder(setting), "convergence", cells, rows, draw)
@@ -54,7 +54,7 @@ def study_steps(args, console, rule, values):
     with progress(console, len(INTEGRATORS) * len(values) + 1) as told:
         rows = by_step(setting, truth, rule, values, keys, told)
     title = f"{_title(setting, truth)}, published scheme"
-    console.print(tables.step_table(title, rows, rule))
+    print_table(console, tables.step_table(title, rows, rule))
     draw = partial(plots.draw_steps, title=title, rows=rows, truth=truth, rule=rule)
     written = [row_of(cell) | {f"step_{m}": getattr(own, m) for m in MEASURES} for cell, own in rows]
     tables.end(console, args, _folder(setting), "steps", (cell for cell, _ in rows), written, draw)

@@ -12,52 +12,28 @@ import numpy as np
 from joblib import Parallel, delayed
 
 import sphfilter as sf
-from experiments.scene.files import add_change_option, changes_of
+from experiments.arguments.estimate import guesses
+from experiments.scene.files import changes_of
 from experiments.show.files import write_json
-from experiments.show.tables import table
-from experiments.terminal.options import names_of
+from experiments.show.tables import print_table, table
 from experiments.terminal.running import new_console, status
 from sphfilter.errors import ConfigError, SphfilterError
 
 from .plots import draw_profiles
-from .problems import SENSOR, guess_of, problem_of, rival_of
+from .problems import guess_of, problem_of, rival_of
 
-__all__ = ["EPILOG", "add_arguments", "main"]
+__all__ = ["main"]
 
-EPILOG = f"""\
-Measurements are simulated with the parameters of the scenario's file, 60 unless times.end is set, and the
-search begins at three quarters of them. {SENSOR} is the variance of the sensor's noise. NAME may be
-sunspots: there the measurements are those of 1700 to 1948, and the search begins with the model's file.
-"""
 #: Where profiles are computed, in standard errors from the estimate.
 _FINE, _COARSE = (-2.5, -1.5, -0.75, 0.75, 1.5, 2.5), (-2.0, -1.0, 1.0, 2.0)
 _FEW = 3  # parameters, up to which profiles are fine
-
-
-def add_arguments(parser):
-    """Add the options of `estimate`."""
-    parser.add_argument("scenario", metavar="NAME", help="a scenario with parameters, or sunspots")
-    names = f"comma-separated; {SENSOR} is the sensor's noise"
-    parser.add_argument("--parameters", metavar="NAMES", type=names_of, help=names)
-    parser.add_argument("--guess", action="append", default=[], metavar="NAME=VALUE", help="where to begin")
-    parser.add_argument("--n-particles", type=int, help="of the filter, at most (default: 400)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated measurements")
-    parser.add_argument("--jobs", type=int, default=1, help="processes, for the profiles")
-    parser.add_argument("--no-profile", action="store_true", help="no profiles, which take most of the time")
-    parser.add_argument(
-        "--compare",
-        action="store_true",
-        help="fit a rival model too (duffing; sunspots, where it takes half an hour and more)",
-    )
-    parser.add_argument("--out", type=Path, help="folder for results (default: results/estimate_NAME)")
-    add_change_option(parser, "change a key of the scenario, e.g. times.end=100; may be repeated")
 
 
 def main(args):
     """Run the command; prints to standard output."""
     console = new_console()
     problem = problem_of(args.scenario, args.parameters, changes_of(args), args.seed, args.n_particles)
-    guess = guess_of(problem, _guesses(args.guess))
+    guess = guess_of(problem, guesses(args.guess))
     rival = rival_of(problem)
     if args.compare and rival is None:
         raise ConfigError(f"--compare knows no rival of {args.scenario}; of duffing and sunspots it does")
@@ -67,7 +43,7 @@ def main(args):
     console.print(f"[bold]{args.scenario}[/]: {problem.build.scenario.settings.description}")
     fit = _fitted(console, problem, guess)
     truth = {name: problem.values[name] for name in fit.names} if problem.simulated else {}
-    console.print(_table(fit, truth))
+    print_table(console, _table(fit, truth))
     console.print(f"• {_sentence(fit)}")
     record = _record(args, fit, truth)
     if args.compare:
@@ -80,22 +56,10 @@ def main(args):
         draw_profiles(out / "profiles.png", fit, profiles, truth, _title(args, fit))
     write_json(out / "fit.json", record)
     console.print(
-        f"Numbers are in {out}/fit.json" + ("." if args.no_profile else ", profiles in profiles.png.")
+        f"Numbers are in {out}/fit.json" + ("." if args.no_profile else ", profiles in profiles.png."),
+        soft_wrap=True,
     )
     return 0 if fit.converged else 1
-
-
-def _guesses(texts):
-    found = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        try:
-            found[name.strip()] = float(value)
-        except ValueError:
-            equals = ""
-        if not equals:
-            raise ConfigError(f"a guess is NAME=VALUE, not {text!r}; for instance xi=0.3")
-    return found
 
 
 def _fitted(console, problem, guess):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import sphfilter as sf
+from experiments.arguments.estimate import MEASURED, SENSOR
 from experiments.own_data.command import case_of
 from experiments.own_data.csv_data import read_measurements
 from experiments.own_data.model_file import load_model
@@ -15,11 +16,9 @@ from experiments.sunspots.forecast import fold
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["SENSOR", "Build", "Problem", "guess_of", "problem_of", "rival_of"]
+__all__ = ["Build", "Problem", "guess_of", "problem_of", "rival_of"]
 
 _DATA = Path(__file__).parents[1] / "data"
-#: Name under which the variance of a sensor's noise is fitted, where it is one number on the diagonal.
-SENSOR = "R"
 #: Parameters that are fitted unless others are asked for, where not all can be: a common factor of others.
 _DUFFING = ("xi", "gamma", "epsilon")
 _FITTED = {
@@ -139,7 +138,7 @@ def problem_of(name, names, changes, seed, n_particles=None):
     ConfigError
         Unknown scenario, key or parameter; nothing to fit.
     """
-    if name == "sunspots":
+    if name == MEASURED:
         if changes:
             raise ConfigError("the sunspots' model takes no --set; change a copy of its file with `filter`")
         scenario = load_model(_DATA / "sunspots.toml")

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.scene.filters import FILTERS, factories, name_of
+from experiments.scene.filters import factories, name_of
 from experiments.show.files import write_csv
-from experiments.show.tables import table
-from experiments.terminal.options import names_of
+from experiments.show.tables import print_table, table
 from experiments.terminal.running import new_console
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import SphfilterError
@@ -20,55 +19,7 @@ from .csv_data import read_measurements
 from .model_file import load_model
 from .plots import draw
 
-__all__ = ["EPILOG", "add_arguments", "case_of", "main", "write_result"]
-
-EPILOG = """\
-my.csv: a line of names, then a time and what was measured on each line. Cells may be empty; the times need
-not be regular.
-
-  t,position
-  0.0,3.1
-  2.0,
-  3.5,-2.7
-
-my.toml: text is allowed wherever a model has functions (see `SDE.from_expressions`).
-
-  [model]                               # dX = drift dt + noise dW, with dW dW' = spectral_density dt
-  states = ["x", "v"]
-  units = ["m", "m/s"]
-  drift = ["v", "-c*v - x*(g + e*x**2)"]
-  noise = [["0"], ["1"]]
-  spectral_density = [[1.6]]
-  parameters = { c = 0.4, g = -1.0, e = 0.1 }
-
-  [sensor]                              # z = h(x) + noise; h is a matrix, or a list such as ["x**2"]
-  h = [[1.0, 0.0]]
-  noise_cov = [[0.2]]
-
-  [start]                               # belief at the time of the first line, before it is used ...
-  mean = [3.0, 0.0]
-  cov = [[0.2, 0.0], [0.0, 1.0]]
-  # time = -1.0                         # ... unless another time is given
-
-  [data]
-  time_unit = "s"                       # for the picture; that of the model's rates
-  # time = "t"                          # the time is the first column, unless another is named ...
-  # columns = ["position"]              # ... and all others are measured, unless some are named
-
-  # [filters]                           # settings, as in the scenarios of the project
-  # sph = { n_particles = 400 }
-
-Exit code: 1 if a filter did not come to the end of the data, else 0.
-"""
-
-
-def add_arguments(parser):
-    """Add the options of `filter`."""
-    parser.add_argument("--model", type=Path, required=True, help="TOML file with model, sensor and start")
-    parser.add_argument("--data", type=Path, required=True, help="CSV file: a time and measurements a line")
-    parser.add_argument("--filters", type=names_of, help=f"comma-separated, of {', '.join(FILTERS)}")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the particle filter")
-    parser.add_argument("--out", type=Path, help="folder for results (default: results/NAME of the data)")
+__all__ = ["case_of", "main", "write_result"]
 
 
 def main(args):
@@ -76,7 +27,9 @@ def main(args):
     console = new_console()
     scenario = load_model(args.model)
     columns = scenario.settings.data
-    data = read_measurements(args.data, scenario.measurement.dim_z, columns.time, columns.columns)
+    data = read_measurements(
+        args.data, scenario.measurement.dim_z, columns.time, columns.columns, columns.time_unit
+    )
     filters = factories(args.filters, scenario)
     out = args.out or Path("results") / args.data.stem
 
@@ -93,7 +46,9 @@ def main(args):
         write_result(out / f"{name}.csv", result, scenario.settings.model.states, data.time_name)
     draw(out / "estimates.png", scenario, data, results)
     listed = ", ".join(f"{name}.csv" for name in results)
-    console.print(f"Estimates are in {out}: {listed}; the picture is {out / 'estimates.png'}.")
+    console.print(
+        f"Estimates are in {out}: {listed}; the picture is {out / 'estimates.png'}.", soft_wrap=True
+    )
     return int(bool(problems))
 
 
@@ -128,7 +83,7 @@ def _tell(console, results, seconds):
     for name, result in results.items():
         evidence, rejected = f"{result.log_evidence.sum():.2f}", str(int(np.sum(~result.accepted)))
         rows.append((name_of(name), evidence, rejected, f"{seconds[name]:.2f}"))
-    console.print(table("", ("filter", "log-evidence (nat)", "lines rejected", "run time (s)"), rows))
+    print_table(console, table("", ("filter", "log-evidence (nat)", "lines rejected", "run time (s)"), rows))
     console.print(
         "• The log-evidence is the log-density that a filter gave to all measurements before it saw them. "
         "Compare models by it (one filter, the same data): the larger explains the data better, and a "

@@ -1,7 +1,9 @@
 """Measurements from a CSV file: a column of times, columns of measurements, empty cells where none came."""
 
 import csv
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 
 import numpy as np
 
@@ -19,9 +21,9 @@ class Measurements:
     time_name : str
     names : tuple of str, length k
     times : ndarray, shape (T,)
-        Not decreasing.
+        Not decreasing. Dates are counted from the first, and `time_name` says so.
     z : ndarray, shape (T, k)
-        NaN where a cell is empty.
+        NaN where nothing was measured.
     """
 
     time_name: str
@@ -30,8 +32,18 @@ class Measurements:
     z: np.ndarray
 
 
-def read_measurements(path, n_columns, time=None, columns=()):
-    """Read times and measurements from a CSV file with a heading.
+#: What stands in a cell where nothing was measured, in small letters.
+_MISSING = frozenset({"", "n/a", "na", "nan", "null", "none", "-"})
+#: Seconds of the units in which dates are counted.
+_UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "a": 31557600.0}
+_UNITS |= {"": 1.0, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0, "days": 86400.0, "years": 31557600.0}
+
+
+def read_measurements(path, n_columns, time=None, columns=(), unit=""):
+    """Read times and measurements from a CSV file: commas, semicolons or tabs between the cells.
+
+    A file of semicolons or tabs may have decimal commas. Without a line of names its columns are called
+    "column 1" and so on.
 
     Parameters
     ----------
@@ -42,6 +54,8 @@ def read_measurements(path, n_columns, time=None, columns=()):
         Column of times; the first if not given.
     columns : sequence of str, length k, optional
         Columns of measurements; if not given, all others in their order.
+    unit : str, optional
+        Unit in which ISO dates such as 2024-05-01 or 2024-05-01T12:30 are counted from the first one.
 
     Returns
     -------
@@ -67,8 +81,11 @@ def read_measurements(path, n_columns, time=None, columns=()):
             f"the sensor gives {n_columns} values, but {path} has {len(columns)} columns of measurements "
             f"({', '.join(columns)}): name those to use in data.columns of the model file"
         )
-    values = {name: _column(path, rows, heading.index(name), name) for name in (time, *columns)}
-    times = values[time]
+    dated = _is_date(next((row[heading.index(time)] for _, row in rows), ""))
+    times = (_dates if dated else _column)(path, rows, heading.index(time), time)
+    if dated:
+        first, times = times[0], _counted(path, times, unit)
+    values = [_column(path, rows, heading.index(name), name) for name in columns]
     for i, (line, _) in enumerate(rows):
         if not np.isfinite(times[i]):
             raise ConfigError(f"{path}, line {line}: there is no time in column {time!r}")
@@ -77,19 +94,27 @@ def read_measurements(path, n_columns, time=None, columns=()):
                 f"{path}, line {line}: time {times[i]:g} is before {times[i - 1]:g} of the line above; "
                 f"sort the file by {time!r}"
             )
-    return Measurements(time, columns, times, np.column_stack([values[name] for name in columns]))
+    title = f"{time}, from {first.isoformat(' ')}" if dated else time
+    return Measurements(title, columns, times, np.column_stack(values))
 
 
 def _read(path):
     """Heading, and a list of (line number, cells); empty lines are skipped."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
+            first = file.readline()
+            file.seek(0)
+            between = next((sign for sign in ";\t" if sign in first), ",")
+            reader = csv.reader(file, delimiter=between)
             lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(row)]
     except OSError as problem:
         raise ConfigError(f"cannot read {path}: {problem.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as problem:
         raise ConfigError(f"{path} is not a CSV file in UTF-8: {problem}") from None
+    if between != "," and not any("." in cell for _, row in lines for cell in row):
+        lines = [(line, [_with_point(cell) for cell in row]) for line, row in lines]
+    if lines and all(_is_value(cell) for cell in lines[0][1]):
+        lines.insert(0, (0, [f"column {k}" for k in range(1, len(lines[0][1]) + 1)]))
     if len(lines) < 2:
         raise ConfigError(f"{path} needs a line of column names and a line of numbers at least")
     (_, heading), *rows = lines
@@ -101,17 +126,64 @@ def _read(path):
     return heading, rows
 
 
+def _with_point(cell):
+    """A number with a decimal comma as Python writes it; other text as it is."""
+    changed = cell.replace(",", ".")
+    return changed if cell.count(",") == 1 and _is_value(changed) else cell
+
+
+def _is_value(cell):
+    """Is it a number, a date, or the word for none: what is no name of a column?"""
+    if cell.lower() in _MISSING or _is_date(cell):
+        return True
+    with suppress(ValueError):
+        float(cell)
+        return True
+    return False
+
+
+def _is_date(cell):
+    with suppress(ValueError):
+        return "-" in cell[1:] and bool(datetime.fromisoformat(cell))
+    return False
+
+
+def _dates(path, rows, index, name):
+    found = []
+    for line, row in rows:
+        try:
+            found.append(datetime.fromisoformat(row[index]))
+        except ValueError:
+            raise ConfigError(
+                f"{path}, line {line}, column {name!r}: {row[index]!r} is no date as in the first line, "
+                "such as 2024-05-01 or 2024-05-01T12:30"
+            ) from None
+    return found
+
+
+def _counted(path, dates, unit):
+    """Dates as numbers, from the first one, in a unit."""
+    if unit not in _UNITS:
+        known = ", ".join(filter(None, _UNITS))
+        raise ConfigError(f"{path} has dates: data.time_unit must be one of {known}, not {unit!r}")
+    if len({date.utcoffset() is None for date in dates}) > 1:
+        raise ConfigError(
+            f"{path} has dates with a time zone and dates without: give all of them one, or none"
+        )
+    return np.array([(date - dates[0]).total_seconds() for date in dates]) / _UNITS[unit]
+
+
 def _column(path, rows, index, name):
     values = np.full(len(rows), np.nan)
     for i, (line, row) in enumerate(rows):
-        if not row[index]:
+        if row[index].lower() in _MISSING:
             continue
         try:
             values[i] = float(row[index])
         except ValueError:
             raise ConfigError(
                 f"{path}, line {line}, column {name!r}: {row[index]!r} is not a number; "
-                "leave the cell empty where nothing was measured"
+                "leave the cell empty, or write n/a, where nothing was measured"
             ) from None
         if np.isinf(values[i]):
             raise ConfigError(f"{path}, line {line}, column {name!r}: an infinite value cannot be used")

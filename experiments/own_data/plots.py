@@ -22,6 +22,7 @@ def draw(path, scenario, data, results):
     n = scenario.model.dim
     size = (max(4.8 * n, 7.0), 1.9 * len(results) + 1.2)
     figure, axes = panels(len(results), n, size, sharex=True, sharey="col")
+    seen_any = False
     dots = {"ms": 4.5, "color": "0.1", "mec": "w", "mew": 0.6, "zorder": 4}
     for row, (name, result) in zip(axes, results.items(), strict=True):
         for d, ax in enumerate(row):
@@ -31,6 +32,7 @@ def draw(path, scenario, data, results):
             ax.plot(result.t, result.x[:, d], color=COLOURS[name], lw=1.2)
             if (seen := readings(scenario.measurement, data.z, d)) is not None:
                 ax.plot(data.times, seen, "o", **dots)
+                seen_any = True
             grid(ax)
             ax.margins(x=0.01)
         filter_heading(row[0], name)
@@ -39,7 +41,7 @@ def draw(path, scenario, data, results):
     unit = scenario.settings.data.time_unit
     for ax in axes[-1]:
         ax.set_xlabel(f"{data.time_name} ({unit})" if unit else data.time_name)
-    title = f"{scenario.name}: estimate after each line ± 2σ (band), measurements (dots)"
+    title = f"{scenario.name}: estimate after each line ± 2σ (band)" + ", measurements (dots)" * seen_any
     figure.suptitle(title, fontsize=11)
     save(figure, path)
 

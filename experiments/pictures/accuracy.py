@@ -25,7 +25,7 @@ _STEPS = 20
 _REACH = 3.25
 
 
-def support_sweep(scenario, seed, n_runs):
+def support_sweep(scenario, seed, n_runs, known):
     """Error of a standard normal density on particles against the kernels' support (Fig 9)."""
     figure, (axes,) = panels(1, 2, (11, 4.4), sharey=True)
     for ax, kernel in zip(axes, ("gaussian", "lucy"), strict=True):
@@ -62,7 +62,7 @@ def swept(n_particles, kernel, steps=81):
     return fit_support(place.lattice, mass, target, between, place.core, between >= lowest, scheme)
 
 
-def initial_accuracy(scenario, seed, n_runs):
+def initial_accuracy(scenario, seed, n_runs, known):
     """Error of the density over time, for two supports and for two kinds of mass (Figs 10 and 11)."""
     model, start = transient_model(scenario), start_of(scenario)
     times = np.linspace(0.0, _END[scenario.name], _STEPS + 1)

@@ -18,7 +18,7 @@ _TIMES = 3.0, 6.0
 _Z, _R = -4.0, 0.1
 
 
-def transient_densities(scenario, seed, n_runs):
+def transient_densities(scenario, seed, n_runs, known):
     """Figs 13, 14 and 21 share one prediction from the start to t = 6. Nothing is random."""
     config = sf.FilterConfig.paper(kernel=KERNEL)
     density = sf.initialize(start_of(scenario), _N, config)

@@ -38,13 +38,14 @@ _NARROW, _WIDE = Coverage(0.99, 0.995), Coverage(0.999, 0.9999)
 _LOOSE = 0.6  # f_edge
 
 
-def rejected_measurements(scenario, seed, n_runs):
+def rejected_measurements(scenario, seed, n_runs, known):
     """A run with refused measurements, the same run with the better remedy, and the rates of all settings."""
     config = scenario.settings.filters.sph_paper.config
     own = Coverage(config.scheme.represented_mass, config.scheme.domain_mass, config.acceptance.f_edge)
     loose = own._replace(f_edge=max(own.f_edge, _LOOSE))
     coverages = [*sorted({_NARROW, own, _WIDE}), *({loose} - {own})]
-    results, refused, rates = rejection_rates(scenario, coverages, seed, n_runs)
+    known = {own: known["sph_paper"]} if "sph_paper" in known else {}
+    results, refused, rates = rejection_rates(scenario, coverages, seed, n_runs, known)
     shown = own if refused[own].any() else _NARROW
     run = int(np.argmax(refused[shown].sum(axis=1)))
     remedy = min((_WIDE, loose), key=lambda c: refused[c][run].sum())
@@ -73,8 +74,8 @@ class Rate(NamedTuple):
     total: int
 
 
-def rejection_rates(scenario, coverages, seed, n_runs):
-    """Run the SPH filter with each coverage on the runs of a campaign.
+def rejection_rates(scenario, coverages, seed, n_runs, known=None):
+    """Run the SPH filter with each coverage on the runs of a campaign; `known` results are taken as they are.
 
     Returns
     -------
@@ -83,11 +84,14 @@ def rejection_rates(scenario, coverages, seed, n_runs):
         False where a run failed.
     rates : dict of Coverage to Rate
     """
-    filters = {str(c): _factory(scenario, c) for c in coverages}
-    campaign = run_campaign(scenario, filters, n_runs, seed, ranks=False)
-    results = {c: campaign.results[str(c)] for c in coverages}
+    results = dict(known or {})
+    filters = {str(c): _factory(scenario, c) for c in coverages if c not in results}
+    if filters:
+        campaign = run_campaign(scenario, filters, n_runs, seed, ranks=False)
+        results |= {c: campaign.results[str(c)] for c in coverages if c not in results}
     rates, refused = {}, {}
-    for c, result in results.items():
+    for c in coverages:
+        result = results[c]
         done = np.isfinite(result.x).all(axis=(1, 2))
         refused[c] = ~result.accepted & done[:, None]
         rates[c] = Rate(int(refused[c].sum()), int(done.sum()) * refused[c].shape[1])

@@ -11,8 +11,9 @@ from reference_filters.grid import GridFilter
 from reference_filters.grid_density import GridDensity, fitted_box
 from reference_filters.kalman import ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
 from reference_filters.particle import ParticleFilter
-from sphfilter.errors import ConfigError, nearest
+from sphfilter.errors import ConfigError
 
+from .names import FILTERS, check_filters, name_of
 from .scenario import Scenario
 
 __all__ = ["FILTERS", "Factory", "factories", "name_of", "takes_grid"]
@@ -67,17 +68,6 @@ def _benes(scenario, settings, case, rng):
     return BenesFilter(scenario.measurement, start.mean[0], start.cov[0][0], case.t0)
 
 
-#: What the names stand for.
-FILTERS = {
-    "kf": "Kalman filter (exact for linear models)",
-    "ekf": "extended Kalman filter",
-    "ukf": "unscented Kalman filter",
-    "pf": "bootstrap particle filter",
-    "sph": "SPH filter: carries the density itself, default scheme",
-    "sph_paper": "SPH filter with the published scheme",
-    "grid": "density on a grid (1 or 2 states), the referee",
-    "benes": "closed form of the Beneš problem",
-}
 _BUILDERS = {
     "kf": partial(_reference, KalmanFilter),
     "ekf": partial(_reference, ExtendedKalmanFilter),
@@ -88,11 +78,6 @@ _BUILDERS = {
     "grid": _grid,
     "benes": _benes,
 }
-
-
-def name_of(name):
-    """A filter's name as a heading."""
-    return name.upper().replace("_", " ")
 
 
 def factories(names, scenario):
@@ -114,13 +99,10 @@ def factories(names, scenario):
     """
     settings = scenario.settings.filters
     made = {}
+    check_filters(names)
     for name in settings.default if names is None else names:
-        if name not in FILTERS:
-            raise ConfigError(f"no filter {name!r}{nearest(name, FILTERS)}; there are {', '.join(FILTERS)}")
         _check_fit(name, scenario)
         made[name] = Factory(name, scenario, getattr(settings, name, None))
-    if not made:
-        raise ConfigError(f"no filter is asked for; there are {', '.join(FILTERS)}")
     return made
 
 

@@ -10,10 +10,9 @@ import numpy as np
 import sphfilter as sf
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import ModelError, SphfilterError
-from sphfilter.settings import from_table
 
 from . import start
-from .files import change, file_names, find_file, read_toml
+from .reading import read_settings, scenario_names
 from .settings import ScenarioSettings
 
 __all__ = [
@@ -25,7 +24,6 @@ __all__ = [
     "scenario_names",
 ]
 
-_FOLDER = Path(__file__).parents[1] / "scenarios"
 #: Times in an interval between measurements at which the truth is drawn.
 _PARTS = 20
 
@@ -102,38 +100,6 @@ def _measurement(states, sensor):
     return sf.GaussianMeasurement(h=sensor.h, noise_cov=sensor.noise_cov, angles=sensor.angles)
 
 
-def scenario_names():
-    """Names of the scenarios that come with the project."""
-    return file_names(_FOLDER)
-
-
-def read_settings(name, changes=None):
-    """Read the settings of a scenario without building its model.
-
-    Parameters
-    ----------
-    name : str
-        A name of `scenario_names`, or the path of a TOML file.
-    changes : mapping of str to value, optional
-        Values to replace, by dotted key: ``{"times.interval": 3.0}``. The scheme of the SPH filter, and keys
-        of the published one's configuration, may be given short: ``{"scheme": "corrected"}``,
-        ``{"scheme.kernel": "gaussian"}``.
-
-    Raises
-    ------
-    ConfigError
-        Unknown scenario or key (the nearest valid one is named), or a value that is not valid.
-    """
-    path = find_file(name, _FOLDER, "scenario")
-    tree = read_toml(path)
-    found = from_table(ScenarioSettings, tree, path)  # what is wrong with the file is not the changes' fault
-    if not changes:
-        return found
-    for key, value in changes.items():
-        _change(tree, key, value)
-    return from_table(ScenarioSettings, tree, f"{name} with {', '.join(changes)} changed")
-
-
 def load_scenario(name, **changes):
     """Read a scenario and build its model and sensor; see `read_settings` for name and changes.
 
@@ -174,11 +140,3 @@ def check_parts(scenario, source):
         sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
     except SphfilterError as problem:
         raise type(problem)(f"{source}: {problem}") from problem
-
-
-def _change(tree, key, value):
-    """As `change`; the schemes of the two SPH filters may be given short."""
-    parts = key.split(".")
-    if parts[0] in ("scheme", "acceptance"):
-        key = ".".join(["filters", "sph" if len(parts) == 1 else "sph_paper", "config", *parts])
-    change(tree, key, value)

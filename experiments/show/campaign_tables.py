@@ -6,7 +6,7 @@ import numpy as np
 
 from ..scene.filters import FILTERS, name_of
 from .style import quantity
-from .tables import number, percent, table
+from .tables import counted, number, percent, table
 
 __all__ = ["distance_table", "result_table", "sentences"]
 
@@ -28,7 +28,7 @@ def result_table(report, scenario):
     scenario : Scenario
     """
     published = scenario.settings.published
-    made = table(f"{scenario.name}: {report.n_runs} runs", [""])
+    made = table(f"{scenario.name}: {counted(report.n_runs, 'run')}", [""])
     for name in report.filters:
         made.add_column(name_of(name), justify="right", style="bold")
         if name in published:
@@ -131,8 +131,8 @@ def _against_particles(report, scenario):
         listed = ", ".join(f"{r:+.1f} % ({s})" for r, s in zip(ratio, scenario.labels, strict=True))
         n = scenario.settings.filters
         said.append(
-            f"RMS error of SPH with at most {n.sph.n_particles} particles against PF with "
-            f"{n.pf.n_particles}: {listed}."
+            f"RMS error of SPH{_sized(n.sph.n_particles)} against PF with {n.pf.n_particles} particles: "
+            f"{listed}."
         )
     published = scenario.settings.published.get("sph_paper")
     for name in ("sph", "sph_paper"):
@@ -140,9 +140,18 @@ def _against_particles(report, scenario):
         if f and published and np.isfinite(f.run_time):
             said.append(
                 f"{name_of(name)} took {f.run_time:.3g} s a run, the paper's {published.run_time:.3g} s on "
-                f"its machine: a ratio of {published.run_time / f.run_time:.2g}."
+                f"its machine: a ratio of {_ratio(published.run_time / f.run_time)}."
             )
     return said
+
+
+def _sized(n_particles):
+    return "" if n_particles == "auto" else f" with at most {n_particles} particles"
+
+
+def _ratio(value):
+    """Two digits, and no power of ten."""
+    return f"{float(f'{value:.2g}'):,g}"
 
 
 def _number(value):

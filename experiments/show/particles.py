@@ -2,10 +2,11 @@
 
 import numpy as np
 
-__all__ = ["mass_bar", "mass_field"]
+__all__ = ["density_image", "mass_bar", "mass_field"]
 
 #: Decades told apart by colour; lighter particles have the colour of the lightest.
 _DECADES = 6
+_PIXELS = 150  # of an image, along an axis
 
 
 def mass_field(ax, x, mass, size=6.0):
@@ -18,6 +19,20 @@ def mass_field(ax, x, mass, size=6.0):
         shade = np.log10(mass[order] / mass.max())
     look = {"s": size, "lw": 0, "cmap": "viridis", "vmin": -_DECADES, "vmax": 0}
     return ax.scatter(*x[order].T, c=np.maximum(shade, -_DECADES), **look)
+
+
+def density_image(ax, density, limits):
+    """Draw a density of two states over a rectangle, by the logarithm of its value over the highest.
+
+    White where it is too low to be told. Returns the artist, for `mass_bar`.
+    """
+    axes = [np.linspace(*ends, _PIXELS) for ends in limits]
+    value = density.pdf(np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2))
+    with np.errstate(divide="ignore"):
+        shade = np.log10(value / value.max())
+    shown = np.where(shade >= -_DECADES, shade, np.nan).reshape(_PIXELS, _PIXELS)
+    look = {"cmap": "viridis", "vmin": -_DECADES, "vmax": 0, "shading": "nearest", "rasterized": True}
+    return ax.pcolormesh(*axes, shown, **look)
 
 
 def mass_bar(figure, artist, axes, what="mass of a particle"):

@@ -12,6 +12,8 @@ from .style import COLOURS, grid, legend_below, panels, plain_numbers, save
 
 __all__ = ["consistency_figure", "draw"]
 
+_REFEREES = ("kf", "grid", "benes")
+
 
 def draw(out, scenario, filters, campaign, say=lambda text: None):
     """Draw all pictures of a campaign into the folder `out`; `say` is told what is drawn next.
@@ -46,7 +48,8 @@ def consistency_figure(scenario, campaign):
     n_runs = len(campaign.truth)
     for name, result in campaign.results.items():
         style = {"color": COLOURS[name], "lw": 1.4, "marker": "o", "ms": 2.6, "label": name_of(name)}
-        style["zorder"] = 1.5 if name in ("kf", "grid", "benes") else 2.0  # beneath those that reach them
+        if name in _REFEREES:  # dashed, and above those that reach them: both are seen
+            style |= {"ls": (0, (4, 3)), "zorder": 3.0, "marker": ""}
         top.plot(campaign.times, _average(consistency.nees(campaign.truth, result.x, result.P)), **style)
         nmee = _average(consistency.nmee(campaign.truth, result.x, result.P))
         rms = np.sqrt(_average((result.x - campaign.truth) ** 2))

@@ -3,17 +3,15 @@
 Every shortcut is run with and without on a scene that can use it. Times are processor time of one thread.
 """
 
-from pathlib import Path
-
 from experiments.show.files import write_csv
-from experiments.show.tables import markdown, table
+from experiments.show.tables import markdown, print_table, table
 from experiments.terminal.running import new_console, status
 from sphfilter.errors import ConfigError
 
 from .cases import cases
 from .measure import lattice_against_box, measured
 
-__all__ = ["add_arguments", "main"]
+__all__ = ["main"]
 
 _HEADS = ("shortcut", "scene", "with (ms)", "without (ms)", "ratio", "difference (std)")
 _TITLES = {
@@ -24,18 +22,8 @@ _LATTICES = ((1, 100), (2, 200), (3, 400), (4, 800))
 _LATTICE_HEADS = ("states", "level set", "box, whitened", "box of the states")
 
 
-def add_arguments(parser):
-    """Add the options of `skips`."""
-    parser.add_argument("--samples", type=int, default=7, help="samples a median is taken of (default: 7)")
-    only = "shortcuts with this text in their name or scene"
-    parser.add_argument("--only", default="", metavar="TEXT", help=only)
-    parser.add_argument("--out", type=Path, default=Path("results/skips"), help="folder for the tables")
-
-
 def main(args):
     """Run the command; prints to standard output."""
-    if args.samples < 5:
-        raise ConfigError(f"--samples must be 5 at least for a median worth its name, not {args.samples}")
     chosen = [case for case in cases() if args.only.lower() in f"{case.name} {case.scene}".lower()]
     if not chosen:
         raise ConfigError(f"no shortcut has {args.only!r} in its name: {', '.join(c.name for c in cases())}")
@@ -48,7 +36,7 @@ def main(args):
         lattices = [tuple(map(str, (n, *lattice_against_box(n, N)))) for n, N in _LATTICES]
     text = []
     for name, heads, body, left in (("skips", _HEADS, rows, 2), ("particles", _LATTICE_HEADS, lattices, 0)):
-        console.print(table(_TITLES[name], heads, body, left))
+        print_table(console, table(_TITLES[name], heads, body, left), keep=2)
         write_csv(args.out / f"{name}.csv", heads, body)
         text += [*markdown(heads, body, left), ""]
     (args.out / "skips.md").write_text("\n".join(text), encoding="utf-8")

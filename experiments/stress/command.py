@@ -4,66 +4,27 @@ Walks a grid of small filtering problems that are made hard in one respect each,
 published SPH scheme and the particle filter, and compares every answer with a reference.
 """
 
-import argparse
 from functools import partial
-from pathlib import Path
+from itertools import pairwise
 
-from experiments.terminal.options import counted, names_of
+from experiments.show.tables import counted
 from experiments.terminal.progress import bar, resumable
-from experiments.terminal.running import new_console, tell
-from sphfilter.errors import ConfigError, nearest
+from experiments.terminal.running import new_console, status, tell
 
 from . import plots, tables
 from .grid import cells, chosen
 from .pool import Lost, run_tasks
 from .random import command as random
 from .references import Reference, reference
-from .runs import METHODS, Outcome, run
+from .runs import Outcome, run
 from .store import load, path_of, save, sources
 
-__all__ = ["add_arguments", "main"]
+__all__ = ["main"]
 
 #: Seconds a reference may take.
 _REFERENCE_LIMIT = 150.0
 #: Cells that make every method compile what it needs, and seconds that may take on an empty cache.
 _WARM, _COMPILE_LIMIT = ("dimension/*/[1-4]", "outlier/tanh_drift/5"), 1800.0
-
-
-def add_arguments(parser):
-    """Add the options of `stress`."""
-    parser.add_argument("--quick", action="store_true", help="a reduced grid, that the tests walk too")
-    only = "cells to run: a family, or FAMILY/SYSTEM/LEVEL with * and ?; may be repeated"
-    parser.add_argument("--only", action="append", default=[], metavar="CELL", help=only)
-    names = f"comma-separated, of {', '.join(METHODS)} (default: all)"
-    parser.add_argument("--methods", type=names_of, default=list(METHODS), help=names)
-    parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
-    parser.add_argument("--limit", type=_seconds, default=60.0, help="seconds a run may take (default: 60)")
-    parser.add_argument("--out", type=Path, default=Path("results/stress"), help="folder for results")
-    parser.add_argument("--jobs", type=counted, default=1, help="processes")
-    parser.add_argument("--random", type=counted, metavar="N", help="N random problems instead of the grid")
-    again = "random problem number K of seed S alone, as S:K; may be repeated"
-    parser.add_argument("--random-case", type=_pair, action="append", default=[], metavar="S:K", help=again)
-    auto = "random problems: judge the default filter, which chooses by its error, not 100 to 800 particles"
-    parser.add_argument("--auto", action="store_true", help=auto)
-    parser.add_argument("--list", action="store_true", help="print the names of the cells and stop")
-
-
-def _seconds(text):
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"a number of seconds above zero is needed, not {text!r}")
-    return value
-
-
-def _pair(text):
-    """Seed and number of a random problem."""
-    parts = text.split(":")
-    if len(parts) != 2 or not all(part.isdigit() for part in parts):
-        raise argparse.ArgumentTypeError(f"a seed and a number such as 1:20 are needed, not {text!r}")
-    return int(parts[0]), int(parts[1])
 
 
 def main(args):
@@ -72,18 +33,14 @@ def main(args):
     if args.random or args.random_case:
         random.main(console, args)
         return
-    if args.auto:
-        raise ConfigError("--auto goes with --random and --random-case")
     grid = chosen(args.only, args.quick)
     if args.list:
         for cell in grid:
             console.print(cell.name, soft_wrap=True)
         return
-    methods = args.methods
-    for name in methods:
-        if name not in METHODS:
-            raise ConfigError(f"no method {name!r}{nearest(name, METHODS)}; there are {', '.join(METHODS)}")
-    console.print(f"{len(grid)} cells, {len(methods)} methods, at most {args.limit:g} s each", style="dim")
+    methods = args.filters
+    told = f"{counted(len(grid), 'cell')}, {counted(len(methods), 'filter')}, at most {args.limit:g} s a run"
+    console.print(told, style="dim")
     _walk(console, grid, methods, args)
     rows = _rows(grid, methods, args)
     tables.write(args.out, rows, args.seed)
@@ -93,13 +50,22 @@ def main(args):
         if row["verdict"] == "wrong" and row["method"] == "default":
             console.print(f"wrong: default, {row['cell']}: {row['sentence']}", style="red", soft_wrap=True)
     drawn = plots.draw(args.out / "stress.png", rows)
-    console.print(f"\nEvery run is in {args.out}/stress.csv, the rest in stress.md. Picture: {drawn}")
+    console.print(
+        f"\nEvery run is in {args.out}/stress.csv, the rest in stress.md. Picture: {drawn}", soft_wrap=True
+    )
 
 
 def _warm_up(console, methods):
     """Let every method compile, in a process of its own, so that compiling does not count as run time."""
-    console.print("preparing (the first time compiles, for minutes)", style="dim")
-    run_tasks(_compile, methods, 1, lambda method: _COMPILE_LIMIT, lambda method, result: None)
+    with status(console) as say:
+        say(f"preparing {methods[0]} (the first time compiles, for minutes)")
+        following = dict(pairwise(methods))
+
+        def done(method, result):
+            if method in following:
+                say(f"preparing {following[method]}")
+
+        run_tasks(_compile, methods, 1, lambda method: _COMPILE_LIMIT, done)
 
 
 def _compile(method):
@@ -128,8 +94,8 @@ def _walk(console, grid, methods, args):
             if isinstance(result, Lost):
                 _save_lost(by_name[name], method, args, result)
             move(count, text=f"{name} {method}")
-            if not console.is_terminal and count % 50 == 0:
-                console.print(f"{count} of {len(tasks)} runs done", style="dim")
+            if not console.is_terminal and (count % 10 == 0 or count == len(tasks)):
+                console.print(f"{count} of {counted(len(tasks), 'run')} done", style="dim")
 
         run_tasks(_task, tasks, args.jobs, partial(_limit, args.limit), done)
 

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 import sphfilter as sf
+from experiments.arguments.stress import METHODS as NAMES
 from reference_filters.particle import ParticleFilter
 from sphfilter.errors import SphfilterError
 
@@ -75,12 +76,9 @@ def _particle(n, problem, seed):
 
 
 #: Filters on trial: make(problem, seed).
-METHODS = {
-    "default": _default,
-    "paper": _paper,
-    "pf1e3": partial(_particle, 1000),
-    "pf1e4": partial(_particle, 10_000),
-}
+METHODS = dict(
+    zip(NAMES, (_default, _paper, partial(_particle, 1000), partial(_particle, 10_000)), strict=True)
+)
 
 
 def run(problem, method, seed=0):

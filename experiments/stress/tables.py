@@ -40,7 +40,7 @@ def table(rows):
     for method, counts in _counts(rows).items():
         seconds = np.median([row["seconds"] for row in rows if row["method"] == method])
         lines.append((method, *(str(counts[verdict]) for verdict in VERDICTS), f"{seconds:.2g}"))
-    return tables.table("verdicts", ("method", *VERDICTS, "median s"), lines)
+    return tables.table("verdicts", ("filter", *VERDICTS, "median s"), lines)
 
 
 def sentences(rows):
@@ -86,4 +86,4 @@ def _listing(rows, verdict, seed):
         again = f"`python -m experiments stress --only CELL --methods METHOD --seed {seed}`"
         lines += [f"Again: {again}", ""]
     cells = [(row["method"], f"`{row['cell']}`", row["sentence"].replace("|", "\\|")) for row in found]
-    return [*lines, *tables.markdown(("method", "cell", "sentence"), cells, left=3), ""]
+    return [*lines, *tables.markdown(("filter", "cell", "sentence"), cells, left=3), ""]

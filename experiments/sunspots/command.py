@@ -17,13 +17,14 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
+from experiments.arguments.sunspots import DATA
 from experiments.own_data.command import case_of
 from experiments.own_data.csv_data import read_measurements
 from experiments.own_data.model_file import load_model
 from experiments.own_data.plots import draw_forecasts
-from experiments.scene.filters import FILTERS, factories, name_of
+from experiments.scene.filters import factories, name_of
 from experiments.show.files import write_toml
-from experiments.terminal.options import names_of
+from experiments.show.tables import print_table
 from experiments.terminal.running import new_console, tell
 from reference_filters.grid import GridFilter
 from sphfilter.errors import ConfigError, SphfilterError
@@ -31,9 +32,8 @@ from sphfilter.errors import ConfigError, SphfilterError
 from .forecast import fold, score_forecasts, score_history
 from .tables import score_table, sentences, write_scores
 
-__all__ = ["add_arguments", "fit", "main", "roots", "split", "training_evidence"]
+__all__ = ["fit", "main", "roots", "split", "training_evidence"]
 
-_DATA = Path(__file__).parents[1] / "data"
 #: One line for `list`.
 SUMMARY = "Measured data: the sunspot number as an oscillator whose sign is not seen, forecast 1 and 5 years"
 #: Years ahead, and the first year that is forecast; the model is fitted to the years before.
@@ -42,21 +42,11 @@ HORIZONS, FIRST = (1, 5), 1949
 _STEP, _MAX_EVALUATIONS = 0.2, 250
 
 
-def add_arguments(parser):
-    """Add the options of `run sunspots`."""
-    names = ", ".join(name for name in FILTERS if name not in ("kf", "benes"))
-    parser.add_argument("--filters", type=names_of, help=f"comma-separated, of {names}")
-    parser.add_argument("--model", type=Path, default=_DATA / "sunspots.toml", help="another model file")
-    parser.add_argument("--fit", action="store_true", help="fit the model again first (about ten minutes)")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the particle filter")
-    parser.add_argument("--out", type=Path, default=Path("results/sunspots"), help="folder for results")
-
-
 def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter stopped."""
     console = new_console()
     args.out.mkdir(parents=True, exist_ok=True)
-    data = roots(read_measurements(_DATA / "sunspots.csv", 1))
+    data = roots(read_measurements(DATA / "sunspots.csv", 1))
     scenario = load_model(args.model)
     console.print(f"[bold]sunspots[/]: {scenario.settings.description}\n")
     if args.fit:
@@ -65,11 +55,11 @@ def main(args):
     scores = _scores(console, filters, scenario, data, args.seed)
     learnt, tested = split(data)
     history = {h: score_history(learnt.z[:, 0], tested.times, tested.z[:, 0]) for h in HORIZONS}
-    console.print(score_table(scores | {"history": history}, HORIZONS))
+    print_table(console, score_table(scores | {"history": history}, HORIZONS))
     tell(console, sentences(scores, history, FIRST))
     write_scores(args.out / "forecasts.csv", scores)
     draw_forecasts(args.out / "forecasts.png", scores)
-    console.print(f"\nForecasts are in {args.out}/forecasts.csv and forecasts.png.")
+    console.print(f"\nForecasts are in {args.out}/forecasts.csv and forecasts.png.", soft_wrap=True)
     return int(len(scores) < len(filters))
 
 

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.scene.files import add_change_option, changes_of
+from experiments.scene.files import changes_of
 from experiments.scene.filters import factories
-from experiments.scene.scenario import load_scenario, read_settings
-from experiments.terminal.options import add_run_options, positive
+from experiments.scene.reading import read_settings
+from experiments.scene.scenario import load_scenario
+from experiments.show.tables import print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.campaign import run_campaign
@@ -21,7 +22,7 @@ from sphfilter.campaign.report import report
 
 from . import plots, tables
 
-__all__ = ["Cell", "add_arguments", "main"]
+__all__ = ["Cell", "main"]
 
 #: What is tried unless told otherwise; intervals as factors of the scenario's own.
 _INTERVAL_FACTORS, _Q, _R = (0.5, 1.0, 1.5, 2.0), (0.5, 1.0, 2.0), (1.0,)
@@ -50,22 +51,6 @@ class Cell:
         }
 
 
-def add_arguments(parser):
-    """Add the options of `sweep`."""
-    filters = ["ekf", "ukf", "pf", "sph"]
-    more = " at each combination"
-    add_run_options(parser, "the scenario's", "results/sweep_NAME", ",".join(filters), more)
-    parser.set_defaults(filters=filters)
-    for key, what, default in (
-        ("interval", "seconds between measurements", "0.5, 1, 1.5 and 2 times the scenario's"),
-        ("q", "factors on the scenario's process noise Q", "0.5,1,2"),
-        ("r", "factors on the scenario's measurement noise R", "1"),
-    ):
-        text = f"{what}, comma-separated (default: {default})"
-        parser.add_argument(f"--{key}", type=positive, metavar="NUMBERS", help=text)
-    add_change_option(parser, "change a key of the scenario or of the SPH filter; may be repeated")
-
-
 def main(args):
     """Run the command; prints to standard output."""
     console = new_console()
@@ -83,11 +68,14 @@ def main(args):
     effort = f"{len(cells)} combinations, {n_runs} runs each; the filters compile at first use"
     console.print(f"{effort}\n", style="dim")
     rows = _sweep(console, work, n_runs, seed, args.jobs, out)
-    console.print(tables.table(rows, name))
+    print_table(console, tables.table(rows, name))
     tell(console, tables.sentences(rows))
     tables.write(out, rows, name)
     drawn = plots.draw(out, rows, name)
-    console.print(f"\nNumbers are in {out}/sweep.csv and sweep.md. Pictures: {', '.join(map(str, drawn))}")
+    console.print(
+        f"\nNumbers are in {out}/sweep.csv and sweep.md. Pictures: {', '.join(map(str, drawn))}",
+        soft_wrap=True,
+    )
 
 
 def _sweep(console, work, n_runs, seed, n_jobs, out):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sphfilter.errors import ConfigError
 
-from ..scene.filters import FILTERS
+from ..scene.names import FILTERS
 
 __all__ = ["add_run_options", "counted", "names_of", "numbers", "positive"]
 
@@ -26,7 +26,8 @@ def add_run_options(parser, runs, folder, filters="the scenario's", more=""):
     parser.add_argument("scenario", help=_SCENARIO)
     parser.add_argument("--runs", type=counted, help=f"simulated runs{more} (default: {runs})")
     parser.add_argument("--jobs", type=counted, default=1, help="processes (default: 1)")
-    parser.add_argument("--seed", type=int, help="seed of everything random (default: the scenario's)")
+    seed = "seed of everything random (default: the scenario's, 1 unless its file says otherwise)"
+    parser.add_argument("--seed", type=int, help=seed)
     names = f"comma-separated, of {', '.join(FILTERS)} (default: {filters})"
     parser.add_argument("--filters", type=names_of, help=names)
     parser.add_argument("--out", type=Path, help=f"folder for results (default: {folder})")

@@ -1,5 +1,6 @@
 """What commands of many runs share: a console, compiling ahead, progress with the time left, stopping."""
 
+import os
 from contextlib import contextmanager
 from time import perf_counter
 
@@ -17,9 +18,11 @@ __all__ = ["duration", "new_console", "run_shown", "status", "tell", "warm_up"]
 
 
 def new_console(width=132):
-    """A console of the terminal's width, or of a table's where the output goes to a file."""
+    """A console of the terminal's width, or of COLUMNS; a table's where the output goes to a file."""
     console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=width)
+    if console.is_terminal or "COLUMNS" in os.environ:
+        return console
+    return Console(highlight=False, width=width)
 
 
 def tell(console, sentences):
@@ -35,17 +38,17 @@ def duration(seconds):
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def warm_up(console, scenario, filters):
+def warm_up(console, scenario, filters, second):
     """Let every filter take one measurement, so that compiling neither surprises nor counts as run time.
 
-    The SPH filter compiles for as long as all others together: these are compiled beside it.
+    The SPH filter compiles for as long as all others together: these are compiled in a `second` process.
     """
     names = sorted(filters, key=lambda name: name != "sph")
     others = {name: filters[name] for name in names[1:]}
-    with status(console) as say, compiled_beside(scenario, others) as wait:
+    with status(console) as say, compiled_beside(second, scenario, others) as wait:
         case = scenario.draw(np.random.default_rng(0))
         for i, name in enumerate(names):
-            say(f"preparing {name_of(name)} (the first time compiles, for a minute)")
+            say(f"preparing {name_of(name)}" + " (the first time compiles, for a minute)" * (i == 0))
             if i == 1:
                 wait()
             problem = take_one(filters[name], case)
@@ -71,7 +74,7 @@ def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):
     Interrupted
     """
     if any(folder.glob("run_*.npz")):
-        console.print(f"going on from the runs that are in {folder}")
+        console.print(f"going on from the runs that are in {folder}", soft_wrap=True)
     with bar(console, "runs", left=True) as move:
         try:
             return run_campaign(scenario, filters, n_runs, seed, n_jobs, folder, _told(console, move))
@@ -95,18 +98,21 @@ def _clear(folder):
 
 
 def _told(console, move):
-    """What moves a bar, or prints lines where there is no terminal; runs that were found took no time."""
-    found, start = [], perf_counter()
+    """What moves a bar, or prints lines where there is no terminal; runs that were found took no time.
+
+    The first run made compiles what nobody needed before: the time left is that of the later ones.
+    """
+    seen = []
 
     def progress(done, total):
-        move(done, total, found=not found)
-        found.append(done)
-        if console.is_terminal:
+        move(done, total, found=not seen)
+        seen.append((done, perf_counter()))
+        if console.is_terminal or not done:
             return
         left = ""
-        if done > found[0]:
-            seconds = (perf_counter() - start) / (done - found[0]) * (total - done)
-            left = f", about {duration(seconds)} left"
+        if len(seen) > 2 and done < total:
+            (first, start), (last, now) = seen[1], seen[-1]
+            left = f", about {duration((now - start) / (last - first) * (total - done))} left"
         console.print(f"run {done} of {total} done{left}", style="dim")
 
     return progress

@@ -9,16 +9,16 @@ import numpy as np
 from rich.markup import escape
 
 import sphfilter as sf
-from experiments.scene.files import add_change_option, changes_of
+from experiments.scene.files import changes_of
 from experiments.show.files import write_json, write_toml
+from experiments.show.tables import print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.store import versions
-from sphfilter.errors import ConfigError, SphfilterError
+from sphfilter.errors import SphfilterError
 
 from . import plots, remeshing
-from .film import Window, animate, check_film
-from .help import EPILOG
+from .film import Window, animate
 from .probe import Probing, write_particles
 from .problem import load_problem
 from .references import reference_of
@@ -27,37 +27,13 @@ from .solution import folder_of, solve
 from .tables import sentences, steady_table, table, write_csv
 from .views import probe_picture
 
-__all__ = ["EPILOG", "add_arguments", "main"]
-
-
-def add_arguments(parser):
-    """Add the options of `transient`."""
-    parser.add_argument("name", nargs="?", help="a name from `list`")
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="a TOML file of your own instead of a name"
-    )
-    parser.add_argument("--out", type=Path, help="folder for results (default: results/transient/NAME)")
-    parser.add_argument("--n-particles", type=int, help="particles, at most")
-    parser.add_argument(
-        "--remesh",
-        metavar="RULES",
-        help="solve with each rule for new lattices on the way, e.g. never,health,2 (seconds), and compare",
-    )
-    parser.add_argument("--no-reference", action="store_true", help="do not compute the reference")
-    parser.add_argument("--animate", metavar="FILE", help="write the densities as a film, .gif or .mp4")
-    parser.add_argument("--live", action="store_true", help="show the densities in a window as they come")
-    example = "e.g. solver.config.scheme=paper or times.end=10"
-    add_change_option(parser, f"change a key of the file, {example}; may be repeated")
+__all__ = ["main"]
 
 
 def main(args):
     """Run the command; prints to standard output."""
     console = new_console()
-    if (args.name is None) == (args.config is None):
-        raise ConfigError("transient takes a name from `list`, or --config FILE, one of them")
-    if args.remesh and (args.animate or args.live):
-        raise ConfigError("--remesh compares several solutions: --animate and --live are for one")
-    film = check_film(args.animate) if args.animate else None
+    film = Path(args.animate) if args.animate else None
     changes = changes_of(args)
     if args.n_particles is not None:
         changes["solver.n_particles"] = args.n_particles
@@ -79,9 +55,9 @@ def _solve(console, args, changes, film):
     solution = _followed(console, problem, folder, watches)
     reference = _reference(console, problem)
     rivals = rivals_of(problem)
-    console.print(table(problem, solution, reference))
+    print_table(console, table(problem, solution, reference, args.columns == "all"), keep=2)
     if problem.settings.steady:
-        console.print(steady_table(problem, solution, rivals))
+        print_table(console, steady_table(problem, solution, rivals))
     for rival in rivals:
         console.print(f"• {rival.name}: {rival.seconds:.2g} s{'; ' * bool(rival.diverged)}{rival.diverged}")
     tell(console, sentences(problem, solution, reference))
@@ -92,9 +68,10 @@ def _solve(console, args, changes, film):
         densities = solution.trajectory.densities
         drawn.append(animate(film, problem, [solution.start, *(densities[k] for k in problem.kept)]))
     console.print(
-        f"\nNumbers are in {out}/trajectory.npz, statistics.csv and run.json, the file in transient.toml."
+        f"\nNumbers are in {out}/trajectory.npz, statistics.csv and run.json, the file in transient.toml.",
+        soft_wrap=True,
     )
-    console.print(f"Pictures: {', '.join(str(path) for path in drawn)}")
+    console.print(f"Pictures: {', '.join(str(path) for path in drawn)}", soft_wrap=True)
     if window and window.open:
         console.print("Close the window to end.")
         window.wait()
@@ -120,14 +97,14 @@ def _compare_remeshing(console, args, changes):
         for name, problem in problems.items()
     ]
     reference = _reference(console, first)
-    console.print(remeshing.table(rules, reference))
+    print_table(console, remeshing.table(rules, reference))
     for rule in rules:
         told = sentences(rule.problem, rule.solution, reference)
         tell(console, (f"{rule.name}: {sentence}" for sentence in told))
     drawn = remeshing.draw(out, rules, reference)
     for folder in folders.values():
         shutil.rmtree(folder)
-    console.print(f"\nPictures: {', '.join(str(path) for path in drawn)}")
+    console.print(f"\nPictures: {', '.join(str(path) for path in drawn)}", soft_wrap=True)
 
 
 def _warm_up(console, problem):

@@ -1,7 +1,6 @@
 """Densities on the move: films of them as files, and a window that shows them as they come."""
 
 from contextlib import suppress
-from pathlib import Path
 
 from matplotlib.animation import FFMpegWriter, PillowWriter
 
@@ -10,32 +9,12 @@ from sphfilter.errors import ConfigError
 
 from .views import Views
 
-__all__ = ["Window", "animate", "check_film"]
+__all__ = ["Window", "animate"]
 
 _DPI = 90
 _FPS = 10.0  # without a probe that says
 #: Window systems, in the order in which they are tried.
 TOOLKITS = ["QtAgg", "GTK4Agg", "GTK3Agg", "WxAgg", "TkAgg", "MacOSX"]
-
-
-def check_film(name):
-    """Path of a film that can be written here.
-
-    Raises
-    ------
-    ConfigError
-        Neither a GIF nor an MP4, a folder that does not exist, or an MP4 without ffmpeg.
-    """
-    path = Path(name)
-    if path.suffix.lower() not in (".gif", ".mp4"):
-        raise ConfigError(f"--animate writes GIF and MP4 files: {name} ends in neither .gif nor .mp4")
-    if not path.parent.is_dir():
-        raise ConfigError(f"--animate: the folder {path.parent} does not exist")
-    if path.suffix.lower() == ".mp4" and not FFMpegWriter.isAvailable():
-        raise ConfigError(
-            f"--animate {name} needs the program ffmpeg, which is not installed: install it, or write a .gif"
-        )
-    return path
 
 
 def animate(path, problem, densities):

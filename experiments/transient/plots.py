@@ -7,7 +7,8 @@ from experiments.show.style import ACCENT, INK, frame, legend_below, panels, plt
 
 __all__ = ["axes_of", "cloud", "draw", "drawn_of", "ends"]
 
-_MOST_DRAWN = 6
+_MOST_DRAWN, _MOST_MARKED = 6, 30
+_FAINTEST = 1e-7  # probability that is shown
 _OURS, _THEIRS = ACCENT["sph"], INK
 
 
@@ -95,13 +96,25 @@ def _moments(problem, solution, reference, rivals):
             value, width = reference.values[:, j], reference.half_width[:, j]
             ax.fill_between(problem.times, value - width, value + width, color=_THEIRS, alpha=0.25, lw=0)
             ax.plot(problem.times, value, color=_THEIRS, lw=1.2, ls=":", label=reference.name)
-        ax.plot(problem.times, solution.values[:, j], color=_OURS, lw=1.4, label="SPH", zorder=1)
+        ax.plot(*_history(problem, solution, j), color=_OURS, **_joined(problem), label="SPH", zorder=1)
         room = _room(ax, problem, solution, problem.quantities[j].powers)
         for shade, rival in zip(np.linspace(0.3, 0.9, len(rivals)), rivals, strict=True):
             ax.plot(problem.times, rival.values[:, j], color=plt.cm.plasma(shade), lw=0.9, label=rival.name)
         ax.set_ylim(room)  # equations that diverge leave the picture
     legend_below(figure, shown[0][0], columns=3)
     return figure
+
+
+def _history(problem, solution, j):
+    """Times and values of a quantity, the start's first."""
+    first = problem.quantities[j].of(solution.start)
+    return np.append(solution.start.t, problem.times), np.append(first, solution.values[:, j])
+
+
+def _joined(problem):
+    """A line through many times of output; marks, thinly joined, at few: what lies between is not known."""
+    few = len(problem.times) <= _MOST_MARKED
+    return {"marker": "o", "ms": 3.2, "lw": 0.6} if few else {"lw": 1.4}
 
 
 def _confidence(problem, solution, reference):
@@ -152,19 +165,24 @@ def _room(ax, problem, solution, powers):
 
 def _exceedances(problem, solution, reference):
     figure, ax = plt.subplots(figsize=(8, 5), layout="constrained")
-    asked = [j for j, q in enumerate(problem.quantities) if q.powers is None]
+    asked, empty = [j for j, q in enumerate(problem.quantities) if q.powers is None], False
     for shade, j in zip(np.linspace(0.0, 0.9, len(asked)), asked, strict=True):
         colour = plt.cm.viridis(shade)
-        ax.plot(problem.times, solution.values[:, j], color=colour, label=problem.quantities[j].name)
+        t, p = _history(problem, solution, j)
+        p[p <= 0.0] = np.nan  # no particle lies there: a gap, for zero has no place on this axis
+        empty |= np.isnan(p).any()
+        ax.plot(t, p, color=colour, **_joined(problem), label=problem.quantities[j].name)
         if reference is not None:
             value, width = reference.values[:, j], reference.half_width[:, j]
             shown = np.where(value > width, value, np.nan)
-            ax.errorbar(problem.times, shown, width, fmt=".", ms=4, lw=0.8, color=colour, mec=INK, mew=0.4)
+            look = {"fmt": "o", "ms": 4, "lw": 0.8, "color": colour, "mfc": "w", "mec": INK, "mew": 0.6}
+            ax.errorbar(problem.times, shown, width, **look)
     ax.set_yscale("log")
-    ax.set_ylim(1e-7, 1.5)
+    ax.set_ylim(max(_FAINTEST, ax.get_ylim()[0]), 1.5)
     ax.legend(frameon=False, fontsize=9, ncols=2)
-    against = "" if reference is None else f"; points: {reference.name}, 95 %"
-    frame(ax, f"{problem.name}: probability of exceedance{against}", "t", "probability")
+    against = "" if reference is None else f"; circles: {reference.name}, 95 %"
+    gaps = "\n(no line where no particle lies)" if empty else ""
+    frame(ax, f"{problem.name}: probability of exceedance{against}{gaps}", "t", "probability")
     return figure
 
 

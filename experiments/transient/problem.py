@@ -2,23 +2,20 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 import sphfilter as sf
-from experiments.scene.files import change, file_names, find_file, read_toml
 from experiments.scene.scenario import Scene
-from sphfilter.settings import from_table
 
 from .checks import check, named
+from .reading import problem_names, read_problem
 from .settings import TransientSettings
 from .texts import Pdf, condition, expression, reads_time
 
 __all__ = ["Problem", "Quantity", "load_problem", "problem_names"]
 
-_FOLDER = Path(__file__).parents[1] / "scenarios" / "transient"
 _N_PARTICLES = 400
 
 
@@ -125,11 +122,6 @@ def _moment_name(powers, states):
     return f"E[{' '.join(factors)}]"
 
 
-def problem_names():
-    """Names of the transient scenarios that come with the project."""
-    return file_names(_FOLDER)
-
-
 def load_problem(name, changes=None):
     """Read a transient scenario by name, or from the path of a TOML file; `changes` by dotted key.
 
@@ -138,11 +130,8 @@ def load_problem(name, changes=None):
     ConfigError, ExpressionError, ModelError
         Each names the key.
     """
-    path = find_file(name, _FOLDER, "transient scenario")
-    tree = read_toml(path)
-    for key, value in (changes or {}).items():
-        change(tree, key, value)
-    problem = Problem(path.stem, from_table(TransientSettings, tree, path))
+    path, settings = read_problem(name, changes)
+    problem = Problem(path.stem, settings)
     with named(path):
         check(problem)
     return problem

@@ -160,7 +160,7 @@ def _monte_carlo(problem, progress):
         for k, name in enumerate(_names(quantity, problem.times)):
             at = found.names.index(name)
             values[k, j], half[k, j] = found.mean[k, at], 0.5 * (high - low)[k, at]
-    return ReferenceValues(f"{found.n_paths:.2g} paths", values, half, sampled=True)
+    return ReferenceValues(f"{found.n_paths:,} paths", values, half, sampled=True)
 
 
 def _names(quantity, times):

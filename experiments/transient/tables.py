@@ -1,5 +1,7 @@
 """What a transient solution says, in tables, sentences and files."""
 
+import re
+
 import numpy as np
 from rich.markup import escape
 
@@ -9,8 +11,9 @@ from experiments.show.tables import number
 
 __all__ = ["comparison", "moments", "sentences", "steady_table", "table", "write_csv"]
 
+_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e-?\d+)?(?![\w])")
 _FAINT = 1e-7  # probability below which none is compared
-_MOST_ROWS = 12  # times in a printed table; files have all
+_MOST_ROWS, _MOST_STATES = 12, 6  # times and states in a printed table; files have all
 
 
 def comparison(problem, solution, reference):
@@ -33,20 +36,54 @@ def moments(values, n):
     return mean, second - mean[:, :, None] * mean[:, None, :]
 
 
-def table(problem, solution, reference):
-    """Quantities at some of the times, each with the reference's value and half width below."""
+def table(problem, solution, reference, every=False):
+    """Quantities at some of the times, each with the reference's value and half width below.
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+    reference : ReferenceValues or None
+    every : bool
+        All moments; else means and standard deviations of the first states, and what the file asks for.
+    """
+    columns = _columns(problem, solution, reference, every)
     errors = None if reference is None else comparison(problem, solution, reference)
     off = () if reference is None else ("mean off", "cov off")
-    made = tables.table("", ("t", *off, *(q.name for q in problem.quantities)), left=0, frame=None)
-    sizes = np.nanmax(np.abs(solution.values), axis=0)
+    made = tables.table("", ("t", "", *off, *(name for name, *_ in columns)), left=2, frame=None)
     for k in _shown(len(problem.times)):
         off = [] if reference is None else [f"{v:.1g}" for v in errors[k]]
-        values = zip(solution.values[k], sizes, strict=True)
-        made.add_row(f"{problem.times[k]:g}", *off, *(_number(v, size) for v, size in values))
+        ours = (_number(value[k], np.nanmax(np.abs(value))) for _, value, *_ in columns)
+        made.add_row(f"{problem.times[k]:g}", "SPH", *off, *ours)
         if reference is not None:
-            rows = zip(reference.values[k], reference.half_width[k], sizes, strict=True)
-            made.add_row("", "", "", *(_with_width(*row) for row in rows), style="dim")
+            theirs = (_with_width(o[k], w[k], np.nanmax(np.abs(value))) for _, value, o, w in columns)
+            made.add_row("", "reference", "", "", *theirs, style="dim")
     return made
+
+
+def _columns(problem, solution, reference, every):
+    """Name, values, and values and half widths of the reference, of what a printed table shows."""
+    none = np.full((2, *solution.values.shape), np.nan)
+    theirs, width = none if reference is None else (reference.values, reference.half_width)
+    n, asked = min(problem.model.dim, _MOST_STATES), problem.settings.statistics.moments
+    chosen = [
+        (q.name, solution.values[:, j], theirs[:, j], width[:, j])
+        for j, q in enumerate(problem.quantities)
+        if every or j < n or q.powers is None or q.powers in asked
+    ]
+    if every:
+        return chosen
+    std = [_deviations(values, problem.model.dim) for values in (solution.values, theirs)]
+    unknown = np.zeros(len(problem.times))  # what is not known of its error stands alone
+    names = problem.settings.model.states[:n]
+    spread = [(f"std {name}", std[0][:, d], std[1][:, d], unknown) for d, name in enumerate(names)]
+    return [column for pair in zip(chosen[:n], spread, strict=True) for column in pair] + chosen[n:]
+
+
+def _deviations(values, n):
+    """Standard deviations, shape (T, n)."""
+    variances = np.diagonal(moments(values, n)[1], axis1=1, axis2=2)
+    return np.sqrt(np.maximum(variances, 0.0))
 
 
 def _number(value, size):
@@ -97,14 +134,25 @@ def sentences(problem, solution, reference):
             f"{sum(info.n_discarded for info in infos)} particles whose smoothing lengths did not converge "
             f"were dropped, and their probability, {1.0 - left:.2g}, given to the others"
         )
-    for status in dict.fromkeys(info.status for info in infos if info.status != "ok"):
-        yield f"at {sum(info.status == status for info in infos)} of {len(infos)} times: {status}"
+    for status, count in _grouped(info.status for info in infos if info.status != "ok"):
+        yield f"at {count} of {len(infos)} times: {status}"
     if reference is not None:
         mean, cov = np.nanmax(comparison(problem, solution, reference), axis=0)
         against = f"against the {reference.name}"
         yield f"{against}: mean within {mean:.2g} of a standard deviation, covariance {cov:.2g}"
         yield from _exceedances(problem, solution, reference)
     yield from (f"published: {line}" for line in problem.settings.published)
+
+
+def _grouped(texts):
+    """Texts that differ in numbers only as one, with the ranges of the numbers, and how many they were."""
+    groups = {}
+    for text in texts:
+        groups.setdefault(_NUMBER.sub("#", text), []).append([*map(float, _NUMBER.findall(text))])
+    for pattern, found in groups.items():
+        ends = iter(zip(np.min(found, axis=0), np.max(found, axis=0), strict=True))
+        ranges = (f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ends)
+        yield re.sub("#", lambda match, ranges=ranges: next(ranges), pattern), len(found)
 
 
 def _exceedances(problem, solution, reference):
@@ -123,15 +171,18 @@ def _exceedances(problem, solution, reference):
 def write_csv(path, problem, solution, reference):
     """One line a time: quantities, reference and half widths, particles, steps, seconds."""
     names = [q.name for q in problem.quantities]
-    header = ["t", *names]
+    spread = [f"std {name}" for name in problem.settings.model.states]
+    header = ["t", *names, *spread]
     if reference is not None:
-        header += [f"{name} reference" for name in names] + [f"{name} half width" for name in names]
+        header += [f"{name} reference" for name in [*names, *spread]] + [f"{n} half width" for n in names]
     header += ["n_particles", "n_steps", "scheme", "status", "seconds"]
     lines, way = [], solution.trajectory
+    ours = _deviations(solution.values, problem.model.dim)
+    theirs = None if reference is None else _deviations(reference.values, problem.model.dim)
     for k, (density, info) in enumerate(zip(way.densities, way.infos, strict=True)):
-        row = [problem.times[k], *solution.values[k]]
+        row = [problem.times[k], *solution.values[k], *ours[k]]
         if reference is not None:
-            row += [*reference.values[k], *reference.half_width[k]]
+            row += [*reference.values[k], *theirs[k], *reference.half_width[k]]
         done = [density.n_particles, info.n_steps, info.scheme, info.status, solution.seconds[k]]
         lines.append([*row, *done])
     write_lines(path, header, lines)

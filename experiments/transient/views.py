@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from experiments.show.particles import density_image, mass_bar
 from experiments.show.style import ACCENT, frame, panels, quantity, save
 
 from .plots import axes_of, cloud, ends
@@ -42,7 +43,7 @@ class Views:
         probe = problem.settings.probe
         self.probe = probe if probe is not None and len(probe.long) <= 2 else None
         self.panels = 1 if self.probe is None else len(probe.data)
-        self.size = 4.9 * self.panels, 4.2
+        self.size = 5.4 * self.panels, 4.2
 
     def expect(self, densities):
         """Make room for the particles of densities that are going to be shown."""
@@ -67,13 +68,15 @@ class Views:
             ax.set_title(f"{_TITLES[name]}, t = {density.t:g}", loc="left", fontsize=10)
 
     def _cloud(self, ax, density):
-        """The particles, or the curve of one state; the axes grow with what has been seen."""
+        """The density of two states, particles of more, or a curve; the axes grow with what was seen."""
         shown = axes_of(self.problem)[:2]
         self._see(density)
         limits = [ends(self.seen[:, axis]) for axis in shown]
         title, names = f"t = {density.t:g}", [quantity(self.problem, axis) for axis in shown]
         if len(shown) == 2:
-            cloud(ax, density, shown, size=7.0)
+            flat = density.dim == 2  # of more states the particles are shown
+            artist = density_image(ax, density, limits) if flat else cloud(ax, density, shown, size=7.0)
+            mass_bar(ax.figure, artist, ax, "density")
             ax.set(xlim=limits[0], ylim=limits[1])
             frame(ax, title, *names)
             return

@@ -2,10 +2,16 @@
 
 import json
 import re
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from experiments.campaign import page
 from experiments.commands import main
+from experiments.scene.scenario import load_scenario
+from experiments.show.plots import consistency_figure
+from sphfilter import consistency
 from sphfilter.campaign.campaign import CampaignResult
 
 SMALL = ["--set", "times.end=6", "--set", "filters.pf.n_particles=200", "--set", "filters.grid.size=48"]
@@ -54,9 +60,7 @@ def test_the_same_command_reads_and_more_runs_are_added(out, capsys):
     capsys.readouterr()
     assert main(["campaign", "duffing", "--runs", "13", *words]) == 0
     said = capsys.readouterr().out
-    assert (
-        "run 12 of 13 done" in said and "run 13 of 13 done, about 0 s left" in said and "run 11 " not in said
-    )
+    assert "run 12 of 13 done" in said and "run 13 of 13 done" in said and "run 11 " not in said
     assert all(path.stat().st_mtime_ns == time for path, time in before.items())
 
 
@@ -69,3 +73,20 @@ def test_bad_input_is_answered_in_a_sentence(out, tmp_path, capsys):
     ):
         assert main(["campaign", "duffing", "--filters", "ekf,pf", "--runs", "2", *words]) == 1
         assert sentence in capsys.readouterr().err
+
+
+def test_few_runs_say_how_little_they_see():
+    said = page.unseen(SimpleNamespace(n_runs=12, dim=2))
+    low, high = consistency.nees_bounds(2, 12)
+    assert f"from {low:.2g} to {high:.2g} passes, where 2 is right" in said
+    assert page.unseen(SimpleNamespace(n_runs=200, dim=2)) == ""
+
+
+def test_the_referee_is_dashed_above_those_it_judges():
+    truth, P = np.zeros((3, 4, 2)), np.tile(np.eye(2), (3, 4, 1, 1))
+    result = SimpleNamespace(x=truth + 0.5, P=P)
+    campaign = SimpleNamespace(truth=truth, times=np.arange(4.0), results={"grid": result, "sph": result})
+    ax = consistency_figure(load_scenario("duffing"), campaign).axes[-1]
+    grid, sph = (next(line for line in ax.lines if line.get_label() == name) for name in ("GRID", "SPH"))
+    assert grid.get_linestyle() == "--" and sph.get_linestyle() == "-"
+    assert grid.get_zorder() > sph.get_zorder()

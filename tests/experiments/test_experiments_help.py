@@ -25,10 +25,10 @@ def lines(text):
 
 def test_the_help_names_every_command_and_what_to_try_first(capsys):
     text = shown(capsys=capsys)
-    assert "Try first:  python -m experiments run duffing" in text
+    assert "Try first:\n  python -m experiments run duffing" in text
     for name in commands.COMMANDS:
         assert re.search(rf"^  {name} ", text, re.MULTILINE), name
-    assert max(map(len, text.splitlines())) <= 104
+    assert max(map(len, text.splitlines())) <= 80
 
 
 def test_every_example_is_a_command(capsys):
@@ -36,7 +36,10 @@ def test_every_example_is_a_command(capsys):
     assert len(examples) >= 2 * 10
     for line in examples:
         if "--help" not in line:
-            assert commands.parser(line).parse_args(line).main is commands.module(line[0]).main
+            name, args = line[0], commands.parser(line).parse_args(line)
+            assert args.command == name and callable(commands.module(name).main)
+            if "my.toml" not in line:
+                commands.asked(line)  # would raise what is wrong with it
 
 
 @pytest.mark.parametrize("name", commands.COMMANDS)
@@ -62,3 +65,45 @@ def test_a_wrong_word_is_answered_before_the_library_is_imported():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2 and "invalid choice: 'nosuch'" in done.stderr
     assert "AssertionError" not in done.stderr
+
+
+WRONG = {
+    "run dufing": "no scenario 'dufing' (did you mean 'duffing'?)",
+    "run duffing --set modell.x=3": "unknown key modell (did you mean 'model'?)",
+    "run duffing --set times.end=soon": "times.end = 'soon'",
+    "run duffing --filters ekf,shp": "no filter 'shp' (did you mean 'sph'?)",
+    "run duffing --pictures densitys": "no picture 'densitys' (did you mean 'densities'?)",
+    "run duffing --out {file}/results": "give another folder with --out",
+    "run sunspots --filters shp": "no filter 'shp'",
+    "campaign duffing --filters shp": "no filter 'shp'",
+    "transient dufing": "no transient scenario 'dufing'",
+    "transient duffing --set times.ende=3": "unknown key times.ende (did you mean 'end'?)",
+    "sweep duffing --set modell.x=3": "unknown key modell",
+    "converge duffing --counts 100": "two different counts at least are needed",
+    "converge dufing": "no scenario 'dufing'",
+    "estimate dufing": "no scenario 'dufing'",
+    "filter --model {file} --data {file}": "is not valid TOML",
+    "benchmark dufing": "no scenario 'dufing'",
+    "benchmark --filters shp": "no competitor 'shp' (did you mean 'sph'?)",
+    "stress --filters papr": "no filter 'papr' (did you mean 'paper'?)",
+    "scaling --schemes papr": "no scheme 'papr'",
+    "realtime dufing": "no scenario 'dufing'",
+}
+
+
+def test_what_is_wrong_is_said_in_one_line_before_anything_is_compiled(tmp_path):
+    file = tmp_path / "file"
+    file.write_text("no table")
+    lines = [line.format(file=file).split() for line in WRONG]
+    code = (
+        f"import sys\nfrom experiments.__main__ import main\n"
+        f"for line in {lines!r}:\n    assert main(line) == 1, line\n"
+        "assert not {'numba', 'scipy', 'sympy', 'matplotlib', 'sphfilter'} & set(sys.modules)\n"
+        "import sphfilter as sf\nassert sf.SPHFilter and sf.ConfigError"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    said = done.stderr.splitlines()
+    assert done.returncode == 0 and len(said) == len(WRONG), done.stderr
+    for sentence, expected in zip(said, WRONG.values(), strict=True):
+        assert sentence.startswith("error: ") and expected in sentence
+    assert sorted(tmp_path.iterdir()) == [file]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from experiments.scene import scenario as scenarios
-from experiments.scene import start
+from experiments.scene import reading, start
 from experiments.scene.files import parse_change
 from experiments.scene.filters import factories
 from experiments.scene.scenario import Scenario, load_scenario, read_settings, scenario_names
@@ -142,7 +141,7 @@ def test_a_wrong_file_is_named_with_its_keys(tmp_path):
     path = tmp_path / "mine.toml"
     with pytest.raises(ConfigError, match=r"the file .*mine\.toml does not exist"):
         load_scenario(str(path))
-    text = (scenarios._FOLDER / "duffing.toml").read_text(encoding="utf-8")
+    text = (reading._FOLDER / "duffing.toml").read_text(encoding="utf-8")
     for old, new, sentence in (
         ("interval", "intervall", r"unknown key times\.intervall \(did you mean 'interval'\?\)"),
         ("h = ", "h = 1 #", r"sensor\.h = 1 is not valid: input should be a list$"),

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.arguments.sweep import add_arguments
 from experiments.scene.scenario import load_scenario, read_settings
 from experiments.sweep import command as sweep
 from experiments.sweep import plots, tables
@@ -16,7 +17,7 @@ from sphfilter.errors import ConfigError
 
 def arguments(*words):
     parser = argparse.ArgumentParser()
-    sweep.add_arguments(parser)
+    add_arguments(parser)
     return parser.parse_args(words)
 
 

@@ -2,12 +2,14 @@
 
 import csv
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import sphfilter as sf
 from experiments.__main__ import main
+from experiments.transient import plots, tables
 from experiments.transient import solution as solving
 from experiments.transient.problem import load_problem, problem_names
 from experiments.transient.references import reference_of
@@ -130,7 +132,7 @@ def test_rules_for_new_lattices_side_by_side(tmp_path, capsys, own):
     command = ["transient", "--config", str(path), "--out", str(tmp_path / "out"), "--remesh"]
     assert main([*command, "never,0.5"]) == 0
     told = capsys.readouterr().out
-    rows = {line.split("  ")[0]: line.split()[1:] for line in told.splitlines()}
+    rows = {line.split("  ")[0]: line.split()[1:] for line in reversed(told.splitlines())}
     assert rows["never"][0] == "0" and "every 0.5 s: 1 new lattices on the way" in told
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"remesh_clouds.png", "remesh_variances.png"}
     assert main([*command, "never,oftne"]) == 1
@@ -181,3 +183,38 @@ def test_a_name_or_a_file(capsys):
     assert "one of them" in message and "did you mean 'oscillator'" in message
     assert main(["transient", "oscillator", "--animate", "a.avi"]) == 1
     assert "GIF" in capsys.readouterr().err
+
+
+def test_a_table_shows_what_was_asked_for_beside_the_reference(own, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    words = ["transient", "--config", str(own()), "--out", str(tmp_path / "out")]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    for text in ("E[x]", "std x", "E[x^4]", "P(abs(x) > 1.5 or x < -1)", "0.5  SPH", "     reference"):
+        assert text in said
+    assert "E[x^2]" not in said and "…" not in said
+    with open(tmp_path / "out" / "statistics.csv", encoding="utf-8") as file:
+        row = next(csv.DictReader(file))
+    assert float(row["std x"]) == pytest.approx(float(row["std x reference"]), rel=1e-3)
+    assert main([*words, "--columns", "all"]) == 0
+    assert "E[x^2]" in capsys.readouterr().out
+
+
+def test_numbers_of_statuses_are_told_as_ranges():
+    texts = ["on 20 points: good to 0.006", "on 20 points: good to 0.0081", "on a log_density"]
+    assert list(tables._grouped(texts)) == [
+        ("on 20 points: good to 0.006 to 0.0081", 2),
+        ("on a log_density", 1),
+    ]
+
+
+def test_moments_begin_at_the_start_and_nothing_is_drawn_where_no_particle_lies(own):
+    problem = load_problem(own())
+    solution = SimpleNamespace(start=problem.begin(), values=np.zeros((2, len(problem.quantities))))
+    t, mean = plots._history(problem, solution, 0)
+    assert t.tolist() == [0.0, 0.5, 1.0] and mean[0] == pytest.approx(1.0, abs=1e-3)
+    solution.values[0, -1] = 0.3
+    ax = plots._exceedances(problem, solution, None).axes[0]
+    p = ax.lines[0].get_ydata()
+    assert p[0] > 0.0 and p[1] == 0.3 and np.isnan(p[2])
+    assert "no line where no particle lies" in ax.get_title(loc="left")

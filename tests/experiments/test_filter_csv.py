@@ -2,14 +2,17 @@
 
 import csv
 import inspect
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from experiments.__main__ import main
+from experiments.own_data import plots
 from experiments.own_data.csv_data import read_measurements
 from experiments.own_data.model_file import load_model
 from experiments.scene.filters import Factory
+from experiments.show.style import plt
 from sphfilter.errors import ConfigError, ModelError, PropagationError, SphfilterError
 
 A, Q, R, M0, P0 = 0.4, 0.5, 0.3, 1.0, 2.0
@@ -152,6 +155,27 @@ class TestData:
         assert read_measurements(path, 2).names == ("t", "b")
 
     @pytest.mark.parametrize(
+        "text",
+        [
+            "t,z\n0,1.5\n0.5,n/a\n1,-2\n",
+            "0,1.5\n0.5,\n1,-2\n",
+            "t;z\n0;1,5\n0,5;NA\n1;-2\n",
+            "0\t1,5\n0,5\tnan\n1\t-2\n",
+            "t;z\n0;1.5\n0.5;null\n1;-2\n",
+            "t,z\n2024-02-28T12:00,1.5\n2024-02-29,-\n2024-02-29T12:00,-2\n",
+            "2024-02-28T12:00Z;1,5\n2024-02-29T00:00Z;\n2024-02-29T13:00+01:00;-2\n",
+        ],
+    )
+    def test_what_files_look_like(self, tmp_path, text):
+        path = tmp_path / "d.csv"
+        path.write_text(text, encoding="utf-8")
+        found = read_measurements(path, 1, unit="d")
+        np.testing.assert_allclose(found.times, [0.0, 0.5, 1.0])
+        np.testing.assert_array_equal(found.z[:, 0], [1.5, np.nan, -2.0])
+        assert found.names == (("z",) if "z" in text else ("column 2",))
+        assert ("from 2024-02-28 12:00:00" in found.time_name) == ("2024" in text)
+
+    @pytest.mark.parametrize(
         ("text", "settings", "sentence"),
         [
             ("t,depth\n0,1\n", {"columns": ("dept",)}, "no column 'dept' (did you mean 'depth'?)"),
@@ -165,6 +189,10 @@ class TestData:
             ("t,z,z\n0,1,2\n", {}, "names a column twice"),
             ("t,z\n", {}, "needs a line of column names and a line of numbers"),
             ("", {}, "needs a line of column names and a line of numbers"),
+            ("t,z\n2024-05-01,1\n2,1\n", {}, "line 3, column 't': '2' is no date as in the first line"),
+            ("t,z\n2024-05-01,1\n", {"unit": "fortnight"}, "time_unit must be one of s, min, h, d, a"),
+            ("t,z\n2024-05-01,1\n2024-05-02T00:00Z,1\n", {}, "give all of them one, or none"),
+            ("t;z\n0,5;1.5\n", {}, "line 2, column 't': '0,5' is not a number"),
         ],
     )
     def test_bad_file(self, tmp_path, text, settings, sentence):
@@ -211,3 +239,16 @@ class TestModelFile:
         model.write_text(MODEL.replace("h = [[1.0]]", "h = [[1.0, 0.0]]"), encoding="utf-8")
         with pytest.raises(ModelError, match="2 columns"):
             load_model(model)
+
+
+@pytest.mark.parametrize(("h", "seen"), [("[[1.0]]", True), ('["x**2"]', False)])
+def test_the_picture_speaks_of_dots_where_there_are_some(model, data, tmp_path, monkeypatch, h, seen):
+    model.write_text(MODEL.replace("h = [[1.0]]", f"h = {h}"), encoding="utf-8")
+    scenario, found, titles = load_model(model), read_measurements(data, 1), []
+    monkeypatch.setattr(plots, "save", lambda figure, path: titles.append(figure.get_suptitle()))
+    x = np.zeros((len(found.times), 1))
+    plots.draw(
+        tmp_path / "x.png", scenario, found, {"ekf": SimpleNamespace(t=found.times, x=x, P=x[:, None])}
+    )
+    plt.close("all")
+    assert ("measurements (dots)" in titles[0]) == seen

@@ -1,6 +1,7 @@
 """The papers' pictures: the numbers behind them, and that they are drawn."""
 
 from dataclasses import replace
+from importlib import import_module
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import sphfilter as sf
 from experiments.pictures import accuracy, densities, drawing, rejections, transient
+from experiments.pictures.names import PICTURES, chosen, names
 from experiments.scene.scenario import load_scenario
 from sphfilter.errors import ConfigError
 
@@ -64,8 +66,7 @@ def test_update_and_resampling_figures(tmp_path, monkeypatch):
     monkeypatch.setattr(densities, "_N", 300)
     monkeypatch.setattr(densities, "_TIMES", (0.4, 0.5))
     monkeypatch.setattr(densities, "_Z", 3.5)
-    said = []
-    paths = drawing.draw("densities", load_scenario("duffing"), tmp_path / "new", 1, say=said.append)
+    paths, said = drawing.draw("densities", load_scenario("duffing"), tmp_path / "new", 1)
     assert {p.name for p in paths} == {"bayes_update.png", "resampling_t0.4.png", "resampling_t0.5.png"}
     assert all(p.stat().st_size > 20_000 for p in paths)
     assert len(said) == 2
@@ -76,7 +77,7 @@ def test_accuracy_figure_shows_what_the_start_changes(monkeypatch):
     monkeypatch.setattr(accuracy, "_N_MASSES", 300)
     monkeypatch.setattr(accuracy, "_STEPS", 1)
     monkeypatch.setitem(accuracy._END, "linear_underdamped", 0.1)
-    figure = accuracy.initial_accuracy(load_scenario("linear_underdamped"), 1, 1).figures["accuracy"]
+    figure = accuracy.initial_accuracy(load_scenario("linear_underdamped"), 1, 1, {}).figures["accuracy"]
     riemann, collocation = (line.get_ydata() for line in figure.axes[1].lines)
     assert collocation[0] < 0.7 * riemann[0]
 
@@ -113,12 +114,16 @@ class _Refusing:
     def run(self, times, z):
         if self.fails:
             raise RuntimeError("no such luck")
-        T = len(times)
-        x, P = np.zeros((T, 2)), np.zeros((T, 2, 2))
-        accepted = ~np.array(self.refused)
-        return sf.FilterResult(
-            t=times, x_prior=x, P_prior=P, x=x, P=P, log_evidence=np.zeros(T), accepted=accepted
-        )
+        return _nothing(times, ~np.array(self.refused))
+
+    def runs(self, n):
+        """What a campaign of n runs has of it."""
+        return _nothing(np.arange(2.0), np.tile(~np.array(self.refused), (n, 1)))
+
+
+def _nothing(times, accepted):
+    x, P, none = (np.zeros(accepted.shape + more) for more in ((2,), (2, 2), ()))
+    return sf.FilterResult(t=times, x_prior=x, P_prior=P, x=x, P=P, log_evidence=none, accepted=accepted)
 
 
 def test_interval_of_a_rate_is_wilsons():
@@ -141,19 +146,37 @@ def test_coverage_reaches_the_filter(short_duffing):
 
 
 def test_rejection_figure(short_duffing, tmp_path):
-    said = []
-    (path,) = drawing.draw("rejections", short_duffing, tmp_path, 1, 1, said.append)
+    (path,), said = drawing.draw("rejections", short_duffing, tmp_path, 1, 1)
     assert path.stat().st_size > 20_000
     assert said[0].count(" of 2 with Z_T") == 4
 
 
 def test_names_of_pictures():
-    duffing = load_scenario("duffing")
-    assert drawing.chosen(duffing, None) == ("densities", "rejections")
-    assert drawing.chosen(duffing, "none") == ()
-    assert drawing.chosen(duffing, "rejections, densities") == ("rejections", "densities")
-    assert drawing.names(load_scenario("benes")) == ()
+    assert chosen("duffing", None) == ("densities", "rejections")
+    assert chosen("duffing", "none") == ()
+    assert chosen("duffing", "rejections, densities") == ("rejections", "densities")
+    assert names("benes") == ()
     with pytest.raises(ConfigError, match="densities"):
-        drawing.chosen(duffing, "densitys")
+        chosen("duffing", "densitys")
     with pytest.raises(ConfigError, match="benes has no picture 'support'"):
         drawing.draw("support", load_scenario("benes"), None, 1)
+
+
+def test_every_picture_is_where_its_name_says():
+    for pictures in PICTURES.values():
+        for module, function in pictures.values():
+            assert callable(getattr(import_module(f"experiments.pictures.{module}"), function))
+
+
+def test_runs_that_a_campaign_has_are_not_run_again(short_duffing, monkeypatch):
+    asked = []
+
+    def factory(scenario, coverage):
+        asked.append(coverage)
+        return _Refusing([False, False], fails=False)
+
+    monkeypatch.setattr(rejections, "_factory", factory)
+    own, known = rejections.Coverage(0.995, 0.9995), _Refusing([True, True], fails=False).runs(3)
+    _, refused, rates = rejections.rejection_rates(short_duffing, [own, rejections._WIDE], 1, 3, {own: known})
+    assert asked == [rejections._WIDE]
+    assert refused[own].all() and rates[own] == (6, 6) and rates[rejections._WIDE] == (0, 6)

@@ -10,10 +10,12 @@ import pytest
 from density_cases import whitened
 from rich.console import Console
 
+import sphfilter as sf
 from experiments.show.comparison import least_eigenvalue, moment_errors
 from experiments.show.files import whole, write_csv, write_json, write_rows, write_toml
+from experiments.show.particles import density_image
 from experiments.show.style import legend_below, panels, plt
-from experiments.show.tables import markdown, number, percent, table
+from experiments.show.tables import markdown, number, percent, print_table, table
 from experiments.terminal.progress import Interrupted, bar, resumable
 
 
@@ -112,3 +114,27 @@ def test_moment_errors_are_those_of_whitened_moments_in_any_units():
     assert np.array(again) == pytest.approx(np.array([mean, cov]), rel=1e-9)
     assert least_eigenvalue(P * scaled) == pytest.approx(least_eigenvalue(P), rel=1e-9)
     assert least_eigenvalue(np.empty((0, 2, 2))) == 1.0
+
+
+@pytest.mark.parametrize("width", [20, 40, 80, 500])
+def test_nothing_of_a_wide_table_is_cut(width):
+    headings = ["when", *(f"quantity {k}" for k in range(30))]
+    rows = [[f"{t} s", *(f"{100 * t + k}.12345" for k in range(30))] for t in (1, 2)]
+    console = Console(file=io.StringIO(), width=width, color_system=None)
+    print_table(console, table("", headings, rows))
+    said = console.file.getvalue()
+    assert "…" not in said and max(map(len, said.splitlines())) <= width
+    for text in [*headings, *rows[0], *rows[1]]:
+        assert text in said
+    assert (said.count("when") == 1) == (width == 500)
+
+
+def test_an_image_of_a_density_has_the_colours_of_its_particles():
+    figure, ax = plt.subplots()
+    normal = sf.Gaussian([1.0, -1.0], [[1.0, 0.5], [0.5, 2.0]])
+    shade = density_image(ax, normal, [(-9.0, 11.0), (-11.0, 9.0)]).get_array()
+    plt.close(figure)
+    assert shade.max() == 0.0 and shade.min() >= -6.0
+    row, column = np.unravel_index(np.argmax(shade), shade.shape)
+    assert (column, row) == pytest.approx((149 * 10 / 20, 149 * 10 / 20), abs=1)
+    assert np.ma.is_masked(shade[0, 0])  # nothing to be told

@@ -164,8 +164,8 @@ def test_command_writes_its_files_and_resumes(tmp_path, capsys):
     stamps = [p.stat().st_mtime_ns for p in sorted(tmp_path.rglob("*.npz"))]
     assert main(command) == 0
     assert stamps == [p.stat().st_mtime_ns for p in sorted(tmp_path.rglob("*.npz"))]
-    assert main(["stress", "--methods", "ukf"]) == 1
-    assert "no method 'ukf'" in capsys.readouterr().err
+    assert main(["stress", "--filters", "ukf"]) == 1
+    assert "no filter 'ukf'" in capsys.readouterr().err
 
 
 #: Cells of the reduced grid that take a second or less, most with an exact reference.
@@ -218,7 +218,7 @@ def test_default_scheme_is_never_wrong(cell):
 @pytest.mark.slow
 def test_default_scheme_is_never_wrong_on_the_reduced_grid(tmp_path):
     """In processes of its own, since a run that hangs would otherwise stop the tests."""
-    assert main(["stress", "--quick", "--methods", "default", "--out", str(tmp_path), "--jobs", "2"]) == 0
+    assert main(["stress", "--quick", "--filters", "default", "--out", str(tmp_path), "--jobs", "2"]) == 0
     with open(tmp_path / "stress.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(chosen(quick=True))

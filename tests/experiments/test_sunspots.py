@@ -9,9 +9,10 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from experiments.__main__ import main
+from experiments.arguments.sunspots import DATA
 from experiments.own_data.csv_data import Measurements, read_measurements
 from experiments.own_data.model_file import load_model
-from experiments.sunspots.command import _DATA, FIRST, fit, roots, training_evidence
+from experiments.sunspots.command import FIRST, fit, roots, training_evidence
 from experiments.sunspots.forecast import FoldedMixture, Score, fold, learn, score_forecasts, score_history
 from reference_filters.grid import GridFilter
 from reference_filters.kalman import ExtendedKalmanFilter, KalmanFilter
@@ -48,12 +49,12 @@ def level(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def sunspots():
-    return load_model(_DATA / "sunspots.toml")
+    return load_model(DATA / "sunspots.toml")
 
 
 @pytest.fixture(scope="module")
 def numbers():
-    return read_measurements(_DATA / "sunspots.csv", 1)
+    return read_measurements(DATA / "sunspots.csv", 1)
 
 
 def readings(size=40, seed=3):

@@ -7,7 +7,6 @@ import reference_filters
 import sphfilter
 from experiments.show import tables as shown
 from experiments.terminal.progress import bar, resumable
-from sphfilter.errors import ConfigError
 
 from ..pool import Lost, run_tasks
 from ..store import digest_of, load, path_of, save
@@ -29,27 +28,24 @@ _PARTS = "default", "reference", "relation 1", "relation 2"
 
 def main(console, args):
     """Run the cases 0 ... N - 1 of a seed, or those named by --random-case; print and write the tables."""
-    if args.only or args.quick:
-        raise ConfigError(
-            "--random and --random-case go without --only and --quick, which choose from the grid"
-        )
     named = [(seed, RandomCase(k, args.auto)) for seed, k in args.random_case]
     pairs = [(args.seed, RandomCase(k, args.auto)) for k in range(args.random or 0)] + named
     if args.list:
         for seed, case in pairs:
             console.print(f"{seed}:{case.number} {_problem(seed, case)}", soft_wrap=True)
         return
-    console.print(f"{len(pairs)} random cases, at most {args.limit:g} s a run", style="dim")
+    told = f"{shown.counted(len(pairs), 'random case')}, at most {args.limit:g} s a run"
+    console.print(told, style="dim")
     _walk(console, pairs, args)
     rows = [row_of(*_judged(pair, args.out)) for pair in pairs]
     write(args.out, rows)
     for title, headings, lines in sections(rows):
-        console.print(shown.table(title, headings, lines))
+        shown.print_table(console, shown.table(title, headings, lines))
     for line in failures(rows):
         console.print(line, style="red", soft_wrap=True, markup=False)
     for pair in named:
         _tell(console, pair, args.out)
-    console.print(f"\nEvery case is in {args.out}/random.csv, the rest in random.md.")
+    console.print(f"\nEvery case is in {args.out}/random.csv, the rest in random.md.", soft_wrap=True)
 
 
 def _walk(console, pairs, args):
@@ -77,8 +73,8 @@ def _walk(console, pairs, args):
                     lost = Record("timeout" if result.timeout else "crash", result.sentence)
                 _save(out, seed, case, part, lost)
             move(count, text=f"{seed}:{case.number} {part}")
-            if not console.is_terminal and count % 50 == 0:
-                console.print(f"{count} of {len(tasks)} runs done", style="dim")
+            if not console.is_terminal and (count % 10 == 0 or count == len(tasks)):
+                console.print(f"{count} of {shown.counted(len(tasks), 'run')} done", style="dim")
 
         run_tasks(_task, tasks, args.jobs, partial(_limit, args.limit), done)
 

@@ -1,0 +1,1 @@
+"""What each command takes: options and their checks, before anything is imported that takes long."""

@@ -1,0 +1,72 @@
+"""What `stress` takes."""
+
+import argparse
+from pathlib import Path
+
+from experiments.terminal.options import counted, names_of
+from sphfilter.errors import ConfigError, nearest
+
+__all__ = ["METHODS", "add_arguments", "check"]
+
+#: Filters on trial, by name.
+METHODS = ("default", "paper", "pf1e3", "pf1e4")
+
+
+def add_arguments(parser):
+    """Add the options of `stress`."""
+    parser.add_argument("--quick", action="store_true", help="a reduced grid, that the tests walk too")
+    only = "cells to run: a family, or FAMILY/SYSTEM/LEVEL with * and ?; may be repeated"
+    parser.add_argument("--only", action="append", default=[], metavar="CELL", help=only)
+    names = f"comma-separated, of {', '.join(METHODS)} (default: all)"
+    parser.add_argument("--filters", "--methods", type=names_of, default=list(METHODS), help=names)
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of everything random (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--limit", type=_seconds, default=60.0, help="seconds a run may take (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("results/stress"),
+        help="folder for results (default: %(default)s)",
+    )
+    parser.add_argument("--jobs", type=counted, default=1, help="processes (default: %(default)s)")
+    parser.add_argument("--random", type=counted, metavar="N", help="N random problems instead of the grid")
+    again = "random problem number K of seed S alone, as S:K; may be repeated"
+    parser.add_argument("--random-case", type=_pair, action="append", default=[], metavar="S:K", help=again)
+    auto = "random problems: judge the default filter, which chooses by its error, not 100 to 800 particles"
+    parser.add_argument("--auto", action="store_true", help=auto)
+    parser.add_argument("--list", action="store_true", help="print the names of the cells and stop")
+
+
+def _seconds(text):
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"a number of seconds above zero is needed, not {text!r}")
+    return value
+
+
+def _pair(text):
+    """Seed and number of a random problem."""
+    parts = text.split(":")
+    if len(parts) != 2 or not all(part.isdigit() for part in parts):
+        raise argparse.ArgumentTypeError(f"a seed and a number such as 1:20 are needed, not {text!r}")
+    return int(parts[0]), int(parts[1])
+
+
+def check(args):
+    """Raise what is wrong with filters, or with options that do not go together."""
+    for name in args.filters:
+        if name not in METHODS:
+            raise ConfigError(f"no filter {name!r}{nearest(name, METHODS)}; there are {', '.join(METHODS)}")
+    random = args.random or args.random_case
+    if args.auto and not random:
+        raise ConfigError("--auto goes with --random and --random-case")
+    if random and (args.only or args.quick):
+        raise ConfigError(
+            "--random and --random-case go without --only and --quick, which choose from the grid"
+        )

@@ -1,0 +1,52 @@
+"""Scenario files as settings, without the models that they describe."""
+
+from pathlib import Path
+
+from sphfilter.settings import from_table
+
+from .files import change, file_names, find_file, read_toml
+from .settings import ScenarioSettings
+
+__all__ = ["read_settings", "scenario_names"]
+
+_FOLDER = Path(__file__).parents[1] / "scenarios"
+
+
+def scenario_names():
+    """Names of the scenarios that come with the project."""
+    return file_names(_FOLDER)
+
+
+def read_settings(name, changes=None):
+    """Read the settings of a scenario without building its model.
+
+    Parameters
+    ----------
+    name : str
+        A name of `scenario_names`, or the path of a TOML file.
+    changes : mapping of str to value, optional
+        Values to replace, by dotted key: ``{"times.interval": 3.0}``. The scheme of the SPH filter, and keys
+        of the published one's configuration, may be given short: ``{"scheme": "corrected"}``,
+        ``{"scheme.kernel": "gaussian"}``.
+
+    Raises
+    ------
+    ConfigError
+        Unknown scenario or key (the nearest valid one is named), or a value that is not valid.
+    """
+    path = find_file(name, _FOLDER, "scenario")
+    tree = read_toml(path)
+    found = from_table(ScenarioSettings, tree, path)  # what is wrong with the file is not the changes' fault
+    if not changes:
+        return found
+    for key, value in changes.items():
+        _change(tree, key, value)
+    return from_table(ScenarioSettings, tree, f"{name} with {', '.join(changes)} changed")
+
+
+def _change(tree, key, value):
+    """As `change`; the schemes of the two SPH filters may be given short."""
+    parts = key.split(".")
+    if parts[0] in ("scheme", "acceptance"):
+        key = ".".join(["filters", "sph" if len(parts) == 1 else "sph_paper", "config", *parts])
+    change(tree, key, value)
