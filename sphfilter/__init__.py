@@ -37,6 +37,7 @@ from .errors import (
     PropagationError,
     SphfilterError,
 )
+from .filter.jump_markov_filter import JumpMarkovFilter, JumpMarkovResult
 from .filter.results import FilterResult
 from .filter.sph_filter import SPHFilter
 from .filter.update import update
@@ -45,9 +46,11 @@ from .inference.model_comparison import ModelComparison, compare_models
 from .inference.smoother import SmoothedResult, smooth
 from .info import Code, PredictInfo, ResampleInfo, UpdateInfo
 from .model.domain import Domain
+from .model.jump_markov import JumpMarkovModel
 from .model.measurements import GaussianMeasurement, LikelihoodMeasurement
 from .model.sde import SDE, LinearSDE
 from .model.simulate import simulate
+from .model.simulate_modes import simulate_modes
 from .prediction.predict import predict
 from .prediction.propagate import Trajectory, propagate
 
@@ -69,6 +72,9 @@ __all__ = [
     "Gaussian",
     "GaussianMeasurement",
     "Health",
+    "JumpMarkovFilter",
+    "JumpMarkovModel",
+    "JumpMarkovResult",
     "LikelihoodMeasurement",
     "LinearSDE",
     "LogDensityScheme",
@@ -101,6 +107,7 @@ __all__ = [
     "resample",
     "run_campaign",
     "simulate",
+    "simulate_modes",
     "smooth",
     "update",
 ]

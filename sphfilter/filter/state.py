@@ -16,7 +16,7 @@ from ..prediction.predict import Prediction
 from ..validate import unmasked
 from .update_again import Update
 
-__all__ = ["FilterState", "Shown"]
+__all__ = ["FilterState", "Shown", "said_of_reading"]
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class FilterState:
             P_prior=P_prior,
             x_post=x,
             P_post=P,
-            **_said(measurement, z, info),
+            **said_of_reading(measurement, z, info),
             log_likelihood=info.log_evidence,
             log_evidence=self.log_evidence + info.log_evidence,
         )
@@ -182,7 +182,7 @@ def _moments(density: ParticleDensity) -> tuple[Floats, Floats]:
     return x, P
 
 
-def _said(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo) -> dict[str, Any]:
+def said_of_reading(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo) -> dict[str, Any]:
     """A measurement, its innovation and the covariance of that, in shapes of the sensor, by name."""
     if not isinstance(measurement, GaussianMeasurement):
         return {

@@ -1,0 +1,292 @@
+"""Modes carried together: each by its own equation, with jumps between (Strang splitting).
+
+∂p_i/∂t = L_i p_i + Σ_j λ_ji p_j is split: half a step of jumps alone, which mix the densities of the modes, a
+step of every mode's own equation, half a step of jumps. The error is that of the trapezoidal rule over the
+time of a jump, for a jump is taken at either end of a step and not on its way: it is estimated by Simpson's
+rule, for Gaussians and the model linearised about them. Steps are halved until it is allowed.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from .._types import Floats
+from ..config import FilterConfig
+from ..density.as_family import unrolled
+from ..density.family import OF_MISFIT
+from ..density.modes import ModeDensities
+from ..density.needs import allowance
+from ..density.particle_density import ParticleDensity
+from ..density.pieces import Pieces, nodes, root_of
+from ..errors import PropagationError
+from ..info import Code, PredictInfo
+from ..model.discretization import transition
+from ..model.jump_markov import JumpMarkovModel
+from ..model.sde import SDE
+from .again import Outcome, or_as_cloud
+from .mixing import Part, mixed
+from .predict import predict
+
+__all__ = ["ModesInfo", "predict_modes", "splitting_error"]
+
+_MOST = 64  # steps of an interval
+_SPLITTING = 0.5  # of the error that may be added, that of the splitting
+_UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModesInfo(PredictInfo):
+    """One prediction of all modes of a model that switches.
+
+    Attributes
+    ----------
+    n_substeps : int
+        Steps of the splitting.
+    splitting_error : float
+        Estimated error of the splitting in this prediction, in standard deviations; part of `error`.
+    modes : dict of str to PredictInfo
+        What was said of each mode that had a probability.
+    """
+
+    n_substeps: int = 1
+    splitting_error: float = 0.0
+    modes: dict[str, PredictInfo] = field(default_factory=dict)
+
+
+def predict_modes(
+    modes: ModeDensities,
+    model: JumpMarkovModel,
+    t1: float,
+    config: FilterConfig,
+    n_particles: int | str,
+    n_substeps: int | None = None,
+) -> tuple[ModeDensities, ModesInfo]:
+    """Carry the densities of all modes to time t1.
+
+    Parameters
+    ----------
+    modes : ModeDensities
+    model : JumpMarkovModel
+    t1 : float
+        Seconds, later than the densities.
+    config : FilterConfig
+    n_particles : int or "auto"
+        As of `predict`.
+    n_substeps : int, optional
+        Steps of the splitting; as many as its error asks for if not given.
+
+    Returns
+    -------
+    ModeDensities, ModesInfo
+
+    Raises
+    ------
+    PropagationError
+        A mode that is not unlikely cannot be carried; the sentence says why.
+    """
+    t0, target = modes.heaviest.t, config.target_error / math.sqrt(model.dim)
+    allowed = allowance(modes.error, target)
+    jumps = model.rates.any()
+    steps, off = 1, np.zeros(len(model.names))
+    if jumps:
+        steps, off = _steps(modes, model, t1 - t0, _SPLITTING * allowed, n_substeps)
+    h, told = (t1 - t0) / steps, _Told(model.names)
+    each = allowed / math.sqrt(steps + 1)
+    if jumps:
+        modes = _switched(modes, model, 0.5 * h, target, each)
+    for step in range(1, steps + 1):
+        t = t1 if step == steps else t0 + step * h
+        modes = _carried(modes, model, t, config, n_particles, told)
+        if jumps:
+            modes = _switched(modes, model, h if step < steps else 0.5 * h, target, each)
+    densities = [None if p is None else p.noted(error=math.hypot(p.error, e)) for p, e in zip(modes.densities, off, strict=True)]
+    modes = ModeDensities(modes.log_w, densities)
+    return modes, told.info(modes, steps, float(np.sqrt(modes.w @ off**2)), target)
+
+
+class _Told:
+    """What predictions of the modes have said."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = names
+        self._infos: list[list[PredictInfo]] = [[] for _ in names]
+
+    def hear(self, i: int, info: PredictInfo) -> None:
+        self._infos[i].append(info)
+
+    def info(self, modes: ModeDensities, steps: int, splitting: float, target: float) -> ModesInfo:
+        """All of it as one; flags of modes that matter."""
+        joined = {i: PredictInfo.joined(infos) for i, infos in enumerate(self._infos) if infos}
+        whole = PredictInfo.joined([info for i, info in joined.items()])
+        said = [
+            (f"{self._names[i]}: {info.status}", info.code)
+            for i, info in joined.items()
+            if info.flagged and modes.w[i] > target
+        ]
+        error, code = modes.error, Code.OK
+        for _, one in said:
+            code |= one
+        if splitting > target:
+            said.append((f"jumps between modes are too fast for {steps} steps: the mean may be off by {splitting:.2g} standard deviations", Code.COARSE))
+            code |= Code.COARSE
+        known = {name: getattr(whole, name) for name in ("n_steps", "n_evaluations", "mass_error", "scheme", "skipped")}
+        return ModesInfo(
+            **known,
+            error=error,
+            status="; ".join(status for status, _ in said) or "ok",
+            code=code,
+            n_substeps=steps,
+            splitting_error=splitting,
+            modes={self._names[i]: info for i, info in joined.items()},
+        )
+
+
+def _switched(
+    modes: ModeDensities, model: JumpMarkovModel, h: float, target: float, allowed: float
+) -> ModeDensities:
+    """The densities after h seconds in which states jump between modes and do not move."""
+    with np.errstate(divide="ignore"):
+        log_P = np.log(model.transition(h))
+    log_w, densities = [], []
+    for i, own in enumerate(modes.densities):
+        parts = [Part(w + log_P[j, i], p) for j, w, p in modes.some if log_P[j, i] > -math.inf]
+        log_w.append(float(logsumexp([part.log_w for part in parts])) if parts else -math.inf)
+        densities.append(mixed(parts, target, allowed) if parts else own)
+    return ModeDensities(np.array(log_w), densities)
+
+
+def _carried(
+    modes: ModeDensities, model: JumpMarkovModel, t: float, config: FilterConfig, n_particles: Any, told: _Told
+) -> ModeDensities:
+    """Every mode by its own equation to time t; an unlikely one that cannot be carried ends."""
+    log_w, densities = modes.log_w.copy(), list(modes.densities)
+    for i, own, density in modes.some:
+        sde = model.modes[model.names[i]]
+
+        def predicted(config: Any, density: ParticleDensity = density, sde: SDE = sde) -> Outcome[PredictInfo]:
+            options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}
+            moved, info = predict(density, sde, config=config, **options)
+            return Outcome(density, moved, info, moved.n_particles)
+
+        try:
+            outcome = or_as_cloud(predicted, config)
+        except PropagationError as problem:
+            if own > math.log(_UNLIKELY):
+                raise PropagationError(f"mode {model.names[i]!r}: {problem}") from problem
+            log_w[i], densities[i] = -math.inf, None
+            continue
+        densities[i] = outcome.density
+        told.hear(i, outcome.info)
+    return ModeDensities(log_w, densities)
+
+
+def _steps(
+    modes: ModeDensities, model: JumpMarkovModel, dt: float, allowed: float, given: int | None
+) -> tuple[int, Floats]:
+    """Steps of the splitting that an error needs, and what it is then in each mode."""
+    steps = 1 if given is None else given
+    while True:
+        off = splitting_error(modes, model, dt, steps)
+        error = math.sqrt(float(modes.w @ off**2))
+        if given is not None or error <= allowed or steps == _MOST:
+            return steps, off
+        steps = min(max(math.ceil(steps * math.sqrt(error / allowed)), steps + 1), 2 * steps, _MOST)
+
+
+class _Flow(NamedTuple):
+    """X -> Phi X + offset + N(0, Q)."""
+
+    Phi: Floats
+    offset: Floats
+    Q: Floats
+
+    def after(self, first: "_Flow") -> "_Flow":
+        """The flow of another one, and then of this."""
+        return _Flow(self.Phi @ first.Phi, self.Phi @ first.offset + self.offset, self.Phi @ first.Q @ self.Phi.T + self.Q)
+
+    def of(self, mean: Floats, cov: Floats) -> tuple[Floats, Floats]:
+        return self.Phi @ mean + self.offset, self.Phi @ cov @ self.Phi.T + self.Q
+
+
+def _powers(sde: SDE, x: Floats, t: float, h: float, count: int) -> list[_Flow]:
+    """The flows of a model, linearised about a state, over 0, h, ..., count h seconds."""
+    n = len(x)
+    if sde.linear:
+        one = _Flow(*sde.to_linear().discretize(h))
+    else:
+        A = np.nan_to_num(sde.jacobian(x, t))
+        b = np.nan_to_num(sde.drift(x[None], t)[0]) - A @ x
+        one = _Flow(*transition(A, b, 2.0 * np.nan_to_num(sde.diffusion(x[None], t)[0]), h))
+    flows = [_Flow(np.eye(n), np.zeros(n), np.zeros((n, n)))]
+    for _ in range(count):
+        flows.append(one.after(flows[-1]))
+    return flows
+
+
+def splitting_error(modes: ModeDensities, model: JumpMarkovModel, dt: float, steps: int) -> Floats:
+    """Errors (M,) of the modes' densities after dt seconds in so many steps, as those of a polynomial's fit.
+
+    With jumps from mode j at the times s, the density of mode i has ∫ λ_ji U_i(dt - s) U_j(s) p_j ds. Of
+    that the steps make a trapezoidal rule; what Simpson's rule adds to it is taken for its error, over the
+    density, rms over the mass.
+    """
+    h, t = 0.5 * dt / steps, modes.heaviest.t
+    starts = {j: _narrow(p) for j, _, p in modes.some}
+    flows = {
+        (i, j): _powers(model.modes[model.names[i]], mean, t, h, 2 * steps)
+        for j, (mean, _) in starts.items()
+        for i in range(len(model.names))
+        if i == j or model.rates[i, j] > 0.0 or model.rates[j, i] > 0.0
+    }
+    simpson = np.array([1.0, *[4.0, 2.0] * (steps - 1), 4.0, 1.0]) * h / 3.0
+    trapezoid = np.array([1.0, *[0.0, 2.0] * (steps - 1), 0.0, 1.0]) * h
+    P, off = model.transition(dt), np.zeros(len(model.names))
+    for i in range(len(off)):
+        means, covs, weights, extra = [], [], [], []
+        for j, (mean, cov) in starts.items():
+            rate = model.rates[j, i]
+            if i == j:
+                jumpless = math.exp(max(model.rates[i, i] * dt, -700.0))
+                ends = [flows[i, i][-1].of(mean, cov)]
+                weights.append(modes.w[i] * jumpless)
+                extra.append(0.0)
+            elif rate > 0.0:
+                first, then = flows[j, j], flows[i, j]
+                ends = [then[2 * steps - m].of(*first[m].of(mean, cov)) for m in range(2 * steps + 1)]
+                weights += list(modes.w[j] * rate * simpson)
+                extra += list(modes.w[j] * rate * (simpson - trapezoid))
+            else:
+                continue
+            means += [mean for mean, _ in ends]
+            covs += [cov for _, cov in ends]
+        if np.any(extra):
+            whole = float(modes.w @ P[:, i])
+            w = np.array(weights) * (whole / sum(weights))
+            off[i] = OF_MISFIT * _relative(np.array(means), np.array(covs), w, np.array(extra))
+    return off
+
+
+def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
+    """Mean (n,) and covariance (n, n) of a density, or of the heaviest of its parts."""
+    if density.pieces is not None:
+        return density.pieces.mean[0], density.pieces.cov[0]
+    if density.families is not None:
+        return density.families.mu[0], density.families.A[0] @ density.families.A[0].T
+    return unrolled(density)
+
+
+def _relative(mean: Floats, cov: Floats, w: Floats, extra: Floats) -> float:
+    """Root of the mean square, under Gaussians with weights w (K,), of what `extra` ones are of them."""
+    several = Pieces(np.zeros(len(w)), mean, root_of(cov))
+    xi, u = nodes(mean.shape[1])
+    X = (mean[:, None] + np.einsum("kab,ib->kia", several.root, xi)).reshape(-1, mean.shape[1])
+    each = several.log_each(X)
+    top = each.max(axis=1, keepdims=True)
+    p = np.exp(each - top)
+    q = p.mean(axis=1)  # all of them alike: what the nodes are those of
+    ratio = (p @ extra) ** 2 / ((p @ w) * q)
+    return math.sqrt(float(np.tile(u, len(w)) @ ratio) / (len(w) * w.sum()))
