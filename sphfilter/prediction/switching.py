@@ -95,12 +95,13 @@ def predict_modes(
     if jumps:
         steps, off = _steps(modes, model, t1 - t0, _SPLITTING * allowed, n_substeps)
     h, told = (t1 - t0) / steps, _Told(model.names)
-    each = allowed / math.sqrt(steps + 1)
+    each = allowed / (steps + 1)  # what steps add is alike, and adds up
+    finer = replace(config, target_error=config.target_error / steps)
     if jumps:
         modes = _switched(modes, model, 0.5 * h, target, each)
     for step in range(1, steps + 1):
         t = t1 if step == steps else t0 + step * h
-        modes = _carried(modes, model, t, config, n_particles, told)
+        modes = _carried(modes, model, t, (finer, config), n_particles, told)
         if jumps:
             modes = _switched(modes, model, h if step < steps else 0.5 * h, target, each)
     densities = [None if p is None else p.noted(error=math.hypot(p.error, e)) for p, e in zip(modes.densities, off, strict=True)]
@@ -160,9 +161,18 @@ def _switched(
 
 
 def _carried(
-    modes: ModeDensities, model: JumpMarkovModel, t: float, config: FilterConfig, n_particles: Any, told: _Told
+    modes: ModeDensities,
+    model: JumpMarkovModel,
+    t: float,
+    configs: tuple[FilterConfig, FilterConfig],
+    n_particles: Any,
+    told: _Told,
 ) -> ModeDensities:
-    """Every mode by its own equation to time t; an unlikely one that cannot be carried ends."""
+    """Every mode by its own equation to time t; an unlikely one that cannot be carried ends.
+
+    The first configuration has the target of one step of many. Clouds have the second: their points are
+    drawn once.
+    """
     log_w, densities = modes.log_w.copy(), list(modes.densities)
     for i, own, density in modes.some:
         sde = model.modes[model.names[i]]
@@ -173,7 +183,9 @@ def _carried(
             return Outcome(density, moved, info, moved.n_particles)
 
         try:
-            outcome = or_as_cloud(predicted, config)
+            outcome = or_as_cloud(predicted, configs[density.read_out == "cloud"])
+            if outcome.density.read_out == "cloud" != density.read_out and configs[0] != configs[1]:
+                outcome = or_as_cloud(predicted, configs[1])
         except PropagationError as problem:
             if own > math.log(_UNLIKELY):
                 raise PropagationError(f"mode {model.names[i]!r}: {problem}") from problem
