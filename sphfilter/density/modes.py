@@ -23,6 +23,9 @@ class ModeDensities:
         Logarithms of the modes' probabilities, but for a constant; minus infinity where there is none.
     densities : sequence of ParticleDensity or None, length M
         None only where the probability is zero.
+    splitting : ndarray, shape (M,), optional
+        Estimated errors of the densities that come from jumps between the modes, not those of the densities
+        themselves.
 
     Raises
     ------
@@ -30,13 +33,20 @@ class ModeDensities:
         All probabilities are zero.
     """
 
-    def __init__(self, log_w: Floats, densities: Sequence[ParticleDensity | None]) -> None:
+    def __init__(
+        self, log_w: Floats, densities: Sequence[ParticleDensity | None], splitting: Floats | None = None
+    ) -> None:
         total = logsumexp(log_w)
         if not np.isfinite(total):
             raise PropagationError("no mode of the model explains what was measured: all have probability zero")
         self.log_w: Floats = np.asarray(log_w - total, dtype=np.float64)
         self.log_w.flags.writeable = False
         self.densities = tuple(densities)
+        self.splitting = np.zeros(len(log_w)) if splitting is None else splitting
+
+    def split(self, splitting: Floats) -> "ModeDensities":
+        """The same with other errors that come from jumps."""
+        return ModeDensities(self.log_w, self.densities, splitting)
 
     @property
     def w(self) -> Floats:
@@ -75,7 +85,8 @@ class ModeDensities:
     @property
     def error(self) -> float:
         """Estimated error of the means, in standard deviations: rms over the modes."""
-        return float(np.sqrt(sum(np.exp(log_w) * p.error**2 for _, log_w, p in self.some)))
+        own = [np.exp(log_w) * (p.error**2 + self.splitting[i] ** 2) for i, log_w, p in self.some]
+        return float(np.sqrt(sum(own)))
 
     def logpdf(self, X: Floats) -> Floats:
         """Logarithm of the density of the states X (M, n), whatever the mode."""

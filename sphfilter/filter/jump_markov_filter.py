@@ -29,6 +29,7 @@ from ..model.measurements import Sensor
 from ..prediction.mixing import Part, mixed
 from ..prediction.switching import ModesInfo, predict_modes
 from ..validate import array, choice, count, covariance, onwards, positive, real, row, seconds, short
+from .asked import kept
 from .jump_markov_state import JumpMarkovState
 from .readings import checked_sensor
 from .results import FilterResult, run_filter
@@ -373,6 +374,7 @@ def _updated(
 ) -> tuple[ModeDensities, ModesUpdateInfo]:
     """Every mode by its own evidence; one in which the reading cannot have come about loses its probability."""
     log_w, densities = np.full(len(names), -math.inf), list(modes.densities)
+    splitting = modes.splitting.copy()
     infos: dict[int, UpdateInfo] = {}
     problem: PropagationError | None = None
     for i, own, density in modes.some:
@@ -382,10 +384,11 @@ def _updated(
             problem = problem or found
             continue
         log_w[i] = own + infos[i].log_evidence
+        splitting[i] *= kept(density, densities[i])
     if problem is not None and not infos:
         raise problem
     log_evidence = float(logsumexp(log_w))
-    new = ModeDensities(log_w, densities)
+    new = ModeDensities(log_w, densities, splitting)
     told = {names[i]: info for i, info in infos.items()}
     flagged = [(names[i], info) for i, info in infos.items() if info.flagged and new.w[i] > _MATTERS]
     w = [float(new.w[i]) for i in infos]

@@ -45,7 +45,7 @@ from .ladder import first_degree, prefers_cloud
 __all__ = ["Part", "mixed"]
 
 _CHANGE, _OF_CHANGE = 5.0, 0.2  # of log p by mergers: times the aim, and part of it that is an error
-_DROPPED = 0.01  # of the error that may be added, that light parts may carry which are left out
+_DROPPED = 0.1  # of the error that may be added, that light parts may carry which are left out
 _HEAVY = 0.1  # share of a family, below which it may be off by more
 _TRIES, _FINER, _MOST_NODES = 6, 2, 20_000  # lattices, and times the nodes of the one before
 _HELPED = 0.8  # of an error that is left by finer lattices, if it comes from them

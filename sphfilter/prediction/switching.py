@@ -17,24 +17,25 @@ from scipy.special import logsumexp
 from .._types import Floats
 from ..config import FilterConfig
 from ..density.as_family import unrolled
-from ..density.family import OF_MISFIT
 from ..density.modes import ModeDensities
 from ..density.needs import allowance
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, nodes, root_of
 from ..errors import PropagationError
 from ..info import Code, PredictInfo
-from ..model.discretization import transition
+from ..model.discretization import linear_transition, transition
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
 from .again import Outcome, or_as_cloud
 from .mixing import Part, mixed
+from .pieces import carried_exactly
 from .predict import predict
 
 __all__ = ["ModesInfo", "predict_modes", "splitting_error"]
 
 _MOST = 64  # steps of an interval
-_SPLITTING = 0.5  # of the error that may be added, that of the splitting
+_SPLITTING = 0.25  # of the target, that the splitting of an interval may be off by
+_ROUNDS, _NEAR = 4, 2.5  # in which a part of a density grows, and standard deviations by which
 _UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
 
 
@@ -89,11 +90,11 @@ def predict_modes(
         A mode that is not unlikely cannot be carried; the sentence says why.
     """
     t0, target = modes.heaviest.t, config.target_error / math.sqrt(model.dim)
-    allowed = allowance(modes.error, target)
+    allowed = allowance(modes.error, config.target_error)
     jumps = model.rates.any()
     steps, off = 1, np.zeros(len(model.names))
     if jumps:
-        steps, off = _steps(modes, model, t1 - t0, _SPLITTING * allowed, n_substeps)
+        steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error, n_substeps)
     h, told = (t1 - t0) / steps, _Told(model.names)
     each = allowed / (steps + 1)  # what steps add is alike, and adds up
     finer = replace(config, target_error=config.target_error / steps)
@@ -104,9 +105,8 @@ def predict_modes(
         modes = _carried(modes, model, t, (finer, config), n_particles, told)
         if jumps:
             modes = _switched(modes, model, h if step < steps else 0.5 * h, target, each)
-    densities = [None if p is None else p.noted(error=math.hypot(p.error, e)) for p, e in zip(modes.densities, off, strict=True)]
-    modes = ModeDensities(modes.log_w, densities)
-    return modes, told.info(modes, steps, float(np.sqrt(modes.w @ off**2)), target)
+    modes = modes.split(np.hypot(modes.splitting, off))
+    return modes, told.info(modes, steps, float(modes.w @ off), target)
 
 
 class _Told:
@@ -152,12 +152,14 @@ def _switched(
     """The densities after h seconds in which states jump between modes and do not move."""
     with np.errstate(divide="ignore"):
         log_P = np.log(model.transition(h))
-    log_w, densities = [], []
+    log_w, densities, P = [], [], model.transition(h)
     for i, own in enumerate(modes.densities):
         parts = [Part(w + log_P[j, i], p) for j, w, p in modes.some if log_P[j, i] > -math.inf]
         log_w.append(float(logsumexp([part.log_w for part in parts])) if parts else -math.inf)
         densities.append(mixed(parts, target, allowed) if parts else own)
-    return ModeDensities(np.array(log_w), densities)
+    share = modes.w[:, None] * P
+    splitting = np.sqrt(modes.splitting**2 @ share / np.maximum(share.sum(axis=0), 1e-300))
+    return ModeDensities(np.array(log_w), densities, splitting)
 
 
 def _carried(
@@ -176,6 +178,10 @@ def _carried(
     log_w, densities = modes.log_w.copy(), list(modes.densities)
     for i, own, density in modes.some:
         sde = model.modes[model.names[i]]
+        if sde.linear and sde.domain.unbounded and (density.gaussian or density.pieces is not None):
+            densities[i] = carried_exactly(density, sde, t)
+            told.hear(i, PredictInfo(scheme="exact_linear", error=density.error))
+            continue
 
         def predicted(config: Any, density: ParticleDensity = density, sde: SDE = sde) -> Outcome[PredictInfo]:
             options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}
@@ -193,7 +199,7 @@ def _carried(
             continue
         densities[i] = outcome.density
         told.hear(i, outcome.info)
-    return ModeDensities(log_w, densities)
+    return ModeDensities(log_w, densities, modes.splitting)
 
 
 def _steps(
@@ -203,7 +209,7 @@ def _steps(
     steps = 1 if given is None else given
     while True:
         off = splitting_error(modes, model, dt, steps)
-        error = math.sqrt(float(modes.w @ off**2))
+        error = float(modes.w @ off)
         if given is not None or error <= allowed or steps == _MOST:
             return steps, off
         steps = min(max(math.ceil(steps * math.sqrt(error / allowed)), steps + 1), 2 * steps, _MOST)
@@ -228,7 +234,7 @@ def _powers(sde: SDE, x: Floats, t: float, h: float, count: int) -> list[_Flow]:
     """The flows of a model, linearised about a state, over 0, h, ..., count h seconds."""
     n = len(x)
     if sde.linear:
-        one = _Flow(*sde.to_linear().discretize(h))
+        one = _Flow(*linear_transition(sde, h))
     else:
         A = np.nan_to_num(sde.jacobian(x, t))
         b = np.nan_to_num(sde.drift(x[None], t)[0]) - A @ x
@@ -240,7 +246,7 @@ def _powers(sde: SDE, x: Floats, t: float, h: float, count: int) -> list[_Flow]:
 
 
 def splitting_error(modes: ModeDensities, model: JumpMarkovModel, dt: float, steps: int) -> Floats:
-    """Errors (M,) of the modes' densities after dt seconds in so many steps, as those of a polynomial's fit.
+    """Errors (M,) of the modes' densities after dt seconds in so many steps: parts of the probability.
 
     With jumps from mode j at the times s, the density of mode i has ∫ λ_ji U_i(dt - s) U_j(s) p_j ds. Of
     that the steps make a trapezoidal rule; what Simpson's rule adds to it is taken for its error, over the
@@ -258,47 +264,49 @@ def splitting_error(modes: ModeDensities, model: JumpMarkovModel, dt: float, ste
     trapezoid = np.array([1.0, *[0.0, 2.0] * (steps - 1), 0.0, 1.0]) * h
     P, off = model.transition(dt), np.zeros(len(model.names))
     for i in range(len(off)):
-        means, covs, weights, extra = [], [], [], []
+        means, covs, extra = [], [], []
         for j, (mean, cov) in starts.items():
             rate = model.rates[j, i]
-            if i == j:
-                jumpless = math.exp(max(model.rates[i, i] * dt, -700.0))
-                ends = [flows[i, i][-1].of(mean, cov)]
-                weights.append(modes.w[i] * jumpless)
-                extra.append(0.0)
-            elif rate > 0.0:
-                first, then = flows[j, j], flows[i, j]
-                ends = [then[2 * steps - m].of(*first[m].of(mean, cov)) for m in range(2 * steps + 1)]
-                weights += list(modes.w[j] * rate * simpson)
-                extra += list(modes.w[j] * rate * (simpson - trapezoid))
-            else:
+            if i == j or rate == 0.0:
                 continue
+            first, then = flows[j, j], flows[i, j]
+            ends = [then[2 * steps - m].of(*first[m].of(mean, cov)) for m in range(2 * steps + 1)]
+            extra += list(modes.w[j] * rate * (simpson - trapezoid))
             means += [mean for mean, _ in ends]
             covs += [cov for _, cov in ends]
         if np.any(extra):
             whole = float(modes.w @ P[:, i])
-            w = np.array(weights) * (whole / sum(weights))
-            off[i] = OF_MISFIT * _relative(np.array(means), np.array(covs), w, np.array(extra))
+            off[i] = min(_absolute(np.array(means), np.array(covs), np.array(extra)) / whole, 1.0)
     return off
 
 
 def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
-    """Mean (n,) and covariance (n, n) of a density, or of the heaviest of its parts."""
+    """Mean (n,) and covariance (n, n) of a density, or of its heaviest part with all that lies about it."""
     if density.pieces is not None:
-        return density.pieces.mean[0], density.pieces.cov[0]
-    if density.families is not None:
-        return density.families.mu[0], density.families.A[0] @ density.families.A[0].T
-    return unrolled(density)
+        w, middle, own = density.pieces.w, density.pieces.mean, density.pieces.cov
+    elif density.families is not None:
+        A = density.families.A
+        w, middle, own = density.families.w, density.families.mu, np.einsum("kab,kcb->kac", A, A)
+    else:
+        return unrolled(density)
+    mean, cov = middle[0], own[0]
+    for _ in range(_ROUNDS):
+        z = np.linalg.solve(np.linalg.cholesky(cov), (middle - mean).T)
+        near = np.sum(z**2, axis=0) < _NEAR**2
+        share = w[near] / w[near].sum()
+        mean = share @ middle[near]
+        off = middle[near] - mean
+        cov = np.einsum("k,kab->ab", share, own[near]) + np.einsum("k,ka,kb->ab", share, off, off)
+    return mean, cov
 
 
-def _relative(mean: Floats, cov: Floats, w: Floats, extra: Floats) -> float:
-    """Root of the mean square, under Gaussians with weights w (K,), of what `extra` ones are of them."""
-    several = Pieces(np.zeros(len(w)), mean, root_of(cov))
+def _absolute(mean: Floats, cov: Floats, w: Floats) -> float:
+    """Integral of the size of a sum of Gaussians with weights w (K,) of either sign."""
+    own = w != 0.0
+    several, w = Pieces(np.zeros(own.sum()), mean[own], root_of(cov[own])), w[own]
     xi, u = nodes(mean.shape[1])
-    X = (mean[:, None] + np.einsum("kab,ib->kia", several.root, xi)).reshape(-1, mean.shape[1])
+    X = (several.mean[:, None] + np.einsum("kab,ib->kia", several.root, xi)).reshape(-1, mean.shape[1])
     each = several.log_each(X)
-    top = each.max(axis=1, keepdims=True)
-    p = np.exp(each - top)
-    q = p.mean(axis=1)  # all of them alike: what the nodes are those of
-    ratio = (p @ extra) ** 2 / ((p @ w) * q)
-    return math.sqrt(float(np.tile(u, len(w)) @ ratio) / (len(w) * w.sum()))
+    p = np.exp(each - each.max(axis=1, keepdims=True))
+    ratio = np.abs(p @ w) / (p @ np.abs(w))  # of what the same Gaussians are with weights above zero
+    return float(np.outer(np.abs(w), u).ravel() @ ratio)
