@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -11,7 +12,24 @@ from ..errors import PropagationError
 from .particle_density import ParticleDensity
 from .weighted import WeightedStates
 
-__all__ = ["ModeDensities"]
+__all__ = ["ModeDensities", "Ripple", "no_ripple"]
+
+
+class Ripple(NamedTuple):
+    """Where a density is wrong: states X (M, n), and probabilities (M,) that are too many or few there."""
+
+    X: Floats
+    off: Floats
+
+    @property
+    def mass(self) -> float:
+        """Part of the probability that is wrong."""
+        return min(float(self.off.sum()), 1.0)
+
+
+def no_ripple(n: int) -> Ripple:
+    """Of a density that is right."""
+    return Ripple(np.empty((0, n)), np.empty(0))
 
 
 class ModeDensities:
@@ -26,6 +44,8 @@ class ModeDensities:
     splitting : ndarray, shape (M,), optional
         Estimated errors of the densities that come from jumps between the modes, not those of the densities
         themselves.
+    ripples : sequence of Ripple, length M, optional
+        The part of `splitting` that the last prediction has added.
 
     Raises
     ------
@@ -34,7 +54,11 @@ class ModeDensities:
     """
 
     def __init__(
-        self, log_w: Floats, densities: Sequence[ParticleDensity | None], splitting: Floats | None = None
+        self,
+        log_w: Floats,
+        densities: Sequence[ParticleDensity | None],
+        splitting: Floats | None = None,
+        ripples: Sequence[Ripple] | None = None,
     ) -> None:
         total = logsumexp(log_w)
         if not np.isfinite(total):
@@ -43,10 +67,11 @@ class ModeDensities:
         self.log_w.flags.writeable = False
         self.densities = tuple(densities)
         self.splitting = np.zeros(len(log_w)) if splitting is None else splitting
+        self.ripples = ripples
 
-    def split(self, splitting: Floats) -> "ModeDensities":
+    def split(self, splitting: Floats, ripples: Sequence[Ripple]) -> "ModeDensities":
         """The same with other errors that come from jumps."""
-        return ModeDensities(self.log_w, self.densities, splitting)
+        return ModeDensities(self.log_w, self.densities, splitting, ripples)
 
     @property
     def w(self) -> Floats:

@@ -38,6 +38,7 @@ from .update import update
 __all__ = ["JumpMarkovFilter", "JumpMarkovResult", "ModesUpdateInfo"]
 
 _RANKED = 2**14  # points of a cloud that a truth is ranked among
+_MARGIN, _FINEST = 4.0, 250.0  # times less, that an error is to be, which a reading brings out
 _MATTERS = 0.01  # probability of a mode, from which on its flags are the filter's
 
 
@@ -311,14 +312,32 @@ class JumpMarkovFilter:
         sensors = self._sensors if measurement is None else self._checked(measurement)
         if sensors is None:
             raise ModelError("update needs a measurement, or a filter made with one")
-        modes, sensor = self._state.modes, sensors[self.mode]
+        state, sensor = self._state, sensors[self.mode]
+        prior = modes = state.modes
         if not sensor.observed(z).any():
             said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
             info = ModesUpdateInfo(n_particles=_particles(modes), error=modes.error, **said)
         else:
-            modes, info = _updated(modes, self.model.names, sensors, z, self.config, self.n_particles)
-        self._state = self._state.updated(modes, info, sensor, z)
+            prior, modes, info = self._updated(sensors, z)
+        self._state = state.updated(prior, modes, info, sensor, z)
         return info
+
+    def _updated(
+        self, sensors: Mapping[str, Sensor], z: ArrayLike | None
+    ) -> tuple[ModeDensities, ModeDensities, ModesUpdateInfo]:
+        """Prior and posterior; the prediction is made again in more steps where the reading hangs on them."""
+        state, names, target = self._state, self.model.names, self.config.target_error
+        modes, info = _updated(state.modes, names, sensors, z, self.config, self.n_particles)
+        off = float(modes.w @ modes.splitting)
+        if state.before is None or off <= target:
+            return state.modes, modes, info
+        finer = min(off / target, _FINEST)
+        prior, _ = predict_modes(
+            state.before, self.model, self.t, self.config, self.n_particles, finer=_MARGIN * finer
+        )
+        modes, info = _updated(prior, names, sensors, z, self.config, self.n_particles)
+        again = "the prediction before repeated in more steps of the jumps between modes"
+        return prior, modes, info.marked(Code.REPEATED, again if info.status == "ok" else f"{info.status}; {again}")
 
     def spread(self) -> WeightedStates:
         """The densities of all modes as states and weights, `WeightedStates`; of large clouds, of a part."""
@@ -384,11 +403,13 @@ def _updated(
             problem = problem or found
             continue
         log_w[i] = own + infos[i].log_evidence
-        splitting[i] *= kept(density, densities[i])
+        fresh, brought_out = _off(modes, i, sensors[names[i]], z, infos[i].log_evidence)
+        before = math.sqrt(max(splitting[i] ** 2 - fresh**2, 0.0))
+        splitting[i] = math.hypot(kept(density, densities[i]) * before, brought_out)
     if problem is not None and not infos:
         raise problem
     log_evidence = float(logsumexp(log_w))
-    new = ModeDensities(log_w, densities, splitting)
+    new = ModeDensities(log_w, densities, np.minimum(splitting, 1.0))
     told = {names[i]: info for i, info in infos.items()}
     flagged = [(names[i], info) for i, info in infos.items() if info.flagged and new.w[i] > _MATTERS]
     w = [float(new.w[i]) for i in infos]
@@ -407,6 +428,20 @@ def _updated(
         scheme=", ".join(dict.fromkeys(info.scheme for info in infos.values())),
         modes=told,
     )
+
+
+def _off(
+    modes: ModeDensities, i: int, sensor: Sensor, z: ArrayLike | None, log_evidence: float
+) -> tuple[float, float]:
+    """Part of a mode's probability that its last prediction got wrong, and of its posterior."""
+    if modes.ripples is None or not len(modes.ripples[i].X):
+        return 0.0, 0.0
+    X, off = modes.ripples[i]
+    density = modes.densities[i]
+    assert density is not None
+    X = X if density.domain is None else density.domain.fold(X)
+    weight = sensor.log_likelihood(z, X, density.t)
+    return modes.ripples[i].mass, float(off @ np.exp(np.minimum(weight - log_evidence, 700.0)))
 
 
 def _innovation(infos: list[tuple[float, UpdateInfo]]) -> tuple[Floats | None, Floats | None]:

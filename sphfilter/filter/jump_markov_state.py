@@ -28,6 +28,7 @@ class JumpMarkovState:
     S: Floats | None = None
     log_likelihood: float = 0.0
     log_evidence: float = 0.0
+    before: ModeDensities | None = None  # that the last prediction began with, if densities come from it
 
     @classmethod
     def begun(cls, modes: ModeDensities) -> "JumpMarkovState":
@@ -47,18 +48,24 @@ class JumpMarkovState:
     def predicted(self, modes: ModeDensities) -> "JumpMarkovState":
         """The state after a prediction."""
         x, P = modes.moments
-        return replace(self, modes=modes, x_prior=x, P_prior=P)
+        return replace(self, modes=modes, x_prior=x, P_prior=P, before=self.modes)
 
     def updated(
-        self, modes: ModeDensities, info: UpdateInfo, measurement: Sensor, z: ArrayLike | None
+        self,
+        prior: ModeDensities,
+        modes: ModeDensities,
+        info: UpdateInfo,
+        measurement: Sensor,
+        z: ArrayLike | None,
     ) -> "JumpMarkovState":
-        """The state after an update."""
-        x, P = modes.moments
+        """The state after an update, whose prior may be another than the densities now."""
+        (x_prior, P_prior), (x, P) = prior.moments, modes.moments
         return replace(
             self,
             modes=modes,
-            x_prior=self.x,
-            P_prior=self.P,
+            before=self.before if modes is prior else None,
+            x_prior=x_prior,
+            P_prior=P_prior,
             x_post=x,
             P_post=P,
             **said_of_reading(measurement, z, info),

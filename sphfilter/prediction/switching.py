@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 from .._types import Floats
 from ..config import FilterConfig
 from ..density.as_family import unrolled
-from ..density.modes import ModeDensities
+from ..density.modes import ModeDensities, Ripple, no_ripple
 from ..density.needs import allowance
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, nodes, root_of
@@ -33,9 +33,10 @@ from .predict import predict
 
 __all__ = ["ModesInfo", "predict_modes", "splitting_error"]
 
-_MOST = 64  # steps of an interval
+_MOST = 256  # steps of an interval
 _SPLITTING = 0.25  # of the target, that the splitting of an interval may be off by
 _ROUNDS, _NEAR = 4, 2.5  # in which a part of a density grows, and standard deviations by which
+_ENTRIES = 2**21  # of an array of states times Gaussians
 _UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
 
 
@@ -65,6 +66,7 @@ def predict_modes(
     config: FilterConfig,
     n_particles: int | str,
     n_substeps: int | None = None,
+    finer: float = 1.0,
 ) -> tuple[ModeDensities, ModesInfo]:
     """Carry the densities of all modes to time t1.
 
@@ -79,6 +81,8 @@ def predict_modes(
         As of `predict`.
     n_substeps : int, optional
         Steps of the splitting; as many as its error asks for if not given.
+    finer : float
+        Times less, that the error of the splitting is to be than usual.
 
     Returns
     -------
@@ -92,21 +96,22 @@ def predict_modes(
     t0, target = modes.heaviest.t, config.target_error / math.sqrt(model.dim)
     allowed = allowance(modes.error, config.target_error)
     jumps = model.rates.any()
-    steps, off = 1, np.zeros(len(model.names))
+    steps, off = 1, [no_ripple(model.dim) for _ in model.names]
     if jumps:
-        steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error, n_substeps)
+        steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error / finer, n_substeps)
     h, told = (t1 - t0) / steps, _Told(model.names)
     each = allowed / (steps + 1)  # what steps add is alike, and adds up
-    finer = replace(config, target_error=config.target_error / steps)
+    closer = replace(config, target_error=config.target_error / steps)
     if jumps:
         modes = _switched(modes, model, 0.5 * h, target, each)
     for step in range(1, steps + 1):
         t = t1 if step == steps else t0 + step * h
-        modes = _carried(modes, model, t, (finer, config), n_particles, told)
+        modes = _carried(modes, model, t, (closer, config), n_particles, told)
         if jumps:
             modes = _switched(modes, model, h if step < steps else 0.5 * h, target, each)
-    modes = modes.split(np.hypot(modes.splitting, off))
-    return modes, told.info(modes, steps, float(modes.w @ off), target)
+    whole = np.array([ripple.mass for ripple in off])
+    modes = modes.split(np.hypot(modes.splitting, whole), off)
+    return modes, told.info(modes, steps, float(modes.w @ whole), target)
 
 
 class _Told:
@@ -204,12 +209,12 @@ def _carried(
 
 def _steps(
     modes: ModeDensities, model: JumpMarkovModel, dt: float, allowed: float, given: int | None
-) -> tuple[int, Floats]:
+) -> tuple[int, list[Ripple]]:
     """Steps of the splitting that an error needs, and what it is then in each mode."""
     steps = 1 if given is None else given
     while True:
         off = splitting_error(modes, model, dt, steps)
-        error = float(modes.w @ off)
+        error = float(modes.w @ [ripple.mass for ripple in off])
         if given is not None or error <= allowed or steps == _MOST:
             return steps, off
         steps = min(max(math.ceil(steps * math.sqrt(error / allowed)), steps + 1), 2 * steps, _MOST)
@@ -245,8 +250,8 @@ def _powers(sde: SDE, x: Floats, t: float, h: float, count: int) -> list[_Flow]:
     return flows
 
 
-def splitting_error(modes: ModeDensities, model: JumpMarkovModel, dt: float, steps: int) -> Floats:
-    """Errors (M,) of the modes' densities after dt seconds in so many steps: parts of the probability.
+def splitting_error(modes: ModeDensities, model: JumpMarkovModel, dt: float, steps: int) -> list[Ripple]:
+    """What is wrong with each mode's density after dt seconds in so many steps.
 
     With jumps from mode j at the times s, the density of mode i has ∫ λ_ji U_i(dt - s) U_j(s) p_j ds. Of
     that the steps make a trapezoidal rule; what Simpson's rule adds to it is taken for its error, over the
@@ -262,7 +267,7 @@ def splitting_error(modes: ModeDensities, model: JumpMarkovModel, dt: float, ste
     }
     simpson = np.array([1.0, *[4.0, 2.0] * (steps - 1), 4.0, 1.0]) * h / 3.0
     trapezoid = np.array([1.0, *[0.0, 2.0] * (steps - 1), 0.0, 1.0]) * h
-    P, off = model.transition(dt), np.zeros(len(model.names))
+    P, off = model.transition(dt), [no_ripple(model.dim) for _ in model.names]
     for i in range(len(off)):
         means, covs, extra = [], [], []
         for j, (mean, cov) in starts.items():
@@ -276,7 +281,7 @@ def splitting_error(modes: ModeDensities, model: JumpMarkovModel, dt: float, ste
             covs += [cov for _, cov in ends]
         if np.any(extra):
             whole = float(modes.w @ P[:, i])
-            off[i] = min(_absolute(np.array(means), np.array(covs), np.array(extra)) / whole, 1.0)
+            off[i] = _absolute(np.array(means), np.array(covs), np.array(extra) / whole)
     return off
 
 
@@ -300,13 +305,19 @@ def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
     return mean, cov
 
 
-def _absolute(mean: Floats, cov: Floats, w: Floats) -> float:
-    """Integral of the size of a sum of Gaussians with weights w (K,) of either sign."""
+def _absolute(mean: Floats, cov: Floats, w: Floats) -> Ripple:
+    """The size of a sum of Gaussians with weights w (K,) of either sign."""
     own = w != 0.0
     several, w = Pieces(np.zeros(own.sum()), mean[own], root_of(cov[own])), w[own]
     xi, u = nodes(mean.shape[1])
     X = (several.mean[:, None] + np.einsum("kab,ib->kia", several.root, xi)).reshape(-1, mean.shape[1])
+    step = max(1, _ENTRIES // several.mean.size)
+    ratio = np.concatenate([_balance(several, w, X[i : i + step]) for i in range(0, len(X), step)])
+    return Ripple(X, np.outer(np.abs(w), u).ravel() * ratio)
+
+
+def _balance(several: Pieces, w: Floats, X: Floats) -> Floats:
+    """What Gaussians with weights of either sign are at states, over the same with weights above zero."""
     each = several.log_each(X)
     p = np.exp(each - each.max(axis=1, keepdims=True))
-    ratio = np.abs(p @ w) / (p @ np.abs(w))  # of what the same Gaussians are with weights above zero
-    return float(np.outer(np.abs(w), u).ravel() @ ratio)
+    return np.asarray(np.abs(p @ w) / (p @ np.abs(w)))
