@@ -63,7 +63,9 @@ class ImmFilter(ReferenceFilter):
         self.model = model
         x0, P0 = gaussian_start(x0, P0, model.dim)
         modes = list(model.modes.values())
-        kind = kind or ("kalman" if all(mode.linear for mode in modes) and measurement.H is not None else "ukf")
+        kind = kind or (
+            "kalman" if all(mode.linear for mode in modes) and measurement.H is not None else "ukf"
+        )
         members = [_Member(_KINDS[kind](mode, measurement, x0, P0, t0)) for mode in modes]
         mu = model.stationary if mode_probabilities is None else np.asarray(mode_probabilities, dtype=float)
         self._engine = IMMEstimator(members, mu, np.eye(len(mu)))

@@ -1,7 +1,7 @@
 """Grid filters of models that switch between modes: the referees of `JumpMarkovFilter`.
 
-They solve ∂p_i/∂t = L_i p_i + Σ_j λ_ji p_j for the densities p_i of all modes on one fixed grid: in one or two
-states with steps that are split, to be refined until they no longer matter; in one state whole, too.
+They solve ∂p_i/∂t = L_i p_i + Σ_j λ_ji p_j for the densities p_i of all modes on one fixed grid: in one or
+two states with steps that are split, to be refined until they no longer matter; in one state whole, too.
 """
 
 import math
@@ -73,7 +73,9 @@ class JumpGridFilter(ReferenceFilter):
         return p / p.sum(), n_steps
 
     def _updated(self, belief, z, measurement):
-        several = measurement if isinstance(measurement, dict) else dict.fromkeys(self.model.names, measurement)
+        several = (
+            measurement if isinstance(measurement, dict) else dict.fromkeys(self.model.names, measurement)
+        )
         log_l = np.array([several[name].log_likelihood(z, self.nodes, self.t) for name in self.model.names])
         top = log_l.max()
         posterior = belief * np.exp(log_l - top).reshape(belief.shape)
@@ -83,8 +85,8 @@ class JumpGridFilter(ReferenceFilter):
         return posterior / mass, {"log_evidence": float(top + np.log(mass))}
 
 
-def unsplit_jump_filter(model, measurement, x0, P0, times, readings, *, mode_probabilities=None, box=(-9.0, 9.0),
-                        size=1201, step=0.01):  # fmt: skip
+def unsplit_jump_filter(model, measurement, x0, P0, times, readings, *, mode_probabilities=None,
+                        box=(-9.0, 9.0), size=1201, step=0.01):  # fmt: skip
     """Mean, variance, log-evidence so far and mode probabilities after every reading, of one state.
 
     Finite differences of order ten and Padé steps of order four of the equations of all modes together:
@@ -114,7 +116,10 @@ def unsplit_jump_filter(model, measurement, x0, P0, times, readings, *, mode_pro
             h = round((end - t) / count, 12)
             if h not in steps:
                 square = G @ G * (h * h / 12.0)
-                steps[h] = (one + G * (h / 2) + square).tocsc(), linalg.splu((one - G * (h / 2) + square).tocsc())
+                steps[h] = (
+                    (one + G * (h / 2) + square).tocsc(),
+                    linalg.splu((one - G * (h / 2) + square).tocsc()),
+                )
             ahead, back = steps[h]
             for _ in range(count):
                 p = back.solve(ahead @ p)

@@ -62,7 +62,9 @@ class ModeDensities:
     ) -> None:
         total = logsumexp(log_w)
         if not np.isfinite(total):
-            raise PropagationError("no mode of the model explains what was measured: all have probability zero")
+            raise PropagationError(
+                "no mode of the model explains what was measured: all have probability zero"
+            )
         self.log_w: Floats = np.asarray(log_w - total, dtype=np.float64)
         self.log_w.flags.writeable = False
         self.densities = tuple(densities)
@@ -100,7 +102,10 @@ class ModeDensities:
         off = means - mean
         if domain is not None:
             spread = [(w, p.form.states(16, True)) for w, (_, _, p) in zip(w, self.some, strict=True)]
-            X, mass = np.concatenate([X for _, (X, _) in spread]), np.concatenate([w * m for w, (_, m) in spread])
+            X, mass = (
+                np.concatenate([X for _, (X, _) in spread]),
+                np.concatenate([w * m for w, (_, m) in spread]),
+            )
             mean[domain.periodic] = domain.mean(X, mass / mass.sum())[domain.periodic]
             off = domain.nearest(means - mean)
         cov = np.einsum("k,kab->ab", w, covs) + np.einsum("k,ka,kb->ab", w, off, off)

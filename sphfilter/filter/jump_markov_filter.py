@@ -2,16 +2,12 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from functools import reduce
-from operator import or_
-from os import PathLike
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import logsumexp
 
 from .._types import Floats, Interval, Readings
 from ..config import FilterConfig, checked_filter_config
@@ -22,38 +18,22 @@ from ..density.initialize import initialize
 from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
 from ..density.weighted import WeightedStates
-from ..errors import ConfigError, ModelError, PropagationError
-from ..info import NOTHING_CAME, Code, UpdateInfo
+from ..errors import ConfigError, ModelError
+from ..info import Code
 from ..model.jump_markov import JumpMarkovModel
 from ..model.measurements import Sensor
 from ..prediction.mixing import Part, mixed
 from ..prediction.switching import ModesInfo, predict_modes
 from ..validate import array, choice, count, covariance, onwards, positive, real, row, seconds, short
-from .asked import kept
 from .jump_markov_state import JumpMarkovState
 from .readings import checked_sensor
 from .results import FilterResult, run_filter
-from .update import update
+from .update_modes import ModesUpdateInfo, update_modes
 
 __all__ = ["JumpMarkovFilter", "JumpMarkovResult", "ModesUpdateInfo"]
 
 _RANKED = 2**14  # points of a cloud that a truth is ranked among
 _MARGIN, _FINEST = 4.0, 250.0  # times less, that an error is to be, which a reading brings out
-_MATTERS = 0.01  # probability of a mode, from which on its flags are the filter's
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModesUpdateInfo(UpdateInfo):
-    """One measurement update of all modes of a model that switches.
-
-    Attributes
-    ----------
-    modes : dict of str to UpdateInfo
-        What was said of each mode; of one that has no probability, or whose density knows nothing of such a
-        reading, nothing.
-    """
-
-    modes: dict[str, UpdateInfo] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,6 +46,16 @@ class JumpMarkovResult(FilterResult):
         After each update.
     names : tuple of str, length M
         Of the modes.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> drift = lambda v: sf.LinearSDE([[0.0]], [v], noise=[[0.2]])
+    >>> model = sf.JumpMarkovModel({"left": drift(-1.0), "right": drift(1.0)}, [[-0.1, 0.1], [0.1, -0.1]])
+    >>> flt = sf.JumpMarkovFilter(model, sf.GaussianMeasurement([[1.0]], [[0.04]]), [0.0], [[0.1]])
+    >>> result = flt.run([1.0, 2.0], [0.9, 2.1])
+    >>> print(result.names, result.mode_probabilities.round(2).tolist())
+    ('left', 'right') [[0.03, 0.97], [0.01, 0.99]]
     """
 
     mode_probabilities: Floats = None  # type: ignore[assignment]
@@ -129,10 +119,10 @@ class JumpMarkovFilter:
     >>> for z in (0.1, 0.0, 0.9, 2.1):
     ...     predicted, updated = flt.predict(), flt.update(z)
     ...     print(f"{flt.x[0]:5.2f} {flt.mode} {flt.mode_probabilities.round(2)}")
-     0.16 rest [0.89 0.11]
-     0.02 rest [0.98 0.02]
-     0.85 moving [0.12 0.88]
-     2.02 moving [0.01 0.99]
+     0.10 rest [0.91 0.09]
+     0.03 rest [0.97 0.03]
+     0.80 moving [0.32 0.68]
+     2.02 moving [0.05 0.95]
     """
 
     def __init__(
@@ -176,11 +166,14 @@ class JumpMarkovFilter:
             return dict.fromkeys(self.model.names, sensor)
         if set(measurement) != set(self.model.names):
             raise ModelError(
-                f"a measurement by mode needs one for each of {list(self.model.names)}, got {list(measurement)}"
+                f"a measurement by mode needs one for each of {list(self.model.names)}, "
+                f"got {list(measurement)}"
             )
         sensors = {name: checked_sensor(measurement[name], self._any_mode) for name in self.model.names}
         if len({getattr(sensor, "dim_z", 0) for sensor in sensors.values()}) > 1:
-            raise ModelError("the measurements of all modes must have as many components: they are of one reading")
+            raise ModelError(
+                "the measurements of all modes must have as many components: they are of one reading"
+            )
         return sensors
 
     @property
@@ -308,36 +301,29 @@ class JumpMarkovFilter:
     def update(
         self, z: ArrayLike | None, measurement: Sensor | Mapping[str, Sensor] | None = None
     ) -> ModesUpdateInfo:
-        """Use a measurement z, of another sensor if given; None or NaN is missing. Returns ModesUpdateInfo."""
+        """Use a measurement z, of another sensor if given; None or NaN is missing; a ModesUpdateInfo."""
         sensors = self._sensors if measurement is None else self._checked(measurement)
         if sensors is None:
             raise ModelError("update needs a measurement, or a filter made with one")
-        state, sensor = self._state, sensors[self.mode]
-        prior = modes = state.modes
-        if not sensor.observed(z).any():
-            said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
-            info = ModesUpdateInfo(n_particles=_particles(modes), error=modes.error, **said)
-        else:
-            prior, modes, info = self._updated(sensors, z)
-        self._state = state.updated(prior, modes, info, sensor, z)
+        prior, modes, info = self._updated(sensors, z)
+        self._state = self._state.updated(prior, modes, info, sensors[self.mode], z)
         return info
 
     def _updated(
         self, sensors: Mapping[str, Sensor], z: ArrayLike | None
     ) -> tuple[ModeDensities, ModeDensities, ModesUpdateInfo]:
         """Prior and posterior; the prediction is made again in more steps where the reading hangs on them."""
-        state, names, target = self._state, self.model.names, self.config.target_error
-        modes, info = _updated(state.modes, names, sensors, z, self.config, self.n_particles)
+        state, target, settings = self._state, self.config.target_error, (self.config, self.n_particles)
+        modes, info = update_modes(state.modes, sensors, z, *settings)
         off = float(modes.w @ modes.splitting)
-        if state.before is None or off <= target:
+        if modes is state.modes or state.before is None or off <= target:
             return state.modes, modes, info
         finer = min(off / target, _FINEST)
-        prior, _ = predict_modes(
-            state.before, self.model, self.t, self.config, self.n_particles, finer=_MARGIN * finer
-        )
-        modes, info = _updated(prior, names, sensors, z, self.config, self.n_particles)
+        prior, _ = predict_modes(state.before, self.model, self.t, *settings, finer=_MARGIN * finer)
+        modes, info = update_modes(prior, sensors, z, *settings)
         again = "the prediction before repeated in more steps of the jumps between modes"
-        return prior, modes, info.marked(Code.REPEATED, again if info.status == "ok" else f"{info.status}; {again}")
+        status = again if info.status == "ok" else f"{info.status}; {again}"
+        return prior, modes, info.marked(Code.REPEATED, status)
 
     def spread(self) -> WeightedStates:
         """The densities of all modes as states and weights, `WeightedStates`; of large clouds, of a part."""
@@ -377,80 +363,3 @@ def _probabilities(given: Any, model: JumpMarkovModel) -> Floats:
     if w.min() < 0.0 or abs(w.sum() - 1.0) > 1e-6:
         raise ModelError(f"mode_probabilities must not be negative, and sum to one; got {row(w)}")
     return w / w.sum()
-
-
-def _particles(modes: ModeDensities) -> int:
-    return sum(p.n_particles for _, _, p in modes.some)
-
-
-def _updated(
-    modes: ModeDensities,
-    names: tuple[str, ...],
-    sensors: Mapping[str, Sensor],
-    z: ArrayLike | None,
-    config: FilterConfig,
-    n_particles: Any,
-) -> tuple[ModeDensities, ModesUpdateInfo]:
-    """Every mode by its own evidence; one in which the reading cannot have come about loses its probability."""
-    log_w, densities = np.full(len(names), -math.inf), list(modes.densities)
-    splitting = modes.splitting.copy()
-    infos: dict[int, UpdateInfo] = {}
-    problem: PropagationError | None = None
-    for i, own, density in modes.some:
-        try:
-            densities[i], infos[i] = update(density, sensors[names[i]], z, config, n_particles=n_particles)
-        except PropagationError as found:
-            problem = problem or found
-            continue
-        log_w[i] = own + infos[i].log_evidence
-        fresh, brought_out = _off(modes, i, sensors[names[i]], z, infos[i].log_evidence)
-        before = math.sqrt(max(splitting[i] ** 2 - fresh**2, 0.0))
-        splitting[i] = math.hypot(kept(density, densities[i]) * before, brought_out)
-    if problem is not None and not infos:
-        raise problem
-    log_evidence = float(logsumexp(log_w))
-    new = ModeDensities(log_w, densities, np.minimum(splitting, 1.0))
-    told = {names[i]: info for i, info in infos.items()}
-    flagged = [(names[i], info) for i, info in infos.items() if info.flagged and new.w[i] > _MATTERS]
-    w = [float(new.w[i]) for i in infos]
-    y, S = _innovation([(modes.w[i], info) for i, info in infos.items()])
-    return new, ModesUpdateInfo(
-        accepted=any(info.accepted for i, info in infos.items() if new.w[i] > _MATTERS),
-        log_evidence=log_evidence,
-        innovation=y,
-        innovation_cov=S,
-        reason=told[names[int(np.argmax(log_w))]].reason,
-        n_particles=_particles(new),
-        error=new.error,
-        evidence_error=float(np.dot(w, [info.evidence_error for info in infos.values()])),
-        status="; ".join(f"{name}: {info.status}" for name, info in flagged) or "ok",
-        code=reduce(or_, (info.code for _, info in flagged), Code.OK),
-        scheme=", ".join(dict.fromkeys(info.scheme for info in infos.values())),
-        modes=told,
-    )
-
-
-def _off(
-    modes: ModeDensities, i: int, sensor: Sensor, z: ArrayLike | None, log_evidence: float
-) -> tuple[float, float]:
-    """Part of a mode's probability that its last prediction got wrong, and of its posterior."""
-    if modes.ripples is None or not len(modes.ripples[i].X):
-        return 0.0, 0.0
-    X, off = modes.ripples[i]
-    density = modes.densities[i]
-    assert density is not None
-    X = X if density.domain is None else density.domain.fold(X)
-    weight = sensor.log_likelihood(z, X, density.t)
-    return modes.ripples[i].mass, float(off @ np.exp(np.minimum(weight - log_evidence, 700.0)))
-
-
-def _innovation(infos: list[tuple[float, UpdateInfo]]) -> tuple[Floats | None, Floats | None]:
-    """Innovation and its covariance over all modes, by their probabilities before."""
-    known = [(w, info.innovation, info.innovation_cov) for w, info in infos if info.innovation is not None]
-    if not known:
-        return None, None
-    weights, y, S = (np.array(part) for part in zip(*known, strict=True))
-    weights = weights / weights.sum()
-    mean = weights @ y
-    off = y - mean
-    return mean, np.einsum("k,kab->ab", weights, S) + np.einsum("k,ka,kb->ab", weights, off, off)

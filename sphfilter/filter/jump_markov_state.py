@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 
-
 from numpy.typing import ArrayLike
 
 from .._types import Floats
@@ -72,5 +71,3 @@ class JumpMarkovState:
             log_likelihood=info.log_evidence,
             log_evidence=self.log_evidence + info.log_evidence,
         )
-
-

@@ -81,7 +81,7 @@ class JumpMarkovModel:
         return f"JumpMarkovModel(modes={list(self.names)}, rates={self.rates.tolist()}, states={self.states})"
 
     def transition(self, dt: float) -> Floats:
-        """Probabilities (M, M) to be in the mode of a column dt seconds after having been in that of a row."""
+        """Probabilities (M, M) of the mode of a column dt seconds after that of a row."""
         return _transition(self.rates.tobytes(), len(self.names), float(dt)).copy()
 
     @property
@@ -121,8 +121,8 @@ def _rates(rates: ArrayLike, names: tuple[str, ...]) -> Floats:
     if wrong.size:
         i = wrong[0]
         raise ModelError(
-            f"the rows of rates must sum to zero, that of {names[i]!r} sums to {sums[i]:g}: its diagonal must "
-            f"be minus the rates of leaving, {-off[i].sum():g}"
+            f"the rows of rates must sum to zero, that of {names[i]!r} sums to {sums[i]:g}: its diagonal "
+            f"must be minus the rates of leaving, {-off[i].sum():g}"
         )
     np.fill_diagonal(off, -off.sum(axis=1))
     off.flags.writeable = False
@@ -132,7 +132,9 @@ def _rates(rates: ArrayLike, names: tuple[str, ...]) -> Floats:
 def _states(modes: Mapping[str, SDE]) -> tuple[str, ...]:
     """Names of the states: those that a mode gives them, rather than numbers."""
     given = {
-        mode.states: name for name, mode in modes.items() if mode.states != tuple(f"x{i}" for i in range(mode.dim))
+        mode.states: name
+        for name, mode in modes.items()
+        if mode.states != tuple(f"x{i}" for i in range(mode.dim))
     }
     if len(given) > 1:
         (states, name), (others, other) = list(given.items())[:2]

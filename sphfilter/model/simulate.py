@@ -16,6 +16,7 @@ from ..errors import ModelError, PropagationError
 from .compile import surfacing
 from .derived import scales
 from .domain import Domain
+from .jump_markov import JumpMarkovModel
 from .measurements import GaussianMeasurement, LikelihoodMeasurement
 from .sde import SDE
 from .timing import beside
@@ -31,7 +32,7 @@ _MAX_STEPS = 10_000_000
 
 @overload
 def simulate(
-    model: SDE,
+    model: SDE | JumpMarkovModel,
     measurement: GaussianMeasurement | LikelihoodMeasurement,
     x0: ArrayLike,
     times: ArrayLike,
@@ -43,7 +44,7 @@ def simulate(
 
 @overload
 def simulate(
-    model: SDE,
+    model: SDE | JumpMarkovModel,
     measurement: None,
     x0: ArrayLike,
     times: ArrayLike,
@@ -54,7 +55,7 @@ def simulate(
 
 
 def simulate(
-    model: SDE,
+    model: SDE | JumpMarkovModel,
     measurement: GaussianMeasurement | LikelihoodMeasurement | None,
     x0: ArrayLike,
     times: ArrayLike,
@@ -68,7 +69,8 @@ def simulate(
 
     Parameters
     ----------
-    model : SDE
+    model : SDE or JumpMarkovModel
+        Of a model that switches, `simulate_modes` also tells the modes, and begins in a given one.
     measurement : GaussianMeasurement, LikelihoodMeasurement with a sampler, or None
     x0 : array_like, shape (n,) or (R, n)
         State at ``times[0]``, of one path or of R.
@@ -104,6 +106,10 @@ def simulate(
     >>> print(f"{many[:, 1].mean():.2f}")  # 2 / e = 0.736
     0.73
     """
+    if isinstance(model, JumpMarkovModel):
+        from .simulate_modes import simulate_modes  # which takes steps by this file
+
+        return simulate_modes(model, measurement, x0, times, rng, n_paths, max_step)[:2]
     rng, times = validate.generator(rng), validate.times("times", times)
     max_step = None if max_step is None else validate.positive("max_step", max_step)
     single = np.ndim(x0) == 1 and n_paths is None

@@ -95,7 +95,9 @@ def simulate_modes(
     if measurement is not None:
         z = np.stack([measurement.sample(x, t, rng) for x, t in zip(truth, times, strict=True)], axis=1)
     truth, modes = truth.transpose(1, 0, 2).copy(), modes.T.copy()
-    return ModePaths(truth[0], None if z is None else z[0], modes[0]) if single else ModePaths(truth, z, modes)
+    return (
+        ModePaths(truth[0], None if z is None else z[0], modes[0]) if single else ModePaths(truth, z, modes)
+    )
 
 
 def _advanced(

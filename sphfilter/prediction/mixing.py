@@ -6,6 +6,7 @@ it. Others are laid on a new lattice by the logarithm of the sum, or go on as th
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -93,12 +94,10 @@ def mixed(parts: Sequence[Part], target: float, allowed: float) -> ParticleDensi
         if found is not None:
             return found
     needs = first.needs
-    if all(part.density.read_out != "cloud" for part in parts):
-        if needs is None or not prefers_cloud(first.dim, needs, target) or not _unbounded(first):
-            try:
-                return _on_lattice(parts, first, allowed)
-            except (PropagationError, np.linalg.LinAlgError):
-                pass
+    as_points = needs is not None and first.domain is None and prefers_cloud(first.dim, needs, target)
+    if not as_points and all(part.density.read_out != "cloud" for part in parts):
+        with suppress(PropagationError, np.linalg.LinAlgError):
+            return _on_lattice(parts, first, allowed)
     return _as_cloud(parts, first, target)
 
 
@@ -145,10 +144,6 @@ def _needs(parts: Sequence[Part]) -> Needs | None:
         nodes=max(needs.nodes for needs in known),
         points=max(needs.points for needs in known),
     )
-
-
-def _unbounded(density: ParticleDensity) -> bool:
-    return density.domain is None
 
 
 def _as_pieces(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
@@ -283,7 +278,7 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
     best: Any = math.inf, None
     for _ in range(_TRIES):
         walls = NO_WALLS if about.domain is None else about.domain.walls
-        laid = lay(log_p, mean, np.linalg.cholesky(cov), seeds, nodes, depth, walls=walls)
+        laid = lay(log_p, mean, root_of(cov), seeds, nodes, depth, walls=walls)
         off, beyond = misfit(laid, log_p), ~held(laid.field, x)
         far = remote(laid.mean, laid.cov, x[beyond], mass[beyond])
         added = math.hypot(off.mean, far.mean, 0.5 * far.variance)
@@ -321,7 +316,8 @@ def _nodes(parts: Sequence[Part]) -> list[tuple[Floats, Floats]]:
     """States that stand for each part, and their weights."""
     shifts = _turned(parts)
     return [
-        (p.density.x + turn, math.exp(p.log_w) * p.density.mass) for p, turn in zip(parts, shifts, strict=True)
+        (p.density.x + turn, math.exp(p.log_w) * p.density.mass)
+        for p, turn in zip(parts, shifts, strict=True)
     ]
 
 

@@ -54,7 +54,9 @@ def carried(
 def carried_exactly(density: ParticleDensity, model: SDE, t1: float) -> ParticleDensity:
     """Carry a Gaussian or pieces to time t1 by a linear model, and merge none."""
     pieces = density.pieces or pieces_of(*unrolled(density))
-    return pieces_density(density, _linearly(pieces, model, t1 - density.t), t=float(t1)).noted(needs=density.needs)
+    return pieces_density(density, _linearly(pieces, model, t1 - density.t), t=float(t1)).noted(
+        needs=density.needs
+    )
 
 
 def _linearly(pieces: Pieces, model: SDE, dt: float) -> Pieces:

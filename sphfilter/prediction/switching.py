@@ -7,8 +7,9 @@ rule, for Gaussians and the model linearised about them. Steps are halved until 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import reduce
+from operator import or_
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +37,7 @@ __all__ = ["ModesInfo", "predict_modes", "splitting_error"]
 _MOST = 256  # steps of an interval
 _SPLITTING = 0.25  # of the target, that the splitting of an interval may be off by
 _ROUNDS, _NEAR = 4, 2.5  # in which a part of a density grows, and standard deviations by which
+_COARSE = "{} steps of the jumps between modes leave {:.2g} of the probability in doubt"
 _ENTRIES = 2**21  # of an array of states times Gaussians
 _UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
 
@@ -127,24 +129,23 @@ class _Told:
     def info(self, modes: ModeDensities, steps: int, splitting: float, target: float) -> ModesInfo:
         """All of it as one; flags of modes that matter."""
         joined = {i: PredictInfo.joined(infos) for i, infos in enumerate(self._infos) if infos}
-        whole = PredictInfo.joined([info for i, info in joined.items()])
+        whole = PredictInfo.joined(list(joined.values()))
         said = [
             (f"{self._names[i]}: {info.status}", info.code)
             for i, info in joined.items()
             if info.flagged and modes.w[i] > target
         ]
-        error, code = modes.error, Code.OK
-        for _, one in said:
-            code |= one
         if splitting > target:
-            said.append((f"jumps between modes are too fast for {steps} steps: the mean may be off by {splitting:.2g} standard deviations", Code.COARSE))
-            code |= Code.COARSE
-        known = {name: getattr(whole, name) for name in ("n_steps", "n_evaluations", "mass_error", "scheme", "skipped")}
+            said.append((_COARSE.format(steps, splitting), Code.COARSE))
+        known = {
+            name: getattr(whole, name)
+            for name in ("n_steps", "n_evaluations", "mass_error", "scheme", "skipped")
+        }
         return ModesInfo(
             **known,
-            error=error,
+            error=modes.error,
             status="; ".join(status for status, _ in said) or "ok",
-            code=code,
+            code=reduce(or_, (code for _, code in said), Code.OK),
             n_substeps=steps,
             splitting_error=splitting,
             modes={self._names[i]: info for i, info in joined.items()},
@@ -188,7 +189,9 @@ def _carried(
             told.hear(i, PredictInfo(scheme="exact_linear", error=density.error))
             continue
 
-        def predicted(config: Any, density: ParticleDensity = density, sde: SDE = sde) -> Outcome[PredictInfo]:
+        def predicted(
+            config: Any, density: ParticleDensity = density, sde: SDE = sde
+        ) -> Outcome[PredictInfo]:
             options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}
             moved, info = predict(density, sde, config=config, **options)
             return Outcome(density, moved, info, moved.n_particles)
@@ -211,10 +214,10 @@ def _steps(
     modes: ModeDensities, model: JumpMarkovModel, dt: float, allowed: float, given: int | None
 ) -> tuple[int, list[Ripple]]:
     """Steps of the splitting that an error needs, and what it is then in each mode."""
-    steps = 1 if given is None else given
+    steps, w = 1 if given is None else given, modes.w @ model.transition(dt)
     while True:
         off = splitting_error(modes, model, dt, steps)
-        error = float(modes.w @ [ripple.mass for ripple in off])
+        error = float(w @ [ripple.mass for ripple in off])
         if given is not None or error <= allowed or steps == _MOST:
             return steps, off
         steps = min(max(math.ceil(steps * math.sqrt(error / allowed)), steps + 1), 2 * steps, _MOST)
@@ -229,7 +232,11 @@ class _Flow(NamedTuple):
 
     def after(self, first: "_Flow") -> "_Flow":
         """The flow of another one, and then of this."""
-        return _Flow(self.Phi @ first.Phi, self.Phi @ first.offset + self.offset, self.Phi @ first.Q @ self.Phi.T + self.Q)
+        return _Flow(
+            self.Phi @ first.Phi,
+            self.Phi @ first.offset + self.offset,
+            self.Phi @ first.Q @ self.Phi.T + self.Q,
+        )
 
     def of(self, mean: Floats, cov: Floats) -> tuple[Floats, Floats]:
         return self.Phi @ mean + self.offset, self.Phi @ cov @ self.Phi.T + self.Q
