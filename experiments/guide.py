@@ -51,6 +51,10 @@ _GROUPS = {
             ("realtime duffing --budgets 10,20", "with 10 and 20 ms for a step"),
             ("realtime --runs 5", "four scenarios, four budgets"),
         ),
+        "switching": (
+            ("switching course", "a target that turns now and then; ends beside a grid"),
+            ("switching turns --runs 5", "four states, beside filterpy's IMM"),
+        ),
     },
     "Check the solver": {
         "converge": (

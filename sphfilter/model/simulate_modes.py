@@ -13,7 +13,7 @@ from .jump_markov import JumpMarkovModel
 from .measurements import GaussianMeasurement, LikelihoodMeasurement
 from .simulate import advance
 
-__all__ = ["ModePaths", "simulate_modes"]
+__all__ = ["ModePaths", "advance_modes", "simulate_modes"]
 
 
 class ModePaths(NamedTuple):
@@ -89,7 +89,7 @@ def simulate_modes(
     truth[0], modes[0] = x, now
     for i, (before, t) in enumerate(pairwise(times), start=1):
         if t > before:
-            x, now = _advanced(model, x, now, (before, t), rng, max_step)
+            x, now = advance_modes(model, x, now, (before, t), rng, max_step)
         truth[i], modes[i] = x, now
     z = None
     if measurement is not None:
@@ -100,13 +100,13 @@ def simulate_modes(
     )
 
 
-def _advanced(
+def advance_modes(
     model: JumpMarkovModel,
     x: Floats,
     now: Ints,
     span: tuple[float, float],
     rng: np.random.Generator,
-    max_step: float | None,
+    max_step: float | None = None,
 ) -> tuple[Floats, Ints]:
     """States (R, n) and modes (R,) after an interval: those that do not jump go together."""
     x, now, (t0, t1) = x.copy(), now.copy(), span
