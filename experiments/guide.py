@@ -53,7 +53,7 @@ _GROUPS = {
         ),
         "switching": (
             ("switching course", "a target that turns now and then; ends beside a grid"),
-            ("switching turns --runs 5", "four states, beside filterpy's IMM"),
+            ("switching turns --runs 5", "four states, all modes linear"),
         ),
     },
     "Check the solver": {

@@ -4,7 +4,7 @@ import numpy as np
 
 from sphfilter import validate
 from sphfilter.core.paths.weights import condition, weighted_moments
-from sphfilter.model.simulate_modes import advance_modes
+from sphfilter.model.simulate import advance
 
 from ._base import ReferenceFilter, gaussian_start
 
@@ -12,7 +12,7 @@ __all__ = ["JumpParticleFilter"]
 
 
 class JumpParticleFilter(ReferenceFilter):
-    """Sequential importance resampling of states and modes; every particle jumps at times of its own.
+    """Sequential importance resampling of states and modes.
 
     Parameters
     ----------
@@ -21,6 +21,9 @@ class JumpParticleFilter(ReferenceFilter):
     x0, P0 : array_like, shapes (n,), (n, n)
     mode_probabilities : array_like, shape (M,), optional
     n_particles : int
+    n_steps : int
+        Parts of an interval, in the middles of which particles jump: the modes are exact, and the times of
+        jumps as fine as the parts.
     rng : Generator or int, optional
 
     Attributes
@@ -29,8 +32,9 @@ class JumpParticleFilter(ReferenceFilter):
     """
 
     def __init__(self, model, measurement, x0, P0, t0=0.0, dt=None, *, mode_probabilities=None,
-                 n_particles=100_000, rng=None):  # fmt: skip
+                 n_particles=100_000, n_steps=16, rng=None):  # fmt: skip
         self.model, self._rng = model, validate.generator(rng)
+        self.n_steps = validate.count("n_steps", n_steps)
         N = validate.count("n_particles", n_particles, 2)
         x0, P0 = gaussian_start(x0, P0, model.dim)
         X = x0 + self._rng.standard_normal((N, model.dim)) @ np.linalg.cholesky(P0).T
@@ -55,8 +59,19 @@ class JumpParticleFilter(ReferenceFilter):
         ends = np.cumsum(w)
         taken = np.searchsorted(ends, (np.arange(len(w)) + self._rng.random()) * (ends[-1] / len(w)))
         taken = np.minimum(taken, len(w) - 1)
-        X, modes = advance_modes(self.model, X[taken], modes[taken], (t0, t1), self._rng)
-        return (X, modes, np.full(len(w), 1.0 / len(w))), 1
+        X, modes, h = X[taken], modes[taken], (t1 - t0) / self.n_steps
+        for part in range(2 * self.n_steps):  # halves of steps, with a jump after every other one
+            start = t0 + 0.5 * part * h
+            for i, mode in enumerate(self.model.modes.values()):
+                own = modes == i
+                X[own] = mode.domain.wrap(advance(mode, X[own], start, start + 0.5 * h, self._rng))
+            modes = modes if part % 2 else self._jumped(modes, h)
+        return (X, modes, np.full(len(w), 1.0 / len(w))), self.n_steps
+
+    def _jumped(self, modes, h):
+        ends = np.cumsum(self.model.transition(h), axis=1)[modes]
+        found = (self._rng.random(len(modes))[:, None] > ends).sum(axis=1)
+        return np.minimum(found, len(self.model.names) - 1)
 
     def _updated(self, belief, z, measurement):
         X, modes, w = belief

@@ -1,4 +1,4 @@
-"""`python -m experiments switching`: a target that turns now and then, beside a referee and filterpy's IMM."""
+"""`python -m experiments switching`: a target that turns now and then, beside a referee and an IMM."""
 
 import time
 from dataclasses import dataclass
@@ -46,14 +46,8 @@ class Held:
     def cells(self):
         """What the table tells of it."""
         rms, worst = np.sqrt(np.mean(self.modes**2)), np.abs(self.modes).max()
-        off = number(np.sqrt(np.mean(self.mean**2)), ".2g")
-        return (
-            number(rms, ".2g"),
-            number(worst, ".2g"),
-            off,
-            percent(self.right.mean()),
-            f"{1e3 * self.seconds:.1f} ms",
-        )
+        figures = (number(value, ".2g") for value in (rms, worst, np.sqrt(np.mean(self.mean**2))))
+        return *figures, percent(self.right.mean()), f"{1e3 * self.seconds:.1f} ms"
 
 
 def add_arguments(parser):

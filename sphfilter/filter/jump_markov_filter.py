@@ -278,7 +278,7 @@ class JumpMarkovFilter:
     def density(self) -> ParticleDensity:
         """The density of the states, whatever the mode: the sum of those of the modes."""
         target = self.config.target_error / math.sqrt(self.model.dim)
-        return mixed([Part(log_w, p) for _, log_w, p in self._state.modes.some], target, target)
+        return mixed([Part(log_w, p) for _, log_w, p in self._state.modes.some], target, (target, target))
 
     def predict(self, dt: Interval | None = None, *, t: float | None = None) -> ModesInfo:
         """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns ModesInfo."""

@@ -60,7 +60,7 @@ class Part(NamedTuple):
     density: ParticleDensity
 
 
-def mixed(parts: Sequence[Part], target: float, allowed: float) -> ParticleDensity:
+def mixed(parts: Sequence[Part], target: float, errors: tuple[float, float]) -> ParticleDensity:
     """The sum of densities of one time, as one density.
 
     Parameters
@@ -69,8 +69,8 @@ def mixed(parts: Sequence[Part], target: float, allowed: float) -> ParticleDensi
         The logarithms of their weights need not be normalised; one at least is finite.
     target : float
         Error of the mean, in standard deviations, that a record may have.
-    allowed : float
-        Error that may be added.
+    errors : tuple of float
+        That may be added by merging Gaussians and families, and by laying a lattice.
 
     Returns
     -------
@@ -82,6 +82,7 @@ def mixed(parts: Sequence[Part], target: float, allowed: float) -> ParticleDensi
     PropagationError
         Nothing holds the sum.
     """
+    allowed, by_lattice = errors
     parts, lost = _heavy(_joined(parts), allowed)
     w = np.exp([part.log_w for part in parts])
     error = math.hypot(math.sqrt(float(w @ [part.density.error**2 for part in parts])), AWAY * lost)
@@ -97,7 +98,7 @@ def mixed(parts: Sequence[Part], target: float, allowed: float) -> ParticleDensi
     as_points = needs is not None and first.domain is None and prefers_cloud(first.dim, needs, target)
     if not as_points and all(part.density.read_out != "cloud" for part in parts):
         with suppress(PropagationError, np.linalg.LinAlgError):
-            return _on_lattice(parts, first, allowed)
+            return _on_lattice(parts, first, by_lattice)
     return _as_cloud(parts, first, target)
 
 

@@ -7,6 +7,7 @@ rule, for Gaussians and the model linearised about them. Steps are halved until 
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import or_
@@ -38,6 +39,7 @@ _MOST = 256  # steps of an interval
 _SPLITTING = 0.25  # of the target, that the splitting of an interval may be off by
 _ROUNDS, _NEAR = 4, 2.5  # in which a part of a density grows, and standard deviations by which
 _COARSE = "{} steps of the jumps between modes leave {:.2g} of the probability in doubt"
+_KINDS = "family", "log_density", "cloud"  # read-outs, and "family" for all others
 _ENTRIES = 2**21  # of an array of states times Gaussians
 _UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
 
@@ -102,13 +104,15 @@ def predict_modes(
     if jumps:
         steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error / finer, n_substeps)
     h, told = (t1 - t0) / steps, _Told(model.names)
-    each = allowed / (steps + 1)  # what steps add is alike, and adds up
-    closer = replace(config, target_error=config.target_error / steps)
+    # what steps add to polynomials and pieces is alike, and adds up; of lattices it comes as it may
+    each = allowed / (steps + 1), allowed / math.sqrt(steps + 1)
+    smaller = [config.target_error / part for part in (steps, math.sqrt(steps), 1.0)]
+    configs = dict(zip(_KINDS, (replace(config, target_error=error) for error in smaller), strict=True))
     if jumps:
         modes = _switched(modes, model, 0.5 * h, target, each)
     for step in range(1, steps + 1):
         t = t1 if step == steps else t0 + step * h
-        modes = _carried(modes, model, t, (closer, config), n_particles, told)
+        modes = _carried(modes, model, t, configs, n_particles, told)
         if jumps:
             modes = _switched(modes, model, h if step < steps else 0.5 * h, target, each)
     whole = np.array([ripple.mass for ripple in off])
@@ -153,7 +157,7 @@ class _Told:
 
 
 def _switched(
-    modes: ModeDensities, model: JumpMarkovModel, h: float, target: float, allowed: float
+    modes: ModeDensities, model: JumpMarkovModel, h: float, target: float, allowed: tuple[float, float]
 ) -> ModeDensities:
     """The densities after h seconds in which states jump between modes and do not move."""
     with np.errstate(divide="ignore"):
@@ -172,14 +176,13 @@ def _carried(
     modes: ModeDensities,
     model: JumpMarkovModel,
     t: float,
-    configs: tuple[FilterConfig, FilterConfig],
+    configs: Mapping[str, FilterConfig],
     n_particles: Any,
     told: _Told,
 ) -> ModeDensities:
     """Every mode by its own equation to time t; an unlikely one that cannot be carried ends.
 
-    The first configuration has the target of one step of many. Clouds have the second: their points are
-    drawn once.
+    The configurations have the target errors of one step of many, by the kind of the density.
     """
     log_w, densities = modes.log_w.copy(), list(modes.densities)
     for i, own, density in modes.some:
@@ -197,9 +200,9 @@ def _carried(
             return Outcome(density, moved, info, moved.n_particles)
 
         try:
-            outcome = or_as_cloud(predicted, configs[density.read_out == "cloud"])
-            if outcome.density.read_out == "cloud" != density.read_out and configs[0] != configs[1]:
-                outcome = or_as_cloud(predicted, configs[1])
+            outcome = or_as_cloud(predicted, configs[_kind(density)])
+            if _kind(outcome.density) != _kind(density):  # which needs no more than its own kind does
+                outcome = or_as_cloud(predicted, configs[_kind(outcome.density)])
         except PropagationError as problem:
             if own > math.log(_UNLIKELY):
                 raise PropagationError(f"mode {model.names[i]!r}: {problem}") from problem
@@ -208,6 +211,10 @@ def _carried(
         densities[i] = outcome.density
         told.hear(i, outcome.info)
     return ModeDensities(log_w, densities, modes.splitting)
+
+
+def _kind(density: ParticleDensity) -> str:
+    return density.read_out if density.read_out in _KINDS else "family"
 
 
 def _steps(

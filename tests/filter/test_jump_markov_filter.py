@@ -10,6 +10,7 @@ from reference_filters.jump_grid import JumpGridFilter, unsplit_jump_filter
 from sphfilter.density.modes import ModeDensities
 from sphfilter.prediction.switching import predict_modes
 
+CLOUDS = sf.FilterConfig(scheme=sf.CloudScheme(n_points=20_000))
 READING = sf.GaussianMeasurement([[1.0]], [[0.04]])
 
 
@@ -180,7 +181,7 @@ def test_one_prediction_or_eight():
         ([[-0.1, 0.1], [0.1, -0.1]], {"n_particles": 100}, 0.01),
         (
             [[-0.1, 0.1], [0.1, -0.1]],
-            {"config": sf.FilterConfig(scheme=sf.CloudScheme(n_points=20_000))},
+            {"config": CLOUDS},
             0.01,
         ),
     ],
@@ -256,9 +257,7 @@ def test_the_density_of_all_modes_is_their_sum():
     np.testing.assert_allclose(np.exp(flt.spread().logpdf(X)), summed, rtol=1e-9)
     spread = flt.spread()
     assert spread.w @ spread.X == pytest.approx(flt.x, abs=0.01 * np.sqrt(flt.P[0, 0]))
-    assert flt.mode == max(
-        flt.densities, key=lambda name: flt.mode_probabilities[flt.model.names.index(name)]
-    )
+    assert flt.mode == flt.model.names[np.argmax(flt.mode_probabilities)]
 
 
 def test_the_same_input_gives_the_same_bits():
