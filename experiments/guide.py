@@ -52,7 +52,7 @@ _GROUPS = {
             ("realtime --runs 5", "four scenarios, four budgets"),
         ),
         "switching": (
-            ("switching course", "a target that turns now and then; ends beside a grid"),
+            ("switching course", "a target that turns now and then"),
             ("switching turns --runs 5", "four states, all modes linear"),
         ),
     },

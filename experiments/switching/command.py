@@ -1,4 +1,4 @@
-"""`python -m experiments switching`: a target that turns now and then, beside a referee and an IMM."""
+"""`python -m experiments switching`: targets that turn now and then, by densities and by an IMM."""
 
 import time
 from dataclasses import dataclass
