@@ -41,6 +41,7 @@ from ..lattice.field import held
 from ..lattice.level_set import lattice_reach, lay
 from ..model.domain import Domain
 from . import family
+from .families import degree_of_parts
 from .ladder import first_degree, prefers_cloud
 
 __all__ = ["Part", "mixed"]
@@ -175,7 +176,7 @@ def _pieces_of(part: Part) -> Pieces:
 def _as_family(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
     """One family, of as low a degree as the error lets it be; None where none holds the sum."""
     domain = about.domain
-    smooth = all(p.density.family or p.density.field or p.density.families for p in parts)
+    smooth = all(p.density.family or p.density.field or p.density.families or p.density.pieces for p in parts)
     if about.needs is None or not smooth or (domain is not None and domain.walled.any()):
         return None
     mean, cov = _moments(parts)
@@ -197,25 +198,28 @@ def _as_families(parts: Sequence[Part], about: ParticleDensity, allowed: float) 
     known = [p.density.families or p.density.family or p.density.pieces for p in parts]
     if not all(known):
         return None
-    degree = max([found.degree for found in known if not isinstance(found, Pieces) and found], default=2)
-    several = [_families_of(part, degree) for part in parts]
+    several, misfits = zip(*(_families_of(part, degree_of_parts(about.dim)) for part in parts), strict=True)
     union = Families(*(np.concatenate(part) for part in zip(*several, strict=True)))
+    off = OF_MISFIT * float(np.exp([part.log_w for part in parts]) @ misfits)
     try:
         families, change = gathered(union, allowed, _HEAVY)
     except np.linalg.LinAlgError:
         return None
-    error = math.hypot(about.error, change)
+    error = math.hypot(about.error, change, off)
     return families_density(about, families, error=error).noted(needs=about.needs)
 
 
-def _families_of(part: Part, degree: int) -> Families:
-    """Families of a degree that a part is the sum of."""
-    density, n = part.density, part.density.dim
+def _families_of(part: Part, degree: int) -> tuple[Families, float]:
+    """Families of a degree that a part is the sum of, and the misfit of one whose degree is higher."""
+    density, n, misfit = part.density, part.density.dim, 0.0
     if density.families is not None:
         own = density.families
         mu, A, c, log_w = own.mu, own.A, own.c, own.log_w
     elif density.family is not None:
-        mu, A, c = (np.array([value]) for value in density.family)
+        one = density.family
+        if one.degree > degree:
+            one, misfit = fitted(one.log_p, *unrolled(density), degree)
+        mu, A, c = (np.array([value]) for value in one)
         log_w = np.zeros(1)
     else:
         pieces = _pieces_of(part)
@@ -223,7 +227,7 @@ def _families_of(part: Part, degree: int) -> Families:
         mu, A, c = (np.array(value) for value in zip(*several, strict=True))
         log_w = pieces.log_w - part.log_w
     more = np.zeros((len(c), size(n, degree) - c.shape[1]))  # higher powers come last
-    return Families(log_w + part.log_w, mu, A, np.hstack([c, more]))
+    return Families(log_w + part.log_w, mu, A, np.hstack([c, more])), misfit
 
 
 def _turned(parts: Sequence[Part]) -> list[Floats]:
