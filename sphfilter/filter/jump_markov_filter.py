@@ -23,7 +23,7 @@ from ..info import Code
 from ..model.jump_markov import JumpMarkovModel
 from ..model.measurements import Sensor
 from ..prediction.mixing import Part, mixed
-from ..prediction.switching import ModesInfo, predict_modes
+from ..prediction.switching import MOST_SUBSTEPS, ModesInfo, predict_modes
 from ..validate import array, choice, count, covariance, onwards, positive, real, row, seconds, short
 from .jump_markov_state import JumpMarkovState
 from .readings import checked_sensor
@@ -33,6 +33,9 @@ from .update_modes import ModesUpdateInfo, update_modes
 __all__ = ["JumpMarkovFilter", "JumpMarkovResult", "ModesUpdateInfo"]
 
 _RANKED = 2**14  # points of a cloud that a truth is ranked among
+_MISSED = 1.5  # times the target, from which that is said
+_REPEATED = "the prediction before repeated in more steps of the jumps between modes"
+_COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
 _MARGIN, _FINEST = 4.0, 250.0  # times less, that an error is to be, which a reading brings out
 
 
@@ -295,7 +298,7 @@ class JumpMarkovFilter:
         if end == self.t:
             return ModesInfo(error=self._state.modes.error, skipped=("everything: the interval is empty",))
         modes, info = predict_modes(self._state.modes, self.model, end, self.config, self.n_particles)
-        self._state = self._state.predicted(modes)
+        self._state = self._state.predicted(modes, info.n_substeps)
         return info
 
     def update(
@@ -318,12 +321,18 @@ class JumpMarkovFilter:
         off = float(modes.w @ modes.splitting)
         if modes is state.modes or state.before is None or off <= target:
             return state.modes, modes, info
-        finer = min(off / target, _FINEST)
-        prior, _ = predict_modes(state.before, self.model, self.t, *settings, finer=_MARGIN * finer)
-        modes, info = update_modes(prior, sensors, z, *settings)
-        again = "the prediction before repeated in more steps of the jumps between modes"
-        status = again if info.status == "ok" else f"{info.status}; {again}"
-        return prior, modes, info.marked(Code.REPEATED, status)
+        prior, told = state.modes, []
+        if state.n_substeps < MOST_SUBSTEPS:
+            finer = _MARGIN * min(off / target, _FINEST)
+            prior, _ = predict_modes(state.before, self.model, self.t, *settings, finer=finer)
+            modes, info = update_modes(prior, sensors, z, *settings)
+            off = float(modes.w @ modes.splitting)
+            told.append((Code.REPEATED, _REPEATED))
+        if off > _MISSED * target:
+            told.append((Code.COARSE, _COARSE.format(off)))
+        for code, sentence in told:
+            info = info.marked(code, sentence if info.status == "ok" else f"{info.status}; {sentence}")
+        return prior, modes, info
 
     def spread(self) -> WeightedStates:
         """The densities of all modes as states and weights, `WeightedStates`; of large clouds, of a part."""

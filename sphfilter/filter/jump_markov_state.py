@@ -28,6 +28,7 @@ class JumpMarkovState:
     log_likelihood: float = 0.0
     log_evidence: float = 0.0
     before: ModeDensities | None = None  # that the last prediction began with, if densities come from it
+    n_substeps: int = 0  # of that prediction
 
     @classmethod
     def begun(cls, modes: ModeDensities) -> "JumpMarkovState":
@@ -44,10 +45,10 @@ class JumpMarkovState:
         """Covariance over all modes, shape (n, n)."""
         return self.modes.moments[1]
 
-    def predicted(self, modes: ModeDensities) -> "JumpMarkovState":
+    def predicted(self, modes: ModeDensities, n_substeps: int) -> "JumpMarkovState":
         """The state after a prediction."""
         x, P = modes.moments
-        return replace(self, modes=modes, x_prior=x, P_prior=P, before=self.modes)
+        return replace(self, modes=modes, x_prior=x, P_prior=P, before=self.modes, n_substeps=n_substeps)
 
     def updated(
         self,

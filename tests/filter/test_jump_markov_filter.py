@@ -109,6 +109,20 @@ def test_the_splitting_is_of_second_order_and_its_error_is_seen():
     assert np.all(said < 6.0 * off)
 
 
+def test_a_reading_that_few_steps_have_put_little_at_asks_for_more():
+    model, sharp = moving([[-0.01, 0.01], [0.01, -0.01]]), sf.GaussianMeasurement([[1.0]], [[4e-4]])
+    flt = sf.JumpMarkovFilter(model, sharp, [0.0], [[0.01]], mode_probabilities={"rest": 1.0})
+    few = flt.predict(1.0)
+    info = flt.update([0.7])
+    assert few.n_substeps < 4
+    assert sf.Code.REPEATED in info.code
+    told = {"mode_probabilities": [1.0, 0.0], "box": (-2.0, 3.0), "size": 1001}
+    grid = unsplit_jump_filter(model, sharp, 0.0, 0.01, [1.0], [[0.7]], **told)[0]
+    assert np.abs(flt.mode_probabilities - grid[3:]).max() < 0.01
+    assert abs(flt.x[0] - grid[0]) < 0.03 * np.sqrt(grid[1])
+    assert flt.log_evidence == pytest.approx(grid[2], abs=0.03)
+
+
 def test_steps_follow_the_target_error():
     model = moving()
     fine, coarse = (
