@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from functools import lru_cache
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -76,6 +77,9 @@ class JumpMarkovModel:
                     f"in {self.domain}, {name!r} has {mode.dim} in {mode.domain}"
                 )
         self.rates = _rates(rates, self.names)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return JumpMarkovModel, (dict(self.modes), self.rates)
 
     def __repr__(self) -> str:
         return f"JumpMarkovModel(modes={list(self.names)}, rates={self.rates.tolist()}, states={self.states})"

@@ -1,5 +1,6 @@
 """The filter of a model that switches: its densities against grids, Bayes factors and filters of one mode."""
 
+import pickle
 from itertools import permutations
 
 import numpy as np
@@ -274,9 +275,11 @@ def test_the_density_of_all_modes_is_their_sum():
     assert flt.mode == flt.model.names[np.argmax(flt.mode_probabilities)]
 
 
-def test_the_same_input_gives_the_same_bits():
+def test_the_same_input_gives_the_same_bits_and_a_copy_goes_on_by_itself():
     times, z, _ = record(wells(), 4)
-    one, other = (run(wells(), times, z) for _ in range(2))
+    flt = sf.JumpMarkovFilter(wells(), READING, [0.0], [[0.1]])
+    copied = pickle.loads(pickle.dumps(flt))
+    one, other = (each.run(times, z) for each in (flt, copied))
     assert np.array_equal(one.x, other.x)
     assert np.array_equal(one.mode_probabilities, other.mode_probabilities)
 
