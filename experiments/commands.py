@@ -31,6 +31,7 @@ COMMANDS = {
     "skips": "skips.command",
     "scaling": "scaling",
     "realtime": "realtime",
+    "switching": "switching.command",
 }
 #: Names that `run` takes and that are no scenarios: measured data, with options of their own.
 MEASURED = {"sunspots": "sunspots.command"}

@@ -51,6 +51,10 @@ _GROUPS = {
             ("realtime duffing --budgets 10,20", "with 10 and 20 ms for a step"),
             ("realtime --runs 5", "four scenarios, four budgets"),
         ),
+        "switching": (
+            ("switching course", "a target that turns now and then"),
+            ("switching turns --runs 5", "four states, all modes linear"),
+        ),
     },
     "Check the solver": {
         "converge": (

@@ -37,6 +37,7 @@ from .errors import (
     PropagationError,
     SphfilterError,
 )
+from .filter.jump_markov_filter import JumpMarkovFilter, JumpMarkovResult
 from .filter.results import FilterResult
 from .filter.sph_filter import SPHFilter
 from .filter.update import update
@@ -45,10 +46,12 @@ from .inference.model_comparison import ModelComparison, compare_models
 from .inference.smoother import SmoothedResult, smooth
 from .info import Code, PredictInfo, ResampleInfo, UpdateInfo
 from .model.domain import Domain
+from .model.jump_markov import JumpMarkovModel
 from .model.likelihood import LikelihoodMeasurement
 from .model.measurements import GaussianMeasurement
 from .model.sde import SDE, LinearSDE
 from .model.simulate import simulate
+from .model.simulate_modes import simulate_modes
 from .prediction.predict import predict
 from .prediction.propagate import Trajectory, propagate
 
@@ -70,6 +73,9 @@ __all__ = [
     "Gaussian",
     "GaussianMeasurement",
     "Health",
+    "JumpMarkovFilter",
+    "JumpMarkovModel",
+    "JumpMarkovResult",
     "LikelihoodMeasurement",
     "LinearSDE",
     "LogDensityScheme",
@@ -102,6 +108,7 @@ __all__ = [
     "resample",
     "run_campaign",
     "simulate",
+    "simulate_modes",
     "smooth",
     "update",
 ]

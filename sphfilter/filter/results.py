@@ -1,5 +1,6 @@
 """What a run of a filter leaves behind, and the one loop that every filter's ``run`` calls."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from os import PathLike
 from typing import Any, Protocol
@@ -134,6 +135,7 @@ def run_filter(
     measurements: Readings,
     truth: ArrayLike | None = None,
     observer: Ranker | None = None,
+    each: Callable[[Any], object] | None = None,
 ) -> FilterResult:
     """Predict to each time and update with its measurement.
 
@@ -150,6 +152,8 @@ def run_filter(
         without it is taken for Gaussian.
     observer : Ranker, optional
         One that knows the truth, instead of it.
+    each : callable, optional
+        Called with the filter after every update.
 
     Returns
     -------
@@ -173,10 +177,11 @@ def run_filter(
         raise ModelError(f"truth must have shape {expected}; got {np.shape(observer.truth)}")
     k = max((np.size(z) for z in measurements if z is not None), default=1)
     looks = observer is not None and hasattr(filt, "spread")
-    rows = [
-        _epoch(filt, t, z, k, epoch, observer if looks else None)
-        for epoch, (t, z) in enumerate(zip(times, measurements, strict=True))
-    ]
+    rows = []
+    for epoch, (t, z) in enumerate(zip(times, measurements, strict=True)):
+        rows.append(_epoch(filt, t, z, k, epoch, observer if looks else None))
+        if each is not None:
+            each(filt)
     kept = {name: shape for name, shape in shapes(len(filt.x), k).items() if looks or name not in RANKS}
     columns = {
         name: np.array([row[name] for row in rows], bool if name in TRUTHS else float).reshape(-1, *shape)

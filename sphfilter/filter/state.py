@@ -18,7 +18,7 @@ from ..validate import unmasked
 from .found import found
 from .update_again import Update
 
-__all__ = ["FilterState", "Shown"]
+__all__ = ["FilterState", "Shown", "said_of_reading"]
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class FilterState:
     ) -> "FilterState":
         """The state of a filter that starts with a density, and has a sensor."""
         moments = 3 * _moments(density)
-        said = _said(measurement, None, None) if has_gaussian_noise(measurement) else {}
+        said = said_of_reading(measurement, None, None) if has_gaussian_noise(measurement) else {}
         return cls(density, n_particles, None, *moments, **said)
 
     def predicted(self, outcome: Outcome[PredictInfo], model: SDE) -> "FilterState":
@@ -96,7 +96,7 @@ class FilterState:
             P_prior=P_prior,
             x_post=x,
             P_post=P,
-            **_said(measurement, z, info),
+            **said_of_reading(measurement, z, info),
             log_likelihood=info.log_evidence,
             log_evidence=self.log_evidence + info.log_evidence,
         )
@@ -209,7 +209,7 @@ def _moments(density: ParticleDensity) -> tuple[Floats, Floats]:
     return found(density.mean()), found(density.cov())
 
 
-def _said(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo | None) -> dict[str, Any]:
+def said_of_reading(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo | None) -> dict[str, Any]:
     """A measurement, its innovation and the covariance of that, in shapes of the sensor, by name.
 
     Without an info there was no measurement yet.

@@ -1,11 +1,23 @@
 """The exact transition of a linear model."""
 
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy.linalg import expm, matrix_balance
 
 from .._types import Floats
 
-__all__ = ["transition"]
+if TYPE_CHECKING:
+    from .sde import SDE
+
+__all__ = ["linear_transition", "transition"]
+
+
+@lru_cache(maxsize=256)
+def linear_transition(model: "SDE", dt: float) -> tuple[Floats, Floats, Floats]:
+    """The exact transition of a model that is linear, which never changes; not to be written to."""
+    return model.to_linear().discretize(dt)
 
 
 def transition(A: Floats, b: Floats, spread: Floats, dt: float) -> tuple[Floats, Floats, Floats]:

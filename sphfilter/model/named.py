@@ -1,7 +1,7 @@
 """Values by name: parameters of models and sensors, and inputs."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, Protocol, Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,7 +10,8 @@ from .. import validate
 from ..errors import ModelError, nearest, plain
 from .compile import Data
 
-__all__ = ["InputRecord", "InputValues", "Inputs", "Values", "changed", "each_input"]
+__all__ = ["InputRecord", "InputValues", "Inputs", "Values", "changed",
+           "driven", "each_driven", "each_input", "input_values"]  # fmt: skip
 
 #: Names of inputs, or their values where a prediction gives none.
 Inputs: TypeAlias = Sequence[str] | Mapping[str, float]
@@ -18,6 +19,20 @@ Inputs: TypeAlias = Sequence[str] | Mapping[str, float]
 InputValues: TypeAlias = ArrayLike | Mapping[str, float]
 #: Values of inputs at each of T times: (T, m), (T,) of one input, or columns (T,) by name.
 InputRecord: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
+
+
+class Driven(Protocol):
+    """A model with inputs."""
+
+    @property
+    def inputs(self) -> Mapping[str, float]:
+        """Values of the inputs now, by name."""
+
+    def with_inputs(self, u: InputValues) -> Self:
+        """The model with other values."""
+
+
+Model = TypeVar("Model", bound=Driven)
 
 
 class Values(NamedTuple):
@@ -69,6 +84,22 @@ def changed(
     return _named(kind, {**known, **own})
 
 
+def input_values(known: Mapping[str, float], u: InputValues) -> dict[str, float]:
+    """Values of a model's inputs, given in their order or by name; those that a mapping does not name stay.
+
+    Raises
+    ------
+    ModelError
+        Unknown name, another number of values, or one that is not finite.
+    """
+    if isinstance(u, Mapping):
+        return changed("input", known, u, "The model")
+    if not known:
+        raise ModelError(f"u = {validate.short(u)} is given, but the model has no inputs: inputs=[...]")
+    values = validate.array("u", np.ravel(np.asarray(u)), (len(known),), f"of {', '.join(known)}")
+    return dict(zip(known, map(float, values), strict=True))
+
+
 def each_input(names: Iterable[str], record: InputRecord | None, count: int) -> list[dict[str, float] | None]:
     """Values of inputs by name, for each of `count` intervals; None each where nothing is given.
 
@@ -88,3 +119,14 @@ def each_input(names: Iterable[str], record: InputRecord | None, count: int) -> 
     what = f"a row for each time, a column for each input ({', '.join(names) or 'the model has none'})"
     rows = validate.array("inputs", given[:, None] if given.ndim == 1 else given, (count, len(names)), what)
     return [dict(zip(names, map(float, row), strict=True)) for row in rows]
+
+
+def each_driven(model: Model, record: InputRecord | None, count: int) -> list[Model]:
+    """A model with the values that its inputs have in each of `count` intervals."""
+    return [model if u is None else model.with_inputs(u) for u in each_input(model.inputs, record, count)]
+
+
+def driven(sensor: Any, model: Driven) -> Any:
+    """Return a sensor with the values that the inputs of a model have now, as far as both know them."""
+    shared = {name: model.inputs[name] for name in getattr(sensor, "inputs", ()) if name in model.inputs}
+    return sensor.with_inputs(shared) if shared else sensor

@@ -17,12 +17,12 @@ from . import derived
 from .compile import Data, Maker, StateFunction, compile_rows, shared, surfacing
 from .discretization import transition
 from .domain import Domain, DomainLike
-from .named import Inputs, InputValues, Values, changed
+from .named import Inputs, InputValues, Values, changed, input_values
 from .noise import Noise, constant_root, noise_parts, reads_time
 from .tables import Tables, tables_of
 from .timing import roots
 
-__all__ = ["SDE", "LinearSDE", "driven"]
+__all__ = ["SDE", "LinearSDE"]
 
 Interpretation: TypeAlias = Literal["ito", "stratonovich"]
 _PART_OF_PERIOD = 1.0 / 8.0  # of a sine, that a step may take
@@ -320,14 +320,7 @@ class SDE:
         ModelError
             Unknown name, another number of values, or one that is not finite.
         """
-        if isinstance(u, Mapping):
-            return self._with(inputs=changed("input", self.inputs, u, "The model"))
-        if not self.inputs:
-            raise ModelError(f"u = {validate.short(u)} is given, but the model has no inputs: inputs=[...]")
-        values = validate.array(
-            "u", np.ravel(np.asarray(u)), (len(self.inputs),), f"of {', '.join(self.inputs)}"
-        )
-        return self._with(inputs=dict(zip(self.inputs, map(float, values), strict=True)))
+        return self._with(inputs=input_values(self.inputs, u))
 
     def _with(self, **changes: dict[str, float]) -> Self:
         new = object.__new__(type(self))
@@ -542,12 +535,6 @@ class _Functions:
         if name not in self._made:
             self._made[name] = self._makers[name](self)
         return self._made[name]
-
-
-def driven(sensor: Any, model: SDE) -> Any:
-    """Return a sensor with the values that the inputs of a model have now, as far as both know them."""
-    shared = {name: model.inputs[name] for name in getattr(sensor, "inputs", ()) if name in model.inputs}
-    return sensor.with_inputs(shared) if shared else sensor
 
 
 def _rebuild(constructor: Callable[..., SDE], arguments: dict[str, Any], inputs: dict[str, float]) -> SDE:

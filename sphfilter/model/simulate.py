@@ -1,6 +1,7 @@
 """Simulated truths and measurements, with an error in distribution far below that of any filter."""
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Protocol, overload
@@ -16,11 +17,20 @@ from ..errors import ModelError, PropagationError
 from .compile import surfacing
 from .derived import scales
 from .domain import Domain
-from .named import InputRecord, each_input
-from .sde import SDE, driven
+from .jump_markov import JumpMarkovModel
+from .named import InputRecord, driven, each_driven
+from .sde import SDE
 from .timing import beside
 
-__all__ = ["advance", "noise_root", "rate_of_time", "simulate"]
+__all__ = [
+    "Sampled",
+    "advance",
+    "drawn_readings",
+    "noise_root",
+    "rate_of_time",
+    "simulate",
+    "starting_states",
+]
 
 #: dt times the fastest rate of the model; the scheme for additive noise has the higher order.
 _COURANT_ADDITIVE, _COURANT_GENERAL = 0.05, 0.01
@@ -38,7 +48,7 @@ class Sampled(Protocol):
 
 @overload
 def simulate(
-    model: SDE,
+    model: SDE | JumpMarkovModel,
     measurement: Sampled,
     x0: ArrayLike,
     times: ArrayLike,
@@ -51,7 +61,7 @@ def simulate(
 
 @overload
 def simulate(
-    model: SDE,
+    model: SDE | JumpMarkovModel,
     measurement: None,
     x0: ArrayLike,
     times: ArrayLike,
@@ -63,7 +73,7 @@ def simulate(
 
 
 def simulate(
-    model: SDE,
+    model: SDE | JumpMarkovModel,
     measurement: Sampled | None,
     x0: ArrayLike,
     times: ArrayLike,
@@ -78,7 +88,8 @@ def simulate(
 
     Parameters
     ----------
-    model : SDE
+    model : SDE or JumpMarkovModel
+        Of a model that switches, `simulate_modes` also tells the modes, and begins in a given one.
     measurement : GaussianMeasurement, LikelihoodMeasurement with a sampler, Sensors, or None
     x0 : array_like, shape (n,) or (R, n)
         State at ``times[0]``, of one path or of R.
@@ -116,28 +127,46 @@ def simulate(
     >>> print(f"{many[:, 1].mean():.2f}")  # 2 / e = 0.736
     0.73
     """
+    if isinstance(model, JumpMarkovModel):
+        from .simulate_modes import simulate_modes  # which takes steps by this file
+
+        return simulate_modes(model, measurement, x0, times, rng, n_paths, max_step, inputs)[:2]
     rng, times = validate.generator(rng), validate.times("times", times)
     max_step = None if max_step is None else validate.positive("max_step", max_step)
-    single = np.ndim(x0) == 1 and n_paths is None
-    x = validate.state_rows("x0", x0, model.dim)
-    if n_paths is not None:
-        if len(x) != 1:
-            raise ModelError(f"x0 has {len(x)} rows; with n_paths= give one state of shape ({model.dim},).")
-        x = np.repeat(x, validate.count("n_paths", n_paths), axis=0)
+    x, single = starting_states(x0, n_paths, model.dim)
     truth = np.empty((len(times), *x.shape))
     truth[0] = x
-    each = [
-        model if u is None else model.with_inputs(u) for u in each_input(model.inputs, inputs, len(times))
-    ]
+    each = each_driven(model, inputs, len(times))
     for i, (before, t) in enumerate(pairwise(times), start=1):
         x = model.domain.wrap(advance(each[i], x, before, t, rng, max_step)) if t > before else x
         truth[i] = x
-    z = None
-    if measurement is not None:
-        read = zip(truth, times, each, strict=True)
-        z = np.stack([driven(measurement, own).sample(x, t, rng) for x, t, own in read], axis=1)
+    z = drawn_readings(measurement, truth, times, each, rng)
     truth = truth.transpose(1, 0, 2).copy()
     return (truth[0], None if z is None else z[0]) if single else (truth, z)
+
+
+def starting_states(x0: ArrayLike, n_paths: int | None, n: int) -> tuple[Floats, bool]:
+    """Return the states (R, n) at which paths start, and whether one path is asked for."""
+    x = validate.state_rows("x0", x0, n)
+    if n_paths is None:
+        return x, np.ndim(x0) == 1
+    if len(x) != 1:
+        raise ModelError(f"x0 has {len(x)} rows; with n_paths= give one state of shape ({n},).")
+    return np.repeat(x, validate.count("n_paths", n_paths), axis=0), False
+
+
+def drawn_readings(
+    measurement: Sampled | None,
+    truth: Floats,
+    times: Floats,
+    models: Sequence[SDE | JumpMarkovModel],
+    rng: np.random.Generator,
+) -> Floats | None:
+    """Return readings (R, T, k) of states (T, R, n), with the inputs that the models of each time have."""
+    if measurement is None:
+        return None
+    read = zip(truth, times, models, strict=True)
+    return np.stack([driven(measurement, own).sample(x, t, rng) for x, t, own in read], axis=1)
 
 
 def advance(

@@ -20,7 +20,7 @@ from ..model.compile import surfacing
 from ..model.sde import SDE
 from .family import OF_RESIDUAL, flow_of, longest_step
 
-__all__ = ["LEVELS", "bent", "carried"]
+__all__ = ["LEVELS", "bent", "carried", "degree_of_parts"]
 
 _HIGHEST = 5  # degree of parts: higher ones stall more often than they follow better
 LEVELS = 2  # of splits
@@ -87,13 +87,18 @@ def bent(density: ParticleDensity, model: SDE, t1: float) -> bool:
     return bool(bend * (t1 - density.t) > ASTRAY)
 
 
+def degree_of_parts(n: int) -> int:
+    """Degree of the families of n states that a density is the sum of."""
+    return max(d for d in degrees(n) if d <= _HIGHEST)
+
+
 class _Marches:
     """What is carried, part by part, and what that took."""
 
     def __init__(self, density: ParticleDensity, model: SDE, t1: float, allowed: float, most: float) -> None:
         self._model, self._flow, self._span = model, flow_of(model), (density.t, t1)
         self._longest, self._allowed, self._left = longest_step(model, density, t1), allowed, most
-        self._degree = max(d for d in degrees(density.dim) if d <= _HIGHEST)
+        self._degree = degree_of_parts(density.dim)
         self._back = np.linalg.inv(np.linalg.cholesky(density.cov()))
         self._done: list[tuple[float, Family, float]] = []  # log of the weight, family, and its error
         self._odd, self._plain, self._lost, self.steps, self.evaluations = 0.0, 0.0, 0.0, 0, 0

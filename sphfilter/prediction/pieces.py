@@ -5,17 +5,18 @@ import math
 import numpy as np
 
 from ..config import FamilyScheme
-from ..density.as_family import family_density, pieces_density
+from ..density.as_family import family_density, pieces_density, unrolled
 from ..density.family import gaussian_family
 from ..density.merging import merged
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import Pieces, root_of
+from ..density.pieces import Pieces, pieces_of, root_of
 from ..errors import PropagationError
 from ..info import PredictInfo
+from ..model.discretization import linear_transition
 from ..model.sde import SDE
 from . import family
 
-__all__ = ["carried"]
+__all__ = ["carried", "carried_exactly"]
 
 _CHANGE, _OF_CHANGE = 5.0, 0.2  # of log p by mergers: times the aim, and part of it that is an error
 _LIGHT = 0.1  # share of a piece, below which it may be off by more
@@ -50,8 +51,16 @@ def carried(
     return pieces_density(density, pieces, t=float(t1), error=error), told
 
 
+def carried_exactly(density: ParticleDensity, model: SDE, t1: float) -> ParticleDensity:
+    """Carry a Gaussian or pieces to time t1 by a linear model, and merge none."""
+    pieces = density.pieces or pieces_of(*unrolled(density))
+    return pieces_density(density, _linearly(pieces, model, t1 - density.t), t=float(t1)).noted(
+        needs=density.needs
+    )
+
+
 def _linearly(pieces: Pieces, model: SDE, dt: float) -> Pieces:
-    flow, offset, Q = model.to_linear().discretize(dt)
+    flow, offset, Q = linear_transition(model, dt)
     cov = np.einsum("ab,kbc,dc->kad", flow, pieces.cov, flow) + Q
     return Pieces(pieces.log_w, pieces.mean @ flow.T + offset, root_of(cov))
 

@@ -132,6 +132,16 @@ SAID_OF_FITS = [
     lambda: sf.smooth(sf.SPHFilter(line("-x", domain=WALLS), HEIGHT, [0.0], [[1.0]]), [1.0], [[0.1]]),
 ]
 
+
+def switched(velocity, noise, rate, z):
+    """What is said of a model of a mode at rest and one that moves, and of a reading between the two."""
+    modes = {name: sf.LinearSDE([[0.0]], [v], noise=[[noise]]) for name, v in (("a", 0.0), ("b", velocity))}
+    model, fine = sf.JumpMarkovModel(modes, [[-rate, rate], [rate, -rate]]), [[4e-4]]
+    start = {"x0": [0.0], "P0": [[0.01]], "mode_probabilities": {"a": 1.0}}
+    flt = sf.JumpMarkovFilter(model, sf.GaussianMeasurement([[1.0]], fine), **start)
+    return flt.predict(1.0).status + flt.update(z).status
+
+
 SAID = [
     *SAID_OF_FITS,
     lambda: predicted(line("x**3")),
@@ -194,6 +204,8 @@ SAID = [
     lambda: sf.SPHFilter.load("no_such_file.npz", wells(), POSITION),
     lambda: sf.simulate(line("-x"), None, [0.0], [0.0, 1.0], rng="seed"),
     lambda: sf.propagate(laid(), line("-x"), [2.0, 1.0]),
+    lambda: switched(100.0, 0.01, 1.0, [50.0]),
+    lambda: switched(1.0, 0.2, 0.01, [0.7]),
     lambda: sf.FilterConfig(target_eror=1.0),
     lambda: sf.FilterConfig(target_error=-1.0),
     lambda: sf.FilterConfig(scheme="papr"),

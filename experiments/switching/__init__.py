@@ -1,0 +1,1 @@
+"""Targets that switch between modes, as a command."""

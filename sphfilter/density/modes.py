@@ -1,0 +1,129 @@
+"""A density for each mode of a model that switches, and their probabilities."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from .._types import Floats
+from ..errors import PropagationError
+from .particle_density import ParticleDensity
+from .weighted import WeightedStates
+
+__all__ = ["ModeDensities", "Ripple", "no_ripple"]
+
+
+class Ripple(NamedTuple):
+    """Where a density is wrong: states X (M, n), and probabilities (M,) that are too many or few there."""
+
+    X: Floats
+    off: Floats
+
+    @property
+    def mass(self) -> float:
+        """Part of the probability that is wrong."""
+        return min(float(self.off.sum()), 1.0)
+
+
+def no_ripple(n: int) -> Ripple:
+    """Of a density that is right."""
+    return Ripple(np.empty((0, n)), np.empty(0))
+
+
+class ModeDensities:
+    """p(x, i) = w_i p_i(x): the states of one time, in every mode.
+
+    Parameters
+    ----------
+    log_w : ndarray, shape (M,)
+        Logarithms of the modes' probabilities, but for a constant; minus infinity where there is none.
+    densities : sequence of ParticleDensity or None, length M
+        None only where the probability is zero.
+    splitting : ndarray, shape (M,), optional
+        Estimated errors of the densities that come from jumps between the modes, not those of the densities
+        themselves.
+    ripples : sequence of Ripple, length M, optional
+        The part of `splitting` that the last prediction has added.
+
+    Raises
+    ------
+    PropagationError
+        All probabilities are zero.
+    """
+
+    def __init__(
+        self,
+        log_w: Floats,
+        densities: Sequence[ParticleDensity | None],
+        splitting: Floats | None = None,
+        ripples: Sequence[Ripple] | None = None,
+    ) -> None:
+        total = logsumexp(log_w)
+        if not np.isfinite(total):
+            raise PropagationError(
+                "no mode of the model explains what was measured: all have probability zero"
+            )
+        self.log_w: Floats = np.asarray(log_w - total, dtype=np.float64)
+        self.log_w.flags.writeable = False
+        self.densities = tuple(densities)
+        self.splitting = np.zeros(len(log_w)) if splitting is None else splitting
+        self.ripples = ripples
+
+    def split(self, splitting: Floats, ripples: Sequence[Ripple]) -> "ModeDensities":
+        """The same with other errors that come from jumps."""
+        return ModeDensities(self.log_w, self.densities, splitting, ripples)
+
+    @property
+    def w(self) -> Floats:
+        """Probabilities (M,)."""
+        w: Floats = np.exp(self.log_w)
+        return w
+
+    @property
+    def some(self) -> list[tuple[int, float, ParticleDensity]]:
+        """Number, logarithm of the probability and density of every mode that has one."""
+        found = enumerate(zip(self.log_w.tolist(), self.densities, strict=True))
+        return [(i, log_w, p) for i, (log_w, p) in found if p is not None and log_w > -np.inf]
+
+    @property
+    def heaviest(self) -> ParticleDensity:
+        """The density of the most probable mode."""
+        return max(self.some, key=lambda mode: mode[1])[2]
+
+    @cached_property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean (n,) and covariance (n, n) over all modes; read-only. The mean of an angle is a direction."""
+        domain = self.heaviest.domain
+        each = [(np.exp(log_w), p.mean(), p.cov()) for _, log_w, p in self.some]
+        w, means, covs = (np.array(part) for part in zip(*each, strict=True))
+        mean = w @ means
+        off = means - mean
+        if domain is not None:
+            spread = [(w, p.form.states(16, True)) for w, (_, _, p) in zip(w, self.some, strict=True)]
+            X, mass = (
+                np.concatenate([X for _, (X, _) in spread]),
+                np.concatenate([w * m for w, (_, m) in spread]),
+            )
+            mean[domain.periodic] = domain.mean(X, mass / mass.sum())[domain.periodic]
+            off = domain.nearest(means - mean)
+        cov = np.einsum("k,kab->ab", w, covs) + np.einsum("k,ka,kb->ab", w, off, off)
+        mean.flags.writeable = cov.flags.writeable = False
+        return mean, cov
+
+    @property
+    def error(self) -> float:
+        """Estimated error of the means, in standard deviations: rms over the modes."""
+        own = [np.exp(log_w) * (p.error**2 + self.splitting[i] ** 2) for i, log_w, p in self.some]
+        return float(np.sqrt(sum(own)))
+
+    def logpdf(self, X: Floats) -> Floats:
+        """Logarithm of the density of the states X (M, n), whatever the mode."""
+        return np.asarray(logsumexp([log_w + p.logpdf(X) for _, log_w, p in self.some], axis=0))
+
+    def spread(self) -> WeightedStates:
+        """States and weights of all modes together."""
+        each = [(np.exp(log_w), p.spread()) for _, log_w, p in self.some]
+        X = np.concatenate([found.X for _, found in each])
+        return WeightedStates(X, np.concatenate([w * found.w for w, found in each]), self.logpdf)

@@ -1,0 +1,374 @@
+"""`JumpMarkovFilter`: a Bayes filter of a model that switches between modes, with a density for each."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._types import Floats, Interval, Readings
+from ..config import FilterConfig, checked_filter_config
+from ..consistency.ranks import Ranker
+from ..density.as_cloud import thinned
+from ..density.distributions import Gaussian
+from ..density.initialize import initialize
+from ..density.modes import ModeDensities
+from ..density.particle_density import ParticleDensity
+from ..density.weighted import WeightedStates
+from ..errors import ConfigError, ModelError
+from ..info import Code
+from ..model.jump_markov import JumpMarkovModel
+from ..model.measurements import Sensor
+from ..prediction.mixing import Part, mixed
+from ..prediction.switching import MOST_SUBSTEPS, ModesInfo, predict_modes
+from ..validate import array, choice, count, covariance, onwards, positive, real, row, seconds, short
+from .jump_markov_state import JumpMarkovState
+from .readings import checked_sensor
+from .results import FilterResult, run_filter
+from .update_modes import ModesUpdateInfo, update_modes
+
+__all__ = ["JumpMarkovFilter", "JumpMarkovResult", "ModesUpdateInfo"]
+
+_RANKED = 2**14  # points of a cloud that a truth is ranked among
+_MISSED = 1.5  # times the target, from which that is said
+_REPEATED = "the prediction before repeated in more steps of the jumps between modes"
+_COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
+_MARGIN, _FINEST = 4.0, 250.0  # times less, that an error is to be, which a reading brings out
+
+
+@dataclass(frozen=True, repr=False)
+class JumpMarkovResult(FilterResult):
+    """A `FilterResult` with the probabilities of the modes.
+
+    Attributes
+    ----------
+    mode_probabilities : ndarray, shape (T, M)
+        After each update.
+    names : tuple of str, length M
+        Of the modes.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> drift = lambda v: sf.LinearSDE([[0.0]], [v], noise=[[0.2]])
+    >>> model = sf.JumpMarkovModel({"left": drift(-1.0), "right": drift(1.0)}, [[-0.1, 0.1], [0.1, -0.1]])
+    >>> flt = sf.JumpMarkovFilter(model, sf.GaussianMeasurement([[1.0]], [[0.04]]), [0.0], [[0.1]])
+    >>> result = flt.run([1.0, 2.0], [0.9, 2.1])
+    >>> print(result.names, result.mode_probabilities.round(2).tolist())
+    ('left', 'right') [[0.03, 0.97], [0.01, 0.99]]
+    """
+
+    mode_probabilities: Floats = None  # type: ignore[assignment]
+    names: tuple[str, ...] = ()
+
+
+class JumpMarkovFilter:
+    """A Bayes filter of a `JumpMarkovModel`: it carries a density for every mode, and their probabilities.
+
+    The densities of modes mix as what they are, sums, and not as Gaussians with their moments.
+
+    Parameters
+    ----------
+    model : JumpMarkovModel
+    measurement : GaussianMeasurement, LikelihoodMeasurement, a mapping of these by mode, or None
+        The sensor `update` uses unless another is given; a mapping where it depends on the mode.
+    x0, P0 : array_like, shapes (n,), (n, n)
+        Initial mean and covariance, in every mode.
+    mode_probabilities : array_like, shape (M,), or mapping of str to float, optional
+        Of the modes at t0; ``model.stationary`` if not given. A mode that a mapping does not name has none.
+    t0 : float
+        Seconds.
+    n_particles : int or "auto"
+        As of `SPHFilter`, of each mode.
+    config : FilterConfig, optional
+        Without `time_budget`.
+    dt : float or timedelta, optional
+        Makes ``predict()`` advance by dt seconds when called without argument.
+
+    Attributes
+    ----------
+    x, P : ndarray, shapes (n,), (n, n)
+        Mean and covariance over all modes now; `x_prior`, `P_prior` before and `x_post`, `P_post` after the
+        last update.
+    t : float
+    mode_probabilities : ndarray, shape (M,)
+        In the order of ``model.names``.
+    mode : str
+        The most probable one.
+    densities : dict of str to ParticleDensity
+        Of the modes that have a probability.
+    density : ParticleDensity
+        Of the states, whatever the mode.
+    z, y, S : ndarray or None
+        Last measurement, its innovation over all modes and the covariance of that.
+    log_likelihood, log_evidence : float
+        Log-evidence of the last measurement, given all before, and of all.
+
+    Notes
+    -----
+    A predict or update that raises leaves the filter as it was. The filter draws no random numbers.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> drift = lambda v: sf.LinearSDE([[0.0]], [v], noise=[[0.2]])
+    >>> modes = {"rest": drift(0.0), "moving": drift(1.0)}
+    >>> model = sf.JumpMarkovModel(modes, rates=[[-0.1, 0.1], [0.2, -0.2]])
+    >>> sensor = sf.GaussianMeasurement([[1.0]], [[0.04]])
+    >>> flt = sf.JumpMarkovFilter(model, sensor, x0=[0.0], P0=[[0.1]], dt=1.0)
+    >>> for z in (0.1, 0.0, 0.9, 2.1):
+    ...     predicted, updated = flt.predict(), flt.update(z)
+    ...     print(f"{flt.x[0]:5.2f} {flt.mode} {flt.mode_probabilities.round(2)}")
+     0.10 rest [0.91 0.09]
+     0.03 rest [0.97 0.03]
+     0.80 moving [0.32 0.68]
+     2.02 moving [0.05 0.95]
+    """
+
+    def __init__(
+        self,
+        model: JumpMarkovModel,
+        measurement: Sensor | Mapping[str, Sensor] | None,
+        x0: ArrayLike,
+        P0: ArrayLike,
+        *,
+        mode_probabilities: ArrayLike | Mapping[str, float] | None = None,
+        t0: float = 0.0,
+        n_particles: int | Literal["auto"] = "auto",
+        config: FilterConfig | None = None,
+        dt: Interval | None = None,
+    ) -> None:
+        if not isinstance(model, JumpMarkovModel):
+            raise ModelError(f"model must be a JumpMarkovModel, got {short(model)}; SPHFilter takes an SDE")
+        self.model = model
+        self._sensors = None if measurement is None else self._checked(measurement)
+        self.config = checked_filter_config(config)
+        if self.config.time_budget is not None:
+            raise ConfigError("JumpMarkovFilter keeps no time_budget; leave it out, or raise target_error")
+        if isinstance(n_particles, str):
+            choice("n_particles", n_particles, ["auto"])
+        else:
+            count("n_particles", n_particles)
+        self.n_particles = n_particles
+        self.dt = None if dt is None else positive("dt", seconds("dt", dt))
+        x0 = array("x0", x0, (model.dim,), f"a value for each of the model's {model.dim} states")
+        start = Gaussian(x0, covariance("P0", P0, dim=model.dim))
+        about: dict[str, Any] = {"t": real("t0", t0), "domain": model.domain}
+        density = initialize(start, n_particles, self.config, **about)
+        with np.errstate(divide="ignore"):
+            log_w = np.log(_probabilities(mode_probabilities, model))
+        self._state = JumpMarkovState.begun(ModeDensities(log_w, [density] * len(log_w)))
+
+    def _checked(self, measurement: Any) -> dict[str, Sensor]:
+        """The sensor of every mode."""
+        if not isinstance(measurement, Mapping):
+            sensor = checked_sensor(measurement, self._any_mode)
+            return dict.fromkeys(self.model.names, sensor)
+        if set(measurement) != set(self.model.names):
+            raise ModelError(
+                f"a measurement by mode needs one for each of {list(self.model.names)}, "
+                f"got {list(measurement)}"
+            )
+        sensors = {name: checked_sensor(measurement[name], self._any_mode) for name in self.model.names}
+        if len({getattr(sensor, "dim_z", 0) for sensor in sensors.values()}) > 1:
+            raise ModelError(
+                "the measurements of all modes must have as many components: they are of one reading"
+            )
+        return sensors
+
+    @property
+    def _any_mode(self) -> Any:
+        return self.model.modes[self.model.names[0]]
+
+    def __repr__(self) -> str:
+        modes = zip(self.model.names, self.mode_probabilities, strict=True)
+        told = ", ".join(f"{name}: {w:.3g}" for name, w in modes)
+        return (
+            f"JumpMarkovFilter(states={self.model.states}, t={self.t:g}, x={row(self.x)}, "
+            f"std={row(np.sqrt(np.diag(self.P)))}, modes={{{told}}})"
+        )
+
+    @property
+    def measurement(self) -> Sensor | None:
+        """The filter's own sensor; None where it depends on the mode, or there is none."""
+        sensors = list((self._sensors or {}).values())
+        return sensors[0] if sensors and all(sensor is sensors[0] for sensor in sensors) else None
+
+    @property
+    def x(self) -> Floats:
+        """Mean over all modes, shape (n,)."""
+        return self._state.x
+
+    @property
+    def P(self) -> Floats:
+        """Covariance over all modes, shape (n, n)."""
+        return self._state.P
+
+    @property
+    def x_prior(self) -> Floats:
+        """Mean after the last prediction, shape (n,)."""
+        return self._state.x_prior
+
+    @property
+    def P_prior(self) -> Floats:
+        """Covariance after the last prediction, shape (n, n)."""
+        return self._state.P_prior
+
+    @property
+    def x_post(self) -> Floats:
+        """Mean after the last update, shape (n,)."""
+        return self._state.x_post
+
+    @property
+    def P_post(self) -> Floats:
+        """Covariance after the last update, shape (n, n)."""
+        return self._state.P_post
+
+    @property
+    def z(self) -> Floats | None:
+        """Last measurement, shape (k,), NaN where no reading came; None before the first."""
+        return self._state.z
+
+    @property
+    def y(self) -> Floats | None:
+        """Innovation of the last measurement, shape (k,), or None."""
+        return self._state.y
+
+    @property
+    def S(self) -> Floats | None:
+        """Covariance of the innovation, shape (k, k), or None."""
+        return self._state.S
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log-evidence of the last measurement, zero where none came."""
+        return self._state.log_likelihood
+
+    @property
+    def likelihood(self) -> float:
+        """Evidence of the last measurement."""
+        return float(np.exp(self._state.log_likelihood))
+
+    @property
+    def log_evidence(self) -> float:
+        """Log-evidence of all measurements."""
+        return self._state.log_evidence
+
+    @property
+    def t(self) -> float:
+        """Time of the densities, seconds."""
+        return self._state.modes.heaviest.t
+
+    @property
+    def mode_probabilities(self) -> Floats:
+        """Probabilities of the modes now, shape (M,), in the order of ``model.names``."""
+        return self._state.modes.w
+
+    @property
+    def mode(self) -> str:
+        """The most probable mode."""
+        return self.model.names[int(np.argmax(self._state.modes.log_w))]
+
+    @property
+    def densities(self) -> Mapping[str, ParticleDensity]:
+        """Densities by mode, of those that have a probability."""
+        return MappingProxyType({self.model.names[i]: p for i, _, p in self._state.modes.some})
+
+    @property
+    def density(self) -> ParticleDensity:
+        """The density of the states, whatever the mode: the sum of those of the modes."""
+        target = self.config.target_error / math.sqrt(self.model.dim)
+        return mixed([Part(log_w, p) for _, log_w, p in self._state.modes.some], target, (target, target))
+
+    def predict(self, dt: Interval | None = None, *, t: float | None = None) -> ModesInfo:
+        """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns ModesInfo."""
+        if dt is not None and t is not None:
+            raise ModelError("predict takes either dt or t=, one of them")
+        if t is None:
+            if dt is None and self.dt is None:
+                raise ModelError("predict needs dt or t=, or a filter made with dt=")
+            end = self.t + seconds("dt", self.dt if dt is None else dt)
+        else:
+            (end,) = onwards(np.array([real("t", t)]), self.t).tolist()
+        if end < self.t:
+            raise ModelError(f"cannot predict back in time: from t = {self.t:g} to {end:g}")
+        if end == self.t:
+            return ModesInfo(error=self._state.modes.error, skipped=("everything: the interval is empty",))
+        modes, info = predict_modes(self._state.modes, self.model, end, self.config, self.n_particles)
+        self._state = self._state.predicted(modes, info.n_substeps)
+        return info
+
+    def update(
+        self, z: ArrayLike | None, measurement: Sensor | Mapping[str, Sensor] | None = None
+    ) -> ModesUpdateInfo:
+        """Use a measurement z, of another sensor if given; None or NaN is missing; a ModesUpdateInfo."""
+        sensors = self._sensors if measurement is None else self._checked(measurement)
+        if sensors is None:
+            raise ModelError("update needs a measurement, or a filter made with one")
+        prior, modes, info = self._updated(sensors, z)
+        self._state = self._state.updated(prior, modes, info, sensors[self.mode], z)
+        return info
+
+    def _updated(
+        self, sensors: Mapping[str, Sensor], z: ArrayLike | None
+    ) -> tuple[ModeDensities, ModeDensities, ModesUpdateInfo]:
+        """Prior and posterior; the prediction is made again in more steps where the reading hangs on them."""
+        state, target, settings = self._state, self.config.target_error, (self.config, self.n_particles)
+        modes, info = update_modes(state.modes, sensors, z, *settings)
+        off = float(modes.w @ modes.splitting)
+        if modes is state.modes or state.before is None or off <= target:
+            return state.modes, modes, info
+        prior, told = state.modes, []
+        if state.n_substeps < MOST_SUBSTEPS:
+            finer = _MARGIN * min(off / target, _FINEST)
+            prior, _ = predict_modes(state.before, self.model, self.t, *settings, finer=finer)
+            modes, info = update_modes(prior, sensors, z, *settings)
+            off = float(modes.w @ modes.splitting)
+            told.append((Code.REPEATED, _REPEATED))
+        if off > _MISSED * target:
+            told.append((Code.COARSE, _COARSE.format(off)))
+        for code, sentence in told:
+            info = info.marked(code, sentence if info.status == "ok" else f"{info.status}; {sentence}")
+        return prior, modes, info
+
+    def spread(self) -> WeightedStates:
+        """The densities of all modes as states and weights, `WeightedStates`; of large clouds, of a part."""
+        modes = self._state.modes
+        few = [None if p is None else thinned(p, _RANKED) for p in modes.densities]
+        return ModeDensities(modes.log_w, few).spread()
+
+    def run(
+        self,
+        times: ArrayLike,
+        measurements: Readings,
+        truth: ArrayLike | None = None,
+        observer: Ranker | None = None,
+    ) -> JumpMarkovResult:
+        """Predict to each time and update with its measurement; returns a `JumpMarkovResult`.
+
+        `truth` and `observer` are those of `SPHFilter.run`.
+        """
+        told: list[Floats] = []
+        result = run_filter(
+            self, times, measurements, truth, observer, each=lambda flt: told.append(flt.mode_probabilities)
+        )
+        own = {f.name: getattr(result, f.name) for f in fields(result)}
+        w = np.array(told).reshape(-1, len(self.model.names))
+        return JumpMarkovResult(**own, mode_probabilities=w, names=self.model.names)
+
+
+def _probabilities(given: Any, model: JumpMarkovModel) -> Floats:
+    """Probabilities (M,) of the modes, checked."""
+    if given is None:
+        return model.stationary
+    if isinstance(given, Mapping):
+        for name in given:
+            choice("a name in mode_probabilities", name, model.names)
+        given = [given.get(name, 0.0) for name in model.names]
+    w = array("mode_probabilities", given, (len(model.names),), f"of the modes {list(model.names)}")
+    if w.min() < 0.0 or abs(w.sum() - 1.0) > 1e-6:
+        raise ModelError(f"mode_probabilities must not be negative, and sum to one; got {row(w)}")
+    return w / w.sum()

@@ -1,0 +1,74 @@
+"""What a filter of a model that switches is between two calls: one value, as `FilterState` is."""
+
+from dataclasses import dataclass, replace
+
+from numpy.typing import ArrayLike
+
+from .._types import Floats
+from ..density.modes import ModeDensities
+from ..info import UpdateInfo
+from ..model.measurements import Sensor
+from .state import said_of_reading
+
+__all__ = ["JumpMarkovState"]
+
+
+@dataclass(frozen=True)
+class JumpMarkovState:
+    """The densities of all modes, and what the last steps said; attributes as those of `FilterState`."""
+
+    modes: ModeDensities
+    x_prior: Floats
+    P_prior: Floats
+    x_post: Floats
+    P_post: Floats
+    z: Floats | None = None
+    y: Floats | None = None
+    S: Floats | None = None
+    log_likelihood: float = 0.0
+    log_evidence: float = 0.0
+    before: ModeDensities | None = None  # that the last prediction began with, if densities come from it
+    n_substeps: int = 0  # of that prediction
+
+    @classmethod
+    def begun(cls, modes: ModeDensities) -> "JumpMarkovState":
+        """The state of a filter that starts with densities."""
+        return cls(modes, *2 * modes.moments)
+
+    @property
+    def x(self) -> Floats:
+        """Mean over all modes, shape (n,)."""
+        return self.modes.moments[0]
+
+    @property
+    def P(self) -> Floats:
+        """Covariance over all modes, shape (n, n)."""
+        return self.modes.moments[1]
+
+    def predicted(self, modes: ModeDensities, n_substeps: int) -> "JumpMarkovState":
+        """The state after a prediction."""
+        x, P = modes.moments
+        return replace(self, modes=modes, x_prior=x, P_prior=P, before=self.modes, n_substeps=n_substeps)
+
+    def updated(
+        self,
+        prior: ModeDensities,
+        modes: ModeDensities,
+        info: UpdateInfo,
+        measurement: Sensor,
+        z: ArrayLike | None,
+    ) -> "JumpMarkovState":
+        """The state after an update, whose prior may be another than the densities now."""
+        (x_prior, P_prior), (x, P) = prior.moments, modes.moments
+        return replace(
+            self,
+            modes=modes,
+            before=self.before if modes is prior else None,
+            x_prior=x_prior,
+            P_prior=P_prior,
+            x_post=x,
+            P_post=P,
+            **said_of_reading(measurement, z, info),
+            log_likelihood=info.log_evidence,
+            log_evidence=self.log_evidence + info.log_evidence,
+        )

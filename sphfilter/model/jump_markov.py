@@ -1,0 +1,171 @@
+"""Models that switch between modes at random: an equation for each, and rates of the jumps between them."""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm
+
+from .. import validate
+from .._types import Floats
+from ..errors import ModelError
+from .named import InputValues, input_values
+from .sde import SDE
+
+__all__ = ["JumpMarkovModel"]
+
+_ROUNDING = 1e-9  # of a row's largest rate, that its sum may be from zero
+_LONG = 1e3  # mean times between jumps, after which a chain has forgotten where it began
+
+
+class JumpMarkovModel:
+    """A state whose equation switches at random: in mode i, dX = f_i dt + g_i dW (a jump-Markov model).
+
+    The densities of the states, one for each mode, obey ∂p_i/∂t = L_i p_i + Σ_j λ_ji p_j, with the
+    Fokker-Planck operator L_i of mode i and the rate λ_ji of jumps from mode j to i.
+
+    Parameters
+    ----------
+    modes : mapping of str to SDE
+        The equation of each mode, of the same states in the same domain.
+    rates : array_like, shape (M, M)
+        Jumps a second from the mode of a row to that of a column, in the order of `modes`. The diagonal is
+        minus the sum of its row: a mode i lasts 1 / -rates[i][i] seconds on average.
+
+    Attributes
+    ----------
+    modes : mapping of str to SDE, read-only
+    names : tuple of str, length M
+    rates : ndarray, shape (M, M), read-only
+    inputs : mapping of str to float, read-only
+        Those of all modes; inputs of one name are one input.
+    dim : int
+    states : tuple of str
+    domain : Domain
+
+    Raises
+    ------
+    ModelError
+        No mode, modes of different states, rates that are negative or whose rows do not sum to zero.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> turn = lambda omega: sf.LinearSDE([[0.0, -omega], [omega, 0.0]], noise=[[0.1, 0.0], [0.0, 0.1]])
+    >>> model = sf.JumpMarkovModel({"straight": turn(0.0), "turning": turn(0.5)}, [[-0.1, 0.1], [0.3, -0.3]])
+    >>> print(model.stationary, model.transition(1.0).round(3).tolist())
+    [0.75 0.25] [[0.918, 0.082], [0.247, 0.753]]
+    """
+
+    def __init__(self, modes: Mapping[str, SDE], rates: ArrayLike) -> None:
+        if not isinstance(modes, Mapping) or not modes:
+            raise ModelError(f"modes must be a mapping of names to models, got {validate.short(modes)}")
+        for name, mode in modes.items():
+            if not isinstance(name, str) or not isinstance(mode, SDE):
+                raise ModelError(
+                    f"modes must be models by their names, got {validate.short(name)}: {validate.short(mode)}"
+                )
+        self.modes: Mapping[str, SDE] = MappingProxyType(dict(modes))
+        self.names = tuple(modes)
+        first = modes[self.names[0]]
+        self.dim, self.domain = first.dim, first.domain
+        self.states = _states(self.modes)
+        for name, mode in modes.items():
+            if mode.dim != self.dim or mode.domain != self.domain:
+                raise ModelError(
+                    f"modes must be of the same states in the same domain: {self.names[0]!r} has {self.dim} "
+                    f"in {self.domain}, {name!r} has {mode.dim} in {mode.domain}"
+                )
+        self.rates = _rates(rates, self.names)
+        inputs: dict[str, float] = {}
+        for mode in modes.values():
+            inputs |= mode.inputs
+        self.inputs: Mapping[str, float] = MappingProxyType(inputs)
+
+    def with_inputs(self, u: InputValues) -> "JumpMarkovModel":
+        """Return the model with these values of its inputs, in their order or by name.
+
+        Raises
+        ------
+        ModelError
+            Unknown name, another number of values, or one that is not finite.
+        """
+        values = input_values(self.inputs, u)
+        own = {
+            name: mode.with_inputs({k: v for k, v in values.items() if k in mode.inputs})
+            for name, mode in self.modes.items()
+        }
+        return JumpMarkovModel(own, self.rates)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return JumpMarkovModel, (dict(self.modes), self.rates)
+
+    def __repr__(self) -> str:
+        return f"JumpMarkovModel(modes={list(self.names)}, rates={self.rates.tolist()}, states={self.states})"
+
+    def transition(self, dt: float) -> Floats:
+        """Probabilities (M, M) of the mode of a column dt seconds after that of a row."""
+        return _transition(self.rates.tobytes(), len(self.names), float(dt)).copy()
+
+    @property
+    def stationary(self) -> Floats:
+        """Probabilities (M,) of the modes after a long time, from equal ones."""
+        fastest = float(-self.rates.diagonal().min())
+        slow = self.rates.diagonal()[self.rates.diagonal() < 0.0]
+        if not fastest > 0.0:
+            return np.full(len(self.names), 1.0 / len(self.names))
+        step = self.transition(_LONG / fastest)
+        doublings = int(np.ceil(np.log2(fastest / -slow.max()))) + 1
+        for _ in range(doublings):
+            step = step @ step
+            step /= step.sum(axis=1, keepdims=True)
+        return np.asarray(step.mean(axis=0), dtype=np.float64)
+
+
+@lru_cache(maxsize=256)
+def _transition(rates: bytes, M: int, dt: float) -> Floats:
+    P = np.maximum(expm(np.frombuffer(rates).reshape(M, M) * dt), 0.0)
+    return np.asarray(P / P.sum(axis=1, keepdims=True), dtype=np.float64)
+
+
+def _rates(rates: ArrayLike, names: tuple[str, ...]) -> Floats:
+    """Rates (M, M), checked."""
+    M = len(names)
+    found = validate.array("rates", rates, (M, M), f"from each of {M} modes to each")
+    off = found - np.diag(found.diagonal())
+    if off.min() < 0.0:
+        i, j = np.unravel_index(off.argmin(), off.shape)
+        raise ModelError(
+            f"rates must not be negative off the diagonal, got {off[i, j]:g} a second from {names[i]!r} to "
+            f"{names[j]!r}"
+        )
+    sums = found.sum(axis=1)
+    wrong = np.flatnonzero(np.abs(sums) > _ROUNDING * np.abs(found).max(axis=1))
+    if wrong.size:
+        i = wrong[0]
+        raise ModelError(
+            f"the rows of rates must sum to zero, that of {names[i]!r} sums to {sums[i]:g}: its diagonal "
+            f"must be minus the rates of leaving, {-off[i].sum():g}"
+        )
+    np.fill_diagonal(off, -off.sum(axis=1))
+    off.flags.writeable = False
+    return off
+
+
+def _states(modes: Mapping[str, SDE]) -> tuple[str, ...]:
+    """Names of the states: those that a mode gives them, rather than numbers."""
+    given = {
+        mode.states: name
+        for name, mode in modes.items()
+        if mode.states != tuple(f"x{i}" for i in range(mode.dim))
+    }
+    if len(given) > 1:
+        (states, name), (others, other) = list(given.items())[:2]
+        raise ModelError(
+            f"modes must be of the same states in the same order: those of {name!r} are {states}, those of "
+            f"{other!r} {others}"
+        )
+    return next(iter(given), next(iter(modes.values())).states)

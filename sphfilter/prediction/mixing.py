@@ -1,0 +1,340 @@
+"""Sums of densities as one density: what the modes of a model become where states switch between them.
+
+A sum is kept as one where Gaussians or families are added, whose middles are merged as far as an error allows
+it. Others are laid on a new lattice by the logarithm of the sum, or go on as the points of all.
+"""
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from .._types import Floats, OfStates
+from ..core.family.basis import size
+from ..core.family.rules import degrees
+from ..core.field.walls import NO_WALLS
+from ..density.as_cloud import cloud_density
+from ..density.as_family import (
+    families_density,
+    family_density,
+    pieces_density,
+    settled,
+    unrolled,
+)
+from ..density.cloud import key_of, points_of
+from ..density.families import Families
+from ..density.families_posterior import AWAY
+from ..density.family import OF_MISFIT, fitted, gaussian_family, moments_apart, node_moments
+from ..density.gathering import gathered
+from ..density.merging import merged
+from ..density.needs import MOST_POINTS, Needs, fewest
+from ..density.particle_density import ParticleDensity
+from ..density.pieces import Pieces, root_of
+from ..density.resample import logarithm
+from ..errors import PropagationError
+from ..lattice.check import misfit, remote
+from ..lattice.field import held
+from ..lattice.level_set import lattice_reach, lay
+from ..model.domain import Domain
+from . import family
+from .families import degree_of_parts
+from .ladder import first_degree, prefers_cloud
+
+__all__ = ["Part", "mixed"]
+
+_CHANGE, _OF_CHANGE = 5.0, 0.2  # of log p by mergers: times the aim, and part of it that is an error
+_DROPPED = 0.1  # of the error that may be added, that light parts may carry which are left out
+_HEAVY = 0.1  # share of a family, below which it may be off by more
+_TRIES, _FINER, _MOST_NODES = 6, 2, 20_000  # lattices, and times the nodes of the one before
+_HELPED = 0.8  # of an error that is left by finer lattices, if it comes from them
+_SEEDS = 1e-4  # of the heaviest node of a part: those by which a lattice finds all of its pieces
+
+
+class Part(NamedTuple):
+    """A density of a sum."""
+
+    log_w: float
+    density: ParticleDensity
+
+
+def mixed(parts: Sequence[Part], target: float, errors: tuple[float, float]) -> ParticleDensity:
+    """The sum of densities of one time, as one density.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        The logarithms of their weights need not be normalised; one at least is finite.
+    target : float
+        Error of the mean, in standard deviations, that a record may have.
+    errors : tuple of float
+        That may be added by merging Gaussians and families, and by laying a lattice.
+
+    Returns
+    -------
+    ParticleDensity
+        With what its parts were wrong by, and what has been added, in its `error`.
+
+    Raises
+    ------
+    PropagationError
+        Nothing holds the sum.
+    """
+    allowed, by_lattice = errors
+    parts, lost = _heavy(_joined(parts), allowed)
+    w = np.exp([part.log_w for part in parts])
+    error = math.hypot(math.sqrt(float(w @ [part.density.error**2 for part in parts])), AWAY * lost)
+    first = parts[0].density
+    if len(parts) == 1:
+        return first.noted(error=error)
+    first = first.noted(error=error, needs=_needs(parts))
+    for way in (_as_pieces, _as_family, _as_families):
+        found = way(parts, first, allowed)
+        if found is not None:
+            return found
+    needs = first.needs
+    as_points = needs is not None and first.domain is None and prefers_cloud(first.dim, needs, target)
+    if not as_points and all(part.density.read_out != "cloud" for part in parts):
+        with suppress(PropagationError, np.linalg.LinAlgError):
+            return _on_lattice(parts, first, by_lattice)
+    return _as_cloud(parts, first, target)
+
+
+def _joined(parts: Sequence[Part]) -> list[Part]:
+    """The parts, heaviest first, those of the same density together, with weights of sum one."""
+    found: list[Part] = []
+    for part in parts:
+        same = next((i for i, other in enumerate(found) if _same(other.density, part.density)), None)
+        if same is None:
+            found.append(part)
+        else:
+            found[same] = found[same]._replace(log_w=float(np.logaddexp(found[same].log_w, part.log_w)))
+    total = float(logsumexp([part.log_w for part in found]))
+    found = [part._replace(log_w=part.log_w - total) for part in found if part.log_w > -math.inf]
+    return sorted(found, key=lambda part: -part.log_w)
+
+
+def _same(one: ParticleDensity, other: ParticleDensity) -> bool:
+    """Are two densities the same to the last bit, as those of equal modes are?"""
+    if one is other:
+        return True
+    pairs = ((one.x, other.x), (one.mass, other.mass), (one.h, other.h))
+    return one.read_out == other.read_out and all(np.array_equal(a, b) for a, b in pairs)
+
+
+def _heavy(parts: list[Part], allowed: float) -> tuple[list[Part], float]:
+    """The parts but for the lightest, and what those carry."""
+    w = np.exp([part.log_w for part in parts])
+    carried = np.cumsum(w[::-1])[::-1]
+    kept = max(int(np.sum(AWAY * carried > _DROPPED * allowed)), 1)
+    lost = float(carried[kept]) if kept < len(parts) else 0.0
+    scale = math.log1p(-lost)
+    return [part._replace(log_w=part.log_w - scale) for part in parts[:kept]], lost
+
+
+def _needs(parts: Sequence[Part]) -> Needs | None:
+    """The most that any of the parts needs: a sum is no simpler."""
+    own = [part.density.needs for part in parts]
+    known = [needs for needs in own if needs is not None]
+    if len(known) < len(own):
+        return None
+    return known[0]._replace(
+        degree=max(needs.degree for needs in known),
+        nodes=max(needs.nodes for needs in known),
+        points=max(needs.points for needs in known),
+    )
+
+
+def _as_pieces(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
+    """Gaussians, all of them, merged; None where a part is no sum of Gaussians."""
+    if not all(p.density.pieces is not None or _gaussian(p.density) for p in parts):
+        return None
+    several = [_pieces_of(part) for part in parts]
+    union = Pieces(*(np.concatenate(part) for part in zip(*several, strict=True))).normalised()
+    kept = union.w[::-1].cumsum()[::-1] * AWAY > _DROPPED * allowed
+    lost = float(union.w[~kept].sum())
+    pieces, change = merged(union.some(kept).normalised(), _CHANGE * allowed)
+    error = math.hypot(about.error, _OF_CHANGE * change, AWAY * lost)
+    return pieces_density(about, pieces, error=error).noted(needs=about.needs)
+
+
+def _gaussian(density: ParticleDensity) -> bool:
+    return density.family is not None and density.gaussian and density.domain is None
+
+
+def _pieces_of(part: Part) -> Pieces:
+    pieces = part.density.pieces
+    if pieces is None:
+        mean, cov = unrolled(part.density)
+        pieces = Pieces(np.zeros(1), mean[None], root_of(cov)[None])
+    return pieces._replace(log_w=pieces.log_w + part.log_w)
+
+
+def _as_family(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
+    """One family, of as low a degree as the error lets it be; None where none holds the sum."""
+    domain = about.domain
+    smooth = all(p.density.family or p.density.field or p.density.families or p.density.pieces for p in parts)
+    if about.needs is None or not smooth or (domain is not None and domain.walled.any()):
+        return None
+    mean, cov = _moments(parts)
+    log_p, first = _log_sum(parts), first_degree(about.dim, about.needs)
+    for degree in (d for d in degrees(about.dim) if 0 < first <= d <= family.HIGHEST):
+        found, off = fitted(log_p, mean, cov, degree)
+        b, C = node_moments(found.basis.xi, found.weighted()[0])
+        added = max(OF_MISFIT * off, moments_apart(b, C - np.eye(len(mean))))
+        if added <= allowed:
+            error = math.hypot(about.error, added)
+            return family_density(about, found, error=error, gaussian=False).noted(needs=about.needs)
+    return None
+
+
+def _as_families(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
+    """Families, all of them, gathered; None where a part is none, or a lattice does as well."""
+    if about.domain is not None or about.dim <= 2:
+        return None
+    known = [p.density.families or p.density.family or p.density.pieces for p in parts]
+    if not all(known):
+        return None
+    several, misfits = zip(*(_families_of(part, degree_of_parts(about.dim)) for part in parts), strict=True)
+    union = Families(*(np.concatenate(part) for part in zip(*several, strict=True)))
+    off = OF_MISFIT * float(np.exp([part.log_w for part in parts]) @ misfits)
+    try:
+        families, change = gathered(union, allowed, _HEAVY)
+    except np.linalg.LinAlgError:
+        return None
+    error = math.hypot(about.error, change, off)
+    return families_density(about, families, error=error).noted(needs=about.needs)
+
+
+def _families_of(part: Part, degree: int) -> tuple[Families, float]:
+    """Families of a degree that a part is the sum of, and the misfit of one whose degree is higher."""
+    density, n, misfit = part.density, part.density.dim, 0.0
+    if density.families is not None:
+        own = density.families
+        mu, A, c, log_w = own.mu, own.A, own.c, own.log_w
+    elif density.family is not None:
+        one = density.family
+        if one.degree > degree:
+            one, misfit = fitted(one.log_p, *unrolled(density), degree)
+        mu, A, c = (np.array([value]) for value in one)
+        log_w = np.zeros(1)
+    else:
+        pieces = _pieces_of(part)
+        several = [gaussian_family(*about, degree) for about in zip(pieces.mean, pieces.cov, strict=True)]
+        mu, A, c = (np.array(value) for value in zip(*several, strict=True))
+        log_w = pieces.log_w - part.log_w
+    more = np.zeros((len(c), size(n, degree) - c.shape[1]))  # higher powers come last
+    return Families(log_w + part.log_w, mu, A, np.hstack([c, more])), misfit
+
+
+def _turned(parts: Sequence[Part]) -> list[Floats]:
+    """By how much (n,) each part is turned round periodic axes, to lie beside the first."""
+    domain, n = parts[0].density.domain, parts[0].density.dim
+    if domain is None or not domain.periodic.any():
+        return [np.zeros(n) for _ in parts]
+    period = domain.period
+    middle = unrolled(parts[0].density)[0]
+    off = [(middle - unrolled(part.density)[0]) / np.where(period > 0.0, period, 1.0) for part in parts]
+    return [np.rint(turns) * period for turns in off]
+
+
+def _moments(parts: Sequence[Part]) -> tuple[Floats, Floats]:
+    """Mean (n,) and covariance (n, n) of the sum, on the line."""
+    w = np.exp([part.log_w for part in parts])
+    own = [unrolled(part.density) for part in parts]
+    means = np.array([mean + turn for (mean, _), turn in zip(own, _turned(parts), strict=True)])
+    mean = w @ means
+    off = means - mean
+    cov = np.einsum("k,kab->ab", w, [cov for _, cov in own]) + np.einsum("k,ka,kb->ab", w, off, off)
+    return mean, cov
+
+
+def _log_sum(parts: Sequence[Part]) -> OfStates:
+    """Logarithm of the sum, at states on the line."""
+    logs, shifts = [_logarithm(part.density) for part in parts], _turned(parts)
+
+    def log_p(X: Floats) -> Floats:
+        each = [p.log_w + log(X - turn) for p, log, turn in zip(parts, logs, shifts, strict=True)]
+        return np.asarray(logsumexp(each, axis=0))
+
+    return log_p
+
+
+def _logarithm(density: ParticleDensity) -> OfStates:
+    log_p = logarithm(density)
+    if density.field is None and density.domain is not None and density.walls[0].size:
+        return partial(_folded, log_p, density.domain)  # kernels have images beyond walls
+    return log_p
+
+
+def _folded(log_p: OfStates, domain: Domain, X: Floats) -> Floats:
+    return log_p(domain.fold(X))
+
+
+def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity:
+    """The logarithm of the sum on a lattice, of as many nodes as the error asks for."""
+    log_p, (mean, cov), n = _log_sum(parts), _moments(parts), about.dim
+    x, mass = (np.concatenate(rows) for rows in zip(*_nodes(parts), strict=True))
+    seeds = x[mass > _SEEDS * mass.max()]
+    nodes, depth = _first_nodes(parts, about), 0.5 * lattice_reach(None, n) ** 2
+    best: Any = math.inf, None
+    for _ in range(_TRIES):
+        walls = NO_WALLS if about.domain is None else about.domain.walls
+        laid = lay(log_p, mean, root_of(cov), seeds, nodes, depth, walls=walls)
+        off, beyond = misfit(laid, log_p), ~held(laid.field, x)
+        far = remote(laid.mean, laid.cov, x[beyond], mass[beyond])
+        added = math.hypot(off.mean, far.mean, 0.5 * far.variance)
+        before = best[0]
+        if added < before:
+            best = added, off.residual, laid, nodes
+        helped = added < _HELPED * before
+        if added <= allowed or about.needs is None or not helped or _FINER * nodes > _MOST_NODES:
+            break
+        nodes *= _FINER
+    added, residual, laid, nodes = best
+    known: Any = {"residual": residual, "error": math.hypot(about.error, added), "lost": about.lost}
+    new = ParticleDensity.on_lattice(laid, about.t, nodes, False, about.domain, **known)
+    if about.needs is None:
+        return new
+    return _settled(new.noted(needs=about.needs._replace(nodes=nodes)), allowed)
+
+
+def _settled(density: ParticleDensity, allowed: float) -> ParticleDensity:
+    """A density on a lattice as one family, if one holds it and none was refused just now."""
+    needs = density.needs
+    if needs is None or needs.waits > 0:
+        return density
+    one = settled(density, first_degree(density.dim, needs), allowed)
+    return density if one is None else one.noted(needs=needs)
+
+
+def _first_nodes(parts: Sequence[Part], about: ParticleDensity) -> int:
+    if about.needs is None:
+        return max(part.density.capacity or part.density.n_particles for part in parts)
+    return about.needs.nodes or fewest(about.dim)
+
+
+def _nodes(parts: Sequence[Part]) -> list[tuple[Floats, Floats]]:
+    """States that stand for each part, and their weights."""
+    shifts = _turned(parts)
+    return [
+        (p.density.x + turn, math.exp(p.log_w) * p.density.mass)
+        for p, turn in zip(parts, shifts, strict=True)
+    ]
+
+
+def _as_cloud(parts: Sequence[Part], about: ParticleDensity, target: float) -> ParticleDensity:
+    """The points of all; of what is no cloud, as many as its share says."""
+    count = min((about.needs or Needs()).cloud(target), MOST_POINTS)
+    x, mass = [], []
+    for part in parts:
+        density, w = part.density, math.exp(part.log_w)
+        points, weights = density.x, density.mass
+        if density.read_out != "cloud":
+            points, weights = points_of(density, max(math.ceil(w * count), 1000), key_of(density))
+        x.append(points)
+        mass.append(w * weights)
+    return cloud_density(about, np.concatenate(x), np.concatenate(mass)).noted(needs=about.needs)

@@ -1,0 +1,225 @@
+"""Modes carried together: each by its own equation, with jumps between (Strang splitting).
+
+∂p_i/∂t = L_i p_i + Σ_j λ_ji p_j is split: half a step of jumps alone, which mix the densities of the modes, a
+step of every mode's own equation, half a step of jumps. The error is that of the trapezoidal rule over the
+time of a jump, for a jump is taken at either end of a step and not on its way: it is estimated by Simpson's
+rule, for Gaussians and the model linearised about them. Steps are made shorter until it is allowed.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from operator import or_
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from ..config import FilterConfig
+from ..density.modes import ModeDensities, Ripple, no_ripple
+from ..density.needs import allowance
+from ..density.particle_density import ParticleDensity
+from ..errors import PropagationError
+from ..info import Code, PredictInfo
+from ..model.jump_markov import JumpMarkovModel
+from ..model.sde import SDE
+from .again import Outcome, or_as_cloud
+from .mixing import Part, mixed
+from .pieces import carried_exactly
+from .predict import predict
+from .splitting_error import splitting_error
+
+__all__ = ["MOST_SUBSTEPS", "ModesInfo", "predict_modes"]
+
+MOST_SUBSTEPS = 256  # of an interval
+_SPLITTING = 0.25  # of the target, that the splitting of an interval may be off by
+_COARSE = "{} steps of the jumps between modes leave {:.2g} of the probability in doubt"
+_KINDS = "family", "log_density", "cloud"  # read-outs, and "family" for all others
+_UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModesInfo(PredictInfo):
+    """One prediction of all modes of a model that switches.
+
+    Attributes
+    ----------
+    n_substeps : int
+        Steps of the splitting.
+    splitting_error : float
+        Estimated part of the probability that this splitting has put at wrong states; in `error`.
+    modes : dict of str to PredictInfo
+        What was said of each mode that had a probability.
+    """
+
+    n_substeps: int = 1
+    splitting_error: float = 0.0
+    modes: dict[str, PredictInfo] = field(default_factory=dict)
+
+
+def predict_modes(
+    modes: ModeDensities,
+    model: JumpMarkovModel,
+    t1: float,
+    config: FilterConfig,
+    n_particles: int | str,
+    n_substeps: int | None = None,
+    finer: float = 1.0,
+) -> tuple[ModeDensities, ModesInfo]:
+    """Carry the densities of all modes to time t1.
+
+    Parameters
+    ----------
+    modes : ModeDensities
+    model : JumpMarkovModel
+    t1 : float
+        Seconds, later than the densities.
+    config : FilterConfig
+    n_particles : int or "auto"
+        As of `predict`.
+    n_substeps : int, optional
+        Steps of the splitting; as many as its error asks for if not given.
+    finer : float
+        Times less, that the error of the splitting is to be than usual.
+
+    Returns
+    -------
+    ModeDensities, ModesInfo
+
+    Raises
+    ------
+    PropagationError
+        A mode that is not unlikely cannot be carried; the sentence says why.
+    """
+    t0, target = modes.heaviest.t, config.target_error / math.sqrt(model.dim)
+    allowed = allowance(modes.error, config.target_error)
+    jumps = model.rates.any()
+    steps, off = 1, [no_ripple(model.dim) for _ in model.names]
+    if jumps:
+        steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error / finer, n_substeps)
+    h, told = (t1 - t0) / steps, _Told(model.names)
+    # what steps add to polynomials and pieces is alike, and adds up; of lattices it comes as it may
+    each = allowed / (steps + 1), allowed / math.sqrt(steps + 1)
+    smaller = [config.target_error / part for part in (steps, math.sqrt(steps), 1.0)]
+    configs = dict(zip(_KINDS, (replace(config, target_error=error) for error in smaller), strict=True))
+    if jumps:
+        modes = _switched(modes, model, 0.5 * h, target, each)
+    for step in range(1, steps + 1):
+        t = t1 if step == steps else t0 + step * h
+        modes = _carried(modes, model, t, configs, n_particles, told)
+        if jumps:
+            modes = _switched(modes, model, h if step < steps else 0.5 * h, target, each)
+    whole = np.array([ripple.mass for ripple in off])
+    modes = modes.split(np.hypot(modes.splitting, whole), off)
+    return modes, told.info(modes, steps, float(modes.w @ whole), target)
+
+
+class _Told:
+    """What predictions of the modes have said."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = names
+        self._infos: list[list[PredictInfo]] = [[] for _ in names]
+
+    def hear(self, i: int, info: PredictInfo) -> None:
+        self._infos[i].append(info)
+
+    def info(self, modes: ModeDensities, steps: int, splitting: float, target: float) -> ModesInfo:
+        """All of it as one; flags of modes that matter."""
+        joined = {i: PredictInfo.joined(infos) for i, infos in enumerate(self._infos) if infos}
+        whole = PredictInfo.joined(list(joined.values()))
+        said = [
+            (f"{self._names[i]}: {info.status}", info.code)
+            for i, info in joined.items()
+            if info.flagged and modes.w[i] > target
+        ]
+        if splitting > target:
+            said.append((_COARSE.format(steps, splitting), Code.COARSE))
+        known = {
+            name: getattr(whole, name)
+            for name in ("n_steps", "n_evaluations", "mass_error", "scheme", "skipped")
+        }
+        return ModesInfo(
+            **known,
+            error=modes.error,
+            status="; ".join(status for status, _ in said) or "ok",
+            code=reduce(or_, (code for _, code in said), Code.OK),
+            n_substeps=steps,
+            splitting_error=splitting,
+            modes={self._names[i]: info for i, info in joined.items()},
+        )
+
+
+def _switched(
+    modes: ModeDensities, model: JumpMarkovModel, h: float, target: float, allowed: tuple[float, float]
+) -> ModeDensities:
+    """The densities after h seconds in which states jump between modes and do not move."""
+    with np.errstate(divide="ignore"):
+        log_P = np.log(model.transition(h))
+    log_w, densities, P = [], [], model.transition(h)
+    for i, own in enumerate(modes.densities):
+        parts = [Part(w + log_P[j, i], p) for j, w, p in modes.some if log_P[j, i] > -math.inf]
+        log_w.append(float(logsumexp([part.log_w for part in parts])) if parts else -math.inf)
+        densities.append(mixed(parts, target, allowed) if parts else own)
+    share = modes.w[:, None] * P
+    splitting = np.sqrt(modes.splitting**2 @ share / np.maximum(share.sum(axis=0), 1e-300))
+    return ModeDensities(np.array(log_w), densities, splitting)
+
+
+def _carried(
+    modes: ModeDensities,
+    model: JumpMarkovModel,
+    t: float,
+    configs: Mapping[str, FilterConfig],
+    n_particles: Any,
+    told: _Told,
+) -> ModeDensities:
+    """Every mode by its own equation to time t; an unlikely one that cannot be carried ends.
+
+    The configurations have the target errors of one step of many, by the kind of the density.
+    """
+    log_w, densities = modes.log_w.copy(), list(modes.densities)
+    for i, own, density in modes.some:
+        sde = model.modes[model.names[i]]
+        if sde.linear and sde.domain.unbounded and (density.gaussian or density.pieces is not None):
+            densities[i] = carried_exactly(density, sde, t)
+            told.hear(i, PredictInfo(scheme="exact_linear", error=density.error))
+            continue
+
+        def predicted(
+            config: Any, density: ParticleDensity = density, sde: SDE = sde
+        ) -> Outcome[PredictInfo]:
+            options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}
+            moved, info = predict(density, sde, config=config, **options)
+            return Outcome(density, moved, info, moved.n_particles)
+
+        try:
+            outcome = or_as_cloud(predicted, configs[_kind(density)])
+            if _kind(outcome.density) != _kind(density):  # which needs no more than its own kind does
+                outcome = or_as_cloud(predicted, configs[_kind(outcome.density)])
+        except PropagationError as problem:
+            if own > math.log(_UNLIKELY):
+                raise PropagationError(f"mode {model.names[i]!r}: {problem}") from problem
+            log_w[i], densities[i] = -math.inf, None
+            continue
+        densities[i] = outcome.density
+        told.hear(i, outcome.info)
+    return ModeDensities(log_w, densities, modes.splitting)
+
+
+def _kind(density: ParticleDensity) -> str:
+    return density.read_out if density.read_out in _KINDS else "family"
+
+
+def _steps(
+    modes: ModeDensities, model: JumpMarkovModel, dt: float, allowed: float, given: int | None
+) -> tuple[int, list[Ripple]]:
+    """Steps of the splitting that an error needs, and what it is then in each mode."""
+    steps, w = 1 if given is None else given, modes.w @ model.transition(dt)
+    while True:
+        off = splitting_error(modes, model, dt, steps)
+        error = float(w @ [ripple.mass for ripple in off])
+        if given is not None or error <= allowed or steps == MOST_SUBSTEPS:
+            return steps, off
+        steps = min(max(math.ceil(steps * math.sqrt(error / allowed)), steps + 1), 2 * steps, MOST_SUBSTEPS)

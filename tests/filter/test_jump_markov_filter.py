@@ -1,0 +1,326 @@
+"""The filter of a model that switches: its densities against grids, Bayes factors and filters of one mode."""
+
+import pickle
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+import sphfilter as sf
+from reference_filters.jump_grid import JumpGridFilter, unsplit_jump_filter
+from sphfilter.density.modes import ModeDensities
+from sphfilter.prediction.switching import predict_modes
+
+CLOUDS = sf.FilterConfig(scheme=sf.CloudScheme(n_points=20_000))
+READING = sf.GaussianMeasurement([[1.0]], [[0.04]])
+
+
+def drifting(velocity, noise=0.2):
+    return sf.LinearSDE([[0.0]], [velocity], noise=[[noise]])
+
+
+def moving(rates=((-0.1, 0.1), (0.2, -0.2))):
+    return sf.JumpMarkovModel({"rest": drifting(0.0), "moving": drifting(1.0)}, rates)
+
+
+def wells():
+    """Three modes, two of them nonlinear."""
+    double = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.3]])
+    middle = sf.SDE.from_expressions(["x"], ["-2*x"], [["1"]], [[0.6]])
+    right = sf.SDE.from_expressions(["x"], ["1.5*x - x**3 + 0.5"], [["1"]], [[0.6]])
+    rates = [[-0.3, 0.2, 0.1], [0.5, -0.6, 0.1], [0.2, 0.2, -0.4]]
+    return sf.JumpMarkovModel({"double": double, "middle": middle, "right": right}, rates)
+
+
+def course(turn=0.4):
+    """Cross-track and heading of a target of unit speed that goes straight, or turns to one side."""
+
+    def mode(rate):
+        drift = ["sin(theta)", "w"]
+        return sf.SDE.from_expressions(["y", "theta"], drift, [["0"], ["1"]], [[0.01]], {"w": rate})
+
+    modes = {"straight": mode(0.0), "left": mode(turn), "right": mode(-turn)}
+    return sf.JumpMarkovModel(modes, [[-0.1, 0.05, 0.05], [0.25, -0.25, 0.0], [0.25, 0.0, -0.25]])
+
+
+def record(model, T, seed=3, dt=1.0):
+    times = dt * np.arange(1, T + 1)
+    drawn = sf.simulate_modes(model, READING, np.zeros(model.dim), np.r_[0.0, times], rng=seed)
+    return times, drawn.z[1:], drawn.truth[1:]
+
+
+def run(model, times, z, **options):
+    return sf.JumpMarkovFilter(model, READING, [0.0], [[0.1]], **options).run(times, z)
+
+
+@pytest.mark.parametrize(
+    ("model", "box"), [(moving(), (-6.0, 20.0)), (wells(), (-6.0, 6.0))], ids=["linear", "nonlinear"]
+)
+def test_mode_probabilities_of_a_whole_record_are_those_of_the_grid(model, box):
+    times, z, _ = record(model, 20)
+    grid = unsplit_jump_filter(model, READING, 0.0, 0.1, times, z, box=box, size=1001)
+    found = run(model, times, z)
+    assert np.abs(found.mode_probabilities - grid[:, 3:]).max() < 0.01
+    assert np.abs((found.x[:, 0] - grid[:, 0]) / np.sqrt(grid[:, 1])).max() < 0.03
+    assert np.abs(found.P[:, 0, 0] / grid[:, 1] - 1.0).max() < 0.03
+    assert abs(found.log_evidence.sum() - grid[-1, 2]) < 0.05
+    assert found.names == model.names
+
+
+def test_a_target_that_turns_now_and_then_is_followed_as_by_a_grid_of_two_states():
+    model, sensor, P0 = course(), sf.GaussianMeasurement([[1.0, 0.0]], [[0.04]]), 0.04 * np.eye(2)
+    times = np.arange(1.0, 9.0)
+    drawn = sf.simulate_modes(model, sensor, [0.0, 0.0], np.r_[0.0, times], rng=6, mode="straight")
+    low, high = drawn.truth.min(axis=0) - 4.0, drawn.truth.max(axis=0) + 4.0
+    box = np.transpose([low, high])
+    coarse, grid = (
+        JumpGridFilter(model, sensor, [0.0, 0.0], P0, box=box, size=size, step=step)
+        for size, step in ((96, 0.125), (128, 0.0625))
+    )
+    flt = sf.JumpMarkovFilter(model, sensor, [0.0, 0.0], P0)
+    assert len(set(drawn.modes)) > 1
+    for t, z in zip(times, drawn.z[1:], strict=True):
+        for each in (flt, grid, coarse):
+            each.predict(t=t)
+            each.update(z)
+        assert np.abs(coarse.mode_probabilities - grid.mode_probabilities).max() < 0.001
+        assert np.abs(flt.mode_probabilities - grid.mode_probabilities).max() < 0.01
+        assert np.abs((flt.x - grid.x) / np.sqrt(np.diag(grid.P))).max() < 0.02
+    assert flt.log_evidence == pytest.approx(grid.log_evidence, abs=0.02)
+
+
+def test_the_splitting_is_of_second_order_and_its_error_is_seen():
+    model = moving([[-0.6, 0.6], [0.9, -0.9]])
+    start = sf.initialize(sf.Gaussian([0.0], [[1.0]]))
+    modes = ModeDensities(np.log([0.8, 0.2]), [start, start])
+    config = sf.FilterConfig(target_error=1e-5)
+    X = np.linspace(-3.0, 4.0, 200)[:, None]
+
+    def density(steps):
+        moved, info = predict_modes(modes, model, 1.0, config, "auto", steps)
+        return np.exp(moved.logpdf(X)), info.splitting_error
+
+    exact = density(32)[0]
+    found = [density(steps) for steps in (1, 2, 4)]
+    off = np.array([np.abs(p - exact).sum() * (X[1, 0] - X[0, 0]) for p, _ in found])
+    assert np.all(off[:-1] / off[1:] > 3.5)
+    assert np.all(off[:-1] / off[1:] < 4.6)
+    said = np.array([error for _, error in found])
+    assert np.all(said > 0.5 * off)
+    assert np.all(said < 6.0 * off)
+
+
+def test_a_reading_that_few_steps_have_put_little_at_asks_for_more():
+    model, sharp = moving([[-0.01, 0.01], [0.01, -0.01]]), sf.GaussianMeasurement([[1.0]], [[4e-4]])
+    flt = sf.JumpMarkovFilter(model, sharp, [0.0], [[0.01]], mode_probabilities={"rest": 1.0})
+    few = flt.predict(1.0)
+    info = flt.update([0.7])
+    assert few.n_substeps < 4
+    assert sf.Code.REPEATED in info.code
+    told = {"mode_probabilities": [1.0, 0.0], "box": (-2.0, 3.0), "size": 1001}
+    grid = unsplit_jump_filter(model, sharp, 0.0, 0.01, [1.0], [[0.7]], **told)[0]
+    assert np.abs(flt.mode_probabilities - grid[3:]).max() < 0.01
+    assert abs(flt.x[0] - grid[0]) < 0.03 * np.sqrt(grid[1])
+    assert flt.log_evidence == pytest.approx(grid[2], abs=0.03)
+
+
+def test_steps_follow_the_target_error():
+    model = moving()
+    fine, coarse = (
+        sf.JumpMarkovFilter(model, READING, [0.0], [[0.1]], config=sf.FilterConfig(target_error=target))
+        for target in (0.003, 0.03)
+    )
+    few, many = coarse.predict(1.0), fine.predict(1.0)
+    assert few.n_substeps < many.n_substeps
+    assert many.splitting_error < few.splitting_error < 0.03
+    assert few.status == many.status == "ok"
+
+
+def test_modes_without_jumps_are_filters_of_their_own():
+    model = wells()
+    still = sf.JumpMarkovModel(model.modes, np.zeros((3, 3)))
+    times, z, _ = record(model, 6)
+    start = np.array([0.5, 0.3, 0.2])
+    found = run(still, times, z, mode_probabilities=start)
+    alone = [sf.SPHFilter(mode, READING, [0.0], [[0.1]]).run(times, z) for mode in model.modes.values()]
+    log_w = np.log(start) + np.cumsum([own.log_evidence for own in alone], axis=1).T
+    total = np.logaddexp.reduce(log_w, axis=1)
+    w = np.exp(log_w - total[:, None])
+    np.testing.assert_allclose(found.mode_probabilities, w, atol=1e-3)
+    np.testing.assert_allclose(found.log_evidence.cumsum(), total, atol=2e-3)
+    np.testing.assert_allclose(found.x, np.einsum("tk,ktn->tn", w, [own.x for own in alone]), atol=2e-3)
+
+
+def test_equal_modes_are_one():
+    well = wells().modes["double"]
+    model = sf.JumpMarkovModel({"one": well, "other": well}, [[-0.5, 0.5], [0.2, -0.2]])
+    times, z, _ = record(model, 6)
+    found, alone = run(model, times, z), sf.SPHFilter(well, READING, [0.0], [[0.1]]).run(times, z)
+    np.testing.assert_allclose(found.x, alone.x, atol=1e-3)
+    np.testing.assert_allclose(found.P, alone.P, rtol=5e-3)
+    np.testing.assert_allclose(found.log_evidence, alone.log_evidence, atol=2e-3)
+    np.testing.assert_allclose(found.mode_probabilities, np.tile(model.stationary, (6, 1)), atol=1e-12)
+
+
+def test_the_order_of_the_modes_does_not_matter():
+    model = wells()
+    times, z, _ = record(model, 4)
+    first = run(model, times, z)
+    for order in list(permutations(range(3)))[1:4]:
+        names = [model.names[i] for i in order]
+        turned = {name: model.modes[name] for name in names}
+        other = run(sf.JumpMarkovModel(turned, model.rates[np.ix_(order, order)]), times, z)
+        np.testing.assert_allclose(other.mode_probabilities, first.mode_probabilities[:, order], atol=1e-6)
+        np.testing.assert_allclose(other.x, first.x, atol=1e-6)
+
+
+def test_one_prediction_or_eight():
+    one, eight = (sf.JumpMarkovFilter(wells(), READING, [0.5], [[0.1]]) for _ in range(2))
+    one.predict(2.0)
+    for t in np.arange(1, 9) * 0.25:
+        eight.predict(t=t)
+    assert one.t == eight.t
+    np.testing.assert_allclose(one.mode_probabilities, eight.mode_probabilities, atol=1e-9)
+    assert np.abs(one.x - eight.x) < 0.01 * np.sqrt(one.P[0, 0])
+    for name, density in one.densities.items():
+        assert abs(density.mean() - eight.densities[name].mean()) < 0.02 * np.sqrt(density.cov()[0, 0])
+
+
+@pytest.mark.parametrize(
+    ("rates", "options", "step"),
+    [
+        ([[-300.0, 300.0], [150.0, -150.0]], {}, 0.002),
+        ([[-1e-9, 1e-9], [1e-9, -1e-9]], {}, 0.01),
+        ([[-0.1, 0.1], [0.1, -0.1]], {"mode_probabilities": [1.0, 0.0]}, 0.01),
+        ([[0.0, 0.0], [0.5, -0.5]], {"mode_probabilities": {"moving": 1.0}}, 0.01),
+        ([[-0.1, 0.1], [0.1, -0.1]], {"n_particles": 100}, 0.01),
+        (
+            [[-0.1, 0.1], [0.1, -0.1]],
+            {"config": CLOUDS},
+            0.01,
+        ),
+    ],
+    ids=["fast", "slow", "certain", "absorbing", "a number", "clouds"],
+)
+def test_rates_starts_and_schemes_of_all_kinds(rates, options, step):
+    model, times = moving(rates), np.arange(1.0, 6.0)
+    z = [[0.3], None, [1.1], [1.2], [2.3]]
+    found = run(model, times, z, **options)
+    start = options.get("mode_probabilities", model.stationary)
+    start = [0.0, 1.0] if isinstance(start, dict) else start
+    told = {"mode_probabilities": start, "box": (-4.0, 9.0), "size": 601, "step": step}
+    grid = unsplit_jump_filter(model, READING, 0.0, 0.1, times, z, **told)
+    assert np.abs(found.mode_probabilities - grid[:, 3:]).max() < 0.01
+    assert np.abs((found.x[:, 0] - grid[:, 0]) / np.sqrt(grid[:, 1])).max() < 0.03
+
+
+def test_a_mode_that_a_reading_excludes_loses_its_probability_and_may_come_again():
+    def near(z, X, t):
+        return -12.5 * (z[0] - X[:, 0]) ** 2
+
+    def never(z, X, t):
+        return np.full(len(X), -np.inf)
+
+    sensors = {"rest": sf.LikelihoodMeasurement(near), "moving": sf.LikelihoodMeasurement(never)}
+    flt = sf.JumpMarkovFilter(moving(), sensors, [0.0], [[0.1]])
+    flt.predict(1.0)
+    info = flt.update([0.1])
+    assert list(flt.densities) == ["rest"] == list(info.modes)
+    assert flt.mode_probabilities.tolist() == [1.0, 0.0]
+    flt.predict(1.0)
+    assert flt.mode_probabilities[1] == pytest.approx(flt.model.transition(1.0)[0, 1])
+    before = flt.x, flt.P, flt.t, flt.log_evidence, flt.mode_probabilities.tolist()
+    with pytest.raises(sf.PropagationError, match="zero wherever"):
+        flt.update([0.1], sf.LikelihoodMeasurement(never))
+    with pytest.raises(sf.ModelError):
+        flt.update([0.1, 0.2], READING)
+    with pytest.raises(sf.ModelError, match="back in time"):
+        flt.predict(-1.0)
+    assert (flt.x, flt.P, flt.t, flt.log_evidence, flt.mode_probabilities.tolist()) == before
+
+
+def test_angles_of_all_modes_go_round():
+    domain = [("periodic", -np.pi, np.pi)]
+    modes = {
+        name: sf.SDE.from_expressions(["a"], [rate], [["0.3"]], domain=domain)
+        for name, rate in (("slow", "0.5"), ("fast", "1.5"))
+    }
+    model = sf.JumpMarkovModel(modes, [[-0.3, 0.3], [0.3, -0.3]])
+    compass = sf.GaussianMeasurement(lambda x: (x[0],), [[0.05]], angles=[0])
+    flt = sf.JumpMarkovFilter(model, compass, [3.0], [[0.05]])
+    line = {name: drifting(rate, 0.3) for name, rate in (("slow", 0.5), ("fast", 1.5))}
+    rolled = sf.JumpMarkovFilter(
+        sf.JumpMarkovModel(line, model.rates), sf.GaussianMeasurement([[1.0]], [[0.05]]), [3.0], [[0.05]]
+    )
+    for z in (3.9, 4.4, 5.4):
+        for each, reading in ((flt, (z + np.pi) % (2.0 * np.pi) - np.pi), (rolled, z)):
+            each.predict(1.0)
+            each.update([reading])
+    np.testing.assert_allclose(flt.mode_probabilities, rolled.mode_probabilities, atol=5e-3)
+    assert domain[0][1] <= flt.x[0] < domain[0][2]
+    assert abs(flt.x[0] + 2.0 * np.pi - rolled.x[0]) < 0.02 * np.sqrt(rolled.P[0, 0])
+
+
+def test_the_density_of_all_modes_is_their_sum():
+    flt = sf.JumpMarkovFilter(wells(), READING, [0.5], [[0.1]])
+    flt.predict(1.0)
+    flt.update([0.4])
+    X = flt.x + np.linspace(-2.0, 2.0, 9)[:, None] * np.sqrt(flt.P[0, 0])
+    parts = zip(flt.mode_probabilities, flt.densities.values(), strict=True)
+    summed = sum(w * p.pdf(X) for w, p in parts)
+    np.testing.assert_allclose(flt.density.pdf(X), summed, rtol=0.02)
+    np.testing.assert_allclose(np.exp(flt.spread().logpdf(X)), summed, rtol=1e-9)
+    spread = flt.spread()
+    assert spread.w @ spread.X == pytest.approx(flt.x, abs=0.01 * np.sqrt(flt.P[0, 0]))
+    assert flt.mode == flt.model.names[np.argmax(flt.mode_probabilities)]
+
+
+def test_the_same_input_gives_the_same_bits_and_a_copy_goes_on_by_itself():
+    times, z, _ = record(wells(), 4)
+    flt = sf.JumpMarkovFilter(wells(), READING, [0.0], [[0.1]])
+    copied = pickle.loads(pickle.dumps(flt))
+    one, other = (each.run(times, z) for each in (flt, copied))
+    assert np.array_equal(one.x, other.x)
+    assert np.array_equal(one.mode_probabilities, other.mode_probabilities)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"model": drifting(0.0)}, "SPHFilter takes an SDE"),
+        ({"measurement": {"rest": READING}}, "one for each of"),
+        ({"mode_probabilities": [0.5, 0.6]}, "sum to one"),
+        ({"mode_probabilities": [1.5, -0.5]}, "not be negative"),
+        ({"mode_probabilities": {"resting": 1.0}}, "did you mean 'rest'"),
+        ({"config": sf.FilterConfig(time_budget=1.0)}, "time_budget"),
+        ({"n_particles": "many"}, "n_particles"),
+    ],
+)
+def test_what_does_not_fit_is_refused(change, sentence):
+    given = {"model": moving(), "measurement": READING, "x0": [0.0], "P0": [[0.1]]} | change
+    with pytest.raises(sf.SphfilterError, match=sentence):
+        sf.JumpMarkovFilter(**given)
+
+
+class Wandering:
+    """Cases of the model of two modes, for a campaign."""
+
+    name = "wandering"
+
+    def draw(self, rng):
+        times, x0, P0 = np.arange(1.0, 9.0), np.zeros(1), np.array([[0.1]])
+        start = rng.normal(0.0, np.sqrt(0.1), 1)
+        truth, z = sf.simulate(moving(), READING, start, np.r_[0.0, times], rng)
+        return sf.Case(times, truth[1:], z[1:], x0, P0)
+
+
+@pytest.mark.slow
+def test_a_campaign_finds_the_densities_consistent():
+    def jumping(case, rng):
+        return sf.JumpMarkovFilter(moving(), READING, case.x0, case.P0)
+
+    campaign = sf.run_campaign(Wandering(), {"jumping": jumping}, n_runs=60, seed=4)
+    assert not campaign.failures
+    told = sf.report(campaign).filters["jumping"]
+    assert min(told.ranks.hpd_p, *told.ranks.pit_p, *told.ranks.state_pit_p) > 0.01, told.ranks
+    assert told.verdict.startswith(("consistent", "nothing found against it")), told.verdict
