@@ -50,8 +50,10 @@ from .model.jump_markov import JumpMarkovModel
 from .model.likelihood import LikelihoodMeasurement
 from .model.measurements import GaussianMeasurement
 from .model.sde import SDE, LinearSDE
+from .model.sensors import Sensors
 from .model.simulate import simulate
 from .model.simulate_modes import simulate_modes
+from .model.tables import Table
 from .prediction.predict import predict
 from .prediction.propagate import Trajectory, propagate
 
@@ -89,9 +91,11 @@ __all__ = [
     "Report",
     "ResampleInfo",
     "SPHFilter",
+    "Sensors",
     "SmoothedResult",
     "SolverConfig",
     "SphfilterError",
+    "Table",
     "Trajectory",
     "Uniform",
     "UpdateInfo",

@@ -1,21 +1,26 @@
 """The types that many signatures share."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import timedelta
 from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["BatchFunction", "Bools", "Floats", "Interval", "Ints", "OfStates", "ReadOut", "Readings", "Seed"]
+__all__ = ["BatchFunction", "Bools", "Floats", "Interval", "Ints", "OfStates", "ReadOut", "Readings",
+           "Reported", "Rows", "Seed"]  # fmt: skip
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
 Bools: TypeAlias = NDArray[np.bool_]
 #: A generator, or what numpy makes one of.
 Seed: TypeAlias = np.random.Generator | int | None
+#: A measurement: numbers, None where none came, or those of several sensors by name.
+Reported: TypeAlias = ArrayLike | Mapping[str, ArrayLike | None] | None
 #: One measurement for each time; None or NaN where none came.
-Readings: TypeAlias = Sequence[ArrayLike | None] | Floats
+Readings: TypeAlias = Sequence[Reported] | Floats
+#: The same as numbers.
+Rows: TypeAlias = Sequence[ArrayLike | None] | Floats
 #: Seconds, or as Python and numpy keep them.
 Interval: TypeAlias = float | timedelta | np.timedelta64
 #: A function of states (M, n), with a number for each, (M,).

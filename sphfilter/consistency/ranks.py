@@ -16,6 +16,7 @@ from scipy.special import gammainc, ndtr
 from .._types import Floats
 from ..density.weighted import WeightedStates, hpd_rank, state_rank
 from ..model.measurements import NoisySensor, Sensor, has_gaussian_noise
+from ..model.named import driven
 from . import normalised
 
 __all__ = ["Ranker", "gaussian_ranks", "ranked_reading"]
@@ -55,7 +56,7 @@ class Ranker:
 
     def before(self, filt: Ranked, z: ArrayLike | None, k: int) -> tuple[Floats, Floats, Floats]:
         """Return what `ranked_reading` tells of the next measurement, k numbers, in the prediction."""
-        start, sensor = perf_counter(), filt.measurement
+        start, sensor = perf_counter(), driven(filt.measurement, getattr(filt, "inputs", {}))
         if has_gaussian_noise(sensor) and sensor.observed(z).any():
             found = ranked_reading(filt.spread(), sensor, sensor.reading(z).z, filt.t)
         else:

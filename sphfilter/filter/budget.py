@@ -13,6 +13,7 @@ from ..errors import PropagationError
 from ..info import Code, PredictInfo, UpdateInfo
 from ..model.likelihood import LikelihoodMeasurement
 from ..model.measurements import Sensor, has_gaussian_noise
+from ..model.named import driven
 from ..prediction.predict import load, predict
 from .update import update
 
@@ -169,7 +170,7 @@ def _load_rest(filt: Any, dt: float) -> None:
 
 def _expected(filt: Any) -> tuple[Sensor, Any]:
     """A sensor, and a reading of it that changes little."""
-    sensor = filt.measurement
+    sensor = driven(filt.measurement, filt.inputs)
     if has_gaussian_noise(sensor):
         return sensor, sensor.predict(filt.x, filt.t)[0]
     return LikelihoodMeasurement(lambda z, X, t: np.zeros(len(X))), 0.0

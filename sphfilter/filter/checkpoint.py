@@ -1,5 +1,6 @@
 """A filter in a file: its density, where that comes from, and what it said last, as arrays."""
 
+import json
 from os import PathLike
 from typing import Any
 
@@ -9,9 +10,11 @@ from ..config import FilterConfig
 from ..density.storage import Arrays, density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import ModelError
 from ..model.measurements import Sensor
+from ..model.named import driven
 from ..model.sde import SDE
 from ..prediction.predict import Prediction
 from .found import found
+from .readings import parted
 from .state import FilterState
 from .update_again import Update
 
@@ -27,8 +30,9 @@ def write(path: str | PathLike[str], state: FilterState, filt: Any) -> None:
     given = {name: getattr(state, name) for name in _STATE} | {"dt": filt.dt}
     arrays = {name: np.asarray(value) for name, value in given.items() if value is not None}
     arrays |= {"config": np.array(filt.config.to_toml()), "adapts": np.array(filt.adapts)}
+    arrays |= {"inputs": np.array(json.dumps(dict(state.inputs)))}
     arrays |= under("density", stored(state.density))
-    write_arrays(path, arrays | under("origin", _stored_origin(state.origin, filt.measurement)))
+    write_arrays(path, arrays | under("origin", _stored_origin(state)))
 
 
 def restored(
@@ -59,21 +63,25 @@ def restored(
     for name in _MOMENTS:
         state[name] = found(state[name])
     state = {k: v.item() if v is not None and v.ndim == 0 else v for k, v in state.items()}
+    state["inputs"] = json.loads(str(arrays.get("inputs", "{}")))
+    if state["inputs"]:
+        model = model.with_inputs(state["inputs"])
     state["origin"] = _origin(part("origin", arrays), model, measurement)
     about = {"_adapts": bool(arrays["adapts"]), "dt": float(arrays["dt"]) if "dt" in arrays else None}
     return options, about, state
 
 
-def _stored_origin(origin: Prediction | Update | None, measurement: Sensor | None) -> Arrays:
+def _stored_origin(state: FilterState) -> Arrays:
     """The last prediction or update of a filter, which it may have to repeat, as arrays.
 
     An update with another sensor than the filter's own is left out: sensors are code, not data.
     """
+    origin = state.origin
     if isinstance(origin, Prediction) and origin.before is not None:
         numbers = {"lost": np.array(origin.lost), "t": np.array(origin.t)}
         return under("before", stored(origin.before)) | numbers
-    if isinstance(origin, Update) and origin.measurement is measurement:
-        return under("before", stored(origin.before)) | {"z": np.asarray(origin.z, dtype=float)}
+    if isinstance(origin, Update) and origin.own:
+        return under("before", stored(origin.before)) | {"z": np.asarray(state.z, dtype=float)}
     return {}
 
 
@@ -83,5 +91,7 @@ def _origin(arrays: Arrays, model: SDE, measurement: Sensor | None) -> Predictio
         return None
     before = density_from(part("before", arrays))
     if "z" in arrays:
-        return None if measurement is None else Update(before, measurement, arrays["z"])
+        if measurement is None:
+            return None
+        return Update(before, *parted(driven(measurement, model.inputs), arrays["z"]))
     return Prediction(before, float(arrays["lost"]), model, float(arrays["t"]))

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Floats, Interval, Readings
+from .._types import Floats, Interval, Readings, Reported
 from ..config import FilterConfig, checked_filter_config
 from ..consistency.ranks import Ranker
 from ..density.as_cloud import thinned
@@ -22,11 +22,14 @@ from ..errors import ConfigError, ModelError
 from ..info import Code
 from ..model.jump_markov import JumpMarkovModel
 from ..model.measurements import Sensor
+from ..model.named import InputRecord, InputValues, driven
+from ..model.sensors import Sensors
 from ..prediction.mixing import Part, mixed
 from ..prediction.switching import MOST_SUBSTEPS, ModesInfo, predict_modes
 from ..validate import array, choice, count, covariance, onwards, positive, real, row, seconds, short
 from .jump_markov_state import JumpMarkovState
-from .readings import checked_sensor
+from .late import Remembering
+from .readings import checked_sensor, numbers_of, sensor_of
 from .results import FilterResult, run_filter
 from .update_modes import ModesUpdateInfo, update_modes
 
@@ -65,7 +68,7 @@ class JumpMarkovResult(FilterResult):
     names: tuple[str, ...] = ()
 
 
-class JumpMarkovFilter:
+class JumpMarkovFilter(Remembering):
     """A Bayes filter of a `JumpMarkovModel`: it carries a density for every mode, and their probabilities.
 
     The densities of modes mix as what they are, sums, and not as Gaussians with their moments.
@@ -73,7 +76,7 @@ class JumpMarkovFilter:
     Parameters
     ----------
     model : JumpMarkovModel
-    measurement : GaussianMeasurement, LikelihoodMeasurement, a mapping of these by mode, or None
+    measurement : GaussianMeasurement, LikelihoodMeasurement, Sensors, a mapping of these by mode, or None
         The sensor `update` uses unless another is given; a mapping where it depends on the mode.
     x0, P0 : array_like, shapes (n,), (n, n)
         Initial mean and covariance, in every mode.
@@ -87,6 +90,8 @@ class JumpMarkovFilter:
         Without `time_budget`.
     dt : float or timedelta, optional
         Makes ``predict()`` advance by dt seconds when called without argument.
+    window : int
+        As of `SPHFilter`: how many steps are kept for readings that come late.
 
     Attributes
     ----------
@@ -140,6 +145,7 @@ class JumpMarkovFilter:
         n_particles: int | Literal["auto"] = "auto",
         config: FilterConfig | None = None,
         dt: Interval | None = None,
+        window: int = 0,
     ) -> None:
         if not isinstance(model, JumpMarkovModel):
             raise ModelError(f"model must be a JumpMarkovModel, got {short(model)}; SPHFilter takes an SDE")
@@ -160,11 +166,12 @@ class JumpMarkovFilter:
         density = initialize(start, n_particles, self.config, **about)
         with np.errstate(divide="ignore"):
             log_w = np.log(_probabilities(mode_probabilities, model))
-        self._state = JumpMarkovState.begun(ModeDensities(log_w, [density] * len(log_w)))
+        self._state = JumpMarkovState.begun(ModeDensities(log_w, [density] * len(log_w)), model.inputs)
+        self._remember_from_here(window)
 
     def _checked(self, measurement: Any) -> dict[str, Sensor]:
         """The sensor of every mode."""
-        if not isinstance(measurement, Mapping):
+        if isinstance(measurement, Sensors) or not isinstance(measurement, Mapping):
             sensor = checked_sensor(measurement, self._any_mode)
             return dict.fromkeys(self.model.names, sensor)
         if set(measurement) != set(self.model.names):
@@ -258,6 +265,11 @@ class JumpMarkovFilter:
         return self._state.log_evidence
 
     @property
+    def inputs(self) -> Mapping[str, float]:
+        """What the inputs of the modes were in the last prediction, by name."""
+        return self._state.inputs
+
+    @property
     def t(self) -> float:
         """Time of the densities, seconds."""
         return self._state.modes.heaviest.t
@@ -283,8 +295,13 @@ class JumpMarkovFilter:
         target = self.config.target_error / math.sqrt(self.model.dim)
         return mixed([Part(log_w, p) for _, log_w, p in self._state.modes.some], target, (target, target))
 
-    def predict(self, dt: Interval | None = None, *, t: float | None = None) -> ModesInfo:
-        """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns ModesInfo."""
+    def predict(
+        self, dt: Interval | None = None, *, t: float | None = None, u: InputValues | None = None
+    ) -> ModesInfo:
+        """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns ModesInfo.
+
+        The inputs of the modes' models are u over the interval, in their order or by name.
+        """
         if dt is not None and t is not None:
             raise ModelError("predict takes either dt or t=, one of them")
         if t is None:
@@ -297,19 +314,32 @@ class JumpMarkovFilter:
             raise ModelError(f"cannot predict back in time: from t = {self.t:g} to {end:g}")
         if end == self.t:
             return ModesInfo(error=self._state.modes.error, skipped=("everything: the interval is empty",))
-        modes, info = predict_modes(self._state.modes, self.model, end, self.config, self.n_particles)
-        self._state = self._state.predicted(modes, info.n_substeps)
+        before, model = self._state, self.model if u is None else self.model.with_inputs(u)
+        modes, info = predict_modes(before.modes, model, end, self.config, self.n_particles)
+        self._state = before.predicted(modes, info.n_substeps, model.inputs)
+        driving = None if u is None else dict(model.inputs)
+        self._predicted_from(before, before.modes.heaviest.t, {"dt": dt, "t": t}, driving)
         return info
 
     def update(
-        self, z: ArrayLike | None, measurement: Sensor | Mapping[str, Sensor] | None = None
+        self, z: Reported, measurement: Sensor | Mapping[str, Sensor] | str | None = None
     ) -> ModesUpdateInfo:
-        """Use a measurement z, of another sensor if given; None or NaN is missing; a ModesUpdateInfo."""
-        sensors = self._sensors if measurement is None else self._checked(measurement)
+        """Use a measurement z, of another sensor if given; None or NaN is missing; a ModesUpdateInfo.
+
+        Of several `Sensors`, z maps their names to readings, or `measurement` is the name of the one read.
+        """
+        given = measurement
+        if isinstance(given, str):
+            given = sensor_of(self.measurement, given, None, self._any_mode)
+        sensors = self._sensors if given is None else self._checked(given)
         if sensors is None:
             raise ModelError("update needs a measurement, or a filter made with one")
-        prior, modes, info = self._updated(sensors, z)
-        self._state = self._state.updated(prior, modes, info, sensors[self.mode], z)
+        inputs = self._state.inputs
+        sensors = {name: driven(sensor, inputs) for name, sensor in sensors.items()}
+        numbers = numbers_of(sensors[self.mode], z)
+        prior, modes, info = self._updated(sensors, numbers)
+        self._state = self._state.updated(prior, modes, info, sensors[self.mode], numbers)
+        self._updated_with(z=z, measurement=measurement)
         return info
 
     def _updated(
@@ -324,7 +354,8 @@ class JumpMarkovFilter:
         prior, told = state.modes, []
         if state.n_substeps < MOST_SUBSTEPS:
             finer = _MARGIN * min(off / target, _FINEST)
-            prior, _ = predict_modes(state.before, self.model, self.t, *settings, finer=finer)
+            model = self.model.with_inputs(state.inputs)
+            prior, _ = predict_modes(state.before, model, self.t, *settings, finer=finer)
             modes, info = update_modes(prior, sensors, z, *settings)
             off = float(modes.w @ modes.splitting)
             told.append((Code.REPEATED, _REPEATED))
@@ -346,15 +377,15 @@ class JumpMarkovFilter:
         measurements: Readings,
         truth: ArrayLike | None = None,
         observer: Ranker | None = None,
+        inputs: InputRecord | None = None,
     ) -> JumpMarkovResult:
         """Predict to each time and update with its measurement; returns a `JumpMarkovResult`.
 
-        `truth` and `observer` are those of `SPHFilter.run`.
+        `truth`, `observer` and `inputs` are those of `SPHFilter.run`.
         """
         told: list[Floats] = []
-        result = run_filter(
-            self, times, measurements, truth, observer, each=lambda flt: told.append(flt.mode_probabilities)
-        )
+        looked = {"each": lambda flt: told.append(flt.mode_probabilities)}
+        result = run_filter(self, times, measurements, truth, observer, inputs=inputs, **looked)
         own = {f.name: getattr(result, f.name) for f in fields(result)}
         w = np.array(told).reshape(-1, len(self.model.names))
         return JumpMarkovResult(**own, mode_probabilities=w, names=self.model.names)

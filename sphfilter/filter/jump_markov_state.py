@@ -1,6 +1,7 @@
 """What a filter of a model that switches is between two calls: one value, as `FilterState` is."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from numpy.typing import ArrayLike
 
@@ -29,11 +30,12 @@ class JumpMarkovState:
     log_evidence: float = 0.0
     before: ModeDensities | None = None  # that the last prediction began with, if densities come from it
     n_substeps: int = 0  # of that prediction
+    inputs: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
-    def begun(cls, modes: ModeDensities) -> "JumpMarkovState":
-        """The state of a filter that starts with densities."""
-        return cls(modes, *2 * modes.moments)
+    def begun(cls, modes: ModeDensities, inputs: Mapping[str, float]) -> "JumpMarkovState":
+        """The state of a filter that starts with densities and has inputs."""
+        return cls(modes, *2 * modes.moments, inputs=dict(inputs))
 
     @property
     def x(self) -> Floats:
@@ -45,10 +47,20 @@ class JumpMarkovState:
         """Covariance over all modes, shape (n, n)."""
         return self.modes.moments[1]
 
-    def predicted(self, modes: ModeDensities, n_substeps: int) -> "JumpMarkovState":
+    def predicted(
+        self, modes: ModeDensities, n_substeps: int, inputs: Mapping[str, float]
+    ) -> "JumpMarkovState":
         """The state after a prediction."""
         x, P = modes.moments
-        return replace(self, modes=modes, x_prior=x, P_prior=P, before=self.modes, n_substeps=n_substeps)
+        return replace(
+            self,
+            modes=modes,
+            x_prior=x,
+            P_prior=P,
+            before=self.modes,
+            n_substeps=n_substeps,
+            inputs=dict(inputs),
+        )
 
     def updated(
         self,

@@ -18,7 +18,7 @@ _MADE_OF = "the model and the sensor say it: SPHFilter(model, measurement, x0, P
 _SIGMAS = "a filter that carries the density has no sigma points"
 _LINEARISED = "nothing is linearised: give h alone, update(z, R, h), or as the h of a GaussianMeasurement"
 _AS_A_RECORD = "give the whole record to run(times, measurements)"
-_IN_DRIFT = "write the control into the drift of the model"
+_INPUTS = "controls are inputs of the model, SDE(..., inputs=[...]), LinearSDE(A, B=B): predict(dt, u=...)"
 #: Names of filterpy's filters, and what stands for them here.
 _FILTERPY = {
     "R": "give update(z, R=...), or a measurement=GaussianMeasurement(h, noise_cov=R), its noise_cov",
@@ -27,9 +27,9 @@ _FILTERPY = {
     "Q": "process noise belongs to the model: SDE(..., noise=g, spectral_density=Q)",
     "F": _IN_MODEL,
     "fx": "dynamics belong to the model: SDE(drift=fx, ...), in continuous time",
-    "B": _IN_DRIFT,
-    "u": _IN_DRIFT,
-    "dim_u": _IN_DRIFT,
+    "B": _INPUTS,
+    "u": _INPUTS,
+    "dim_u": _INPUTS,
     "K": "a filter that carries the density has no gain",
     "inv": "a filter that carries the density inverts no innovation covariance; SI is its inverse",
     "alpha": "fading memory is process noise: a larger spectral_density of the model",

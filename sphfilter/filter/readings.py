@@ -1,23 +1,29 @@
-"""Which sensor a reading of a filter comes from."""
+"""Which sensor a reading of a filter comes from, and over which interval it is predicted."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._types import Floats, Interval, Readings, Reported, Rows
 from ..errors import ModelError
 from ..model.compile import StateFunction
 from ..model.measurements import GaussianMeasurement, Sensor
+from ..model.named import InputValues
 from ..model.sde import SDE
+from ..model.sensors import Sensors
 from ..validate import short
 
-__all__ = ["checked_sensor", "sensor_of"]
+__all__ = ["checked_sensor", "interval_of", "numbers_of", "parted", "rows_of", "sensor_of"]
 
 
 def sensor_of(
-    own: Sensor | None, given: Sensor | ArrayLike | None, H: ArrayLike | StateFunction | None, model: SDE
+    own: Any, given: Sensor | ArrayLike | str | None, H: ArrayLike | StateFunction | None, model: SDE
 ) -> Sensor:
-    """The sensor of a reading: the filter's own, the one given, or the own one with another R or h."""
+    """The sensor of a reading: the filter's own, with another R or h, one of it by name, or one given."""
+    if isinstance(given, str) and H is None and isinstance(own, Sensors):
+        return checked_sensor(own[given], model)
     if callable(given) and not hasattr(given, "log_likelihood"):
         raise ModelError(
             "a function stands in the place of the sensor, as in the update(z, HJacobian, Hx) of an EKF; "
@@ -44,3 +50,48 @@ def checked_sensor(measurement: Any, model: SDE) -> Sensor:
     if hasattr(measurement, "check_dim"):
         measurement.check_dim(model.dim)
     return measurement
+
+
+def numbers_of(sensor: Any, z: Reported) -> ArrayLike | None:
+    """A reading as numbers; of several sensors, theirs one after the other, NaN where none came."""
+    if not isinstance(z, Mapping):
+        return z
+    if not isinstance(sensor, Sensors):
+        raise ModelError(
+            f"the measurement {short(dict(z))} names sensors, which a filter has whose measurement is "
+            "Sensors({name: sensor, ...})"
+        )
+    return sensor.vector(z)
+
+
+def rows_of(sensor: Any, measurements: Readings) -> Rows:
+    """A record of readings, each as `numbers_of` has it."""
+    if any(isinstance(z, Mapping) for z in measurements):
+        return [numbers_of(sensor, z) for z in measurements]
+    return cast(Rows, measurements)
+
+
+def parted(sensor: Sensor, z: ArrayLike | None) -> tuple[Sensor, ArrayLike | None]:
+    """The sensor that a reading came from and its numbers: of several, those that have one."""
+    return sensor.came(z) if isinstance(sensor, Sensors) else (sensor, z)
+
+
+def interval_of(
+    dt: Interval | Floats | None, t: float | None, u: InputValues | None, own: float | None
+) -> tuple[Any, float | None, InputValues | None]:
+    """Seconds dt or time t to predict by or to, and inputs u.
+
+    A filter with a dt of its own is asked as filterpy's are: ``predict()``, ``predict(0)`` for no control, or
+    ``predict(u)`` with an array, which is no interval.
+    """
+    if t is not None:
+        return dt, t, u
+    if own is not None and dt is not None and not isinstance(dt, Mapping):
+        array: Any = dt
+        if np.ndim(array) > 0 and u is None:
+            return own, None, array if np.any(array) else None
+        if np.ndim(array) == 0 and array == 0:
+            dt = None
+    if dt is None and own is None:
+        raise ModelError("predict needs dt or t=, or a filter made with dt=")
+    return own if dt is None else dt, None, u

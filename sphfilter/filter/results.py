@@ -1,6 +1,6 @@
 """What a run of a filter leaves behind, and the one loop that every filter's ``run`` calls."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from os import PathLike
 from typing import Any, Protocol
@@ -13,7 +13,9 @@ from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
 from ..info import innovation_of
 from ..model.measurements import Reading
+from ..model.named import InputRecord, each_input
 from ..validate import onwards
+from .readings import rows_of
 
 __all__ = ["TRUTHS", "AnyFilter", "FilterResult", "run_filter", "shapes"]
 
@@ -136,6 +138,7 @@ def run_filter(
     truth: ArrayLike | None = None,
     observer: Ranker | None = None,
     each: Callable[[Any], object] | None = None,
+    inputs: InputRecord | None = None,
 ) -> FilterResult:
     """Predict to each time and update with its measurement.
 
@@ -154,6 +157,8 @@ def run_filter(
         One that knows the truth, instead of it.
     each : callable, optional
         Called with the filter after every update.
+    inputs : array_like (T, m), or mapping of str to array_like (T,), optional
+        What the inputs of the filter's model are over the interval that ends at each time.
 
     Returns
     -------
@@ -175,11 +180,13 @@ def run_filter(
     if observer is not None and np.shape(observer.truth) != (len(times), len(filt.x)):
         expected = f"{(len(times), len(filt.x))}, a state a time"
         raise ModelError(f"truth must have shape {expected}; got {np.shape(observer.truth)}")
-    k = max((np.size(z) for z in measurements if z is not None), default=1)
+    driving = [None] * len(times) if inputs is None else each_input(filt.model.inputs, inputs, len(times))
+    readings = rows_of(getattr(filt, "measurement", None), measurements)
+    k = max((np.size(z) for z in readings if z is not None), default=1)
     looks = observer is not None and hasattr(filt, "spread")
     rows = []
-    for epoch, (t, z) in enumerate(zip(times, measurements, strict=True)):
-        rows.append(_epoch(filt, t, z, k, epoch, observer if looks else None))
+    for epoch, (t, z, u) in enumerate(zip(times, readings, driving, strict=True)):
+        rows.append(_epoch(filt, t, z, u, k, epoch, observer if looks else None))
         if each is not None:
             each(filt)
     kept = {name: shape for name, shape in shapes(len(filt.x), k).items() if looks or name not in RANKS}
@@ -194,10 +201,16 @@ def run_filter(
 
 
 def _epoch(
-    filt: Any, t: float, z: ArrayLike | None, k: int, epoch: int, observer: Ranker | None
+    filt: Any,
+    t: float,
+    z: ArrayLike | None,
+    u: Mapping[str, float] | None,
+    k: int,
+    epoch: int,
+    observer: Ranker | None,
 ) -> dict[str, Any]:
-    """Predict to t, update with z, and return what the result keeps of it."""
-    predicted_by = filt.predict(t=t) if t > filt.t else None
+    """Predict to t with inputs u, update with z, and return what the result keeps of it."""
+    predicted_by = filt.predict(t=t, **({} if u is None else {"u": u})) if t > filt.t else None
     row = {"x_prior": filt.x.copy(), "P_prior": filt.P.copy()}
     if observer is not None:
         pit, *predicted = observer.before(filt, z, k)

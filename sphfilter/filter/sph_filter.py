@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Interval, Readings
+from .._types import Floats, Interval, Readings, Reported
 from ..config import FilterConfig, checked_filter_config
 from ..consistency.ranks import Ranker
 from ..density.as_cloud import thinned
@@ -24,6 +24,7 @@ from ..errors import ModelError
 from ..info import PredictInfo, UpdateInfo
 from ..model.compile import StateFunction
 from ..model.measurements import Sensor
+from ..model.named import InputRecord, InputValues, driven
 from ..model.sde import SDE
 from ..prediction.again import MOST, Outcome, or_as_cloud, predict_from_finer
 from ..prediction.predict import Prediction, predict
@@ -31,8 +32,9 @@ from ..prediction.to_target import Time
 from ..validate import array, choice, column, count, covariance, positive, real, row, seconds, short
 from .budget import Budget, rehearse
 from .checkpoint import restored, write
+from .late import Remembering
 from .names import check_assigned, check_read, in_own_words
-from .readings import checked_sensor, sensor_of
+from .readings import checked_sensor, interval_of, numbers_of, parted, sensor_of
 from .results import FilterResult, run_filter
 from .state import FilterState, Shown
 from .update_again import update_or_predict_again
@@ -42,13 +44,13 @@ __all__ = ["SPHFilter"]
 _RANKED = 2**14  # points of a cloud that a truth is ranked among
 
 
-class SPHFilter(Shown):
+class SPHFilter(Shown, Remembering):
     """A Bayes filter that carries the probability density on SPH particles (002).
 
     Parameters
     ----------
     model : SDE
-    measurement : GaussianMeasurement, LikelihoodMeasurement or None
+    measurement : GaussianMeasurement, LikelihoodMeasurement, Sensors or None
         The sensor `update` uses unless another is given.
     x0 : array_like, shape (n,)
         Initial mean.
@@ -70,6 +72,9 @@ class SPHFilter(Shown):
         Initial density instead of x0, P0 and t0.
     dt : float or timedelta, optional
         Makes ``predict()`` advance by dt seconds when called without argument, as in filterpy.
+    window : int
+        Number of last steps, predictions with the updates after them, that are kept for readings that come
+        late (`update_late`).
 
     Attributes
     ----------
@@ -125,6 +130,7 @@ class SPHFilter(Shown):
         config: FilterConfig | None = None,
         density: ParticleDensity | None = None,
         dt: Interval | None = None,
+        window: int = 0,
     ) -> None:
         if not isinstance(model, SDE):
             raise ModelError(f"model must be an SDE or LinearSDE, got {short(model)}")
@@ -138,7 +144,9 @@ class SPHFilter(Shown):
         least = fewest(model.dim) if isinstance(known, str) else count("n_particles", known)
         self.dt = None if dt is None else positive("dt", seconds("dt", dt))
         self._budget = Budget(self.config.time_budget)
-        self._state = FilterState.begun(self._start(x0, P0, t0, density, known), least, self.measurement)
+        start = self._start(x0, P0, t0, density, known)
+        self._state = FilterState.begun(start, least, self.measurement, model.inputs)
+        self._remember_from_here(window)
 
     def _start(
         self,
@@ -203,20 +211,21 @@ class SPHFilter(Shown):
             self._adapts = False
 
     @in_own_words
-    def predict(self, dt: Interval | None = None, *, t: float | None = None) -> PredictInfo:
+    def predict(
+        self, dt: Interval | Floats | None = None, *, t: float | None = None, u: InputValues | None = None
+    ) -> PredictInfo:
         """Advance by dt seconds, or to time t; without either by the filter's own dt. Returns PredictInfo.
 
-        filterpy's banks call ``predict(0)``, for no control: a filter with a dt of its own advances by it.
+        The model's inputs are u over the interval, in their order or by name; without u, what the model has.
+        As in filterpy, ``predict(u)`` takes an array for u where the filter has a dt of its own, and
+        ``predict(0)`` is without.
         """
         self._budget.begin(step=True)
-        given: Any = dt
-        if t is None and (dt is None or (self.dt is not None and np.ndim(given) == 0 and given == 0)):
-            if self.dt is None:
-                raise ModelError("predict needs dt or t=, or a filter made with dt=")
-            dt = self.dt
+        by, t, u = interval_of(dt, t, u, self.dt)
+        model = self.model if u is None else self.model.with_inputs(u)
         rehearses = not self._budget.prepared
         if rehearses:
-            interval = seconds("dt", dt) if t is None else real("t", t) - self.t
+            interval = seconds("dt", by) if t is None else real("t", t) - self.t
             if interval > 0.0:
                 self.prepare(interval)
         state, most = self._state, self._most()
@@ -225,19 +234,21 @@ class SPHFilter(Shown):
             options: dict[str, Any] = {"t": t, "n_particles": most}
             if self._adapts:
                 options |= {"n_particles": "auto", "time": Time(most, self._budget.fits)}
-            moved, info = predict(density, self.model, dt, config, goes_on=False, **options)
+            moved, info = predict(density, model, by, config, goes_on=False, **options)
             return Outcome(density, moved, info, particle_bound(moved) if self._adapts else state.n_particles)
 
         def attempted(config: Any) -> Outcome[PredictInfo]:
             known = state.density, state.origin, config, most
-            return predict_from_finer(partial(predicted, config=config), self.model, *known)
+            return predict_from_finer(partial(predicted, config=config), model, *known)
 
         outcome = or_as_cloud(attempted, self.config)
         moved = "predict" if outcome.density.t > self.t and not rehearses else ""
         repeated = outcome.before is not state.density
-        state = state.predicted(outcome, self.model)
+        before, state = state, state.predicted(outcome, model)
         info = self._budget.end(moved, outcome.info, outcome.density.n_particles, repeated)
         self._state = state
+        driving = None if u is None else dict(model.inputs)
+        self._predicted_from(before, before.density.t, {"dt": by, "t": t}, driving)
         return info
 
     def _most(self) -> int:
@@ -272,13 +283,16 @@ class SPHFilter(Shown):
     @in_own_words
     def update(
         self,
-        z: ArrayLike | None,
-        measurement: Sensor | ArrayLike | None = None,
+        z: Reported,
+        measurement: Sensor | ArrayLike | str | None = None,
         H: ArrayLike | StateFunction | None = None,
         *,
         R: ArrayLike | None = None,
     ) -> UpdateInfo:
         """Use a measurement z, of another sensor if given; None or NaN is missing. Returns UpdateInfo.
+
+        Of a filter whose measurement is `Sensors`, z maps their names to readings, or `measurement` is the
+        name of the one that was read.
 
         As in filterpy, a number or matrix in the place of the sensor is the noise covariance R of this
         reading, also given as R=, and H its matrix or function h; the rest stays that of the filter's own
@@ -286,20 +300,25 @@ class SPHFilter(Shown):
         """
         if R is not None and measurement is not None:
             raise ModelError("give R= or another sensor, not both")
-        measurement = sensor_of(self.measurement, measurement if R is None else R, H, self.model)
-        state, seen = self._state, measurement.observed(z).any()
+        given, state = measurement if R is None else R, self._state
+        sensor = driven(sensor_of(self.measurement, given, H, self.model), state.inputs)
+        numbers = numbers_of(sensor, z)
+        used, values = parted(sensor, numbers)
+        seen = used.observed(values).any()
         prediction = state.origin if isinstance(state.origin, Prediction) else Prediction()
         self._budget.begin()
         most = "auto" if self._adapts else self._most()
         options: dict[str, Any] = {"n_particles": most, "fits": self._budget.fits}
         outcome = update_or_predict_again(
-            prediction, state.density, self.model, measurement, z, self.config, **options
+            prediction, state.density, prediction.model or self.model, used, values, self.config, **options
         )
         repeated = outcome.before is not state.density
         n_particles = outcome.density.n_particles
-        state = state.updated(outcome, measurement, z)
+        own = H is None and (given is None or given is self.measurement)
+        state = state.updated(outcome, (used, values, own), sensor, numbers)
         info = self._budget.end("update" if seen else "", outcome.info, n_particles, repeated)
         self._state = state
+        self._updated_with(z=z, measurement=measurement, H=H, R=R)
         return info
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -332,11 +351,16 @@ class SPHFilter(Shown):
         measurements: Readings,
         truth: ArrayLike | None = None,
         observer: Ranker | None = None,
+        inputs: InputRecord | None = None,
     ) -> FilterResult:
         """Predict to each time and update with its measurement; returns a `FilterResult`.
+
+        Row k of `inputs`, (T, m) or columns (T,) by name, has the model's inputs over the interval that ends
+        at ``times[k]``. Measurements of `Sensors` are rows of all their numbers, NaN where none came
+        (`Sensors.merged` makes such), or mappings of their names to readings.
 
         Told the true states of simulated data, `truth` (T, n), the result also holds their ranks in the
         filter's densities (the filter does not see them); `sf.report` judges by them. An `observer` that
         knows the truth, a `Ranker`, may be given instead.
         """
-        return run_filter(self, times, measurements, truth, observer)
+        return run_filter(self, times, measurements, truth, observer, inputs=inputs)

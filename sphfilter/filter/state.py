@@ -1,7 +1,8 @@
 """What a filter is between two calls: one value, which predict and update replace as their last act."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,8 @@ class FilterState:
         Last measurement, its innovation and the covariance of that, NaN where no reading came.
     log_likelihood, log_evidence : float
         Log-evidence of the last measurement, and of all.
+    inputs : mapping of str to float
+        What the model's inputs were in the last prediction.
     """
 
     density: ParticleDensity
@@ -54,15 +57,20 @@ class FilterState:
     S: Floats | None = None
     log_likelihood: float = 0.0
     log_evidence: float = 0.0
+    inputs: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def begun(
-        cls, density: ParticleDensity, n_particles: int, measurement: Sensor | None = None
+        cls,
+        density: ParticleDensity,
+        n_particles: int,
+        measurement: Sensor | None,
+        inputs: Mapping[str, float],
     ) -> "FilterState":
-        """The state of a filter that starts with a density, and has a sensor."""
+        """The state of a filter that starts with a density, and has a sensor and inputs."""
         moments = 3 * _moments(density)
         said = said_of_reading(measurement, None, None) if has_gaussian_noise(measurement) else {}
-        return cls(density, n_particles, None, *moments, **said)
+        return cls(density, n_particles, None, *moments, **said, inputs=dict(inputs))
 
     def predicted(self, outcome: Outcome[PredictInfo], model: SDE) -> "FilterState":
         """The state after a prediction."""
@@ -77,19 +85,28 @@ class FilterState:
             P=P,
             x_prior=x,
             P_prior=P,
+            inputs=dict(model.inputs),
         )
 
     def updated(
-        self, outcome: Outcome[UpdateInfo], measurement: Sensor, z: ArrayLike | None
+        self,
+        outcome: Outcome[UpdateInfo],
+        asked: tuple[Sensor, ArrayLike | None, bool],
+        measurement: Sensor,
+        z: ArrayLike | None,
     ) -> "FilterState":
-        """The state after an update, whose prior may be another than the density now."""
+        """The state after an update, whose prior may be another than the density now.
+
+        `asked` are the sensor and the numbers that were used, perhaps a part of what the filter was given,
+        and whether it is the filter's own sensor.
+        """
         prior, density, info, _ = outcome
         x_prior, P_prior = (self.x, self.P) if prior is self.density else _moments(prior)
         x, P = _moments(density)
         return replace(
             self,
             density=density,
-            origin=Update(prior, measurement, z) if density is not prior else None,
+            origin=Update(prior, *asked) if density is not prior else None,
             x=x,
             P=P,
             x_prior=x_prior,
@@ -198,6 +215,11 @@ class Shown:
     def t(self) -> float:
         """Time of the density, seconds."""
         return self._state.density.t
+
+    @property
+    def inputs(self) -> Mapping[str, float]:
+        """What the model's inputs were in the last prediction, by name."""
+        return self._state.inputs
 
     @property
     def likelihood(self) -> float:

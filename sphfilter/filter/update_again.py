@@ -36,6 +36,7 @@ class Update(NamedTuple):
     before: ParticleDensity  # the prior
     measurement: Sensor
     z: ArrayLike | None
+    own: bool = True  # the filter's own sensor
 
     def repeated(self, config: Any, n_particles: int) -> ParticleDensity:
         """The posterior on another number of particles."""

@@ -15,7 +15,8 @@ from .._types import Bools, Floats, Readings
 from ..errors import EstimationError, ModelError, nearest
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
-from .evidence import Bound, Builder, Evidence, Progress, checked_guess, fingerprint
+from ..model.named import InputRecord
+from .evidence import Bound, Builder, Evidence, Progress, checked_guess
 from .maximum import ROUND, climbed, off_bounds, polished, ridge, room, searched
 from .quadratic import Quadratic, quadratic, roughness, step_for
 
@@ -42,7 +43,7 @@ class ParameterFit:
     n_readings : int
         Measured numbers, NaN not counted.
     data : str
-        Fingerprint of times and measurements.
+        Fingerprint of times, measurements and inputs.
     n_evaluations : int
         Runs of the filter.
     roughness : float
@@ -119,6 +120,7 @@ def fit_parameters(
     bounds: Mapping[str, Bound] | None = None,
     max_evaluations: int = 1000,
     report: Progress | None = None,
+    inputs: InputRecord | None = None,
 ) -> ParameterFit:
     """Find the parameters under which the measurements have the largest evidence.
 
@@ -128,10 +130,10 @@ def fit_parameters(
     Parameters
     ----------
     filt : SPHFilter, or callable
-        A filter at the start of the measurements, whose model has the parameters; or, for anything else that
-        is to be fitted (noise of sensors or processes, the start), a function of a dict of parameters that
-        returns such a filter. Any object with ``run(times, measurements)`` will do, and with the
-        `FilterResult` that it returns.
+        A filter at the start of the measurements, whose model or sensor has the parameters; a name that both
+        have is one parameter. Or, for anything else that is to be fitted (the start), a function of a dict of
+        parameters that returns such a filter. Any object with ``run(times, measurements)`` will do, and with
+        the `FilterResult` that it returns.
     times : array_like, shape (T,)
         Seconds.
     measurements : sequence of length T
@@ -144,6 +146,8 @@ def fit_parameters(
         Number of filter runs, about, after which the search is stopped.
     report : callable, optional
         Called after every run with their number, the parameters as a dict, and the log-evidence.
+    inputs : array_like (T, m), or mapping of str to array_like (T,), optional
+        As of ``SPHFilter.run``.
 
     Returns
     -------
@@ -152,7 +156,7 @@ def fit_parameters(
     Raises
     ------
     ModelError
-        A parameter that the model does not have (the nearest is named), or bounds without the guess.
+        A parameter that neither model nor sensor has (the nearest is named), or bounds without the guess.
     EstimationError
         The filter refuses the guess, or the measurements do not determine the parameters: the log-evidence
         falls in no direction, or not in the one that is named.
@@ -185,7 +189,7 @@ def fit_parameters(
     the maximum was found...
     """
     names, theta, low, high = checked_guess(guess, bounds)
-    evidence = Evidence(filt, times, measurements, names, report)
+    evidence = Evidence(filt, times, measurements, names, report, inputs)
     value = evidence.first(theta)
     theta, value = searched(evidence, theta, low, high, max_evaluations)
     theta, value = off_bounds(evidence, theta, value, low, high)
@@ -210,12 +214,13 @@ def profile_evidence(
     fit: ParameterFit,
     name: str,
     values: ArrayLike,
+    inputs: InputRecord | None = None,
 ) -> Floats:
     """The largest log-evidence that the other parameters allow, for fixed values of one.
 
     Parameters
     ----------
-    filt, times, measurements
+    filt, times, measurements, inputs
         As for `fit_parameters`.
     fit : ParameterFit
         Its result.
@@ -251,7 +256,7 @@ def profile_evidence(
     if name not in fit.names:
         raise ModelError(f"the fit has no parameter {name!r}{nearest(name, fit.names)}; it has {fit.names}")
     k, best = fit.names.index(name), np.array(list(fit.estimate.values()))
-    evidence = Evidence(filt, times, measurements, fit.names, None)
+    evidence = Evidence(filt, times, measurements, fit.names, None, inputs)
     free = np.isfinite(np.diag(fit.covariance))
     free[k] = False
     points = np.asarray(values, dtype=float)
@@ -301,7 +306,7 @@ def _told(
         log_evidence=value,
         result=evidence.result(theta),
         n_readings=evidence.n_readings,
-        data=fingerprint(evidence.times, evidence.measurements),
+        data=evidence.data,
         n_evaluations=evidence.n_evaluations,
         roughness=rough,
         at_bound=held,

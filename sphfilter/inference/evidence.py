@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import validate
-from .._types import Bools, Floats, Readings
+from .._types import Bools, Floats, Readings, Rows
 from ..config import FamilyScheme
 from ..errors import EstimationError, ModelError, SphfilterError, nearest
+from ..filter.readings import rows_of
 from ..filter.results import AnyFilter, FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..model.measurements import Reading
-from ..model.sde import SDE
+from ..model.named import InputRecord, each_input
 
 __all__ = ["Evidence", "checked_guess", "fingerprint", "n_readings"]
 
@@ -60,13 +61,13 @@ class Evidence:
         measurements: Readings,
         names: Sequence[str],
         report: Progress | None,
+        inputs: InputRecord | None,
     ) -> None:
-        self.times, self.measurements, self.names = np.asarray(times, dtype=float), measurements, names
-        self.build: Builder = (
-            _builder(filt, names, self.times, measurements) if isinstance(filt, SPHFilter) else filt
-        )
+        self.times, self.names, self.inputs = np.asarray(times, dtype=float), names, inputs
+        self.measurements = rows_of(getattr(filt, "measurement", None), measurements)
+        self.build = _builder(filt, self) if isinstance(filt, SPHFilter) else filt
         self.report, self.n_evaluations = report, 0
-        self.n_readings = n_readings(measurements)
+        self.n_readings = n_readings(self.measurements)
 
     def first(self, theta: Floats) -> float:
         """At the guess, where it has to be finite."""
@@ -89,7 +90,8 @@ class Evidence:
 
     def result(self, theta: Floats) -> FilterResult:
         """What the filter leaves behind."""
-        return self.build(self.named(theta)).run(self.times, self.measurements)
+        given: dict[str, Any] = {} if self.inputs is None else {"inputs": self.inputs}
+        return self.build(self.named(theta)).run(self.times, self.measurements, **given)
 
     def _run(self, theta: Floats) -> float:
         self.n_evaluations += 1
@@ -97,6 +99,11 @@ class Evidence:
         if self.report is not None:
             self.report(self.n_evaluations, self.named(theta), value)
         return value
+
+    @property
+    def data(self) -> str:
+        """Fingerprint of times, measurements and inputs."""
+        return fingerprint(self.times, self.measurements, self.inputs)
 
     def named(self, theta: Floats) -> dict[str, float]:
         """Parameters by name."""
@@ -117,31 +124,47 @@ class Evidence:
         return function
 
 
-def _builder(filt: SPHFilter, names: Sequence[str], times: Floats, measurements: Readings) -> Builder:
-    """Make filters like one at its start, with other parameters of its model, and all of one shape.
+def _builder(filt: SPHFilter, evidence: Evidence) -> Builder:
+    """Make filters like one at its start, with other parameters of its model and sensor, all of one shape.
 
     Steps that chose anew how the density is represented would make the log-evidence jump.
     """
-    filt.model.with_parameters(**{name: filt.model.parameters.get(name, 0.0) for name in names})
+    owners = {"model": filt.model, "measurement": filt.measurement}
+    known = {name: getattr(owner, "parameters", {}) for name, owner in owners.items()}
+    _check_names(evidence.names, [*known["model"], *known["measurement"]])
     shape: dict[str, Any] = {}
 
     def build(parameters: dict[str, float]) -> SPHFilter:
-        model = filt.model.with_parameters(**parameters)
+        changed: dict[str, Any] = {}
+        for which, owner in owners.items():
+            own = {name: value for name, value in parameters.items() if name in known[which]}
+            changed[which] = owner.with_parameters(**own) if own else owner  # type: ignore[union-attr]
+        start = partial(SPHFilter, **changed, density=filt.density)
         if not shape:
-            shape.update(_shape(filt, model, times, measurements))
-        return SPHFilter(model, filt.measurement, density=filt.density, **shape)
+            shape.update(_shape(filt, start, evidence))
+        return start(**shape)
 
     return build
 
 
-def _shape(filt: SPHFilter, model: SDE, times: Floats, measurements: Readings) -> dict[str, Any]:
+def _check_names(names: Sequence[str], known: Sequence[str]) -> None:
+    for name in names:
+        if name not in known:
+            listed = ", ".join(dict.fromkeys(known)) or "none"
+            raise ModelError(
+                f"model and sensor have no parameter {name!r}{nearest(name, known)}; they have: {listed}"
+            )
+
+
+def _shape(filt: SPHFilter, start: Callable[..., SPHFilter], evidence: Evidence) -> dict[str, Any]:
     """How a filter carries its density: as it does; if a target error chooses, one family if that does."""
     if not filt.adapts:
         return {"n_particles": filt.n_particles, "config": filt.config}
     on_particles = {"n_particles": _PARTICLES, "config": filt.config}
-    trial, degree = SPHFilter(model, filt.measurement, density=filt.density, config=filt.config), 0
-    for t, z in zip(times, measurements, strict=True):
-        for step in (partial(trial.predict, t=t), partial(trial.update, z)):
+    trial, degree = start(config=filt.config), 0
+    driving = each_input(filt.model.inputs, evidence.inputs, len(evidence.times))
+    for t, z, u in zip(evidence.times, evidence.measurements, driving, strict=True):
+        for step in (partial(trial.predict, t=t, u=u), partial(trial.update, z)):
             step()
             if trial.density.family is None:
                 return on_particles
@@ -150,7 +173,7 @@ def _shape(filt: SPHFilter, model: SDE, times: Floats, measurements: Readings) -
     return {"config": replace(filt.config, scheme=scheme)}
 
 
-def n_readings(measurements: Readings) -> int:
+def n_readings(measurements: Rows) -> int:
     """How many numbers were measured, NaN not counted."""
     return sum(0 if z is None else int(np.isfinite(_numbers(z)).sum()) for z in measurements)
 
@@ -159,10 +182,14 @@ def _numbers(z: ArrayLike) -> Floats:
     return np.asarray(validate.unmasked(z), dtype=float)
 
 
-def fingerprint(times: ArrayLike, measurements: Readings) -> str:
-    """Short hash of times and measurements; None is what NaN is."""
+def fingerprint(times: ArrayLike, measurements: Rows, inputs: InputRecord | None = None) -> str:
+    """Short hash of times, measurements and inputs; None is what NaN is."""
     known = hashlib.sha256(np.asarray(times, dtype=float).tobytes())
     for z in measurements:
         z = Reading.of(z).z
         known.update(b"missing" if np.isnan(z).all() else z.tobytes())
+    if inputs is not None:
+        named = sorted(inputs.items()) if isinstance(inputs, Mapping) else [("", inputs)]
+        for name, values in named:
+            known.update(name.encode() + np.asarray(values, dtype=float).tobytes())
     return known.hexdigest()[:12]

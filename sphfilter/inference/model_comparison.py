@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._lines import in_a_line
-from .._types import Floats, Ints, Readings
+from .._types import Floats, Ints, Readings, Rows
 from ..errors import ModelError
+from ..filter.readings import rows_of
 from ..filter.results import AnyFilter
+from ..model.named import InputRecord
 from ..validate import short
 from .estimation import ParameterFit
 from .evidence import fingerprint, n_readings
@@ -41,7 +43,7 @@ class ModelComparison:
     span : tuple of float
         First and last time, seconds.
     data : str
-        Fingerprint of times and measurements.
+        Fingerprint of times, measurements and inputs.
 
     Examples
     --------
@@ -129,7 +131,10 @@ class ModelComparison:
 
 
 def compare_models(
-    candidates: Mapping[str, AnyFilter | ParameterFit], times: ArrayLike, measurements: Readings
+    candidates: Mapping[str, AnyFilter | ParameterFit],
+    times: ArrayLike,
+    measurements: Readings,
+    inputs: InputRecord | None = None,
 ) -> ModelComparison:
     """Compare models by the evidence of the same measurements.
 
@@ -141,6 +146,8 @@ def compare_models(
         Seconds.
     measurements : sequence of length T
         None or NaN where none came.
+    inputs : array_like (T, m), or mapping of str to array_like (T,), optional
+        As of ``SPHFilter.run``, for candidates whose models have inputs; others have none.
 
     Returns
     -------
@@ -172,12 +179,14 @@ def compare_models(
     candidates = dict(candidates)
     if not candidates:
         raise ModelError("there is no model to compare; give filters or fits by name")
-    data = fingerprint(times, measurements)
+    sensors = [found for one in candidates.values() if (found := getattr(one, "measurement", None))]
+    numbers = rows_of(sensors[0] if sensors else None, measurements)
+    data = fingerprint(times, numbers, inputs)
     rows = [
-        (str(name), *_judged(name, candidate, times, measurements, data))
+        (str(name), *_judged(name, candidate, times, numbers, inputs, data))
         for name, candidate in candidates.items()
     ]
-    readings, span = n_readings(measurements), np.asarray(times, dtype=float)
+    readings, span = n_readings(numbers), np.asarray(times, dtype=float)
     rows.sort(key=lambda row: row[2] * np.log(max(readings, 1)) - 2.0 * row[1])
     names, evidence, n_parameters, n_rejected = zip(*rows, strict=True)
     return ModelComparison(
@@ -192,18 +201,25 @@ def compare_models(
 
 
 def _judged(
-    name: str, candidate: AnyFilter | ParameterFit, times: ArrayLike, measurements: Readings, data: str
+    name: str,
+    candidate: AnyFilter | ParameterFit,
+    times: ArrayLike,
+    measurements: Rows,
+    inputs: InputRecord | None,
+    data: str,
 ) -> tuple[float, int, int]:
     """Log-evidence, number of fitted parameters, and measurements not used."""
     if isinstance(candidate, ParameterFit):
         if candidate.data != data:
             raise ModelError(
                 f"{name!r} was fitted to other measurements ({candidate.data}) than those given ({data}); "
-                f"evidence is comparable on the same times and measurements only"
+                f"evidence is comparable on the same times, measurements and inputs only"
             )
         result, fitted = candidate.result, len(candidate.names)
     elif hasattr(candidate, "run"):
-        result, fitted = copy.deepcopy(candidate).run(times, measurements), 0
+        driven = inputs is not None and bool(getattr(getattr(candidate, "model", None), "inputs", ()))
+        given: dict[str, Any] = {"inputs": inputs} if driven else {}
+        result, fitted = copy.deepcopy(candidate).run(times, measurements, **given), 0
     else:
         raise ModelError(f"{name!r} must be a filter or a ParameterFit, got {short(candidate)}")
     return float(np.sum(result.log_evidence)), fitted, int(np.count_nonzero(~result.accepted))

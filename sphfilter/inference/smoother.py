@@ -6,7 +6,7 @@ that is: by itself it need not have an end.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -18,12 +18,13 @@ from ..core.field.field import Field
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice, times_likelihood
 from ..errors import ModelError, PropagationError
-from ..filter.readings import checked_sensor
+from ..filter.readings import rows_of, sensor_of
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..lattice.field import extrapolated_mass, nodes
 from ..lattice.level_set import lattice_reach
 from ..model.measurements import Sensor
+from ..model.named import InputRecord, driven, each_input
 from ..prediction.backward import carried_back, likelihood_field
 from ..prediction.log_density import fits
 from ..validate import short
@@ -93,7 +94,8 @@ def smooth(
     times: ArrayLike,
     measurements: Readings,
     *,
-    sensors: Sequence[Sensor | None] | None = None,
+    sensors: Sequence[Sensor | str | None] | None = None,
+    inputs: InputRecord | None = None,
 ) -> SmoothedResult:
     """Smooth over a fixed interval: filter forward, then carry back what later measurements say.
 
@@ -106,7 +108,10 @@ def smooth(
     measurements : sequence of length T
         None or NaN where none came.
     sensors : sequence of length T, optional
-        The sensor of each measurement, where they are of several; None for the filter's own.
+        The sensor of each measurement, where they are of several; None for the filter's own, whose parts have
+        names if it is `Sensors`.
+    inputs : array_like (T, m), or mapping of str to array_like (T,), optional
+        As of ``SPHFilter.run``.
 
     Returns
     -------
@@ -141,8 +146,8 @@ def smooth(
     variance 0.0786 before later measurements, 0.0701 after
     """
     times, filt = checked_times("times", times), _on_lattices(filt)
-    sensors = _checked(filt, times, measurements, sensors)
-    epochs, filtered = _forward(filt, times, measurements, sensors)
+    read = _checked(filt, times, measurements, sensors)
+    epochs, filtered = _forward(filt, times, read, each_input(filt.model.inputs, inputs, len(times)))
     smoothed = _backward(epochs)
     of = np.repeat(np.arange(len(epochs)), [epoch.rows for epoch in epochs])
     densities, total, extrapolated = zip(*smoothed, strict=True)
@@ -168,9 +173,9 @@ def _on_lattices(filt: SPHFilter) -> SPHFilter:
 
 
 def _checked(
-    filt: SPHFilter, times: Floats, measurements: Readings, sensors: Sequence[Sensor | None] | None
-) -> list[Sensor]:
-    """The sensor of every measurement, where all that is given can be smoothed."""
+    filt: SPHFilter, times: Floats, measurements: Readings, sensors: Sequence[Sensor | str | None] | None
+) -> list[tuple[Sensor, ArrayLike | None]]:
+    """Every measurement with its sensor, where all that is given can be smoothed."""
     if not isinstance(filt, SPHFilter):
         raise ModelError(f"smooth needs an SPHFilter, got {short(filt)}; it makes its own run of it")
     sensors = [None] * len(times) if sensors is None else list(sensors)
@@ -189,7 +194,8 @@ def _checked(
         reason = f"the filter's scheme is {scheme.name!r}; leave it to the default"
     if reason:
         raise ModelError(f"smooth needs densities that the log_density scheme carries: {reason}")
-    return [checked_sensor(filt.measurement if s is None else s, filt.model) for s in sensors]
+    own = [sensor_of(filt.measurement, sensor, None, filt.model) for sensor in sensors]
+    return list(zip(own, rows_of(filt.measurement, measurements), strict=True))
 
 
 @dataclass
@@ -208,22 +214,25 @@ class _Epoch:
 
 
 def _forward(
-    filt: SPHFilter, times: Floats, measurements: Readings, sensors: Sequence[Sensor]
+    filt: SPHFilter,
+    times: Floats,
+    read: Sequence[tuple[Sensor, ArrayLike | None]],
+    inputs: Sequence[Mapping[str, float] | None],
 ) -> tuple[list[_Epoch], FilterResult]:
     """Run a copy of the filter; its epochs, and their `FilterResult`."""
     filt = copy.copy(filt)
     filt.config = replace(filt.config, exact_linear=False)  # its steps are those of the way back
     epochs: list[_Epoch] = []
     rows, log_evidence, accepted = [], [], []
-    for t, z, sensor in zip(times, measurements, sensors, strict=True):
+    for t, (sensor, z), u in zip(times, read, inputs, strict=True):
         for stop in [*(filt.model.breaks(filt.t, t) if epochs else ()), t]:
-            steps = _predicted(filt, stop) if stop > filt.t else 0
+            steps = _predicted(filt, stop, u) if stop > filt.t else 0
             if not epochs or filt.t > epochs[-1].filt.t:
                 epochs.append(_Epoch(copy.copy(filt), steps, [], 0))
         info = filt.update(z, sensor)
         epochs[-1].rows += 1
         if info.accepted and sensor.observed(z).any():
-            epochs[-1].seen.append((sensor, z))
+            epochs[-1].seen.append((driven(sensor, filt.inputs), z))
         epochs[-1].filt = copy.copy(filt)
         rows.append((filt.x_prior, filt.P_prior, filt.x, filt.P))
         log_evidence.append(info.log_evidence)
@@ -232,9 +241,9 @@ def _forward(
     return epochs, FilterResult(times, x_prior, P_prior, x, P, np.array(log_evidence), np.array(accepted))
 
 
-def _predicted(filt: SPHFilter, t: float) -> int:
-    """Predict to time t; steps that this took."""
-    predicted = filt.predict(t=t)
+def _predicted(filt: SPHFilter, t: float, u: Mapping[str, float] | None) -> int:
+    """Predict to time t with inputs u; steps that this took."""
+    predicted = filt.predict(t=t, u=u)
     if predicted.n_steps and predicted.scheme != "log_density":
         raise ModelError(
             f"smooth needs densities that the log_density scheme carries; to t = {t:g} it was "
@@ -270,9 +279,11 @@ def _one_back(
 
     `found` is λ at the later epoch, measurements there included.
     """
-    priors = _between(before.filt, after.filt.t, max(after.n_steps, 1))
+    u = after.filt.inputs  # of the prediction between
+    priors = _between(before.filt, after.filt.t, max(after.n_steps, 1), u)
+    model = before.filt.model.with_inputs(u)
     for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
-        log_beta = carried_back(before.filt.model, found, prior, t)
+        log_beta = carried_back(model, found, prior, t)
         smoothed, future, _ = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
         X = nodes(_field(smoothed))
         values = log_beta(X)
@@ -287,11 +298,11 @@ def _field(density: ParticleDensity) -> Field:
     return density.field
 
 
-def _between(filt: SPHFilter, t: float, n_steps: int) -> list[ParticleDensity]:
+def _between(filt: SPHFilter, t: float, n_steps: int, u: Mapping[str, float]) -> list[ParticleDensity]:
     """The filter's densities at the beginnings of equal steps up to time t."""
     filt, start = copy.copy(filt), filt.t
     densities = [filt.density]
     for k in range(1, n_steps):
-        filt.predict(t=start + k / n_steps * (t - start))
+        filt.predict(t=start + k / n_steps * (t - start), u=u)
         densities.append(filt.density)
     return densities

@@ -126,7 +126,7 @@ def each_driven(model: Model, record: InputRecord | None, count: int) -> list[Mo
     return [model if u is None else model.with_inputs(u) for u in each_input(model.inputs, record, count)]
 
 
-def driven(sensor: Any, model: Driven) -> Any:
-    """Return a sensor with the values that the inputs of a model have now, as far as both know them."""
-    shared = {name: model.inputs[name] for name in getattr(sensor, "inputs", ()) if name in model.inputs}
+def driven(sensor: Any, inputs: Mapping[str, float]) -> Any:
+    """Return a sensor with these values of inputs, as far as it has inputs of their names."""
+    shared = {name: inputs[name] for name in getattr(sensor, "inputs", ()) if name in inputs}
     return sensor.with_inputs(shared) if shared else sensor

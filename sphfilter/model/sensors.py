@@ -127,8 +127,26 @@ class Sensors(Mapping[str, Any]):
     def __eq__(self, other: object) -> bool:
         return self is other
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Sensors, (self._parts,)
+
     def __repr__(self) -> str:
         return f"Sensors({self._parts})"
+
+    def came(self, z: Any) -> tuple[Any, Floats]:
+        """Return the sensors of which readings came, as a sensor, and their numbers.
+
+        Where all have one constant Gaussian noise, or all or none came, these are the sensors themselves.
+        """
+        z, seen = self.reading(z)
+        names = [name for name, rows in self._rows.items() if seen[rows].any()]
+        if is_gaussian(self) or not names or len(names) == len(self):
+            return self, z
+        parts = {name: self._parts[name] for name in names}
+        return (
+            parts[names[0]] if len(names) == 1 else type(self)(parts),
+            np.concatenate([z[self._rows[name]] for name in names]),
+        )
 
     def rows(self, name: str) -> slice:
         """Place of a sensor's numbers among all."""

@@ -166,7 +166,7 @@ def drawn_readings(
     if measurement is None:
         return None
     read = zip(truth, times, models, strict=True)
-    return np.stack([driven(measurement, own).sample(x, t, rng) for x, t, own in read], axis=1)
+    return np.stack([driven(measurement, own.inputs).sample(x, t, rng) for x, t, own in read], axis=1)
 
 
 def advance(
