@@ -47,6 +47,11 @@ def filtering(n_particles=150, **options):
     return sf.SPHFilter(wells(), POSITION, *START, n_particles=n_particles, config=sf.FilterConfig(**options))
 
 
+def late(at):
+    """A reading that is of no step that a filter keeps."""
+    return sf.SPHFilter(line("-x"), HEIGHT, [0.0], [[1.0]], window=1).update_late(0.0, at)
+
+
 def unmet():
     """The status of an update whose target no lattice meets."""
     flt = sf.SPHFilter(line("-x - x**3"), HEIGHT, [0.3], [[0.5]], n_particles="auto",
@@ -195,6 +200,12 @@ SAID = [
     lambda: sf.SDE(beyond, 1, [[1.0]]),
     lambda: line("y"),
     lambda: line("x^2"),
+    lambda: line("-x", parameters={"k": 1.0}),
+    lambda: filtering().predict(1.0, u={"a": 1.0}),
+    lambda: sf.Sensors({"height": HEIGHT})["hight"],
+    lambda: late(2.0),
+    lambda: late(-1.0),
+    lambda: sf.GaussianMeasurement.from_expressions(["x"], ["x"], [["x"]]).log_likelihood(0.0, [[-1.0]]),
     lambda: setattr(filtering(), "x", [0.0, 0.0]),
     lambda: filtering().P.__setitem__((0, 0), 1.0),
     lambda: filtering().K,
