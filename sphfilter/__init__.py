@@ -2,13 +2,17 @@
 
 The rooms, from what is given to what is made of it; each imports only from those before it:
 
-core         compiled: kernel sums (sph, corrected), log-densities on lattices (field, characteristics)
-model        equations, sensors, where states live, simulated truths
+core         compiled: kernel sums (sph, corrected), log-densities on lattices (field, characteristics), one
+             exponential family (family), clouds of points on random paths (paths)
+model        equations, modes they switch between, sensors, tables, where states live, simulated truths
 lattice      where particles lie
-density      what a filter carries
-prediction   how it is carried; beside it consistency: is a filter as good as it says?
-filter       Bayes' rule and the loop
+density      what a filter carries: particles, points, a family or a few, Gaussian pieces; how it is stored
+prediction   how it is carried, a file a scheme; beside it consistency: is a filter as good as it says?
+filter       Bayes' rule and the loop, of one model or of modes
 inference    whole records; beside it campaign, many runs, and adapters, other toolkits
+
+Beside the rooms: config and settings, info of steps, errors and validate. API.md has every public name in a
+line, RECIPES.md what to write for a problem, FAILURES.md what failures say, EXTENDING.md how to add to it.
 """
 
 from . import consistency

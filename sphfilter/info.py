@@ -98,7 +98,7 @@ class _Marked:
 
 @dataclass(frozen=True, kw_only=True)
 class PredictInfo(_Marked):
-    """One prediction.
+    """What one prediction did: steps, what carried the density, how wrong it may be.
 
     Attributes
     ----------
@@ -214,7 +214,7 @@ class ResampleInfo:
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateInfo(_Marked):
-    """One measurement update.
+    """What one measurement update did: was the reading used, its evidence, how wrong it may be.
 
     Attributes
     ----------

@@ -55,7 +55,7 @@ _ROWS = (
 
 @dataclass(frozen=True)
 class Report:
-    """Numbers of all filters.
+    """Numbers of all filters of a campaign, with a verdict each.
 
     Attributes
     ----------

@@ -27,7 +27,7 @@ _NEAR = 0.25  # standard errors from the maximum, that count as found
 
 @dataclass(frozen=True)
 class ParameterFit:
-    """Parameters of largest evidence.
+    """Parameters of largest evidence, with their standard errors.
 
     Attributes
     ----------

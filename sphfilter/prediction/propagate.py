@@ -33,7 +33,7 @@ _MOST_NODES = 10_000
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Densities of a transient solution.
+    """Densities of a transient solution, at its times.
 
     Attributes
     ----------

@@ -26,6 +26,16 @@ def test_links_lead_to_files(page):
             assert heading in anchors, link
 
 
+def test_an_index_page_has_no_link_that_leads_nowhere():
+    """A package index shows the README without the files beside it."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    shown = README
+    for change in project["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]:
+        shown = re.sub(change["pattern"], change["replacement"], shown)
+    assert shown != README and "`experiments/README.md` in the source" in shown
+    assert not re.findall(r"\]\((?!https:)[^)]*\)", shown)
+
+
 def test_extras_and_needs_are_those_of_the_project():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     needed, extras = project["dependencies"], project["optional-dependencies"]
