@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 #: A line of a script, and what a strict checker says of it.
 MISTAKES = {
     'flt.predict("nonsense")': "arg-type",
-    'flt.update({"z": 1.0})': "arg-type",
+    "flt.update({1: 1.0})": "dict-item",
     "flt.predcit(1.0)": "attr-defined",
     "flt.t = 3.0": "misc",
     "flt.density.maen()": "attr-defined",
