@@ -10,6 +10,7 @@ import numpy as np
 from .._types import Reported
 from ..errors import ModelError
 from ..info import UpdateInfo
+from ..model.measurements import Sensor
 from ..validate import count, onwards, real
 
 __all__ = ["Remembering", "Step"]
@@ -78,7 +79,7 @@ class Remembering:
             *others, last = self._steps
             self._steps = (*others, replace(last, updates=(*last.updates, arguments)))
 
-    def update_late(self, z: Reported, t: float, measurement: Any = None) -> Any:
+    def update_late(self, z: Reported, t: float, measurement: Sensor | str | None = None) -> UpdateInfo:
         """Use a reading of an earlier time: steps since then are taken again, to the same bits as in order.
 
         Parameters

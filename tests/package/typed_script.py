@@ -32,6 +32,27 @@ def models() -> tuple[sf.SDE, sf.GaussianMeasurement]:
     return decay, level
 
 
+def driven() -> sf.UpdateInfo:
+    """Inputs, tables, several sensors, and a reading that comes late."""
+    table = sf.Table([0.0, 1.0], [0.0, 2.0], kind="previous")
+    cart = sf.SDE.from_expressions(
+        ["v"], ["a - table('drag', v)"], [["0.3"]], inputs=["a"], tables={"drag": table}
+    )
+    assert_type(cart.with_inputs({"a": 1.0}).p, Floats)
+    meter = sf.GaussianMeasurement.from_expressions(["v"], ["v"], [["s*(1 + v**2)"]], parameters={"s": 0.1})
+    both = sf.Sensors(
+        {"meter": meter.with_parameters(s=0.2), "other": sf.GaussianMeasurement([[1.0]], [[0.1]])}
+    )
+    times, z = both.merged({"meter": ([0.5, 1.0], [0.1, 0.2])})
+    assert_type(z, Floats)
+    flt = sf.SPHFilter(cart, both, x0=[0.0], P0=[[0.1]], window=4)
+    assert_type(flt.run(times, z, inputs={"a": [0.0, 1.0]}), sf.FilterResult)
+    flt.predict(0.5, u=[1.0])
+    flt.update({"meter": 0.3, "other": None})
+    flt.update(0.4, "other")
+    return flt.update_late(0.3, 1.2, "meter")
+
+
 def settings() -> sf.FilterConfig:
     """Settings, to a file and back."""
     config = sf.FilterConfig(target_error=0.01, scheme=sf.LogDensityScheme(reach=5.0))
@@ -147,6 +168,7 @@ def campaign(model: sf.SDE, sensor: sf.GaussianMeasurement) -> None:
 
 
 if __name__ == "__main__":
+    driven()
     model, sensor = models()
     z = filtering(model, sensor, settings())
     transient(density())
