@@ -8,18 +8,14 @@ import numpy as np
 import sphfilter as sf
 from reference_filters.imm import ImmFilter
 
-from ..show.tables import number, percent, table
+from ..show.tables import number, percent, print_table, table
 from ..terminal.running import new_console, status
-from .scene import NAMES, load_scene
+from .scene import SwitchingScene
+from .settings import read_settings
 
-__all__ = ["Held", "add_arguments", "main"]
+__all__ = ["Held", "main"]
 
 _HEADINGS = ("filter", "mode probabilities: rms", "worst", "error of the mean", "right mode", "a step")
-EPILOG = """\
-Mode probabilities and means are held against those of the referee, means in its standard deviations, rms over
-all epochs and runs. The referee is a grid where there are one or two states, with half the step the second
-time; else particles, drawn anew the second time. Its two opinions are apart by what its row tells.
-"""
 
 
 @dataclass(frozen=True)
@@ -50,22 +46,14 @@ class Held:
         return *figures, percent(self.right.mean()), f"{1e3 * self.seconds:.1f} ms"
 
 
-def add_arguments(parser):
-    """Add the options of `switching`."""
-    names = f"{', '.join(NAMES)}, or a file of your own that ends in .toml (default: course)"
-    parser.add_argument("scenario", nargs="?", default="course", help=names)
-    parser.add_argument("--runs", type=int, default=2, help="simulated runs (default: 2)")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the first run (default: 1)")
-
-
 def main(args):
     """Run the command; prints to standard output."""
-    console, scene = new_console(), load_scene(args.scenario)
+    console, scene = new_console(), SwitchingScene(read_settings(args.scenario))
     makers = {"sph": sf.JumpMarkovFilter, "imm": ImmFilter}
     told = {name: [] for name in (*makers, "referee")}
     with status(console) as say:
         for make in makers.values():  # what compiles does not count
-            _followed(make(*scene.start), [scene.interval], [None])
+            _followed(make(*scene.start), [scene.settings.interval], [None])
         for run in range(args.runs):
             times, paths = scene.draw(args.seed + run)
             say(f"run {run + 1} of {args.runs}: the referee")
@@ -74,8 +62,10 @@ def main(args):
             for name, make in makers.items():
                 say(f"run {run + 1} of {args.runs}: {name}")
                 told[name].append(_held(_followed(make(*scene.start), times, paths.z), fine, paths.modes))
-    console.print(scene.description)
-    console.print(table("", _HEADINGS, [(name, *_joined(held).cells()) for name, held in told.items()]))
+    console.print(scene.settings.description)
+    print_table(
+        console, table("", _HEADINGS, [(name, *_joined(held).cells()) for name, held in told.items()])
+    )
 
 
 def _followed(flt, times, z):
