@@ -44,7 +44,7 @@ def polynomials_of(model):
     """
     if not model.domain.unbounded:
         raise ModelError(f"moment equations hold without walls and angles only; the domain is {model.domain}")
-    _, (constructor, text) = model.__reduce__()  # what a model is pickled as, with its present parameters
+    _, (constructor, text, _) = model.__reduce__()  # what a model is pickled as, with its present parameters
     if constructor != SDE.from_expressions:
         if model.linear:
             return _linear(model.to_linear())
@@ -74,9 +74,11 @@ def _trees(text, model):
     import sympy as sp  # takes a second
 
     from sphfilter.model.expressions import Names, parse
+    from sphfilter.model.tables import tables_of
 
-    names, n = Names(text["states"], text["parameters"] or ()), model.dim
-    numbers = [sp.Integer(v) if v == int(v) else sp.Float(v) for v in map(float, model.parameters.values())]
+    known = {**model.parameters, **model.inputs}
+    names, n = Names(text["states"], [*known], tables_of(text["tables"])), model.dim
+    numbers = [sp.Integer(v) if v == int(v) else sp.Float(v) for v in map(float, known.values())]
     values = dict(zip(names.p, numbers, strict=True))
 
     def read(rows):

@@ -6,7 +6,8 @@ from experiments.commands import main
 from experiments.realtime import Outcome
 
 
-def test_a_row_for_every_budget(tmp_path, capsys):
+def test_a_row_for_every_budget(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")  # or the table comes in pieces
     command = ["realtime", "linear_underdamped", "--budgets", "5,20", "--runs", "1", "--out", str(tmp_path)]
     assert main(command) == 0
     cells = [line.split() for line in capsys.readouterr().out.splitlines()]

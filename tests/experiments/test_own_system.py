@@ -322,6 +322,7 @@ def test_what_was_discarded_is_told(own, tmp_path, capsys):
     changes = {
         "model.drift": ["where(x > 1.5, 20*(x - 1.5), 0)", "0"],
         "model.diffusion": [["0", "0"], ["0", "0"]],
+        "model.parameters": {},
         "start.lattice": {"origin": [0.0, -1.0], "size": [2.0, 2.0], "spacing": 0.1},
         "solver": {"config": {"scheme": scheme}},
         "times": {"at": [0.5]},

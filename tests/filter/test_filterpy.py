@@ -62,6 +62,24 @@ def test_the_same_loop_with_both():
     assert a.S[0] == pytest.approx(b.S[0], abs=2e-3)
 
 
+def test_controls():
+    """``predict(u)``, and ``predict(0)`` for none; theirs has B in discrete time."""
+    model = sf.LinearSDE(MODEL.A, noise=[[0.0], [1.0]], spectral_density=[[0.4]], B=[[0.0], [2.0]])
+    a, b = ours(model), theirs()
+    b.B = model.with_inputs([1.0]).discretize(DT)[1][:, None]
+    for z, u in zip(Z[1:4], (0, np.array([1.5]), np.array([-2.0])), strict=True):
+        a.predict(u)
+        b.predict(u)
+        a.update(z)
+        b.update(z)
+    assert a.t == pytest.approx(3 * DT)
+    assert a.x == pytest.approx(b.x, abs=3e-3)
+    with pytest.raises(sf.ModelError, match=r"\(1,\) is needed: of u0"):
+        a.predict(np.array([1.0, 2.0]))
+    with pytest.raises(sf.ModelError, match="the model has no inputs"):
+        ours().predict(np.array([1.0]))
+
+
 def test_noise_and_matrix_of_one_reading():
     """``update(z, R, H)``; the next reading has the filter's own again."""
     a, b = ours(), theirs()
@@ -109,7 +127,7 @@ def test_what_mixes_filters_is_refused():
         ("H", r"update\(z, R, H\)"),
         ("Q", "belongs to the model.*spectral_density=Q"),
         ("F", "LinearSDE"),
-        ("B", "write the control into the drift"),
+        ("B", r"LinearSDE\(A, B=B\): predict\(dt, u=...\)"),
         ("K", "no gain"),
         ("inv", "SI is its inverse"),
         ("dim_x", "dim_x is what a density filter has found"),
@@ -137,7 +155,7 @@ def test_names_that_would_do_nothing_are_refused_with_the_one_to_use(name, sente
         ("H", "h=H"),
         ("Q", "spectral_density=Q"),
         ("F", "LinearSDE"),
-        ("B", "drift"),
+        ("B", "inputs of the model"),
         ("inv", "SI is its inverse"),
         ("residual_of", "measurement.predict"),
         ("batch_filter", "the whole record to run"),
