@@ -69,7 +69,7 @@ def test_controls():
     b.B = model.with_inputs([1.0]).discretize(DT)[1][:, None]
     for z, u in zip(Z[1:4], (0, np.array([1.5]), np.array([-2.0])), strict=True):
         a.predict(u)
-        b.predict(u)
+        b.predict(np.atleast_1d(u))
         a.update(z)
         b.update(z)
     assert a.t == pytest.approx(3 * DT)
