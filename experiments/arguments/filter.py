@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from experiments.own_data.csv_data import read_measurements
-from experiments.own_data.model_settings import read_model
+from experiments.own_data.model_settings import read_data, read_model
 from experiments.scene.names import FILTERS, check_filters
 from experiments.terminal.options import names_of
 
@@ -65,6 +64,5 @@ def add_arguments(parser):
 def check(args):
     """Raise what is wrong with one of the files, or with the filters."""
     settings = read_model(args.model)
-    columns = settings.data
-    read_measurements(args.data, len(settings.sensor.h), columns.time, columns.columns, columns.time_unit)
+    read_data(settings, args.data)
     check_filters(args.filters)

@@ -12,8 +12,9 @@ from sphfilter.campaign.campaign import Case
 from sphfilter.errors import ModelError, SphfilterError
 
 from . import start
+from .inputs import check_inputs, sampled
 from .reading import read_settings, scenario_names
-from .settings import ScenarioSettings
+from .settings import ScenarioSettings, Sensor, TableText
 
 __all__ = [
     "Scenario",
@@ -67,8 +68,19 @@ class Scenario(Scene):
 
     @property
     def measurement(self):
-        """The `GaussianMeasurement`."""
-        return _measurement(self.settings.model.states, self.settings.sensor)
+        """The `GaussianMeasurement`, or `Sensors` of several."""
+        found = self.settings
+        sensors = {None: found.sensor} if found.sensor else found.sensors
+        return _measurement(json.dumps([found.model.states, [(k, asdict(s)) for k, s in sensors.items()]]))
+
+    @property
+    def inputs(self):
+        """What the model's inputs are between measurements, shape (T, m); None if the file does not say."""
+        times, given, tables = self.settings.times, self.settings.inputs, self.settings.model.tables
+        begins = np.array([times.start, *times.grid()[:-1]])
+        tabled = tables_of({k: asdict(v) for k, v in given.items() if isinstance(v, TableText)})
+        called = tables_of({k: asdict(v) for k, v in tables.items()})
+        return sampled(self.model, given | tabled, called, begins)
 
     def draw(self, rng):
         """Simulate one run, as a `Case`."""
@@ -76,28 +88,46 @@ class Scenario(Scene):
         draw = {"gaussian": start.gaussian, "benes": start.benes, "tpd": start.two_point}[begin.kind]
         n = len(self.settings.times.grid())
         times = t0 + interval * np.arange(1, n * _PARTS + 1) / _PARTS
-        truth, z, x0, P0 = draw(self.model, self.measurement, begin, t0, times, rng)
+        inputs = self.inputs
+        held = None if inputs is None else np.repeat(inputs, _PARTS, axis=0)
+        truth, z, x0, P0 = draw(self.model, self.measurement, begin, t0, times, rng, held)
         at_measurement = slice(_PARTS - 1, None, _PARTS)
         if not self.between:
             times, truth, z = self.settings.times.grid(), truth[at_measurement], z[at_measurement]
         else:
             measured, z = z[at_measurement], np.full_like(z, np.nan)
-            z[at_measurement] = measured
-        return Case(times=times, truth=truth, z=z, x0=x0, P0=P0, t0=t0)
+            z[at_measurement], inputs = measured, held
+        return Case(times=times, truth=truth, z=z, x0=x0, P0=P0, t0=t0, inputs=inputs)
 
 
 @cache
 def _model(text):
     """The `SDE` of a `ModelText` as JSON."""
     values = json.loads(text)
+    values["tables"] = tables_of(values["tables"])
     return sf.SDE.from_expressions(**{k: v for k, v in values.items() if k not in ("labels", "units")})
 
 
 @cache
-def _measurement(states, sensor):
-    if sensor.is_text:
-        return sf.GaussianMeasurement.from_expressions(states, sensor.h, sensor.noise_cov, sensor.angles)
-    return sf.GaussianMeasurement(h=sensor.h, noise_cov=sensor.noise_cov, angles=sensor.angles)
+def _measurement(text):
+    """The sensor of states and a list of (name, `Sensor`) as JSON; one that has no name is alone."""
+    states, found = json.loads(text)
+    sensors = {name: _sensor(states, Sensor(**values)) for name, values in found}
+    return sensors[None] if None in sensors else sf.Sensors(sensors)
+
+
+def _sensor(states, sensor):
+    if not sensor.is_text:
+        return sf.GaussianMeasurement(h=sensor.h, noise_cov=sensor.noise_cov, angles=sensor.angles)
+    named = {"parameters": sensor.parameters, "inputs": sensor.inputs}
+    named["tables"] = tables_of({name: asdict(table) for name, table in sensor.tables.items()})
+    h = sensor.texts(states)
+    return sf.GaussianMeasurement.from_expressions(states, h, sensor.noise_cov, sensor.angles, **named)
+
+
+def tables_of(texts):
+    """Tables by name, of `TableText` settings as dicts."""
+    return {name: sf.Table(**values) for name, values in texts.items()}
 
 
 def load_scenario(name, **changes):
@@ -138,5 +168,6 @@ def check_parts(scenario, source):
                 f"and start.mean {len(begin.mean)} values"
             )
         sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
+        check_inputs(scenario.model, scenario.measurement, getattr(scenario.settings, "inputs", {}))
     except SphfilterError as problem:
         raise type(problem)(f"{source}: {problem}") from problem
