@@ -1,4 +1,4 @@
-"""Inputs of a scenario's model: numbers, texts and tables of t, held over the intervals between measurements."""
+"""Inputs of a scenario's model: numbers, texts and tables of t, held between measurements."""
 
 import numpy as np
 

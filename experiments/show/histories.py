@@ -6,6 +6,7 @@ import numpy as np
 
 from sphfilter import consistency
 from sphfilter.campaign.campaign import draw_case
+from sphfilter.campaign.one_run import put_through
 
 from ..scene.filters import name_of
 from .style import COLOURS, filter_heading, grid, legend_below, panels, quantity
@@ -115,7 +116,7 @@ def readings(measurement, z, state):
 
 def _rerun(make, case):
     try:
-        return make(case, np.random.default_rng(0)).run(case.times, case.z)
+        return put_through(make(case, np.random.default_rng(0)), case)
     except Exception:  # the campaign has reported it; the panel shows the truth alone
         return None
 

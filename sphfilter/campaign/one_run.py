@@ -126,7 +126,8 @@ def put_through(filt: Any, case: Case, first: int | None = None, **options: Any)
 
     Of a case without inputs it is not told about any, so that filters which know of none take it.
     """
-    given = options if case.inputs is None else {"inputs": case.inputs[:first], **options}
+    inputs = getattr(case, "inputs", None)
+    given = options if inputs is None else {"inputs": inputs[:first], **options}
     return filt.run(case.times[:first], case.z[:first], **given)
 
 
@@ -180,8 +181,9 @@ def _outcome(
     try:
         filt = make(case, rng)
         observer = Ranker(case.truth) if ranks and _can_be_observed(filt) else None
+        options: dict[str, Any] = {"observer": observer} if observer else {}
         start = perf_counter()
-        result = put_through(filt, case, **({"observer": observer} if observer else {}))
+        result = put_through(filt, case, **options)
         seconds = perf_counter() - start - (observer.seconds if observer else 0.0)
         arrays = {name: np.asarray(getattr(result, name), blank[name].dtype) for name in _MOMENTS}
         wrong = [name for name in _MOMENTS if arrays[name].shape != blank[name].shape]
