@@ -26,16 +26,14 @@ def check_inputs(model, sensor, inputs):
                 )
 
 
-def sampled(model, inputs, tables, begins):
+def sampled(model, inputs, begins):
     """What the model's inputs are over intervals.
 
     Parameters
     ----------
     model : SDE
     inputs : dict of str to float, str or Table
-        Those that are not here are what the model says.
-    tables : dict of str to Table
-        What texts may call.
+        Those that are not here are what the model says. Texts name t and parameters.
     begins : ndarray, shape (T,)
         Where the intervals begin, seconds.
 
@@ -50,30 +48,26 @@ def sampled(model, inputs, tables, begins):
     if not inputs:
         return None
     own = {**model.inputs, **inputs}
-    columns = [_values(model, f"inputs.{name}", own[name], tables, begins) for name in model.inputs]
+    columns = [_values(model, f"inputs.{name}", own[name], begins) for name in model.inputs]
     return np.column_stack(columns)
 
 
-def _values(model, key, given, tables, begins):
+def _values(model, key, given, begins):
     if callable(given):
         return given(begins)
     if not isinstance(given, str):
         return np.full(len(begins), given)
-    names = Vocabulary([*model.parameters], (), tables).with_states(model.states)
+    names = Vocabulary([*model.parameters]).with_states(model.states)
     fill = symbolic_rows(model.states, (given,), (key,), names)
     states = names.used.intersection(model.states)
     if states:
         raise ModelError(
             f"{key} {given!r} names {min(states)!r}: an input is a function of t, not of the states"
         )
-    p, out = np.concatenate([[*model.parameters.values()], names.data]), np.empty((1, 1))
-    found = np.array([_filled(fill, t, p, out, model.dim) for t in begins])
+    p, found = np.array([*model.parameters.values()], dtype=float), np.empty((len(begins), 1))
+    for t, row in zip(begins, found[:, None], strict=True):
+        fill(np.zeros((1, model.dim)), float(t), p, row)
     if not np.isfinite(found).all():
-        at = begins[~np.isfinite(found)][0]
+        at = begins[~np.isfinite(found[:, 0])][0]
         raise ModelError(f"{key} {given!r} is not finite at t = {at:g}")
-    return found
-
-
-def _filled(fill, t, p, out, n):
-    fill(np.zeros((1, n)), float(t), p, out)
-    return out[0, 0]
+    return found[:, 0]

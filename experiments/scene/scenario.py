@@ -35,7 +35,7 @@ class Scene:
     @property
     def model(self):
         """The `SDE`."""
-        return _model(json.dumps(asdict(self.settings.model), sort_keys=True))
+        return _model(_text_of(self.settings.model))
 
     @property
     def labels(self):
@@ -76,11 +76,10 @@ class Scenario(Scene):
     @property
     def inputs(self):
         """What the model's inputs are between measurements, shape (T, m); None if the file does not say."""
-        times, given, tables = self.settings.times, self.settings.inputs, self.settings.model.tables
-        begins = np.array([times.start, *times.grid()[:-1]])
-        tabled = tables_of({k: asdict(v) for k, v in given.items() if isinstance(v, TableText)})
-        called = tables_of({k: asdict(v) for k, v in tables.items()})
-        return sampled(self.model, given | tabled, called, begins)
+        times, given = self.settings.times, self.settings.inputs
+        given = {k: asdict(v) if isinstance(v, TableText) else v for k, v in given.items()}
+        begins = [times.start, *times.grid()[:-1].tolist()]
+        return _inputs(_text_of(self.settings.model), json.dumps([given, begins]))
 
     def draw(self, rng):
         """Simulate one run, as a `Case`."""
@@ -100,6 +99,10 @@ class Scenario(Scene):
         return Case(times=times, truth=truth, z=z, x0=x0, P0=P0, t0=t0, inputs=inputs)
 
 
+def _text_of(model):
+    return json.dumps(asdict(model), sort_keys=True)
+
+
 @cache
 def _model(text):
     """The `SDE` of a `ModelText` as JSON."""
@@ -114,6 +117,14 @@ def _measurement(text):
     states, found = json.loads(text)
     sensors = {name: _sensor(states, Sensor(**values)) for name, values in found}
     return sensors[None] if None in sensors else sf.Sensors(sensors)
+
+
+@cache
+def _inputs(model, text):
+    """Inputs of a model, and where intervals begin, as JSON; what holds there."""
+    given, begins = json.loads(text)
+    given = {k: sf.Table(**v) if isinstance(v, dict) else v for k, v in given.items()}
+    return sampled(_model(model), given, np.array(begins))
 
 
 def _sensor(states, sensor):
@@ -168,6 +179,8 @@ def check_parts(scenario, source):
                 f"and start.mean {len(begin.mean)} values"
             )
         sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
-        check_inputs(scenario.model, scenario.measurement, getattr(scenario.settings, "inputs", {}))
+        inputs = getattr(scenario.settings, "inputs", {})
+        check_inputs(scenario.model, scenario.measurement, inputs)
+        _ = scenario.inputs if inputs else None  # which may be refused
     except SphfilterError as problem:
         raise type(problem)(f"{source}: {problem}") from problem

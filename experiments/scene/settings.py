@@ -328,8 +328,8 @@ class ScenarioSettings(Reads):
     sensor, sensors
         One sensor, or several by name.
     inputs : dict of str to float, str or TableText
-        What the model's inputs are: numbers, or expressions of t (with the model's parameters and tables) or
-        tables of t, of which each interval between measurements holds the value at its start.
+        What the model's inputs are: numbers, expressions of t and the model's parameters, or tables of t.
+        Each interval between measurements holds the value at its start.
     """
 
     description: str
