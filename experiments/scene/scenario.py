@@ -38,6 +38,11 @@ class Scene:
         return _model(_text_of(self.settings.model))
 
     @property
+    def tables(self):
+        """What the model's texts call, each a `Table`, by name."""
+        return _tables({name: asdict(table) for name, table in self.settings.model.tables.items()})
+
+    @property
     def labels(self):
         """Names of the states for people, length n."""
         return self.settings.model.labels or self.settings.model.states
@@ -107,7 +112,7 @@ def _text_of(model):
 def _model(text):
     """The `SDE` of a `ModelText` as JSON."""
     values = json.loads(text)
-    values["tables"] = tables_of(values["tables"])
+    values["tables"] = _tables(values["tables"])
     return sf.SDE.from_expressions(**{k: v for k, v in values.items() if k not in ("labels", "units")})
 
 
@@ -131,12 +136,12 @@ def _sensor(states, sensor):
     if not sensor.is_text:
         return sf.GaussianMeasurement(h=sensor.h, noise_cov=sensor.noise_cov, angles=sensor.angles)
     named = {"parameters": sensor.parameters, "inputs": sensor.inputs}
-    named["tables"] = tables_of({name: asdict(table) for name, table in sensor.tables.items()})
+    named["tables"] = _tables({name: asdict(table) for name, table in sensor.tables.items()})
     h = sensor.texts(states)
     return sf.GaussianMeasurement.from_expressions(states, h, sensor.noise_cov, sensor.angles, **named)
 
 
-def tables_of(texts):
+def _tables(texts):
     """Tables by name, of `TableText` settings as dicts."""
     return {name: sf.Table(**values) for name, values in texts.items()}
 

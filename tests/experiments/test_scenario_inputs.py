@@ -9,12 +9,13 @@ import pytest
 
 import sphfilter as sf
 from experiments.commands import main
+from experiments.estimate.problems import problem_of
 from experiments.scene.filters import factories
 from experiments.scene.scenario import load_scenario
 from experiments.show import histories
 from experiments.show.style import plt
 from sphfilter.campaign.one_run import put_through
-from sphfilter.errors import SphfilterError
+from sphfilter.errors import ConfigError, SphfilterError
 
 TEXT = """
 description = "a cart that is driven"
@@ -166,18 +167,54 @@ def test_what_is_wrong_is_told(path, old, new, sentence):
     assert sentence in str(problem.value) and str(path) in str(problem.value)
 
 
+@pytest.mark.parametrize("command", ["run", "campaign", "benchmark", "estimate", "sweep", "converge"])
 @pytest.mark.parametrize(
-    "command", ["run", "campaign", "benchmark", "estimate", "sweep", "converge", "transient"]
+    ("key", "told"),
+    [("model.parameters.gama", "did you mean 'gamma'?"), ("sensor.parameters.r", "leave it out")],
 )
-@pytest.mark.parametrize(
-    ("key", "nearest"), [("model.parameters.gama", "gamma"), ("sensor.parameters.r", None)]
-)
-def test_commands_refuse_parameters_that_are_not_there(command, key, nearest, tmp_path, capsys):
+def test_commands_refuse_parameters_that_are_not_there(command, key, told, tmp_path, capsys):
     assert main([command, "duffing", "--set", f"{key}=1.0", "--out", str(tmp_path)]) == 1
     said = " ".join(capsys.readouterr().err.split())
-    if command == "transient" and nearest is None:
-        assert "unknown key sensor" in said
-        return
-    name = key.rpartition(".")[2]
-    assert f"The parameter '{name}' is used by no expression" in said
-    assert nearest is None or f"did you mean '{nearest}'" in said
+    assert f"The parameter '{key.rpartition('.')[2]}' is used by no expression" in said and told in said
+
+
+def test_transient_refuses_parameters_that_are_not_there(tmp_path, capsys):
+    words = ["transient", "duffing_full", "--set", "model.parameters.kk=1.0", "--out", str(tmp_path)]
+    assert main(words) == 1
+    assert "The parameter 'kk' is used by no expression (did you mean 'k'?)" in capsys.readouterr().err
+
+
+def test_estimate_builds_filters_with_parameters_of_model_and_sensors(path):
+    problem = problem_of(path, ["c", "s", "r"], {}, 0, n_particles=100)
+    assert problem.values == {"c": 0.4, "s": 1.0, "r": 0.3} and problem.inputs.shape == (60, 2)
+    filt = problem.build({"s": 2.0, "r": 0.7, "c": 0.1})
+    assert dict(filt.measurement.parameters) == {"s": 2.0, "r": 0.7} and dict(filt.model.parameters) == {
+        "c": 0.1
+    }
+    text = TEXT[: TEXT.index("[sensors.gps]")] + TEXT[TEXT.index("[sensors.speed]") :]
+    path.write_text(
+        text.replace("[sensors.speed]", "[sensor]").replace("r = 0.3", "R = 0.3").replace('"r"', '"R"')
+    )
+    problem = problem_of(path, ["R"], {}, 0, n_particles=100)
+    assert dict(problem.build({"R": 0.5}).measurement.parameters) == {"s": 1.0, "R": 0.5}
+
+
+@pytest.mark.slow
+def test_estimate_fits_parameters_of_sensors_with_the_inputs(path, tmp_path):
+    out = tmp_path / "out"
+    words = ["--parameters", "s,r", "--set", "times.end=12", "--n-particles", "80", "--no-profile"]
+    assert main(["estimate", str(path), *words, "--out", str(out)]) == 0
+    record = json.loads((out / "fit.json").read_text(encoding="utf-8"))
+    assert record["truth"] == {"s": 1.0, "r": 0.3}
+    for name, error in record["standard_error"].items():
+        assert abs(record["estimate"][name] - record["truth"][name]) < 4 * error, name
+    found = {f"sensors.speed.parameters.{name}": value for name, value in record["estimate"].items()}
+    fitted = load_scenario(path, **{"times.end": 12}, **found)
+    case = load_scenario(path, **{"times.end": 12}).draw(np.random.default_rng(0))
+    filt = factories(["ekf"], fitted)["ekf"](case, np.random.default_rng(0))
+    assert record["log_evidence"] == pytest.approx(put_through(filt, case).log_evidence.sum(), abs=0.02)
+
+
+def test_estimate_names_the_nearest_parameter_of_a_sensor(path):
+    with pytest.raises(ConfigError, match=r"no parameter 'rr' .did you mean 'r'"):
+        problem_of(path, ["rr"], {}, 0)
