@@ -202,15 +202,16 @@ def test_estimate_builds_filters_with_parameters_of_model_and_sensors(path):
 @pytest.mark.slow
 def test_estimate_fits_parameters_of_sensors_with_the_inputs(path, tmp_path):
     out = tmp_path / "out"
-    words = ["--parameters", "s,r", "--set", "times.end=12", "--n-particles", "80", "--no-profile"]
+    words = ["--parameters", "c,r", "--set", "times.end=30", "--n-particles", "80", "--no-profile"]
     assert main(["estimate", str(path), *words, "--out", str(out)]) == 0
     record = json.loads((out / "fit.json").read_text(encoding="utf-8"))
-    assert record["truth"] == {"s": 1.0, "r": 0.3}
+    assert record["truth"] == {"c": 0.4, "r": 0.3}
     for name, error in record["standard_error"].items():
         assert abs(record["estimate"][name] - record["truth"][name]) < 4 * error, name
-    found = {f"sensors.speed.parameters.{name}": value for name, value in record["estimate"].items()}
-    fitted = load_scenario(path, **{"times.end": 12}, **found)
-    case = load_scenario(path, **{"times.end": 12}).draw(np.random.default_rng(0))
+    keys = {"c": "model.parameters.c", "r": "sensors.speed.parameters.r"}
+    found = {keys[name]: value for name, value in record["estimate"].items()}
+    fitted = load_scenario(path, **{"times.end": 30}, **found)
+    case = load_scenario(path, **{"times.end": 30}).draw(np.random.default_rng(0))
     filt = factories(["ekf"], fitted)["ekf"](case, np.random.default_rng(0))
     assert record["log_evidence"] == pytest.approx(put_through(filt, case).log_evidence.sum(), abs=0.02)
 
