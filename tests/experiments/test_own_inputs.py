@@ -2,15 +2,20 @@
 
 import csv
 import inspect
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import sphfilter as sf
 from experiments.__main__ import main
+from experiments.own_data import plots
 from experiments.own_data.command import case_of
 from experiments.own_data.model_file import load_model
 from experiments.own_data.model_settings import read_data
+from experiments.scene.filters import factories
+from experiments.show.histories import readings
+from experiments.show.style import plt
 from sphfilter.errors import ConfigError, SphfilterError
 
 A, Q = 0.4, 0.5
@@ -68,11 +73,11 @@ def textbook():
     m, P, now, rows = 1.0, 2.0, -1.0, []
     epochs = [(0.0, 0.2, 0.5, [(2.0, 0.3, 2.5)]), (1.0, -0.1, 0.5, [(1.0, 0.5, 0.7), (1.0, 0.9, 0.1)]),
               (1.0, 9.0, 0.0, [(2.0, 0.3, 1.1), (1.0, 0.9, 0.3)]), (3.0, 0.4, -0.25, [])]  # fmt: skip
-    for t, u, wind, readings in epochs:
+    for t, u, wind, read in epochs:
         decay = np.exp(-A * (t - now))
         m = decay * m + (u + wind) / A * (1 - decay)
         P, now, evidence = decay**2 * P + Q / (2 * A) * (1 - decay**2), t, 0.0
-        for h, R, z in readings:
+        for h, R, z in read:
             S = h * P * h + R
             evidence -= 0.5 * ((z - h * m) ** 2 / S + np.log(2 * np.pi * S))
             m, P = m + P * h / S * (z - h * m), P - (P * h) ** 2 / S
@@ -109,8 +114,6 @@ def test_the_kalman_filter_takes_inputs(model, data):
 
 
 def filter_of(name, scenario, case):
-    from experiments.scene.filters import factories
-
     return factories([name], scenario)[name](case, np.random.default_rng(0))
 
 
@@ -230,3 +233,20 @@ def test_the_example_of_the_help_runs_as_printed(tmp_path, capsys):
     words = ["--model", str(tmp_path / "driven.toml"), "--data", str(tmp_path / "driven.csv")]
     assert main(["filter", *words, "--filters", "ekf", "--out", str(tmp_path)]) == 0
     assert len(estimates(tmp_path / "ekf.csv")) == 3
+
+
+def test_the_picture_shows_inputs_and_dots_of_each_sensor(model, data, tmp_path, monkeypatch):
+    text = MODEL.replace('h = ["s*x"]', "h = [[2.0]]").replace('[["r"]]', "[[0.3]]")
+    model.write_text(text.replace("parameters = { s = 2.0, r = 0.3 }\n", ""), encoding="utf-8")
+    scenario, kept = load_model(model), []
+    found = read_data(scenario.settings, data)
+    assert np.isnan(readings(scenario.measurement, found.z, 0)).tolist() == [False, True, False, True]
+    monkeypatch.setattr(plots, "save", lambda figure, path: kept.append(figure))
+    x = np.zeros((4, 1))
+    plots.draw(
+        tmp_path / "x.png", scenario, found, {"ekf": SimpleNamespace(t=found.times, x=x, P=x[:, None])}
+    )
+    line = kept[0].axes[1].get_lines()[0]
+    assert line.get_ydata().tolist() == [0.2, -0.1, 9.0, 0.4] and line.get_drawstyle() == "steps-pre"
+    assert kept[0].axes[1].get_xlabel() == "t" and "measurements (dots)" in kept[0].get_suptitle()
+    plt.close("all")
