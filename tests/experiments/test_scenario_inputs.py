@@ -2,18 +2,21 @@
 
 import json
 import pickle
+import textwrap
 import tomllib
 
 import numpy as np
 import pytest
 
 import sphfilter as sf
+from experiments.arguments.run import EPILOG
 from experiments.commands import main
 from experiments.estimate.problems import problem_of
 from experiments.scene.filters import factories
 from experiments.scene.scenario import load_scenario
 from experiments.show import histories
 from experiments.show.style import plt
+from experiments.sweep.command import Cell
 from sphfilter.campaign.one_run import put_through
 from sphfilter.errors import ConfigError, SphfilterError
 
@@ -219,3 +222,21 @@ def test_estimate_fits_parameters_of_sensors_with_the_inputs(path, tmp_path):
 def test_estimate_names_the_nearest_parameter_of_a_sensor(path):
     with pytest.raises(ConfigError, match=r"no parameter 'rr' .did you mean 'r'"):
         problem_of(path, ["rr"], {}, 0)
+
+
+def test_a_sweep_scales_the_noise_of_all_sensors(path):
+    settings = load_scenario(path).settings
+    changes = Cell(2.0, 1.0, 0.5).changes(settings)
+    assert changes["sensors.gps.noise_cov"] == [[0.1]]
+    speed = load_scenario(path, **changes).measurement["speed"]
+    assert speed.covariance([[0.0, 0.0]]).tolist() == [[[0.15]]]
+
+
+def test_the_help_of_run_shows_inputs_that_can_be_run(path, tmp_path):
+    (tmp_path / "drive.csv").write_text("t,amp\n0,1\n9,2\n", encoding="utf-8")
+    lines = textwrap.dedent(EPILOG[EPILOG.index("  [inputs]") : EPILOG.index("The truth")]).splitlines()
+    as_table = ["[inputs.a]", *(line.lstrip("# ") for line in lines[3:])]
+    for shown in (lines, as_table):
+        text = TEXT.replace('[inputs]\na = "8*c*sin(t)"', "\n".join(shown))
+        path.write_text(text, encoding="utf-8")
+        assert load_scenario(path).draw(np.random.default_rng(0)).inputs.shape == (4, 2)
