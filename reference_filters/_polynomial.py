@@ -44,13 +44,15 @@ def polynomials_of(model):
     """
     if not model.domain.unbounded:
         raise ModelError(f"moment equations hold without walls and angles only; the domain is {model.domain}")
-    _, (constructor, text) = model.__reduce__()  # what a model is pickled as, with its present parameters
+    _, (constructor, text, _) = model.__reduce__()  # what a model is pickled as, with its present parameters
     if constructor != SDE.from_expressions:
         if model.linear:
             return _linear(model.to_linear())
         raise ModelError(f"{_TEXT}; {model!r} is neither.")
     if text["interpretation"] == "stratonovich" and model.state_dependent_noise:
         raise ModelError("moment equations need Itô's interpretation of noise that depends on the state.")
+    if text["tables"]:
+        raise ModelError(f"{_TEXT}; a table, {min(text['tables'])!r}, is no polynomial.")
     names, drift, diffusion = _trees(text, model)
     told = [f"the drift of {s}, {v!r}," for s, v in zip(model.states, text["drift"], strict=True)]
     f = [_terms(*each, names.x) for each in zip(told, drift, strict=True)]
@@ -75,8 +77,9 @@ def _trees(text, model):
 
     from sphfilter.model.expressions import Names, parse
 
-    names, n = Names(text["states"], text["parameters"] or ()), model.dim
-    numbers = [sp.Integer(v) if v == int(v) else sp.Float(v) for v in map(float, model.parameters.values())]
+    named = {**model.parameters, **model.inputs}
+    names, n = Names(text["states"], [*named]), model.dim
+    numbers = [sp.Integer(v) if v == int(v) else sp.Float(v) for v in map(float, named.values())]
     values = dict(zip(names.p, numbers, strict=True))
 
     def read(rows):

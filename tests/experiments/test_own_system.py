@@ -320,6 +320,7 @@ def test_what_was_discarded_is_told(own, tmp_path, capsys):
         "dt_max": 0.05,
     }
     changes = {
+        "model.parameters": {},
         "model.drift": ["where(x > 1.5, 20*(x - 1.5), 0)", "0"],
         "model.diffusion": [["0", "0"], ["0", "0"]],
         "start.lattice": {"origin": [0.0, -1.0], "size": [2.0, 2.0], "spacing": 0.1},

@@ -6,6 +6,7 @@ import pytest
 import sphfilter as sf
 from reference_filters.boxed_grid import BoxedGridFilter
 from reference_filters.closed_forms import BenesFilter
+from reference_filters.cumulant import cumulant_moments
 from reference_filters.grid import GridFilter
 from reference_filters.kalman import ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
 from reference_filters.particle import ParticleFilter
@@ -84,3 +85,15 @@ def test_filters_without_inputs_say_so():
         boxed.predict(1.0, u=[1.0])
     with pytest.raises(sf.ModelError, match="BenesFilter takes no inputs"):
         BenesFilter(sf.GaussianMeasurement([[1.0]], [[1.0]])).run([1.0], [0.3], inputs=[[1.0]])
+
+
+def test_moment_equations_take_the_inputs_that_the_model_has():
+    pushed = sf.SDE.from_expressions(["x"], ["-a*x + u - x**3"], [["1"]], [[Q]], {"a": A}, inputs=["u"])
+    told = pushed.with_parameters(a=0.7).with_inputs([2.0])
+    same = sf.SDE.from_expressions(["x"], ["-0.7*x + 2 - x**3"], [["1"]], [[Q]])
+    start = sf.Gaussian([0.3], [[0.2]])
+    found, own = (cumulant_moments(model, start, [0.0, 0.5, 1.0], 4) for model in (told, same))
+    np.testing.assert_allclose(found.mean, own.mean, rtol=1e-12)
+    tabled = sf.SDE.from_expressions(["x"], ["-table('f', t)"], [["1"]], tables={"f": ([0.0], [1.0])})
+    with pytest.raises(sf.ModelError, match="a table, 'f', is no polynomial"):
+        cumulant_moments(tabled, start, [0.0, 0.5], 2)
