@@ -7,6 +7,7 @@ import numpy as np
 
 import sphfilter as sf
 from sphfilter.campaign.campaign import draw_case
+from sphfilter.campaign.one_run import put_through
 from sphfilter.errors import SphfilterError
 from sphfilter.filter import budget as timing
 
@@ -95,7 +96,7 @@ def _outcome(scenario, pairs, budget):
     for case, exact in pairs:
         watched = Watched(_prepared(scenario, case, budget))
         try:
-            found.append(errors(watched.run(case.times, case.z), exact).mean)
+            found.append(errors(put_through(watched, case), exact).mean)
         except SphfilterError as problem:
             failures.append(str(problem))
         steps = list(zip(watched.predictions, watched.updates, strict=False))

@@ -10,8 +10,10 @@ import numpy as np
 
 from sphfilter import validate
 from sphfilter.errors import ModelError, PropagationError
+from sphfilter.filter.readings import numbers_of
 from sphfilter.filter.results import run_filter
 from sphfilter.info import PredictInfo, UpdateInfo
+from sphfilter.model.named import driven
 
 __all__ = ["ReferenceFilter", "gaussian_start"]
 
@@ -29,10 +31,18 @@ class ReferenceFilter(ABC):
         Time now, seconds.
     log_likelihood, log_evidence : float
         Log-density of the last measurement given the earlier ones (zero if it was missing); their sum.
+    driven : SDE or None
+        The model with the inputs that it had in the last prediction; None if the filter has no model.
     """
+
+    #: The model of a filter that has one; set before `__init__` is called.
+    model = None
+    #: Whether predictions are made with `driven`.
+    takes_inputs = False
 
     def __init__(self, belief, measurement=None, t0=0.0, dt=None):
         self.measurement = measurement
+        self.driven = self.model
         self.dt = dt
         self.t = float(t0)
         self.log_likelihood = 0.0
@@ -53,8 +63,11 @@ class ReferenceFilter(ABC):
     def _moments(self, belief):
         """Return mean (n,) and covariance (n, n)."""
 
-    def predict(self, dt=None, *, t=None):
+    def predict(self, dt=None, *, t=None, u=None):
         """Carry the density forward by `dt` seconds, or to the absolute time `t`.
+
+        The model's inputs are `u` over the interval, in their order or by name; without `u`, what the model
+        has.
 
         Returns
         -------
@@ -63,13 +76,19 @@ class ReferenceFilter(ABC):
         Raises
         ------
         ModelError
-            Neither or both of `dt` and `t` given (and no `dt` at construction), or a time gone by.
+            Neither or both of `dt` and `t` given (and no `dt` at construction), or a time gone by; `u` of a
+            filter that takes no inputs.
         PropagationError
             The density cannot be carried so far; the filter is as it was before.
         """
         t1 = self._end_of_step(dt, t)
-        belief, n_steps = self._predicted(self._belief, self.t, t1) if t1 > self.t else (self._belief, 0)
-        x, P = self._finite_moments(belief, "prediction", t1)
+        before, self.driven = self.driven, self.model if u is None else self._with_inputs(u)
+        try:
+            belief, n_steps = self._predicted(self._belief, self.t, t1) if t1 > self.t else (self._belief, 0)
+            x, P = self._finite_moments(belief, "prediction", t1)
+        except Exception:
+            self.driven = before
+            raise
         self._belief, self.t, self.x, self.P = belief, t1, x, P
         self.x_prior, self.P_prior = x, P
         return PredictInfo(n_steps=n_steps, scheme=type(self).__name__)
@@ -79,7 +98,7 @@ class ReferenceFilter(ABC):
 
         Parameters
         ----------
-        z : array_like, float or None
+        z : array_like, float, mapping of sensors' names to their readings, or None
         measurement : optional
             Another sensor than the filter's own, for this update only.
 
@@ -90,6 +109,7 @@ class ReferenceFilter(ABC):
         measurement = self.measurement if measurement is None else measurement
         if measurement is None:
             raise ModelError("update needs a measurement model: give one here or at construction")
+        measurement, z = driven(measurement, getattr(self.driven, "inputs", {})), numbers_of(measurement, z)
         if np.any(measurement.observed(z)):
             z = np.atleast_1d(np.asarray(validate.unmasked(z), dtype=float))
             belief, facts = self._updated(self._belief, z, measurement)
@@ -107,9 +127,21 @@ class ReferenceFilter(ABC):
         self.log_evidence += info.log_evidence
         return info
 
-    def run(self, times, measurements, truth=None, observer=None):
+    def run(self, times, measurements, truth=None, observer=None, inputs=None):
         """Predict to each time and update; see `sphfilter.filter.results.run_filter`."""
-        return run_filter(self, times, measurements, truth, observer)
+        if inputs is not None:
+            self._check_inputs()
+        return run_filter(self, times, measurements, truth, observer, inputs=inputs)
+
+    def _check_inputs(self):
+        if not self.takes_inputs:
+            raise ModelError(
+                f"{type(self).__name__} takes no inputs; the Kalman filters, ParticleFilter and GridFilter do"
+            )
+
+    def _with_inputs(self, u):
+        self._check_inputs()
+        return self.model.with_inputs(u)
 
     def _end_of_step(self, dt, t):
         if dt is not None and t is not None:

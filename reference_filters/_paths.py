@@ -28,6 +28,7 @@ class Paths:
     Parameters
     ----------
     model : sphfilter.SDE
+        Its inputs may be others from one call of `move` to the next.
     order : {2, 4}
         4: RK4 along simple random paths, of weak order 3 as measured and of order 4 where there is no noise;
         2: jumps of noise between RK4 steps. Noise that depends on the state has Platen's scheme of weak
@@ -111,10 +112,11 @@ class Paths:
         return report, alive
 
     def _exactly(self, x, dt, seed):
-        if dt not in self._exact:
+        key = dt, *self.model.inputs.values()
+        if key not in self._exact:
             Phi, offset, Qd = self.model.to_linear().discretize(dt)
-            self._exact[dt] = Phi.T, offset, noise_root(Qd).T
-        Phi_T, offset, root_T = self._exact[dt]
+            self._exact[key] = Phi.T, offset, noise_root(Qd).T
+        Phi_T, offset, root_T = self._exact[key]
         x[:] = x @ Phi_T + offset + standard_normals(seed, *x.shape) @ root_T
         return 1
 

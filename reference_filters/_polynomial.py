@@ -51,6 +51,8 @@ def polynomials_of(model):
         raise ModelError(f"{_TEXT}; {model!r} is neither.")
     if text["interpretation"] == "stratonovich" and model.state_dependent_noise:
         raise ModelError("moment equations need Itô's interpretation of noise that depends on the state.")
+    if text["tables"]:
+        raise ModelError(f"{_TEXT}; a table, {min(text['tables'])!r}, is no polynomial.")
     names, drift, diffusion = _trees(text, model)
     told = [f"the drift of {s}, {v!r}," for s, v in zip(model.states, text["drift"], strict=True)]
     f = [_terms(*each, names.x) for each in zip(told, drift, strict=True)]
@@ -74,11 +76,10 @@ def _trees(text, model):
     import sympy as sp  # takes a second
 
     from sphfilter.model.expressions import Names, parse
-    from sphfilter.model.tables import tables_of
 
-    known = {**model.parameters, **model.inputs}
-    names, n = Names(text["states"], [*known], tables_of(text["tables"])), model.dim
-    numbers = [sp.Integer(v) if v == int(v) else sp.Float(v) for v in map(float, known.values())]
+    named = {**model.parameters, **model.inputs}
+    names, n = Names(text["states"], [*named]), model.dim
+    numbers = [sp.Integer(v) if v == int(v) else sp.Float(v) for v in map(float, named.values())]
     values = dict(zip(names.p, numbers, strict=True))
 
     def read(rows):

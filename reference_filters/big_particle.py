@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sphfilter import validate
+from sphfilter.campaign.one_run import put_through
 
 from ._store import digest, save
 from .particle import ParticleFilter
@@ -68,7 +69,7 @@ def converged(model, measurement, case, n_particles=1_000_000, n_runs=10, rng=0,
     ----------
     model, measurement
         As for `ParticleFilter`.
-    case : object with times (T,), z (T, k), x0 (n,), P0 (n, n), t0
+    case : object with times (T,), z (T, k), x0 (n,), P0 (n, n), t0, and inputs (T, m) if there are any
         Such as `sphfilter.campaign.Case`.
     n_particles, n_runs : int
         At least two runs.
@@ -97,7 +98,7 @@ def converged(model, measurement, case, n_particles=1_000_000, n_runs=10, rng=0,
             model, measurement, case.x0, case.P0, case.t0, n_particles=n_particles,
             rng=np.random.default_rng([seed, i]), n_threads=n_threads, tolerance=_BIAS / np.sqrt(n_particles),
         )  # fmt: skip
-        result = filt.run(case.times, case.z)
+        result = put_through(filt, case)
         runs.append(tuple(getattr(result, name) for name in _RECORDED))
         _save(path, runs)
     return _average(np.asarray(case.times, dtype=float), runs[:n_runs], n_particles)
@@ -123,6 +124,9 @@ def _digest(model, measurement, case, settings):
     for t in (float(case.t0), 0.5 * (case.t0 + times[-1]) + 0.1234):
         parts += [model.drift(X, t), model.noise(X, t)]
         parts += [measurement.log_likelihood(z, X, t) for z in case.z]
+    inputs = getattr(case, "inputs", None)
+    if inputs is not None:
+        parts += [inputs, *(model.with_inputs(u).drift(X, t) for u in inputs)]
     return digest(parts)
 
 

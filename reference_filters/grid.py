@@ -49,6 +49,8 @@ class GridFilter(ReferenceFilter):
         Box to stay in, instead of one that follows the density.
     """
 
+    takes_inputs = True
+
     def __init__(self, model, measurement, x0=None, P0=None, t0=0.0, dt=None, *, size=96, tol=1e-3,
                  density=None, box=None):  # fmt: skip
         if model.dim not in (1, 2):
@@ -115,7 +117,7 @@ class GridFilter(ReferenceFilter):
 
     def _step(self, p, t, dt):
         """Extrapolated step, and the L1 error of the finer of its two parts."""
-        D0, D1, D2 = (self.model.diffusion(p.box.centre[None], t + c * dt)[0] for c in (0.5, 0.25, 0.75))
+        D0, D1, D2 = (self.driven.diffusion(p.box.centre[None], t + c * dt)[0] for c in (0.5, 0.25, 0.75))
         boxes = self._boxes_ahead(p, t, 0.5 * dt)
         if boxes is None:
             return p, np.inf
@@ -132,7 +134,7 @@ class GridFilter(ReferenceFilter):
 
     def _advected(self, p, coefficients, t, dt, box):
         """Transport over dt of the density with these spline coefficients, on the nodes of `box`."""
-        feet, dilation = follow(self.model, box.nodes(), t + dt, -dt)
+        feet, dilation = follow(self.driven, box.nodes(), t + dt, -dt)
         with np.errstate(over="ignore", invalid="ignore"):
             values = p.interpolated(feet, coefficients) * np.exp(dilation)
         values[~np.isfinite(values)] = 0.0  # characteristics that come from infinity carry nothing
@@ -143,10 +145,10 @@ class GridFilter(ReferenceFilter):
         if self._fixed_box is not None:
             return self._fixed_box, self._fixed_box
         X, weights = p.support(stride=2)
-        D = self.model.diffusion(p.box.centre[None], t + dt)[0]
+        D = self.driven.diffusion(p.box.centre[None], t + dt)[0]
         boxes = []
         for i in range(2):
-            X, _ = follow(self.model, X, t + i * dt, dt)
+            X, _ = follow(self.driven, X, t + i * dt, dt)
             if not np.all(np.abs(p.box.indices(X)) < 1e3 * self.size):
                 return None
             boxes.append(fitted_box(X, weights, 2.0 * (i + 1) * dt * D, self.size))

@@ -13,6 +13,7 @@ from filterpy import kalman as fp
 
 from sphfilter.core._jit import jit
 from sphfilter.errors import ModelError, PropagationError
+from sphfilter.model.measurements import has_gaussian_noise, is_gaussian
 
 from ._base import ReferenceFilter, gaussian_start
 from ._moment_ode import LINEARISED, SIGMA_POINTS, propagate_moments
@@ -23,6 +24,8 @@ __all__ = ["ExtendedKalmanFilter", "KalmanFilter", "UnscentedKalmanFilter"]
 class _GaussianFilter(ReferenceFilter):
     """A filter whose belief is a mean and a covariance."""
 
+    takes_inputs = True
+
     def __init__(self, model, measurement, x0, P0, t0=0.0, dt=None):
         self.model = model
         super().__init__(gaussian_start(x0, P0, model.dim), measurement, t0, dt)
@@ -31,13 +34,14 @@ class _GaussianFilter(ReferenceFilter):
         return belief
 
     def _updated(self, belief, z, measurement):
-        if measurement.noise_cov is None:
+        if not (is_gaussian(measurement) or has_gaussian_noise(measurement)):
             raise ModelError(
                 f"{type(self).__name__} needs a GaussianMeasurement, not {type(measurement).__name__}; "
                 "the particle and grid filters take any likelihood"
             )
-        seen = np.flatnonzero(measurement.observed(z))
-        R = measurement.noise_cov
+        seen, R = np.flatnonzero(measurement.observed(z)), measurement.noise_cov
+        if R is None:  # it depends on the state: that of the mean
+            R = measurement.covariance(belief[0][None], self.t)[0]
         if seen.size < measurement.dim_z:
             R = R[np.ix_(seen, seen)]
         try:
@@ -71,15 +75,15 @@ class KalmanFilter(_GaussianFilter):
     def __init__(self, model, measurement, x0, P0, t0=0.0, dt=None):
         if not model.linear:
             raise ModelError(f"KalmanFilter needs a linear model, not {model!r}; take ExtendedKalmanFilter")
-        super().__init__(model.to_linear(), measurement, x0, P0, t0, dt)
+        super().__init__(model, measurement, x0, P0, t0, dt)
         self._engine = fp.KalmanFilter(dim_x=model.dim, dim_z=1)
         self._transitions = {}
 
     def _predicted(self, belief, t0, t1):
-        dt = t1 - t0
-        if dt not in self._transitions:
-            self._transitions[dt] = self.model.discretize(dt)
-        Phi, offset, Qd = self._transitions[dt]
+        key = t1 - t0, *self.driven.inputs.values()
+        if key not in self._transitions:
+            self._transitions[key] = self.driven.to_linear().discretize(t1 - t0)
+        Phi, offset, Qd = self._transitions[key]
         return fp.predict(*belief, F=Phi, Q=Qd, u=offset), 1
 
     def _condition(self, x, P, z, measurement, seen, R):
@@ -112,7 +116,7 @@ class ExtendedKalmanFilter(_GaussianFilter):
         self._engine = fp.ExtendedKalmanFilter(dim_x=model.dim, dim_z=1)
 
     def _predicted(self, belief, t0, t1):
-        m, P, n_steps = propagate_moments(self.model, LINEARISED, *belief, t0, t1, rtol=self.rtol)
+        m, P, n_steps = propagate_moments(self.driven, LINEARISED, *belief, t0, t1, rtol=self.rtol)
         return (m, P), n_steps
 
     def _condition(self, x, P, z, measurement, seen, R):
@@ -151,7 +155,7 @@ class UnscentedKalmanFilter(_GaussianFilter):
 
     def _predicted(self, belief, t0, t1):
         m, P, n_steps = propagate_moments(
-            self.model, SIGMA_POINTS, *belief, t0, t1, kappa=self.kappa, rtol=self.rtol
+            self.driven, SIGMA_POINTS, *belief, t0, t1, kappa=self.kappa, rtol=self.rtol
         )
         return (m, P), n_steps
 

@@ -62,6 +62,8 @@ class ParticleFilter(ReferenceFilter):
         deviations. Default 0.6 / sqrt(n_particles), below the sampling error.
     """
 
+    takes_inputs = True
+
     def __init__(self, model, measurement, x0, P0, t0=0.0, *, n_particles=1000, rng=None, resampling="always",
                  step=None, dt=None, order=4, n_threads=1, tolerance=None):  # fmt: skip
         self.model = model
@@ -106,6 +108,7 @@ class ParticleFilter(ReferenceFilter):
     def _predicted(self, belief, t0, t1):
         belief = self._resampled(belief)
         variance = np.diagonal(self.P).copy()
+        self._paths.model = self.driven
         n_steps = self._paths.move(belief.X, t0, t1, variance, self.tolerance, self._rng)
         return belief, n_steps
 

@@ -43,7 +43,7 @@ def smooth_linear(model, measurement, start, times, measurements, sensors=None):
     smoothed = [posterior[-1]]
     for k in range(len(steps) - 2, -1, -1):
         (x, P), (x_next, P_next), (ahead, spread) = posterior[k], smoothed[-1], prior[k + 1]
-        Phi, _, _ = filt.model.discretize(steps[k + 1])
+        Phi, _, _ = filt.model.to_linear().discretize(steps[k + 1])
         gain = np.linalg.solve(spread, Phi @ P).T
         smoothed.append((x + gain @ (x_next - ahead), P + gain @ (P_next - spread) @ gain.T))
     x, P = (np.array(part) for part in zip(*smoothed[::-1], strict=True))

@@ -16,7 +16,8 @@ MEASURED = "sunspots"
 
 EPILOG = f"""\
 Measurements are simulated with the parameters of the scenario's file, 60 unless times.end is set, and the
-search begins at three quarters of them. {SENSOR} is the variance of the sensor's noise. NAME may be
+search begins at three quarters of them. Parameters are those of the model and of its sensors, by name;
+{SENSOR} is the variance of the sensor's noise, where no parameter is called so. NAME may be
 sunspots: there the measurements are those of 1700 to 1948, and the search begins with the model's file.
 """
 

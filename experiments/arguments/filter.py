@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from experiments.own_data.csv_data import read_measurements
-from experiments.own_data.model_settings import read_model
+from experiments.own_data.model_settings import read_data, read_model
 from experiments.scene.names import FILTERS, check_filters
 from experiments.terminal.options import names_of
 
@@ -44,10 +43,49 @@ my.toml: text is allowed wherever a model has functions (see `SDE.from_expressio
   # time = "t"                          # the time is the first column, unless another is named ...
   # columns = ["position"]              # ... and all others are measured, unless some are named
 
-  # [filters]                           # settings, as in the scenarios of the project
-  # sph = { n_particles = 400 }
-
 Exit code: 1 if a filter did not come to the end of the data, else 0.
+
+With inputs, tables and several sensors: driven.csv has a column for each input and each sensor, of several
+readings columns gps.0, gps.1 ...; cells are empty in lines without a reading of that sensor. The input in a
+line is held over the interval that ends at that line; it is never empty.
+
+  t,throttle,gps.0,gps.1,speed
+  0.5,1.0,,,0.4
+  1.0,1.0,0.3,0.1,
+  1.5,-0.5,,,0.9
+
+driven.toml:
+
+  [model]
+  states = ["x", "y", "v"]
+  drift = ["v*cos(c)", "v*sin(c)", "-k*v + throttle + table('wind', t)"]
+  noise = [["0"], ["0"], ["1"]]
+  spectral_density = [[0.1]]
+  parameters = { c = 0.3, k = 0.2 }
+  inputs = ["throttle"]                 # or { throttle = 0.0 }, and it needs no column
+
+  [model.tables.wind]                   # or file = "wind.csv", at = "hour", values = "speed": columns of a
+  at = [0.0, 1.0, 2.0]                  # file, whose folder is that of this one
+  values = [0.0, 0.3, 0.1]
+  kind = "linear"                       # or "previous", held until the next
+
+  [sensors.gps]                         # instead of [sensor]
+  h = ["x", "y"]
+  noise_cov = [["r", 0], [0, "r"]]      # text or numbers
+  parameters = { r = 0.2 }              # and inputs = [...], [sensors.gps.tables.NAME] as of the model
+
+  [sensors.speed]
+  h = [[0.0, 0.0, 1.0]]
+  noise_cov = [[0.01]]
+
+  [start]
+  mean = [0.0, 0.0, 0.0]
+  cov = [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]]
+  time = 0.0
+
+  [data]
+  # columns = { gps = ["east", "north"] }   # columns that are not called as the sensors are ...
+  # inputs = { throttle = "u (V)" }         # ... or as the inputs
 """
 
 
@@ -65,6 +103,5 @@ def add_arguments(parser):
 def check(args):
     """Raise what is wrong with one of the files, or with the filters."""
     settings = read_model(args.model)
-    columns = settings.data
-    read_measurements(args.data, len(settings.sensor.h), columns.time, columns.columns, columns.time_unit)
+    read_data(settings, args.data)
     check_filters(args.filters)

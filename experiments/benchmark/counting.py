@@ -6,6 +6,7 @@ import numpy as np
 
 import sphfilter as sf
 from experiments.scene.scenario import Scenario
+from sphfilter.campaign.one_run import put_through
 
 from .watch import Watched
 
@@ -58,7 +59,7 @@ def drift_evaluations(method, scenario, case, n_steps, limit=np.inf):
     watched = Watched(filt, limit=limit)
     count[:] = 0
     try:
-        watched.run(case.times, case.z)
+        put_through(watched, case)
     except Exception:  # its own row tells
         return np.nan
     steps = sum(info.n_steps for info in watched.predictions)

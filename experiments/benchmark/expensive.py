@@ -14,6 +14,7 @@ from numba import njit
 import sphfilter as sf
 from experiments.show import tables
 from experiments.show.files import write_csv
+from sphfilter.campaign.one_run import put_through
 
 from .counting import OtherModel
 from .measure import warm_up
@@ -103,7 +104,7 @@ def checks(scenario, case, competitors, lines, limit):
             warm_up(replace(method, factory=replace(method.factory, scenario=_other(scenario, model))), case)
             start = perf_counter()
             filt = replace(method.factory, scenario=burnt)(case, np.random.default_rng(0))
-            Watched(filt, limit=4 * limit).run(case.times, case.z)
+            put_through(Watched(filt, limit=4 * limit), case)
             made.append(Check(method.series, method.size, cost, predicted, perf_counter() - start))
     return made
 

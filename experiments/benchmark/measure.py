@@ -7,6 +7,8 @@ from time import perf_counter, process_time
 import numba
 import numpy as np
 
+from sphfilter.campaign.one_run import put_through
+
 from .densities import hellinger
 from .errors import errors, left_by_epoch, root_mean_square, truth_errors
 from .watch import TooSlow, Watched, resident, watch_peak
@@ -72,7 +74,7 @@ def _timed(method, case, reference, seed, limit):
     wall, cpu = perf_counter(), process_time()
     filt = method.factory(case, np.random.default_rng(seed))
     watched = Watched(filt, reference.densities, limit)
-    result = watched.run(case.times, case.z)
+    result = put_through(watched, case)
     return watched, result, perf_counter() - wall, process_time() - cpu
 
 
@@ -105,7 +107,7 @@ def warm_up(method, case):
     """
     try:
         numba.set_num_threads(method.threads)
-        Watched(method.factory(case, np.random.default_rng(0)), limit=20.0).run(case.times[:2], case.z[:2])
+        put_through(Watched(method.factory(case, np.random.default_rng(0)), limit=20.0), case, first=2)
     except Exception:
         return False
     return True

@@ -15,6 +15,7 @@ from experiments.scene.settings import Grid
 from experiments.show.files import whole
 from reference_filters.big_particle import converged
 from reference_filters.grid_density import Box, GridDensity, fitted_box
+from sphfilter.campaign.one_run import put_through
 from sphfilter.campaign.store import case_digest
 from sphfilter.errors import PropagationError
 from sphfilter.filter.results import FilterResult
@@ -102,14 +103,21 @@ def find(scenario, case, effort, folder):
 
 def _digest(scenario, case, effort):
     s = scenario.settings
-    text = repr([asdict(part) for part in (s.model, s.sensor, s.start, effort)] + [s.exact])
+    parts = (s.model, *([s.sensor] if s.sensor else s.sensors.values()), s.start, effort)
+    text = repr([_as_before(part) for part in parts] + [s.exact])
     return hashlib.sha256((text + case_digest(case)).encode()).hexdigest()[:16]
+
+
+def _as_before(part):
+    """Settings as a dict, without later keys that are empty: references are known by its text."""
+    later = getattr(part, "LATER", ())
+    return {key: value for key, value in asdict(part).items() if value or key not in later}
 
 
 def _exact(scenario, case):
     name = scenario.settings.exact
     watched = Watched(Factory(name, scenario)(case, None), epochs_of_densities(len(case.times)))
-    result = watched.run(case.times, case.z)
+    result = put_through(watched, case)
     densities = {}
     for i, found in watched.densities.items() if scenario.model.dim <= 2 else ():
         # wide enough for a mixture of two Gaussians with these moments, too
@@ -125,7 +133,7 @@ def _grid(scenario, case, effort):
         filt = Factory("grid", scenario, Grid(size=size, tol=tol))(case, None)
         watched = Watched(filt, epochs_of_densities(len(case.times)), take=lambda filt: filt.density)
         try:
-            result = watched.run(case.times, case.z)
+            result = put_through(watched, case)
         except PropagationError:  # too coarse
             continue
         change = None if kept is None else errors(kept, result)

@@ -40,11 +40,14 @@ class Watched:
     t = property(lambda self: self._filt.t)
     log_likelihood = property(lambda self: self._filt.log_likelihood)
 
-    def predict(self, *, t):
+    model = property(lambda self: self._filt.model)
+    measurement = property(lambda self: self._filt.measurement)
+
+    def predict(self, *, t, **driving):
         """As the filter's own."""
         if perf_counter() - self._start > self._limit:
             raise TooSlow(f"stopped at t = {self.t:g} s, after {self._limit:g} s of computing")
-        info = self._filt.predict(t=t)
+        info = self._filt.predict(t=t, **driving)
         self.predictions.append(info)
         return info
 
@@ -56,9 +59,9 @@ class Watched:
         self.updates.append(info)
         return info
 
-    def run(self, times, z):
+    def run(self, times, z, inputs=None):
         """Run the filter; see `sphfilter.filter.results.run_filter`."""
-        return run_filter(self, times, z)
+        return run_filter(self, times, z, inputs=inputs)
 
 
 def watch_peak():

@@ -15,6 +15,7 @@ from experiments.show.files import write_rows
 from experiments.show.tables import markdown, number, print_table, table
 from experiments.terminal.running import tell
 from sphfilter.campaign.campaign import draw_case
+from sphfilter.campaign.one_run import put_through
 from sphfilter.errors import ConfigError, SphfilterError
 
 from .transient import progress
@@ -105,7 +106,7 @@ def _run(problem, case, truth, count, said):
     """Errors, what the filter said they were, readings refused and flagged; a refusal is added to `said`."""
     mean, cov, _ = truth
     try:
-        result = problem.make(case, count).run(case.times, case.z)
+        result = put_through(problem.make(case, count), case)
     except SphfilterError as refusal:
         said.append(f"{problem.name} ({problem.note}), {count} particles: {refusal}")
         return [np.nan], [np.nan], len(case.times), 0

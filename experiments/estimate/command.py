@@ -37,7 +37,7 @@ def main(args):
     rival = rival_of(problem)
     if args.compare and rival is None:
         raise ConfigError(f"--compare knows no rival of {args.scenario}; of duffing and sunspots it does")
-    out = args.out or Path("results") / f"estimate_{args.scenario}"
+    out = args.out or Path("results") / f"estimate_{Path(args.scenario).stem}"
     out.mkdir(parents=True, exist_ok=True)
 
     console.print(f"[bold]{args.scenario}[/]: {problem.build.scenario.settings.description}")
@@ -76,7 +76,13 @@ def _fitted(console, problem, guess):
 
         say("preparing the filter (the first time compiles, for a minute)")
         return sf.fit_parameters(
-            problem.build, problem.times, problem.z, guess, bounds=problem.bounds, report=report
+            problem.build,
+            problem.times,
+            problem.z,
+            guess,
+            bounds=problem.bounds,
+            report=report,
+            inputs=problem.inputs,
         )
 
 
@@ -135,7 +141,9 @@ def _compared(console, problem, fit, name, rival):
         console.print(f"{name}: {problem_of_rival}", style="red")
         return {"failed": str(problem_of_rival)}
     console.print(str(other), style="dim")
-    found = sf.compare_models({problem.name: fit, name: other}, problem.times, problem.z)
+    found = sf.compare_models(
+        {problem.name: fit, name: other}, problem.times, problem.z, inputs=problem.inputs
+    )
     console.print(f"\n{found}\n")
     return found.as_dict()
 
@@ -159,4 +167,5 @@ def _profiles(console, problem, fit, jobs):
 
 
 def _point(problem, fit, name, value):
-    return float(sf.profile_evidence(problem.build, problem.times, problem.z, fit, name, [value])[0])
+    data = problem.times, problem.z
+    return float(sf.profile_evidence(problem.build, *data, fit, name, [value], inputs=problem.inputs)[0])

@@ -61,17 +61,18 @@ class Build:
 
     def __call__(self, parameters):
         """Return the filter at the start of the measurements."""
-        others = dict(parameters)
-        sensor = self.scenario.measurement
-        variance = others.pop(SENSOR, None)
+        model, sensor, others = self.scenario.model, self.scenario.measurement, dict(parameters)
+        reads = {name: others[name] for name in others if name in sensor.parameters}
+        named = {name: others[name] for name in others if name not in reads or name in model.parameters}
+        variance = None if SENSOR in {**reads, **model.parameters} else named.pop(SENSOR, None)
         if self.folded:
             sensor = fold(sensor.noise_cov[0, 0] if variance is None else _positive(variance))
         elif variance is not None:
             sensor = sensor.changed(noise_cov=variance)
+        sensor = sensor.with_parameters(**reads) if reads else sensor
         case = self.case
         shape = {"n_particles": self.n_particles, "config": self.scenario.settings.filters.sph.config}
-        model = self.scenario.model.with_parameters(**others)
-        return sf.SPHFilter(model, sensor, case.x0, case.P0, t0=case.t0, **shape)
+        return sf.SPHFilter(model.with_parameters(**named), sensor, case.x0, case.P0, t0=case.t0, **shape)
 
 
 def _positive(variance):
@@ -115,6 +116,11 @@ class Problem:
         return self.build.case.z
 
     @property
+    def inputs(self):
+        """What the model's inputs are between the measurements; None if there are none."""
+        return self.build.case.inputs
+
+    @property
     def bounds(self):
         """Bounds of the fitted parameters."""
         return {name: (0.0, None) for name in self.names if name in self.positive}
@@ -149,13 +155,21 @@ def problem_of(name, names, changes, seed, n_particles=None):
         if scenario.settings.start.kind == "benes":
             raise ConfigError(f"{name} starts from a density of its own: there is nothing to fit in it")
         build = Build(scenario, scenario.draw(np.random.default_rng(seed)), n_particles or _PARTICLES)
-    values = dict(scenario.model.parameters)
-    covariance = scenario.measurement.noise_cov
-    if np.array_equal(covariance, covariance[0, 0] * np.eye(len(covariance))):
-        values[SENSOR] = float(covariance[0, 0])
+    sensor = scenario.measurement
+    values = {**sensor.parameters, **scenario.model.parameters}
+    if SENSOR not in values and _has_one_variance(sensor):
+        values[SENSOR] = float(sensor.noise_cov[0, 0])
     positive = (SENSOR, *(() if name != "sunspots" else ("w", "b", "g")))
     chosen = _chosen(name, names, values)
     return Problem(name, build, chosen, values, name != "sunspots", positive)
+
+
+def _has_one_variance(sensor):
+    """Is it one sensor whose noise is as large in all readings, and uncorrelated?"""
+    covariance = sensor.noise_cov
+    if isinstance(sensor, sf.Sensors) or covariance is None:
+        return False
+    return np.array_equal(covariance, covariance[0, 0] * np.eye(len(covariance)))
 
 
 def _longer(scenario, changes):

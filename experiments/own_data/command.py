@@ -12,11 +12,11 @@ from experiments.scene.filters import factories, name_of
 from experiments.show.files import write_csv
 from experiments.show.tables import print_table, table
 from experiments.terminal.running import new_console
-from sphfilter.campaign.campaign import Case
+from sphfilter.campaign.one_run import Case, put_through
 from sphfilter.errors import SphfilterError
 
-from .csv_data import read_measurements
 from .model_file import load_model
+from .model_settings import read_data
 from .plots import draw
 
 __all__ = ["case_of", "main", "write_result"]
@@ -26,10 +26,7 @@ def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter did not come to the end, else 0."""
     console = new_console()
     scenario = load_model(args.model)
-    columns = scenario.settings.data
-    data = read_measurements(
-        args.data, scenario.measurement.dim_z, columns.time, columns.columns, columns.time_unit
-    )
+    data = read_data(scenario.settings, args.data)
     filters = factories(args.filters, scenario)
     out = args.out or Path("results") / args.data.stem
 
@@ -53,8 +50,9 @@ def main(args):
 
 
 def case_of(scenario, data):
-    """Measurements and start as a `Case` whose truth nobody knows."""
-    start = scenario.settings.start
+    """Measurements, inputs and start as a `Case` whose truth nobody knows."""
+    start, inputs = scenario.settings.start, scenario.model.inputs
+    columns = [np.broadcast_to(data.inputs.get(name, inputs[name]), len(data.times)) for name in inputs]
     return Case(
         times=data.times,
         truth=np.full((len(data.times), scenario.model.dim), np.nan),
@@ -62,6 +60,7 @@ def case_of(scenario, data):
         x0=np.array(start.mean),
         P0=np.array(start.cov),
         t0=float(data.times[0] if start.time is None else start.time),
+        inputs=np.column_stack(columns) if columns else None,
     )
 
 
@@ -71,7 +70,7 @@ def _run(filters, case, seed):
     for name, make in filters.items():
         begin = time.perf_counter()
         try:
-            results[name] = make(case, np.random.default_rng(seed)).run(case.times, case.z)
+            results[name] = put_through(make(case, np.random.default_rng(seed)), case)
         except SphfilterError as problem:
             problems[name] = str(problem)
         seconds[name] = time.perf_counter() - begin

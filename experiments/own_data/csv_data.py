@@ -1,15 +1,17 @@
-"""Measurements from a CSV file: a column of times, columns of measurements, empty cells where none came."""
+"""Measurements and inputs from a CSV file: a column of times, columns of what was measured, empty cells where
+nothing was, and columns of what was done to the system.
+"""
 
 import csv
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 
 import numpy as np
 
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["LEVELS", "Measurements", "read_measurements"]
+__all__ = ["LEVELS", "Measurements", "columns_of", "read_columns", "read_measurements"]
 
 
 @dataclass(frozen=True)
@@ -24,12 +26,15 @@ class Measurements:
         Not decreasing. Dates are counted from the first, and `time_name` says so.
     z : ndarray, shape (T, k)
         NaN where nothing was measured.
+    inputs : dict of str to ndarray, shape (T,)
+        Values of inputs over the intervals that end at the times.
     """
 
     time_name: str
     names: tuple[str, ...]
     times: np.ndarray
     z: np.ndarray
+    inputs: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 #: What stands in a cell where nothing was measured, in small letters.
@@ -39,8 +44,27 @@ _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "a": 31557600.0}
 _UNITS |= {"": 1.0, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0, "days": 86400.0, "years": 31557600.0}
 
 
-def read_measurements(path, n_columns, time=None, columns=(), unit=""):
-    """Read times and measurements from a CSV file: commas, semicolons or tabs between the cells.
+def columns_of(path):
+    """Names of the columns of a CSV file."""
+    return _read(path)[0]
+
+
+def read_columns(path, names):
+    """Read columns of numbers from a CSV file, each shape (K,); None is the first column.
+
+    Raises
+    ------
+    ConfigError
+        As of `read_measurements`; a cell that is empty, too.
+    """
+    heading, rows = _read(path)
+    names = [heading[0] if name is None else name for name in names]
+    _check_names(path, names, heading)
+    return [_full_column(path, rows, heading.index(name), name, "a table") for name in names]
+
+
+def read_measurements(path, n_columns, time=None, columns=(), unit="", inputs=None):
+    """Read times, measurements and inputs from a CSV file: commas, semicolons or tabs between the cells.
 
     A file of semicolons or tabs may have decimal commas. Without a line of names its columns are called
     "column 1" and so on.
@@ -48,14 +72,17 @@ def read_measurements(path, n_columns, time=None, columns=(), unit=""):
     Parameters
     ----------
     path : Path
-    n_columns : int
-        k, what the sensor gives.
+    n_columns : int, or dict of str to int
+        k, what the sensor gives; of several sensors by name, what each of them gives.
     time : str, optional
         Column of times; the first if not given.
-    columns : sequence of str, length k, optional
-        Columns of measurements; if not given, all others in their order.
+    columns : sequence of str, length k, or dict of str to these, optional
+        Columns of measurements; if not given, all others in their order. Of several sensors, by name; a
+        sensor "gps" has the column "gps" if none is given, or "gps.0", "gps.1" ... of several readings.
     unit : str, optional
         Unit in which ISO dates such as 2024-05-01 or 2024-05-01T12:30 are counted from the first one.
+    inputs : dict of str to str, optional
+        Columns of inputs, by the inputs' names.
 
     Returns
     -------
@@ -68,15 +95,14 @@ def read_measurements(path, n_columns, time=None, columns=(), unit=""):
         missing or decrease; the sentence names file, line and column.
     """
     heading, rows = _read(path)
-    time = time or heading[0]
-    others = [name for name in heading if name != time]
-    columns = tuple(columns) or tuple(others)
-    for name in (time, *columns):
-        if name not in heading:
-            raise ConfigError(
-                f"{path} has no column {name!r}{nearest(name, heading)}; there are {', '.join(heading)}"
-            )
-    if len(columns) != n_columns:
+    time, inputs = time or heading[0], inputs or {}
+    _check_names(path, [time, *inputs.values()], heading)
+    if isinstance(n_columns, dict):
+        columns = _columns_of_each(path, n_columns, columns, heading)
+    else:
+        columns = tuple(columns) or tuple(n for n in heading if n != time and n not in inputs.values())
+    _check_names(path, columns, heading)
+    if not isinstance(n_columns, dict) and len(columns) != n_columns:
         raise ConfigError(
             f"the sensor gives {n_columns} values, but {path} has {len(columns)} columns of measurements "
             f"({', '.join(columns)}): name those to use in data.columns of the model file"
@@ -95,7 +121,45 @@ def read_measurements(path, n_columns, time=None, columns=(), unit=""):
                 f"sort the file by {time!r}"
             )
     title = f"{time}, from {first.isoformat(' ')}" if dated else time
-    return Measurements(title, columns, times, np.column_stack(values))
+    driving = {
+        own: _full_column(
+            path, rows, heading.index(name), name, "an input, held over the interval that ends at a line,"
+        )
+        for own, name in inputs.items()
+    }
+    return Measurements(title, columns, times, np.column_stack(values), driving)
+
+
+def _check_names(path, names, heading):
+    for name in names:
+        if name not in heading:
+            raise ConfigError(
+                f"{path} has no column {name!r}{nearest(name, heading)}; there are {', '.join(heading)}"
+            )
+
+
+def _columns_of_each(path, counts, columns, heading):
+    """Columns of several sensors, in their order: those that are given, else those of their names."""
+    if not isinstance(columns, dict):
+        if columns:
+            raise ConfigError(
+                f"there are several sensors: give data.columns as a table, {{ {next(iter(counts))} = [...] }}"
+            )
+        columns = {}
+    found = []
+    for name, count in counts.items():
+        own = columns.get(name) or ((name,) if count == 1 else tuple(f"{name}.{k}" for k in range(count)))
+        if len(own) != count:
+            raise ConfigError(
+                f"sensor {name!r} gives {count} values, but data.columns names {', '.join(own)}"
+            )
+        if name not in columns and not set(own) <= set(heading):
+            raise ConfigError(
+                f"{path} has no column {' and '.join(map(repr, own))} for sensor {name!r}; there are "
+                f"{', '.join(heading)}: name its columns in data.columns, {{ {name} = [...] }}"
+            )
+        found += own
+    return tuple(found)
 
 
 def _read(path):
@@ -187,6 +251,14 @@ def _column(path, rows, index, name):
             ) from None
         if np.isinf(values[i]):
             raise ConfigError(f"{path}, line {line}, column {name!r}: an infinite value cannot be used")
+    return values
+
+
+def _full_column(path, rows, index, name, what):
+    """A column without empty cells; `what` it is, for errors."""
+    values = _column(path, rows, index, name)
+    for i in np.flatnonzero(np.isnan(values)):
+        raise ConfigError(f"{path}, line {rows[i][0]}, column {name!r}: {what} needs a number in every line")
     return values
 
 

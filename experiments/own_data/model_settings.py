@@ -5,10 +5,14 @@ from typing import Literal
 from pydantic import Field
 
 from experiments.scene.files import read_toml
-from experiments.scene.settings import Filters, ModelText, Sensor
+from experiments.scene.settings import Filters, ModelText, Reads, Sensor
+from experiments.scene.tables import with_tables
+from sphfilter.errors import ConfigError, nearest
 from sphfilter.settings import from_table, settings
 
-__all__ = ["Belief", "Columns", "ModelFile", "read_model"]
+from .csv_data import columns_of, read_measurements
+
+__all__ = ["Belief", "Columns", "ModelFile", "read_data", "read_model"]
 
 
 @settings
@@ -33,22 +37,27 @@ class Belief:
 class Columns:
     """Names of columns: the time (the first if None) and the measurements (all others if empty).
 
+    Several sensors have their columns by name, or those that are called as they are. `inputs` are columns of
+    inputs, by the inputs' names, where they are called otherwise.
+
     `time_unit` is for the axes of pictures: seconds or years, whatever the rates of the model are in; and for
     dates, which are counted in it (s, min, h, d or a; seconds if it is empty).
     """
 
     time: str | None = None
     time_unit: str = ""
-    columns: tuple[str, ...] = ()
+    columns: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
+    inputs: dict[str, str] = Field(default_factory=dict)
 
 
 @settings
-class ModelFile:
+class ModelFile(Reads):
     """The file. Model, sensor and filters are those of a scenario; times and measurements come from data."""
 
     description: str = ""
     model: ModelText
-    sensor: Sensor
+    sensor: Sensor | None = None
+    sensors: dict[str, Sensor] = Field(default_factory=dict)
     start: Belief
     data: Columns = Field(default_factory=Columns)
     filters: Filters = Field(default_factory=Filters)
@@ -61,4 +70,34 @@ def read_model(path):
     ------
     ConfigError
     """
-    return from_table(ModelFile, read_toml(path), path)
+    return from_table(ModelFile, with_tables(read_toml(path), path), path)
+
+
+def read_data(settings, path):
+    """The `Measurements` of a CSV file, with the columns that `ModelFile` settings name.
+
+    An input that the model gives no value of needs a column.
+
+    Raises
+    ------
+    ConfigError
+    """
+    columns, model = settings.data, settings.model
+    _check_known("data.inputs", columns.inputs, model.inputs, "input of the model")
+    if isinstance(columns.columns, dict):
+        _check_known("data.columns", columns.columns, settings.sensors, "sensor")
+    inputs = columns.inputs | {name: name for name in model.inputs if name not in columns.inputs}
+    if isinstance(model.inputs, dict):
+        there = set(columns_of(path))
+        inputs = {own: name for own, name in inputs.items() if own in columns.inputs or name in there}
+    where = columns.time, columns.columns, columns.time_unit
+    return read_measurements(path, settings.n_readings, *where, inputs)
+
+
+def _check_known(key, given, known, kind):
+    for name in given:
+        if name not in known:
+            there = ", ".join(known) or "none"
+            raise ConfigError(
+                f"{key} names {name!r}, which is no {kind}{nearest(name, known)}; there are {there}"
+            )

@@ -6,6 +6,7 @@ from sphfilter.settings import from_table
 
 from .files import change, file_names, find_file, read_toml
 from .settings import ScenarioSettings
+from .tables import with_tables
 
 __all__ = ["read_settings", "scenario_names"]
 
@@ -36,12 +37,16 @@ def read_settings(name, changes=None):
     """
     path = find_file(name, _FOLDER, "scenario")
     tree = read_toml(path)
-    found = from_table(ScenarioSettings, tree, path)  # what is wrong with the file is not the changes' fault
+    found = _settings(tree, path, path)  # what is wrong with the file is not the changes' fault
     if not changes:
         return found
     for key, value in changes.items():
         _change(tree, key, value)
-    return from_table(ScenarioSettings, tree, f"{name} with {', '.join(changes)} changed")
+    return _settings(tree, path, f"{name} with {', '.join(changes)} changed")
+
+
+def _settings(tree, path, source):
+    return from_table(ScenarioSettings, with_tables(tree, path), source)
 
 
 def _change(tree, key, value):

@@ -12,8 +12,9 @@ from sphfilter.campaign.campaign import Case
 from sphfilter.errors import ModelError, SphfilterError
 
 from . import start
+from .inputs import check_inputs, sampled
 from .reading import read_settings, scenario_names
-from .settings import ScenarioSettings
+from .settings import ScenarioSettings, Sensor, TableText
 
 __all__ = [
     "Scenario",
@@ -34,7 +35,12 @@ class Scene:
     @property
     def model(self):
         """The `SDE`."""
-        return _model(json.dumps(asdict(self.settings.model), sort_keys=True))
+        return _model(_text_of(self.settings.model))
+
+    @property
+    def tables(self):
+        """What the model's texts call, each a `Table`, by name."""
+        return _tables({name: asdict(table) for name, table in self.settings.model.tables.items()})
 
     @property
     def labels(self):
@@ -67,8 +73,18 @@ class Scenario(Scene):
 
     @property
     def measurement(self):
-        """The `GaussianMeasurement`."""
-        return _measurement(self.settings.model.states, self.settings.sensor)
+        """The `GaussianMeasurement`, or `Sensors` of several."""
+        found = self.settings
+        sensors = {None: found.sensor} if found.sensor else found.sensors
+        return _measurement(json.dumps([found.model.states, [(k, asdict(s)) for k, s in sensors.items()]]))
+
+    @property
+    def inputs(self):
+        """What the model's inputs are between measurements, shape (T, m); None if the file does not say."""
+        times, given = self.settings.times, self.settings.inputs
+        given = {k: asdict(v) if isinstance(v, TableText) else v for k, v in given.items()}
+        begins = [times.start, *times.grid()[:-1].tolist()]
+        return _inputs(_text_of(self.settings.model), json.dumps([given, begins]))
 
     def draw(self, rng):
         """Simulate one run, as a `Case`."""
@@ -76,28 +92,58 @@ class Scenario(Scene):
         draw = {"gaussian": start.gaussian, "benes": start.benes, "tpd": start.two_point}[begin.kind]
         n = len(self.settings.times.grid())
         times = t0 + interval * np.arange(1, n * _PARTS + 1) / _PARTS
-        truth, z, x0, P0 = draw(self.model, self.measurement, begin, t0, times, rng)
+        inputs = self.inputs
+        held = None if inputs is None else np.repeat(inputs, _PARTS, axis=0)
+        truth, z, x0, P0 = draw(self.model, self.measurement, begin, t0, times, rng, held)
         at_measurement = slice(_PARTS - 1, None, _PARTS)
         if not self.between:
             times, truth, z = self.settings.times.grid(), truth[at_measurement], z[at_measurement]
         else:
             measured, z = z[at_measurement], np.full_like(z, np.nan)
-            z[at_measurement] = measured
-        return Case(times=times, truth=truth, z=z, x0=x0, P0=P0, t0=t0)
+            z[at_measurement], inputs = measured, held
+        return Case(times=times, truth=truth, z=z, x0=x0, P0=P0, t0=t0, inputs=inputs)
+
+
+def _text_of(model):
+    return json.dumps(asdict(model), sort_keys=True)
 
 
 @cache
 def _model(text):
     """The `SDE` of a `ModelText` as JSON."""
     values = json.loads(text)
+    values["tables"] = _tables(values["tables"])
     return sf.SDE.from_expressions(**{k: v for k, v in values.items() if k not in ("labels", "units")})
 
 
 @cache
-def _measurement(states, sensor):
-    if sensor.is_text:
-        return sf.GaussianMeasurement.from_expressions(states, sensor.h, sensor.noise_cov, sensor.angles)
-    return sf.GaussianMeasurement(h=sensor.h, noise_cov=sensor.noise_cov, angles=sensor.angles)
+def _measurement(text):
+    """The sensor of states and a list of (name, `Sensor`) as JSON; one that has no name is alone."""
+    states, found = json.loads(text)
+    sensors = {name: _sensor(states, Sensor(**values)) for name, values in found}
+    return sensors[None] if None in sensors else sf.Sensors(sensors)
+
+
+@cache
+def _inputs(model, text):
+    """Inputs of a model, and where intervals begin, as JSON; what holds there."""
+    given, begins = json.loads(text)
+    given = {k: sf.Table(**v) if isinstance(v, dict) else v for k, v in given.items()}
+    return sampled(_model(model), given, np.array(begins))
+
+
+def _sensor(states, sensor):
+    if not sensor.is_text:
+        return sf.GaussianMeasurement(h=sensor.h, noise_cov=sensor.noise_cov, angles=sensor.angles)
+    named = {"parameters": sensor.parameters, "inputs": sensor.inputs}
+    named["tables"] = _tables({name: asdict(table) for name, table in sensor.tables.items()})
+    h = sensor.texts(states)
+    return sf.GaussianMeasurement.from_expressions(states, h, sensor.noise_cov, sensor.angles, **named)
+
+
+def _tables(texts):
+    """Tables by name, of `TableText` settings as dicts."""
+    return {name: sf.Table(**values) for name, values in texts.items()}
 
 
 def load_scenario(name, **changes):
@@ -138,5 +184,8 @@ def check_parts(scenario, source):
                 f"and start.mean {len(begin.mean)} values"
             )
         sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
+        inputs = getattr(scenario.settings, "inputs", {})
+        check_inputs(scenario.model, scenario.measurement, inputs)
+        _ = scenario.inputs if inputs else None  # which may be refused
     except SphfilterError as problem:
         raise type(problem)(f"{source}: {problem}") from problem

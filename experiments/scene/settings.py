@@ -1,6 +1,8 @@
 """What a scenario file may say: frozen settings that check themselves; a scenario is data, never code."""
 
-from typing import Annotated, Literal
+import hashlib
+from dataclasses import fields
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -8,13 +10,59 @@ from pydantic import BeforeValidator, Field, model_validator
 from sphfilter.config import FilterConfig
 from sphfilter.settings import settings
 
-__all__ = ["Filters", "ModelText", "Published", "Runs", "ScenarioSettings", "Sensor", "Start", "Times"]
+__all__ = ["Filters", "ModelText", "Published", "Reads", "Runs", "ScenarioSettings", "Sensor", "Start",
+           "TableText", "Times"]  # fmt: skip
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 Row = tuple[float, ...]
 Matrix = tuple[Row, ...]
 _End = float | Literal["none"]
+#: Names of inputs, or their values where nothing gives others.
+_Inputs = tuple[str, ...] | dict[str, float]
+
+
+def _told(thing):
+    """Text of settings that is silent about keys of `LATER` that are empty.
+
+    Folders of campaigns know their scenario by its text, and are older than these keys.
+    """
+    found = {f.name: getattr(thing, f.name) for f in fields(thing)}
+    shown = (f"{name}={value!r}" for name, value in found.items() if value or name not in thing.LATER)
+    return f"{type(thing).__qualname__}({', '.join(shown)})"
+
+
+@settings
+class TableText:
+    """A table that texts call, see `Table`; where a file has the columns, they have been read from it.
+
+    Attributes
+    ----------
+    at, values : tuple of float, length K
+        Rising arguments, and the values there.
+    kind : str
+    """
+
+    at: Row
+    values: Row
+    kind: Literal["linear", "previous"] = "linear"
+
+    def __repr__(self):
+        digest = hashlib.sha256(repr((self.at, self.values)).encode()).hexdigest()[:16]
+        return f"TableText({len(self.at)} values {digest}, kind={self.kind!r})"
+
+    @model_validator(mode="after")
+    def _rises(self):
+        if not self.at or len(self.at) != len(self.values):
+            raise ValueError(
+                f"a table needs as many values as arguments, and some; at has {len(self.at)} and values "
+                f"{len(self.values)}"
+            )
+        back = np.flatnonzero(np.diff(self.at) <= 0.0)
+        if back.size:
+            first, second = self.at[back[0] : back[0] + 2]
+            raise ValueError(f"the arguments of a table must rise, {first:g} is followed by {second:g}")
+        return self
 
 
 @settings
@@ -32,6 +80,10 @@ class ModelText:
     diffusion : nested tuple of str or float, shape (n, n)
         D itself, instead of noise and spectral_density.
     parameters : dict of str to float
+    inputs : tuple of str, or dict of str to float
+        Names of what is held over each interval, and values where nothing gives others (zero).
+    tables : dict of str to TableText
+        What ``table("name", ...)`` calls.
     domain : tuple, one of "unbounded" or (kind, low, high) a state
         Periodic axes and walls, see `Domain`; "none" for an end that is not there.
     """
@@ -46,6 +98,11 @@ class ModelText:
     parameters: dict[str, float] = Field(default_factory=dict)
     domain: tuple[Literal["unbounded"] | tuple[str, _End, _End], ...] | None = None
     interpretation: Literal["ito", "stratonovich"] = "ito"
+    inputs: _Inputs = ()
+    tables: dict[str, TableText] = Field(default_factory=dict)
+
+    LATER: ClassVar[tuple[str, ...]] = ("inputs", "tables")
+    __repr__ = _told
 
     @model_validator(mode="after")
     def _one_name_a_state(self):
@@ -62,26 +119,62 @@ class Sensor:
     Attributes
     ----------
     h : nested tuple of float, shape (k, n), or tuple of str, length k
-        A matrix H, or expressions of the states and t.
-    noise_cov : nested tuple, shape (k, k)
-        R.
+        A matrix H, or expressions of the states, t, parameters, inputs and tables.
+    noise_cov : nested tuple of float or str, shape (k, k)
+        R: numbers, or expressions.
     angles : tuple of int
         Components of z that are angles in radians (expressions only).
+    parameters : dict of str to float
+    inputs : tuple of str, or dict of str to float
+        Inputs of the model that the sensor's texts name too.
+    tables : dict of str to TableText
     """
 
     h: Matrix | tuple[str, ...]
-    noise_cov: Matrix
+    noise_cov: tuple[tuple[float | str, ...], ...]
     angles: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    parameters: dict[str, float] = Field(default_factory=dict)
+    inputs: _Inputs = ()
+    tables: dict[str, TableText] = Field(default_factory=dict)
+
+    LATER: ClassVar[tuple[str, ...]] = ("parameters", "inputs", "tables")
+    __repr__ = _told
 
     @property
     def is_text(self):
-        """Whether `h` is given as expressions."""
-        return isinstance(self.h[0], str)
+        """Whether `h` or `noise_cov` is given as expressions, or they need values by name."""
+        noisy = any(isinstance(entry, str) for row in self.noise_cov for entry in row)
+        return isinstance(self.h[0], str) or noisy or bool(self.parameters or self.inputs or self.tables)
+
+    def texts(self, states):
+        """The expressions of `h`, written for a matrix."""
+        if isinstance(self.h[0], str):
+            return list(self.h)
+        rows = ([f"({c!r})*{name}" for c, name in zip(row, states, strict=False) if c] for row in self.h)
+        return [" + ".join(row) or "0" for row in rows]
 
     @model_validator(mode="after")
     def _one_reading(self):
         if not self.h:
             raise ValueError("h needs at least one row or expression")
+        return self
+
+
+class Reads:
+    """What files say of sensors: one, in `sensor`, or several by name, in `sensors`."""
+
+    @property
+    def n_readings(self):
+        """Numbers that the sensor gives, or by name those that each of several gives."""
+        if self.sensor is not None:
+            return len(self.sensor.h)
+        return {name: len(sensor.h) for name, sensor in self.sensors.items()}
+
+    @model_validator(mode="after")
+    def _sensor_or_sensors(self):
+        if (self.sensor is None) == (not self.sensors):
+            both = "both are there" if self.sensors else "none is there"
+            raise ValueError(f"give one [sensor], or several as [sensors.NAME]; {both}")
         return self
 
 
@@ -223,7 +316,7 @@ class Published:
 
 
 @settings
-class ScenarioSettings:
+class ScenarioSettings(Reads):
     """One scenario file.
 
     Attributes
@@ -232,15 +325,25 @@ class ScenarioSettings:
         One line for `list`; where the scenario or its figures come from.
     exact : str or None
         Name of the filter that is exact here, and the reference of the others.
+    sensor, sensors
+        One sensor, or several by name.
+    inputs : dict of str to float, str or TableText
+        What the model's inputs are: numbers, expressions of t and the model's parameters, or tables of t.
+        Each interval between measurements holds the value at its start.
     """
 
     description: str
     source: str = ""
     exact: str | None = None
     model: ModelText
-    sensor: Sensor
+    sensor: Sensor | None = None
     times: Times
     start: Start
     runs: Runs = Field(default_factory=Runs)
     filters: Filters = Field(default_factory=Filters)
     published: dict[str, Published] = Field(default_factory=dict)
+    sensors: dict[str, Sensor] = Field(default_factory=dict)
+    inputs: dict[str, float | str | TableText] = Field(default_factory=dict)
+
+    LATER: ClassVar[tuple[str, ...]] = ("sensors", "inputs")
+    __repr__ = _told

@@ -17,37 +17,42 @@ _ACCEPTED = 0.999
 _MAX_REDRAWS = 1000
 
 
-def gaussian(model, measurement, start, t0, times, rng):
+def gaussian(model, measurement, start, t0, times, rng, inputs=None):
     """Draw the truth from N(mean, cov), which is what the filters start from.
+
+    `inputs` (T, m) are held over the intervals that end at the times.
 
     Returns
     -------
     truth (T, n), z (T, k), x0 (n,), P0 (n, n)
     """
     x0, P0 = np.array(start.mean), np.array(start.cov)
-    truth, z = simulate(model, measurement, rng.multivariate_normal(x0, P0), [t0, *times], rng)
+    first, held = rng.multivariate_normal(x0, P0), _from_before(model, inputs, 1)
+    truth, z = simulate(model, measurement, first, [t0, *times], rng, inputs=held)
     return truth[1:], z[1:], x0, P0
 
 
-def benes(model, measurement, start, t0, times, rng):
+def benes(model, measurement, start, t0, times, rng, inputs=None):
     """Draw the truth from the two Gaussians of a Beneš density; x0 and P0 are its moments."""
     filt = BenesFilter(measurement, start.mean[0], start.cov[0][0])
     weights, means, var = filt.components()
     x = rng.normal(rng.choice(means, p=weights), np.sqrt(var), size=1)
-    truth, z = simulate(model, measurement, x, [t0, *times], rng)
+    held = _from_before(model, inputs, 1)
+    truth, z = simulate(model, measurement, x, [t0, *times], rng, inputs=held)
     return truth[1:], z[1:], filt.x, filt.P
 
 
-def two_point(model, measurement, start, t0, times, rng):
+def two_point(model, measurement, start, t0, times, rng, inputs=None):
     """Burn the truth in and start the filters by two-point differencing (002 6.6, Bar-Shalom et al. §5.5).
 
     A start is drawn again, burn-in and all, unless its true error lies inside the 99.9 % ellipsoid of P0.
     """
     _check_pairs(measurement, start)
     path = np.concatenate([[t0 - start.burn_in, t0 - start.interval, t0], times])
+    held = _from_before(model, inputs, 3)
     for _ in range(_MAX_REDRAWS):
         first = rng.multivariate_normal(np.array(start.mean), np.array(start.cov))
-        truth, z = simulate(model, measurement, first, path, rng)
+        truth, z = simulate(model, measurement, first, path, rng, inputs=held)
         x0, P0 = two_point_estimate(model, measurement, start, z[1], z[2])
         if nees(truth[2], x0, P0) <= chi2.ppf(_ACCEPTED, model.dim):
             return truth[3:], z[3:], x0, P0
@@ -89,6 +94,11 @@ def acceleration_rms(model, start):
     first = rng.multivariate_normal(np.array(start.mean), np.array(start.cov), size=400)
     truth, _ = simulate(model, None, first, [0.0, start.burn_in], rng)
     return np.sqrt(np.mean(model.drift(truth[:, -1], start.burn_in) ** 2, axis=0))
+
+
+def _from_before(model, inputs, count):
+    """Inputs with rows for `count` times before theirs, at which they are what the model says."""
+    return None if inputs is None else np.vstack([*count * [[*model.inputs.values()]], inputs])
 
 
 def _check_pairs(measurement, start):

@@ -1,11 +1,14 @@
 """One run over time: truth, measurements and every filter's estimate with its ±2σ band."""
 
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
+import sphfilter as sf
 from sphfilter import consistency
 from sphfilter.campaign.campaign import draw_case
+from sphfilter.campaign.one_run import put_through
 
 from ..scene.filters import name_of
 from .style import COLOURS, filter_heading, grid, legend_below, panels, quantity
@@ -105,7 +108,14 @@ def _row(row, scenario, case, name, result, t_lost):
 
 
 def readings(measurement, z, state):
-    """What a sensor read of a state, shape (T,), of measurements z (T, k); None if it does not read it."""
+    """What a sensor read of a state, shape (T,), of measurements z (T, k); None if it does not read it.
+
+    Of several sensors, the first that has a reading at a time.
+    """
+    if isinstance(measurement, sf.Sensors):
+        parts = ((sensor, z[:, measurement.rows(name)]) for name, sensor in measurement.items())
+        found = [seen for part in parts if (seen := readings(*part, state)) is not None]
+        return reduce(lambda one, other: np.where(np.isnan(one), other, one), found) if found else None
     reads = measurement.directly_observed
     if reads is None or state not in reads[0]:
         return None
@@ -115,7 +125,7 @@ def readings(measurement, z, state):
 
 def _rerun(make, case):
     try:
-        return make(case, np.random.default_rng(0)).run(case.times, case.z)
+        return put_through(make(case, np.random.default_rng(0)), case)
     except Exception:  # the campaign has reported it; the panel shows the truth alone
         return None
 

@@ -43,12 +43,18 @@ class Cell:
 
     def changes(self, settings):
         """What `load_scenario` is to change in these settings."""
-        Q, R = np.array(settings.model.spectral_density), np.array(settings.sensor.noise_cov)
+        Q, one = np.array(settings.model.spectral_density), settings.sensor
+        sensors = {"sensor": one} if one else {f"sensors.{k}": v for k, v in settings.sensors.items()}
         return {
             "times.interval": self.interval,
             "model.spectral_density": (self.q * Q).tolist(),
-            "sensor.noise_cov": (self.r * R).tolist(),
+            **{f"{key}.noise_cov": _scaled(self.r, s.noise_cov) for key, s in sensors.items()},
         }
+
+
+def _scaled(factor, rows):
+    """A matrix of numbers and texts times a number."""
+    return [[f"{factor!r}*({v})" if isinstance(v, str) else factor * v for v in row] for row in rows]
 
 
 def main(args):

@@ -9,6 +9,8 @@ from multiprocessing import get_context
 
 import numpy as np
 
+from sphfilter.campaign.one_run import put_through
+
 __all__ = ["Second", "compiled_beside", "take_one"]
 
 #: What a pipe raises whose other end has died.
@@ -111,7 +113,7 @@ def compiled_beside(second, scenario, filters):
 def take_one(make, case):
     """Let a filter take the first measurement of a case; returns what it raises."""
     try:
-        make(case, np.random.default_rng(0)).run(case.times[:1], case.z[:1])
+        put_through(make(case, np.random.default_rng(0)), case, first=1)
     except Exception as problem:
         return problem
     return None

@@ -42,6 +42,11 @@ def check(problem):
         Names(problem.settings.model.states)
     with named("model.parameters"):
         Names(problem.settings.model.states, problem.settings.model.parameters)
+    with named("model.inputs"):
+        Names(
+            problem.settings.model.states,
+            [*problem.settings.model.parameters, *problem.settings.model.inputs],
+        )
     with named("model", "drift", "noise", "diffusion", "spectral_density", "domain"):
         _ = problem.model
     _check_lengths(problem)

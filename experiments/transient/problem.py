@@ -82,7 +82,7 @@ class Problem(Scene):
             return sf.Gaussian(start.mean, start.cov)
         if start.kind == "uniform":
             return sf.Uniform(start.sides)
-        pdf = expression(self.model, start.pdf, "start.pdf")
+        pdf = expression(self.model, start.pdf, "start.pdf", self.tables)
         return Pdf(lambda X: pdf(X, start.time), np.array(start.sides))
 
     def begin(self):
@@ -110,7 +110,7 @@ class Problem(Scene):
             Quantity(
                 f"P({text})",
                 None,
-                condition(self.model, text, f"statistics.exceedance[{k}]"),
+                condition(self.model, text, f"statistics.exceedance[{k}]", self.tables),
                 reads_time(text),
             )
             for k, text in enumerate(asked.exceedance)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from experiments.scene.files import change, file_names, find_file, read_toml
+from experiments.scene.tables import with_tables
 from sphfilter.settings import from_table
 
 from .settings import TransientSettings
@@ -33,4 +34,4 @@ def read_problem(name, changes=None):
     tree = read_toml(path)
     for key, value in (changes or {}).items():
         change(tree, key, value)
-    return path, from_table(TransientSettings, tree, path)
+    return path, from_table(TransientSettings, with_tables(tree, path), path)

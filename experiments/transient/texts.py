@@ -2,6 +2,7 @@
 
 import ast
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -14,10 +15,14 @@ _CANDIDATES = 4096  # drawn at a time
 _ROUNDS = 10_000
 
 
-def expression(model, text, name):
-    """A function (X (M, n), t) -> (M,) of a text of states, parameters and t; `name` is its key in errors."""
-    names, values = tuple(model.parameters or ()), np.array([*(model.parameters or {}).values()], dtype=float)
-    fill = symbolic_rows(model.states, (text,), (name,), Vocabulary(names))
+def expression(model, text, name, tables=MappingProxyType({})):
+    """A function (X (M, n), t) -> (M,) of a text of states, t, parameters, inputs and tables.
+
+    `name` is its key in errors.
+    """
+    names = Vocabulary([*model.parameters], [*model.inputs], tables).with_states(model.states)
+    fill = symbolic_rows(model.states, (text,), (name,), names)
+    values = np.array([*model.parameters.values(), *model.inputs.values(), *names.data], dtype=float)
 
     def function(X, t=0.0):
         X = np.ascontiguousarray(X, dtype=float)
@@ -28,11 +33,11 @@ def expression(model, text, name):
     return function
 
 
-def condition(model, text, name):
+def condition(model, text, name, tables=MappingProxyType({})):
     """A function (X (M, n), t) -> bool (M,) of a condition such as ``abs(q) > 0.5 and v < 1``."""
     wrapped = f"where({text}, 1, 0)"
     try:
-        value = expression(model, wrapped, name)
+        value = expression(model, wrapped, name, tables)
     except ExpressionError as problem:
         raise ExpressionError(str(problem).replace(wrapped, text)) from problem
     return lambda X, t=0.0: value(X, t) > 0.5

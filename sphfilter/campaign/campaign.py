@@ -53,6 +53,8 @@ class CampaignResult:
     run_time : dict of str to ndarray, shape (R,)
         Wall-clock seconds spent in the filter's ``run``; NaN where it failed.
     failures : list of Failure
+    inputs : ndarray, shape (R, T, m), or None
+        What the inputs of the model were over the interval that ends at each time, if the cases have any.
 
     Examples
     --------
@@ -81,6 +83,7 @@ class CampaignResult:
     results: dict[str, FilterResult]
     run_time: dict[str, Floats]
     failures: list[Failure]
+    inputs: Floats | None = None
 
     def __repr__(self) -> str:
         n_runs, n_epochs, n = np.shape(self.truth)
@@ -117,8 +120,8 @@ def run_campaign(
     scenario : object with ``name`` and ``draw(rng) -> Case``
         The times of its cases are always the same.
     filters : mapping of str to callable
-        ``factory(case, rng)`` returns a filter with ``run(times, z) -> FilterResult``. Whatever it raises is
-        recorded, and the campaign goes on.
+        ``factory(case, rng)`` returns a filter with ``run(times, z) -> FilterResult``; of cases with inputs,
+        ``run(times, z, inputs=)``. Whatever it raises is recorded, and the campaign goes on.
     n_runs : int
     seed : int
     n_jobs : int or None
@@ -249,7 +252,8 @@ def _gather(
         _put(histories, r, record, scenario)
     if first is None:
         raise CampaignError(f"no run of scenario {scenario!r} could be simulated: {failures[0].message}")
-    cases = {key: histories["case"][key] for key in ("truth", "z", "x0", "P0")}
+    kept = ("truth", "z", "x0", "P0", "inputs")
+    cases = {key: histories["case"][key] for key in kept if key in histories["case"]}
     results = {name: FilterResult(t=first["times"], **histories["results"][name]) for name in names}
     run_time = {name: histories["run_time"][name] for name in names}
     return CampaignResult(scenario=scenario, seed=seed, times=first["times"], t0=float(first["t0"]), **cases,

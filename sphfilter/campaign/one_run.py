@@ -20,7 +20,7 @@ from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
 from ..filter.results import TRUTHS, AnyFilter, shapes
 
-__all__ = ["Case", "Factory", "Scenario", "draw", "run"]
+__all__ = ["Case", "Factory", "Scenario", "arrays_of", "draw", "put_through", "run"]
 
 #: What every filter has to tell.
 _MOMENTS = "x_prior", "P_prior", "x", "P", "log_evidence", "accepted"
@@ -41,6 +41,9 @@ class Case:
         Start of the filters.
     t0 : float
         Time of the start, seconds.
+    inputs : ndarray, shape (T, m), or None
+        What the inputs of the model are over the interval that ends at each time, in the model's order; None
+        for the values that the model has.
 
     Examples
     --------
@@ -57,16 +60,25 @@ class Case:
     x0: Floats
     P0: Floats
     t0: float = 0.0
+    inputs: Floats | None = None
 
     __repr__ = in_a_line
 
     def __init__(
-        self, times: ArrayLike, truth: ArrayLike, z: ArrayLike, x0: ArrayLike, P0: ArrayLike, t0: float = 0.0
+        self,
+        times: ArrayLike,
+        truth: ArrayLike,
+        z: ArrayLike,
+        x0: ArrayLike,
+        P0: ArrayLike,
+        t0: float = 0.0,
+        inputs: ArrayLike | None = None,
     ) -> None:
         arrays = {"times": times, "truth": truth, "z": z, "x0": x0, "P0": P0}
         for name, value in arrays.items():
             object.__setattr__(self, name, np.asarray(value, dtype=float))
         object.__setattr__(self, "t0", t0)
+        object.__setattr__(self, "inputs", None if inputs is None else _columns(inputs, len(self.times)))
         n = np.shape(self.x0)[0]
         if not len(self.times) == len(self.truth) == len(self.z):
             raise ModelError(
@@ -80,6 +92,18 @@ class Case:
             )
 
 
+def _columns(inputs: ArrayLike, count: int) -> Floats:
+    """Inputs of a case as an array of a row for each time."""
+    found = np.asarray(inputs, dtype=float)
+    found = found[:, None] if found.ndim == 1 else found
+    if found.ndim != 2 or len(found) != count or not np.isfinite(found).all():
+        raise ModelError(
+            f"inputs of a case must be finite and of shape ({count}, m), a row for each time and a column "
+            f"for each input; got shape {np.shape(inputs)}"
+        )
+    return found
+
+
 class Scenario(Protocol):
     """What a campaign draws its cases from."""
 
@@ -89,6 +113,22 @@ class Scenario(Protocol):
 
     def draw(self, rng: np.random.Generator, /) -> Case:
         """One simulated run."""
+
+
+def arrays_of(case: Case) -> dict[str, Floats]:
+    """What a case consists of, by name; inputs only if there are any."""
+    found = {f.name: getattr(case, f.name) for f in fields(case)}
+    return {name: np.asarray(value, dtype=float) for name, value in found.items() if value is not None}
+
+
+def put_through(filt: Any, case: Case, first: int | None = None, **options: Any) -> Any:
+    """Let a filter run through a case, or its `first` epochs; returns what its `run` does.
+
+    Of a case without inputs it is not told about any, so that filters which know of none take it.
+    """
+    inputs = getattr(case, "inputs", None)
+    given = options if inputs is None else {"inputs": inputs[:first], **options}
+    return filt.run(case.times[:first], case.z[:first], **given)
 
 
 #: factory(case, rng) makes a filter at the start of a case.
@@ -120,7 +160,7 @@ def run(
         return r, {"failures": [(r, "simulation", f"{type(problem).__name__}: {problem}")]}
     outcomes = {name: _outcome(make, case, _filter_rng(seed, name), ranks) for name, make in filters.items()}
     return r, {
-        "case": {f.name: np.asarray(getattr(case, f.name), dtype=float) for f in fields(case)},
+        "case": arrays_of(case),
         "results": {name: arrays for name, (arrays, _, _) in outcomes.items()},
         "run_time": {name: seconds for name, (_, seconds, _) in outcomes.items()},
         "failures": [(r, name, message) for name, (_, _, message) in outcomes.items() if message],
@@ -141,8 +181,9 @@ def _outcome(
     try:
         filt = make(case, rng)
         observer = Ranker(case.truth) if ranks and _can_be_observed(filt) else None
+        options: dict[str, Any] = {"observer": observer} if observer else {}
         start = perf_counter()
-        result = filt.run(case.times, case.z, **({"observer": observer} if observer else {}))
+        result = put_through(filt, case, **options)
         seconds = perf_counter() - start - (observer.seconds if observer else 0.0)
         arrays = {name: np.asarray(getattr(result, name), blank[name].dtype) for name in _MOMENTS}
         wrong = [name for name in _MOMENTS if arrays[name].shape != blank[name].shape]

@@ -22,6 +22,7 @@ import numpy as np
 
 from .._version import __version__
 from ..errors import CampaignError, ConfigError
+from . import one_run
 
 __all__ = ["case_digest", "claim", "finished", "load_result", "manifest", "read_run", "save_result",
            "versions", "write_run"]  # fmt: skip
@@ -71,8 +72,8 @@ def _text(thing: Any) -> str:
 def case_digest(case: Any) -> str:
     """Return a digest of all numbers of a case."""
     digest = hashlib.sha256()
-    for field in fields(case):
-        digest.update(np.ascontiguousarray(getattr(case, field.name), dtype=float).tobytes())
+    for array in one_run.arrays_of(case).values():
+        digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:16]
 
 
@@ -167,7 +168,8 @@ def load_result(path: str | PathLike[str]) -> dict[str, Any]:
 
 def _tree(value: Any) -> Any:
     if is_dataclass(value):
-        return {f.name: _tree(getattr(value, f.name)) for f in fields(value)}
+        found = {f.name: getattr(value, f.name) for f in fields(value)}
+        return {name: _tree(part) for name, part in found.items() if part is not None}
     return {k: _tree(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 

@@ -320,9 +320,9 @@ def test_what_was_discarded_is_told(own, tmp_path, capsys):
         "dt_max": 0.05,
     }
     changes = {
+        "model.parameters": {},
         "model.drift": ["where(x > 1.5, 20*(x - 1.5), 0)", "0"],
         "model.diffusion": [["0", "0"], ["0", "0"]],
-        "model.parameters": {},
         "start.lattice": {"origin": [0.0, -1.0], "size": [2.0, 2.0], "spacing": 0.1},
         "solver": {"config": {"scheme": scheme}},
         "times": {"at": [0.5]},
@@ -365,3 +365,26 @@ def test_a_probe_of_three_states_is_written_but_not_drawn(own, tmp_path):
     exact = stats.multivariate_normal(np.zeros(3), variance * np.eye(3)).pdf(X)
     assert found["density"] == pytest.approx(exact, rel=5e-3)
     assert not (out / "probe.png").exists() and gif.stat().st_size > 1000
+
+
+def test_tables_and_inputs_of_a_transient_model(own, tmp_path):
+    """A table of t that pushes, an input at its own value, and a condition that names both."""
+    (tmp_path / "push.csv").write_text("t,push\n0,0\n0.5,2\n1,2\n", encoding="utf-8")
+    path = own(
+        {
+            "model.drift": ["v", "-x - c*v + a + table('push', t)"],
+            "model.inputs": {"a": 0.5},
+            "model.tables": {"push": {"file": "push.csv", "values": "push", "kind": "previous"}},
+            "statistics.exceedance": ["x + a > table('push', t)"],
+        }
+    )
+    problem = load_problem(path)
+    assert list(problem.model.events) == [0.0, 0.5, 1.0]
+    last = solution.solve(problem, tmp_path / "out").trajectory.densities[-1]
+    moments = TREE["start"]["mean"], TREE["start"]["cov"]
+    for force in (0.5, 2.5):
+        moments = linear_moments(A, np.array([0.0, force]), np.diag([0.0, 2 * D22]), *moments, 0.5)
+    mean, cov = moments
+    np.testing.assert_allclose(last.mean(), mean, atol=2e-3)
+    beyond = stats.norm.sf(2.0 - 0.5, mean[0], np.sqrt(cov[0, 0]))
+    assert problem.quantities[-1].of(last) == pytest.approx(beyond, abs=5e-3)

@@ -1,0 +1,73 @@
+"""Inputs of a scenario's model: numbers, texts and tables of t, held between measurements."""
+
+import numpy as np
+
+from sphfilter.errors import ConfigError, ModelError, nearest
+from sphfilter.model.symbolic import Vocabulary, symbolic_rows
+
+__all__ = ["check_inputs", "sampled"]
+
+
+def check_inputs(model, sensor, inputs):
+    """Refuse inputs that the model does not have, of the scenario or of its sensor.
+
+    Raises
+    ------
+    ConfigError
+        The nearest name is told.
+    """
+    for key, names in (("inputs", inputs), ("the sensor's inputs", sensor.inputs)):
+        for name in names:
+            if name not in model.inputs:
+                known = ", ".join(model.inputs) or "none: give model.inputs"
+                raise ConfigError(
+                    f"{key} names {name!r}, which is no input of the model"
+                    f"{nearest(name, model.inputs)}; there are {known}"
+                )
+
+
+def sampled(model, inputs, begins):
+    """What the model's inputs are over intervals.
+
+    Parameters
+    ----------
+    model : SDE
+    inputs : dict of str to float, str or Table
+        Those that are not here are what the model says. Texts name t and parameters.
+    begins : ndarray, shape (T,)
+        Where the intervals begin, seconds.
+
+    Returns
+    -------
+    ndarray, shape (T, m); None if `inputs` is empty
+
+    Raises
+    ------
+    ExpressionError, ModelError
+    """
+    if not inputs:
+        return None
+    own = {**model.inputs, **inputs}
+    columns = [_values(model, f"inputs.{name}", own[name], begins) for name in model.inputs]
+    return np.column_stack(columns)
+
+
+def _values(model, key, given, begins):
+    if callable(given):
+        return given(begins)
+    if not isinstance(given, str):
+        return np.full(len(begins), given)
+    names = Vocabulary([*model.parameters]).with_states(model.states)
+    fill = symbolic_rows(model.states, (given,), (key,), names)
+    states = names.used.intersection(model.states)
+    if states:
+        raise ModelError(
+            f"{key} {given!r} names {min(states)!r}: an input is a function of t, not of the states"
+        )
+    p, found = np.array([*model.parameters.values()], dtype=float), np.empty((len(begins), 1))
+    for t, row in zip(begins, found[:, None], strict=True):
+        fill(np.zeros((1, model.dim)), float(t), p, row)
+    if not np.isfinite(found).all():
+        at = begins[~np.isfinite(found[:, 0])][0]
+        raise ModelError(f"{key} {given!r} is not finite at t = {at:g}")
+    return found[:, 0]
