@@ -54,7 +54,10 @@ def array(name: str, value: object, shape: tuple[int | None, ...], what: str = "
         Not numeric, wrong shape, NaN or infinite.
     """
     try:
-        a = np.array(value, dtype=float, order="C")
+        given = np.asanyarray(value)
+        if given.dtype.kind in "USMmcV" or np.ma.is_masked(given):  # text, dates and what numpy would cut
+            raise TypeError
+        a = np.array(given, dtype=float, order="C", subok=False)
     except (TypeError, ValueError) as error:
         raise ModelError(
             f"{name} must be numbers in an array of shape {_text(shape)}, got {short(value)}."

@@ -339,7 +339,7 @@ class JumpMarkovFilter(Remembering):
         numbers = numbers_of(sensors[self.mode], z)
         prior, modes, info = self._updated(sensors, numbers)
         self._state = self._state.updated(prior, modes, info, sensors[self.mode], numbers)
-        self._updated_with(z=z, measurement=measurement)
+        self._did("update", z=z, measurement=measurement)
         return info
 
     def _updated(

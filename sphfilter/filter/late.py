@@ -30,8 +30,8 @@ class Step:
         ``dt`` or ``t`` of the prediction; empty where the filter began.
     inputs : mapping of str to float, or None
         As they were given.
-    updates : tuple of mapping
-        Arguments of each.
+    actions : tuple of (str, mapping)
+        What was asked for after it: methods by name, and their arguments.
     """
 
     before: Any
@@ -39,7 +39,7 @@ class Step:
     end: float
     interval: Mapping[str, Any]
     inputs: Mapping[str, float] | None = None
-    updates: tuple[Mapping[str, Any], ...] = ()
+    actions: tuple[tuple[str, Mapping[str, Any]], ...] = ()
 
 
 class Remembering:
@@ -68,16 +68,18 @@ class Remembering:
         if self._window and self._now > start:
             step = Step(before, start, self._now, interval, inputs)
             self._steps = (*self._steps, step)[-self._window :]
+        elif inputs is not None:
+            self._did("predict", **interval, u=inputs)
 
-    def _updated_with(self, **arguments: Any) -> None:
-        """Keep an update, whose arrays its caller may change later."""
+    def _did(self, method: str, **arguments: Any) -> None:
+        """Keep what was asked for since the last prediction; its caller may change arrays later."""
         if self._window:
             arguments = {
                 name: value if hasattr(value, "log_likelihood") else deepcopy(value)
                 for name, value in arguments.items()
             }
             *others, last = self._steps
-            self._steps = (*others, replace(last, updates=(*last.updates, arguments)))
+            self._steps = (*others, replace(last, actions=(*last.actions, (method, arguments))))
 
     def update_late(self, z: Reported, t: float, measurement: Sensor | str | None = None) -> UpdateInfo:
         """Use a reading of an earlier time: steps since then are taken again, to the same bits as in order.
@@ -103,8 +105,8 @@ class Remembering:
 
         Notes
         -----
-        Steps are taken again with the settings that the filter has now. Readings of one time are taken in
-        the order in which they came.
+        Steps are taken again with the model, the sensor and the configuration that the filter has now.
+        Readings of one time are taken in the order in which they came.
         """
         at = self._time_of(real("t", t))
         if at > self._now:
@@ -142,13 +144,13 @@ class Remembering:
         self._state, self._steps = step.before, self._steps[:k]
         again = [step, *later]
         if t < step.end:  # the step is cut in two
-            until = replace(step, end=t, interval={"t": t}, updates=())
+            until = replace(step, end=t, interval={"t": t}, actions=())
             again = [until, replace(step, start=t, interval={"t": step.end}), *later]
         flagged, own = [], None
         for number, part in enumerate(again):
             infos = self._take(part)
             if number == 0:
-                own = self._update(late)
+                own = self.update(**late)  # type: ignore[attr-defined]
             flagged += [info for info in infos if info.flagged]
         assert own is not None
         for info in flagged:
@@ -157,14 +159,12 @@ class Remembering:
         return own
 
     def _take(self, step: Step) -> list[Any]:
-        """Take a step again; what its prediction and its updates said."""
+        """Take a step again; what its prediction and its updates say."""
         infos = []
         if step.end > step.start:
             given = {} if step.inputs is None else {"u": step.inputs}
             infos.append(self.predict(**step.interval, **given))  # type: ignore[attr-defined]
         else:
             self._steps = (*self._steps, Step(self._state, step.start, step.start, {}))
-        return infos + [self._update(arguments) for arguments in step.updates]
-
-    def _update(self, arguments: Mapping[str, Any]) -> Any:
-        return self.update(**arguments)  # type: ignore[attr-defined]
+        said = [getattr(self, method)(**arguments) for method, arguments in step.actions]
+        return infos + [info for info in said if info is not None]

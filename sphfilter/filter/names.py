@@ -68,6 +68,7 @@ _FILTERPY = {
     "args": "a function of other arguments is written as lambda x: h(x, ...)",
     "hx_args": "a function of other arguments is written as lambda x: h(x, ...)",
     "fx_args": "numbers that a model depends on are its parameters: SDE(..., parameters={...})",
+    "window": "the number of steps that are kept is given when the filter is made: SPHFilter(..., window=)",
     "compute_log_likelihood": "the log_likelihood is always there",
 }
 _MIXED = {"x": "mean", "P": "covariance"}

@@ -1,6 +1,6 @@
 """Which sensor a reading of a filter comes from, and over which interval it is predicted."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -32,7 +32,8 @@ def sensor_of(
     if H is None and (given is None or hasattr(given, "log_likelihood") or not _numbers(given)):
         return checked_sensor(own if given is None else given, model)
     if not isinstance(own, GaussianMeasurement):
-        raise ModelError("R and H change a filter's own GaussianMeasurement, and this filter has none")
+        more = ": give update(z, sensors[name].changed(R, H))" if isinstance(own, Sensors) else ""
+        raise ModelError(f"R and H change a filter's own GaussianMeasurement, and this filter has none{more}")
     noise_cov: Any = given
     return checked_sensor(own.changed(noise_cov, H), model)
 
@@ -77,21 +78,27 @@ def parted(sensor: Sensor, z: ArrayLike | None) -> tuple[Sensor, ArrayLike | Non
 
 
 def interval_of(
-    dt: Interval | Floats | None, t: float | None, u: InputValues | None, own: float | None
+    dt: Interval | Floats | None,
+    t: float | None,
+    u: InputValues | None,
+    own: float | None,
+    inputs: Iterable[str],
 ) -> tuple[Any, float | None, InputValues | None]:
-    """Seconds dt or time t to predict by or to, and inputs u.
+    """Seconds dt or time t to predict by or to, and values u of inputs of these names.
 
     A filter with a dt of its own is asked as filterpy's are: ``predict()``, ``predict(0)`` for no control, or
-    ``predict(u)`` with an array, which is no interval.
+    ``predict(u)`` with an array, which is no interval; zeros control nothing where there are no inputs.
     """
     if t is not None:
         return dt, t, u
-    if own is not None and dt is not None and not isinstance(dt, Mapping):
-        array: Any = dt
-        if np.ndim(array) > 0 and u is None:
-            return own, None, array if np.any(array) else None
-        if np.ndim(array) == 0 and array == 0:
-            dt = None
+    if np.ndim(dt) > 0:  # type: ignore[arg-type]
+        array = np.asarray(dt)
+        if own is None or u is not None:
+            raise ModelError(f"dt is a number of seconds, got {short(array)}; inputs are given by u=")
+        nothing = not list(inputs) and array.dtype.kind in "iuf" and not array.any()
+        return own, None, None if nothing else array
+    if own is not None and isinstance(dt, int | float | np.number) and dt == 0:
+        dt = None
     if dt is None and own is None:
         raise ModelError("predict needs dt or t=, or a filter made with dt=")
     return own if dt is None else dt, None, u

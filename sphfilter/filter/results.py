@@ -210,7 +210,9 @@ def _epoch(
     observer: Ranker | None,
 ) -> dict[str, Any]:
     """Predict to t with inputs u, update with z, and return what the result keeps of it."""
-    predicted_by = filt.predict(t=t, **({} if u is None else {"u": u})) if t > filt.t else None
+    given = {} if u is None else {"u": u}
+    # over no time too: sensors read inputs
+    predicted_by = filt.predict(t=t, **given) if t > filt.t or given else None
     row = {"x_prior": filt.x.copy(), "P_prior": filt.P.copy()}
     if observer is not None:
         pit, *predicted = observer.before(filt, z, k)

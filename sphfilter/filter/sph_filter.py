@@ -181,6 +181,8 @@ class SPHFilter(Shown, Remembering):
     def __setattr__(self, name: str, value: Any) -> None:
         check_assigned(name, type(self), SPHFilter)
         object.__setattr__(self, name, value)
+        if name in ("n_particles", "log_evidence") and self._steps:  # parts of the state
+            self._did("__setattr__", name=name, value=value)
 
     if not TYPE_CHECKING:  # a checker would take every name for one that is there
 
@@ -221,7 +223,7 @@ class SPHFilter(Shown, Remembering):
         ``predict(0)`` is without.
         """
         self._budget.begin(step=True)
-        by, t, u = interval_of(dt, t, u, self.dt)
+        by, t, u = interval_of(dt, t, u, self.dt, self.model.inputs)
         model = self.model if u is None else self.model.with_inputs(u)
         rehearses = not self._budget.prepared
         if rehearses:
@@ -318,7 +320,7 @@ class SPHFilter(Shown, Remembering):
         state = state.updated(outcome, (used, values, own), sensor, numbers)
         info = self._budget.end("update" if seen else "", outcome.info, n_particles, repeated)
         self._state = state
-        self._updated_with(z=z, measurement=measurement, H=H, R=R)
+        self._did("update", z=z, measurement=measurement, H=H, R=R)
         return info
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -326,8 +328,10 @@ class SPHFilter(Shown, Remembering):
         write(path, self._state, self)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], model: SDE, measurement: Sensor | None) -> Self:
+    def load(cls, path: str | PathLike[str], model: SDE, measurement: Sensor | None, window: int = 0) -> Self:
         """Read a filter that `save` wrote, with the model and sensor it had: it goes on to the same bits.
+
+        The steps of a `window` are not in the file: it begins anew.
 
         Raises
         ------
@@ -339,6 +343,7 @@ class SPHFilter(Shown, Remembering):
         for name, value in about.items():
             setattr(filt, name, value)
         filt._state = replace(filt._state, **state)
+        filt._remember_from_here(window)
         return filt
 
     def spread(self) -> WeightedStates:

@@ -75,7 +75,9 @@ class FilterState:
     def predicted(self, outcome: Outcome[PredictInfo], model: SDE) -> "FilterState":
         """The state after a prediction."""
         x, P = _moments(outcome.density)
-        origin = Prediction(outcome.before, outcome.info.mass_error, model, outcome.density.t)
+        origin: Prediction | Update | None = self.origin
+        if outcome.density.t > self.density.t:
+            origin = Prediction(outcome.before, outcome.info.mass_error, model, outcome.density.t)
         return replace(
             self,
             density=outcome.density,

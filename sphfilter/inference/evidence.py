@@ -129,6 +129,7 @@ def _builder(filt: SPHFilter, evidence: Evidence) -> Builder:
 
     Steps that chose anew how the density is represented would make the log-evidence jump.
     """
+    each_input(filt.model.inputs, evidence.inputs, len(evidence.times))  # wrong ones are refused now
     owners = {"model": filt.model, "measurement": filt.measurement}
     known = {name: getattr(owner, "parameters", {}) for name, owner in owners.items()}
     _check_names(evidence.names, [*known["model"], *known["measurement"]])

@@ -44,9 +44,7 @@ class Values(NamedTuple):
     @classmethod
     def of(cls, parameters: Mapping[str, float] | None, inputs: Inputs | None) -> "Values":
         """Values as they are given; inputs of which there are names only are zero."""
-        if isinstance(inputs, str):
-            raise ModelError(f"inputs lists names, such as inputs=[{inputs!r}], or maps them to values")
-        given = inputs if isinstance(inputs, Mapping) else dict.fromkeys(inputs or (), 0.0)
+        given = inputs if isinstance(inputs, Mapping) else dict.fromkeys(_listed(inputs), 0.0)
         found = cls(_named("parameter", parameters), _named("input", given))
         twice = set(found.parameters) & set(found.inputs)
         if twice:
@@ -58,6 +56,20 @@ class Values(NamedTuple):
         """Values as compiled functions take them."""
         p, u = (np.array([*values.values()], dtype=float) for values in self)
         return Data(p, u)
+
+
+def _listed(inputs: Inputs | None) -> list[str]:
+    """Names of inputs, each once."""
+    names = [] if inputs is None else inputs
+    if (
+        isinstance(names, str)
+        or not isinstance(names, Sequence)
+        or not all(isinstance(n, str) for n in names)
+    ):
+        raise ModelError(f"inputs lists names, such as inputs=['a'], or maps them to values; got {inputs!r}")
+    if len(set(names)) < len(names):
+        raise ModelError(f"inputs names one twice: {list(names)}")
+    return list(names)
 
 
 def _named(kind: str, values: Mapping[str, float] | None) -> dict[str, float]:
@@ -96,7 +108,10 @@ def input_values(known: Mapping[str, float], u: InputValues) -> dict[str, float]
         return changed("input", known, u, "The model")
     if not known:
         raise ModelError(f"u = {validate.short(u)} is given, but the model has no inputs: inputs=[...]")
-    values = validate.array("u", np.ravel(np.asarray(u)), (len(known),), f"of {', '.join(known)}")
+    row = np.ravel(np.asanyarray(u))
+    if row.dtype == bool:
+        raise ModelError(f"u must be numbers, got {validate.short(u)}")
+    values = validate.array("u", row, (len(known),), f"of {', '.join(known)}")
     return dict(zip(known, map(float, values), strict=True))
 
 
@@ -113,12 +128,18 @@ def each_input(names: Iterable[str], record: InputRecord | None, count: int) -> 
     names = [*names]
     if isinstance(record, Mapping):
         changed("input", dict.fromkeys(names, 0.0), dict.fromkeys(record, 0.0), "The model")
-        names, given = [*record], np.column_stack([np.asarray(column) for column in record.values()])
-    else:
-        given = np.asarray(record)
+        columns = [validate.array(f"input {name}", column, (count,)) for name, column in record.items()]
+        rows: Any = np.column_stack(columns) if columns else np.empty((count, 0))
+        return [dict(zip(record, row, strict=True)) for row in rows.tolist()]
     what = f"a row for each time, a column for each input ({', '.join(names) or 'the model has none'})"
-    rows = validate.array("inputs", given[:, None] if given.ndim == 1 else given, (count, len(names)), what)
-    return [dict(zip(names, map(float, row), strict=True)) for row in rows]
+    known: Any = record
+    given = [[value] for value in known] if _is_column(known) else known
+    rows = validate.array("inputs", given, (count, len(names)), what)
+    return [dict(zip(names, row, strict=True)) for row in rows.tolist()]
+
+
+def _is_column(record: Any) -> bool:
+    return isinstance(record, Sequence | np.ndarray) and all(np.ndim(value) == 0 for value in record)
 
 
 def each_driven(model: Model, record: InputRecord | None, count: int) -> list[Model]:

@@ -203,8 +203,8 @@ class SDE:
         inputs : sequence of str, or mapping of str to float, optional
             As for the constructor.
         tables : mapping of str to Table or to (arguments, values), optional
-            What ``table("name", t)`` calls. No step goes over an argument of a table of t, or of t times a
-            number: they are among the `events`.
+            What ``table("name", t)`` calls. No step goes over an argument of a table of t, or of another
+            function of time and parameters: those of t times a number are among the `events`.
 
         Raises
         ------
@@ -284,7 +284,7 @@ class SDE:
         return np.concatenate([*data, self._tail])
 
     def _at(self, name: str, t: float) -> Floats:
-        """What text knows about its times: "switches" or "frequencies", as many numbers as it has of them."""
+        """What text knows about its times: "switches", "frequencies" or "tabled", all that it has of them."""
         k = self._flags.get(name, 0)
         if not k:
             return np.empty(0)
@@ -293,9 +293,14 @@ class SDE:
     def breaks(self, t0: float, t1: float) -> Floats:
         """Return the times in [t0, t1] at which the model jumps by itself, sorted: events, jumps of text."""
         own: list[float] = []
-        if self._flags.get("switches"):
-            own = roots(lambda t: self._at("switches", t), t0, t1, self.max_step)
+        if self._flags.get("switches") or self._flags.get("tabled"):
+            own = roots(self._conditions, t0, t1, self.max_step)
         return np.unique([*self.events[(self.events >= t0) & (self.events <= t1)], *own])
+
+    def _conditions(self, t: float) -> Floats:
+        """Numbers of t that are zero where text switches, or comes to an argument of a table."""
+        tabled = zip(self._at("tabled", t), self._flags.get("tables", ()), strict=True)
+        return np.concatenate([self._at("switches", t), *(own - at for own, at in tabled)])
 
     def with_parameters(self, **changes: float) -> Self:
         """Return the model with other parameter values; nothing is compiled again.

@@ -64,11 +64,17 @@ class Sensors(Mapping[str, Any]):
     """
 
     def __init__(self, sensors: Mapping[str, Any]) -> None:
-        self._parts = {str(name): sensor for name, sensor in dict(sensors).items()}
-        if not self._parts:
-            raise ModelError('Sensors needs at least one sensor, such as {"gps": gps}.')
+        if not isinstance(sensors, Mapping) or not sensors:
+            raise ModelError(
+                f'Sensors needs at least one sensor by its name, such as {{"gps": gps}}, got '
+                f"{validate.short(sensors)}"
+            )
+        self._parts = dict(sensors)
         for name, sensor in self._parts.items():
-            if not hasattr(sensor, "log_likelihood") or getattr(sensor, "dim_z", None) is None:
+            if not isinstance(name, str) or not name:
+                raise ModelError(f"names of sensors are texts, got {name!r}")
+            unfit = not hasattr(sensor, "log_likelihood") or getattr(sensor, "dim_z", None) is None
+            if unfit or isinstance(sensor, Sensors):
                 raise ModelError(
                     f"sensor {name!r} must be a GaussianMeasurement, or a LikelihoodMeasurement with dim_z=; "
                     f"got {validate.short(sensor)}"
@@ -114,6 +120,13 @@ class Sensors(Mapping[str, Any]):
             known = ", ".join(self._parts)
             raise ModelError(f"there is no sensor {name!r}{nearest(name, self._parts)}; there are {known}")
         return self._parts[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._parts
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a sensor by its name, or a default."""
+        return self._parts.get(name, default)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._parts)
@@ -169,14 +182,8 @@ class Sensors(Mapping[str, Any]):
             NaN where no reading came.
         """
         found: list[tuple[float, str, Floats]] = []
-        for name, (times, z) in readings.items():
-            t = validate.times(f"times of {name!r}", times)
-            values = np.array(validate.unmasked(z), dtype=float).reshape(len(t), -1)
-            if values.shape[1] != self[name].dim_z:
-                raise ModelError(
-                    f"readings of {name!r} have {values.shape[1]} numbers, not {self[name].dim_z}"
-                )
-            found += [(at, name, row) for at, row in zip(t, values, strict=True)]
+        for name, record in readings.items():
+            found += [(at, name, row) for at, row in zip(*self._record(name, record), strict=True)]
         found.sort(key=lambda row: row[0])
         if not found:
             return np.empty(0), np.empty((0, self.dim_z))
@@ -188,6 +195,19 @@ class Sensors(Mapping[str, Any]):
             kept[-1][1][self._rows[name]] = row
             kept[-1][2].add(name)
         return np.array([at for at, _, _ in kept]), np.array([z for _, z, _ in kept])
+
+    def _record(self, name: str, record: Any) -> tuple[Floats, list[Floats]]:
+        """Times and readings of one sensor."""
+        k = self[name].dim_z
+        if not isinstance(record, tuple | list) or len(record) != 2:
+            raise ModelError(f"records are (times, z) by the sensors' names; of {name!r} got {type(record)}")
+        times, z = record
+        if len(times) == 0:
+            return np.empty(0), []
+        t, rows = validate.times(f"times of {name!r}", times), list(validate.unmasked(z))
+        if len(rows) != len(t):
+            raise ModelError(f"{name!r} has {len(t)} times, but {len(rows)} readings")
+        return t, [np.full(k, np.nan) if row is None else Reading.of(row, k).z for row in rows]
 
     def vector(self, z: Any) -> Any:
         """The numbers (k,) of readings by the sensors' names; any other reading as it is."""
@@ -224,14 +244,21 @@ class Sensors(Mapping[str, Any]):
 
     def predict(self, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return the noise-free readings in each state X (N, n), shape (N, k)."""
+        self._check_predicting()
         return np.hstack([sensor.predict(X, t) for sensor in self._parts.values()])
 
     def covariance(self, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return R in each state X (N, n), shape (N, k, k), block by block."""
+        self._check_predicting()
         out = np.zeros((len(np.atleast_2d(X)), self.dim_z, self.dim_z))
         for name, sensor in self._parts.items():
             out[:, self._rows[name], self._rows[name]] = sensor.covariance(X, t)
         return out
+
+    def _check_predicting(self) -> None:
+        for name, sensor in self._parts.items():
+            if not hasattr(sensor, "predict"):
+                raise ModelError(f"the sensor {name!r} has a likelihood and no noise-free reading to predict")
 
     def residual(self, z: ArrayLike, zhat: ArrayLike) -> Floats:
         """Return z − zhat (..., k), angles wrapped to (−π, π]."""
@@ -239,6 +266,7 @@ class Sensors(Mapping[str, Any]):
 
     def jacobian(self, x: ArrayLike, t: float = 0.0) -> Floats:
         """Return ∂h/∂x at one state x (n,), shape (k, n)."""
+        self._check_predicting()
         return np.vstack([sensor.jacobian(x, t) for sensor in self._parts.values()])
 
     def sample(self, x: ArrayLike, t: float = 0.0, rng: Seed = None) -> Floats:
@@ -268,11 +296,11 @@ class Sensors(Mapping[str, Any]):
         ModelError
             Unknown name, or a value that is not one finite number.
         """
-        return self._with("parameters", changed("parameter", self.parameters, changes, "The sensors"))
+        return self._with("parameters", changed("parameter", self.parameters, changes, "The set of sensors"))
 
     def with_inputs(self, u: Mapping[str, float]) -> Self:
         """Return the sensors with these values of their inputs, by name."""
-        return self._with("inputs", changed("input", self.inputs, u, "The sensors"))
+        return self._with("inputs", changed("input", self.inputs, u, "The set of sensors"))
 
     def _with(self, kind: str, values: Mapping[str, float]) -> Self:
         def own(sensor: Any) -> Any:

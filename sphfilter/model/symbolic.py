@@ -86,9 +86,15 @@ def symbolic_model(
     if all(v.is_zero for v in entries["diffusion_divergence"]):
         makers["diffusion_divergence"] = lambda fs: shared(derived.zeros)
     own = [*f, *(D if g is None else g)]
-    timing = {"switches": _switches(own, names), "frequencies": _frequencies(own, names)}
+    times, tabled = _breakpoints(own, names)
+    timing = {
+        "switches": _switches(own, names),
+        "frequencies": _frequencies(own, names),
+        "tabled": [argument for argument, _ in tabled],
+    }
     makers |= {name: _maker(name, sp.Matrix(found), names) for name, found in timing.items() if found}
-    flags = _flags(f, J, D if g is None else g, D, names) | {"breakpoints": _breakpoints(own, names)}
+    flags = _flags(f, J, D if g is None else g, D, names) | {"breakpoints": times}
+    flags["tables"] = [at for _, at in tabled]
     return makers, Q, names.data, flags | {name: len(found) for name, found in timing.items()}
 
 
@@ -220,17 +226,23 @@ def _frequencies(entries: Sequence[sp.Expr], names: Names) -> list[sp.Expr]:
     return sorted(found, key=str)
 
 
-def _breakpoints(entries: Sequence[sp.Expr], names: Names) -> Floats:
-    """Times at which tables of t, or of a number of times t, have their arguments."""
-    found = [np.empty(0)]
-    for call in {atom for entry in entries for atom in entry.atoms(Linear, Previous)}:
+def _breakpoints(entries: Sequence[sp.Expr], names: Names) -> tuple[Floats, list[tuple[sp.Expr, Floats]]]:
+    """Times at which tables of t, or of a number of times t, come to one of their arguments.
+
+    Of other functions of time and parameters the function itself, and the table's arguments.
+    """
+    found, others = [np.empty(0)], []
+    calls = {atom for entry in entries for atom in entry.atoms(Linear, Previous)}
+    for call in sorted(calls, key=str):
         start, count, argument = call.args
-        rate = argument.diff(names.t)
-        offset = argument.subs(names.t, 0)
+        rate, offset = argument.diff(names.t), argument.subs(names.t, 0)
+        first = int(start) - len(names.p)
+        at = names.data[first : first + int(count)]
         if rate.is_Number and rate != 0 and offset.is_Number:
-            first = int(start) - len(names.p)
-            found.append((names.data[first : first + int(count)] - float(offset)) / float(rate))
-    return np.concatenate(found)
+            found.append((at - float(offset)) / float(rate))
+        elif rate != 0 and not argument.free_symbols & set(names.x):
+            others.append((argument, at))
+    return np.concatenate(found), others
 
 
 def _is_affine(f: sp.Matrix, J: sp.Matrix, names: Names) -> bool:

@@ -20,7 +20,7 @@ __all__ = ["Table", "Tables", "linear", "previous", "slope", "tables_of"]
 Kind: TypeAlias = Literal["linear", "previous"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Table:
     """Values at rising arguments, which text calls ``table("name", t)`` or of any other expression.
 
@@ -71,8 +71,13 @@ class Table:
         ModelError
             The file has no such column, or a field that is no number.
         """
-        with Path(path).open(newline="", encoding="utf-8-sig") as lines:
-            rows = [row for row in csv.reader(lines) if any(field.strip() for field in row)]
+        try:
+            with Path(path).open(newline="", encoding="utf-8-sig") as lines:
+                rows = [row for row in csv.reader(lines) if any(field.strip() for field in row)]
+        except (OSError, UnicodeDecodeError, csv.Error) as problem:
+            raise ModelError(f"cannot read {path}: {problem}") from problem
+        if not rows:
+            raise ModelError(f"{path} is empty; a header and two columns are needed")
         header = [name.strip() for name in rows[0]] if rows else []
         at = header[0] if at is None and header else at
         for name in (at, values):
@@ -104,7 +109,11 @@ Tables: TypeAlias = Mapping[str, Table | Sequence[ArrayLike]]
 
 def tables_of(tables: Tables | None) -> dict[str, Table]:
     """Tables by name."""
-    return {str(name): _table(str(name), given) for name, given in dict(tables or {}).items()}
+    if tables is not None and not isinstance(tables, Mapping):
+        raise ModelError(
+            f"tables= maps names to tables, such as {{'i': table}}, got {validate.short(tables)}"
+        )
+    return {str(name): _table(str(name), given) for name, given in (tables or {}).items()}
 
 
 def _table(name: str, given: Any) -> Table:

@@ -143,3 +143,43 @@ def test_models_that_switch_take_late_readings_too():
     assert np.array_equal(late.x, ordered.x)
     assert np.array_equal(late.mode_probabilities, ordered.mode_probabilities)
     assert late.log_evidence == ordered.log_evidence
+
+
+def test_inputs_over_no_time_and_settings_are_taken_again():
+    """A sensor may read what is set without moving on; numbers that belong to the state are set again."""
+    feels = sf.GaussianMeasurement.from_expressions(["x", "v"], ["v + a"], [[0.1]], inputs=["a"])
+    late, ordered = (
+        sf.SPHFilter(MODEL, feels, [0.0, 0.0], np.eye(2), n_particles=150, window=w) for w in (5, 0)
+    )
+
+    def first(flt):
+        flt.predict(t=1.0, u=[1.0])
+        flt.predict(0.0, u=[-2.0])
+        flt.update(0.3)
+        flt.log_evidence = 0.0
+        flt.n_particles = 200
+
+    first(late)
+    late.predict(t=2.0)
+    late.update_late(0.25, 0.5, PLACE)
+    ordered.predict(t=0.5, u=[1.0])
+    ordered.update(0.25, PLACE)
+    first(ordered)
+    ordered.predict(t=2.0)
+    for name in KEPT:
+        assert np.array_equal(getattr(late, name), getattr(ordered, name), equal_nan=True), name
+
+
+def test_a_filter_from_a_file_begins_a_window_anew(tmp_path):
+    flt = made(window=3)
+    step(flt, 0)
+    flt.save(tmp_path / "filter.npz")
+    again = sf.SPHFilter.load(tmp_path / "filter.npz", MODEL, PLACE, window=3)
+    for one in (flt, again):
+        step(one, 1)
+        one.update_late(0.2, 0.7)
+    assert np.array_equal(flt.x, again.x)
+    with pytest.raises(sf.ModelError, match=r"begin at 0\.5"):
+        again.update_late(0.2, 0.3)
+    with pytest.raises(sf.ModelError, match="given when the filter is made"):
+        flt.window = 5

@@ -106,6 +106,11 @@ def test_fits_comparison_and_smoothing_take_them():
     assert sf.compare_models({"right": made(GAUSSIAN)}, times, rows).data == found.data
 
 
+def test_a_mapping_as_any_other():
+    assert "place" in ALL and "wind" not in ALL
+    assert ALL.get("wind") is None and list(ALL) == ["place", "energy", "counts"]
+
+
 def test_copies_and_files_keep_them(tmp_path):
     flt = made(ALL)
     flt.run(TIMES[:3], Z[:3])
@@ -128,12 +133,18 @@ def test_copies_and_files_keep_them(tmp_path):
         (lambda: made(ALL).update([1.0, 2.0]), r"shape \(2,\), but the sensor gives \(3,\)"),
         (lambda: made(PLACE).update({"place": 1.0}), r"Sensors\(\{name: sensor, ...\}\)"),
         (lambda: sf.Sensors({}), "at least one sensor"),
+        (lambda: sf.Sensors([PLACE]), "by its name"),
+        (lambda: sf.Sensors({1: PLACE}), "names of sensors are texts"),
+        (lambda: sf.Sensors({"a": GAUSSIAN}), "sensor 'a' must be"),
+        (lambda: ALL.predict([[0.0, 0.0]]), "no noise-free reading"),
+        (lambda: ALL.merged({"place": 5}), r"records are \(times, z\)"),
+        (lambda: ALL.merged({"place": ([1.0], [1.0, 2.0])}), "1 times, but 2 readings"),
         (lambda: sf.Sensors({"a": sf.LikelihoodMeasurement(len)}), "loglik must be|dim_z="),
         (
             lambda: sf.Sensors({"a": PLACE, "b": sf.GaussianMeasurement([[1.0]], [[1.0]])}),
             "different lengths",
         ),
-        (lambda: ALL.merged({"place": ([1.0], [[1.0, 2.0]])}), "2 numbers, not 1"),
+        (lambda: ALL.merged({"place": ([1.0], [[1.0, 2.0]])}), r"shape \(2,\), but the sensor gives \(1,\)"),
         (lambda: sf.Sensors({"a": ENERGY, "b": ENERGY.with_parameters(s=1.0)}), "'s' different values"),
     ],
 )

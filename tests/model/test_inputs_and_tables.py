@@ -172,3 +172,44 @@ def test_a_sensor_reads_the_inputs_of_the_model():
     # one is known to be linear, the other is not: within what is asked of a step, .01 standard deviations
     np.testing.assert_allclose(read.x, less.x, atol=1e-3)
     np.testing.assert_allclose(read.log_evidence, less.log_evidence, atol=1e-3)
+
+
+def test_inputs_of_the_first_time_and_of_repeated_ones_are_read():
+    model = sf.LinearSDE([[-1.0]], noise=[[1.0]], B=[[1.0]])
+    sensor = sf.GaussianMeasurement.from_expressions(["x"], ["x + 10*u0"], [[0.01]], inputs=["u0"])
+    times, u = [0.0, 0.0, 1.0, 1.0], [[1.0], [2.0], [3.0], [4.0]]
+    truth, z = sf.simulate(model, sensor, [0.0], times, rng=1, inputs=u)
+    result = sf.SPHFilter(model, sensor, [0.0], [[1.0]]).run(times, z, inputs=u)
+    assert np.abs(result.x - truth).max() < 0.4  # readings tell .1
+    again = sf.SPHFilter(model, sensor, [0.0], [[1.0]]).run(times, z, inputs={"u0": [1, 2, 3, 4]})
+    assert np.array_equal(again.x, result.x)
+
+
+@pytest.mark.parametrize(
+    ("argument", "options", "stops"),
+    [("t + d", {"parameters": {"d": 3.0}}, [2.0, 2.002]), ("t**2", {}, [math.sqrt(5.0), math.sqrt(5.002)])],
+)
+def test_a_spike_in_a_table_of_a_function_of_time_is_stepped_on(argument, options, stops):
+    spike = sf.Table([0.0, 5.0, 5.002], [0.0, 500.0, 0.0], kind="previous")
+    drift = [f"table('i', {argument})"]
+    model = sf.SDE.from_expressions(["x"], drift, [["0.1"]], tables={"i": spike}, **options)
+    np.testing.assert_allclose(model.breaks(0.1, 9.0), stops, rtol=1e-12)
+    flt = sf.SPHFilter(model, None, [0.0], [[0.1]])
+    flt.predict(9.0)
+    assert flt.x[0] == pytest.approx(500.0 * (stops[1] - stops[0]), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "record", [{"a": [1.0]}, [[1.0, 2.0]] * 2, [None, [1.0]], 5, {"b": [1.0, 2.0]}, "ab"], ids=str
+)
+def test_records_of_inputs_that_do_not_fit_are_refused(record):
+    model = sf.SDE.from_expressions(["x"], ["-x + a"], [["1"]], inputs=["a"])
+    with pytest.raises(sf.ModelError, match="input"):
+        sf.SPHFilter(model, None, [0.0], [[1.0]]).run([1.0, 2.0], [None, None], inputs=record)
+
+
+@pytest.mark.parametrize("u", [True, "2", 1j, np.ma.masked, [[1.0, 2.0]], [None]], ids=str)
+def test_inputs_that_are_no_numbers_are_refused(u):
+    model = sf.SDE.from_expressions(["x"], ["-x + a"], [["1"]], inputs=["a"])
+    with pytest.raises(sf.ModelError, match=r"^u "):
+        sf.SPHFilter(model, None, [0.0], [[1.0]]).predict(1.0, u=u)
