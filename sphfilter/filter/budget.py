@@ -9,6 +9,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ..density.distributions import Gaussian
+from ..density.initialize import initialize
+from ..density.needs import fewest
 from ..errors import PropagationError
 from ..info import Code, PredictInfo, UpdateInfo
 from ..model.likelihood import LikelihoodMeasurement
@@ -164,7 +167,10 @@ def _load_rest(filt: Any, dt: float) -> None:
     scheme = load(filt.model, filt.density, filt.config)
     if scheme is not None:
         config = replace(filt.config, scheme=scheme)
-        moved, _ = predict(filt.density, filt.model, _SHORT * dt, config)
+        # as many particles as the filter has would take minutes, and compile nothing more
+        about = {"t": filt.t, "domain": filt.model.domain}
+        few = initialize(Gaussian(filt.x, filt.P), fewest(filt.model.dim), config, **about)
+        moved, _ = predict(few, filt.model, _SHORT * dt, config)
         update(moved, *_expected(filt), filt.config)
 
 

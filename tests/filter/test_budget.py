@@ -226,3 +226,18 @@ def test_a_budget_is_kept_with_the_filter(tmp_path):
     assert again.config.time_budget == 0.02
     with pytest.raises(sf.ConfigError, match="time_budget"):
         sf.FilterConfig(time_budget=0.0)
+
+
+def test_a_fallback_is_compiled_on_few_particles(monkeypatch):
+    """On those of a filter that has many it would take minutes."""
+    asked = []
+
+    def noted(density, *arguments):
+        asked.append(density.n_particles)
+        return sf.predict(density, *arguments)
+
+    monkeypatch.setattr(budget, "predict", noted)
+    model = sf.SDE.from_expressions(["x", "v"], ["v", "x - x**3 - 0.3*v"], [["0"], ["0.5"]])
+    flt = sf.SPHFilter(model, None, [0.0, 0.0], np.eye(2), config=sf.FilterConfig(time_budget=0.05))
+    flt.prepare(0.5)
+    assert asked and max(asked) < 200
