@@ -236,7 +236,7 @@ def test_a_fallback_is_compiled_on_few_particles(monkeypatch):
         asked.append(density.n_particles)
         return sf.predict(density, *arguments)
 
-    monkeypatch.setattr(budget, "predict", noted)
+    monkeypatch.setattr(budget_room, "predict", noted)
     model = sf.SDE.from_expressions(["x", "v"], ["v", "x - x**3 - 0.3*v"], [["0"], ["0.5"]])
     flt = sf.SPHFilter(model, None, [0.0, 0.0], np.eye(2), config=sf.FilterConfig(time_budget=0.05))
     flt.prepare(0.5)
