@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from copy import copy, deepcopy
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import or_
 from typing import Any, NoReturn
 
 import numpy as np
@@ -153,9 +155,11 @@ class Remembering:
                 own = self.update(**late)  # type: ignore[attr-defined]
             flagged += [info for info in infos if info.flagged]
         assert own is not None
-        for info in flagged:
-            told = f"taken again: {info.status}"
-            own = own.marked(info.code, told if own.status == "ok" else f"{own.status}; {told}")
+        words = dict.fromkeys(info.status if info.status != "ok" else info.reason for info in flagged)
+        if words:
+            told = f"of steps taken again: {', '.join(words)}"
+            code = reduce(or_, (info.code for info in flagged))
+            own = own.marked(code, told if own.status == "ok" else f"{own.status}; {told}")
         return own
 
     def _take(self, step: Step) -> list[Any]:
