@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from sphfilter.errors import ConfigError, nearest
 from sphfilter.settings import from_table
 
 from .files import change, file_names, find_file, read_toml
@@ -41,12 +42,23 @@ def read_settings(name, changes=None):
     if not changes:
         return found
     for key, value in changes.items():
+        _check_parameter(tree, key, changes)
         _change(tree, key, value)
     return _settings(tree, path, f"{name} with {', '.join(changes)} changed")
 
 
 def _settings(tree, path, source):
     return from_table(ScenarioSettings, with_tables(tree, path), source)
+
+
+def _check_parameter(tree, key, changes):
+    """Refuse a parameter that a text does not have, unless the text changes too; compiling would tell later."""
+    of, _, name = key.partition(".parameters.")
+    others = [other for other in changes if other.startswith(f"{of}.") and ".parameters." not in other]
+    known = tree.get(of, {}).get("parameters", {}) if name and not others else {}
+    if known and name not in known:
+        listed = ", ".join(known)
+        raise ConfigError(f"the {of} has no parameter {name!r}{nearest(name, known)}; it has {listed}")
 
 
 def _change(tree, key, value):
