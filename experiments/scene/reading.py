@@ -52,7 +52,7 @@ def _settings(tree, path, source):
 
 
 def _check_parameter(tree, key, changes):
-    """Refuse a parameter that a text does not have, unless the text changes too; compiling would tell later."""
+    """Refuse a parameter that a text does not have, unless the text changes too: compiling tells later."""
     of, _, name = key.partition(".parameters.")
     others = [other for other in changes if other.startswith(f"{of}.") and ".parameters." not in other]
     known = tree.get(of, {}).get("parameters", {}) if name and not others else {}
