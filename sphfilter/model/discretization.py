@@ -16,8 +16,11 @@ __all__ = ["linear_transition", "transition"]
 
 @lru_cache(maxsize=256)
 def linear_transition(model: "SDE", dt: float) -> tuple[Floats, Floats, Floats]:
-    """The exact transition of a model that is linear, which never changes; not to be written to."""
-    return model.to_linear().discretize(dt)
+    """The exact transition of a model that is linear, which never changes; read-only."""
+    found = model.to_linear().discretize(dt)
+    for part in found:
+        part.setflags(write=False)
+    return found
 
 
 def transition(A: Floats, b: Floats, spread: Floats, dt: float) -> tuple[Floats, Floats, Floats]:

@@ -30,7 +30,7 @@ from ..density.resample import times_likelihood
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
 from ..model.compile import surfacing
-from ..model.discretization import transition
+from ..model.discretization import linear_transition, transition
 from ..model.sde import SDE
 from ..model.simulate import noise_root, rate_of_time
 from ._shared import blow_up, carried_off, skip_notes
@@ -234,7 +234,7 @@ def parts(model: SDE, density: ParticleDensity, t1: float) -> bool:
 
 def _exactly(x: Floats, model: SDE, dt: float, key: int, dealt: Ints) -> Floats:
     """Points moved by the exact transition of a linear model."""
-    flow, offset, Q = model.to_linear().discretize(dt)
+    flow, offset, Q = linear_transition(model, dt)
     noise = _normals(dealt, model.dim, model.dim, key)
     # not matrix products: their last bits depend on the threads
     return np.einsum("ij,kj->ik", x, flow) + offset + np.einsum("ij,kj->ik", noise, noise_root(Q))

@@ -9,6 +9,7 @@ from ..density.distributions import gaussian_log_pdf
 from ..density.particle_density import ParticleDensity
 from ..info import PredictInfo
 from ..lattice.level_set import lattice_reach, lay
+from ..model.discretization import linear_transition
 from ..model.sde import SDE
 
 __all__ = ["propagate_exactly"]
@@ -26,7 +27,7 @@ def propagate_exactly(
     if found is None:
         return None
     mean, cov = found
-    transition, offset, Q = model.to_linear().discretize(t1 - density.t)
+    transition, offset, Q = linear_transition(model, t1 - density.t)
     mean, cov = transition @ mean + offset, transition @ cov @ transition.T + Q
     depth = 0.5 * lattice_reach(None, density.dim) ** 2
     factor: Any = np.linalg.cholesky(cov)

@@ -23,6 +23,7 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
 from ..info import DOUBTFUL, Code, PredictInfo
+from ..model.discretization import linear_transition
 from ..model.sde import SDE
 from . import automatic, cloud, families, family, pieces
 from .to_target import Time, carried_to_target
@@ -162,7 +163,7 @@ def _closed_form(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Move a Gaussian by a linear model."""
     mean, cov = unrolled(density)
-    transition, offset, Q = model.to_linear().discretize(t1 - density.t)
+    transition, offset, Q = linear_transition(model, t1 - density.t)
     moved = gaussian_family(transition @ mean + offset, transition @ cov @ transition.T + Q, 2)
     skipped = ("everything: a Gaussian through a linear model",)
     info = PredictInfo(scheme="exact_linear", error=density.error, skipped=skipped)
