@@ -5,6 +5,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import sphfilter as sf
 from reference_filters.jump_grid import JumpGridFilter, unsplit_jump_filter
@@ -108,6 +109,49 @@ def test_the_splitting_is_of_second_order_and_its_error_is_seen():
     said = np.array([error for _, error in found])
     assert np.all(said > 0.5 * off)
     assert np.all(said < 6.0 * off)
+
+
+def exactly(model, P0, w, t, X):
+    """Densities (M, N) of the modes with their probabilities, by the characteristic function of each."""
+    b, g = (np.array([f(mode) for mode in model.modes.values()]) for f in (_drift, _noise))
+    k = np.linspace(-80.0, 80.0, 4001)
+    carried = expm(
+        t * (np.eye(len(b)) * (1j * np.outer(k, b) - 0.5 * np.outer(k**2, g))[:, None] + model.rates.T)
+    )
+    phi = np.einsum("kij,j,k->ki", carried, w, np.exp(-0.5 * k**2 * P0))
+    return (np.exp(-1j * np.outer(X, k)) @ phi).real.T * (k[1] - k[0]) / (2.0 * np.pi)
+
+
+def _drift(mode):
+    return mode.drift(np.zeros((1, 1)), 0.0)[0, 0]
+
+
+def _noise(mode):
+    return 2.0 * mode.diffusion(np.zeros((1, 1)), 0.0)[0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("drifts", "noises", "rate"),
+    [
+        ((0.0, 0.0), (0.1, 1.5), 3.0),
+        ((0.0, 0.0), (0.1, 1.5), 100.0),
+        ((-3.0, 3.0), (0.5, 0.5), 30.0),
+        ((-1.0, 1.0), (0.1, 1.0), 2.0),
+    ],
+)
+def test_modes_of_different_noise_are_carried_by_few_pieces_and_are_exact(drifts, noises, rate):
+    modes = {name: drifting(*of) for name, of in zip("ab", zip(drifts, noises, strict=True), strict=True)}
+    model = sf.JumpMarkovModel(modes, [[-rate, rate], [2.0 * rate, -2.0 * rate]])
+    flt = sf.JumpMarkovFilter(model, READING, [0.0], [[0.1]])
+    start = flt.mode_probabilities
+    info = flt.predict(1.0)
+    X = flt.x + np.linspace(-6.0, 6.0, 601) * np.sqrt(flt.P[0, 0])
+    parts = zip(flt.mode_probabilities, flt.densities.values(), strict=True)
+    found = np.array([w * p.pdf(X[:, None]) for w, p in parts])
+    off = np.abs(found - exactly(model, 0.1, start, 1.0, X)).sum() * (X[1] - X[0])
+    assert off < 0.01
+    assert info.status == "ok"
+    assert sum(len(p.pieces.w) for p in flt.densities.values()) < 100
 
 
 def test_a_reading_that_few_steps_have_put_little_at_asks_for_more():
