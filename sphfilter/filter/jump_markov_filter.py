@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,17 +20,20 @@ from ..density.particle_density import ParticleDensity
 from ..density.weighted import WeightedStates
 from ..errors import ConfigError, ModelError
 from ..info import Code
+from ..model.compile import StateFunction
 from ..model.jump_markov import JumpMarkovModel
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, driven
 from ..model.sensors import Sensors
 from ..prediction.mixing import Part, mixed
 from ..prediction.switching import MOST_SUBSTEPS, ModesInfo, predict_modes
-from ..validate import array, choice, count, covariance, onwards, positive, real, row, seconds, short
+from ..validate import array, choice, column, count, covariance, onwards, positive, real, row, seconds, short
 from .jump_markov_state import JumpMarkovState
 from .late import Remembering
-from .readings import checked_sensor, numbers_of, sensor_of
+from .names import check_assigned, check_read, in_own_words
+from .readings import checked_sensor, numbers_of, rows_of, sensor_of
 from .results import FilterResult, run_filter
+from .state import Shown
 from .update_modes import ModesUpdateInfo, update_modes
 
 __all__ = ["JumpMarkovFilter", "JumpMarkovResult", "ModesUpdateInfo"]
@@ -68,7 +71,7 @@ class JumpMarkovResult(FilterResult):
     names: tuple[str, ...] = ()
 
 
-class JumpMarkovFilter(Remembering):
+class JumpMarkovFilter(Shown, Remembering):
     """A Bayes filter of a `JumpMarkovModel`: it carries a density for every mode, and their probabilities.
 
     The densities of modes mix as what they are, sums, and not as Gaussians with their moments.
@@ -133,6 +136,9 @@ class JumpMarkovFilter(Remembering):
      2.02 moving [0.05 0.95]
     """
 
+    _state: Any  # a JumpMarkovState, which has all that is shown
+
+    @in_own_words
     def __init__(
         self,
         model: JumpMarkovModel,
@@ -160,7 +166,7 @@ class JumpMarkovFilter(Remembering):
             count("n_particles", n_particles)
         self.n_particles = n_particles
         self.dt = None if dt is None else positive("dt", seconds("dt", dt))
-        x0 = array("x0", x0, (model.dim,), f"a value for each of the model's {model.dim} states")
+        x0 = array("x0", column(x0), (model.dim,), f"a value for each of the model's {model.dim} states")
         start = Gaussian(x0, covariance("P0", P0, dim=model.dim))
         about: dict[str, Any] = {"t": real("t0", t0), "domain": model.domain}
         density = initialize(start, n_particles, self.config, **about)
@@ -184,7 +190,28 @@ class JumpMarkovFilter(Remembering):
             raise ModelError(
                 "the measurements of all modes must have as many components: they are of one reading"
             )
+        listed = {name: [*s] if isinstance(s, Sensors) else None for name, s in sensors.items()}
+        first, names = next(iter(listed.items()))
+        for name, others in listed.items():
+            if others != names:
+                raise ModelError(
+                    f"the Sensors of all modes must have the same names in the same order, for a reading is "
+                    f"of all modes: those of {first!r} are {names}, those of {name!r} {others}"
+                )
         return sensors
+
+    def _asked(self, given: Any, H: ArrayLike | StateFunction | None) -> dict[str, Sensor]:
+        """The sensor of every mode that a reading comes from."""
+        if H is None and (hasattr(given, "log_likelihood") or isinstance(given, Mapping)):
+            return self._checked(given)
+        if self._sensors is None and given is None:
+            raise ModelError("update needs a measurement, or a filter made with one")
+        own = self._sensors or dict.fromkeys(self.model.names)
+        return {name: sensor_of(own[name], given, H, self._any_mode) for name in self.model.names}
+
+    def _of_any_mode(self, sensors: Mapping[str, Sensor] | None) -> Sensor | None:
+        """A sensor that takes readings by name, or says how many numbers they have, as those of all modes."""
+        return None if sensors is None else sensors[self.model.names[0]]
 
     @property
     def _any_mode(self) -> Any:
@@ -198,76 +225,30 @@ class JumpMarkovFilter(Remembering):
             f"std={row(np.sqrt(np.diag(self.P)))}, modes={{{told}}})"
         )
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        check_assigned(name, type(self), JumpMarkovFilter)
+        object.__setattr__(self, name, value)
+
+    if not TYPE_CHECKING:  # a checker would take every name for one that is there
+
+        def __getattr__(self, name: str) -> Any:
+            check_read(name, type(self))
+            return object.__getattribute__(self, name)  # raises what Python says
+
     @property
     def measurement(self) -> Sensor | None:
         """The filter's own sensor; None where it depends on the mode, or there is none."""
         sensors = list((self._sensors or {}).values())
         return sensors[0] if sensors and all(sensor is sensors[0] for sensor in sensors) else None
 
-    @property
-    def x(self) -> Floats:
-        """Mean over all modes, shape (n,)."""
-        return self._state.x
+    @measurement.setter
+    def measurement(self, value: Sensor | Mapping[str, Sensor] | None) -> None:
+        self._sensors = None if value is None else self._checked(value)
 
     @property
-    def P(self) -> Floats:
-        """Covariance over all modes, shape (n, n)."""
-        return self._state.P
-
-    @property
-    def x_prior(self) -> Floats:
-        """Mean after the last prediction, shape (n,)."""
-        return self._state.x_prior
-
-    @property
-    def P_prior(self) -> Floats:
-        """Covariance after the last prediction, shape (n, n)."""
-        return self._state.P_prior
-
-    @property
-    def x_post(self) -> Floats:
-        """Mean after the last update, shape (n,)."""
-        return self._state.x_post
-
-    @property
-    def P_post(self) -> Floats:
-        """Covariance after the last update, shape (n, n)."""
-        return self._state.P_post
-
-    @property
-    def z(self) -> Floats | None:
-        """Last measurement, shape (k,), NaN where no reading came; None before the first."""
-        return self._state.z
-
-    @property
-    def y(self) -> Floats | None:
-        """Innovation of the last measurement, shape (k,), or None."""
-        return self._state.y
-
-    @property
-    def S(self) -> Floats | None:
-        """Covariance of the innovation, shape (k, k), or None."""
-        return self._state.S
-
-    @property
-    def log_likelihood(self) -> float:
-        """Log-evidence of the last measurement, zero where none came."""
-        return self._state.log_likelihood
-
-    @property
-    def likelihood(self) -> float:
-        """Evidence of the last measurement."""
-        return float(np.exp(self._state.log_likelihood))
-
-    @property
-    def log_evidence(self) -> float:
-        """Log-evidence of all measurements."""
-        return self._state.log_evidence
-
-    @property
-    def inputs(self) -> Mapping[str, float]:
-        """What the inputs of the modes were in the last prediction, by name."""
-        return self._state.inputs
+    def dim_z(self) -> int | None:
+        """Number of components of the filter's own sensors; None without one, or where any number will do."""
+        return getattr(self._of_any_mode(self._sensors), "dim_z", None)
 
     @property
     def t(self) -> float:
@@ -295,6 +276,7 @@ class JumpMarkovFilter(Remembering):
         target = self.config.target_error / math.sqrt(self.model.dim)
         return mixed([Part(log_w, p) for _, log_w, p in self._state.modes.some], target, (target, target))
 
+    @in_own_words
     def predict(
         self, dt: Interval | None = None, *, t: float | None = None, u: InputValues | None = None
     ) -> ModesInfo:
@@ -321,25 +303,29 @@ class JumpMarkovFilter(Remembering):
         self._predicted_from(before, before.modes.heaviest.t, {"dt": dt, "t": t}, driving)
         return info
 
+    @in_own_words
     def update(
-        self, z: Reported, measurement: Sensor | Mapping[str, Sensor] | str | None = None
+        self,
+        z: Reported,
+        measurement: Sensor | Mapping[str, Sensor] | ArrayLike | str | None = None,
+        H: ArrayLike | StateFunction | None = None,
+        *,
+        R: ArrayLike | None = None,
     ) -> ModesUpdateInfo:
         """Use a measurement z, of another sensor if given; None or NaN is missing; a ModesUpdateInfo.
 
         Of several `Sensors`, z maps their names to readings, or `measurement` is the name of the one read.
+        R and H change the filter's own sensor for this reading, as those of `SPHFilter.update`.
         """
-        given = measurement
-        if isinstance(given, str):
-            given = sensor_of(self.measurement, given, None, self._any_mode)
-        sensors = self._sensors if given is None else self._checked(given)
-        if sensors is None:
-            raise ModelError("update needs a measurement, or a filter made with one")
+        if R is not None and measurement is not None:
+            raise ModelError("give R= or another sensor, not both")
         inputs = self._state.inputs
-        sensors = {name: driven(sensor, inputs) for name, sensor in sensors.items()}
-        numbers = numbers_of(sensors[self.mode], z)
+        asked = self._asked(measurement if R is None else R, H)
+        sensors = {name: driven(sensor, inputs) for name, sensor in asked.items()}
+        numbers = numbers_of(self._of_any_mode(sensors), z)
         prior, modes, info = self._updated(sensors, numbers)
         self._state = self._state.updated(prior, modes, info, sensors[self.mode], numbers)
-        self._updated_with(z=z, measurement=measurement)
+        self._updated_with(z=z, measurement=measurement, H=H, R=R)
         return info
 
     def _updated(
@@ -384,6 +370,7 @@ class JumpMarkovFilter(Remembering):
         `truth`, `observer` and `inputs` are those of `SPHFilter.run`.
         """
         told: list[Floats] = []
+        measurements = rows_of(self._of_any_mode(self._sensors), measurements)
         looked = {"each": lambda flt: told.append(flt.mode_probabilities)}
         result = run_filter(self, times, measurements, truth, observer, inputs=inputs, **looked)
         own = {f.name: getattr(result, f.name) for f in fields(result)}

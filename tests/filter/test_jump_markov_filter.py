@@ -328,6 +328,86 @@ def test_the_same_input_gives_the_same_bits_and_a_copy_goes_on_by_itself():
     assert np.array_equal(one.mode_probabilities, other.mode_probabilities)
 
 
+def test_a_mode_flagged_by_its_reason_alone_leaves_the_status_ok():
+    still = moving(np.zeros((2, 2)))
+    flt = sf.JumpMarkovFilter(still, READING, [0.0], [[0.1]], mode_probabilities=[0.9, 0.1])
+    flt.predict(1.0)
+    info = flt.update(-2.6)
+    assert info.flagged
+    assert "outlying" in info.reason
+    assert info.status == "ok"
+    assert info.code == sf.Code.OK
+
+
+def several(noise):
+    """Two sensors of one state, as the mode has them."""
+    g, h = (sf.GaussianMeasurement([[a]], [[noise]]) for a in (1.0, 2.0))
+    return sf.Sensors({"g": g, "h": h})
+
+
+def test_readings_by_name_go_to_the_sensors_of_every_mode():
+    sensors = {"rest": several(0.1), "moving": several(0.3)}
+    named, alone, numbered = (sf.JumpMarkovFilter(moving(), sensors, [0.0], [[0.1]]) for _ in range(3))
+    for flt in (named, alone, numbered):
+        flt.predict(1.0)
+    named.update({"g": 1.0})
+    alone.update(1.0, "g")
+    numbered.update([1.0, np.nan])
+    assert named.log_evidence == pytest.approx(numbered.log_evidence, abs=1e-12)
+    assert alone.log_evidence == pytest.approx(numbered.log_evidence, abs=1e-6)
+    rows = sf.JumpMarkovFilter(moving(), sensors, [0.0], [[0.1]]).run([1.0], [{"g": 1.0}])
+    assert rows.log_evidence[0] == pytest.approx(numbered.log_evidence, abs=1e-12)
+    with pytest.raises(sf.ModelError, match="there is no sensor 'gg'"):
+        named.update(1.0, "gg")
+    turned = sf.Sensors({name: several(0.3)[name] for name in "hg"})
+    with pytest.raises(sf.ModelError, match="same names in the same order"):
+        sf.JumpMarkovFilter(moving(), {"rest": several(0.1), "moving": turned}, [0.0], [[0.1]])
+
+
+def test_the_noise_of_one_reading_may_be_given():
+    one, other = (sf.JumpMarkovFilter(moving(), READING, [[0.0]], [[0.1]]) for _ in range(2))
+    for flt in (one, other):
+        flt.predict(1.0)
+    one.update(0.7, R=0.5)
+    other.update(0.7, sf.GaussianMeasurement([[1.0]], [[0.5]]))
+    assert one.log_evidence == other.log_evidence
+    assert one.dim_x == one.dim_z == 1
+    assert one.SI[0, 0] == pytest.approx(1.0 / one.S[0, 0])
+    assert one.mahalanobis == pytest.approx(abs(one.y[0]) / np.sqrt(one.S[0, 0]))
+    with pytest.raises(sf.ModelError, match="not both"):
+        one.update(0.7, READING, R=0.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda flt: setattr(flt, "x", [1.0]), "the mean of a density filter cannot be overwritten"),
+        (lambda flt: setattr(flt, "P", [[1.0]]), "make a new JumpMarkovFilter"),
+        (lambda flt: setattr(flt, "mode_probabilities", [1.0, 0.0]), "read, not set"),
+        (lambda flt: setattr(flt, "Q", 1.0), "JumpMarkovFilter has no Q to be set"),
+        (lambda flt: setattr(flt, "n_particle", 10), "did you mean 'n_particles'"),
+        (lambda flt: setattr(flt, "measurement", 3), "measurement must be"),
+        (lambda flt: flt.x.__setitem__(0, 1.0), "read-only"),
+        (lambda flt: flt.F, "JumpMarkovFilter has no F"),
+        (lambda flt: flt.update(0.1, HJacobian=None), "takes no HJacobian="),
+        (lambda flt: flt.update(0.1, "gps"), "measurement must be"),
+    ],
+)
+def test_what_a_filter_has_found_is_read(change, sentence):
+    flt = sf.JumpMarkovFilter(moving(), READING, [0.0], [[0.1]])
+    with pytest.raises((sf.ModelError, AttributeError), match=sentence):
+        change(flt)
+    flt.log_evidence, flt.measurement = 1.0, {"rest": READING, "moving": several(0.1)["h"]}
+    assert flt.log_evidence == 1.0
+    assert flt.measurement is None
+
+
+def test_parameters_are_fitted_by_a_function_that_makes_filters():
+    flt = sf.JumpMarkovFilter(moving(), READING, [0.0], [[0.1]])
+    with pytest.raises(sf.ModelError, match="give a function"):
+        sf.fit_parameters(flt, [1.0], [0.3], guess={"a": 1.0})
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

@@ -120,3 +120,5 @@ def test_states_in_another_order_are_refused():
         sf.JumpMarkovModel(modes, np.zeros((2, 2)))
     with pytest.raises(sf.ModelError, match="did you mean 'a'"):
         sf.simulate_modes(three(), None, [0.0], [0.0, 1.0], mode="aa")
+    with pytest.raises(sf.ModelError, match="simulate takes an SDE"):
+        sf.simulate_modes(drifting(0.0), None, [0.0], [0.0, 1.0])
