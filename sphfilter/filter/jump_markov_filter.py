@@ -1,8 +1,8 @@
 """`JumpMarkovFilter`: a Bayes filter of a model that switches between modes, with a density for each."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,7 +19,7 @@ from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
 from ..density.weighted import WeightedStates
 from ..errors import ConfigError, ModelError
-from ..info import Code
+from ..info import Code, UpdateInfo
 from ..model.compile import StateFunction
 from ..model.jump_markov import JumpMarkovModel
 from ..model.measurements import Sensor
@@ -43,6 +43,11 @@ _MISSED = 1.5  # times the target, from which that is said
 _REPEATED = "the prediction before repeated in more steps of the jumps between modes"
 _COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
 _MARGIN, _FINEST = 4.0, 250.0  # times less, that an error is to be, which a reading brings out
+_APART = "the prediction before repeated with fewer Gaussians merged, for the reading is far out"
+_MERGED = "mergers of Gaussians leave {:.2g} nat of the log-evidence in doubt"
+#: Standard deviations of a reading from its prediction, beyond which mergers are not checked by their nodes;
+#: nats that they may change there; and predictions with fewer of them until they do not.
+_FAR, _IN_DOUBT, _REPEATS = 3.0, 0.05, 3
 
 
 @dataclass(frozen=True, repr=False)
@@ -335,21 +340,34 @@ class JumpMarkovFilter(Shown, Remembering):
         state, target, settings = self._state, self.config.target_error, (self.config, self.n_particles)
         modes, info = update_modes(state.modes, sensors, z, *settings)
         off = float(modes.w @ modes.splitting)
-        if modes is state.modes or state.before is None or off <= target:
+        far = _far(state.modes, modes.w, [info.modes.get(name) for name in self.model.names])
+        if modes is state.modes or state.before is None or (off <= target and not far):
             return state.modes, modes, info
-        prior, told = state.modes, []
-        if state.n_substeps < MOST_SUBSTEPS:
-            finer = _MARGIN * min(off / target, _FINEST)
-            model = self.model.with_inputs(state.inputs)
-            prior, _ = predict_modes(state.before, model, self.t, *settings, finer=finer)
-            modes, info = update_modes(prior, sensors, z, *settings)
-            off = float(modes.w @ modes.splitting)
+        prior, in_doubt = state.modes, 0.0
+        model, told = self.model.with_inputs(state.inputs), []
+        more = off > target and state.n_substeps < MOST_SUBSTEPS
+        if more:
             told.append((Code.REPEATED, _REPEATED))
+        if far:
+            told.append((Code.REPEATED, _APART))
+        finer = _MARGIN * min(off / target, _FINEST) if more else 1.0
+        apart = far or 1.0
+        for _ in range(_REPEATS if far else int(more)):
+            before = info.log_evidence
+            finer, apart = (max(finer, _MARGIN), _MARGIN * apart) if far else (finer, apart)
+            prior, _ = predict_modes(state.before, model, self.t, *settings, finer=finer, apart=apart)
+            modes, info = update_modes(prior, sensors, z, *settings)
+            in_doubt = abs(info.log_evidence - before) if far else 0.0
+            if in_doubt <= _IN_DOUBT:
+                break
+        off = float(modes.w @ modes.splitting)
         if off > _MISSED * target:
             told.append((Code.COARSE, _COARSE.format(off)))
+        if in_doubt > _IN_DOUBT:
+            told.append((Code.COARSE, _MERGED.format(in_doubt)))
         for code, sentence in told:
             info = info.marked(code, sentence if info.status == "ok" else f"{info.status}; {sentence}")
-        return prior, modes, info
+        return prior, modes, replace(info, evidence_error=math.hypot(info.evidence_error, in_doubt))
 
     def spread(self) -> WeightedStates:
         """The densities of all modes as states and weights, `WeightedStates`; of large clouds, of a part."""
@@ -376,6 +394,24 @@ class JumpMarkovFilter(Shown, Remembering):
         own = {f.name: getattr(result, f.name) for f in fields(result)}
         w = np.array(told).reshape(-1, len(self.model.names))
         return JumpMarkovResult(**own, mode_probabilities=w, names=self.model.names)
+
+
+def _far(prior: ModeDensities, w: Floats, infos: Sequence[UpdateInfo | None]) -> float:
+    """Square of a reading's distance from its prediction over modes of posterior probabilities w (M,).
+
+    Where mergers change log p by its rms near the middle, they change it so many times more there. Zero where
+    the reading is near, or nothing was merged.
+    """
+    some = [p for _, _, p in prior.some]
+    if all(p.pieces is None for p in some) or not all(p.gaussian or p.pieces is not None for p in some):
+        return 0.0
+    square = 0.0
+    for share, info in zip(w, infos, strict=True):
+        if info is not None and info.innovation is not None and info.innovation_cov is not None:
+            square += float(share) * float(
+                info.innovation @ np.linalg.solve(info.innovation_cov, info.innovation)
+            )
+    return square if square > _FAR**2 else 0.0
 
 
 def _probabilities(given: Any, model: JumpMarkovModel) -> Floats:

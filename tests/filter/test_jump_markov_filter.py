@@ -154,6 +154,20 @@ def test_modes_of_different_noise_are_carried_by_few_pieces_and_are_exact(drifts
     assert sum(len(p.pieces.w) for p in flt.densities.values()) < 100
 
 
+@pytest.mark.parametrize("rate", [0.01, 1.0])
+def test_mergers_of_gaussians_do_not_widen_the_tails_for_a_reading_far_out(rate):
+    model = moving([[-rate, rate], [rate, -rate]])
+    for z in (1.0, 3.0, 3.5, 4.0, -2.5):
+        flt = sf.JumpMarkovFilter(model, READING, [0.0], [[0.1]])
+        flt.predict(1.0)
+        info = flt.update(z)
+        parts = exactly(model, 0.1 + 0.04, model.stationary, 1.0, np.array([z]))[:, 0]  # with the noise of z
+        assert info.log_evidence == pytest.approx(np.log(parts.sum()), abs=0.02)
+        assert abs(info.log_evidence - np.log(parts.sum())) < info.evidence_error + 0.01
+        assert (sf.Code.REPEATED in info.code) == (z != 1.0)
+        assert info.evidence_error < 0.05
+
+
 def test_a_reading_that_few_steps_have_put_little_at_asks_for_more():
     model, sharp = moving([[-0.01, 0.01], [0.01, -0.01]]), sf.GaussianMeasurement([[1.0]], [[4e-4]])
     flt = sf.JumpMarkovFilter(model, sharp, [0.0], [[0.01]], mode_probabilities={"rest": 1.0})
