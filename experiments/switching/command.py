@@ -15,7 +15,8 @@ from .settings import read_settings
 
 __all__ = ["Held", "main"]
 
-_HEADINGS = ("filter", "mode probabilities: rms", "worst", "error of the mean", "right mode", "a step")
+_HEADINGS = ("filter", "modes: rms", "worst", "mean: rms", "right mode", "a step")
+_OFF = "off the referee: probabilities of modes, and the mean in standard deviations"
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def main(args):
             for name, make in makers.items():
                 say(f"run {run + 1} of {args.runs}: {name}")
                 told[name].append(_held(_followed(make(*scene.start), times, paths.z), fine, paths.modes))
-    console.print(scene.settings.description)
+    console.print(f"{scene.settings.description}\n{_OFF}")
     print_table(
         console, table("", _HEADINGS, [(name, *_joined(held).cells()) for name, held in told.items()])
     )

@@ -70,17 +70,28 @@ def _pairs(pieces: Pieces, alive: Bools, new: Ints) -> Ints:
     from scipy.spatial import cKDTree  # on use: import time
 
     others, back = np.flatnonzero(alive), np.linalg.inv(pieces.root[new])
-    whole = np.linalg.inv(root_of(pieces.some(alive).moments()[1]))
-    tree, count = cKDTree(pieces.mean[others] @ whole.T), min(_LOOKED_AT, len(others))
-    near = others[tree.query(pieces.mean[new] @ whole.T, count)[1].reshape(len(new), count)]
+    places, count = _places(pieces, others), min(_LOOKED_AT, len(others))
+    found = cKDTree(places).query(places[np.searchsorted(others, new)], count)[1]
+    near = others[found.reshape(len(new), count)]
     z = np.einsum("kab,klb->kla", back, pieces.mean[near] - pieces.mean[new, None])
     away = np.where(near == new[:, None], np.inf, np.sum(z**2, axis=2))
-    first = np.argsort(away, axis=1, kind="stable")[:, :_NEIGHBOURS]
+    wider = np.einsum("kab,klbc->klac", back, pieces.root[near]) - np.eye(z.shape[2])
+    first = np.argsort(away + np.sum(wider**2, axis=(2, 3)), axis=1, kind="stable")[:, :_NEIGHBOURS]
     taken = np.take_along_axis(away, first, axis=1) < _NEAR**2
     pairs = np.column_stack(
         [np.repeat(new, taken.sum(axis=1)), np.take_along_axis(near, first, axis=1)[taken]]
     )
     return np.unique(np.sort(pairs, axis=1), axis=0)
+
+
+def _places(pieces: Pieces, own: Ints) -> Floats:
+    """Where (K, m) pieces lie among each other: those with near middles and like spreads are close."""
+    some = pieces.some(own)
+    back = np.linalg.inv(root_of(np.einsum("k,kab->ab", some.w, some.cov)))
+    root = back @ some.root
+    scale = np.einsum("kaa->ka", root)
+    lower = (root / scale[:, None])[:, *np.tril_indices(scale.shape[1], -1)]
+    return np.hstack([some.mean @ back.T, np.log(scale), lower])
 
 
 def _together(pieces: Pieces, pairs: Ints, debt: Floats, total: float) -> _Joined:

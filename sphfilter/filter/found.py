@@ -9,7 +9,7 @@ from ..errors import ModelError
 
 __all__ = ["found"]
 
-_READ = "what a density filter has found is read-only; make a new SPHFilter with x0 and P0"
+_READ = "what a density filter has found is read-only; make a new filter with x0 and P0"
 
 
 class _Found(np.ndarray):

@@ -1,10 +1,10 @@
 """`JumpMarkovFilter`: a Bayes filter of a model that switches between modes, with a density for each."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,18 +19,21 @@ from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
 from ..density.weighted import WeightedStates
 from ..errors import ConfigError, ModelError
-from ..info import Code
+from ..info import Code, UpdateInfo
+from ..model.compile import StateFunction
 from ..model.jump_markov import JumpMarkovModel
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, driven
 from ..model.sensors import Sensors
 from ..prediction.mixing import Part, mixed
 from ..prediction.switching import MOST_SUBSTEPS, ModesInfo, predict_modes
-from ..validate import array, choice, count, covariance, onwards, positive, real, row, seconds, short
+from ..validate import array, choice, column, count, covariance, onwards, positive, real, row, seconds, short
 from .jump_markov_state import JumpMarkovState
 from .late import Remembering
-from .readings import checked_sensor, numbers_of, sensor_of
+from .names import check_assigned, check_read, in_own_words
+from .readings import checked_sensor, numbers_of, rows_of, sensor_of
 from .results import FilterResult, run_filter
+from .state import Shown
 from .update_modes import ModesUpdateInfo, update_modes
 
 __all__ = ["JumpMarkovFilter", "JumpMarkovResult", "ModesUpdateInfo"]
@@ -40,6 +43,11 @@ _MISSED = 1.5  # times the target, from which that is said
 _REPEATED = "the prediction before repeated in more steps of the jumps between modes"
 _COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
 _MARGIN, _FINEST = 4.0, 250.0  # times less, that an error is to be, which a reading brings out
+_APART = "the prediction before repeated with fewer Gaussians merged, for the reading is far out"
+_MERGED = "mergers of Gaussians leave {:.2g} nat of the log-evidence in doubt"
+#: Standard deviations of a reading from its prediction, beyond which mergers are not checked by their nodes;
+#: nats that they may change there; and predictions with fewer of them until they do not.
+_FAR, _IN_DOUBT, _REPEATS = 3.0, 0.05, 3
 
 
 @dataclass(frozen=True, repr=False)
@@ -68,7 +76,7 @@ class JumpMarkovResult(FilterResult):
     names: tuple[str, ...] = ()
 
 
-class JumpMarkovFilter(Remembering):
+class JumpMarkovFilter(Shown, Remembering):
     """A Bayes filter of a `JumpMarkovModel`: it carries a density for every mode, and their probabilities.
 
     The densities of modes mix as what they are, sums, and not as Gaussians with their moments.
@@ -133,6 +141,9 @@ class JumpMarkovFilter(Remembering):
      2.02 moving [0.05 0.95]
     """
 
+    _state: Any  # a JumpMarkovState, which has all that is shown
+
+    @in_own_words
     def __init__(
         self,
         model: JumpMarkovModel,
@@ -160,7 +171,7 @@ class JumpMarkovFilter(Remembering):
             count("n_particles", n_particles)
         self.n_particles = n_particles
         self.dt = None if dt is None else positive("dt", seconds("dt", dt))
-        x0 = array("x0", x0, (model.dim,), f"a value for each of the model's {model.dim} states")
+        x0 = array("x0", column(x0), (model.dim,), f"a value for each of the model's {model.dim} states")
         start = Gaussian(x0, covariance("P0", P0, dim=model.dim))
         about: dict[str, Any] = {"t": real("t0", t0), "domain": model.domain}
         density = initialize(start, n_particles, self.config, **about)
@@ -184,7 +195,28 @@ class JumpMarkovFilter(Remembering):
             raise ModelError(
                 "the measurements of all modes must have as many components: they are of one reading"
             )
+        listed = {name: [*s] if isinstance(s, Sensors) else None for name, s in sensors.items()}
+        first, names = next(iter(listed.items()))
+        for name, others in listed.items():
+            if others != names:
+                raise ModelError(
+                    f"the Sensors of all modes must have the same names in the same order, for a reading is "
+                    f"of all modes: those of {first!r} are {names}, those of {name!r} {others}"
+                )
         return sensors
+
+    def _asked(self, given: Any, H: ArrayLike | StateFunction | None) -> dict[str, Sensor]:
+        """The sensor of every mode that a reading comes from."""
+        if H is None and (hasattr(given, "log_likelihood") or isinstance(given, Mapping)):
+            return self._checked(given)
+        if self._sensors is None and given is None:
+            raise ModelError("update needs a measurement, or a filter made with one")
+        own = self._sensors or dict.fromkeys(self.model.names)
+        return {name: sensor_of(own[name], given, H, self._any_mode) for name in self.model.names}
+
+    def _of_any_mode(self, sensors: Mapping[str, Sensor] | None) -> Sensor | None:
+        """A sensor that takes readings by name, or says how many numbers they have, as those of all modes."""
+        return None if sensors is None else sensors[self.model.names[0]]
 
     @property
     def _any_mode(self) -> Any:
@@ -198,76 +230,32 @@ class JumpMarkovFilter(Remembering):
             f"std={row(np.sqrt(np.diag(self.P)))}, modes={{{told}}})"
         )
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        check_assigned(name, type(self), JumpMarkovFilter)
+        object.__setattr__(self, name, value)
+        if name == "log_evidence" and self._steps:  # a part of the state
+            self._did("__setattr__", name=name, value=value)
+
+    if not TYPE_CHECKING:  # a checker would take every name for one that is there
+
+        def __getattr__(self, name: str) -> Any:
+            check_read(name, type(self))
+            return object.__getattribute__(self, name)  # raises what Python says
+
     @property
     def measurement(self) -> Sensor | None:
         """The filter's own sensor; None where it depends on the mode, or there is none."""
         sensors = list((self._sensors or {}).values())
         return sensors[0] if sensors and all(sensor is sensors[0] for sensor in sensors) else None
 
-    @property
-    def x(self) -> Floats:
-        """Mean over all modes, shape (n,)."""
-        return self._state.x
+    @measurement.setter
+    def measurement(self, value: Sensor | Mapping[str, Sensor] | None) -> None:
+        self._sensors = None if value is None else self._checked(value)
 
     @property
-    def P(self) -> Floats:
-        """Covariance over all modes, shape (n, n)."""
-        return self._state.P
-
-    @property
-    def x_prior(self) -> Floats:
-        """Mean after the last prediction, shape (n,)."""
-        return self._state.x_prior
-
-    @property
-    def P_prior(self) -> Floats:
-        """Covariance after the last prediction, shape (n, n)."""
-        return self._state.P_prior
-
-    @property
-    def x_post(self) -> Floats:
-        """Mean after the last update, shape (n,)."""
-        return self._state.x_post
-
-    @property
-    def P_post(self) -> Floats:
-        """Covariance after the last update, shape (n, n)."""
-        return self._state.P_post
-
-    @property
-    def z(self) -> Floats | None:
-        """Last measurement, shape (k,), NaN where no reading came; None before the first."""
-        return self._state.z
-
-    @property
-    def y(self) -> Floats | None:
-        """Innovation of the last measurement, shape (k,), or None."""
-        return self._state.y
-
-    @property
-    def S(self) -> Floats | None:
-        """Covariance of the innovation, shape (k, k), or None."""
-        return self._state.S
-
-    @property
-    def log_likelihood(self) -> float:
-        """Log-evidence of the last measurement, zero where none came."""
-        return self._state.log_likelihood
-
-    @property
-    def likelihood(self) -> float:
-        """Evidence of the last measurement."""
-        return float(np.exp(self._state.log_likelihood))
-
-    @property
-    def log_evidence(self) -> float:
-        """Log-evidence of all measurements."""
-        return self._state.log_evidence
-
-    @property
-    def inputs(self) -> Mapping[str, float]:
-        """What the inputs of the modes were in the last prediction, by name."""
-        return self._state.inputs
+    def dim_z(self) -> int | None:
+        """Number of components of the filter's own sensors; None without one, or where any number will do."""
+        return getattr(self._of_any_mode(self._sensors), "dim_z", None)
 
     @property
     def t(self) -> float:
@@ -295,6 +283,7 @@ class JumpMarkovFilter(Remembering):
         target = self.config.target_error / math.sqrt(self.model.dim)
         return mixed([Part(log_w, p) for _, log_w, p in self._state.modes.some], target, (target, target))
 
+    @in_own_words
     def predict(
         self, dt: Interval | None = None, *, t: float | None = None, u: InputValues | None = None
     ) -> ModesInfo:
@@ -312,34 +301,40 @@ class JumpMarkovFilter(Remembering):
             (end,) = onwards(np.array([real("t", t)]), self.t).tolist()
         if end < self.t:
             raise ModelError(f"cannot predict back in time: from t = {self.t:g} to {end:g}")
-        if end == self.t:
-            return ModesInfo(error=self._state.modes.error, skipped=("everything: the interval is empty",))
         before, model = self._state, self.model if u is None else self.model.with_inputs(u)
-        modes, info = predict_modes(before.modes, model, end, self.config, self.n_particles)
-        self._state = before.predicted(modes, info.n_substeps, model.inputs)
+        if end == self.t:
+            self._state = replace(before, inputs=dict(model.inputs))  # that sensors read
+            info = ModesInfo(error=before.modes.error, skipped=("everything: the interval is empty",))
+        else:
+            modes, info = predict_modes(before.modes, model, end, self.config, self.n_particles)
+            self._state = before.predicted(modes, info.n_substeps, model.inputs)
         driving = None if u is None else dict(model.inputs)
         self._predicted_from(before, before.modes.heaviest.t, {"dt": dt, "t": t}, driving)
         return info
 
+    @in_own_words
     def update(
-        self, z: Reported, measurement: Sensor | Mapping[str, Sensor] | str | None = None
+        self,
+        z: Reported,
+        measurement: Sensor | Mapping[str, Sensor] | ArrayLike | str | None = None,
+        H: ArrayLike | StateFunction | None = None,
+        *,
+        R: ArrayLike | None = None,
     ) -> ModesUpdateInfo:
         """Use a measurement z, of another sensor if given; None or NaN is missing; a ModesUpdateInfo.
 
         Of several `Sensors`, z maps their names to readings, or `measurement` is the name of the one read.
+        R and H change the filter's own sensor for this reading, as those of `SPHFilter.update`.
         """
-        given = measurement
-        if isinstance(given, str):
-            given = sensor_of(self.measurement, given, None, self._any_mode)
-        sensors = self._sensors if given is None else self._checked(given)
-        if sensors is None:
-            raise ModelError("update needs a measurement, or a filter made with one")
+        if R is not None and measurement is not None:
+            raise ModelError("give R= or another sensor, not both")
         inputs = self._state.inputs
-        sensors = {name: driven(sensor, inputs) for name, sensor in sensors.items()}
-        numbers = numbers_of(sensors[self.mode], z)
+        asked = self._asked(measurement if R is None else R, H)
+        sensors = {name: driven(sensor, inputs) for name, sensor in asked.items()}
+        numbers = numbers_of(self._of_any_mode(sensors), z)
         prior, modes, info = self._updated(sensors, numbers)
         self._state = self._state.updated(prior, modes, info, sensors[self.mode], numbers)
-        self._did("update", z=z, measurement=measurement)
+        self._did("update", z=z, measurement=measurement, H=H, R=R)
         return info
 
     def _updated(
@@ -349,21 +344,34 @@ class JumpMarkovFilter(Remembering):
         state, target, settings = self._state, self.config.target_error, (self.config, self.n_particles)
         modes, info = update_modes(state.modes, sensors, z, *settings)
         off = float(modes.w @ modes.splitting)
-        if modes is state.modes or state.before is None or off <= target:
+        far = _far(state.modes, modes.w, [info.modes.get(name) for name in self.model.names])
+        if modes is state.modes or state.before is None or (off <= target and not far):
             return state.modes, modes, info
-        prior, told = state.modes, []
-        if state.n_substeps < MOST_SUBSTEPS:
-            finer = _MARGIN * min(off / target, _FINEST)
-            model = self.model.with_inputs(state.inputs)
-            prior, _ = predict_modes(state.before, model, self.t, *settings, finer=finer)
-            modes, info = update_modes(prior, sensors, z, *settings)
-            off = float(modes.w @ modes.splitting)
+        prior, in_doubt = state.modes, 0.0
+        model, told = self.model.with_inputs(state.inputs), []
+        more = off > target and state.n_substeps < MOST_SUBSTEPS
+        if more:
             told.append((Code.REPEATED, _REPEATED))
+        if far:
+            told.append((Code.REPEATED, _APART))
+        finer = _MARGIN * min(off / target, _FINEST) if more else 1.0
+        apart = far or 1.0
+        for _ in range(_REPEATS if far else int(more)):
+            before = info.log_evidence
+            finer, apart = (max(finer, _MARGIN), _MARGIN * apart) if far else (finer, apart)
+            prior, _ = predict_modes(state.before, model, self.t, *settings, finer=finer, apart=apart)
+            modes, info = update_modes(prior, sensors, z, *settings)
+            in_doubt = abs(info.log_evidence - before) if far else 0.0
+            if in_doubt <= _IN_DOUBT:
+                break
+        off = float(modes.w @ modes.splitting)
         if off > _MISSED * target:
             told.append((Code.COARSE, _COARSE.format(off)))
+        if in_doubt > _IN_DOUBT:
+            told.append((Code.COARSE, _MERGED.format(in_doubt)))
         for code, sentence in told:
             info = info.marked(code, sentence if info.status == "ok" else f"{info.status}; {sentence}")
-        return prior, modes, info
+        return prior, modes, replace(info, evidence_error=math.hypot(info.evidence_error, in_doubt))
 
     def spread(self) -> WeightedStates:
         """The densities of all modes as states and weights, `WeightedStates`; of large clouds, of a part."""
@@ -384,11 +392,30 @@ class JumpMarkovFilter(Remembering):
         `truth`, `observer` and `inputs` are those of `SPHFilter.run`.
         """
         told: list[Floats] = []
+        measurements = rows_of(self._of_any_mode(self._sensors), measurements)
         looked = {"each": lambda flt: told.append(flt.mode_probabilities)}
         result = run_filter(self, times, measurements, truth, observer, inputs=inputs, **looked)
         own = {f.name: getattr(result, f.name) for f in fields(result)}
         w = np.array(told).reshape(-1, len(self.model.names))
         return JumpMarkovResult(**own, mode_probabilities=w, names=self.model.names)
+
+
+def _far(prior: ModeDensities, w: Floats, infos: Sequence[UpdateInfo | None]) -> float:
+    """Square of a reading's distance from its prediction over modes of posterior probabilities w (M,).
+
+    Where mergers change log p by its rms near the middle, they change it so many times more there. Zero where
+    the reading is near, or nothing was merged.
+    """
+    some = [p for _, _, p in prior.some]
+    if all(p.pieces is None for p in some) or not all(p.gaussian or p.pieces is not None for p in some):
+        return 0.0
+    square = 0.0
+    for share, info in zip(w, infos, strict=True):
+        if info is not None and info.innovation is not None and info.innovation_cov is not None:
+            square += float(share) * float(
+                info.innovation @ np.linalg.solve(info.innovation_cov, info.innovation)
+            )
+    return square if square > _FAR**2 else 0.0
 
 
 def _probabilities(given: Any, model: JumpMarkovModel) -> Floats:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from numpy.typing import ArrayLike
 
@@ -9,6 +10,7 @@ from .._types import Floats
 from ..density.modes import ModeDensities
 from ..info import UpdateInfo
 from ..model.measurements import Sensor
+from .found import found
 from .state import said_of_reading
 
 __all__ = ["JumpMarkovState"]
@@ -35,23 +37,27 @@ class JumpMarkovState:
     @classmethod
     def begun(cls, modes: ModeDensities, inputs: Mapping[str, float]) -> "JumpMarkovState":
         """The state of a filter that starts with densities and has inputs."""
-        return cls(modes, *2 * modes.moments, inputs=dict(inputs))
+        return cls(modes, *2 * _moments(modes), inputs=dict(inputs))
+
+    @cached_property
+    def _moments(self) -> tuple[Floats, Floats]:
+        return _moments(self.modes)
 
     @property
     def x(self) -> Floats:
         """Mean over all modes, shape (n,)."""
-        return self.modes.moments[0]
+        return self._moments[0]
 
     @property
     def P(self) -> Floats:
         """Covariance over all modes, shape (n, n)."""
-        return self.modes.moments[1]
+        return self._moments[1]
 
     def predicted(
         self, modes: ModeDensities, n_substeps: int, inputs: Mapping[str, float]
     ) -> "JumpMarkovState":
         """The state after a prediction."""
-        x, P = modes.moments
+        x, P = _moments(modes)
         return replace(
             self,
             modes=modes,
@@ -71,7 +77,7 @@ class JumpMarkovState:
         z: ArrayLike | None,
     ) -> "JumpMarkovState":
         """The state after an update, whose prior may be another than the densities now."""
-        (x_prior, P_prior), (x, P) = prior.moments, modes.moments
+        (x_prior, P_prior), (x, P) = _moments(prior), _moments(modes)
         return replace(
             self,
             modes=modes,
@@ -84,3 +90,8 @@ class JumpMarkovState:
             log_likelihood=info.log_evidence,
             log_evidence=self.log_evidence + info.log_evidence,
         )
+
+
+def _moments(modes: ModeDensities) -> tuple[Floats, Floats]:
+    mean, cov = modes.moments
+    return found(mean), found(cov)

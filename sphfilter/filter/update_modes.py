@@ -107,7 +107,7 @@ def update_modes(
         n_particles=_particles(posterior),
         error=posterior.error,
         evidence_error=float(np.dot(w, [info.evidence_error for info in infos.values()])),
-        status="; ".join(f"{name}: {info.status}" for name, info in flagged) or "ok",
+        status="; ".join(f"{name}: {info.status}" for name, info in flagged if info.status != "ok") or "ok",
         code=reduce(or_, (info.code for _, info in flagged), Code.OK),
         scheme=", ".join(dict.fromkeys(info.scheme for info in infos.values())),
         modes=told,

@@ -63,6 +63,11 @@ class Evidence:
         report: Progress | None,
         inputs: InputRecord | None,
     ) -> None:
+        if not isinstance(filt, SPHFilter) and not callable(filt):
+            raise ModelError(
+                f"parameters of an SPHFilter are fitted, or of what a function makes of them; got "
+                f"{validate.short(filt)}: give a function of them by name that returns a new filter"
+            )
         self.times, self.names, self.inputs = np.asarray(times, dtype=float), names, inputs
         self.measurements = rows_of(getattr(filt, "measurement", None), measurements)
         self.build = _builder(filt, self) if isinstance(filt, SPHFilter) else filt

@@ -18,7 +18,6 @@ from .sde import SDE
 __all__ = ["JumpMarkovModel"]
 
 _ROUNDING = 1e-9  # of a row's largest rate, that its sum may be from zero
-_LONG = 1e3  # mean times between jumps, after which a chain has forgotten where it began
 
 
 class JumpMarkovModel:
@@ -49,7 +48,8 @@ class JumpMarkovModel:
     Raises
     ------
     ModelError
-        No mode, modes of different states, rates that are negative or whose rows do not sum to zero.
+        No mode, modes of different states, or that give an input of one name different values; rates that
+        are negative or whose rows do not sum to zero.
 
     Examples
     --------
@@ -80,10 +80,7 @@ class JumpMarkovModel:
                     f"in {self.domain}, {name!r} has {mode.dim} in {mode.domain}"
                 )
         self.rates = _rates(rates, self.names)
-        inputs: dict[str, float] = {}
-        for mode in modes.values():
-            inputs |= mode.inputs
-        self.inputs: Mapping[str, float] = MappingProxyType(inputs)
+        self.inputs: Mapping[str, float] = MappingProxyType(_inputs(self.modes))
 
     def with_inputs(self, u: InputValues) -> "JumpMarkovModel":
         """Return the model with these values of its inputs, in their order or by name.
@@ -113,22 +110,62 @@ class JumpMarkovModel:
     @property
     def stationary(self) -> Floats:
         """Probabilities (M,) of the modes after a long time, from equal ones."""
-        fastest = float(-self.rates.diagonal().min())
-        slow = self.rates.diagonal()[self.rates.diagonal() < 0.0]
-        if not fastest > 0.0:
-            return np.full(len(self.names), 1.0 / len(self.names))
-        step = self.transition(_LONG / fastest)
-        doublings = int(np.ceil(np.log2(fastest / -slow.max()))) + 1
-        for _ in range(doublings):
-            step = step @ step
-            step /= step.sum(axis=1, keepdims=True)
-        return np.asarray(step.mean(axis=0), dtype=np.float64)
+        return _long_after(self.rates)
 
 
 @lru_cache(maxsize=256)
 def _transition(rates: bytes, M: int, dt: float) -> Floats:
     P = np.maximum(expm(np.frombuffer(rates).reshape(M, M) * dt), 0.0)
     return np.asarray(P / P.sum(axis=1, keepdims=True), dtype=np.float64)
+
+
+def _long_after(rates: Floats) -> Floats:
+    """Probabilities (M,) long after equal ones: states are eliminated one by one, and nothing subtracted.
+
+    So small rates between groups of modes that exchange fast keep all of their digits (Grassmann, Taksar and
+    Heyman 1985).
+    """
+    M = len(rates)
+    off, w = rates - np.diag(rates.diagonal()), np.full(M, 1.0 / M)
+    reached = (off > 0.0) | np.eye(M, dtype=bool)
+    for _ in range(M.bit_length()):
+        reached = reached @ reached
+    for_good = np.array([reached[reached[k], k].all() for k in range(M)])
+    for k in np.flatnonzero(~for_good):  # where it goes from a mode that it leaves for good
+        to = off[k] / off[k].sum()
+        w = w + w[k] * to
+        off = off + np.outer(off[:, k], to)
+        w[k], off[:, k] = 0.0, 0.0
+        np.fill_diagonal(off, 0.0)
+    for k in np.flatnonzero(for_good):
+        own = np.flatnonzero(reached[k])
+        if k == own[0]:
+            w[own] = w[own].sum() * _balanced(off[np.ix_(own, own)])
+    return np.asarray(w, dtype=np.float64)
+
+
+def _balanced(off: Floats) -> Floats:
+    """Stationary probabilities (M,) of a chain that goes from every mode to every other."""
+    off, w = off.copy(), np.ones(len(off))
+    for k in range(len(off) - 1, 0, -1):
+        off[:k, k] /= off[k, :k].sum()
+        off[:k, :k] += np.outer(off[:k, k], off[k, :k])
+    for k in range(1, len(off)):
+        w[k] = w[:k] @ off[:k, k]
+    return np.asarray(w / w.sum(), dtype=np.float64)
+
+
+def _inputs(modes: Mapping[str, SDE]) -> dict[str, float]:
+    """Inputs of all modes by name."""
+    found: dict[str, float] = {}
+    for name, mode in modes.items():
+        for key, value in mode.inputs.items():
+            if found.setdefault(key, value) != value:
+                raise ModelError(
+                    f"inputs of one name are one input, but {key!r} is {found[key]:g} in a mode before and "
+                    f"{value:g} in {name!r}: give it one value in all modes, or two names"
+                )
+    return found
 
 
 def _rates(rates: ArrayLike, names: tuple[str, ...]) -> Floats:

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from .. import validate
 from .._types import Floats, Ints, Seed
+from ..errors import ModelError
 from .jump_markov import JumpMarkovModel
 from .named import InputRecord, each_driven
 from .simulate import Sampled, advance, drawn_readings, starting_states
@@ -73,6 +74,10 @@ def simulate_modes(
     >>> print(truth.shape, z, modes[0], 0 < modes.mean() < 1)
     (100, 1) None 0 True
     """
+    if not isinstance(model, JumpMarkovModel):
+        raise ModelError(
+            f"simulate_modes takes a JumpMarkovModel, got {validate.short(model)}; simulate takes an SDE"
+        )
     rng, times = validate.generator(rng), validate.times("times", times)
     max_step = None if max_step is None else validate.positive("max_step", max_step)
     x, single = starting_states(x0, n_paths, model.dim)

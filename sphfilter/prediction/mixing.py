@@ -49,6 +49,7 @@ __all__ = ["Part", "mixed"]
 _CHANGE, _OF_CHANGE = 5.0, 0.2  # of log p by mergers: times the aim, and part of it that is an error
 _DROPPED = 0.1  # of the error that may be added, that light parts may carry which are left out
 _HEAVY = 0.1  # share of a family, below which it may be off by more
+_MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
 _TRIES, _FINER, _MOST_NODES = 6, 2, 20_000  # lattices, and times the nodes of the one before
 _HELPED = 0.8  # of an error that is left by finer lattices, if it comes from them
 _SEEDS = 1e-4  # of the heaviest node of a part: those by which a lattice finds all of its pieces
@@ -156,9 +157,20 @@ def _as_pieces(parts: Sequence[Part], about: ParticleDensity, allowed: float) ->
     union = Pieces(*(np.concatenate(part) for part in zip(*several, strict=True))).normalised()
     kept = union.w[::-1].cumsum()[::-1] * AWAY > _DROPPED * allowed
     lost = float(union.w[~kept].sum())
-    pieces, change = merged(union.some(kept).normalised(), _CHANGE * allowed)
+    pieces, change = _few(*merged(union.some(kept).normalised(), _CHANGE * allowed), _CHANGE * allowed)
     error = math.hypot(about.error, _OF_CHANGE * change, AWAY * lost)
     return pieces_density(about, pieces, error=error).noted(needs=about.needs)
+
+
+def _few(pieces: Pieces, change: float, most: float) -> tuple[Pieces, float]:
+    """Pieces merged until they can be carried, and the change of log p, which is then more than asked for."""
+    for _ in range(_COARSER):
+        if len(pieces.log_w) <= _MOST_PIECES:
+            break
+        most *= 4.0
+        pieces, added = merged(pieces, most)
+        change += added
+    return pieces, change
 
 
 def _gaussian(density: ParticleDensity) -> bool:

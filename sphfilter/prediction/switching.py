@@ -66,6 +66,7 @@ def predict_modes(
     n_particles: int | str,
     n_substeps: int | None = None,
     finer: float = 1.0,
+    apart: float = 1.0,
 ) -> tuple[ModeDensities, ModesInfo]:
     """Carry the densities of all modes to time t1.
 
@@ -82,6 +83,8 @@ def predict_modes(
         Steps of the splitting; as many as its error asks for if not given.
     finer : float
         Times less, that the error of the splitting is to be than usual.
+    apart : float
+        Times less, that mergers of Gaussians are to change than usual.
 
     Returns
     -------
@@ -100,7 +103,7 @@ def predict_modes(
         steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error / finer, n_substeps)
     h, told = (t1 - t0) / steps, _Told(model.names)
     # what steps add to polynomials and pieces is alike, and adds up; of lattices it comes as it may
-    each = allowed / (steps + 1), allowed / math.sqrt(steps + 1)
+    each = allowed / (steps + 1) / apart, allowed / math.sqrt(steps + 1)
     smaller = [config.target_error / part for part in (steps, math.sqrt(steps), 1.0)]
     configs = dict(zip(_KINDS, (replace(config, target_error=error) for error in smaller), strict=True))
     if jumps:

@@ -208,7 +208,7 @@ def test_moments_changed_in_place_are_refused_and_stay(change):
     flt = ours()
     flt.predict()
     x, P = np.array(flt.x), np.array(flt.P)
-    with pytest.raises(sf.ModelError, match="make a new SPHFilter with x0 and P0"):
+    with pytest.raises(sf.ModelError, match="make a new filter with x0 and P0"):
         change(flt)
     assert np.array_equal(flt.x, x) and np.array_equal(flt.P, P)
 

@@ -5,6 +5,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import sphfilter as sf
 from reference_filters.jump_grid import JumpGridFilter, unsplit_jump_filter
@@ -108,6 +109,63 @@ def test_the_splitting_is_of_second_order_and_its_error_is_seen():
     said = np.array([error for _, error in found])
     assert np.all(said > 0.5 * off)
     assert np.all(said < 6.0 * off)
+
+
+def exactly(model, P0, w, t, X):
+    """Densities (M, N) of the modes with their probabilities, by the characteristic function of each."""
+    b, g = (np.array([f(mode) for mode in model.modes.values()]) for f in (_drift, _noise))
+    k = np.linspace(-80.0, 80.0, 4001)
+    carried = expm(
+        t * (np.eye(len(b)) * (1j * np.outer(k, b) - 0.5 * np.outer(k**2, g))[:, None] + model.rates.T)
+    )
+    phi = np.einsum("kij,j,k->ki", carried, w, np.exp(-0.5 * k**2 * P0))
+    return (np.exp(-1j * np.outer(X, k)) @ phi).real.T * (k[1] - k[0]) / (2.0 * np.pi)
+
+
+def _drift(mode):
+    return mode.drift(np.zeros((1, 1)), 0.0)[0, 0]
+
+
+def _noise(mode):
+    return 2.0 * mode.diffusion(np.zeros((1, 1)), 0.0)[0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("drifts", "noises", "rate"),
+    [
+        ((0.0, 0.0), (0.1, 1.5), 3.0),
+        ((0.0, 0.0), (0.1, 1.5), 100.0),
+        ((-3.0, 3.0), (0.5, 0.5), 30.0),
+        ((-1.0, 1.0), (0.1, 1.0), 2.0),
+    ],
+)
+def test_modes_of_different_noise_are_carried_by_few_pieces_and_are_exact(drifts, noises, rate):
+    modes = {name: drifting(*of) for name, of in zip("ab", zip(drifts, noises, strict=True), strict=True)}
+    model = sf.JumpMarkovModel(modes, [[-rate, rate], [2.0 * rate, -2.0 * rate]])
+    flt = sf.JumpMarkovFilter(model, READING, [0.0], [[0.1]])
+    start = flt.mode_probabilities
+    info = flt.predict(1.0)
+    X = flt.x + np.linspace(-6.0, 6.0, 601) * np.sqrt(flt.P[0, 0])
+    parts = zip(flt.mode_probabilities, flt.densities.values(), strict=True)
+    found = np.array([w * p.pdf(X[:, None]) for w, p in parts])
+    off = np.abs(found - exactly(model, 0.1, start, 1.0, X)).sum() * (X[1] - X[0])
+    assert off < 0.01
+    assert info.status == "ok"
+    assert sum(len(p.pieces.w) for p in flt.densities.values()) < 100
+
+
+@pytest.mark.parametrize("rate", [0.01, 1.0])
+def test_mergers_of_gaussians_do_not_widen_the_tails_for_a_reading_far_out(rate):
+    model = moving([[-rate, rate], [rate, -rate]])
+    for z in (1.0, 3.0, 3.5, 4.0, -2.5):
+        flt = sf.JumpMarkovFilter(model, READING, [0.0], [[0.1]])
+        flt.predict(1.0)
+        info = flt.update(z)
+        parts = exactly(model, 0.1 + 0.04, model.stationary, 1.0, np.array([z]))[:, 0]  # with the noise of z
+        assert info.log_evidence == pytest.approx(np.log(parts.sum()), abs=0.02)
+        assert abs(info.log_evidence - np.log(parts.sum())) < info.evidence_error + 0.01
+        assert (sf.Code.REPEATED in info.code) == (z != 1.0)
+        assert info.evidence_error < 0.05
 
 
 def test_a_reading_that_few_steps_have_put_little_at_asks_for_more():
@@ -282,6 +340,86 @@ def test_the_same_input_gives_the_same_bits_and_a_copy_goes_on_by_itself():
     one, other = (each.run(times, z) for each in (flt, copied))
     assert np.array_equal(one.x, other.x)
     assert np.array_equal(one.mode_probabilities, other.mode_probabilities)
+
+
+def test_a_mode_flagged_by_its_reason_alone_leaves_the_status_ok():
+    still = moving(np.zeros((2, 2)))
+    flt = sf.JumpMarkovFilter(still, READING, [0.0], [[0.1]], mode_probabilities=[0.9, 0.1])
+    flt.predict(1.0)
+    info = flt.update(-2.6)
+    assert info.flagged
+    assert "outlying" in info.reason
+    assert info.status == "ok"
+    assert info.code == sf.Code.OK
+
+
+def several(noise):
+    """Two sensors of one state, as the mode has them."""
+    g, h = (sf.GaussianMeasurement([[a]], [[noise]]) for a in (1.0, 2.0))
+    return sf.Sensors({"g": g, "h": h})
+
+
+def test_readings_by_name_go_to_the_sensors_of_every_mode():
+    sensors = {"rest": several(0.1), "moving": several(0.3)}
+    named, alone, numbered = (sf.JumpMarkovFilter(moving(), sensors, [0.0], [[0.1]]) for _ in range(3))
+    for flt in (named, alone, numbered):
+        flt.predict(1.0)
+    named.update({"g": 1.0})
+    alone.update(1.0, "g")
+    numbered.update([1.0, np.nan])
+    assert named.log_evidence == pytest.approx(numbered.log_evidence, abs=1e-12)
+    assert alone.log_evidence == pytest.approx(numbered.log_evidence, abs=1e-6)
+    rows = sf.JumpMarkovFilter(moving(), sensors, [0.0], [[0.1]]).run([1.0], [{"g": 1.0}])
+    assert rows.log_evidence[0] == pytest.approx(numbered.log_evidence, abs=1e-12)
+    with pytest.raises(sf.ModelError, match="there is no sensor 'gg'"):
+        named.update(1.0, "gg")
+    turned = sf.Sensors({name: several(0.3)[name] for name in "hg"})
+    with pytest.raises(sf.ModelError, match="same names in the same order"):
+        sf.JumpMarkovFilter(moving(), {"rest": several(0.1), "moving": turned}, [0.0], [[0.1]])
+
+
+def test_the_noise_of_one_reading_may_be_given():
+    one, other = (sf.JumpMarkovFilter(moving(), READING, [[0.0]], [[0.1]]) for _ in range(2))
+    for flt in (one, other):
+        flt.predict(1.0)
+    one.update(0.7, R=0.5)
+    other.update(0.7, sf.GaussianMeasurement([[1.0]], [[0.5]]))
+    assert one.log_evidence == other.log_evidence
+    assert one.dim_x == one.dim_z == 1
+    assert one.SI[0, 0] == pytest.approx(1.0 / one.S[0, 0])
+    assert one.mahalanobis == pytest.approx(abs(one.y[0]) / np.sqrt(one.S[0, 0]))
+    with pytest.raises(sf.ModelError, match="not both"):
+        one.update(0.7, READING, R=0.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda flt: setattr(flt, "x", [1.0]), "the mean of a density filter cannot be overwritten"),
+        (lambda flt: setattr(flt, "P", [[1.0]]), "make a new JumpMarkovFilter"),
+        (lambda flt: setattr(flt, "mode_probabilities", [1.0, 0.0]), "read, not set"),
+        (lambda flt: setattr(flt, "Q", 1.0), "JumpMarkovFilter has no Q to be set"),
+        (lambda flt: setattr(flt, "n_particle", 10), "did you mean 'n_particles'"),
+        (lambda flt: setattr(flt, "measurement", 3), "measurement must be"),
+        (lambda flt: flt.x.__setitem__(0, 1.0), "read-only"),
+        (lambda flt: flt.F, "JumpMarkovFilter has no F"),
+        (lambda flt: flt.update(0.1, HJacobian=None), "takes no HJacobian="),
+        (lambda flt: flt.update(0.1, "gps"), "measurement must be"),
+    ],
+)
+def test_what_a_filter_has_found_is_read(change, sentence):
+    flt = sf.JumpMarkovFilter(moving(), READING, [0.0], [[0.1]])
+    with pytest.raises((sf.ModelError, AttributeError), match=sentence):
+        change(flt)
+    flt.log_evidence, flt.measurement = 1.0, {"rest": READING, "moving": several(0.1)["h"]}
+    assert flt.log_evidence == 1.0
+    assert flt.measurement is None
+
+
+def test_parameters_are_fitted_by_a_function_that_makes_filters():
+    flt = sf.JumpMarkovFilter(moving(), READING, [0.0], [[0.1]])
+    with pytest.raises(sf.ModelError, match="give a function"):
+        sf.fit_parameters(flt, [1.0], [0.3], guess={"a": 1.0})
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,35 @@ def test_the_chain_of_modes():
     assert slow.stationary == pytest.approx([0.75, 0.25])
 
 
+def chain(rates):
+    return sf.JumpMarkovModel({f"m{i}": drifting(0.1 * i) for i in range(len(rates))}, rates)
+
+
+def test_groups_of_modes_that_hardly_exchange_have_their_stationary_probabilities():
+    for e in (1e-6, 1e-13):
+        rates = [[-1 - e, 1, e, 0], [1, -1 - e, 0, e], [3 * e, 0, -1 - 3 * e, 1], [0, 3 * e, 1, -1 - 3 * e]]
+        np.testing.assert_allclose(chain(rates).stationary, [0.375, 0.375, 0.125, 0.125], rtol=1e-12)
+
+
+def test_long_after_equal_probabilities_a_chain_is_where_it_cannot_leave():
+    rates = np.zeros((6, 6))  # 0 and 1 are left; 2 and 3 are exchanged; 4 and 5 last
+    rates[0, [1, 2]], rates[1, [0, 4]], rates[2, 3], rates[3, 2] = (2.0, 1.0), (1.0, 3.0), 1.0, 4.0
+    rates -= np.diag(rates.sum(axis=1))
+    long_after = np.full(6, 1.0 / 6.0) @ expm(200.0 * rates)
+    np.testing.assert_allclose(chain(rates).stationary, long_after, atol=1e-12)
+    assert chain([[0.0, 0.0], [0.5, -0.5]]).stationary.tolist() == [1.0, 0.0]
+
+
+def test_an_input_of_several_modes_has_one_value():
+    def of(value):
+        return sf.SDE.from_expressions(["x"], ["a - x"], [["1"]], [[0.2]], inputs={"a": value})
+
+    with pytest.raises(sf.ModelError, match=r"'a' is 1 .* and 5 in 'B'"):
+        sf.JumpMarkovModel({"A": of(1.0), "B": of(5.0)}, np.zeros((2, 2)))
+    model = sf.JumpMarkovModel({"A": of(1.0), "B": of(1.0)}, np.zeros((2, 2))).with_inputs({"a": 2.0})
+    assert [mode.inputs["a"] for mode in model.modes.values()] == [2.0, 2.0]
+
+
 def test_times_in_a_mode_are_exponential_and_jumps_go_where_the_rates_say():
     model = three()
     step = 0.02
@@ -91,3 +120,5 @@ def test_states_in_another_order_are_refused():
         sf.JumpMarkovModel(modes, np.zeros((2, 2)))
     with pytest.raises(sf.ModelError, match="did you mean 'a'"):
         sf.simulate_modes(three(), None, [0.0], [0.0, 1.0], mode="aa")
+    with pytest.raises(sf.ModelError, match="simulate takes an SDE"):
+        sf.simulate_modes(drifting(0.0), None, [0.0], [0.0, 1.0])

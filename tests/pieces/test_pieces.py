@@ -13,6 +13,7 @@ from sphfilter.density.splitting import Front, children
 from sphfilter.density.storage import from_bytes, to_bytes
 from sphfilter.filter.asked import Asked
 from sphfilter.filter.by_pieces import by_pieces
+from sphfilter.prediction.mixing import _few
 
 WEIGHTS = np.array([0.5, 0.3, 0.2])
 MEANS = np.array([[0.0, 1.0], [2.0, -1.0], [-1.5, 0.5]])
@@ -231,3 +232,14 @@ class TestOnTheLadder:
             one.update([11.2, 0.45])
         np.testing.assert_array_equal(flt.x, again.x)
         np.testing.assert_array_equal(flt.P, again.P)
+
+
+def test_a_sum_of_too_many_gaussians_is_merged_further_and_that_is_told():
+    rng = np.random.default_rng(5)
+    root = 0.5 * np.exp(rng.normal(0.0, 0.5, (600, 1, 1))) * np.eye(2)
+    many = Pieces(np.zeros(600), rng.normal(0.0, 2.0, (600, 2)), root).normalised()
+    few, change = _few(many, 0.0, 5e-3)
+    assert len(few.log_w) <= 200
+    assert change > 5e-3
+    np.testing.assert_allclose(few.moments()[1], many.moments()[1], rtol=1e-9)
+    assert few.log_p(many.mean) == pytest.approx(many.log_p(many.mean), abs=0.3)

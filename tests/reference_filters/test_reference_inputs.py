@@ -19,15 +19,17 @@ START = [1.0], [[2.0]]
 
 
 def exact(held, g=G):
-    """Mean, standard deviation and log-evidence by the scalar recursion; `held` before each time."""
-    m, P, now, last, rows = 1.0, 2.0, 0.0, OWN, []
+    """Mean, standard deviation and log-evidence by the scalar recursion; `held` before each time.
+
+    Over no time too: sensors read what was given last.
+    """
+    m, P, now, rows = 1.0, 2.0, 0.0, []
     for t, z, u in zip(TIMES, Z, held, strict=True):
         decay = np.exp(-A * (t - now))
-        last = u if t > now else last
         m, P, now = decay * m + u / A * (1 - decay), decay**2 * P + Q / (2 * A) * (1 - decay**2), t
         evidence = 0.0
         if z is not None:
-            S, off = P + R, z - m - g * last
+            S, off = P + R, z - m - g * u
             evidence = -0.5 * (off**2 / S + np.log(2 * np.pi * S))
             m, P = m + P / S * off, P - P**2 / S
         rows.append((m, np.sqrt(P), evidence))
