@@ -2,6 +2,7 @@
 
 import argparse
 import ast
+import re
 import sys
 from contextlib import contextmanager, suppress
 from importlib import import_module
@@ -54,7 +55,21 @@ class Refused(Exception):
 def load(argv):
     """Import what a command line asks for, unless it is refused, which `main` tells."""
     with suppress(Refused):
-        module(asked(argv)[0])
+        name = asked(argv)[0]
+        with _told("loading"):
+            module(name)
+
+
+@contextmanager
+def _told(text):
+    """Show a text at a terminal until the block ends."""
+    if sys.stderr.isatty():
+        print(text, "...", end="", file=sys.stderr, flush=True)
+    try:
+        yield
+    finally:
+        if sys.stderr.isatty():
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 def asked(argv):
@@ -67,6 +82,7 @@ def asked(argv):
     with unopened("sphfilter"):
         from sphfilter.errors import SphfilterError
 
+        argv = argv or ["--help"]
         measured = _is_measured(argv)
         name = argv[1] if measured else argv[0] if argv else ""
         args = _measured_parser(name).parse_args(argv[2:]) if measured else parser(argv).parse_args(argv)
@@ -139,7 +155,7 @@ def parser(argv):
         if argv[:1] == [name]:
             more = getattr(arguments(name), "EPILOG", "")
             own.epilog = "\n\n".join(filter(None, [guide.examples(name), more])) or None
-            _filled(own, name)
+            top.of_command = _filled(own, name)
     return top
 
 
@@ -153,8 +169,19 @@ def _filled(parser, name):
 class _Parser(argparse.ArgumentParser):
     """Answers a mistake in one sentence, not in a page of options."""
 
+    of_command: argparse.ArgumentParser | None = None  # that is asked for
+
     def error(self, message):
-        """Print it and end the program."""
+        """Print it, with what may have been meant, and end the program."""
+        from sphfilter.errors import nearest
+
+        given = re.match(
+            r"argument COMMAND: invalid choice: '([^']*)'|unrecognized arguments: (--[^\s=]+)", message
+        )
+        if given:
+            command, option = given.groups()
+            options = re.findall(r"--[a-z][-a-z]+", (self.of_command or self).format_help())
+            message += nearest(option, options) if option else nearest(command, COMMANDS)
         self.exit(2, f"error: {message} ({self.prog} --help tells more)\n")
 
 

@@ -28,10 +28,12 @@ my.toml: text is allowed wherever a model has functions (see `SDE.from_expressio
   noise = [["0"], ["1"]]
   spectral_density = [[1.6]]
   parameters = { c = 0.4, g = -1.0, e = 0.1 }
+  # domain = [["periodic", -3.1416, 3.1416], "unbounded"]   # an angle; ["bounded", 0.0, "none"] has a wall
 
   [sensor]                              # z = h(x) + noise; h is a matrix, or a list such as ["x**2"]
   h = [[1.0, 0.0]]
   noise_cov = [[0.2]]
+  # angles = [0]                        # components of z that are angles, in radians; h is a list then
 
   [start]                               # belief at the time of the first line, before it is used ...
   mean = [3.0, 0.0]

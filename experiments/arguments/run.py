@@ -28,14 +28,14 @@ The truth is driven by them, and all filters are told them (benes has a model of
 def add_arguments(parser):
     """Add the options of `run`."""
     few = "the scenario's, 5 unless its file says otherwise"
-    own = "the scenario's, mostly ekf, ukf, pf, sph and sph_paper"
+    own = "the scenario's, mostly ekf, ukf, pf and sph; the published scheme is sph_paper"
     add_run_options(parser, few, "results/NAME", own)
     parser.add_argument("--n-particles", type=int, help="particles of the SPH filters, at most")
     parser.add_argument(
         "--pictures",
         metavar="NAMES",
-        help="comma-separated pictures of the paper to draw besides the histories, or none "
-        "(default: all the scenario has, if sph_paper runs)",
+        help="comma-separated pictures of the paper to draw besides the histories, or none (default: if "
+        "sph_paper runs, all the scenario has, but for duffing's rejections, which run it four times)",
     )
     add_change_option(parser)
 

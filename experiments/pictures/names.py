@@ -16,6 +16,8 @@ PICTURES = {
         "rejections": ("rejections", "rejected_measurements"),
     },
 }
+#: Those that repeat a scenario's runs in other settings: drawn where they are asked for.
+_STUDIES = frozenset({"rejections"})
 
 
 def names(scenario):
@@ -29,7 +31,7 @@ def names(scenario):
 
 
 def chosen(scenario, text):
-    """Names in a comma-separated text, checked; all of the scenario for None, none for "none".
+    """Names in a comma-separated text, checked; for None all of the scenario but studies, none for "none".
 
     Raises
     ------
@@ -37,8 +39,10 @@ def chosen(scenario, text):
         The scenario has no such picture.
     """
     known = names(scenario)
-    if text is None or text.strip() == "none":
-        return known if text is None else ()
+    if text is None:
+        return tuple(name for name in known if name not in _STUDIES)
+    if text.strip() == "none":
+        return ()
     wanted = tuple(name.strip() for name in text.split(","))
     for name in wanted:
         place_of(scenario, name)

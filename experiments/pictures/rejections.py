@@ -124,8 +124,8 @@ def _history(ax, scenario, case, result, run):
     z = case.z[np.isfinite(case.z[:, 0]), 0] / scale
     ax.plot(case.times, case.truth[:, d], color="0.25", lw=1.0, label="truth")
     for x, P, width, alpha, label in (
-        (result.x_prior, result.P_prior, 8.0, 0.25, "SPH before the update, ± 2σ"),
-        (result.x, result.P, 3.5, 0.9, "SPH after, ± 2σ"),
+        (result.x_prior, result.P_prior, 8.0, 0.25, "SPH PAPER before the update, ± 2σ"),
+        (result.x, result.P, 3.5, 0.9, "SPH PAPER after, ± 2σ"),
     ):
         ax.errorbar(t, x[run, :, d], 2 * np.sqrt(P[run, :, d, d]), ls="", elinewidth=width, alpha=alpha,
                     color=ACCENT["sph"], label=label)  # fmt: skip
@@ -172,7 +172,7 @@ def _sentence(scenario, rates, n_runs):
         for c, r in rates.items()
     )
     return (
-        f"rejections.png: measurements that the SPH filter refused because they lie too far out for its "
+        f"rejections.png: measurements that SPH PAPER refused because they lie too far out for its "
         f"particles, in {n_runs} runs: {listed}. Particles farther out make that rarer, except where a steep "
         f"potential holds them back: there a larger f_edge does. Few runs say little about the rates."
     )

@@ -1,6 +1,6 @@
 """The filters an experiment can run, by name, as factories for `run_campaign`."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
@@ -31,6 +31,11 @@ class Factory:
         """Return the filter at the start of `case`."""
         build = _BUILDERS[self.name]
         return build(self.scenario, self.settings, case, rng)
+
+    def of_scheme(self, scheme):
+        """The same filter of another scheme; of SPH filters."""
+        config = replace(self.settings.config, scheme=scheme)
+        return replace(self, settings=replace(self.settings, config=config))
 
 
 def _reference(kind, scenario, settings, case, rng):

@@ -22,6 +22,21 @@ _End = float | Literal["none"]
 _Inputs = tuple[str, ...] | dict[str, float]
 
 
+def _bounds(axis):
+    """An axis of the state, checked: what may be wrong with it is told at once."""
+    ends = axis[1:] if isinstance(axis, list | tuple) and len(axis) == 3 else [None]
+    if axis == "unbounded" or all(end == "none" or isinstance(end, int | float) for end in ends):
+        return axis
+    raise ValueError(
+        'an axis is "unbounded" or [kind, low, high]: kind "periodic", "bounded" or "reflecting", low and '
+        f'high numbers, or "none" where it has no end; got {axis!r}'
+    )
+
+
+#: An axis of the state.
+_Axis = Annotated[Literal["unbounded"] | tuple[str, _End, _End], BeforeValidator(_bounds)]
+
+
 def _told(thing):
     """Text of settings that is silent about keys of `LATER` that are empty.
 
@@ -96,7 +111,7 @@ class ModelText:
     spectral_density: Matrix | None = None
     diffusion: tuple[tuple[float | str, ...], ...] | None = None
     parameters: dict[str, float] = Field(default_factory=dict)
-    domain: tuple[Literal["unbounded"] | tuple[str, _End, _End], ...] | None = None
+    domain: tuple[_Axis, ...] | None = None
     interpretation: Literal["ito", "stratonovich"] = "ito"
     inputs: _Inputs = ()
     tables: dict[str, TableText] = Field(default_factory=dict)

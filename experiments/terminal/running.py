@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from sphfilter.campaign.campaign import run_campaign
 
@@ -15,6 +16,8 @@ from .beside import compiled_beside, take_one
 from .progress import Interrupted, bar
 
 __all__ = ["duration", "new_console", "run_shown", "status", "tell", "warm_up"]
+
+_LAID = 2  # states of models whose densities come to lie on lattices as a rule
 
 
 def new_console(width=132):
@@ -41,29 +44,47 @@ def duration(seconds):
 def warm_up(console, scenario, filters, second):
     """Let every filter take one measurement, so that compiling neither surprises nor counts as run time.
 
-    The SPH filter compiles for as long as all others together: these are compiled in a `second` process.
+    Where that has to be compiled, a `second` process takes about half of it.
     """
-    names = sorted(filters, key=lambda name: name != "sph")
-    others = {name: filters[name] for name in names[1:]}
-    with status(console) as say, compiled_beside(second, scenario, others) as wait:
+    here, beside = _halves(scenario, filters)
+    rest = [(name, make) for name, make in filters.items() if here.get(name) is not make]
+    with status(console) as say, compiled_beside(second, scenario, beside) as wait:
         case = scenario.draw(np.random.default_rng(0))
-        for i, name in enumerate(names):
+        for i, (name, make) in enumerate([*here.items(), *rest]):
             say(f"preparing {name_of(name)}" + " (the first time compiles, for a minute)" * (i == 0))
-            if i == 1:
+            if i == len(here):
                 wait()
-            problem = take_one(filters[name], case)
-            if problem is not None:  # the campaign records it, run by run
+            problem = take_one(make, case)
+            if problem is not None and make is filters[name]:  # the campaign records it, run by run
                 say(f"{name_of(name)}: {problem}")
+
+
+def _halves(scenario, filters):
+    """Filters that compile in this process, and in a second one: about as much each.
+
+    The lattices of the SPH filter compile for as long as its families and the filters of others together.
+    Where it comes to no lattices, it is as much as the others.
+    """
+    slow = {name: make for name, make in filters.items() if name == "sph_paper"}
+    others = {name: make for name, make in filters.items() if name not in ("sph", "sph_paper")}
+    make = filters.get("sph")
+    if make is None:
+        return others, slow
+    if scenario.model.linear or scenario.model.dim > _LAID or make.settings.config.scheme != "auto":
+        return {"sph": make}, slow | others
+    return {"sph": make.of_scheme("family"), **others}, {"sph": make.of_scheme("log_density"), **slow}
 
 
 @contextmanager
 def status(console):
-    """Yield a function that shows what goes on: a line that changes, or lines where there is no terminal."""
+    """Yield a function that shows what goes on, in a line with its time, or in lines where no terminal is."""
     if not console.is_terminal:
         yield lambda text: console.print(text, style="dim")
         return
-    with console.status("") as line:
-        yield line.update
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as shown:
+        task = shown.add_task("", total=None)
+        yield lambda text: shown.update(task, description=text)
 
 
 def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):

@@ -28,6 +28,7 @@ __all__ = ["case_digest", "claim", "finished", "load_result", "manifest", "read_
            "versions", "write_run"]  # fmt: skip
 
 _MANIFEST = "manifest.json"
+_BY_DEFAULT = re.compile(r"\bdefault=\('[^)]*\), ")
 
 
 def manifest(scenario: Any, filters: Mapping[str, Any], seed: int, first_case: str) -> dict[str, Any]:
@@ -109,7 +110,10 @@ def _sides(key: str, was: Any, now: Any) -> tuple[Any, Any]:
     """What a folder says and what is wanted, as far as they are compared.
 
     A package that was not there, or is no more, had or has no part in the filters: their texts are the same.
+    Which filters a scenario runs by default is no part of it: the manifest names those that were run.
     """
+    if key in ("scenario", "filters") and isinstance(was, dict):
+        return tuple({k: _BY_DEFAULT.sub("", str(v)) for k, v in side.items()} for side in (was, now))
     if key != "versions" or not isinstance(was, dict):
         return was, now
     both = [name for name in now if name in was]

@@ -39,9 +39,11 @@ class _Listener(event.Listener):
         if self.depth == 0:
             self.began, self.ours = monotonic(), _is_ours(event.data["dispatcher"])
         self.depth += 1
-        if self.ours and not self.said and self.seconds + monotonic() - self.began > _PATIENCE:
+        folder = config.CACHE_DIR or event.data["dispatcher"].stats.cache_path  # None of what is not kept
+        late = self.ours and not self.said and self.seconds + monotonic() - self.began > _PATIENCE
+        if late and folder is not None:
             self.said = True
-            _LOGGER.warning(_COMPILING, config.CACHE_DIR or event.data["dispatcher"].stats.cache_path)
+            _LOGGER.warning(_COMPILING, folder)
 
     def on_end(self, event):
         self.depth -= 1

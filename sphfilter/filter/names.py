@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
-from ..errors import MissingNameError, ModelError
+from ..errors import MissingNameError, ModelError, nearest
 
 __all__ = ["check_assigned", "check_read", "in_own_words"]
 
@@ -111,7 +111,7 @@ def check_read(name: str, cls: type) -> None:
 
 
 def in_own_words(method: Callable[Given, Returned]) -> Callable[Given, Returned]:
-    """Let a method refuse the keywords of filterpy's, which it does not take, with what to use instead."""
+    """Let a method say what to give instead of a keyword that it has not: one of filterpy's, or a typo."""
     known = inspect.signature(method).parameters
 
     @wraps(method)
@@ -119,6 +119,9 @@ def in_own_words(method: Callable[Given, Returned]) -> Callable[Given, Returned]
         for name in kwargs:
             if name not in known and name in _FILTERPY:
                 raise ModelError(f"{method.__qualname__} takes no {name}=: {_FILTERPY[name]}")
+            near = nearest(name, known)
+            if name not in known and near:
+                raise TypeError(f"{method.__qualname__} has no argument {name!r}{near}")
         return method(*args, **kwargs)
 
     checked.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]  # else that of `checked`

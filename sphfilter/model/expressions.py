@@ -168,11 +168,12 @@ class _Walk:
         if node.id in self.names.symbols:
             self.names.used.add(node.id)
             return self.names.symbols[node.id]
-        known = [*self.names.symbols, *FUNCTIONS, "where", "table"]
-        if node.id in known:
+        functions = [*FUNCTIONS, "where", "table"]
+        if node.id in functions:
             raise self._error(f"{node.id!r} is a function; write {node.id}(...).")
+        near = nearest(node.id, self.names.symbols) or nearest(node.id, functions)
         raise self._error(
-            f"unknown name {node.id!r}{nearest(node.id, known)}. The names here are "
+            f"unknown name {node.id!r}{near}. The names here are "
             f"{', '.join(self.names.symbols)}, and the functions {' '.join(FUNCTIONS)} where table."
         )
 

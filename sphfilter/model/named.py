@@ -111,7 +111,7 @@ def input_values(known: Mapping[str, float], u: InputValues) -> dict[str, float]
     row = np.ravel(np.asanyarray(u))
     if row.dtype == bool:
         raise ModelError(f"u must be numbers, got {validate.short(u)}")
-    values = validate.array("u", row, (len(known),), f"of {', '.join(known)}")
+    values = validate.array("u", row, (len(known),), f"a value for each input: {', '.join(known)}")
     return dict(zip(known, map(float, values), strict=True))
 
 
@@ -128,7 +128,8 @@ def each_input(names: Iterable[str], record: InputRecord | None, count: int) -> 
     names = [*names]
     if isinstance(record, Mapping):
         changed("input", dict.fromkeys(names, 0.0), dict.fromkeys(record, 0.0), "The model")
-        columns = [validate.array(f"input {name}", column, (count,)) for name, column in record.items()]
+        what = "a value for each time, held over the interval that ends there"
+        columns = [validate.array(f"input {name}", column, (count,), what) for name, column in record.items()]
         rows: Any = np.column_stack(columns) if columns else np.empty((count, 0))
         return [dict(zip(record, row, strict=True)) for row in rows.tolist()]
     what = f"a row for each time, a column for each input ({', '.join(names) or 'the model has none'})"

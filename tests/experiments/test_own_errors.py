@@ -47,7 +47,7 @@ CASES = [
     ("model.parameters", {"c": 1.0, "x": 1.0}, "model.parameters: .*'x' is given twice"),
     ("model.interpretation", "itto", "model.interpretation = 'itto'"),
     ("model.domain", ["unbounded"], "model.domain has 1 axes, but there are 2 states"),
-    ("model.domain", ["infinite", "unbounded"], "model.domain.0 = 'infinite'"),
+    ("model.domain", ["infinite", "unbounded"], "model.domain.0: an axis is .* got 'infinite'"),
     (
         "model.domain",
         [["ring", 0, 1], "unbounded"],

@@ -152,7 +152,7 @@ def test_rejection_figure(short_duffing, tmp_path):
 
 
 def test_names_of_pictures():
-    assert chosen("duffing", None) == ("densities", "rejections")
+    assert chosen("duffing", None) == ("densities",)
     assert chosen("duffing", "none") == ()
     assert chosen("duffing", "rejections, densities") == ("rejections", "densities")
     assert names("benes") == ()

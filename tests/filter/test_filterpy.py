@@ -74,7 +74,7 @@ def test_controls():
         b.update(z)
     assert a.t == pytest.approx(3 * DT)
     assert a.x == pytest.approx(b.x, abs=3e-3)
-    with pytest.raises(sf.ModelError, match=r"\(1,\) is needed: of u0"):
+    with pytest.raises(sf.ModelError, match=r"\(1,\) is needed: a value for each input: u0"):
         a.predict(np.array([1.0, 2.0]))
     with pytest.raises(sf.ModelError, match="the model has no inputs"):
         ours().predict(np.array([1.0]))
