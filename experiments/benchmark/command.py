@@ -15,7 +15,7 @@ from experiments.arguments.benchmark import EXPENSIVE, SCENARIOS
 from experiments.scene.files import changes_of
 from experiments.scene.scenario import load_scenario
 from experiments.show.files import write_json
-from experiments.show.tables import print_table
+from experiments.show.tables import counted, print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.campaign import draw_case
@@ -123,7 +123,7 @@ def _write(args, plan, outcomes, machine, work):
     """Write numbers, settings and pictures; returns the pictures."""
     plan.folder.mkdir(parents=True, exist_ok=True)
     tables.write_csv(plan.folder / "benchmark.csv", outcomes)
-    title = f"Filters side by side: {plan.n_runs} runs, seed {plan.seed}"
+    title = f"Filters side by side: {counted(plan.n_runs, 'run')}, seed {plan.seed}"
     (plan.folder / "benchmark.md").write_text(tables.markdown(outcomes, title), encoding="utf-8")
     record = {
         "arguments": {key: str(value) for key, value in vars(args).items()},

@@ -98,8 +98,8 @@ def write(out, scenario, numbers, facts, failures, pictures):
 def _markdown(scenario, numbers, facts, failures, pictures):
     lines = [f"# Consistency of {scenario.name}", "", f"{scenario.settings.description}.", ""]
     lines += [
-        f"{numbers.n_runs} runs of {numbers.n_epochs} measurements, seed {facts['seed']}; "
-        f"every filter saw the same. `{facts['command']}`",
+        f"{counted(numbers.n_runs, 'run')} of {counted(numbers.n_epochs, 'measurement')}, "
+        f"seed {facts['seed']}; every filter saw the same. `{facts['command']}`",
         "",
         "## Verdicts",
         "",

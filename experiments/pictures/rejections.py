@@ -14,6 +14,7 @@ from experiments.scene.filters import Factory
 from sphfilter.campaign.campaign import draw_case, run_campaign
 
 from ..show.style import ACCENT, INK, frame, legend_below, plt, quantity
+from ..show.tables import counted
 from .picture import Picture
 
 __all__ = ["Coverage", "Rate", "rejected_measurements", "rejection_rates"]
@@ -150,7 +151,7 @@ def _bars(ax, dim, rates, n_runs):
     labels = [f"{c.z_t(dim):.2f}\n{c.represented_mass:g}\n{c.domain_mass:g}\n{c.f_edge:.2g}" for c in rates]
     ax.set_xticks(range(len(rates)), labels)
     settings = r"$Z_T$ ; $P_T$ ; $\tilde P_T$ ; $f_{edge}$"
-    frame(ax, f"{n_runs} runs: refused, 95 % interval", settings, "measurements refused (%)")
+    frame(ax, f"{counted(n_runs, 'run')}: refused, 95 % interval", settings, "measurements refused (%)")
     ax.grid(axis="x", visible=False)
     ax.margins(y=0.12)
     ax.set_ylim(bottom=0)
@@ -173,6 +174,7 @@ def _sentence(scenario, rates, n_runs):
     )
     return (
         f"rejections.png: measurements that SPH PAPER refused because they lie too far out for its "
-        f"particles, in {n_runs} runs: {listed}. Particles farther out make that rarer, except where a steep "
-        f"potential holds them back: there a larger f_edge does. Few runs say little about the rates."
+        f"particles, in {counted(n_runs, 'run')}: {listed}. Particles farther out make that rarer, "
+        f"except where a steep potential holds them back: there a larger f_edge does. Few "
+        f"runs say little about the rates."
     )

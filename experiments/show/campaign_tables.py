@@ -90,8 +90,9 @@ def sentences(report, scenario):
     published = scenario.settings.runs.published
     if scenario.settings.published and published and report.n_runs < published:
         said.append(
-            f"The paper's figures are from {published} runs with truths of its own; {report.n_runs} runs "
-            f"agree with them to within the sampling error at best. For as many runs add --runs {published}."
+            f"The paper's figures are from {published} runs with truths of its own; ours, of "
+            f"{counted(report.n_runs, 'run')}, agree with them to within the sampling error at best. "
+            f"For as many runs add --runs {published}."
         )
     return said
 

@@ -9,6 +9,7 @@ from sphfilter import consistency
 from ..scene.filters import name_of
 from .histories import example_runs, history_figure
 from .style import COLOURS, grid, legend_below, panels, plain_numbers, save
+from .tables import counted
 
 __all__ = ["consistency_figure", "draw"]
 
@@ -73,7 +74,7 @@ def consistency_figure(scenario, campaign):
     for ax in [top, *axes[1:].ravel()]:
         grid(ax)
         ax.margins(x=0.01)
-    figure.suptitle(f"{scenario.name}: averages over {n_runs} runs", fontsize=11)
+    figure.suptitle(f"{scenario.name}: averages over {counted(n_runs, 'run')}", fontsize=11)
     legend_below(figure, top)
     return figure
 

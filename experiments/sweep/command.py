@@ -14,7 +14,7 @@ from experiments.scene.files import changes_of
 from experiments.scene.filters import factories
 from experiments.scene.reading import read_settings
 from experiments.scene.scenario import load_scenario
-from experiments.show.tables import print_table
+from experiments.show.tables import counted, print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.campaign import run_campaign
@@ -71,7 +71,7 @@ def main(args):
     out = args.out or Path("results") / f"sweep_{name}"
 
     console.print(f"[bold]{name}[/]: {base.description}")
-    effort = f"{len(cells)} combinations, {n_runs} runs each; the filters compile at first use"
+    effort = f"{len(cells)} combinations, {counted(n_runs, 'run')} each; the filters compile at first use"
     console.print(f"{effort}\n", style="dim")
     rows = _sweep(console, work, n_runs, seed, args.jobs, out)
     print_table(console, tables.table(rows, name))
