@@ -113,11 +113,15 @@ def _sides(key: str, was: Any, now: Any) -> tuple[Any, Any]:
     Which filters a scenario runs by default is no part of it: the manifest names those that were run.
     """
     if key in ("scenario", "filters") and isinstance(was, dict):
-        return tuple({k: _BY_DEFAULT.sub("", str(v)) for k, v in side.items()} for side in (was, now))
+        return _without_defaults(was), _without_defaults(now)
     if key != "versions" or not isinstance(was, dict):
         return was, now
     both = [name for name in now if name in was]
     return {name: was[name] for name in both}, {name: now[name] for name in both}
+
+
+def _without_defaults(texts: dict[str, str]) -> dict[str, str]:
+    return {name: _BY_DEFAULT.sub("", text) for name, text in texts.items()}
 
 
 def _leaves(value: object) -> str:
