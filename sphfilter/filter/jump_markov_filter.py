@@ -3,8 +3,9 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from os import PathLike
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +31,7 @@ from ..prediction.switching import MOST_SUBSTEPS, ModesInfo, predict_modes
 from ..validate import array, choice, column, count, covariance, onwards, positive, real, row, seconds, short
 from .jump_markov_state import JumpMarkovState
 from .late import Remembering
+from .modes_checkpoint import restored_modes, write_modes
 from .names import check_assigned, check_read, in_own_words
 from .readings import checked_sensor, numbers_of, rows_of, sensor_of
 from .results import FilterResult, run_filter
@@ -372,6 +374,33 @@ class JumpMarkovFilter(Shown, Remembering):
         for code, sentence in told:
             info = info.marked(code, sentence if info.status == "ok" else f"{info.status}; {sentence}")
         return prior, modes, replace(info, evidence_error=math.hypot(info.evidence_error, in_doubt))
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the filter as it stands to an npz file; model and sensors, which are code, are not in it."""
+        write_modes(path, self._state, self)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | PathLike[str],
+        model: JumpMarkovModel,
+        measurement: Sensor | Mapping[str, Sensor] | None,
+        window: int = 0,
+    ) -> Self:
+        """Read a filter that `save` wrote, with the model and sensors it had: it goes on to the same bits.
+
+        The steps of a `window` are not in the file: it begins anew.
+
+        Raises
+        ------
+        ModelError
+            The file cannot be read, holds no such filter, or one of other modes or states.
+        """
+        options, state = restored_modes(path, model)
+        filt = cls(model, measurement, **options)
+        filt._state = state
+        filt._remember_from_here(window)
+        return filt
 
     def spread(self) -> WeightedStates:
         """The densities of all modes as states and weights, `WeightedStates`; of large clouds, of a part."""

@@ -342,6 +342,39 @@ def test_the_same_input_gives_the_same_bits_and_a_copy_goes_on_by_itself():
     assert np.array_equal(one.mode_probabilities, other.mode_probabilities)
 
 
+@pytest.mark.parametrize("build", [wells, moving])
+def test_a_filter_from_a_file_goes_on_to_the_same_bits(tmp_path, build):
+    model, path = build(), tmp_path / "filter.npz"
+    times, z, _ = record(model, 6)
+    flt = sf.JumpMarkovFilter(model, READING, [0.0], [[0.1]], dt=0.5, config=sf.FilterConfig(target_error=0.02))
+    flt.run(times[:3], z[:3])
+    flt.predict(t=times[3])  # the reading may ask for that again
+    flt.save(path)
+    again = sf.JumpMarkovFilter.load(path, build(), READING, window=2)
+    assert repr(again) == repr(flt)
+    for one in (flt, again):
+        one.update(z[3])
+        one.run(times[4:], z[4:])
+        one.predict()
+    assert again.log_evidence == flt.log_evidence
+    for name in ("mode_probabilities", "x", "P", "x_post", "P_prior", "y", "S", "z"):
+        assert np.array_equal(getattr(again, name), getattr(flt, name)), name
+    assert again.config == flt.config
+    again.update_late(0.1, again.t - 0.3)
+
+
+def test_files_of_other_filters_are_refused(tmp_path):
+    path = tmp_path / "filter.npz"
+    sf.JumpMarkovFilter(moving(), READING, [0.0], [[0.1]]).save(path)
+    with pytest.raises(sf.ModelError, match=r"of the modes \['rest', 'moving'\], not of"):
+        sf.JumpMarkovFilter.load(path, wells(), READING)
+    with pytest.raises(sf.ModelError, match="holds no filter: SPHFilter"):
+        sf.SPHFilter.load(path, drifting(0.0), READING)
+    sf.SPHFilter(drifting(0.0), READING, [0.0], [[0.1]]).save(path)
+    with pytest.raises(sf.ModelError, match="JumpMarkovFilter.save writes such files"):
+        sf.JumpMarkovFilter.load(path, moving(), READING)
+
+
 def test_a_mode_flagged_by_its_reason_alone_leaves_the_status_ok():
     still = moving(np.zeros((2, 2)))
     flt = sf.JumpMarkovFilter(still, READING, [0.0], [[0.1]], mode_probabilities=[0.9, 0.1])
