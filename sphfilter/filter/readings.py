@@ -59,8 +59,8 @@ def numbers_of(sensor: Any, z: Reported) -> ArrayLike | None:
         return z
     if not isinstance(sensor, Sensors):
         raise ModelError(
-            f"the measurement {short(dict(z))} names sensors, which a filter has whose measurement is "
-            "Sensors({name: sensor, ...})"
+            f"the measurement {short(dict(z))} names sensors: give it alone, to a filter whose measurement "
+            "is Sensors({name: sensor, ...})"
         )
     return sensor.vector(z)
 

@@ -182,7 +182,8 @@ def run_filter(
         raise ModelError(f"truth must have shape {expected}; got {np.shape(observer.truth)}")
     driving = [None] * len(times) if inputs is None else each_input(filt.model.inputs, inputs, len(times))
     readings = rows_of(getattr(filt, "measurement", None), measurements)
-    k = max((np.size(z) for z in readings if z is not None), default=1)
+    known = getattr(getattr(filt, "measurement", None), "dim_z", None)
+    k = max((np.size(z) for z in readings if z is not None), default=known or 1)
     looks = observer is not None and hasattr(filt, "spread")
     rows = []
     for epoch, (t, z, u) in enumerate(zip(times, readings, driving, strict=True)):

@@ -32,8 +32,8 @@ class Reading(NamedTuple):
     seen: Bools
 
     @classmethod
-    def of(cls, z: ArrayLike | None, k: int | None = None) -> "Reading":
-        """Return a measurement as a reading of k numbers; None is one of which nothing came.
+    def of(cls, z: ArrayLike | None, k: int | None = None, name: str = "") -> "Reading":
+        """Return a measurement, of a sensor of that name, as a reading of k numbers; None: nothing came.
 
         Raises
         ------
@@ -47,7 +47,8 @@ class Reading(NamedTuple):
         except (TypeError, ValueError) as error:
             raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
         if z.ndim != 1 or (k is not None and len(z) != k):
-            raise ModelError(f"The measurement has shape {z.shape}, but the sensor gives ({k or 'k'},).")
+            sensor = f"the sensor {name!r}" if name else "the sensor"
+            raise ModelError(f"The measurement has shape {z.shape}, but {sensor} gives ({k or 'k'},).")
         if np.isinf(z).any():
             raise ModelError(f"The measurement {z} is infinite; use NaN for a missing component.")
         return cls(z, np.isfinite(z))

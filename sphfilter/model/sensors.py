@@ -215,7 +215,7 @@ class Sensors(Mapping[str, Any]):
             return z
         out = np.full(self.dim_z, np.nan)
         for name, value in z.items():
-            out[self.rows(name)] = Reading.of(value, self[name].dim_z).z
+            out[self.rows(name)] = Reading.of(value, self[name].dim_z, name).z
         return out
 
     def reading(self, z: Any) -> Reading:

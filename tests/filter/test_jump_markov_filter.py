@@ -346,7 +346,8 @@ def test_the_same_input_gives_the_same_bits_and_a_copy_goes_on_by_itself():
 def test_a_filter_from_a_file_goes_on_to_the_same_bits(tmp_path, build):
     model, path = build(), tmp_path / "filter.npz"
     times, z, _ = record(model, 6)
-    flt = sf.JumpMarkovFilter(model, READING, [0.0], [[0.1]], dt=0.5, config=sf.FilterConfig(target_error=0.02))
+    config = sf.FilterConfig(target_error=0.02)
+    flt = sf.JumpMarkovFilter(model, READING, [0.0], [[0.1]], dt=0.5, config=config)
     flt.run(times[:3], z[:3])
     flt.predict(t=times[3])  # the reading may ask for that again
     flt.save(path)
@@ -371,7 +372,7 @@ def test_files_of_other_filters_are_refused(tmp_path):
     with pytest.raises(sf.ModelError, match="holds no filter: SPHFilter"):
         sf.SPHFilter.load(path, drifting(0.0), READING)
     sf.SPHFilter(drifting(0.0), READING, [0.0], [[0.1]]).save(path)
-    with pytest.raises(sf.ModelError, match="JumpMarkovFilter.save writes such files"):
+    with pytest.raises(sf.ModelError, match=r"JumpMarkovFilter\.save writes such files"):
         sf.JumpMarkovFilter.load(path, moving(), READING)
 
 

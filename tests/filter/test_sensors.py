@@ -151,3 +151,9 @@ def test_copies_and_files_keep_them(tmp_path):
 def test_what_does_not_fit_is_said(asked, sentence):
     with pytest.raises(sf.ModelError, match=sentence):
         asked()
+
+
+def test_a_record_without_readings_has_the_shape_of_the_sensors():
+    result = made(GAUSSIAN).run([0.1, 0.2], [None, None])
+    assert result.innovation.shape == (2, 2)
+    assert result.innovation_cov.shape == (2, 2, 2)
