@@ -72,7 +72,7 @@ def test_a_linear_model_has_its_inputs_exactly():
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ([1.0], r"\(2,\) is needed: of a, b"),
+        ([1.0], r"\(2,\) is needed: a value for each input: a, b"),
         ({"c": 1.0}, "no input 'c'"),
         ([1.0, math.nan], "NaN or infinity"),
     ],
