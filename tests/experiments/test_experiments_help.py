@@ -107,3 +107,26 @@ def test_what_is_wrong_is_said_in_one_line_before_anything_is_compiled(tmp_path)
     for sentence, expected in zip(said, WRONG.values(), strict=True):
         assert sentence.startswith("error: ") and expected in sentence
     assert sorted(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    [
+        ("rnu duffing", "'run'"),
+        ("run duffing --rusn 3", "'--runs'"),
+        ("run sunspots --uot here", "'--out'"),
+        ("campaign duffing --own-proir", "'--own-prior'"),
+    ],
+)
+def test_what_may_have_been_meant_is_said_of_commands_and_options(line, meant, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        commands.main(line.split())
+    assert stopped.value.code == 2
+    assert f"(did you mean {meant}?)" in capsys.readouterr().err
+
+
+def test_without_a_command_the_help_is_shown(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        commands.main([])
+    assert stopped.value.code == 0
+    assert "Try first:" in capsys.readouterr().out

@@ -173,6 +173,13 @@ def test_names_that_are_not_offered_name_what_is(name, sentence):
         flt.densities  # noqa: B018 - reading it is the test
 
 
+def test_a_mistyped_argument_is_named():
+    with pytest.raises(TypeError, match=r"has no argument 'n_particle' \(did you mean 'n_particles'\?\)"):
+        sf.SPHFilter(ours().model, None, [0.0, 0.0], np.eye(2), n_particle=10)
+    with pytest.raises(TypeError, match=r"has no argument 'measurment' \(did you mean 'measurement'\?\)"):
+        ours().update(0.1, measurment=None)
+
+
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
