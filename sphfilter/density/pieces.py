@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from .._types import Floats, Ints
+from .._types import Bools, Floats, Ints
 from ..core.family.rules import rule as family_rule
 from ..errors import PropagationError
 from .quasi_random import spread_evenly
 
-__all__ = ["GaussianPieces", "Pieces", "nodes", "particles_of_pieces", "pieces_of", "root_of"]
+__all__ = ["GaussianPieces", "Pieces", "light", "nodes", "particles_of_pieces", "pieces_of", "root_of"]
 
 _LOG_2_PI = math.log(2.0 * math.pi)
 _ENTRIES = 2**21  # of an array of states times pieces
@@ -55,6 +55,10 @@ class Pieces(NamedTuple):
         off = self.mean - mean
         return mean, np.einsum("k,kab->ab", self.w, self.cov) + np.einsum("k,ka,kb->ab", self.w, off, off)
 
+    def heavy(self, least: float, away: float = 1.0) -> Bools:
+        """All (K,) but those that `light` names."""
+        return ~light(self.w, self.mean, self.cov, least, away)
+
     def log_each(self, X: Floats) -> Floats:
         """Logarithm of each piece, with its weight, at states (M, n); shape (M, K)."""
         back = np.linalg.inv(self.root)
@@ -68,6 +72,30 @@ class Pieces(NamedTuple):
         step = max(1, _ENTRIES // self.mean.size)
         parts = [logsumexp(self.log_each(X[i : i + step]), axis=1) for i in range(0, len(X), step)]
         return np.concatenate(parts) if parts else np.empty(0)
+
+
+def light(w: Floats, means: Floats, covs: Floats, least: float, away: float = 1.0) -> Bools:
+    """The lightest parts of a sum, (K,), which together carry less than `least` of it.
+
+    What a part carries is its share of the probability, times `away`, or of the variance, if that is more:
+    without a light part that is far off a density may be much narrower.
+
+    Parameters
+    ----------
+    w, means, covs : ndarray, shapes (K,), (K, n), (K, n, n)
+        Shares of sum one.
+    least : float
+    away : float
+        Standard deviations at which what is left out may lie.
+    """
+    off = means - w @ means
+    square = covs + off[:, :, None] * off[:, None]
+    back = np.linalg.pinv(np.einsum("k,kab->ab", w, square), hermitian=True)
+    carried = w * np.maximum(away, np.einsum("kab,ab->k", square, back) / means.shape[1])
+    order = np.argsort(carried)
+    out = np.zeros(len(w), dtype=bool)
+    out[order[np.cumsum(carried[order]) < least]] = True
+    return out
 
 
 @cache

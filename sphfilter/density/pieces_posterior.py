@@ -15,7 +15,7 @@ __all__ = ["PiecesPosterior", "Settings", "pieces_posterior"]
 
 _AGAIN = 0.55  # width of pieces over that of one whose update is seen to be off
 _REPAIRS = 3
-_LIGHT = 1e-5  # share of the lightest together, which are dropped
+_LIGHT = 1e-5  # part that the lightest together carry, which are dropped
 _ROUNDS, _SETTLED = 3, 0.1
 _LEAST, _MOST = 0.05, 4.0  # variances that one round goes to
 _OF_MISFIT, _LIGHT_SHARE = 0.3, 0.1
@@ -75,7 +75,7 @@ def pieces_posterior(prior: Pieces, white: White, sees: Ints, settings: Settings
     log_evidence = float(logsumexp(new.log_w))
     share = np.exp(new.log_w - log_evidence)
     error, evidence_error = float(share @ new.off), float(share @ new.evidence_off)
-    heavy = _heavy(share)
+    heavy = Pieces(new.log_w, new.mean, new.root).heavy(_LIGHT)
     found = _lifted(prior, front.some(heavy), new.some(heavy), sees)
     return PiecesPosterior(found.normalised(), log_evidence, error, evidence_error, ask.count)
 
@@ -174,15 +174,6 @@ def _root_of(C: Floats, least: float = _LEAST) -> Floats:
     """Symmetric roots of covariances (K, q, q), of variances that are neither too small nor too large."""
     values, axes = np.linalg.eigh(C)
     return np.einsum("kab,kb,kcb->kac", axes, np.sqrt(np.clip(values, least, _MOST)), axes)
-
-
-def _heavy(share: Floats) -> Bools:
-    """Which pieces are not among the lightest that together have nothing."""
-    order = np.argsort(share)
-    light = np.cumsum(share[order]) < _LIGHT
-    out = np.ones(len(share), dtype=bool)
-    out[order[light]] = False
-    return out
 
 
 def _lifted(prior: Pieces, front: Front, new: _Updated, sees: Ints) -> Pieces:

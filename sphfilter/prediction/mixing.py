@@ -33,7 +33,7 @@ from ..density.gathering import gathered
 from ..density.merging import merged
 from ..density.needs import MOST_POINTS, Needs, fewest
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import Pieces, root_of
+from ..density.pieces import Pieces, light, root_of
 from ..density.resample import logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
@@ -47,6 +47,7 @@ from .ladder import first_degree, prefers_cloud
 __all__ = ["Part", "mixed"]
 
 _CHANGE, _OF_CHANGE = 5.0, 0.2  # of log p by mergers: times the aim, and part of it that is an error
+_MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _DROPPED = 0.1  # of the error that may be added, that light parts may carry which are left out
 _HEAVY = 0.1  # share of a family, below which it may be off by more
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
@@ -127,13 +128,13 @@ def _same(one: ParticleDensity, other: ParticleDensity) -> bool:
 
 
 def _heavy(parts: list[Part], allowed: float) -> tuple[list[Part], float]:
-    """The parts but for the lightest, and what those carry."""
+    """The parts but for the lightest, and the probability of those."""
     w = np.exp([part.log_w for part in parts])
-    carried = np.cumsum(w[::-1])[::-1]
-    kept = max(int(np.sum(AWAY * carried > _DROPPED * allowed)), 1)
-    lost = float(carried[kept]) if kept < len(parts) else 0.0
-    scale = math.log1p(-lost)
-    return [part._replace(log_w=part.log_w - scale) for part in parts[:kept]], lost
+    means, covs = (np.array([f(part.density) for part in parts]) for f in _MOMENTS)
+    heavy = ~light(w, means, covs, _DROPPED * allowed, AWAY)
+    scale = math.log(w[heavy].sum())
+    left = [part._replace(log_w=part.log_w - scale) for part, kept in zip(parts, heavy, strict=True) if kept]
+    return left, float(w[~heavy].sum())
 
 
 def _needs(parts: Sequence[Part]) -> Needs | None:
@@ -155,7 +156,7 @@ def _as_pieces(parts: Sequence[Part], about: ParticleDensity, allowed: float) ->
         return None
     several = [_pieces_of(part) for part in parts]
     union = Pieces(*(np.concatenate(part) for part in zip(*several, strict=True))).normalised()
-    kept = union.w[::-1].cumsum()[::-1] * AWAY > _DROPPED * allowed
+    kept = union.heavy(_DROPPED * allowed, AWAY)
     lost = float(union.w[~kept].sum())
     pieces, change = _few(*merged(union.some(kept).normalised(), _CHANGE * allowed), _CHANGE * allowed)
     error = math.hypot(about.error, _OF_CHANGE * change, AWAY * lost)

@@ -168,6 +168,22 @@ def test_mergers_of_gaussians_do_not_widen_the_tails_for_a_reading_far_out(rate)
         assert info.evidence_error < 0.05
 
 
+def test_a_light_peak_far_off_keeps_its_part_of_the_variance():
+    back = sf.SDE.from_expressions(["x"], ["-x/2 - 3/2"], [["1"]], [[0.5]])
+    modes = {"there": drifting(1.5, 0.5), "rest": drifting(0.0, 0.4), "back": back}
+    model = sf.JumpMarkovModel(modes, [[-3.0, 2.5, 0.5], [0.5, -4.5, 4.0], [0.5, 4.0, -4.5]])
+    square = sf.GaussianMeasurement.from_expressions(["x"], ["x**2"], [[0.1]])
+    flt = sf.JumpMarkovFilter(model, square, [-0.7], [[0.4]])
+    grid = JumpGridFilter(model, square, [-0.7], [[0.4]], box=[[-10.0, 7.0]], size=1024, step=1 / 48)
+    for t, z in enumerate((2.9, 8.1, 7.4, 7.4, 11.0, 12.2), 1):
+        for each in (flt, grid):
+            each.predict(t=float(t))
+            each.update(z)
+        assert np.sqrt(flt.P[0, 0] / grid.P[0, 0]) == pytest.approx(1.0, abs=0.02)
+    other = flt.density.probability(lambda X: X[:, 0] > 0.0)
+    assert 0.0 < other < 1e-3 < other * 7.0**2 / flt.P[0, 0]  # little, which counts
+
+
 def test_a_reading_that_few_steps_have_put_little_at_asks_for_more():
     model, sharp = moving([[-0.01, 0.01], [0.01, -0.01]]), sf.GaussianMeasurement([[1.0]], [[4e-4]])
     flt = sf.JumpMarkovFilter(model, sharp, [0.0], [[0.01]], mode_probabilities={"rest": 1.0})

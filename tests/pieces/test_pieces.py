@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 import sphfilter as sf
 from sphfilter.density.as_family import pieces_density
 from sphfilter.density.merging import merged
-from sphfilter.density.pieces import Pieces, nodes, pieces_of
+from sphfilter.density.pieces import Pieces, light, nodes, pieces_of
 from sphfilter.density.pieces_posterior import Settings, pieces_posterior
 from sphfilter.density.splitting import Front, children
 from sphfilter.density.storage import from_bytes, to_bytes
@@ -232,6 +232,20 @@ class TestOnTheLadder:
             one.update([11.2, 0.45])
         np.testing.assert_array_equal(flt.x, again.x)
         np.testing.assert_array_equal(flt.P, again.P)
+
+
+def test_light_parts_are_those_without_which_mass_and_variance_stay():
+    rng = np.random.default_rng(3)
+    w = np.sort(rng.dirichlet(np.full(60, 0.1)))[::-1]
+    means, covs = rng.normal(0.0, 3.0, (60, 2)), np.eye(2) * rng.gamma(1.0, 1.0, (60, 1, 1))
+    means[-1], w[-1] = [4e3, 0.0], 1e-6  # hardly any of the probability, most of the variance
+    w /= w.sum()
+    out = light(w, means, covs, 1e-3)
+    assert out.any() and not out[-1]
+    assert w[out].sum() < 1e-3
+    every, some = (np.cov(means[k].T, aweights=w[k], bias=True) for k in (np.ones(60, bool), ~out))
+    np.testing.assert_allclose(np.diag(some), np.diag(every), rtol=4e-3)
+    np.testing.assert_array_equal(light(w, 1e3 * means, 1e6 * covs, 1e-3), out)
 
 
 def test_a_sum_of_too_many_gaussians_is_merged_further_and_that_is_told():
