@@ -71,6 +71,12 @@ class ModeDensities:
         self.splitting = np.zeros(len(log_w)) if splitting is None else splitting
         self.ripples = ripples
 
+    @classmethod
+    def alike(cls, w: Floats, density: ParticleDensity) -> "ModeDensities":
+        """The same density in all modes, which have probabilities w (M,)."""
+        with np.errstate(divide="ignore"):
+            return cls(np.log(w), [density] * len(w))
+
     def split(self, splitting: Floats, ripples: Sequence[Ripple]) -> "ModeDensities":
         """The same with other errors that come from jumps."""
         return ModeDensities(self.log_w, self.densities, splitting, ripples)
