@@ -94,6 +94,11 @@ class ModeDensities:
         return [(i, log_w, p) for i, (log_w, p) in found if p is not None and log_w > -np.inf]
 
     @property
+    def n_particles(self) -> int:
+        """Number of particles of all modes."""
+        return sum(p.n_particles for _, _, p in self.some)
+
+    @property
     def heaviest(self) -> ParticleDensity:
         """The density of the most probable mode."""
         return max(self.some, key=lambda mode: mode[1])[2]

@@ -282,6 +282,7 @@ def test_a_step_that_fails_is_left_out_or_raised(monkeypatch):
     missed = updater.update(hypothesis)
     assert missed.modes is prediction.modes and not missed.info.accepted
     assert missed.info.flagged and "not used: nothing holds it" in missed.info.reason
+    assert missed.info.log_evidence == pytest.approx(evidence, abs=0.05)
     assert updater.log_evidence(prediction, hypothesis.measurement) == pytest.approx(evidence, abs=0.05)
     stays = predictor.predict(START, at(1))
     assert stays.info.flagged and "nothing holds it" in stays.info.status

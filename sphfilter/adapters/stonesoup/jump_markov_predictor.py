@@ -149,7 +149,7 @@ class JumpMarkovPredictor(Predictor):
         """
         model = self.transition_model
         if isinstance(state, JumpMarkovState):
-            if state.names != model.names:
+            if tuple(state.names) != model.names:
                 raise ModelError(
                     f"the state has the modes {list(state.names)}, the model {list(model.names)}"
                 )

@@ -1,5 +1,6 @@
 """States of a Stone Soup track that carry a density for every mode of a model that switches."""
 
+import datetime
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,7 @@ class JumpMarkovState(DensityState):
 
     modes: ModeDensities = Property(doc="Densities of all modes, and their probabilities.")
     names: tuple[str, ...] = Property(doc="Names of the modes.")
+    timestamp: datetime.datetime = Property(default=None, doc="Timestamp of the state. Default None.")
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -97,11 +99,11 @@ class JumpMarkovState(DensityState):
         return {self.names[i]: p for i, _, p in self.modes.some}
 
     @property
-    def carried(self) -> ModeDensities:
+    def _carried(self) -> ModeDensities:
         """The densities of all modes."""
         return self.modes
 
-    def alone(self) -> "JumpMarkovState":
+    def _alone(self) -> "JumpMarkovState":
         """The densities and their timestamp, without what they came from."""
         return JumpMarkovState(self.modes, self.names, timestamp=self.timestamp)
 

@@ -1,6 +1,7 @@
 """Stone Soup's updater interface to models that switch between modes."""
 
 import datetime
+from collections.abc import Sequence
 from functools import reduce
 from operator import or_
 from typing import Any
@@ -104,33 +105,29 @@ class JumpMarkovUpdater(DensityUpdater):
         try:
             modes, info = self._multiplied(prediction, sensor, z)
         except PropagationError as problem:
-            return self._failed(prediction, hypothesis, problem)
+            log_evidence = _evidence_of_points(self.predictor.modes_of(prediction), sensor, z)
+            return self._failed(prediction, hypothesis, problem, log_evidence=log_evidence)
         return self._posterior(prediction, hypothesis, modes, info, detection.timestamp)
 
     def _associated(self, hypotheses: MultipleHypothesis) -> JumpMarkovStateUpdate:
         prediction = one_prediction(hypotheses)
-        missed, parts, infos = 0.0, [], []
+        missed, used = 0.0, []
         for hypothesis in hypotheses:
             weight = probability_of(hypothesis)
-            found = self._used(prediction, hypothesis) if weight > 0.0 else None
-            if found is None:  # what would not be used alone is not used here
+            one = self._used(prediction, hypothesis) if weight > 0.0 else None
+            if one is None:  # what would not be used alone is not used here
                 missed += weight
             else:
-                parts.append((weight, found[0]))
-                infos.append((weight, found[1]))
-        if not parts:
+                used.append((weight, *one))
+        if not used:
             return self._unused(prediction, hypotheses)
+        parts = [(missed, self.predictor.modes_of(prediction)), *((w, modes) for w, modes, _ in used)]
         config = checked_filter_config(self.predictor.config)
         try:
-            modes = mixture([(missed, self.predictor.modes_of(prediction)), *parts], config)
+            modes = mixture(parts, config)
         except PropagationError as problem:
             return self._failed(prediction, hypotheses, problem)
-        flagged = [info for weight, info in infos if weight > config.target_error and info.status != "ok"]
-        said: dict[str, Any] = {
-            "status": "; ".join(dict.fromkeys(info.status for info in flagged)) or "ok",
-            "code": reduce(or_, (info.code for info in flagged), Code.OK),
-            "scheme": ", ".join(dict.fromkeys(info.scheme for _, info in infos)),
-        }
+        said = _joined([info for weight, _, info in used if weight > config.target_error])
         return self._posterior(prediction, hypotheses, modes, _info(modes, **said))
 
     def _used(
@@ -152,9 +149,10 @@ class JumpMarkovUpdater(DensityUpdater):
         predictor, prior, origin = self.predictor, self.predictor.modes_of(prediction), origin_of(prediction)
         settings = checked_filter_config(predictor.config), predictor.n_particles
         model = predictor.transition_model
-        sensors = dict.fromkeys(model.names, driven(sensor, model.inputs))
+        sensor = driven(sensor, model.inputs)
 
         def multiplied() -> tuple[ModeDensities, ModesUpdateInfo]:
+            sensors = dict.fromkeys(model.names, sensor)
             return update_or_predict_modes_again(origin, prior, sensors, z, *settings)[1:]
 
         likelihood = tuple(sensor.log_likelihood(z, p.x, p.t).tobytes() for _, _, p in prior.some)
@@ -168,14 +166,18 @@ class JumpMarkovUpdater(DensityUpdater):
         return self._posterior(prediction, hypothesis, modes, _info(modes, reason="no detection was used"))
 
     def _failed(
-        self, prediction: State, hypothesis: SingleHypothesis | MultipleHypothesis, problem: PropagationError
+        self,
+        prediction: State,
+        hypothesis: SingleHypothesis | MultipleHypothesis,
+        problem: PropagationError,
+        **known: Any,
     ) -> JumpMarkovStateUpdate:
         """The posterior of detections that are left out because none could be made of them, or `problem`."""
         if self.predictor.on_failure == "raise":
             raise problem
         modes = self.predictor.modes_of(prediction)
-        said: dict[str, Any] = {"status": "left out", "code": Code.FALLBACK}
-        info = _info(modes, accepted=False, reason=f"not used: {problem}", **said)
+        known |= {"accepted": False, "reason": f"not used: {problem}"}
+        info = _info(modes, status="left out", code=Code.FALLBACK, **known)
         return self._posterior(prediction, hypothesis, modes, info)
 
     def _posterior(
@@ -210,12 +212,20 @@ class JumpMarkovUpdater(DensityUpdater):
         return modes.moments[0], about + middle, S, cross
 
 
-def _info(modes: ModeDensities, accepted: bool = True, **known: Any) -> ModesUpdateInfo:
-    """What an update says that no evidence comes of."""
-    n_particles = sum(p.n_particles for _, _, p in modes.some)
-    return ModesUpdateInfo(
-        accepted=accepted, log_evidence=0.0, n_particles=n_particles, error=modes.error, **known
-    )
+def _info(modes: ModeDensities, **known: Any) -> ModesUpdateInfo:
+    """What an update says whose evidence is zero unless it is known."""
+    default: dict[str, Any] = {"accepted": True, "log_evidence": 0.0}
+    return ModesUpdateInfo(n_particles=modes.n_particles, error=modes.error, **default | known)
+
+
+def _joined(infos: Sequence[ModesUpdateInfo]) -> dict[str, Any]:
+    """Status, code and scheme of several updates."""
+    flagged = [info for info in infos if info.status != "ok"]
+    return {
+        "status": "; ".join(dict.fromkeys(info.status for info in flagged)) or "ok",
+        "code": reduce(or_, (info.code for info in flagged), Code.OK),
+        "scheme": ", ".join(dict.fromkeys(info.scheme for info in infos)),
+    }
 
 
 def _evidence_of_points(modes: ModeDensities, sensor: Sensor, z: Floats) -> float:

@@ -29,20 +29,16 @@ Known = TypeVar("Known", bound="DensityState")
 
 
 class DensityState(Type):
-    """What states have in common that are known by densities."""
-
-    timestamp: datetime.datetime = Property(default=None, doc="Timestamp of the state. Default None.")
+    """What states have in common that are known by densities: they have a density and a state_vector."""
 
     from_state = staticmethod(State.from_state)
-    density: Any
-    state_vector: StateVector
 
     @property
-    def carried(self) -> Any:
+    def _carried(self) -> Any:
         """What filters carry on: the densities as they are kept."""
         raise NotImplementedError
 
-    def alone(self) -> "DensityState":
+    def _alone(self) -> "DensityState":
         """The state without what it came from."""
         raise NotImplementedError
 
@@ -78,7 +74,7 @@ class DensityState(Type):
         made, arguments, values, *rest = super().__reduce_ex__(protocol)
         prior = getattr(self, "prior", None)
         if isinstance(prior, DensityState) and isinstance(prior, Update):
-            values = values | {"_property_prior": prior.alone()}
+            values = values | {"_property_prior": prior._alone()}
         return (made, arguments, values, *rest)
 
     def __copy__(self) -> "DensityState":
@@ -113,6 +109,7 @@ class SPHState(DensityState):
     """
 
     density: ParticleDensity = Property(doc="Probability density of the state.")
+    timestamp: datetime.datetime = Property(default=None, doc="Timestamp of the state. Default None.")
 
     @density.setter  # type: ignore[no-redef, attr-defined]  # Stone Soup makes a property of it
     def density(self, value: ParticleDensity) -> None:
@@ -133,11 +130,11 @@ class SPHState(DensityState):
         return frozen(self.density.cov()).view(CovarianceMatrix)
 
     @property
-    def carried(self) -> ParticleDensity:
+    def _carried(self) -> ParticleDensity:
         """The density."""
         return self.density
 
-    def alone(self) -> "SPHState":
+    def _alone(self) -> "SPHState":
         """The density and its timestamp, without what they came from."""
         return SPHState(self.density, timestamp=self.timestamp)
 
@@ -215,14 +212,14 @@ def retimed(
 
 def remember(state: Known, origin: object) -> Known:
     """Note where the densities of a state come from, should they have to be made again more finely."""
-    state._origin = state.carried, origin
+    state._origin = state._carried, origin
     return state
 
 
 def origin_of(state: State) -> Any:
     """What `remember` noted, unless the densities are others by now; None if there is nothing."""
     carried, origin = getattr(state, "_origin", (None, None))
-    return origin if carried is getattr(state, "carried", None) else None
+    return origin if carried is getattr(state, "_carried", None) else None
 
 
 def frozen(array: Floats) -> Floats:
