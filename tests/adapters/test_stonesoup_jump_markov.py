@@ -267,6 +267,25 @@ def test_a_pickled_track_goes_on_to_the_same_bits():
         assert theirs.hypothesis.prediction.info == mine.hypothesis.prediction.info
 
 
+def test_a_miss_does_not_forget_the_prediction_before():
+    predictor, updater = parts(linear())
+    prediction = predictor.predict(START, at(1))
+    missed = updater.update(SingleHypothesis(prediction, None))
+    again = predictor.predict(missed, at(1))
+    assert again.modes is missed.modes is prediction.modes
+    far = updater.update(SingleHypothesis(again, seen(3.0, seconds=1)))
+    assert sf.Code.REPEATED in far.info.code
+
+
+def test_sensors_read_the_inputs_of_the_model():
+    mode = sf.SDE.from_expressions(["x"], ["u"], [["0.2"]], inputs={"u": 0.5})
+    model = sf.JumpMarkovModel({"one": mode, "other": mode}, RATES)
+    sensor = sf.GaussianMeasurement.from_expressions(["x"], ["x + 10*u"], [[0.04]], inputs={"u": 0.0})
+    predictor, updater = parts(model, sensor)
+    reading = updater.predict_measurement(predictor.predict(START, at(1)))
+    assert float(reading.mean[0]) == pytest.approx(5.5)
+
+
 def failing(*arguments, **options):
     raise sf.PropagationError("nothing holds it")
 

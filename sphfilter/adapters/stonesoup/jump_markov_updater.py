@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 from stonesoup.base import Property
+from stonesoup.models.measurement.base import MeasurementModel
 from stonesoup.types.detection import Detection
 from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.multihypothesis import MultipleHypothesis
@@ -148,11 +149,9 @@ class JumpMarkovUpdater(DensityUpdater):
         """The posterior of a detection; kept a while."""
         predictor, prior, origin = self.predictor, self.predictor.modes_of(prediction), origin_of(prediction)
         settings = checked_filter_config(predictor.config), predictor.n_particles
-        model = predictor.transition_model
-        sensor = driven(sensor, model.inputs)
+        sensors = dict.fromkeys(predictor.transition_model.names, sensor)
 
         def multiplied() -> tuple[ModeDensities, ModesUpdateInfo]:
-            sensors = dict.fromkeys(model.names, sensor)
             return update_or_predict_modes_again(origin, prior, sensors, z, *settings)[1:]
 
         likelihood = tuple(sensor.log_likelihood(z, p.x, p.t).tobytes() for _, _, p in prior.some)
@@ -197,6 +196,14 @@ class JumpMarkovUpdater(DensityUpdater):
         )
         same = modes is getattr(prediction, "modes", None)
         return remember(posterior, origin_of(prediction)) if same else posterior
+
+    def _sensor(
+        self, measurement_model: MeasurementModel | Sensor | None, timestamp: datetime.datetime | None
+    ) -> Sensor:
+        found: Sensor = driven(
+            super()._sensor(measurement_model, timestamp), self.predictor.transition_model.inputs
+        )
+        return found
 
     def _reading(self, state: State, sensor: GaussianSensor) -> tuple[Floats, Floats, Floats, Floats]:
         modes = self.predictor.modes_of(state)
