@@ -71,6 +71,12 @@ class ModeDensities:
         self.splitting = np.zeros(len(log_w)) if splitting is None else splitting
         self.ripples = ripples
 
+    @classmethod
+    def alike(cls, w: Floats, density: ParticleDensity) -> "ModeDensities":
+        """The same density in all modes, which have probabilities w (M,)."""
+        with np.errstate(divide="ignore"):
+            return cls(np.log(w), [density] * len(w))
+
     def split(self, splitting: Floats, ripples: Sequence[Ripple]) -> "ModeDensities":
         """The same with other errors that come from jumps."""
         return ModeDensities(self.log_w, self.densities, splitting, ripples)
@@ -86,6 +92,11 @@ class ModeDensities:
         """Number, logarithm of the probability and density of every mode that has one."""
         found = enumerate(zip(self.log_w.tolist(), self.densities, strict=True))
         return [(i, log_w, p) for i, (log_w, p) in found if p is not None and log_w > -np.inf]
+
+    @property
+    def n_particles(self) -> int:
+        """Number of particles of all modes."""
+        return sum(p.n_particles for _, _, p in self.some)
 
     @property
     def heaviest(self) -> ParticleDensity:

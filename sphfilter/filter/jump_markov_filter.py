@@ -1,7 +1,6 @@
 """`JumpMarkovFilter`: a Bayes filter of a model that switches between modes, with a density for each."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from os import PathLike
 from types import MappingProxyType
@@ -20,14 +19,14 @@ from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
 from ..density.weighted import WeightedStates
 from ..errors import ConfigError, ModelError
-from ..info import Code, UpdateInfo
 from ..model.compile import StateFunction
 from ..model.jump_markov import JumpMarkovModel
+from ..model.jump_markov import mode_probabilities as checked_probabilities
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, driven
 from ..model.sensors import Sensors
-from ..prediction.mixing import Part, mixed
-from ..prediction.switching import MOST_SUBSTEPS, ModesInfo, predict_modes
+from ..prediction.mixing_modes import whatever_the_mode
+from ..prediction.switching import ModesInfo, ModesPrediction, predict_modes
 from ..validate import array, choice, column, count, covariance, onwards, positive, real, row, seconds, short
 from .jump_markov_state import JumpMarkovState
 from .late import Remembering
@@ -36,20 +35,12 @@ from .names import check_assigned, check_read, in_own_words
 from .readings import checked_sensor, numbers_of, rows_of, sensor_of
 from .results import FilterResult, run_filter
 from .state import Shown
-from .update_modes import ModesUpdateInfo, update_modes
+from .update_modes import ModesUpdateInfo
+from .update_modes_again import update_or_predict_modes_again
 
 __all__ = ["JumpMarkovFilter", "JumpMarkovResult", "ModesUpdateInfo"]
 
 _RANKED = 2**14  # points of a cloud that a truth is ranked among
-_MISSED = 1.5  # times the target, from which that is said
-_REPEATED = "the prediction before repeated in more steps of the jumps between modes"
-_COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
-_MARGIN, _FINEST = 4.0, 250.0  # times less, that an error is to be, which a reading brings out
-_APART = "the prediction before repeated with fewer Gaussians merged, for the reading is far out"
-_MERGED = "mergers of Gaussians leave {:.2g} nat of the log-evidence in doubt"
-#: Standard deviations of a reading from its prediction, beyond which mergers are not checked by their nodes;
-#: nats that they may change there; and predictions with fewer of them until they do not.
-_FAR, _IN_DOUBT, _REPEATS = 3.0, 0.05, 3
 
 
 @dataclass(frozen=True, repr=False)
@@ -177,9 +168,8 @@ class JumpMarkovFilter(Shown, Remembering):
         start = Gaussian(x0, covariance("P0", P0, dim=model.dim))
         about: dict[str, Any] = {"t": real("t0", t0), "domain": model.domain}
         density = initialize(start, n_particles, self.config, **about)
-        with np.errstate(divide="ignore"):
-            log_w = np.log(_probabilities(mode_probabilities, model))
-        self._state = JumpMarkovState.begun(ModeDensities(log_w, [density] * len(log_w)), model.inputs)
+        modes = ModeDensities.alike(checked_probabilities(mode_probabilities, model), density)
+        self._state = JumpMarkovState.begun(modes, model.inputs)
         self._remember_from_here(window)
 
     def _checked(self, measurement: Any) -> dict[str, Sensor]:
@@ -282,8 +272,7 @@ class JumpMarkovFilter(Shown, Remembering):
     @property
     def density(self) -> ParticleDensity:
         """The density of the states, whatever the mode: the sum of those of the modes."""
-        target = self.config.target_error / math.sqrt(self.model.dim)
-        return mixed([Part(log_w, p) for _, log_w, p in self._state.modes.some], target, (target, target))
+        return whatever_the_mode(self._state.modes, self.config.target_error)
 
     @in_own_words
     def predict(
@@ -309,7 +298,7 @@ class JumpMarkovFilter(Shown, Remembering):
             info = ModesInfo(error=before.modes.error, skipped=("everything: the interval is empty",))
         else:
             modes, info = predict_modes(before.modes, model, end, self.config, self.n_particles)
-            self._state = before.predicted(modes, info.n_substeps, model.inputs)
+            self._state = before.predicted(modes, ModesPrediction(before.modes, info.n_substeps, model))
         driving = None if u is None else dict(model.inputs)
         self._predicted_from(before, before.modes.heaviest.t, {"dt": dt, "t": t}, driving)
         return info
@@ -334,46 +323,12 @@ class JumpMarkovFilter(Shown, Remembering):
         asked = self._asked(measurement if R is None else R, H)
         sensors = {name: driven(sensor, inputs) for name, sensor in asked.items()}
         numbers = numbers_of(self._of_any_mode(sensors), z)
-        prior, modes, info = self._updated(sensors, numbers)
+        prior, modes, info = update_or_predict_modes_again(
+            self._state.prediction, self._state.modes, sensors, numbers, self.config, self.n_particles
+        )
         self._state = self._state.updated(prior, modes, info, sensors[self.mode], numbers)
         self._did("update", z=z, measurement=measurement, H=H, R=R)
         return info
-
-    def _updated(
-        self, sensors: Mapping[str, Sensor], z: ArrayLike | None
-    ) -> tuple[ModeDensities, ModeDensities, ModesUpdateInfo]:
-        """Prior and posterior; the prediction is made again in more steps where the reading hangs on them."""
-        state, target, settings = self._state, self.config.target_error, (self.config, self.n_particles)
-        modes, info = update_modes(state.modes, sensors, z, *settings)
-        off = float(modes.w @ modes.splitting)
-        far = _far(state.modes, modes.w, [info.modes.get(name) for name in self.model.names])
-        if modes is state.modes or state.before is None or (off <= target and not far):
-            return state.modes, modes, info
-        prior, in_doubt = state.modes, 0.0
-        model, told = self.model.with_inputs(state.inputs), []
-        more = off > target and state.n_substeps < MOST_SUBSTEPS
-        if more:
-            told.append((Code.REPEATED, _REPEATED))
-        if far:
-            told.append((Code.REPEATED, _APART))
-        finer = _MARGIN * min(off / target, _FINEST) if more else 1.0
-        apart = far or 1.0
-        for _ in range(_REPEATS if far else int(more)):
-            before = info.log_evidence
-            finer, apart = (max(finer, _MARGIN), _MARGIN * apart) if far else (finer, apart)
-            prior, _ = predict_modes(state.before, model, self.t, *settings, finer=finer, apart=apart)
-            modes, info = update_modes(prior, sensors, z, *settings)
-            in_doubt = abs(info.log_evidence - before) if far else 0.0
-            if in_doubt <= _IN_DOUBT:
-                break
-        off = float(modes.w @ modes.splitting)
-        if off > _MISSED * target:
-            told.append((Code.COARSE, _COARSE.format(off)))
-        if in_doubt > _IN_DOUBT:
-            told.append((Code.COARSE, _MERGED.format(in_doubt)))
-        for code, sentence in told:
-            info = info.marked(code, sentence if info.status == "ok" else f"{info.status}; {sentence}")
-        return prior, modes, replace(info, evidence_error=math.hypot(info.evidence_error, in_doubt))
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the filter as it stands to an npz file; model and sensors, which are code, are not in it."""
@@ -427,35 +382,3 @@ class JumpMarkovFilter(Shown, Remembering):
         own = {f.name: getattr(result, f.name) for f in fields(result)}
         w = np.array(told).reshape(-1, len(self.model.names))
         return JumpMarkovResult(**own, mode_probabilities=w, names=self.model.names)
-
-
-def _far(prior: ModeDensities, w: Floats, infos: Sequence[UpdateInfo | None]) -> float:
-    """Square of a reading's distance from its prediction over modes of posterior probabilities w (M,).
-
-    Where mergers change log p by its rms near the middle, they change it so many times more there. Zero where
-    the reading is near, or nothing was merged.
-    """
-    some = [p for _, _, p in prior.some]
-    if all(p.pieces is None for p in some) or not all(p.gaussian or p.pieces is not None for p in some):
-        return 0.0
-    square = 0.0
-    for share, info in zip(w, infos, strict=True):
-        if info is not None and info.innovation is not None and info.innovation_cov is not None:
-            square += float(share) * float(
-                info.innovation @ np.linalg.solve(info.innovation_cov, info.innovation)
-            )
-    return square if square > _FAR**2 else 0.0
-
-
-def _probabilities(given: Any, model: JumpMarkovModel) -> Floats:
-    """Probabilities (M,) of the modes, checked."""
-    if given is None:
-        return model.stationary
-    if isinstance(given, Mapping):
-        for name in given:
-            choice("a name in mode_probabilities", name, model.names)
-        given = [given.get(name, 0.0) for name in model.names]
-    w = array("mode_probabilities", given, (len(model.names),), f"of the modes {list(model.names)}")
-    if w.min() < 0.0 or abs(w.sum() - 1.0) > 1e-6:
-        raise ModelError(f"mode_probabilities must not be negative, and sum to one; got {row(w)}")
-    return w / w.sum()

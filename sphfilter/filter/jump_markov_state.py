@@ -10,6 +10,7 @@ from .._types import Floats
 from ..density.modes import ModeDensities
 from ..info import UpdateInfo
 from ..model.measurements import Sensor
+from ..prediction.switching import ModesPrediction
 from .found import found
 from .state import said_of_reading
 
@@ -30,8 +31,7 @@ class JumpMarkovState:
     S: Floats | None = None
     log_likelihood: float = 0.0
     log_evidence: float = 0.0
-    before: ModeDensities | None = None  # that the last prediction began with, if densities come from it
-    n_substeps: int = 0  # of that prediction
+    prediction: ModesPrediction | None = None  # the last one, if the densities come from it
     inputs: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
@@ -53,20 +53,11 @@ class JumpMarkovState:
         """Covariance over all modes, shape (n, n)."""
         return self._moments[1]
 
-    def predicted(
-        self, modes: ModeDensities, n_substeps: int, inputs: Mapping[str, float]
-    ) -> "JumpMarkovState":
+    def predicted(self, modes: ModeDensities, prediction: ModesPrediction) -> "JumpMarkovState":
         """The state after a prediction."""
         x, P = _moments(modes)
-        return replace(
-            self,
-            modes=modes,
-            x_prior=x,
-            P_prior=P,
-            before=self.modes,
-            n_substeps=n_substeps,
-            inputs=dict(inputs),
-        )
+        inputs = dict(prediction.model.inputs)
+        return replace(self, modes=modes, x_prior=x, P_prior=P, prediction=prediction, inputs=inputs)
 
     def updated(
         self,
@@ -81,7 +72,7 @@ class JumpMarkovState:
         return replace(
             self,
             modes=modes,
-            before=self.before if modes is prior else None,
+            prediction=self.prediction if modes is prior else None,
             x_prior=x_prior,
             P_prior=P_prior,
             x_post=x,

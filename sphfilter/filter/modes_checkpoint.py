@@ -11,13 +11,14 @@ from ..density.modes import ModeDensities, Ripple
 from ..density.storage import Arrays, density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import ModelError
 from ..model.jump_markov import JumpMarkovModel
+from ..prediction.switching import ModesPrediction
 from .found import found
 from .jump_markov_state import JumpMarkovState
 
 __all__ = ["restored_modes", "write_modes"]
 
 _MOMENTS = "x_prior", "P_prior", "x_post", "P_post"
-_NUMBERS = "log_likelihood", "log_evidence", "n_substeps"
+_NUMBERS = "log_likelihood", "log_evidence"
 _READING = "z", "y", "S"
 
 
@@ -28,7 +29,7 @@ def write_modes(path: str | PathLike[str], state: JumpMarkovState, filt: Any) ->
     about = {"names": filt.model.names, "n_particles": filt.n_particles, "dt": filt.dt}
     arrays |= {"switching": np.array(json.dumps(about | {"inputs": dict(state.inputs)}))}
     arrays |= {"config": np.array(filt.config.to_toml())} | under("modes", _stored(state.modes))
-    write_arrays(path, arrays | (under("before", _stored(state.before)) if state.before else {}))
+    write_arrays(path, arrays | under("prediction", _stored_prediction(state.prediction)))
 
 
 def restored_modes(
@@ -51,15 +52,31 @@ def restored_modes(
     mean, cov = modes.moments
     if len(mean) != model.dim:
         raise ModelError(f"{path} holds densities of {len(mean)} states, the model has {model.dim}")
-    before = part("before", arrays)
     values: dict[str, Any] = {name: found(arrays[name]) for name in _MOMENTS}
     values |= {name: arrays[name].item() for name in _NUMBERS}
     values |= {name: arrays.get(name) for name in _READING}
-    values["before"] = _modes_from(before) if before else None
+    values["prediction"] = _prediction(part("prediction", arrays), model)
     state = JumpMarkovState(modes=modes, inputs=about["inputs"], **values)
     made = {name: about[name] for name in ("n_particles", "dt")}
     config = FilterConfig.from_toml(str(arrays["config"]))
     return made | {"x0": mean, "P0": cov, "t0": modes.heaviest.t, "config": config}, state
+
+
+def _stored_prediction(prediction: ModesPrediction | None) -> Arrays:
+    """The last prediction of a filter, which it may have to repeat, as arrays."""
+    if prediction is None:
+        return {}
+    how = {"n_substeps": prediction.n_substeps, "inputs": dict(prediction.model.inputs)}
+    return {"how": np.array(json.dumps(how))} | under("before", _stored(prediction.before))
+
+
+def _prediction(arrays: Arrays, model: JumpMarkovModel) -> ModesPrediction | None:
+    """The prediction of arrays that `_stored_prediction` made; None if there are none."""
+    if not arrays:
+        return None
+    how = json.loads(str(arrays["how"]))
+    driven = model.with_inputs(how["inputs"]) if how["inputs"] else model
+    return ModesPrediction(_modes_from(part("before", arrays)), how["n_substeps"], driven)
 
 
 def _stored(modes: ModeDensities) -> Arrays:

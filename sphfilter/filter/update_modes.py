@@ -39,10 +39,6 @@ class ModesUpdateInfo(UpdateInfo):
     modes: dict[str, UpdateInfo] = field(default_factory=dict)
 
 
-def _particles(modes: ModeDensities) -> int:
-    return sum(p.n_particles for _, _, p in modes.some)
-
-
 def update_modes(
     modes: ModeDensities,
     sensors: Mapping[str, Sensor],
@@ -75,7 +71,7 @@ def update_modes(
     names = list(sensors)
     if not any(sensor.observed(z).any() for sensor in sensors.values()):
         said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
-        return modes, ModesUpdateInfo(n_particles=_particles(modes), error=modes.error, **said)
+        return modes, ModesUpdateInfo(n_particles=modes.n_particles, error=modes.error, **said)
     log_w, densities = np.full(len(names), -math.inf), list(modes.densities)
     splitting = modes.splitting.copy()
     infos: dict[int, UpdateInfo] = {}
@@ -104,7 +100,7 @@ def update_modes(
         innovation=y,
         innovation_cov=S,
         reason=told[names[int(np.argmax(log_w))]].reason,
-        n_particles=_particles(posterior),
+        n_particles=posterior.n_particles,
         error=posterior.error,
         evidence_error=float(np.dot(w, [info.evidence_error for info in infos.values()])),
         status="; ".join(f"{name}: {info.status}" for name, info in flagged if info.status != "ok") or "ok",

@@ -15,7 +15,7 @@ from ..errors import ModelError
 from .named import InputValues, input_values
 from .sde import SDE
 
-__all__ = ["JumpMarkovModel"]
+__all__ = ["JumpMarkovModel", "mode_probabilities"]
 
 _ROUNDING = 1e-9  # of a row's largest rate, that its sum may be from zero
 
@@ -206,3 +206,23 @@ def _states(modes: Mapping[str, SDE]) -> tuple[str, ...]:
             f"{other!r} {others}"
         )
     return next(iter(given), next(iter(modes.values())).states)
+
+
+def mode_probabilities(given: ArrayLike | Mapping[str, float] | None, model: JumpMarkovModel) -> Floats:
+    """Probabilities (M,) of the modes, checked; the stationary ones if none are given.
+
+    Raises
+    ------
+    ModelError
+        Another number of them, a name of no mode, negative ones, or a sum that is not one.
+    """
+    if given is None:
+        return model.stationary
+    if isinstance(given, Mapping):
+        for name in given:
+            validate.choice("a name in mode_probabilities", name, model.names)
+        given = [given.get(name, 0.0) for name in model.names]
+    w = validate.array("mode_probabilities", given, (len(model.names),), f"of the modes {list(model.names)}")
+    if w.min() < 0.0 or abs(w.sum() - 1.0) > 1e-6:
+        raise ModelError(f"mode_probabilities must not be negative, and sum to one; got {validate.row(w)}")
+    return w / w.sum()

@@ -11,10 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import or_
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from ..config import FilterConfig
 from ..density.modes import ModeDensities, Ripple, no_ripple
@@ -25,12 +24,12 @@ from ..info import Code, PredictInfo
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
 from .again import Outcome, or_as_cloud
-from .mixing import Part, mixed
+from .mixing_modes import summed
 from .pieces import carried_exactly
 from .predict import predict
 from .splitting_error import splitting_error
 
-__all__ = ["MOST_SUBSTEPS", "ModesInfo", "predict_modes"]
+__all__ = ["MOST_SUBSTEPS", "ModesInfo", "ModesPrediction", "predict_modes"]
 
 MOST_SUBSTEPS = 256  # of an interval
 _SPLITTING = 0.25  # of the target, that the splitting of an interval may be off by
@@ -56,6 +55,14 @@ class ModesInfo(PredictInfo):
     n_substeps: int = 1
     splitting_error: float = 0.0
     modes: dict[str, PredictInfo] = field(default_factory=dict)
+
+
+class ModesPrediction(NamedTuple):
+    """The last prediction of all modes, should it have to be made again."""
+
+    before: ModeDensities  # that it began with
+    n_substeps: int  # of its splitting
+    model: JumpMarkovModel
 
 
 def predict_modes(
@@ -160,14 +167,9 @@ def _switched(
     """The densities after h seconds in which states jump between modes and do not move."""
     with np.errstate(divide="ignore"):
         log_P = np.log(model.transition(h))
-    log_w, densities, P = [], [], model.transition(h)
-    for i, own in enumerate(modes.densities):
-        parts = [Part(w + log_P[j, i], p) for j, w, p in modes.some if log_P[j, i] > -math.inf]
-        log_w.append(float(logsumexp([part.log_w for part in parts])) if parts else -math.inf)
-        densities.append(mixed(parts, target, allowed) if parts else own)
-    share = modes.w[:, None] * P
-    splitting = np.sqrt(modes.splitting**2 @ share / np.maximum(share.sum(axis=0), 1e-300))
-    return ModeDensities(np.array(log_w), densities, splitting)
+    rows = [[own] * len(log_P) for own in modes.densities]
+    splitting = np.broadcast_to(modes.splitting[:, None], log_P.shape)
+    return summed(modes.log_w[:, None] + log_P, rows, splitting, target, allowed)
 
 
 def _carried(

@@ -26,4 +26,4 @@ def test_stone_soup_is_optional(code):
 def test_the_page_for_users_is_right():
     import sphfilter.adapters.stonesoup as page
 
-    assert doctest.testmod(page) == doctest.TestResults(failed=0, attempted=17)
+    assert doctest.testmod(page) == doctest.TestResults(failed=0, attempted=27)

@@ -31,6 +31,21 @@ and refuses those that are none. Detections bring their measurement_model along 
 density, not a Gaussian of its moments. Stone Soup's mixture trackers merge into Gaussians themselves, and the
 predictor goes on from those. Detections associated together need one timestamp.
 
+`JumpMarkovPredictor` and `JumpMarkovUpdater` carry a density for every mode of a `JumpMarkovModel`, and sum
+associations in each of them. States tell `mode`, `mode_probabilities` and `densities`:
+
+>>> from sphfilter.adapters.stonesoup import JumpMarkovPredictor, JumpMarkovUpdater
+>>> drift = lambda v: sf.LinearSDE([[0.0]], [v], noise=[[0.2]])
+>>> model = sf.JumpMarkovModel({"rest": drift(0.0), "moving": drift(1.0)}, [[-0.1, 0.1], [0.2, -0.2]])
+>>> predictor = JumpMarkovPredictor(model)
+>>> updater = JumpMarkovUpdater(predictor, sf.GaussianMeasurement([[1.0]], [[0.04]]))
+>>> associator = PDA(EvidenceHypothesiser(predictor, updater, clutter_spatial_density=0.05, prob_detect=0.9))
+>>> track = Track([GaussianState([0.0], [[0.1]], timestamp=start)])
+>>> detections = {Detection([1.1], timestamp=time), Detection([-4.0], timestamp=time)}
+>>> track.append(updater.update(associator.associate({track}, detections, time)[track]))
+>>> print(track.state.mode, track.state.mode_probabilities.round(2))
+moving [0.15 0.85]
+
 A call that fails raises `ModelError` or `PropagationError` with a sentence, and leaves track and states as
 they were. `info` of predictions and updates says how they went. `notebooks/stone_soup.ipynb` shows a tracker.
 
@@ -38,8 +53,9 @@ Plotters draw the mean of a state; `SPHState.to_particle_state` makes the states
 ``plot_tracks({Track([state.to_particle_state(200) for state in track])}, [0, 1], particle=True)``.
 
 Objects pickle. `stonesoup.serialise.YAML` writes and reads states, predictors and updaters, densities as
-arrays and models as their text; a model that is a Python function is refused with a sentence. Where the
-package is not installed but on the path, `extend(yaml)` teaches a YAML object their classes.
+arrays and models as their text; a model that is a Python function is refused with a sentence, and so
+are models that switch and their states. Where the package is not installed but on the path, `extend(yaml)`
+teaches a YAML object their classes.
 """
 
 try:
@@ -50,6 +66,9 @@ except ImportError as missing:
     ) from missing
 
 from .hypothesiser import EvidenceHypothesiser
+from .jump_markov_predictor import JumpMarkovPredictor
+from .jump_markov_states import JumpMarkovState, JumpMarkovStatePrediction, JumpMarkovStateUpdate
+from .jump_markov_updater import JumpMarkovUpdater
 from .predictor import SPHPredictor
 from .serialise import extend
 from .states import SPHState, SPHStatePrediction, SPHStateUpdate
@@ -58,6 +77,11 @@ from .updater import SPHUpdater
 
 __all__ = [
     "EvidenceHypothesiser",
+    "JumpMarkovPredictor",
+    "JumpMarkovState",
+    "JumpMarkovStatePrediction",
+    "JumpMarkovStateUpdate",
+    "JumpMarkovUpdater",
     "SDETransitionModel",
     "SPHPredictor",
     "SPHState",

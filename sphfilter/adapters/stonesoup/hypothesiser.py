@@ -17,6 +17,8 @@ from stonesoup.types.track import Track
 
 from ...errors import ModelError
 from ...validate import positive, real
+from .jump_markov_predictor import JumpMarkovPredictor
+from .jump_markov_updater import JumpMarkovUpdater
 from .predictor import SPHPredictor
 from .updater import SPHUpdater
 
@@ -32,8 +34,8 @@ class EvidenceHypothesiser(Hypothesiser):
 
     Parameters
     ----------
-    predictor : SPHPredictor
-    updater : SPHUpdater
+    predictor : SPHPredictor or JumpMarkovPredictor
+    updater : SPHUpdater or JumpMarkovUpdater
     clutter_spatial_density : float
         lambda, false detections in a unit of the measurement space and a scan.
     prob_detect : Probability
@@ -45,8 +47,8 @@ class EvidenceHypothesiser(Hypothesiser):
         Probabilities add up to one.
     """
 
-    predictor: SPHPredictor = Property(doc="Predicts tracks to detection times.")
-    updater: SPHUpdater = Property(doc="Knows the evidence of detections.")
+    predictor: SPHPredictor | JumpMarkovPredictor = Property(doc="Predicts tracks to detection times.")
+    updater: SPHUpdater | JumpMarkovUpdater = Property(doc="Knows the evidence of detections.")
     clutter_spatial_density: float = Property(doc="False detections in a unit of the measurement space.")
     prob_detect: Probability = Property(default=Probability(0.85), doc="Probability that the target is seen.")
     prob_gate: Probability = Property(

@@ -28,10 +28,9 @@ from .recent import Recent
 from .states import SPHState, SPHStatePrediction, current, density_of, origin_of, remember, retimed
 from .transition import SDETransitionModel, transition_of
 
-__all__ = ["SPHPredictor"]
+__all__ = ["SPHPredictor", "check_control", "interval"]
 
 _KEPT = 64  # predictions of late, which hypothesisers ask for once a detection
-_NO_CONTROL = "SPHPredictor takes no {}: write the control into the drift of the SDE"
 
 
 class SPHPredictor(Predictor):
@@ -73,8 +72,7 @@ class SPHPredictor(Predictor):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        if self.control_model is not None:
-            raise ModelError(_NO_CONTROL.format("control_model"))
+        check_control(self, control_model=self.control_model)
         choice("on_failure", self.on_failure, ON_FAILURE)
         self._kept = Recent(_KEPT)
 
@@ -107,13 +105,12 @@ class SPHPredictor(Predictor):
             With ``on_failure="raise"``: the model blew up, or no lattice holds the density; says what to
             change. The prior is as it was.
         """
-        if control_input is not None:
-            raise ModelError(_NO_CONTROL.format("control_input"))
+        check_control(self, control_input=control_input)
         prior = current(prior)
         sde, config = self.transition_model.sde, checked_filter_config(self.config)
         n_particles = count("n_particles", self.n_particles)
         density = density_of(prior, n_particles, config, sde.domain)
-        dt = _seconds(prior.timestamp, timestamp)
+        dt = interval(prior.timestamp, timestamp)
         before, moved, info, _ = self._carried(prior, density, dt, config, n_particles)
         failed = info.scheme == ""
         prediction = Prediction.from_state(
@@ -202,7 +199,17 @@ class SPHPredictor(Predictor):
         return or_as_cloud(attempted, config)
 
 
-def _seconds(start: datetime.datetime | None, end: datetime.datetime | None) -> float:
+def check_control(predictor: Predictor, **given: object) -> None:
+    """Raise `ModelError` for a control that is given by name."""
+    for name, value in given.items():
+        if value is not None:
+            raise ModelError(
+                f"{type(predictor).__name__} takes no {name}: write the control into the drift of the SDE"
+            )
+
+
+def interval(start: datetime.datetime | None, end: datetime.datetime | None) -> float:
+    """Seconds from one timestamp to another."""
     if start is None or end is None:
         raise ModelError(
             f"a prediction needs the timestamp of the state and one to predict to, got {start} and {end}"

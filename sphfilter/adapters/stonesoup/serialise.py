@@ -11,11 +11,13 @@ from ruamel.yaml.constructor import ConstructorError
 from stonesoup.base import Base
 
 from ...config import FilterConfig
+from ...density.modes import ModeDensities
 from ...density.particle_density import ParticleDensity
 from ...density.storage import from_bytes, to_bytes
 from ...errors import ModelError, SphfilterError
 from ...info import PredictInfo, ResampleInfo, UpdateInfo
 from ...model.domain import Domain
+from ...model.jump_markov import JumpMarkovModel
 from ...model.likelihood import LikelihoodMeasurement
 from ...model.measurements import GaussianMeasurement
 from ...model.sde import SDE, LinearSDE
@@ -113,6 +115,12 @@ def _refused(sensor: object) -> NoReturn:
     raise ModelError(_CODE.format("the likelihood of a LikelihoodMeasurement"))
 
 
+def _refused_modes(value: object) -> NoReturn:
+    raise ModelError(
+        f"YAML holds no {type(value).__name__}, nor other parts of models that switch: keep them with pickle"
+    )
+
+
 def _info_text(info: PredictInfo | UpdateInfo) -> str:
     return json.dumps(_plain("info", asdict(info)))
 
@@ -162,6 +170,8 @@ _FORMS: dict[type, tuple[Callable[[Any], str], Callable[[str], Any]]] = {
     LinearSDE: (_model_text, _linear_from),
     GaussianMeasurement: (_sensor_text, _sensor_from),
     LikelihoodMeasurement: (_refused, _refused),
+    JumpMarkovModel: (_refused_modes, _refused_modes),
+    ModeDensities: (_refused_modes, _refused_modes),
     FilterConfig: (FilterConfig.to_toml, FilterConfig.from_toml),
     PredictInfo: (_info_text, _prediction_from),
     UpdateInfo: (_info_text, _update_from),

@@ -3,7 +3,7 @@
 import datetime
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from stonesoup.base import Property, clearable_cached_property
@@ -22,11 +22,71 @@ from ...info import PredictInfo, UpdateInfo
 from ...model.domain import Domain
 from ...validate import count, covariance, generator, short
 
-__all__ = ["SPHState", "SPHStatePrediction", "SPHStateUpdate", "current", "density_of", "origin_of",
-           "remember", "retimed"]  # fmt: skip
+__all__ = ["DensityState", "SPHState", "SPHStatePrediction", "SPHStateUpdate", "current", "density_of",
+           "frozen", "origin_of", "remember", "retimed"]  # fmt: skip
+
+Known = TypeVar("Known", bound="DensityState")
 
 
-class SPHState(Type):
+class DensityState(Type):
+    """What states have in common that are known by densities: they have a density and a state_vector."""
+
+    from_state = staticmethod(State.from_state)
+
+    @property
+    def _carried(self) -> Any:
+        """What filters carry on: the densities as they are kept."""
+        raise NotImplementedError
+
+    def _alone(self) -> "DensityState":
+        """The state without what it came from."""
+        raise NotImplementedError
+
+    @property
+    def mean(self) -> StateVector:
+        """The mean, shape (n, 1)."""
+        return self.state_vector
+
+    @property
+    def ndim(self) -> int:
+        """Number of states n."""
+        return len(self.state_vector)
+
+    def to_particle_state(self, n_particles: int, rng: Seed = None) -> ParticleState:
+        """Draw equally weighted particles from the density.
+
+        Parameters
+        ----------
+        n_particles : int
+        rng : numpy Generator or seed, optional
+
+        Returns
+        -------
+        stonesoup.types.state.ParticleState
+        """
+        n_particles = count("n_particles", n_particles)
+        X = self.density.sample(n_particles, generator(rng))
+        log_weight = np.full(n_particles, -np.log(n_particles))
+        return ParticleState(StateVectors(X.T), log_weight=log_weight, timestamp=self.timestamp)
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """A prediction in a file has the density of its prior, not what that came from."""
+        made, arguments, values, *rest = super().__reduce_ex__(protocol)
+        prior = getattr(self, "prior", None)
+        if isinstance(prior, DensityState) and isinstance(prior, Update):
+            values = values | {"_property_prior": prior._alone()}
+        return (made, arguments, values, *rest)
+
+    def __copy__(self) -> "DensityState":
+        other = type(self).__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        return other
+
+
+State.register(DensityState)  # as Stone Soup registers its own states whose vector is computed
+
+
+class SPHState(DensityState):
     """A state known by its probability density.
 
     Parameters
@@ -51,8 +111,6 @@ class SPHState(Type):
     density: ParticleDensity = Property(doc="Probability density of the state.")
     timestamp: datetime.datetime = Property(default=None, doc="Timestamp of the state. Default None.")
 
-    from_state = staticmethod(State.from_state)
-
     @density.setter  # type: ignore[no-redef, attr-defined]  # Stone Soup makes a property of it
     def density(self, value: ParticleDensity) -> None:
         if not isinstance(value, ParticleDensity):
@@ -64,61 +122,27 @@ class SPHState(Type):
     @clearable_cached_property("density")
     def state_vector(self) -> StateVector:
         """The mean, shape (n, 1)."""
-        return _frozen(self.density.mean()[:, None]).view(StateVector)
-
-    @property
-    def mean(self) -> StateVector:
-        """The mean, shape (n, 1)."""
-        return self.state_vector
+        return frozen(self.density.mean()[:, None]).view(StateVector)
 
     @clearable_cached_property("density")
     def covar(self) -> CovarianceMatrix:
         """The covariance, shape (n, n)."""
-        return _frozen(self.density.cov()).view(CovarianceMatrix)
+        return frozen(self.density.cov()).view(CovarianceMatrix)
 
     @property
-    def ndim(self) -> int:
-        """Number of states n."""
-        return self.density.dim
+    def _carried(self) -> ParticleDensity:
+        """The density."""
+        return self.density
 
-    def to_particle_state(self, n_particles: int, rng: Seed = None) -> ParticleState:
-        """Draw equally weighted particles from the density.
-
-        Parameters
-        ----------
-        n_particles : int
-        rng : numpy Generator or seed, optional
-
-        Returns
-        -------
-        stonesoup.types.state.ParticleState
-        """
-        n_particles = count("n_particles", n_particles)
-        X = self.density.sample(n_particles, generator(rng))
-        log_weight = np.full(n_particles, -np.log(n_particles))
-        return ParticleState(StateVectors(X.T), log_weight=log_weight, timestamp=self.timestamp)
-
-
-State.register(SPHState)  # as Stone Soup registers its own states whose vector is computed
+    def _alone(self) -> "SPHState":
+        """The density and its timestamp, without what they came from."""
+        return SPHState(self.density, timestamp=self.timestamp)
 
 
 class SPHStatePrediction(Prediction, SPHState):
     """A predicted density; `info` says how it was carried (`PredictInfo`)."""
 
     info: PredictInfo = Property(default=None, doc="What the prediction did.")
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        """A prediction in a file has the density of its prior, not what that came from."""
-        made, arguments, values, *rest = super().__reduce_ex__(protocol)
-        if isinstance(self.prior, SPHStateUpdate):
-            prior = SPHState(self.prior.density, timestamp=self.prior.timestamp)
-            values = values | {"_property_prior": prior}
-        return (made, arguments, values, *rest)
-
-    def __copy__(self) -> "SPHStatePrediction":
-        other = type(self).__new__(type(self))
-        other.__dict__.update(self.__dict__)
-        return other
 
 
 class SPHStateUpdate(Update, SPHState):
@@ -140,11 +164,16 @@ def current(state: State | StateMutableSequence) -> State:
 
 
 def density_of(
-    state: State, n_particles: int, config: FilterConfig, domain: Domain | None = None
+    state: State, n_particles: int | Literal["auto"], config: FilterConfig, domain: Domain | None = None
 ) -> ParticleDensity:
     """The density of a state; that of a Gaussian state is put on particles, always the same for the same."""
     if isinstance(state, SPHState):
         return state.density
+    if isinstance(state, DensityState):
+        raise ModelError(
+            f"a {type(state).__name__} has a density for every mode, which JumpMarkovPredictor and "
+            f"JumpMarkovUpdater carry; take these, or SPHState(state.density, state.timestamp) for one model"
+        )
     if isinstance(state, ParticleState) or not hasattr(state, "covar"):
         raise ModelError(
             f"a density starts from an SPHState or a GaussianState, got a {type(state).__name__}; of others "
@@ -157,7 +186,12 @@ def density_of(
 
 @lru_cache(maxsize=64)  # by value: what a state is changed to later is another key
 def _on_particles(
-    mean: bytes, cov: bytes, n: int, n_particles: int, config: FilterConfig, domain: Domain | None
+    mean: bytes,
+    cov: bytes,
+    n: int,
+    n_particles: int | Literal["auto"],
+    config: FilterConfig,
+    domain: Domain | None,
 ) -> ParticleDensity:
     start = Gaussian(np.frombuffer(mean), np.frombuffer(cov).reshape(n, n))
     return initialize(start, n_particles, config, domain=domain)
@@ -176,18 +210,19 @@ def retimed(
     return density if density.t == t else _at(density, t)
 
 
-def remember(state: SPHState, origin: object) -> SPHState:
-    """Note where the density of a state comes from, should it have to be made again more finely."""
-    state._origin = state.density, origin
+def remember(state: Known, origin: object) -> Known:
+    """Note where the densities of a state come from, should they have to be made again more finely."""
+    state._origin = state._carried, origin
     return state
 
 
 def origin_of(state: State) -> Any:
-    """What `remember` noted, unless the density is another by now; None if there is nothing."""
-    density, origin = getattr(state, "_origin", (None, None))
-    return origin if density is getattr(state, "density", None) else None
+    """What `remember` noted, unless the densities are others by now; None if there is nothing."""
+    carried, origin = getattr(state, "_origin", (None, None))
+    return origin if carried is getattr(state, "_carried", None) else None
 
 
-def _frozen(array: Floats) -> Floats:
+def frozen(array: Floats) -> Floats:
+    """An array that cannot be changed any more."""
     array.flags.writeable = False
     return array

@@ -17,6 +17,7 @@ from stonesoup.types.state import State
 
 from ..._types import Floats
 from ...errors import ModelError
+from ...model.jump_markov import JumpMarkovModel
 from ...model.sde import SDE, LinearSDE
 from ...model.simulate import advance
 from ...validate import generator, short
@@ -150,6 +151,8 @@ def transition_of(model: SDETransitionModel | SDE | TransitionModel) -> SDETrans
     """A transition model as `SDETransitionModel`: as it is, from an SDE, or from a linear Gaussian model."""
     if isinstance(model, SDETransitionModel):
         return model
+    if isinstance(model, JumpMarkovModel):
+        raise ModelError("a JumpMarkovModel switches between modes: JumpMarkovPredictor carries them")
     return SDETransitionModel(model if isinstance(model, SDE) else linear_sde(model))
 
 

@@ -8,15 +8,11 @@ from typing import Any
 
 import numpy as np
 from stonesoup.base import Property
-from stonesoup.models.measurement.base import MeasurementModel
-from stonesoup.types.array import CovarianceMatrix
 from stonesoup.types.detection import Detection
 from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.multihypothesis import MultipleHypothesis
-from stonesoup.types.prediction import GaussianMeasurementPrediction
 from stonesoup.types.state import State
 from stonesoup.types.update import Update
-from stonesoup.updater.base import Updater
 
 from ..._types import Floats
 from ...config import FilterConfig, checked_filter_config
@@ -28,7 +24,7 @@ from ...filter.asked import predicted_reading
 from ...filter.update_again import Update as UpdateOrigin
 from ...filter.update_again import update_or_predict_again
 from ...info import Code, UpdateInfo
-from ...model.measurements import Sensor, is_gaussian
+from ...model.measurements import GaussianSensor, Sensor
 from ...prediction.again import Outcome
 from ...prediction.predict import Prediction as PredictionOrigin
 from ...validate import choice, count
@@ -42,10 +38,10 @@ from .association import (
     probability_of,
     resolved,
 )
+from .density_updater import DensityUpdater
 from .failures import ON_FAILURE, OnFailure, laid, merged, multiplied, said
 from .recent import Recent
-from .sensors import reading_of, sensor_for, typed
-from .states import SPHState, SPHStateUpdate, current, density_of, origin_of, remember
+from .states import SPHState, SPHStateUpdate, density_of, origin_of, remember
 
 __all__ = ["SPHUpdater"]
 
@@ -53,7 +49,7 @@ _KEPT = 256  # detections of late
 _START = 200  # particles of a Gaussian state, unless n_particles says otherwise
 
 
-class SPHUpdater(Updater):
+class SPHUpdater(DensityUpdater):
     """Multiplies densities with likelihoods, of one detection or of an association of several.
 
     Parameters
@@ -74,9 +70,6 @@ class SPHUpdater(Updater):
         error is raised, and ends a run of a tracker.
     """
 
-    measurement_model: MeasurementModel = Property(
-        default=None, doc="For detections without a measurement model of their own."
-    )
     n_particles: int = Property(default=None, doc="Upper bound of the number of particles.")
     config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
     on_failure: OnFailure = Property(
@@ -87,41 +80,6 @@ class SPHUpdater(Updater):
         super().__init__(*args, **kwargs)
         choice("on_failure", self.on_failure, ON_FAILURE)
         self._kept = Recent(_KEPT)
-
-    def predict_measurement(
-        self,
-        predicted_state: State,
-        measurement_model: MeasurementModel | Sensor | None = None,
-        measurement_noise: bool = True,
-        **kwargs: Any,
-    ) -> GaussianMeasurementPrediction:
-        """Mean and covariance of the next detection, and its covariance with the state.
-
-        Returns
-        -------
-        GaussianMeasurementPrediction
-
-        Raises
-        ------
-        ModelError
-            The sensor is not Gaussian.
-        """
-        state = current(predicted_state)
-        density = self._density(state)
-        sensor = self._sensor(measurement_model, state.timestamp)
-        if not is_gaussian(sensor):
-            raise ModelError(
-                "a measurement prediction needs a sensor with a noise covariance; associate detections of "
-                "others by EvidenceHypothesiser(prob_gate=1)"
-            )
-        reading, S, cross = predicted_reading(density, sensor)
-        covar = S + sensor.noise_cov if measurement_noise else S
-        return GaussianMeasurementPrediction(
-            typed(sensor.residual(reading, 0.0), sensor, density.mean()),
-            CovarianceMatrix(covar),
-            timestamp=state.timestamp,
-            cross_covar=CovarianceMatrix(cross),
-        )
 
     def log_evidence(self, prediction: State, detection: Detection) -> float:
         """Logarithm of the predicted density of a detection: of the integral of density times likelihood.
@@ -264,16 +222,9 @@ class SPHUpdater(Updater):
             return remember(posterior, UpdateOrigin(prior, *asked))
         return remember(posterior, origin_of(prediction)) if density is state.density else posterior
 
-    def _asked(self, prediction: State, detection: Detection) -> tuple[Sensor, Floats]:
-        sensor = self._sensor(detection.measurement_model, prediction.timestamp)
-        return sensor, reading_of(detection, sensor)
-
-    def _sensor(
-        self, measurement_model: MeasurementModel | Sensor | None, timestamp: datetime.datetime | None
-    ) -> Sensor:
-        return sensor_for(
-            self.measurement_model if measurement_model is None else measurement_model, timestamp
-        )
+    def _reading(self, state: State, sensor: GaussianSensor) -> tuple[Floats, Floats, Floats, Floats]:
+        density = self._density(state)
+        return density.mean(), *predicted_reading(density, sensor)
 
     def _density(self, state: State) -> ParticleDensity:
         n_particles = _START if self.n_particles is None else count("n_particles", self.n_particles)

@@ -1,0 +1,112 @@
+"""A prediction of all modes repeated, where a measurement hangs on what its steps or mergers lost."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._types import Floats
+from ..config import FilterConfig
+from ..density.modes import ModeDensities
+from ..info import Code, UpdateInfo
+from ..model.measurements import Sensor
+from ..prediction.switching import MOST_SUBSTEPS, ModesPrediction, predict_modes
+from .update_modes import ModesUpdateInfo, update_modes
+
+__all__ = ["update_or_predict_modes_again"]
+
+_MISSED = 1.5  # times the target, from which that is said
+_REPEATED = "the prediction before repeated in more steps of the jumps between modes"
+_COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
+_MARGIN, _FINEST = 4.0, 250.0  # times less, that an error is to be, which a reading brings out
+_APART = "the prediction before repeated with fewer Gaussians merged, for the reading is far out"
+_MERGED = "mergers of Gaussians leave {:.2g} nat of the log-evidence in doubt"
+#: Standard deviations of a reading from its prediction, beyond which mergers are not checked by their nodes;
+#: nats that they may change there; and predictions with fewer of them until they do not.
+_FAR, _IN_DOUBT, _REPEATS = 3.0, 0.05, 3
+
+
+def update_or_predict_modes_again(
+    prediction: ModesPrediction | None,
+    prior: ModeDensities,
+    sensors: Mapping[str, Sensor],
+    z: ArrayLike | None,
+    config: FilterConfig,
+    n_particles: int | str,
+) -> tuple[ModeDensities, ModeDensities, ModesUpdateInfo]:
+    """Update; if the posterior hangs on what the prediction got wrong of the jumps, predict again.
+
+    Parameters
+    ----------
+    prediction : ModesPrediction or None
+        What led to the prior; None where nothing was predicted, or it cannot be made again.
+    prior : ModeDensities
+    sensors : mapping of str to measurement
+        Of all modes, in their order.
+    z : array_like, shape (k,), or None
+    config : FilterConfig
+    n_particles : int or "auto"
+        As of `update`.
+
+    Returns
+    -------
+    ModeDensities, ModeDensities, ModesUpdateInfo
+        The prior that was used, and the posterior.
+
+    Raises
+    ------
+    PropagationError
+        The reading cannot have come about in any mode, or a prediction that was made again failed.
+    """
+    target = config.target_error
+    modes, info = update_modes(prior, sensors, z, config, n_particles)
+    off = float(modes.w @ modes.splitting)
+    far = _far(prior, modes.w, [info.modes.get(name) for name in sensors])
+    if modes is prior or prediction is None or (off <= target and not far):
+        return prior, modes, info
+    t, in_doubt, told = prior.heaviest.t, 0.0, []
+    more = off > target and prediction.n_substeps < MOST_SUBSTEPS
+    if more:
+        told.append((Code.REPEATED, _REPEATED))
+    if far:
+        told.append((Code.REPEATED, _APART))
+    finer = _MARGIN * min(off / target, _FINEST) if more else 1.0
+    apart = far or 1.0
+    for _ in range(_REPEATS if far else int(more)):
+        before = info.log_evidence
+        finer, apart = (max(finer, _MARGIN), _MARGIN * apart) if far else (finer, apart)
+        prior, _ = predict_modes(
+            prediction.before, prediction.model, t, config, n_particles, finer=finer, apart=apart
+        )
+        modes, info = update_modes(prior, sensors, z, config, n_particles)
+        in_doubt = abs(info.log_evidence - before) if far else 0.0
+        if in_doubt <= _IN_DOUBT:
+            break
+    off = float(modes.w @ modes.splitting)
+    if off > _MISSED * target:
+        told.append((Code.COARSE, _COARSE.format(off)))
+    if in_doubt > _IN_DOUBT:
+        told.append((Code.COARSE, _MERGED.format(in_doubt)))
+    for code, sentence in told:
+        info = info.marked(code, sentence if info.status == "ok" else f"{info.status}; {sentence}")
+    return prior, modes, replace(info, evidence_error=math.hypot(info.evidence_error, in_doubt))
+
+
+def _far(prior: ModeDensities, w: Floats, infos: Sequence[UpdateInfo | None]) -> float:
+    """Square of a reading's distance from its prediction over modes of posterior probabilities w (M,).
+
+    Where mergers change log p by its rms near the middle, they change it so many times more there. Zero where
+    the reading is near, or nothing was merged.
+    """
+    some = [p for _, _, p in prior.some]
+    if all(p.pieces is None for p in some) or not all(p.gaussian or p.pieces is not None for p in some):
+        return 0.0
+    square = 0.0
+    for share, info in zip(w, infos, strict=True):
+        if info is not None and info.innovation is not None and info.innovation_cov is not None:
+            square += float(share) * float(
+                info.innovation @ np.linalg.solve(info.innovation_cov, info.innovation)
+            )
+    return square if square > _FAR**2 else 0.0

@@ -1,0 +1,81 @@
+"""Sums of the densities of all modes: where states jump, and of what several explanations leave."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import logsumexp
+
+from .._types import Floats
+from ..config import FilterConfig
+from ..density.modes import ModeDensities
+from ..density.needs import allowance
+from ..density.particle_density import ParticleDensity
+from .mixing import Part, mixed
+
+__all__ = ["mixture", "summed", "whatever_the_mode"]
+
+
+def summed(
+    log_w: Floats,
+    densities: Sequence[Sequence[ParticleDensity | None]],
+    splitting: Floats,
+    target: float,
+    allowed: tuple[float, float],
+) -> ModeDensities:
+    """In every mode the sum of densities, as one density.
+
+    Parameters
+    ----------
+    log_w : ndarray, shape (K, M)
+        Logarithms of the weights of K densities in each of M modes, but for a constant.
+    densities : sequence of sequence of ParticleDensity or None, K by M
+        None only where the weight is zero.
+    splitting : ndarray, shape (K, M)
+        Their errors that come from jumps.
+    target, allowed : float, tuple of float
+        As of `mixed`.
+    """
+    own_w, own = [], []
+    for i in range(log_w.shape[1]):
+        each = zip(log_w[:, i].tolist(), (row[i] for row in densities), strict=True)
+        parts = [Part(w, p) for w, p in each if p is not None and w > -math.inf]
+        own_w.append(float(logsumexp([part.log_w for part in parts])) if parts else -math.inf)
+        own.append(mixed(parts, target, allowed) if parts else None)
+    share = np.exp(log_w)
+    off = np.sqrt((splitting**2 * share).sum(axis=0) / np.maximum(share.sum(axis=0), 1e-300))
+    return ModeDensities(np.array(own_w), own, off)
+
+
+def mixture(parts: Sequence[tuple[float, ModeDensities]], config: FilterConfig) -> ModeDensities:
+    """p(x, i) = Σ_k b_k p_k(x, i): what explanations with probabilities b_k leave of the modes together.
+
+    Parameters
+    ----------
+    parts : sequence of (float, ModeDensities)
+        Weights b_k, whose sum may be any, and densities of one time; those of zero weight are left out.
+    config : FilterConfig
+        Whose target error says how far sums are merged.
+
+    Raises
+    ------
+    PropagationError
+        Nothing holds a sum.
+    """
+    parts = [part for part in parts if part[0] > 0.0]
+    if len(parts) == 1:
+        return parts[0][1]
+    b = np.array([weight for weight, _ in parts])
+    b = b / b.sum()
+    log_w = np.log(b)[:, None] + np.array([modes.log_w for _, modes in parts])
+    splitting = np.array([modes.splitting for _, modes in parts])
+    error = math.sqrt(float(b @ [modes.error**2 for _, modes in parts]))
+    target = config.target_error / math.sqrt(parts[0][1].heaviest.dim)
+    allowed = allowance(error, config.target_error)
+    return summed(log_w, [modes.densities for _, modes in parts], splitting, target, (allowed, allowed))
+
+
+def whatever_the_mode(modes: ModeDensities, target_error: float) -> ParticleDensity:
+    """The density of the states: the sum of those of the modes, as one."""
+    target = target_error / math.sqrt(modes.heaviest.dim)
+    return mixed([Part(log_w, p) for _, log_w, p in modes.some], target, (target, target))
