@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.scene.filters import factories, name_of
 from experiments.show.files import write_csv
-from experiments.show.tables import print_table, table
+from experiments.show.tables import counted, print_table, table
 from experiments.terminal.running import new_console
 from sphfilter.campaign.one_run import Case, put_through
 from sphfilter.errors import SphfilterError
@@ -31,8 +31,12 @@ def main(args):
     out = args.out or Path("results") / args.data.stem
 
     n_missing = int(np.isnan(data.z).sum())
-    missing = f", {n_missing} values missing" if n_missing else ""
+    missing = f", {counted(n_missing, 'value')} missing" if n_missing else ""
     console.print(f"[bold]{scenario.name}[/]: {len(data.times)} lines of {args.data}{missing}\n")
+    if data.dated and not scenario.settings.data.time_unit:
+        console.print(
+            "• Dates are counted in seconds: rates of the model in other units need data.time_unit."
+        )
     results, seconds, problems = _run(filters, case_of(scenario, data), args.seed)
     for name, problem in problems.items():
         console.print(f"{name_of(name)} stopped: {problem}", style="red")
@@ -80,9 +84,18 @@ def _run(filters, case, seed):
 def _tell(console, results, seconds):
     rows = []
     for name, result in results.items():
-        evidence, rejected = f"{result.log_evidence.sum():.2f}", str(int(np.sum(~result.accepted)))
-        rows.append((name_of(name), evidence, rejected, f"{seconds[name]:.2f}"))
-    print_table(console, table("", ("filter", "log-evidence (nat)", "lines rejected", "run time (s)"), rows))
+        evidence, lines = f"{result.log_evidence.sum():.2f}", (~result.accepted, result.flagged)
+        rows.append((name_of(name), evidence, *(str(int(np.sum(k))) for k in lines), f"{seconds[name]:.2f}"))
+    heading = "filter", "log-evidence (nat)", "lines rejected", "lines flagged", "run time (s)"
+    print_table(console, table("", heading, rows))
+    for name, result in results.items():
+        if result.flagged.any():
+            first = f"{result.t[np.argmax(result.flagged)]:g}"
+            doubted = counted(int(result.flagged.sum()), "line")
+            console.print(
+                f"• {name_of(name)} doubts its answer in {doubted}, the first at {first}: outlying readings, "
+                f"or an error above its target (columns flagged and error of {name}.csv)."
+            )
     console.print(
         "• The log-evidence is the log-density that a filter gave to all measurements before it saw them. "
         "Compare models by it (one filter, the same data): the larger explains the data better, and a "
@@ -93,7 +106,7 @@ def _tell(console, results, seconds):
 
 
 def write_result(path, result, states, time_name="t"):
-    """Write a line for every time: mean and standard deviation of each state after the update, evidence.
+    """Write a line for every time: mean and standard deviation of each state after the update, and more.
 
     Parameters
     ----------
@@ -109,5 +122,6 @@ def write_result(path, result, states, time_name="t"):
         heading += [name, f"{name}_std"]
     pairs = np.stack([result.x, std], axis=2).reshape(len(result.t), -1)
     numbers = np.column_stack([result.t, pairs, result.log_evidence]).tolist()
-    rows = ([*row, int(used)] for row, used in zip(numbers, result.accepted, strict=True))
-    write_csv(path, [*heading, "log_evidence", "accepted"], rows)
+    doubts = zip(result.accepted, result.error, result.flagged, strict=True)
+    rows = ([*row, int(used), e, int(flag)] for row, (used, e, flag) in zip(numbers, doubts, strict=True))
+    write_csv(path, [*heading, "log_evidence", "accepted", "error", "flagged"], rows)

@@ -28,6 +28,8 @@ class Measurements:
         NaN where nothing was measured.
     inputs : dict of str to ndarray, shape (T,)
         Values of inputs over the intervals that end at the times.
+    dated : bool
+        Whether the times were dates.
     """
 
     time_name: str
@@ -35,6 +37,7 @@ class Measurements:
     times: np.ndarray
     z: np.ndarray
     inputs: dict[str, np.ndarray] = field(default_factory=dict)
+    dated: bool = False
 
 
 #: What stands in a cell where nothing was measured, in small letters.
@@ -120,14 +123,14 @@ def read_measurements(path, n_columns, time=None, columns=(), unit="", inputs=No
                 f"{path}, line {line}: time {times[i]:g} is before {times[i - 1]:g} of the line above; "
                 f"sort the file by {time!r}"
             )
-    title = f"{time}, from {first.isoformat(' ')}" if dated else time
+    title = f"{time}, {unit or 's'} from {first.isoformat(' ')}" if dated else time
     driving = {
         own: _full_column(
             path, rows, heading.index(name), name, "an input, held over the interval that ends at a line,"
         )
         for own, name in inputs.items()
     }
-    return Measurements(title, columns, times, np.column_stack(values), driving)
+    return Measurements(title, columns, times, np.column_stack(values), driving, dated)
 
 
 def _check_names(path, names, heading):
@@ -247,7 +250,8 @@ def _column(path, rows, index, name):
         except ValueError:
             raise ConfigError(
                 f"{path}, line {line}, column {name!r}: {row[index]!r} is not a number; "
-                "leave the cell empty, or write n/a, where nothing was measured"
+                "leave the cell empty, or write n/a, where nothing was measured; dates of a first column are "
+                "written as 2024-05-01 or 2024-05-01T12:30"
             ) from None
         if np.isinf(values[i]):
             raise ConfigError(f"{path}, line {line}, column {name!r}: an infinite value cannot be used")

@@ -82,10 +82,10 @@ class TestCommand:
         exact = textbook()
         for name in ("kf", "ekf"):
             heading, rows = numbers(out / f"{name}.csv")
-            assert heading == ["hour", "x", "x_std", "log_evidence", "accepted"]
+            assert heading == ["hour", "x", "x_std", "log_evidence", "accepted", "error", "flagged"]
             np.testing.assert_allclose(rows[:, :4], exact, rtol=1e-5, atol=1e-6)
         said = capsys.readouterr().out
-        assert f"{exact[:, 3].sum():.2f}" in said and "1 values missing" in said
+        assert f"{exact[:, 3].sum():.2f}" in said and "1 value missing" in said
         assert (out / "estimates.png").stat().st_size > 10_000
 
     def test_density_filters_agree(self, model, data, tmp_path):
@@ -96,6 +96,18 @@ class TestCommand:
         for name, allowed in (("sph", 0.02), ("grid", 1e-3), ("pf", 0.2)):
             _, rows = numbers(out / f"{name}.csv")
             assert np.max(np.abs(rows[:, 1:3] - exact[:, 1:3]) / exact[:, 2:3]) < allowed, name
+
+    def test_doubts_of_a_filter_are_told(self, model, data, tmp_path, capsys):
+        data.write_text("day,level\n2024-05-01,1.2\n2024-05-02,-9999\n2024-05-03,0.3\n", encoding="utf-8")
+        words = ["filter", "--model", str(model), "--data", str(data), "--filters", "kf,sph"]
+        assert main([*words, "--out", str(tmp_path)]) == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert "SPH doubts its answer in 1 line, the first at 86400: outlying readings" in said
+        assert "Dates are counted in seconds" in said
+        heading, rows = numbers(tmp_path / "sph.csv")
+        assert heading[0] == "day, s from 2024-05-01 00:00:00"
+        assert rows[:, heading.index("flagged")].tolist() == [0.0, 1.0, 0.0]
+        assert np.isfinite(rows[:, heading.index("error")]).all()
 
     def test_start_before_the_first_measurement(self, model, data, tmp_path):
         model.write_text(MODEL + "time = -2.0\n", encoding="utf-8")
