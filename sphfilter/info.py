@@ -1,5 +1,6 @@
 """What a prediction, an update or a re-gridding did, as values."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import IntFlag, auto
@@ -167,17 +168,20 @@ class PredictInfo(_Marked):
 
     @classmethod
     def joined(cls, infos: Sequence["PredictInfo"]) -> "PredictInfo":
-        """One info of several predictions, one after the other; schemes and statuses without repetition."""
+        """One info of several predictions, one after the other; each word of theirs once.
+
+        Of sentences that differ in their numbers only the last one stays.
+        """
         if len(infos) == 1:
             return infos[0]
-        statuses = (info.status.removeprefix("ok").removeprefix("; ") for info in infos)
+        said = (sentence for info in infos for sentence in info.status.split("; ") if sentence != "ok")
         totals = {f.name: sum(getattr(i, f.name) for i in infos) for f in fields(cls) if f.name not in _WORDS}
         totals |= {name: getattr(infos[-1], name) for name in _LATEST if infos}
         return cls(
             **totals,
             skipped=tuple(dict.fromkeys(note for info in infos for note in info.skipped)),
             scheme=", ".join(dict.fromkeys(info.scheme for info in infos)),
-            status="; ".join(dict.fromkeys(filter(None, statuses))) or "ok",
+            status="; ".join({_NUMBER.sub("", sentence): sentence for sentence in said}.values()) or "ok",
             code=reduce(or_, (info.code for info in infos), Code.OK),
         )
 
@@ -187,6 +191,7 @@ class PredictInfo(_Marked):
         return self.n_bypassed / max(self.n_searches, 1)
 
 
+_NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
 _WORDS = "skipped", "scheme", "status", "code"
 _LATEST = "residual", "error", "mass_left_out"  # of the last of several predictions
 

@@ -102,7 +102,10 @@ def update_modes(
         reason=told[names[int(np.argmax(log_w))]].reason,
         n_particles=posterior.n_particles,
         error=posterior.error,
-        evidence_error=float(np.dot(w, [info.evidence_error for info in infos.values()])),
+        # a density that is wrong by so many standard deviations of its mean is so by about as many nats
+        evidence_error=math.hypot(
+            np.dot(w, [info.evidence_error for info in infos.values()]), posterior.error
+        ),
         status="; ".join(f"{name}: {info.status}" for name, info in flagged if info.status != "ok") or "ok",
         code=reduce(or_, (info.code for _, info in flagged), Code.OK),
         scheme=", ".join(dict.fromkeys(info.scheme for info in infos.values())),

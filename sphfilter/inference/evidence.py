@@ -70,6 +70,11 @@ class Evidence:
             )
         self.times, self.names, self.inputs = np.asarray(times, dtype=float), names, inputs
         self.measurements = rows_of(getattr(filt, "measurement", None), measurements)
+        if np.shape(self.times) != (len(self.measurements),):
+            raise ModelError(
+                f"as many measurements as times are needed; got times of shape {np.shape(self.times)} and "
+                f"{len(self.measurements)} measurements"
+            )
         self.build = _builder(filt, self) if isinstance(filt, SPHFilter) else filt
         self.report, self.n_evaluations = report, 0
         self.n_readings = n_readings(self.measurements)

@@ -293,7 +293,7 @@ class GaussianMeasurement:
 
     def _set_matrix(self, h: ArrayLike) -> None:
         """Take H."""
-        H = validate.array("h", h, (None, None))
+        H = validate.array("h", h, (None, None), "(k, n), a row for each reading, as in [[1.0, 0.0]]")
         if len(H) != self.dim_z:
             raise ModelError(
                 f"h of shape {H.shape} and noise_cov of shape {(self.dim_z, self.dim_z)} do not fit: "

@@ -202,6 +202,10 @@ class Sensors(Mapping[str, Any]):
         if not isinstance(record, tuple | list) or len(record) != 2:
             raise ModelError(f"records are (times, z) by the sensors' names; of {name!r} got {type(record)}")
         times, z = record
+        if np.ndim(times) != 1 or np.ndim(z) == 0:
+            raise ModelError(
+                f"records are (times, z) by the sensors' names; of {name!r} got {validate.short(record)}"
+            )
         if len(times) == 0:
             return np.empty(0), []
         t, rows = validate.times(f"times of {name!r}", times), list(validate.unmasked(z))

@@ -138,6 +138,7 @@ def test_copies_and_files_keep_them(tmp_path):
         (lambda: sf.Sensors({"a": GAUSSIAN}), "sensor 'a' must be"),
         (lambda: ALL.predict([[0.0, 0.0]]), "no noise-free reading"),
         (lambda: ALL.merged({"place": 5}), r"records are \(times, z\)"),
+        (lambda: ALL.merged({"place": [1, 2]}), r"records are \(times, z\)"),
         (lambda: ALL.merged({"place": ([1.0], [1.0, 2.0])}), "1 times, but 2 readings"),
         (lambda: sf.Sensors({"a": sf.LikelihoodMeasurement(len)}), "loglik must be|dim_z="),
         (

@@ -176,6 +176,8 @@ def test_wrong_arguments_are_refused_with_a_sentence(z):
     flt = sf.SPHFilter(OSCILLATOR, POSITION, *START)
     with pytest.raises(sf.ModelError, match=r"no parameter 'kk'.*did you mean 'k'"):
         sf.fit_parameters(flt, TIMES, z, {"kk": 1.0})
+    with pytest.raises(sf.ModelError, match="as many measurements as times"):
+        sf.fit_parameters(flt, TIMES, z[:-1], {"k": 1.0})
     with pytest.raises(sf.ModelError, match="guess is empty"):
         sf.fit_parameters(flt, TIMES, z, {})
     with pytest.raises(sf.ModelError, match="bounds name 'x'"):

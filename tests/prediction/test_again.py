@@ -1,5 +1,7 @@
 """Steps made again on more particles: which rungs a ladder has, and what infos of several steps say."""
 
+from dataclasses import replace
+
 import pytest
 
 import sphfilter as sf
@@ -66,6 +68,8 @@ def test_infos_of_several_steps_say_all_that_was_unusual():
     joined = sf.PredictInfo.joined([usual, finer, other])
     assert joined.code == sf.Code.FINER | sf.Code.FALLBACK
     assert joined.status == "on 3 times the particles; not log_density: edges"
+    finest = replace(finer, status="on 9 times the particles")
+    assert sf.PredictInfo.joined([finer, other, finest]).status.startswith("on 9 times the particles; not")
     assert sf.PredictInfo.joined([usual, usual]).code == sf.Code.OK
     assert sf.PredictInfo.joined([]).status == "ok"
     assert sf.PredictInfo(code=2).code is sf.Code.REPEATED
