@@ -168,7 +168,7 @@ class PredictInfo(_Marked):
 
     @classmethod
     def joined(cls, infos: Sequence["PredictInfo"]) -> "PredictInfo":
-        """One info of several predictions, one after the other; each word of theirs once.
+        """One info of several predictions, one after the other; schemes and statuses without repetition.
 
         Of sentences that differ in their numbers only the last one stays.
         """

@@ -1,9 +1,12 @@
 """One validator per kind of argument; each sentence says what was given, what is allowed, what to do."""
 
+import inspect
 import numbers
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from datetime import timedelta
-from typing import Any, TypeVar
+from functools import wraps
+from types import MappingProxyType
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +21,7 @@ __all__ = [
     "count",
     "covariance",
     "generator",
+    "keywords",
     "onwards",
     "positive",
     "real",
@@ -31,6 +35,8 @@ __all__ = [
 ]  # fmt: skip
 
 Word = TypeVar("Word")
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
 
 _ROUNDING = 16 * float(np.finfo(float).eps)  # of a time that is a sum of intervals, relative
 
@@ -68,6 +74,33 @@ def array(name: str, value: object, shape: tuple[int | None, ...], what: str = "
     if not np.isfinite(a).all():
         raise ModelError(f"{name} contains NaN or infinity ({short(value)}); every entry must be finite.")
     return a
+
+
+def keywords(
+    method: Callable[Given, Returned], others: Mapping[str, str] = MappingProxyType({})
+) -> Callable[Given, Returned]:
+    """Let a method say what may have been meant by a keyword that it has not.
+
+    Parameters
+    ----------
+    method : callable
+    others : mapping of str to str
+        Keywords of other libraries, and what to give instead.
+    """
+    known = inspect.signature(method).parameters
+
+    @wraps(method)
+    def checked(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
+        for name in kwargs:
+            if name not in known and name in others:
+                raise ModelError(f"{method.__qualname__} takes no {name}=: {others[name]}")
+            near = nearest(name, known)
+            if name not in known and near:
+                raise TypeError(f"{method.__qualname__} has no argument {name!r}{near}")
+        return method(*args, **kwargs)
+
+    checked.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]  # else that of `checked`
+    return checked
 
 
 def column(value: Any) -> Any:

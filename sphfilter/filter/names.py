@@ -1,17 +1,14 @@
 """Names that a filter refuses, to be read, set or given, with what to use instead."""
 
-import inspect
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from functools import wraps
-from typing import ParamSpec, TypeVar
 
-from ..errors import MissingNameError, ModelError, nearest
+from .. import validate
+from ..errors import MissingNameError, ModelError
+from ..validate import Given, Returned
 
 __all__ = ["check_assigned", "check_read", "in_own_words"]
 
-Given = ParamSpec("Given")
-Returned = TypeVar("Returned")
 
 _IN_MODEL = "dynamics belong to the model: SDE(drift=...) or LinearSDE(A), in continuous time"
 _MADE_OF = "the model and the sensor say it: SPHFilter(model, measurement, x0, P0)"
@@ -112,20 +109,7 @@ def check_read(name: str, cls: type) -> None:
 
 def in_own_words(method: Callable[Given, Returned]) -> Callable[Given, Returned]:
     """Let a method say what to give instead of a keyword that it has not: one of filterpy's, or a typo."""
-    known = inspect.signature(method).parameters
-
-    @wraps(method)
-    def checked(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
-        for name in kwargs:
-            if name not in known and name in _FILTERPY:
-                raise ModelError(f"{method.__qualname__} takes no {name}=: {_FILTERPY[name]}")
-            near = nearest(name, known)
-            if name not in known and near:
-                raise TypeError(f"{method.__qualname__} has no argument {name!r}{near}")
-        return method(*args, **kwargs)
-
-    checked.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]  # else that of `checked`
-    return checked
+    return validate.keywords(method, _FILTERPY)
 
 
 _SETTABLE = "model", "measurement", "config", "dt", "n_particles", "log_evidence"

@@ -350,6 +350,7 @@ class SPHFilter(Shown, Remembering):
         """The density now as states and weights, `WeightedStates`; of a large cloud, of a part of it."""
         return thinned(self._state.density, _RANKED).spread()
 
+    @in_own_words
     def run(
         self,
         times: ArrayLike,

@@ -105,7 +105,8 @@ class Evidence:
 
     def _run(self, theta: Floats) -> float:
         self.n_evaluations += 1
-        value = float(np.sum(self.result(theta).log_evidence))
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # wild parameters are tried, too
+            value = float(np.sum(self.result(theta).log_evidence))
         if self.report is not None:
             self.report(self.n_evaluations, self.named(theta), value)
         return value

@@ -189,6 +189,7 @@ class GaussianMeasurement:
     _noise: BatchFunction | None
     _n: int | None  # states, where known
 
+    @validate.keywords
     def __init__(
         self,
         h: ArrayLike | StateFunction,
@@ -211,6 +212,7 @@ class GaussianMeasurement:
         self._finish(angles)
 
     @classmethod
+    @validate.keywords
     def from_expressions(
         cls,
         states: Sequence[str],

@@ -129,6 +129,7 @@ class SDE:
     max_step: float
     events: Floats
 
+    @validate.keywords
     def __init__(
         self,
         drift: StateFunction,
@@ -167,6 +168,7 @@ class SDE:
         self._assemble((SDE, recipe), names, values, Q, makers, tail, flags, domain, max_step, events)
 
     @classmethod
+    @validate.keywords
     def from_expressions(
         cls,
         states: Sequence[str],
@@ -465,6 +467,7 @@ class LinearSDE(SDE):
     True [[ 0. -1.]]
     """
 
+    @validate.keywords
     def __init__(
         self,
         A: ArrayLike,

@@ -9,6 +9,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from sphfilter.errors import ModelError
+from sphfilter.model.measurements import GaussianMeasurement
 from sphfilter.model.sde import SDE, LinearSDE
 
 Q = np.array([[1.0, 0.3], [0.3, 2.0]])
@@ -371,3 +372,18 @@ def test_pickling():
         np.testing.assert_array_equal(copy.drift(Y, 0.3), model.drift(Y, 0.3))
         np.testing.assert_array_equal(copy.diffusion(Y, 0.3), model.diffusion(Y, 0.3))
         assert dict(copy.parameters) == dict(model.parameters) and copy.states == model.states
+
+
+@pytest.mark.parametrize(
+    ("made", "meant"),
+    [
+        (lambda: SDE.from_expressions(["x"], ["-x"], noises=[["1"]]), "'noise'"),
+        (lambda: SDE(lambda x, t: (-x[0],), dim=1, paramters={}), "'parameters'"),
+        (lambda: LinearSDE([[0.0]], nois=[[1.0]]), "'noise'"),
+        (lambda: GaussianMeasurement([[1.0]], noise_cv=[[1.0]]), "'noise_cov'"),
+        (lambda: GaussianMeasurement.from_expressions(["x"], ["x"], [[1.0]], angels=[0]), "'angles'"),
+    ],
+)
+def test_a_mistyped_keyword_names_the_nearest(made, meant):
+    with pytest.raises(TypeError, match=rf"has no argument '.*' \(did you mean {meant}\?\)"):
+        made()
