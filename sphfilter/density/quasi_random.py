@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from .._types import Floats, Ints, OfStates
-from ..core.paths.curve import spread
+from ..core.cloud.curve import spread
 
 __all__ = ["quasi_random", "spread_evenly", "standard_normal", "weighted_points"]
 

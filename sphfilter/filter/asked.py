@@ -58,6 +58,11 @@ class Asked(NamedTuple):
         return self.log_weight if domain is None else lambda X: self.log_weight(domain.wrap(X))
 
     @property
+    def numbers(self) -> Floats:
+        """z as numbers (k,), NaN where none came."""
+        return Reading.of(self.z).z
+
+    @property
     def share(self) -> float:
         """Volume of the posterior over that of the prior, as if both were Gaussian; or one."""
         if not is_gaussian(self.measurement) or self.S is None:
@@ -76,7 +81,7 @@ class Asked(NamedTuple):
         """
         if not is_gaussian(self.measurement):
             raise PropagationError("the sensor has no reading, but a likelihood only")
-        sensor, z, both = self.measurement, Reading.of(self.z).z, np.ix_(self.seen, self.seen)
+        sensor, z, both = self.measurement, self.numbers, np.ix_(self.seen, self.seen)
         factor = np.linalg.cholesky(sensor.noise_cov[both])
         back = np.linalg.inv(factor).T
 
@@ -111,9 +116,9 @@ class Asked(NamedTuple):
         """
         sensor = self.measurement
         if self.named is not None:
-            return state_rows("peaks", self.named(Reading.of(self.z).z), X.shape[1])
+            return state_rows("peaks", self.named(self.numbers), X.shape[1])
         if is_gaussian(sensor) and sensor.H is None:
-            return solutions(sensor, Reading.of(self.z).z, X, cell, self.t)
+            return solutions(sensor, self.numbers, X, cell, self.t)
         return None
 
     @property

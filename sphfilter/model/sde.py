@@ -387,6 +387,11 @@ class SDE:
         return self._functions["flow_drift" if self.state_dependent_noise else "drift"]
 
     @property
+    def flow_jacobian_batch(self) -> BatchFunction:
+        """Jacobian of the Stratonovich drift, row-major, (N, n n)."""
+        return self._functions["flow_jacobian" if self.state_dependent_noise else "jacobian"]
+
+    @property
     def flow_divergence_batch(self) -> BatchFunction:
         """Divergence of the Stratonovich drift, (N, 1)."""
         return self._functions["flow_divergence" if self.state_dependent_noise else "divergence"]
@@ -531,7 +536,8 @@ class _Functions:
             "jacobian": lambda fs: derived.jacobian_from(fs["drift"], n),
             "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
             "flow_drift": lambda fs: derived.stratonovich_drift(fs["drift"], fs["noise"], -Q),
-            "flow_divergence": lambda fs: derived.trace_from(derived.jacobian_from(fs["flow_drift"], n)),
+            "flow_jacobian": lambda fs: derived.jacobian_from(fs["flow_drift"], n),
+            "flow_divergence": lambda fs: derived.trace_from(fs["flow_jacobian"]),
             "diffusion_curvature": lambda fs: derived.trace_from(
                 derived.jacobian_from(fs["diffusion_divergence"], n)
             ),

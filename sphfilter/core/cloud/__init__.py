@@ -1,0 +1,1 @@
+"""Clouds of weighted points: order along a curve, linearised blocks, guided noise, motion, weights."""

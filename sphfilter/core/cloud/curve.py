@@ -1,0 +1,112 @@
+"""Points in the order of Hilbert's curve, where neighbours lie close together; and points spread evenly."""
+
+from functools import cache
+
+import numpy as np
+
+from .._jit import jit
+
+__all__ = ["along_curve", "fill_places", "places", "spread"]
+
+#: Bits of a cell's number along each state, and standard deviations to either side that cells tell apart.
+_BITS, _REACH = {1: 12, 2: 8, 3: 6, 4: 4, 5: 4, 6: 3}, 2.5
+_LEAST = 1e-12  # distance of points from the ends of the unit cube
+
+
+def places(n):
+    """Places of all cells of n states on the curve, by number; and bits along each state."""
+    bits = _BITS.get(n, 2)
+    return _table(bits, n), bits
+
+
+@cache
+def _table(bits, n):
+    table = np.empty((1 << bits) ** n, np.uint32)
+    fill_places(bits, n, table)
+    return table
+
+
+@jit
+def spread(step, shift, order, out):
+    """Fill out (n, N) with points number order (N,) of a sequence over the open unit cube.
+
+    It adds `step` (n,) again and again, modulo one; all points are shifted by `shift` (n,).
+    """
+    for a in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            u = order[i] * step[a]
+            u += shift[a] - np.floor(u)
+            out[a, i] = min(max(u - np.floor(u), _LEAST), 1.0 - _LEAST)
+
+
+@jit
+def along_curve(x, mean, white, table, bits):
+    """Numbers (N,) of points x (N, n) in their order on the curve, in coordinates white (x - mean).
+
+    A counting sort, byte by byte: points of one cell stay in the order in which they came.
+    """
+    N, n = x.shape
+    top = 1 << bits
+    scale = 0.5 * top / _REACH
+    place, order, other = np.empty(N, np.uint32), np.empty(N, np.int64), np.empty(N, np.int64)
+    for i in range(N):
+        cell = 0
+        for a in range(n):
+            z = 0.5 * top
+            for b in range(n):
+                z += scale * white[a, b] * (x[i, b] - mean[b])
+            cell = cell * top + int(min(max(z, 0.0), top - 1.0))
+        place[i], order[i] = table[cell], i
+    shift = 0
+    while shift < bits * n:
+        ends = np.zeros(257, np.int64)
+        for i in range(N):
+            ends[((place[i] >> shift) & 255) + 1] += 1
+        for k in range(256):
+            ends[k + 1] += ends[k]
+        for i in order:
+            k = (place[i] >> shift) & 255
+            other[ends[k]] = i
+            ends[k] += 1
+        order, other = other, order
+        shift += 8
+    return order
+
+
+@jit
+def fill_places(bits, n, table):
+    """Fill the places of all cells of n states, of so many bits along each."""
+    X, top = np.empty(n, np.int64), 1 << bits
+    for cell in range(table.size):
+        left = cell
+        for a in range(n - 1, -1, -1):
+            X[a] = left % top
+            left //= top
+        _transposed(X, top)
+        found = 0
+        for level in range(bits - 1, -1, -1):
+            for a in range(n):
+                found = (found << 1) | ((X[a] >> level) & 1)
+        table[cell] = found
+
+
+@jit
+def _transposed(X, top):
+    """Turn a cell's numbers X (n,) into the bits of its place on the curve (Skilling 2004)."""
+    n, q = X.size, top >> 1
+    while q > 1:
+        for a in range(n):
+            t = q - 1 if X[a] & q else 0
+            swapped = (X[0] ^ X[a]) & (q - 1 - t)
+            X[0] ^= t | swapped
+            X[a] ^= swapped
+        q >>= 1
+    for a in range(1, n):
+        X[a] ^= X[a - 1]
+    t, q = 0, top >> 1
+    while q > 1:
+        if X[n - 1] & q:
+            t ^= q - 1
+        q >>= 1
+    for a in range(n):
+        X[a] ^= t

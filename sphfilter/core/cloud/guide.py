@@ -1,0 +1,189 @@
+"""A reading before its time: ancestors chosen, and their noise led, by what the linearised flow says of it.
+
+Letters: y (N, n) ends of the first pass, u (N, n) what moved them, r (N, k) residuals z - h(y - L u) of points
+without their noise, HL (blocks, k, n), R the covariance of the reading, larger by what linearity misses.
+"""
+
+import math
+
+import numpy as np
+
+from .._jit import jit
+from ..small_matrices import cholesky, whiten
+from .weights import systematic
+
+__all__ = ["log_normal", "look_ahead", "missed", "without_noise"]
+
+_LOG_2_PI = math.log(2.0 * math.pi)
+
+
+@jit
+def without_noise(y, u, L, block):
+    """Points (N, n) where those at y would be without the noise that moves the end."""
+    N, n = y.shape
+    out = np.empty((N, n))
+    for i in range(N):
+        b = block[i]
+        for a in range(n):
+            s = y[i, a]
+            for e in range(a + 1):
+                s -= L[b, a, e] * u[i, e]
+            out[i, a] = s
+    return out
+
+
+@jit
+def missed(hy, x, u, w, block, middle, HL, HPhi, angle):
+    """Half the mean square difference (k, k) of neighbours' readings hy (N, k) less their linear parts.
+
+    Neighbours on the curve stand for the second derivatives of a block: what is the same for both cancels.
+    """
+    N, k = hy.shape
+    n = x.shape[1]
+    C, before, now = np.zeros((k, k)), np.empty(k), np.empty(k)
+    total = 0.0
+    for i in range(N):
+        b = block[i]
+        for a in range(k):
+            s = hy[i, a]
+            for e in range(n):
+                s -= HL[b, a, e] * u[i, e] + HPhi[b, a, e] * (x[i, e] - middle[b, e])
+            now[a] = s
+        if i > 0 and block[i - 1] == b:
+            finite = True
+            for a in range(k):
+                d = now[a] - before[a]
+                before[a] = d - 2.0 * math.pi * round(d / (2.0 * math.pi)) if angle[a] else d
+                finite &= math.isfinite(before[a])
+            if finite:
+                v = 0.5 * (w[i] + w[i - 1])
+                total += v
+                for a in range(k):
+                    for e in range(k):
+                        C[a, e] += 0.5 * v * before[a] * before[e]
+        before[:] = now
+    return C / total if total > 0.0 else C
+
+
+@jit
+def log_normal(r, S):
+    """Logarithm of N(r; 0, S), r (k,), S (k, k)."""
+    k = r.size
+    F, v = np.empty((k, k)), r.copy()
+    if not cholesky(S, F):
+        return -np.inf
+    whiten(F, v)
+    s = -0.5 * k * _LOG_2_PI
+    for a in range(k):
+        s -= 0.5 * v[a] * v[a] + math.log(F[a, a])
+    return s
+
+
+@jit
+def _gain(HL, R, S, K, T):
+    """Fill S = HL HLᵀ + R, K = HLᵀ S⁻¹ (n, k) and T with T Tᵀ = I - K HL; False where there is none."""
+    k, n = HL.shape
+    F, column, rest = np.empty((k, k)), np.empty(k), np.empty((n, n))
+    for a in range(k):
+        for e in range(k):
+            s = R[a, e]
+            for c in range(n):
+                s += HL[a, c] * HL[e, c]
+            S[a, e] = s
+    if not cholesky(S, F):
+        return False
+    for c in range(n):
+        column[:] = HL[:, c]
+        whiten(F, column)
+        for a in range(k - 1, -1, -1):
+            s = column[a]
+            for e in range(a + 1, k):
+                s -= F[e, a] * K[c, e]
+            K[c, a] = s / F[a, a]
+    for a in range(n):
+        for e in range(n):
+            s = 1.0 if a == e else 0.0
+            for c in range(k):
+                s -= K[a, c] * HL[c, e]
+            rest[a, e] = s
+    return cholesky(rest, T)
+
+
+@jit
+def look_ahead(r, u, w, block, HL, R, net, turn, shift, cut):
+    """Choose ancestors of a reading, and what shall move their ends.
+
+    Parameters
+    ----------
+    r, u, w, block : ndarray, shapes (N, k), (N, n), (N,), (N,)
+    HL, R : ndarray, shapes (blocks, k, n), (blocks, k, k)
+    net : ndarray, shape (count, n)
+        Standard normals that are even along the curve.
+    turn, shift, cut : ndarray (n, n), int, float
+        How the net is turned and shifted, and where strata are cut, in [0, 1).
+
+    Returns
+    -------
+    ancestor, new : ndarray, shapes (count,), (count, n)
+        Numbers of points, in order, and their u.
+    log_ratio : ndarray, shape (N + count,)
+        Logarithm of the proposal's density of (point, u) over the prior's: of the N of the first pass, then
+        of the new ones.
+    """
+    (N, k), (count, n), blocks = r.shape, net.shape, HL.shape[0]
+    S, K, T = np.empty((k, k)), np.zeros((blocks, n, k)), np.zeros((blocks, n, n))
+    F, G = np.empty((blocks, k, k)), np.zeros((blocks, k, k))
+    fine = np.zeros(blocks, np.bool_)
+    for b in range(blocks):
+        fine[b] = _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, F[b]) and cholesky(R[b], G[b])
+    log_a, a, v = np.empty(N), np.empty(N), np.empty(k)
+    top = -np.inf
+    for i in range(N):
+        b = block[i]
+        log_a[i] = -np.inf
+        if fine[b] and w[i] > 0.0:
+            v[:] = r[i]
+            whiten(F[b], v)
+            s = math.log(w[i])
+            for c in range(k):
+                s -= 0.5 * v[c] * v[c] + 0.5 * _LOG_2_PI + math.log(F[b, c, c])
+            log_a[i] = s if math.isfinite(s) else -np.inf
+            top = max(top, log_a[i])
+    if top == -np.inf:
+        return np.empty(0, np.int64), np.empty((0, n)), np.empty(0)
+    total = 0.0
+    for i in range(N):
+        a[i] = math.exp(log_a[i] - top)
+        total += a[i]
+    log_ev = top + math.log(total)
+    ancestor, new = systematic(a, count, cut), np.empty((count, n))
+    log_ratio = np.empty(N + count)
+    for j in range(count):
+        i, g = ancestor[j], net[(j + shift) % count]
+        b = block[i]
+        for c in range(n):
+            new[j, c] = 0.0
+            for e in range(k):
+                new[j, c] += K[b, c, e] * r[i, e]
+            for e in range(c + 1):
+                s = 0.0
+                for f in range(n):
+                    s += turn[e, f] * g[f]
+                new[j, c] += T[b, c, e] * s
+    for j in range(N + count):
+        i = j if j < N else ancestor[j - N]
+        b, own = block[i], u[i] if j < N else new[j - N]
+        if not fine[b]:
+            log_ratio[j] = -np.inf
+            continue
+        for c in range(k):
+            s = r[i, c]
+            for e in range(n):
+                s -= HL[b, c, e] * own[e]
+            v[c] = s
+        whiten(G[b], v)
+        s = -log_ev
+        for c in range(k):
+            s -= 0.5 * v[c] * v[c] + 0.5 * _LOG_2_PI + math.log(G[b, c, c])
+        log_ratio[j] = s
+    return ancestor, new, log_ratio

@@ -1,0 +1,187 @@
+"""Blocks of neighbouring points, linearised along the path of their centre without noise.
+
+In the linearised flow of a block the end of a point is c_T + Φ (x - c_0) + Σ_s B_s ξ_s. L and V with
+L V = B, rows of V orthonormal, say what of all the noise moves the end: u = V ξ, standard normal.
+"""
+
+import math
+
+import numpy as np
+
+from .._addresses import function_at
+from .._jit import jit
+from .steps import flow, scaled
+
+__all__ = ["block_roots", "block_size", "centres", "linearise", "lower_and_rows", "shrunk"]
+
+#: Blocks at most, and points in one at least: enough to tell directions, few enough to cost a tenth.
+_BLOCKS, _POINTS = 64, 64
+_NOTHING = 1e-9  # of a row's square, below which it lies among the rows before
+
+
+@jit
+def block_size(N):
+    """Points in a block of a cloud of N."""
+    return max(_POINTS, -(-N // _BLOCKS))
+
+
+@jit
+def centres(x):
+    """Means (blocks, n) of blocks of consecutive points of x (N, n)."""
+    N, n = x.shape
+    size = block_size(N)
+    c = np.zeros((-(-N // size), n))
+    for i in range(N):
+        for a in range(n):
+            c[i // size, a] += x[i, a]
+    for b in range(c.shape[0]):
+        c[b] /= min(size, N - b * size)
+    return c
+
+
+@jit
+def block_roots(x):
+    """Lower roots (blocks, n, n) of the covariances of blocks of consecutive points of x (N, n)."""
+    N, n = x.shape
+    size, c = block_size(N), centres(x)
+    L = np.zeros((c.shape[0], n, n))
+    S = np.empty((n, n))
+    for b in range(c.shape[0]):
+        first, last = b * size, min((b + 1) * size, N)
+        for a in range(n):
+            for e in range(a + 1):
+                s = 0.0
+                for i in range(first, last):
+                    s += (x[i, a] - c[b, a]) * (x[i, e] - c[b, e])
+                S[a, e] = S[e, a] = s / (last - first)
+        for a in range(n):
+            for e in range(a + 1):
+                s = S[a, e]
+                for k in range(e):
+                    s -= L[b, a, k] * L[b, e, k]
+                if a == e:
+                    L[b, a, a] = math.sqrt(s) if s > _NOTHING * S[a, a] else 0.0
+                else:
+                    L[b, a, e] = s / L[b, e, e] if L[b, e, e] > 0.0 else 0.0
+    return L
+
+
+@jit
+def shrunk(x, c, part):
+    """Points of x (N, n) drawn to the centres c (blocks, n) of their blocks, to a part of the distance."""
+    N, n = x.shape
+    size, y = block_size(N), np.empty((N, n))
+    for i in range(N):
+        for a in range(n):
+            y[i, a] = c[i // size, a] + part * (x[i, a] - c[i // size, a])
+    return y
+
+
+@jit
+def _flow_matrices(J, h, M, N):
+    """Fill exp(hJ) and its mean over a step, (n, n) each, by their series up to the fourth power."""
+    n = J.shape[0]
+    term, new = np.eye(n), np.empty((n, n))
+    M[:], N[:] = term, term
+    for k in range(1, 5):
+        for a in range(n):
+            for b in range(n):
+                s = 0.0
+                for c in range(n):
+                    s += J[a, c] * term[c, b]
+                new[a, b] = s * h / k
+        term[:] = new
+        for a in range(n):
+            for b in range(n):
+                M[a, b] += term[a, b]
+                N[a, b] += term[a, b] / (k + 1)
+
+
+@jit
+def linearise(leg, c):
+    """Move centres c (blocks, n) to the end of a leg, and return Φ (blocks, n, n) and B (blocks, n, d).
+
+    d = steps m. The Jacobian of each step is that in its middle; what is wrong with it costs a guide nothing
+    but efficiency.
+    """
+    (nb, n), m, h = c.shape, leg.root.shape[0], leg.h
+    nothing, work, middle = np.zeros((nb, n)), np.empty((5, nb, n)), np.empty((nb, n))
+    J, g = np.empty((nb, n * n)), np.empty((nb, n * m))
+    M, A = np.empty((leg.steps, nb, n, n)), np.empty((leg.steps, nb, n, m))
+    N, sigma = np.empty((n, n)), np.empty((n, m))
+    for s in range(leg.steps):
+        t = leg.t + s * h
+        middle[:] = c
+        flow(leg, c, t, h, nothing, work)
+        for b in range(nb):
+            for a in range(n):
+                middle[b, a] = 0.5 * (middle[b, a] + c[b, a])
+        function_at(leg.jacobian)(middle, t + 0.5 * h, leg.p, J)
+        if not leg.additive:
+            function_at(leg.noise)(middle, t + 0.5 * h, leg.p, g)
+        elif s == 0 or not leg.constant:
+            scaled(leg, c, t + 0.5 * h, sigma)
+        for b in range(nb):
+            _flow_matrices(J[b].reshape((n, n)), h, M[s, b], N)
+            for a in range(n if not leg.additive else 0):
+                for k in range(m):
+                    sigma[a, k] = 0.0
+                    for r in range(m):
+                        sigma[a, k] += g[b, a * m + r] * leg.root[r, k]
+            for a in range(n):
+                for k in range(m):
+                    v = 0.0
+                    for e in range(n):
+                        v += N[a, e] * sigma[e, k]
+                    A[s, b, a, k] = math.sqrt(h) * v
+    Phi, B, row = np.zeros((nb, n, n)), np.empty((nb, n, leg.steps * m)), np.empty(n)
+    for b in range(nb):
+        for a in range(n):
+            Phi[b, a, a] = 1.0
+        for s in range(leg.steps - 1, -1, -1):
+            for a in range(n):
+                for k in range(m):
+                    v = 0.0
+                    for e in range(n):
+                        v += Phi[b, a, e] * A[s, b, e, k]
+                    B[b, a, s * m + k] = v
+            for a in range(n):
+                for e in range(n):
+                    v = 0.0
+                    for f in range(n):
+                        v += Phi[b, a, f] * M[s, b, f, e]
+                    row[e] = v
+                Phi[b, a] = row
+    return Phi, B
+
+
+@jit
+def lower_and_rows(B):
+    """L (blocks, n, n), lower, and V (blocks, n, d), of orthonormal rows, with L V = B.
+
+    A row that others span already, or that is not finite, is left out: zero in V, and on L's diagonal.
+    """
+    nb, n, d = B.shape
+    L, V = np.zeros((nb, n, n)), np.zeros((nb, n, d))
+    for b in range(nb):
+        for a in range(n):
+            row, whole, left = B[b, a].copy(), 0.0, 0.0
+            for k in range(d):
+                whole += row[k] * row[k]
+            for _ in range(2):  # once more against what rounding leaves
+                for e in range(a):
+                    s = 0.0
+                    for k in range(d):
+                        s += row[k] * V[b, e, k]
+                    L[b, a, e] += s
+                    for k in range(d):
+                        row[k] -= s * V[b, e, k]
+            for k in range(d):
+                left += row[k] * row[k]
+            if left > _NOTHING * whole and left < np.inf:
+                L[b, a, a] = math.sqrt(left)
+                for k in range(d):
+                    V[b, a, k] = row[k] / L[b, a, a]
+            elif not whole < np.inf:
+                L[b, a] = 0.0
+    return L, V

@@ -1,0 +1,104 @@
+"""Points moved over a leg with noise of which a part is given: what moves their ends."""
+
+import math
+
+import numpy as np
+
+from .._jit import jit
+from .noise import LANES, fill_noise
+from .steps import walk
+
+__all__ = ["affine", "move", "moved_twice"]
+
+
+@jit
+def _steer(V, block, u, W, along):
+    """Make increments W (d, K) such that V W is u (n, K), and the rest of it what it was; V (blocks, n, d).
+
+    Points of a chunk are in the order of their blocks, `block` (K,).
+    """
+    (_, n, d), K = V.shape, u.shape[1]
+    begin = 0
+    while begin < K:
+        b, end = block[begin], begin + 1
+        while end < K and block[end] == b:
+            end += 1
+        for a in range(n):
+            row = along[a, begin:end]
+            row[:] = u[a, begin:end]
+            for k in range(d):
+                v = V[b, a, k]
+                if v != 0.0:
+                    w = W[k, begin:end]
+                    for i in range(row.size):
+                        row[i] -= v * w[i]
+        for a in range(n):
+            row = along[a, begin:end]
+            for k in range(d):
+                v = V[b, a, k]
+                if v != 0.0:
+                    w = W[k, begin:end]
+                    for i in range(row.size):
+                        w[i] += v * row[i]
+        begin = end
+
+
+@jit
+def affine(x, u, block, start, end, flow, lower):
+    """Points (N, n) end + Φ (x - start) + L u of their blocks."""
+    N, n = x.shape
+    y = np.empty((N, n))
+    for i in range(N):
+        b = block[i]
+        for a in range(n):
+            s = end[b, a]
+            for e in range(n):
+                s += flow[b, a, e] * (x[i, e] - start[b, e]) + lower[b, a, e] * u[i, e]
+            y[i, a] = s
+    return y
+
+
+@jit
+def move(leg, x, u, V, block, key, first, last):
+    """Move the chunks first <= c < last of points x (N, n) over a leg, in place.
+
+    `u` (N, n) says what moves each point's end, V (blocks, n, d) how, `block` (N,) whose; blocks never
+    decrease. A chunk has generators of its own, so that the bits do not depend on who moves it.
+    """
+    (N, n), d = x.shape, V.shape[2]
+    state, Z, along = np.empty(LANES, np.uint64), np.empty((3, d, LANES)), np.empty((n, LANES))
+    given, work = np.empty((n, LANES)), np.empty((5, LANES, n))
+    for c in range(first, last):
+        begin, end = c * LANES, min((c + 1) * LANES, N)
+        K = end - begin
+        fill_noise(key, np.uint64(c), leg.additive, state, Z)
+        for i in range(K):
+            for a in range(n):
+                given[a, i] = u[begin + i, a]
+        _steer(V, block[begin:end], given[:, :K], Z[0], along)
+        walk(leg, x[begin:end], Z, c % 2 == 1, work if K == LANES else np.empty((5, K, n)))
+
+
+@jit
+def moved_twice(leg, half, x, key):
+    """Points x (K, n) at the end of a leg, and of one in steps of half the length along the same noise.
+
+    K is at most `LANES`. The noise of a step is that of the two that are its halves.
+    """
+    K, n = x.shape
+    d, m = leg.steps * leg.root.shape[0], leg.root.shape[0]
+    state, fine, Z = np.empty(LANES, np.uint64), np.empty((3, 2 * d, LANES)), np.empty((3, d, LANES))
+    fill_noise(key, np.uint64(0), leg.additive, state, fine)
+    for r in range(d):
+        one = 2 * (r // m) * m + r % m
+        for i in range(LANES):
+            first, second = fine[0, one, i], fine[0, one + m, i]
+            Z[0, r, i] = math.sqrt(0.5) * (first + second)
+            Z[1, r, i] = math.sqrt(0.125) * (fine[1, one, i] + fine[1, one + m, i])
+            Z[1, r, i] += math.sqrt(0.375) * (first - second)
+            Z[2, r, i] = fine[2, one, i]
+    coarse, work = x.copy(), np.empty((5, K, n))
+    walk(leg, coarse, Z, False, work)
+    x = x.copy()
+    walk(half, x, fine, False, work)
+    return coarse, x

@@ -1,0 +1,112 @@
+"""Random numbers of a key: three-point noise in lanes, rotations and shifts of a net."""
+
+import math
+
+import numpy as np
+
+from .._jit import jit
+
+__all__ = ["LANES", "fill_noise", "mixed", "rotation", "uniform"]
+
+#: Points that are moved together: their states, slopes and noise fit the first-level cache.
+LANES = 128
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+#: Ends of the sixths of 2^32 at either side, whose numbers become minus and plus the root of three.
+_LOW, _HIGH = np.uint64(2**32 // 6), np.uint64(2**32 - 2**32 // 6)
+_HALF, _ROOT_3 = np.uint64(0xFFFFFFFF), math.sqrt(3.0)
+
+
+@jit
+def mixed(key, word):
+    """A key of a key and a word, both uint64: splitmix64's finaliser (Steele, Lea & Flood 2014)."""
+    z = key + _GOLDEN * (word + np.uint64(1))
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@jit
+def seed_lanes(key, stream, state):
+    """Fill the state (LANES,) of stream number `stream` of a key; no lane is zero."""
+    own = mixed(key, stream)
+    for i in range(state.size):
+        state[i] = mixed(own, np.uint64(i)) | np.uint64(1)
+
+
+@jit
+def _next(state):
+    """Move every lane on: xorshift64 (Marsaglia 2003), which is vector code."""
+    for i in range(state.size):
+        s = state[i]
+        s ^= s << np.uint64(13)
+        s ^= s >> np.uint64(7)
+        state[i] = s ^ (s << np.uint64(17))
+
+
+@jit
+def fill_three_points(state, out):
+    """Fill out (K, LANES) with 0, or ±√3 with probability 1/6 each: a normal's moments up to the fifth.
+
+    A word makes two numbers, of its upper and its lower half.
+    """
+    for r in range(0, out.shape[0], 2):
+        _next(state)
+        row = out[r]
+        for i in range(state.size):
+            half = state[i] >> np.uint64(32)
+            row[i] = (_ROOT_3 if half >= _HIGH else 0.0) - (_ROOT_3 if half < _LOW else 0.0)
+        if r + 1 < out.shape[0]:
+            row = out[r + 1]
+            for i in range(state.size):
+                half = state[i] & _HALF
+                row[i] = (_ROOT_3 if half >= _HIGH else 0.0) - (_ROOT_3 if half < _LOW else 0.0)
+
+
+@jit
+def fill_signs(state, out):
+    """Fill out (K, LANES) with ±1: a bit each of a word, of which the lower half is not used."""
+    for r in range(out.shape[0]):
+        if r % 32 == 0:
+            _next(state)
+        row, bit = out[r], np.uint64(63 - r % 32)
+        for i in range(state.size):
+            row[i] = 1.0 if (state[i] >> bit) & np.uint64(1) else -1.0
+
+
+@jit
+def fill_noise(key, stream, additive, state, Z):
+    """Fill Z (3, d, LANES) for `walk` with stream number `stream` of a key; `state` (LANES,) is scratch."""
+    seed_lanes(key, stream, state)
+    fill_three_points(state, Z[0])
+    if additive:
+        fill_three_points(state, Z[1])
+    fill_signs(state, Z[2])
+
+
+@jit
+def uniform(key, word):
+    """A number of the open unit interval, of a key and a word."""
+    return (np.float64(mixed(key, word) >> np.uint64(12)) + 0.5) * 2.0**-52
+
+
+@jit
+def rotation(key, n):
+    """A random rotation (n, n) of a key: Gram and Schmidt on normals (Box & Muller)."""
+    O, word = np.empty((n, n)), 0
+    for a in range(n):
+        length = 0.0
+        while not length > 1e-3:  # else it lies among the rows before, and would be rounding
+            for b in range(n):
+                r = math.sqrt(-2.0 * math.log(uniform(key, np.uint64(word))))
+                O[a, b] = r * math.cos(2.0 * math.pi * uniform(key, np.uint64(word + 1)))
+                word += 2
+            for c in range(a):
+                along = 0.0
+                for b in range(n):
+                    along += O[a, b] * O[c, b]
+                for b in range(n):
+                    O[a, b] -= along * O[c, b]
+            length = math.sqrt(np.sum(O[a] ** 2))
+        O[a] /= length
+    return O

@@ -1,0 +1,210 @@
+"""Steps of points along the paths of a model, a few dozen at a time.
+
+Letters: x (K, n) points of one chunk, σ = g L the noise with L Lᵀ = Q, Z noise.
+Noise that does not depend on the state is a simple path beside the drift (Foster, dos Reis & Strange 2024):
+of weak order three as measured. Any other is the flow of each noise between two flows of the drift (Strang;
+Ninomiya & Victoir 2008): of weak order two.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from .._addresses import ADDRESS, function_at
+from .._jit import MATRIX, VECTOR, jit
+from ..domain import DOMAIN, Domain, bounce
+
+__all__ = ["LEG", "Leg", "flow", "scaled", "walk"]
+
+
+class Leg(NamedTuple):
+    """A model over an interval, as compiled code takes it.
+
+    `drift` is that of Stratonovich; `drift`, `jacobian` (of the drift) and `noise` are addresses.
+    """
+
+    drift: int
+    jacobian: int
+    noise: int
+    p: np.ndarray  # data of the model
+    root: np.ndarray  # L (m, m)
+    domain: Domain
+    t: float  # seconds, begin
+    h: float  # step, seconds
+    steps: int
+    parts: int  # of a step, in which the drift is followed
+    additive: bool  # noise does not depend on the state
+    constant: bool  # nor on time
+
+
+#: Numba's type of `Leg`.
+LEG = types.NamedTuple(
+    [ADDRESS, ADDRESS, ADDRESS, VECTOR, MATRIX, DOMAIN, types.float64, types.float64]
+    + [types.int64, types.int64, types.boolean, types.boolean],
+    Leg,
+)
+
+
+@jit
+def scaled(leg, x, t, sigma):
+    """Fill σ (n, m) at time t, for noise that does not depend on the state."""
+    n, m = sigma.shape
+    g = np.empty((1, n * m))
+    function_at(leg.noise)(x[:1], t, leg.p, g)
+    for a in range(n):
+        for k in range(m):
+            s = 0.0
+            for r in range(m):
+                s += g[0, a * m + r] * leg.root[r, k]
+            sigma[a, k] = s
+
+
+@jit
+def _add_noise(sigma, w, x):
+    """x_i <- x_i + σ w_i, w (m, K), x (K, n): by entries, most of which are zero in most models."""
+    for a in range(sigma.shape[0]):
+        for k in range(sigma.shape[1]):
+            s = sigma[a, k]
+            if s != 0.0:
+                row = w[k]
+                for i in range(x.shape[0]):
+                    x[i, a] += s * row[i]
+
+
+@jit
+def flow(leg, x, t, h, slope, work):
+    """Move x along drift plus slope (K, n) over h, in the leg's parts: the classical Runge-Kutta method."""
+    drift, p = function_at(leg.drift), leg.p
+    y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
+    X, Y, S = x.reshape(-1), y.reshape(-1), slope.reshape(-1)
+    K1, K2, K3, K4 = k1.reshape(-1), k2.reshape(-1), k3.reshape(-1), k4.reshape(-1)
+    dt = h / leg.parts
+    half = 0.5 * dt
+    for s in range(leg.parts):
+        at = t + s * dt
+        drift(x, at, p, k1)
+        for i in range(X.size):
+            Y[i] = X[i] + half * (K1[i] + S[i])
+        drift(y, at + half, p, k2)
+        for i in range(X.size):
+            Y[i] = X[i] + half * (K2[i] + S[i])
+        drift(y, at + half, p, k3)
+        for i in range(X.size):
+            Y[i] = X[i] + dt * (K3[i] + S[i])
+        drift(y, at + dt, p, k4)
+        for i in range(X.size):
+            X[i] += dt / 6.0 * (K1[i] + 2.0 * (K2[i] + K3[i]) + K4[i]) + dt * S[i]
+
+
+@jit
+def _beside_noise(leg, x, Z, work):
+    """Walk with noise that does not depend on the state.
+
+    With H the area between a noise's path and its chord, of variance h/12, and c = ±√h/2: the path jumps by
+    c + H, rises by the increment less 2c, jumps by c - H. Increment, area and the mean square of the path
+    are those of the true one. The jump that ends a step and the one that begins the next are one.
+    """
+    (K, n), m = x.shape, leg.root.shape[0]
+    sigma, jump, rise, slope = np.empty((n, m)), np.zeros((m, K)), np.empty((m, K)), np.zeros((K, n))
+    h, ends = leg.h, np.any(leg.domain.kind >= 2)
+    root, area = math.sqrt(leg.h), math.sqrt(leg.h / 12.0)
+    scaled(leg, x, leg.t, sigma)
+    for s in range(leg.steps):
+        t = leg.t + s * h
+        for k in range(m):
+            w, H, c = Z[0, s * m + k], Z[1, s * m + k], Z[2, s * m + k]
+            before, up = jump[k], rise[k]
+            for i in range(K):
+                before[i] += 0.5 * root * c[i] + area * H[i]
+                up[i] = (w[i] - c[i]) / root
+        _add_noise(sigma, jump, x)
+        if not leg.constant:
+            scaled(leg, x, t + 0.5 * h, sigma)
+        slope[:] = 0.0
+        _add_noise(sigma, rise, slope)
+        flow(leg, x, t, h, slope, work)
+        for k in range(m):
+            H, c, after = Z[1, s * m + k], Z[2, s * m + k], jump[k]
+            for i in range(K):
+                after[i] = 0.5 * root * c[i] - area * H[i]
+        if not leg.constant:
+            scaled(leg, x, t + h, sigma)
+        if ends:
+            _add_noise(sigma, jump, x)
+            bounce(leg.domain, x)
+            jump[:] = 0.0
+    _add_noise(sigma, jump, x)
+
+
+@jit
+def _add(x, y):
+    """x <- x + y."""
+    X, Y = x.reshape(-1), y.reshape(-1)
+    for i in range(X.size):
+        X[i] += Y[i]
+
+
+@jit
+def _kick(leg, x, t, w, first, last, work, raw):
+    """Move x along the noises first <= k < last for as long as w (m, K) says: Runge and Kutta's method."""
+    noise, p, root = function_at(leg.noise), leg.p, leg.root
+    (K, n), m = x.shape, root.shape[0]
+    y, total, k1 = work[0], work[1], work[2]
+    y[:], total[:] = x, 0.0
+    for stage in range(4):
+        noise(y, t, p, raw)
+        for i in range(K):
+            for a in range(n):
+                s = 0.0
+                for k in range(first, last):
+                    c = 0.0
+                    for r in range(m):
+                        c += raw[i, a * m + r] * root[r, k]
+                    s += c * w[k, i]
+                k1[i, a] = s
+        part = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
+        ahead = 0.5 if stage < 2 else 1.0
+        for i in range(K):
+            for a in range(n):
+                total[i, a] += part * k1[i, a]
+                y[i, a] = x[i, a] + ahead * k1[i, a]
+    _add(x, total)
+
+
+@jit
+def _between_noise(leg, x, Z, odd, work):
+    """Walk with noise that depends on the state.
+
+    Several noises act one after the other; in which order a coin says, and chunks that are odd do the opposite.
+    """
+    (K, n), m = x.shape, leg.root.shape[0]
+    nothing, raw, w = np.zeros((K, n)), np.empty((K, n * m)), np.empty((m, K))
+    h, ends = leg.h, np.any(leg.domain.kind >= 2)
+    flow(leg, x, leg.t, 0.5 * h, nothing, work)
+    for s in range(leg.steps):
+        middle = leg.t + (s + 0.5) * h
+        for k in range(m):
+            for i in range(K):
+                w[k, i] = math.sqrt(h) * Z[0, s * m + k, i]
+        forward = (Z[2, s * m, 0] > 0.0) != odd
+        for j in range(m):
+            k = j if forward else m - 1 - j
+            _kick(leg, x, middle, w, k, k + 1, work, raw)
+        flow(leg, x, middle, h if s + 1 < leg.steps else 0.5 * h, nothing, work)
+        if ends:
+            bounce(leg.domain, x)
+
+
+@jit
+def walk(leg, x, Z, odd, work):
+    """Move points x (K, n) over a leg; `work` (5, K, n) is scratch.
+
+    Z (3, steps m, K or more) holds for each step and noise its increment over √h, its area over √(h/12), both
+    with a normal's moments, and a sign.
+    """
+    if leg.additive:
+        _beside_noise(leg, x, Z, work)
+    else:
+        _between_noise(leg, x, Z, odd, work)

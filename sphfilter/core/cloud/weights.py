@@ -1,0 +1,82 @@
+"""Weighted points: moments, effective numbers, systematic resampling."""
+
+import numpy as np
+from numba import njit
+
+from .._jit import jit
+
+__all__ = ["effective", "normalise", "systematic", "weighted_moments"]
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
+def weighted_moments(X, w, mean, cov):
+    """Fill mean (n,) and covariance (n, n) of states X (N, n) with weights w (N,) that sum to one.
+
+    Sums may be taken in any order, as vector instructions want it.
+    """
+    N, n = X.shape
+    for a in range(n):
+        s = 0.0
+        for i in range(N):
+            s += w[i] * X[i, a]
+        mean[a] = s
+    for a in range(n):
+        for b in range(a + 1):
+            s = 0.0
+            for i in range(N):
+                s += w[i] * (X[i, a] - mean[a]) * (X[i, b] - mean[b])
+            cov[a, b] = cov[b, a] = s
+
+
+@jit
+def effective(w):
+    """Effective number of points of weights (N,), (Σ w)² / Σ w²."""
+    total = squares = 0.0
+    for i in range(w.size):
+        total += w[i]
+        squares += w[i] * w[i]
+    return total * total / squares if squares > 0.0 else 0.0
+
+
+@jit
+def normalise(log_w, w):
+    """Fill weights w (N,) of sum one from their logarithms; return the logarithm of what the sum was.
+
+    Without a weight above zero the sum's logarithm is -inf, and the weights are nothing.
+    """
+    top = -np.inf
+    for i in range(log_w.size):
+        if log_w[i] > top:
+            top = log_w[i]
+    if not np.isfinite(top):
+        return -np.inf
+    total = 0.0
+    for i in range(log_w.size):
+        w[i] = np.exp(log_w[i] - top) if log_w[i] > -np.inf else 0.0
+        total += w[i]
+    for i in range(log_w.size):
+        w[i] /= total
+    return top + np.log(total)
+
+
+@jit
+def systematic(w, count, shift):
+    """Numbers (count,) of points of weights w (N,), each as often as its weight says but for rounding.
+
+    One shift on [0, 1) moves all strata; what rounding may have lost at the end of the weights goes to the
+    last point that has any.
+    """
+    N, last = w.size, w.size - 1
+    while last > 0 and w[last] == 0.0:
+        last -= 1
+    total = 0.0
+    for i in range(N):
+        total += w[i]
+    out, j, passed = np.empty(count, np.int64), 0, w[0]
+    for i in range(count):
+        position = (i + shift) / count * total
+        while position >= passed and j < last:
+            j += 1
+            passed += w[j]
+        out[i] = j
+    return out

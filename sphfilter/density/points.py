@@ -1,0 +1,61 @@
+"""Weighted points, and the way they came since the last reading."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._types import Floats, Ints
+from ..core.cloud.steps import Leg
+from ..core.cloud.weights import weighted_moments
+
+__all__ = ["Passage", "Path", "Points", "Prior", "moments"]
+
+
+class Passage(NamedTuple):
+    """A change of points, linearised in blocks: x_T ≈ end + Φ (x_0 - start) + L u.
+
+    A prediction over an interval, or the noise that a Gaussian start stands for. Matrices of one block serve all.
+    """
+
+    leg: Leg | None  # None: the linear change is exact
+    key: int
+    start: Floats  # centres of the blocks, (blocks, n)
+    end: Floats  # without noise, (blocks, n)
+    flow: Floats  # Φ, (blocks, n, n)
+    lower: Floats  # L, (blocks, n, n)
+    rows: Floats  # V, (blocks, n, d): u = V ξ of the noise ξ of all steps
+    model: Any = None  # keeps the functions that the leg calls
+
+
+class Path(NamedTuple):
+    """Where points were after the last reading, and what has moved them since."""
+
+    x: Floats  # (N, n), at the begin
+    block: Ints  # (N,), of each point, never decreasing
+    passages: tuple[Passage, ...]
+    u: tuple[Floats, ...]  # (N, n) each: standard normals that moved the ends of each passage
+
+
+class Prior(NamedTuple):
+    """What the readings of one time were asked of, so that one more is asked of the same."""
+
+    points: "Points"
+    readings: tuple[Any, ...]
+    log_evidence: float
+
+
+class Points(NamedTuple):
+    """Weighted points x (N, n), weights w (N,) of sum one, and where they come from."""
+
+    x: Floats
+    w: Floats
+    path: Path | None = None  # since the last reading
+    prior: Prior | None = None  # before the readings of this time
+
+
+def moments(x: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """Mean (n,) and covariance (n, n) of weighted points, the same bits whatever the threads."""
+    n = x.shape[1]
+    mean, cov = np.empty(n), np.empty((n, n))
+    weighted_moments(x, w, mean, cov)
+    return mean, cov
