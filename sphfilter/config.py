@@ -105,7 +105,7 @@ class PaperScheme:
     c_nns: Positive = 1.0
     bypass_max: Count = 15
     buffer_neighbors: Count | None = None
-    max_steps: Count = 200_000
+    max_steps: Count = 20_000
     read_out: Literal["points", "mixture"] = "points"
 
     @model_validator(mode="after")
@@ -196,15 +196,15 @@ class CorrectedScheme:
 
 @settings
 class CloudScheme:
-    """Weighted points on random paths of the model: what "auto" goes on with where nothing else can.
+    """Weighted points on paths of the model, quasi-random, which a reading leads to where it finds the state.
 
-    The points are quasi-random at first, and their noise follows from a fixed key, the time and the mean: the
-    same density gives the same bits. Errors fall with the root of the number of points.
+    Their noise follows from a fixed key and the time: the same input gives the same bits. Errors fall about
+    as the number of points to the power of .6; a smaller cloud beside tells them.
 
     Attributes
     ----------
     n_points : int
-        Most points that a cloud has; 20,000 know a mean to one or two hundredths of its standard deviation.
+        Points of a cloud; a thousand know a mean to one or three hundredths of its standard deviation.
     max_steps : int
         Steps of one prediction after which it is given up with an error.
 
@@ -212,12 +212,12 @@ class CloudScheme:
     --------
     >>> import sphfilter as sf
     >>> print(sf.FilterConfig(scheme="cloud").scheme.n_points)
-    20000
+    10000
     """
 
     name: Literal["cloud"] = "cloud"
-    n_points: Annotated[int, Field(ge=1000, le=10_000_000)] = 20_000
-    max_steps: Count = 200_000
+    n_points: Annotated[int, Field(ge=200, le=10_000_000)] = 10_000
+    max_steps: Count = 20_000
 
 
 @settings

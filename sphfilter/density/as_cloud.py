@@ -5,9 +5,10 @@ from typing import Any
 from .._types import Floats
 from .cloud import KERNEL, Cloud, moments, smoothing_length
 from .particle_density import ParticleDensity
+from .points import CloudState
 from .shapes import Folded
 
-__all__ = ["cloud_density", "thinned"]
+__all__ = ["cloud_density", "cloud_of", "thinned"]
 
 
 def cloud_density(density: ParticleDensity, x: Floats, mass: Floats, **changes: Any) -> ParticleDensity:
@@ -27,6 +28,13 @@ def cloud_density(density: ParticleDensity, x: Floats, mass: Floats, **changes: 
     assert isinstance(shape, Cloud)
     vars(shape)["summed"] = summed  # else it would be summed again
     return new
+
+
+def cloud_of(density: ParticleDensity, state: CloudState, **changes: Any) -> ParticleDensity:
+    """A density whose place in the record is that of another, as the cloud of a state."""
+    (x, w), domain = state.points[:2], density.domain
+    new = cloud_density(density, x if domain is None else domain.wrap(x), w, **changes)
+    return new.noted(cloud=state)
 
 
 def thinned(density: ParticleDensity, count: int) -> ParticleDensity:

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._types import Floats, Ints
-from ..core.paths.weights import weighted_moments
 from ..core.sph.kernels import Kernel
 from ..errors import PropagationError
-from ..info import DOUBTFUL
 from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import mixture
 from .families import Families
 from .pieces import GaussianPieces
+from .points import moments
 from .quasi_random import quasi_random, spread_evenly, weighted_points
 from .shapes import Folded, Kernels, Polynomials
 
@@ -34,14 +33,11 @@ __all__ = [
     "points_of",
     "smoothing_length",
     "systematic",
-    "variance_doubt",
-    "variance_error",
 ]
 
 KERNEL = "wendland_c2"
 _STATES = 128  # points that stand for a cloud, over those that stand for one kernel of other densities
 _FEW = 64  # points of a family, below which they do not have its mean and covariance
-_UNSURE = 0.1  # standard error of a variance, over it: a fifth of it is wrong
 _CANDIDATES = 8  # states in the cells of a lattice, over the points drawn from them
 _KEY, _MIX = np.uint64(0x5EED0C10D), np.uint64(0x9E3779B97F4A7C15)
 
@@ -98,41 +94,10 @@ class Cloud(Kernels):
         return replace(self, images=mixture.mixture(*seen, self.kernel, factor=np.diag(std)))
 
 
-def moments(x: Floats, mass: Floats) -> tuple[Floats, Floats]:
-    """Mean (n,) and covariance (n, n) of weighted points, the same bits whatever the threads."""
-    n = x.shape[1]
-    mean, cov = np.empty(n), np.empty((n, n))
-    weighted_moments(np.ascontiguousarray(x), np.array(mass), mean, cov)
-    return mean, cov
-
-
 def moments_of(density: "ParticleDensity") -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) of a density's points as they lie; of a cloud they are summed once."""
     shape: Any = density.form.shape if isinstance(density.form, Folded) else density.form
     return shape.summed if isinstance(shape, Cloud) else moments(density.x, density.mass)
-
-
-def variance_error(density: "ParticleDensity") -> float:
-    """Standard error of the worst state's variance, over that variance, as the points of a cloud tell it.
-
-    Where a light part of a density lies far out it is most of the variance, and few points stand for it: the
-    mean may be good there, and its covariance is not.
-    """
-    off = density.x - density.mean()
-    off = off if density.domain is None else density.domain.nearest(off)
-    variance = np.maximum(density.mass @ off**2, 1e-300)
-    return float(np.sqrt(((density.mass[:, None] * (off**2 / variance - 1.0)) ** 2).sum(axis=0)).max())
-
-
-def variance_doubt(density: "ParticleDensity", error: float) -> str:
-    """What is to be said of a density whose mean is good to an error, if its variance is not; else empty."""
-    if density.read_out != "cloud" or not error < DOUBTFUL:  # which is said already
-        return ""
-    off = variance_error(density)
-    if off < _UNSURE:
-        return ""
-    mean = f"the mean is good to {error:.2g} standard deviations"
-    return f"{mean}, but the variance may be off by {2.0 * off:.0%}"
 
 
 def smoothing_length(mass: Floats, cov: Floats) -> Floats:

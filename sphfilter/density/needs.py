@@ -5,11 +5,15 @@ from typing import NamedTuple
 
 from ..config import FilterConfig, LogDensityScheme, SolverConfig
 from ..lattice.level_set import fewest_particles
+from .points import ORDER
 
-__all__ = ["AIMED", "MOST_POINTS", "Needs", "allowance", "bound_of", "doubt", "fewest"]
+__all__ = ["AIMED", "FEWEST_POINTS", "MOST_POINTS", "Needs", "allowance", "bound_of", "doubt", "fewest"]
 
-MOST_POINTS = 200_000  # of a cloud
-_FEWEST_POINTS, _POINTS = 1000, 1.0  # at least, and times the square of the error
+#: Points of a cloud, least and most: powers of two, for which nets are evenest.
+FEWEST_POINTS, MOST_POINTS = 256, 2**17
+_USUAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it
+#: What is aimed at, over the target; and readings that ask for fewer points before there are fewer.
+_AIMED, _PATIENCE = 1.0 / 1.5, 4
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
 AIMED = 0.25
@@ -24,9 +28,8 @@ class Needs(NamedTuple):
     waits: int = 0  # predictions before one is tried again
     failed: int = 0  # predictions in a row that none would do for
     nodes: int = 0  # of a lattice; zero before the first
-    points: int = 0  # that a cloud would have needed; zero before the first
-    parts: bool | None = None  # whether noise moves copies of a cloud's points apart; None: not looked at
-    share: float = 1.0  # of a prior's volume, that the last reading left
+    points: int = 0  # of a cloud; zero before the first
+    calm: int = 0  # readings in a row that asked for fewer
 
     def followed(self, degree: int) -> "Needs":
         """A family of a degree did."""
@@ -42,13 +45,23 @@ class Needs(NamedTuple):
         return self._replace(waits=self.waits - 1)
 
     def cloud(self, target: float) -> int:
-        """Points that a cloud needs for a target error."""
-        fewest = math.ceil(_POINTS / target**2)
-        return max(_FEWEST_POINTS, self.points or math.ceil(fewest / self.share))
+        """Points that a cloud has for a target error."""
+        return self.points or _power_of_two((_USUAL / target) ** 2)
 
-    def cloud_error(self, target: float) -> float:
-        """Error of the largest cloud that is taken, at least the target."""
-        return target * math.sqrt(max(self.cloud(target) / MOST_POINTS, 1.0))
+    def told(self, error: float, target: float) -> "Needs":
+        """A cloud of so many points told an error: more at once, fewer when several readings ask for fewer."""
+        now = self.cloud(target)
+        wanted = now * min(max((error / (_AIMED * target)) ** (1.0 / ORDER), 1.0 / 8.0), 8.0)
+        points = _power_of_two(wanted / math.sqrt(2.0))  # rounded, not up
+        if points >= now:
+            return self._replace(points=points, calm=0)
+        calm = self.calm + 1
+        return self._replace(points=now // 2, calm=0) if calm >= _PATIENCE else self._replace(points=now, calm=calm)
+
+
+def _power_of_two(count: float) -> int:
+    """The next power of two, within what clouds may have."""
+    return min(max(2 ** math.ceil(math.log2(max(count, 1.0))), FEWEST_POINTS), MOST_POINTS)
 
 
 def doubt(dim: int) -> float:

@@ -23,6 +23,7 @@ from .family import Exponential, Family
 from .marginal import around
 from .needs import Needs
 from .pieces import GaussianPieces, Pieces
+from .points import CloudState
 from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
 from .weighted import WeightedStates
 
@@ -96,9 +97,8 @@ class ParticleDensity:
         ``n_particles="auto"``; None where a number of particles does.
     lost : float
         Probability that lattices have gained on the way, or lost (negative), as far as it still matters.
-    inherited : float
-        Of a cloud: part of its variance that its points had before the last prediction's noise. Copies of a
-        point are apart by the rest.
+    cloud : CloudState or None
+        How the points of a cloud came since the last reading, and a smaller cloud that tells the error.
 
     Arrays are read-only; particles without mass are left out.
 
@@ -131,7 +131,7 @@ class ParticleDensity:
     residual: float | None = None
     error: float = 0.0
     lost: float = 0.0
-    inherited: float = 0.0
+    cloud: CloudState | None = None
     family: Family | None = None
     pieces: Pieces | None = None
     families: Families | None = None

@@ -1,5 +1,6 @@
 """Weighted points, and the way they came since the last reading."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ from .._types import Floats, Ints
 from ..core.cloud.steps import Leg
 from ..core.cloud.weights import weighted_moments
 
-__all__ = ["Passage", "Path", "Points", "Prior", "moments"]
+__all__ = ["ORDER", "SHADOW", "CloudState", "Pace", "Passage", "Path", "Points", "Prior", "Told", "moments"]
 
 
 class Passage(NamedTuple):
@@ -51,6 +52,46 @@ class Points(NamedTuple):
     w: Floats
     path: Path | None = None  # since the last reading
     prior: Prior | None = None  # before the readings of this time
+
+
+class Told(NamedTuple):
+    """Squares of what a cloud and its shadow are apart by, smoothed over the record; NaN: not compared yet."""
+
+    mean: float = math.nan  # of the means, in standard deviations, over the states
+    variance: float = math.nan  # of the covariances, relative
+    log_evidence: float = math.nan  # nats, of one reading
+
+    def after(self, mean: float, variance: float, log_evidence: float = math.nan) -> "Told":
+        """With the squares of one more reading; those before count as long as a few readings."""
+        pairs = zip(self, (mean, variance, log_evidence), strict=True)
+        return Told(*[new if math.isnan(old) else _LASTS * old + (1.0 - _LASTS) * new for old, new in pairs])
+
+    @property
+    def errors(self) -> "Told":
+        """The errors of the cloud itself, where its shadow's fall as they do with the number of points."""
+        return Told(*[math.sqrt(square) * SHADOW**-ORDER for square in self])
+
+
+#: Points of a cloud over those of its shadow; an error falls with their number to about this power.
+SHADOW, ORDER = 8, 0.6
+_LASTS = 0.6  # of a squared difference, that the next reading leaves
+
+
+class Pace(NamedTuple):
+    """Steps that a model has needed: their length, seconds, and predictions before it is looked at again."""
+
+    step: float = 0.0
+    waits: int = 0
+    stiff: bool = False
+
+
+class CloudState(NamedTuple):
+    """What a cloud is besides its points: how they came, a smaller cloud beside it, and what that tells."""
+
+    points: Points
+    shadow: Points
+    told: Told = Told()
+    pace: Pace = Pace()
 
 
 def moments(x: Floats, w: Floats) -> tuple[Floats, Floats]:

@@ -62,14 +62,6 @@ class Asked(NamedTuple):
         """z as numbers (k,), NaN where none came."""
         return Reading.of(self.z).z
 
-    @property
-    def share(self) -> float:
-        """Volume of the posterior over that of the prior, as if both were Gaussian; or one."""
-        if not is_gaussian(self.measurement) or self.S is None:
-            return 1.0
-        R = self.measurement.noise_cov[np.ix_(self.seen, self.seen)]
-        return float(np.exp(0.5 * (np.linalg.slogdet(R)[1] - np.linalg.slogdet(self.S)[1])))
-
     def whitened(self) -> tuple[OfStates, float]:
         """The measurement less its reading in units of its noise, (M, k) at states (M, n); and the
         log of the noise's density at zero.

@@ -1,33 +1,70 @@
 """Prior times likelihood as a cloud of weighted points, which any likelihood leaves."""
 
+import math
 from typing import Any
 
+import numpy as np
+
 from ..config import CloudScheme, FilterConfig
-from ..density.cloud_posterior import cloud_posterior
+from ..core.cloud.weights import effective
+from ..density.as_cloud import cloud_of
 from ..density.particle_density import ParticleDensity
+from ..density.points import CloudState, Points
+from ..errors import PropagationError
 from ..info import Code
+from ..prediction.cloud import apart, as_points
+from ..prediction.passage import key_at
 from .asked import Asked
+from .guided import weighed
 
 __all__ = ["by_cloud"]
+
+_FEW = 50.0  # effective points, below which a shadow that sees the same few cannot tell the error
+_READING = 2  # of a key: the draws of a reading
 
 
 def by_cloud(
     density: ParticleDensity, asked: Asked, n_particles: int, config: FilterConfig, why: str = ""
 ) -> tuple[ParticleDensity, dict[str, Any]]:
-    """Prior times likelihood as a cloud of weighted points, which any likelihood leaves."""
+    """Prior times likelihood as a cloud of weighted points, and what the update says."""
     scheme = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
-    weight = asked.weight_on(density.domain)
-    new, log_evidence, evidence_error = cloud_posterior(density, weight, scheme.n_points)
-    new = new.noted(capacity=n_particles, lost=density.lost)
-    status = f"on a cloud of {new.n_particles} points: the mean is good to {new.error:.2g} standard "
+    state = as_points(density, scheme.n_points)
+    t, domain = density.t, density.domain
+    found = weighed(state.points, (asked,), key_at(t, _READING), domain)
+    if not math.isfinite(found.log_evidence):
+        raise PropagationError(
+            "prior times likelihood is zero wherever the prior has particles: check the measurement, its "
+            "unit and its noise"
+        )
+    beside = weighed(state.shadow, (asked,), key_at(t, _READING + 1), domain)
+    shadow, told = beside.points, state.told
+    if math.isfinite(beside.log_evidence):
+        off = found.log_evidence - beside.log_evidence
+        told = told.after(*apart(found.points, shadow, domain), off**2)
+    else:  # none of the few sees the reading: a part of the many goes on beside them
+        shadow = _part_of(found.points, len(state.shadow.w))
+        told = told.after(1.0, 1.0, 1.0)
+    points, errors = effective(found.points.w), told.errors
+    least = 1.0 / math.sqrt(points) if points < _FEW else 0.0
+    error = max(errors.mean, least)
+    known = {"capacity": n_particles, "error": error, "lost": density.lost}
+    new = cloud_of(density, CloudState(found.points, shadow, told, state.pace), **known)
+    status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard "
     status += f"deviations; {why}" if why else "deviations"
     return new, {
         "accepted": True,
-        "log_evidence": log_evidence,
+        "log_evidence": found.log_evidence,
         "reason": asked.outlying,
-        "error": new.error,
-        "evidence_error": evidence_error,
+        "error": error,
+        "evidence_error": max(errors.log_evidence, least),
         "status": status,
         "code": Code.CLOUD,
         "scheme": "cloud",
     }
+
+
+def _part_of(points: Points, count: int) -> Points:
+    """Some of a posterior's points, each as heavy as the others."""
+    ends = np.cumsum(points.w)
+    taken = np.minimum(np.searchsorted(ends, (np.arange(count) + 0.5) / count * ends[-1]), len(ends) - 1)
+    return Points(points.x[taken], np.full(count, 1.0 / count))

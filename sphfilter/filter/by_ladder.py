@@ -8,9 +8,7 @@ import numpy as np
 
 from ..config import CloudScheme, FilterConfig
 from ..density.as_family import settled
-from ..density.cloud import variance_doubt
-from ..density.cloud_posterior import passed_on
-from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
+from ..density.needs import Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
@@ -24,7 +22,7 @@ from .by_family import family_update
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
 
-__all__ = ["by_ladder", "over_allowance"]
+__all__ = ["by_ladder"]
 
 _TRIES, _MOST_NODES = 3, 20_000
 #: Nodes of pieces, over the points of a cloud that has the same error; and so many that are always tried.
@@ -56,7 +54,7 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     if laid and needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
         one = settled(new, first_degree(new.dim, needs), allowance(new.error, target))
         new, needs = (new, needs.refused()) if one is None else (one, needs)
-    return new.noted(needs=needs), _unsure(new, _told(said | {"error": new.error}, target))
+    return new.noted(needs=needs), _told(said | {"error": new.error}, target)
 
 
 def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
@@ -73,8 +71,7 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
     if best is None:
         return None
     (new, said), degree, _ = best
-    learned = needs.followed(degree)._replace(share=_share(density, new))
-    return new.noted(needs=learned), _told(said, target)
+    return new.noted(needs=needs.followed(degree)), _told(said, target)
 
 
 def _on_families(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
@@ -88,13 +85,12 @@ def _on_families(density: ParticleDensity, asked: Asked, target: float, needs: N
         return None
     if not said["error"] <= doubt(density.dim) * target:
         return None
-    return new.noted(needs=needs._replace(share=_share(density, new))), _told(said, target)
+    return new.noted(needs=needs), _told(said, target)
 
 
 def _on_pieces(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
     """The posterior as Gaussians; None where those would be too many. One family follows where it will do."""
-    points = min(needs._replace(share=min(needs.share, asked.share)).cloud(target), MOST_POINTS)
-    most = int(_NODES.get(density.dim, _NODES_MORE) * points)
+    most = int(_NODES.get(density.dim, _NODES_MORE) * needs.cloud(target))
     try:
         new, said = by_pieces(density, asked, target, max(most, _FEW_NODES))
     except PropagationError:
@@ -104,48 +100,16 @@ def _on_pieces(density: ParticleDensity, asked: Asked, target: float, needs: Nee
     if new.pieces is not None:
         one = settled(new, first_degree(new.dim, needs), allowance(new.error, target))
         new = new if one is None else one
-    learned = needs._replace(share=_share(density, new))
-    return replace(new, needs=learned), _told(said | {"error": new.error}, target)
+    return replace(new, needs=needs), _told(said | {"error": new.error}, target)
 
 
 def _on_cloud(
     density: ParticleDensity, asked: Asked, target: float, config: FilterConfig, needs: Needs
 ) -> tuple[Posterior, Needs]:
-    """The posterior as a cloud, of more points where the error asks and the prior can be drawn from."""
-    fixed = density.read_out == "cloud"  # its points are there, and the next one's are told by them
-    points = density.n_particles if fixed else needs.cloud(target)
-    for left in range(1 if fixed or config.time_budget else _TRIES, 0, -1):
-        scheme = CloudScheme(n_points=min(points, MOST_POINTS))
-        new, said = by_cloud(density, asked, 0, replace(config, scheme=scheme))
-        least = 1.0 if fixed and new.error > target else 0.5
-        over = min(max(_AIMED * over_allowance(density, new, target), least), 2.0)
-        more = points if abs(over - 1.0) < _NEAR else math.ceil(points * over)
-        if left == 1 or not MOST_POINTS >= more > points:
-            break
-        points = more
-    return (new, said), needs._replace(points=more)
-
-
-def over_allowance(prior: ParticleDensity, posterior: ParticleDensity, target: float) -> float:
-    """Points that a cloud's update would have needed for a target error, over those that it had."""
-    left = kept(prior, posterior)
-    before = (left * prior.error) ** 2
-    if prior.read_out == "cloud":
-        before = passed_on(prior, float(np.sum(posterior.mass**2)), left**2)
-    return max(posterior.error**2 - before, 0.0) / allowance(prior.error, target) ** 2
-
-
-def _share(prior: ParticleDensity, posterior: ParticleDensity) -> float:
-    """Volume of a posterior over that of its prior: about the part of a cloud's points that would be left."""
-    before, after = (np.linalg.slogdet(density.cov())[1] for density in (prior, posterior))
-    return float(min(math.exp(0.5 * (after - before)), 1.0))
-
-
-def _left(laid: ParticleDensity, asked: Asked) -> float:
-    """Part of a cloud's points that a reading would leave, by the weights that it gives a lattice's nodes."""
-    weight = asked.weight_on(laid.domain)(laid.x)
-    w = laid.mass * np.exp(np.clip(weight - weight.max(), -300.0, 0.0))
-    return float(w.sum() ** 2 / np.maximum(np.sum(w**2 / laid.mass), 1e-300))
+    """The posterior as a cloud; of how many points the next one has, its error tells."""
+    scheme = CloudScheme(n_points=needs.cloud(target))
+    new, said = by_cloud(density, asked, 0, replace(config, scheme=scheme))
+    return (new, said), needs.told(new.error, target)
 
 
 def _on_lattice(
@@ -160,13 +124,7 @@ def _on_lattice(
         if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= _MOST_NODES:
             break  # met, or the prior itself is coarse
         before, nodes = said["error"], min(math.ceil(nodes * min(over ** (1.0 / _ORDER), 3.0)), _MOST_NODES)
-    return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes, share=_left(laid, asked))
-
-
-def _unsure(density: ParticleDensity, said: dict[str, Any]) -> dict[str, Any]:
-    """What was said, and that a cloud's variance is not to be trusted where a few points make it."""
-    status = variance_doubt(density, said["error"])
-    return said | {"status": status, "code": said["code"] | Code.UNRESOLVED} if status else said
+    return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes)
 
 
 def _told(said: dict[str, Any], target: float) -> dict[str, Any]:

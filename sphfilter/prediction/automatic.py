@@ -6,8 +6,12 @@ A cloud, which takes over where these are refused, comes back to a lattice where
 import math
 from contextlib import suppress
 
+import numpy as np
+
 from ..config import CloudScheme, CorrectedScheme, LogDensityScheme, PaperScheme
+from ..density.cloud import KERNEL, systematic
 from ..density.particle_density import ParticleDensity
+from ..density.resample import times_likelihood
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import Code, PredictInfo
 from ..model.sde import SDE
@@ -22,6 +26,10 @@ MOST_FINER = 30_000  # particles on which a prediction is made again where the l
 MOST_SUMMED = 2
 #: Plain sums over kernels, for domains whose ends other schemes do not know.
 SUMMED = PaperScheme(kernel="wendland_c2")
+#: States, and kernels of a cloud, from which a lattice is tried again.
+_MOST_STATES, _KERNELS = 4, 4096
+_FORGOTTEN = 0.01  # probability lost by lattices, above which none is tried again
+_AGREES, _LEAST_ERROR, _RESIDUAL = 3.0, 0.005, 0.1  # for a lattice to stand for a cloud
 
 
 def propagate(
@@ -55,7 +63,7 @@ def propagate(
     ParticleDensity, PredictInfo
     """
     if density.read_out == "cloud":
-        laid = cloud.on_lattice(density, n_particles)
+        laid = _on_lattice(density, n_particles)
         if laid is None:
             return cloud.propagate(density, model, t1, CloudScheme(), n_particles)
         density = laid
@@ -82,6 +90,34 @@ def propagate(
         except PropagationError as problem:
             raise PropagationError(reason if stopped else str(problem)) from problem
     return moved, info.marked(Code.FALLBACK, f"not log_density: {reason}")
+
+
+def _on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity | None:
+    """A cloud on a lattice that has its mean and covariance and its density, or None where none has."""
+    if density.dim > _MOST_STATES or abs(density.lost) > _FORGOTTEN:
+        return None
+    few = ParticleDensity(
+        x=density.x[systematic(density.mass, _KERNELS)],
+        mass=np.full(_KERNELS, 1.0 / _KERNELS),
+        h=density.h[:1].repeat(_KERNELS),
+        kernel=KERNEL,
+        read_out="cloud",
+        t=density.t,
+        domain=density.domain,
+    )
+    try:
+        laid, *_ = times_likelihood(few, lambda X: np.zeros(len(X)), n_particles, "auto")
+    except PropagationError:
+        return None
+    root = np.linalg.inv(np.linalg.cholesky(density.cov()))
+    off = np.sqrt(np.mean((root @ (laid.mean() - density.mean())) ** 2))
+    wider = np.abs(root @ laid.cov() @ root.T - np.eye(density.dim)).max()
+    X, _ = few.form.states(16, True)
+    residual = np.mean(np.abs(np.expm1(np.clip(laid.logpdf(X) - few.logpdf(X), -1.0, 1.0))))
+    if max(off, 0.5 * wider) > _AGREES * max(density.error, _LEAST_ERROR) or residual > _RESIDUAL:
+        return None
+    error = math.hypot(density.error, float(off))
+    return laid.noted(error=error, lost=density.lost, capacity=density.capacity)
 
 
 def _in_domain(

@@ -16,7 +16,6 @@ from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
 from ..density.as_cloud import thinned
 from ..density.as_family import family_density, settled, unrolled
-from ..density.cloud import variance_doubt
 from ..density.family import gaussian_family
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
@@ -53,8 +52,7 @@ def first_degree(dim: int, needs: Needs) -> int:
 
 def prefers_cloud(dim: int, needs: Needs, target: float) -> bool:
     """Whether a cloud comes after families, and not a lattice."""
-    points_do = needs.parts is not False and needs.cloud(target) <= _NEARLY * MOST_POINTS
-    return dim > _LATTICE_IF or (dim > _LATTICE and points_do)
+    return dim > _LATTICE or needs.cloud(target) < MOST_POINTS
 
 
 def _in_parts(density: ParticleDensity) -> bool:
@@ -92,8 +90,6 @@ def best_family(
     """
     allowed = allowance(density.error, target)
     best, most = None, doubt(density.dim) * allowed
-    if prefers_cloud(density.dim, needs, target):
-        most = max(most, needs.cloud_error(target))
     for degree in (d for d in degrees(density.dim) if 0 < first <= d <= family.HIGHEST):
         try:
             found, added = attempt(degree, most)
@@ -135,8 +131,6 @@ def propagate(
     needs = density.needs or Needs()
     if density.gaussian and model.linear and model.domain.unbounded:
         return _closed_form(density, model, t1, needs)
-    if needs.parts is None and density.dim > _LATTICE:
-        needs = needs._replace(parts=cloud.parts(model, density, t1))
     if density.pieces is not None or density.families is not None:
         if density.pieces is None:
             found = _by_families(density, model, t1, target, needs, families.LEVELS)
@@ -240,10 +234,9 @@ def _by_cloud(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry as many points as the target asks for."""
-    points = min(needs.cloud(target), MOST_POINTS)
-    moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points))
-    info, status = _as_asked(info), variance_doubt(moved, info.error)
-    return moved.noted(needs=needs), info.marked(Code.UNRESOLVED, status) if status else info
+    points = needs.cloud(target)
+    moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points), target=target)
+    return moved.noted(needs=needs), _as_asked(info)
 
 
 def _by_lattice(

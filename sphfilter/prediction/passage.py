@@ -1,6 +1,7 @@
 """A cloud of points over an interval: order, noise that is even along it, motion; and once more, guided."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from ..model.discretization import linear_transition
 from ..model.sde import SDE
 from ..model.simulate import noise_root
 
-__all__ = ["begun", "even", "gone", "leg_of", "ordered", "passed", "steps_bias", "systematically"]
+__all__ = ["begun", "even", "gone", "key_at", "leg_of", "ordered", "Steps", "passed", "steps_bias", "systematically"]
 
 #: Effective part of points, below which they are drawn anew.
 _FEW = 0.5
@@ -27,6 +28,15 @@ _FEW = 0.5
 _MOST = 8
 #: Points by which the bias of steps is told, of one chunk of lanes.
 _PILOTS = 64
+
+
+class Steps(NamedTuple):
+    """Steps of an interval, and whether the drift is too stiff to be followed in one step each."""
+
+    number: int
+    stiff: bool = False
+
+
 # what numbers of a key are for
 _ORDER, _SHIFT, _CUT, _FIRST, _AGAIN, _PILOT, _KERNEL = (np.uint64(k) for k in range(7))
 
@@ -46,17 +56,25 @@ def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
     return Points(y, w, Path(x, _blocks(count), (noise,), (u,)))
 
 
-def passed(points: Points, model: SDE, t0: float, t1: float, steps: int, count: int, key: int) -> Points:
-    """Points carried over an interval, in `steps` steps."""
+def passed(
+    points: Points, model: SDE, t0: float, t1: float, steps: Steps, count: int, key: int
+) -> Points:
+    """Points carried over an interval in steps; those of a new path are `count`."""
     path = points.path
     if path is None or len(path.passages) >= _MOST or len(points.w) != count:
         points = _apart(ordered(points, count, key), key)
         path = points.path
         assert path is not None
-    passage = _passage(model, points.x, t0, t1, steps, key)
+    passage = _passage(model, points.x, (t0, t1), steps, key)
     u = even(count, model.dim, key)
     x = gone(passage, points.x, u, path.block, False)
     return Points(x, points.w, Path(path.x, path.block, (*path.passages, passage), (*path.u, u)))
+
+
+def key_at(t: float, number: int) -> int:
+    """The key of what happens at a time: the same whatever the density, so that evidence is smooth in a model."""
+    word = np.array([t + 0.0]).view(np.uint64)[0]
+    return int(mixed(word, np.uint64(number)) >> np.uint64(1))
 
 
 def ordered(points: Points, count: int, key: int) -> Points:
@@ -105,7 +123,7 @@ def gone(passage: Passage, x: Floats, u: Floats, block: Floats, again: bool) -> 
     return x
 
 
-def leg_of(model: SDE, t0: float, t1: float, steps: int) -> Leg:
+def leg_of(model: SDE, t0: float, t1: float, steps: int, stiff: bool = False) -> Leg:
     """A model over an interval, as compiled code takes it."""
     functions = model.flow_drift_batch, model.flow_jacobian_batch, model.noise_batch
     return Leg(
@@ -116,19 +134,20 @@ def leg_of(model: SDE, t0: float, t1: float, steps: int) -> Leg:
         t0,
         (t1 - t0) / steps,
         steps,
-        1,
+        stiff,
         not model.state_dependent_noise,
         model.constant_diffusion,
     )
 
 
-def steps_bias(points: Points, model: SDE, t0: float, t1: float, steps: int, key: int) -> float:
+def steps_bias(points: Points, model: SDE, span: tuple[float, float], steps: Steps, key: int) -> float:
     """How far apart the means of points are after steps and after half as long ones, in standard deviations.
 
     Of a few points, along the same noise: so much steps of that length are off, or a little more.
     """
     x = np.ascontiguousarray(points.x[np.sort(systematic(points.w, _PILOTS, 0.5))])
-    leg, half = leg_of(model, t0, t1, steps), leg_of(model, t0, t1, 2 * steps)
+    number, stiff = steps
+    leg, half = leg_of(model, *span, number, stiff), leg_of(model, *span, 2 * number, stiff)
     with surfacing():
         coarse, fine = moved_twice(leg, half, x, np.uint64(mixed(np.uint64(key), _PILOT)))
     ends, off = fine, coarse - fine
@@ -138,14 +157,14 @@ def steps_bias(points: Points, model: SDE, t0: float, t1: float, steps: int, key
     return float(np.sqrt(np.mean((off.mean(axis=0) / unit) ** 2)))
 
 
-def _passage(model: SDE, x: Floats, t0: float, t1: float, steps: int, key: int) -> Passage:
+def _passage(model: SDE, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:
     """A model over an interval, linearised about blocks of points x (N, n)."""
     start = centres(x)
     if model.linear:
-        flow, offset, Q = linear_transition(model, t1 - t0)
+        flow, offset, Q = linear_transition(model, span[1] - span[0])
         end = np.einsum("ij,kj->ik", start, flow) + offset
         return _same_everywhere(model, key, start, end, flow, noise_root(Q))
-    leg = leg_of(model, t0, t1, steps)
+    leg = leg_of(model, *span, *steps)
     end = start.copy()
     with surfacing():
         flow, B = linearise(leg, end)

@@ -79,22 +79,38 @@ def shrunk(x, c, part):
 
 @jit
 def _flow_matrices(J, h, M, N):
-    """Fill exp(hJ) and its mean over a step, (n, n) each, by their series up to the fourth power."""
-    n = J.shape[0]
-    term, new = np.eye(n), np.empty((n, n))
+    """Fill exp(hJ) and its mean over a step, (n, n) each: their series, of a part of a stiff step, and doubling."""
+    n, norm, doublings = J.shape[0], h * np.abs(J).max(), 0
+    while norm > 0.5 and doublings < 60:
+        norm, doublings = 0.5 * norm, doublings + 1
+    term, new, part = np.eye(n), np.empty((n, n)), h / 2.0**doublings
     M[:], N[:] = term, term
-    for k in range(1, 5):
-        for a in range(n):
-            for b in range(n):
-                s = 0.0
-                for c in range(n):
-                    s += J[a, c] * term[c, b]
-                new[a, b] = s * h / k
+    for k in range(1, 6):
+        _product(J, term, part / k, new)
         term[:] = new
         for a in range(n):
             for b in range(n):
                 M[a, b] += term[a, b]
                 N[a, b] += term[a, b] / (k + 1)
+    for _ in range(doublings):
+        _product(M, N, 1.0, new)
+        for a in range(n):
+            for b in range(n):
+                N[a, b] = 0.5 * (N[a, b] + new[a, b])
+        term[:] = M
+        _product(term, term, 1.0, M)
+
+
+@jit
+def _product(A, B, factor, out):
+    """out = factor A B."""
+    n = A.shape[0]
+    for a in range(n):
+        for b in range(n):
+            s = 0.0
+            for c in range(n):
+                s += A[a, c] * B[c, b]
+            out[a, b] = factor * s
 
 
 @jit

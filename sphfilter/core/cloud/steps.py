@@ -34,7 +34,7 @@ class Leg(NamedTuple):
     t: float  # seconds, begin
     h: float  # step, seconds
     steps: int
-    parts: int  # of a step, in which the drift is followed
+    stiff: bool  # the drift is followed in parts of a step
     additive: bool  # noise does not depend on the state
     constant: bool  # nor on time
 
@@ -42,9 +42,13 @@ class Leg(NamedTuple):
 #: Numba's type of `Leg`.
 LEG = types.NamedTuple(
     [ADDRESS, ADDRESS, ADDRESS, VECTOR, MATRIX, DOMAIN, types.float64, types.float64]
-    + [types.int64, types.int64, types.boolean, types.boolean],
+    + [types.int64, types.boolean, types.boolean, types.boolean],
     Leg,
 )
+
+
+#: Parts of a step of a stiff drift at most; and of the extent of points, by how much its slopes may part.
+_MOST_PARTS, _STIFF = 100_000, 0.02
 
 
 @jit
@@ -74,28 +78,63 @@ def _add_noise(sigma, w, x):
 
 
 @jit
-def flow(leg, x, t, h, slope, work):
-    """Move x along drift plus slope (K, n) over h, in the leg's parts: the classical Runge-Kutta method."""
-    drift, p = function_at(leg.drift), leg.p
+def _runge_kutta(drift, p, x, t, dt, slope, work, out):
+    """Fill out (K, n) with x after a step along drift plus slope (K, n): the classical method of order four."""
     y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
-    X, Y, S = x.reshape(-1), y.reshape(-1), slope.reshape(-1)
+    X, Y, S, O = x.reshape(-1), y.reshape(-1), slope.reshape(-1), out.reshape(-1)
     K1, K2, K3, K4 = k1.reshape(-1), k2.reshape(-1), k3.reshape(-1), k4.reshape(-1)
-    dt = h / leg.parts
     half = 0.5 * dt
-    for s in range(leg.parts):
-        at = t + s * dt
-        drift(x, at, p, k1)
-        for i in range(X.size):
-            Y[i] = X[i] + half * (K1[i] + S[i])
-        drift(y, at + half, p, k2)
-        for i in range(X.size):
-            Y[i] = X[i] + half * (K2[i] + S[i])
-        drift(y, at + half, p, k3)
-        for i in range(X.size):
-            Y[i] = X[i] + dt * (K3[i] + S[i])
-        drift(y, at + dt, p, k4)
-        for i in range(X.size):
-            X[i] += dt / 6.0 * (K1[i] + 2.0 * (K2[i] + K3[i]) + K4[i]) + dt * S[i]
+    drift(x, t, p, k1)
+    for i in range(X.size):
+        Y[i] = X[i] + half * (K1[i] + S[i])
+    drift(y, t + half, p, k2)
+    for i in range(X.size):
+        Y[i] = X[i] + half * (K2[i] + S[i])
+    drift(y, t + half, p, k3)
+    for i in range(X.size):
+        Y[i] = X[i] + dt * (K3[i] + S[i])
+    drift(y, t + dt, p, k4)
+    for i in range(X.size):
+        O[i] = X[i] + dt / 6.0 * (K1[i] + 2.0 * (K2[i] + K3[i]) + K4[i]) + dt * S[i]
+
+
+@jit
+def flow(leg, x, t, h, slope, work):
+    """Move x (K, n) along drift plus slope (K, n) over h: in one step, or if the leg is stiff in as many as it takes."""
+    drift = function_at(leg.drift)
+    if not leg.stiff:
+        _runge_kutta(drift, leg.p, x, t, h, slope, work, x)
+        return
+    new, went, dt = np.empty_like(x), 0.0, h
+    for _ in range(_MOST_PARTS):
+        dt = min(dt, h - went)
+        _runge_kutta(drift, leg.p, x, t + went, dt, slope, work, new)
+        off = _off(x, work, dt)
+        if off <= 1.0:
+            x[:] = new
+            went += dt
+            if not went < h * (1.0 - 1e-12):
+                return
+        dt *= min(max(0.8 * off ** (-1.0 / 3.0), 0.1), 4.0) if off > 0.0 else 4.0
+        if not dt > 1e-15 * h:
+            break
+    x[:] = np.nan
+
+
+@jit
+def _off(x, work, dt):
+    """How far two inner slopes of a step lead apart, over what is allowed; infinite where that is no number."""
+    off = 0.0
+    for a in range(x.shape[1]):
+        low, high, most = np.inf, -np.inf, 0.0
+        for i in range(x.shape[0]):
+            low, high = min(low, x[i, a]), max(high, x[i, a])
+            d = abs(work[3, i, a] - work[2, i, a]) + abs(work[4, i, a] - work[3, i, a])
+            if not d < np.inf:
+                return np.inf
+            most = max(most, d)
+        off = max(off, dt * most / (_STIFF * (high - low) + 1e-9 * abs(high) + 1e-300))
+    return off
 
 
 @jit
