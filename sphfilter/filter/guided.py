@@ -12,7 +12,7 @@ import numpy as np
 from .._types import Bools, Floats
 from ..core.cloud.guide import look_ahead, missed, without_noise
 from ..core.cloud.linearise import lower_and_rows
-from ..core.cloud.noise import mixed, rotation, uniform
+from ..core.cloud.noise import even_normals, mixed, uniform
 from ..core.cloud.weights import effective, normalise
 from ..density.nets import net
 from ..density.points import Path, Points, Prior
@@ -95,8 +95,8 @@ def _twice(
     hy, r = sensor.predict(x), sensor.residual(sensor.predict(bare))
     C = missed(hy, x0, u, w, block, start, HL, HPhi, sensor.angle)
     R = np.ascontiguousarray(_WIDER * sensor.covariance(end) + C)
-    turn, shift, cut = rotation(key, n), int(uniform(key, np.uint64(0)) * count), uniform(key, np.uint64(1))
-    ancestor, u, log_ratio = look_ahead(r, u, w, block, HL, R, net(count, n), turn, shift, cut)
+    z, cut = even_normals(net(count, n), key), uniform(key, np.uint64(0))
+    ancestor, u, log_ratio = look_ahead(r, u, w, block, HL, R, z, cut)
     if not len(ancestor):
         return None
     y, block = x0[ancestor], block[ancestor]

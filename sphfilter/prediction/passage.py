@@ -1,6 +1,7 @@
 """A cloud of points over an interval: order, noise that is even along it, motion; and once more, guided."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +11,8 @@ from ..core._addresses import address_of
 from ..core.cloud.curve import along_curve, places
 from ..core.cloud.linearise import block_roots, block_size, centres, linearise, lower_and_rows, shrunk
 from ..core.cloud.move import affine, move, moved_twice
-from ..core.cloud.noise import LANES, mixed, rotation, uniform
-from ..core.cloud.steps import Leg
+from ..core.cloud.noise import LANES, even_normals, mixed, uniform
+from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, STIFF_FLOW, Leg
 from ..core.cloud.weights import effective, systematic
 from ..density.nets import net
 from ..density.points import Passage, Path, Points, moments
@@ -38,7 +39,7 @@ class Steps(NamedTuple):
 
 
 # what numbers of a key are for
-_ORDER, _SHIFT, _CUT, _FIRST, _AGAIN, _PILOT, _KERNEL = (np.uint64(k) for k in range(7))
+_CUT, _FIRST, _AGAIN, _PILOT, _KERNEL = (np.uint64(k) for k in range(5))
 
 
 def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
@@ -108,9 +109,7 @@ def systematically(w: Floats, count: int, key: int) -> Floats:
 
 def even(count: int, dim: int, key: int) -> Floats:
     """Standard normals (count, dim) of the net, turned and shifted by a key."""
-    turn, shift = rotation(np.uint64(key), dim), int(uniform(np.uint64(key), _SHIFT) * count)
-    found = np.einsum("ij,kj->ik", np.roll(net(count, dim), -shift, axis=0), turn)
-    return np.ascontiguousarray(found)
+    return even_normals(net(count, dim), np.uint64(key))
 
 
 def gone(passage: Passage, x: Floats, u: Floats, block: Floats, again: bool) -> Floats:
@@ -125,19 +124,25 @@ def gone(passage: Passage, x: Floats, u: Floats, block: Floats, again: bool) -> 
 
 def leg_of(model: SDE, t0: float, t1: float, steps: int, stiff: bool = False) -> Leg:
     """A model over an interval, as compiled code takes it."""
-    functions = model.flow_drift_batch, model.flow_jacobian_batch, model.noise_batch
+    additive, functions = not model.state_dependent_noise, (model.flow_drift_batch, model.flow_jacobian_batch)
+    own = STIFF_FLOW if stiff else FLOW, BESIDE if additive else BETWEEN
     return Leg(
-        *[address_of(function) for function in functions],
+        *[address_of(function) for function in (*functions, model.noise_batch, *own)],
         model.p,
-        noise_root(model.spectral_density),
+        _root(model),
         model.domain.codes,
         t0,
         (t1 - t0) / steps,
         steps,
-        stiff,
-        not model.state_dependent_noise,
+        additive,
         model.constant_diffusion,
+        "reflecting" in model.domain.kinds,
     )
+
+
+@lru_cache(maxsize=64)
+def _root(model: SDE) -> Floats:
+    return noise_root(model.spectral_density)
 
 
 def steps_bias(points: Points, model: SDE, span: tuple[float, float], steps: Steps, key: int) -> float:

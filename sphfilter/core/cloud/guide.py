@@ -12,7 +12,7 @@ from .._jit import jit
 from ..small_matrices import cholesky, whiten
 from .weights import systematic
 
-__all__ = ["log_normal", "look_ahead", "missed", "without_noise"]
+__all__ = ["look_ahead", "missed", "without_noise"]
 
 _LOG_2_PI = math.log(2.0 * math.pi)
 
@@ -61,22 +61,9 @@ def missed(hy, x, u, w, block, middle, HL, HPhi, angle):
                 for a in range(k):
                     for e in range(k):
                         C[a, e] += 0.5 * v * before[a] * before[e]
-        before[:] = now
+        for a in range(k):
+            before[a] = now[a]
     return C / total if total > 0.0 else C
-
-
-@jit
-def log_normal(r, S):
-    """Logarithm of N(r; 0, S), r (k,), S (k, k)."""
-    k = r.size
-    F, v = np.empty((k, k)), r.copy()
-    if not cholesky(S, F):
-        return -np.inf
-    whiten(F, v)
-    s = -0.5 * k * _LOG_2_PI
-    for a in range(k):
-        s -= 0.5 * v[a] * v[a] + math.log(F[a, a])
-    return s
 
 
 @jit
@@ -93,7 +80,8 @@ def _gain(HL, R, S, K, T):
     if not cholesky(S, F):
         return False
     for c in range(n):
-        column[:] = HL[:, c]
+        for a in range(k):
+            column[a] = HL[a, c]
         whiten(F, column)
         for a in range(k - 1, -1, -1):
             s = column[a]
@@ -110,80 +98,77 @@ def _gain(HL, R, S, K, T):
 
 
 @jit
-def look_ahead(r, u, w, block, HL, R, net, turn, shift, cut):
+def _log_density(r, F, v):
+    """Logarithm of N(r; 0, F Fᵀ), r (k,), F lower; v (k,) is scratch."""
+    s = 0.0
+    for a in range(r.size):
+        v[a] = r[a]
+        for e in range(a):
+            v[a] -= F[a, e] * v[e]
+        v[a] /= F[a, a]
+        s -= 0.5 * v[a] * v[a] + math.log(F[a, a])
+    return s - 0.5 * _LOG_2_PI * r.size
+
+
+@jit
+def look_ahead(r, u, w, block, HL, R, z, cut):
     """Choose ancestors of a reading, and what shall move their ends.
 
     Parameters
     ----------
     r, u, w, block : ndarray, shapes (N, k), (N, n), (N,), (N,)
     HL, R : ndarray, shapes (blocks, k, n), (blocks, k, k)
-    net : ndarray, shape (count, n)
+    z : ndarray, shape (count, n)
         Standard normals that are even along the curve.
-    turn, shift, cut : ndarray (n, n), int, float
-        How the net is turned and shifted, and where strata are cut, in [0, 1).
+    cut : float
+        Where strata are cut, in [0, 1).
 
     Returns
     -------
     ancestor, new : ndarray, shapes (count,), (count, n)
-        Numbers of points, in order, and their u.
+        Numbers of points, in order, and their u; none where no block can be guided.
     log_ratio : ndarray, shape (N + count,)
         Logarithm of the proposal's density of (point, u) over the prior's: of the N of the first pass, then
         of the new ones.
     """
-    (N, k), (count, n), blocks = r.shape, net.shape, HL.shape[0]
-    S, K, T = np.empty((k, k)), np.zeros((blocks, n, k)), np.zeros((blocks, n, n))
+    (N, k), (count, n), blocks = r.shape, z.shape, HL.shape[0]
+    K, T, S = np.zeros((blocks, n, k)), np.zeros((blocks, n, n)), np.empty((k, k))
     F, G = np.empty((blocks, k, k)), np.zeros((blocks, k, k))
     fine = np.zeros(blocks, np.bool_)
     for b in range(blocks):
         fine[b] = _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, F[b]) and cholesky(R[b], G[b])
-    log_a, a, v = np.empty(N), np.empty(N), np.empty(k)
-    top = -np.inf
+    a, v, own = np.zeros(N), np.empty(k), np.empty(k)
+    top, total = -np.inf, 0.0
     for i in range(N):
-        b = block[i]
-        log_a[i] = -np.inf
-        if fine[b] and w[i] > 0.0:
-            v[:] = r[i]
-            whiten(F[b], v)
-            s = math.log(w[i])
-            for c in range(k):
-                s -= 0.5 * v[c] * v[c] + 0.5 * _LOG_2_PI + math.log(F[b, c, c])
-            log_a[i] = s if math.isfinite(s) else -np.inf
-            top = max(top, log_a[i])
+        a[i] = -np.inf
+        if fine[block[i]] and w[i] > 0.0:
+            s = _log_density(r[i], F[block[i]], v) + math.log(w[i])
+            a[i] = s if math.isfinite(s) else -np.inf
+            top = max(top, a[i])
+    log_ratio, new = np.empty(N + count), np.empty((count, n))
     if top == -np.inf:
-        return np.empty(0, np.int64), np.empty((0, n)), np.empty(0)
-    total = 0.0
+        return np.empty(0, np.int64), new, log_ratio
     for i in range(N):
-        a[i] = math.exp(log_a[i] - top)
+        a[i] = math.exp(a[i] - top)
         total += a[i]
-    log_ev = top + math.log(total)
-    ancestor, new = systematic(a, count, cut), np.empty((count, n))
-    log_ratio = np.empty(N + count)
+    ancestor = systematic(a, count, cut)
     for j in range(count):
-        i, g = ancestor[j], net[(j + shift) % count]
-        b = block[i]
+        i, b = ancestor[j], block[ancestor[j]]
         for c in range(n):
-            new[j, c] = 0.0
+            s = 0.0
             for e in range(k):
-                new[j, c] += K[b, c, e] * r[i, e]
+                s += K[b, c, e] * r[i, e]
             for e in range(c + 1):
-                s = 0.0
-                for f in range(n):
-                    s += turn[e, f] * g[f]
-                new[j, c] += T[b, c, e] * s
+                s += T[b, c, e] * z[j, e]
+            new[j, c] = s
     for j in range(N + count):
         i = j if j < N else ancestor[j - N]
-        b, own = block[i], u[i] if j < N else new[j - N]
-        if not fine[b]:
-            log_ratio[j] = -np.inf
-            continue
-        for c in range(k):
-            s = r[i, c]
-            for e in range(n):
-                s -= HL[b, c, e] * own[e]
-            v[c] = s
-        whiten(G[b], v)
-        s = -log_ev
-        for c in range(k):
-            s -= 0.5 * v[c] * v[c] + 0.5 * _LOG_2_PI + math.log(G[b, c, c])
-        log_ratio[j] = s
+        b = block[i]
+        log_ratio[j] = -np.inf
+        if fine[b]:
+            for c in range(k):
+                own[c] = r[i, c]
+                for e in range(n):
+                    own[c] -= HL[b, c, e] * (u[i, e] if j < N else new[j - N, e])
+            log_ratio[j] = _log_density(own, G[b], v) - top - math.log(total)
     return ancestor, new, log_ratio

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._addresses import function_at
 from .._jit import jit
-from .steps import flow, scaled
+from .steps import flow_at, scaled
 
 __all__ = ["block_roots", "block_size", "centres", "linearise", "lower_and_rows", "shrunk"]
 
@@ -35,7 +35,8 @@ def centres(x):
         for a in range(n):
             c[i // size, a] += x[i, a]
     for b in range(c.shape[0]):
-        c[b] /= min(size, N - b * size)
+        for a in range(n):
+            c[b, a] /= min(size, N - b * size)
     return c
 
 
@@ -80,25 +81,30 @@ def shrunk(x, c, part):
 @jit
 def _flow_matrices(J, h, M, N):
     """Fill exp(hJ) and its mean over a step, (n, n) each: their series, of a part of a stiff step, and doubling."""
-    n, norm, doublings = J.shape[0], h * np.abs(J).max(), 0
+    n, norm, doublings = J.shape[0], 0.0, 0
+    for a in range(n):
+        for b in range(n):
+            norm = max(norm, h * abs(J[a, b]))
     while norm > 0.5 and doublings < 60:
         norm, doublings = 0.5 * norm, doublings + 1
-    term, new, part = np.eye(n), np.empty((n, n)), h / 2.0**doublings
-    M[:], N[:] = term, term
+    term, new, part = np.empty((n, n)), np.empty((n, n)), h * 0.5**doublings
+    for a in range(n):
+        for b in range(n):
+            term[a, b] = M[a, b] = N[a, b] = 1.0 if a == b else 0.0
     for k in range(1, 6):
         _product(J, term, part / k, new)
-        term[:] = new
         for a in range(n):
             for b in range(n):
+                term[a, b] = new[a, b]
                 M[a, b] += term[a, b]
                 N[a, b] += term[a, b] / (k + 1)
     for _ in range(doublings):
         _product(M, N, 1.0, new)
+        _product(M, M, 1.0, term)
         for a in range(n):
             for b in range(n):
                 N[a, b] = 0.5 * (N[a, b] + new[a, b])
-        term[:] = M
-        _product(term, term, 1.0, M)
+                M[a, b] = term[a, b]
 
 
 @jit
@@ -122,16 +128,18 @@ def linearise(leg, c):
     """
     (nb, n), m, h = c.shape, leg.root.shape[0], leg.h
     nothing, work, middle = np.zeros((nb, n)), np.empty((5, nb, n)), np.empty((nb, n))
-    J, g = np.empty((nb, n * n)), np.empty((nb, n * m))
+    J, g, sigma = np.empty((nb, n * n)), np.empty((nb, n * m)), np.empty((n, m))
     M, A = np.empty((leg.steps, nb, n, n)), np.empty((leg.steps, nb, n, m))
-    N, sigma = np.empty((n, n)), np.empty((n, m))
+    N = np.empty((n, n))
     for s in range(leg.steps):
         t = leg.t + s * h
-        middle[:] = c
-        flow(leg, c, t, h, nothing, work)
         for b in range(nb):
             for a in range(n):
-                middle[b, a] = 0.5 * (middle[b, a] + c[b, a])
+                middle[b, a] = 0.5 * c[b, a]
+        flow_at(leg.flow)(leg, c, t, h, nothing, work)
+        for b in range(nb):
+            for a in range(n):
+                middle[b, a] += 0.5 * c[b, a]
         function_at(leg.jacobian)(middle, t + 0.5 * h, leg.p, J)
         if not leg.additive:
             function_at(leg.noise)(middle, t + 0.5 * h, leg.p, g)
@@ -139,35 +147,47 @@ def linearise(leg, c):
             scaled(leg, c, t + 0.5 * h, sigma)
         for b in range(nb):
             _flow_matrices(J[b].reshape((n, n)), h, M[s, b], N)
-            for a in range(n if not leg.additive else 0):
-                for k in range(m):
-                    sigma[a, k] = 0.0
-                    for r in range(m):
-                        sigma[a, k] += g[b, a * m + r] * leg.root[r, k]
+            if not leg.additive:
+                _times_root(g[b], leg.root, sigma)
             for a in range(n):
                 for k in range(m):
-                    v = 0.0
+                    A[s, b, a, k] = 0.0
                     for e in range(n):
-                        v += N[a, e] * sigma[e, k]
-                    A[s, b, a, k] = math.sqrt(h) * v
-    Phi, B, row = np.zeros((nb, n, n)), np.empty((nb, n, leg.steps * m)), np.empty(n)
+                        A[s, b, a, k] += math.sqrt(h) * N[a, e] * sigma[e, k]
+    return _backwards(M, A)
+
+
+@jit
+def _times_root(g, root, sigma):
+    """Fill σ = g L (n, m) from a row of g."""
+    n, m = sigma.shape
+    for a in range(n):
+        for k in range(m):
+            sigma[a, k] = 0.0
+            for r in range(m):
+                sigma[a, k] += g[a * m + r] * root[r, k]
+
+
+@jit
+def _backwards(M, A):
+    """Φ (blocks, n, n) and B (blocks, n, steps m) from those of all steps, from the last one back."""
+    steps, nb, n, m = A.shape
+    Phi, B, row = np.zeros((nb, n, n)), np.empty((nb, n, steps * m)), np.empty(n)
     for b in range(nb):
         for a in range(n):
             Phi[b, a, a] = 1.0
-        for s in range(leg.steps - 1, -1, -1):
-            for a in range(n):
+            for s in range(steps - 1, -1, -1):
                 for k in range(m):
                     v = 0.0
                     for e in range(n):
                         v += Phi[b, a, e] * A[s, b, e, k]
                     B[b, a, s * m + k] = v
-            for a in range(n):
                 for e in range(n):
-                    v = 0.0
+                    row[e] = 0.0
                     for f in range(n):
-                        v += Phi[b, a, f] * M[s, b, f, e]
-                    row[e] = v
-                Phi[b, a] = row
+                        row[e] += Phi[b, a, f] * M[s, b, f, e]
+                for e in range(n):
+                    Phi[b, a, e] = row[e]
     return Phi, B
 
 
@@ -178,11 +198,12 @@ def lower_and_rows(B):
     A row that others span already, or that is not finite, is left out: zero in V, and on L's diagonal.
     """
     nb, n, d = B.shape
-    L, V = np.zeros((nb, n, n)), np.zeros((nb, n, d))
+    L, V, row = np.zeros((nb, n, n)), np.zeros((nb, n, d)), np.empty(d)
     for b in range(nb):
         for a in range(n):
-            row, whole, left = B[b, a].copy(), 0.0, 0.0
+            whole, left = 0.0, 0.0
             for k in range(d):
+                row[k] = B[b, a, k]
                 whole += row[k] * row[k]
             for _ in range(2):  # once more against what rounding leaves
                 for e in range(a):
@@ -199,5 +220,6 @@ def lower_and_rows(B):
                 for k in range(d):
                     V[b, a, k] = row[k] / L[b, a, a]
             elif not whole < np.inf:
-                L[b, a] = 0.0
+                for e in range(n):
+                    L[b, a, e] = 0.0
     return L, V

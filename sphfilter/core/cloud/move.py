@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import jit
 from .noise import LANES, fill_noise
-from .steps import walk
+from .steps import walk_at
 
 __all__ = ["affine", "move", "moved_twice"]
 
@@ -76,7 +76,7 @@ def move(leg, x, u, V, block, key, first, last):
             for a in range(n):
                 given[a, i] = u[begin + i, a]
         _steer(V, block[begin:end], given[:, :K], Z[0], along)
-        walk(leg, x[begin:end], Z, c % 2 == 1, work if K == LANES else np.empty((5, K, n)))
+        walk_at(leg.walk)(leg, x[begin:end], Z, c % 2 == 1, work if K == LANES else np.empty((5, K, n)))
 
 
 @jit
@@ -98,7 +98,7 @@ def moved_twice(leg, half, x, key):
             Z[1, r, i] += math.sqrt(0.375) * (first - second)
             Z[2, r, i] = fine[2, one, i]
     coarse, work = x.copy(), np.empty((5, K, n))
-    walk(leg, coarse, Z, False, work)
+    walk_at(leg.walk)(leg, coarse, Z, False, work)
     x = x.copy()
-    walk(half, x, fine, False, work)
+    walk_at(half.walk)(half, x, fine, False, work)
     return coarse, x

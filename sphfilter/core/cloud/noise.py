@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import jit
 
-__all__ = ["LANES", "fill_noise", "mixed", "rotation", "uniform"]
+__all__ = ["LANES", "even_normals", "fill_noise", "mixed", "uniform"]
 
 #: Points that are moved together: their states, slopes and noise fit the first-level cache.
 LANES = 128
@@ -91,6 +91,22 @@ def uniform(key, word):
 
 
 @jit
+def even_normals(z, key):
+    """The points of a net z (N, n), turned and shifted cyclically by a key."""
+    N, n = z.shape
+    turn, shift = rotation(key, n), int(uniform(key, np.uint64(2**40)) * N)
+    out = np.empty((N, n))
+    for i in range(N):
+        j = i + shift if i + shift < N else i + shift - N
+        for a in range(n):
+            s = 0.0
+            for e in range(n):
+                s += turn[a, e] * z[j, e]
+            out[i, a] = s
+    return out
+
+
+@jit
 def rotation(key, n):
     """A random rotation (n, n) of a key: Gram and Schmidt on normals (Box & Muller)."""
     O, word = np.empty((n, n)), 0
@@ -107,6 +123,9 @@ def rotation(key, n):
                     along += O[a, b] * O[c, b]
                 for b in range(n):
                     O[a, b] -= along * O[c, b]
-            length = math.sqrt(np.sum(O[a] ** 2))
-        O[a] /= length
+            length = 0.0
+            for b in range(n):
+                length += O[a, b] * O[a, b]
+        for b in range(n):
+            O[a, b] /= math.sqrt(length)
     return O

@@ -12,41 +12,40 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from .._addresses import ADDRESS, function_at
+from .._addresses import ADDRESS, Entry, function_at
 from .._jit import MATRIX, VECTOR, jit
 from ..domain import DOMAIN, Domain, bounce
 
-__all__ = ["LEG", "Leg", "flow", "scaled", "walk"]
+__all__ = ["BESIDE", "BETWEEN", "FLOW", "LEG", "STIFF_FLOW", "Leg", "flow_at", "scaled", "walk_at"]
 
 
 class Leg(NamedTuple):
     """A model over an interval, as compiled code takes it.
 
-    `drift` is that of Stratonovich; `drift`, `jacobian` (of the drift) and `noise` are addresses.
+    Functions are addresses; `drift` is that of Stratonovich, `jacobian` its derivative. What moves points
+    along the drift, and along the noise too, is one of the functions below.
     """
 
     drift: int
     jacobian: int
     noise: int
+    flow: int
+    walk: int
     p: np.ndarray  # data of the model
     root: np.ndarray  # L (m, m)
     domain: Domain
     t: float  # seconds, begin
     h: float  # step, seconds
     steps: int
-    stiff: bool  # the drift is followed in parts of a step
     additive: bool  # noise does not depend on the state
     constant: bool  # nor on time
+    walls: bool  # some axis reflects
 
 
+_NUMBERS = [types.float64, types.float64, types.int64, types.boolean, types.boolean, types.boolean]
 #: Numba's type of `Leg`.
-LEG = types.NamedTuple(
-    [ADDRESS, ADDRESS, ADDRESS, VECTOR, MATRIX, DOMAIN, types.float64, types.float64]
-    + [types.int64, types.boolean, types.boolean, types.boolean],
-    Leg,
-)
-
-
+LEG = types.NamedTuple([*[ADDRESS] * 5, VECTOR, MATRIX, DOMAIN, *_NUMBERS], Leg)
+_CUBE = types.float64[:, :, ::1]
 #: Parts of a step of a stiff drift at most; and of the extent of points, by how much its slopes may part.
 _MOST_PARTS, _STIFF = 100_000, 0.02
 
@@ -99,26 +98,30 @@ def _runge_kutta(drift, p, x, t, dt, slope, work, out):
 
 
 @jit
-def flow(leg, x, t, h, slope, work):
-    """Move x (K, n) along drift plus slope (K, n) over h: in one step, or if the leg is stiff in as many as it takes."""
+def flow_at_once(leg, x, t, h, slope, work):
+    """Move x (K, n) along drift plus slope (K, n) over h, in one step."""
+    _runge_kutta(function_at(leg.drift), leg.p, x, t, h, slope, work, x)
+
+
+@jit
+def flow_in_parts(leg, x, t, h, slope, work):
+    """Move x (K, n) along a stiff drift plus slope (K, n) over h, in as many steps as it takes; or to NaN."""
     drift = function_at(leg.drift)
-    if not leg.stiff:
-        _runge_kutta(drift, leg.p, x, t, h, slope, work, x)
-        return
     new, went, dt = np.empty_like(x), 0.0, h
     for _ in range(_MOST_PARTS):
         dt = min(dt, h - went)
         _runge_kutta(drift, leg.p, x, t + went, dt, slope, work, new)
         off = _off(x, work, dt)
         if off <= 1.0:
-            x[:] = new
+            _copy(new, x)
             went += dt
             if not went < h * (1.0 - 1e-12):
                 return
         dt *= min(max(0.8 * off ** (-1.0 / 3.0), 0.1), 4.0) if off > 0.0 else 4.0
         if not dt > 1e-15 * h:
             break
-    x[:] = np.nan
+    for i in range(x.shape[0]):
+        x[i, 0] = np.nan
 
 
 @jit
@@ -137,8 +140,13 @@ def _off(x, work, dt):
     return off
 
 
+_FLOWS = LEG, MATRIX, types.float64, types.float64, MATRIX, _CUBE
+FLOW, STIFF_FLOW = (Entry(function, _FLOWS, types.void) for function in (flow_at_once, flow_in_parts))
+flow_at = FLOW.at
+
+
 @jit
-def _beside_noise(leg, x, Z, work):
+def beside_noise(leg, x, Z, odd, work):
     """Walk with noise that does not depend on the state.
 
     With H the area between a noise's path and its chord, of variance h/12, and c = ±√h/2: the path jumps by
@@ -147,7 +155,7 @@ def _beside_noise(leg, x, Z, work):
     """
     (K, n), m = x.shape, leg.root.shape[0]
     sigma, jump, rise, slope = np.empty((n, m)), np.zeros((m, K)), np.empty((m, K)), np.zeros((K, n))
-    h, ends = leg.h, np.any(leg.domain.kind >= 2)
+    h, flow = leg.h, flow_at(leg.flow)
     root, area = math.sqrt(leg.h), math.sqrt(leg.h / 12.0)
     scaled(leg, x, leg.t, sigma)
     for s in range(leg.steps):
@@ -161,7 +169,7 @@ def _beside_noise(leg, x, Z, work):
         _add_noise(sigma, jump, x)
         if not leg.constant:
             scaled(leg, x, t + 0.5 * h, sigma)
-        slope[:] = 0.0
+        _fill(slope, 0.0)
         _add_noise(sigma, rise, slope)
         flow(leg, x, t, h, slope, work)
         for k in range(m):
@@ -170,11 +178,27 @@ def _beside_noise(leg, x, Z, work):
                 after[i] = 0.5 * root * c[i] - area * H[i]
         if not leg.constant:
             scaled(leg, x, t + h, sigma)
-        if ends:
+        if leg.walls:
             _add_noise(sigma, jump, x)
             bounce(leg.domain, x)
-            jump[:] = 0.0
+            _fill(jump, 0.0)
     _add_noise(sigma, jump, x)
+
+
+@jit
+def _fill(x, value):
+    """x <- value."""
+    for i in range(x.shape[0]):
+        for a in range(x.shape[1]):
+            x[i, a] = value
+
+
+@jit
+def _copy(x, y):
+    """y <- x."""
+    for i in range(x.shape[0]):
+        for a in range(x.shape[1]):
+            y[i, a] = x[i, a]
 
 
 @jit
@@ -191,7 +215,8 @@ def _kick(leg, x, t, w, first, last, work, raw):
     noise, p, root = function_at(leg.noise), leg.p, leg.root
     (K, n), m = x.shape, root.shape[0]
     y, total, k1 = work[0], work[1], work[2]
-    y[:], total[:] = x, 0.0
+    _copy(x, y)
+    _fill(total, 0.0)
     for stage in range(4):
         noise(y, t, p, raw)
         for i in range(K):
@@ -213,14 +238,14 @@ def _kick(leg, x, t, w, first, last, work, raw):
 
 
 @jit
-def _between_noise(leg, x, Z, odd, work):
+def between_noise(leg, x, Z, odd, work):
     """Walk with noise that depends on the state.
 
     Several noises act one after the other; in which order a coin says, and chunks that are odd do the opposite.
     """
     (K, n), m = x.shape, leg.root.shape[0]
     nothing, raw, w = np.zeros((K, n)), np.empty((K, n * m)), np.empty((m, K))
-    h, ends = leg.h, np.any(leg.domain.kind >= 2)
+    h, flow = leg.h, flow_at(leg.flow)
     flow(leg, x, leg.t, 0.5 * h, nothing, work)
     for s in range(leg.steps):
         middle = leg.t + (s + 0.5) * h
@@ -232,18 +257,12 @@ def _between_noise(leg, x, Z, odd, work):
             k = j if forward else m - 1 - j
             _kick(leg, x, middle, w, k, k + 1, work, raw)
         flow(leg, x, middle, h if s + 1 < leg.steps else 0.5 * h, nothing, work)
-        if ends:
+        if leg.walls:
             bounce(leg.domain, x)
 
 
-@jit
-def walk(leg, x, Z, odd, work):
-    """Move points x (K, n) over a leg; `work` (5, K, n) is scratch.
-
-    Z (3, steps m, K or more) holds for each step and noise its increment over √h, its area over √(h/12), both
-    with a normal's moments, and a sign.
-    """
-    if leg.additive:
-        _beside_noise(leg, x, Z, work)
-    else:
-        _between_noise(leg, x, Z, odd, work)
+_WALKS = LEG, MATRIX, _CUBE, types.boolean, _CUBE
+#: Move points x (K, n) over a leg; the last argument (5, K, n) is scratch. Z (3, steps m, K or more) holds for
+#: each step and noise its increment over √h, its area over √(h/12), both with a normal's moments, and a sign.
+BESIDE, BETWEEN = (Entry(function, _WALKS, types.void) for function in (beside_noise, between_noise))
+walk_at = BESIDE.at
