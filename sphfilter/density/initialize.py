@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Floats, OfStates
-from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
+from ..config import CloudScheme, FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
 from ..core.family.rules import degrees
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph.kernels import Kernel
@@ -98,6 +98,8 @@ def initialize(
     scheme = (config or SolverConfig()).scheme
     if isinstance(n_particles, str):
         choice("n_particles", n_particles, ["auto"])
+    if isinstance(scheme, CloudScheme) and spacing is None and (start := _as_family(distribution, t, domain)):
+        return start.noted(capacity=bound_of("auto" if n_particles is None else n_particles, config))
     if spacing is not None and not isinstance(n_particles, str):
         return _spaced(distribution, n_particles, scheme, box, spacing, t, domain)
     bound = bound_of("auto" if n_particles is None else n_particles, config)
@@ -135,10 +137,8 @@ def _to_target(
             f'n_particles="auto" carries densities of few states, and {n} are too many: leave states out of '
             f"the model, or give a number of particles, about {enough_particles(n)} for a Gaussian"
         )
-    if ladder and isinstance(distribution, Gaussian) and (known is None or not known.walled.any()):
-        start = gaussian_family(distribution.mean, distribution.cov, 2)
-        about: dict[str, Any] = {"t": t, "gaussian": known is None or known.unbounded, "domain": known}
-        return ParticleDensity(**particles_of(start), **about, needs=Needs())
+    if ladder and (start := _as_family(distribution, t, known)):
+        return start.noted(needs=Needs())
     target = config.target_error if isinstance(config, FilterConfig) else FilterConfig().target_error
     nodes = fewest(n)
     for _ in range(_TRIES):
@@ -147,6 +147,18 @@ def _to_target(
             break
         nodes *= 2
     return replace(density, needs=Needs(nodes=nodes), capacity=nodes)
+
+
+def _as_family(distribution: Distribution, t: float, domain: DomainLike) -> ParticleDensity | None:
+    """A Gaussian that no wall cuts, as one family."""
+    if not isinstance(distribution, Gaussian):
+        return None
+    known = None if domain is None else Domain.of(domain, len(distribution.mean))
+    if known is not None and known.walled.any():
+        return None
+    start = gaussian_family(distribution.mean, distribution.cov, 2)
+    about: dict[str, Any] = {"t": t, "gaussian": known is None or known.unbounded, "domain": known}
+    return ParticleDensity(**particles_of(start), **about)
 
 
 def _bounds(domain: DomainLike, box: Floats) -> Domain | None:

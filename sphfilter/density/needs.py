@@ -11,7 +11,7 @@ __all__ = ["AIMED", "FEWEST_POINTS", "MOST_POINTS", "Needs", "allowance", "bound
 
 #: Points of a cloud, least and most: powers of two, for which nets are evenest.
 FEWEST_POINTS, MOST_POINTS = 256, 2**17
-_USUAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it
+_TYPICAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it
 #: What is aimed at, over the target; and readings that ask for fewer points before there are fewer.
 _AIMED, _PATIENCE = 1.0 / 1.5, 4
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
@@ -46,7 +46,7 @@ class Needs(NamedTuple):
 
     def cloud(self, target: float) -> int:
         """Points that a cloud has for a target error."""
-        return self.points or _power_of_two((_USUAL / target) ** 2)
+        return self.points or _power_of_two((_TYPICAL / target) ** 2)
 
     def told(self, error: float, target: float) -> "Needs":
         """A cloud of so many points told an error: more at once, fewer when several readings ask for fewer."""

@@ -11,7 +11,7 @@ from ..density.as_cloud import cloud_of
 from ..density.particle_density import ParticleDensity
 from ..density.points import CloudState, Points
 from ..errors import PropagationError
-from ..info import Code
+from ..info import DOUBTFUL, Code
 from ..prediction.cloud import apart, as_points
 from ..prediction.passage import key_at
 from .asked import Asked
@@ -20,6 +20,7 @@ from .guided import weighed
 __all__ = ["by_cloud"]
 
 _FEW = 50.0  # effective points, below which a shadow that sees the same few cannot tell the error
+_WRONG = 0.2  # of a variance, from which it is said
 _READING = 2  # of a key: the draws of a reading
 
 
@@ -49,16 +50,18 @@ def by_cloud(
     error = max(errors.mean, least)
     known = {"capacity": n_particles, "error": error, "lost": density.lost}
     new = cloud_of(density, CloudState(found.points, shadow, told, state.pace), **known)
-    status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard "
-    status += f"deviations; {why}" if why else "deviations"
+    status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
+    code, doubt = Code.CLOUD, 2.0 * errors.variance
+    if doubt > _WRONG and error < DOUBTFUL:  # which is said of the mean already
+        status, code = f"{status}, but the variance may be off by {doubt:.0%}", code | Code.UNRESOLVED
     return new, {
         "accepted": True,
         "log_evidence": found.log_evidence,
         "reason": asked.outlying,
         "error": error,
         "evidence_error": max(errors.log_evidence, least),
-        "status": status,
-        "code": Code.CLOUD,
+        "status": f"{status}; {why}" if why else status,
+        "code": code,
         "scheme": "cloud",
     }
 

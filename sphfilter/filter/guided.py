@@ -91,10 +91,10 @@ def _twice(
     u = U[0] if rows is None else _along_rows(rows, block, U)
     H = sensor.jacobian(end)
     HL, HPhi = np.ascontiguousarray(H @ lower), np.ascontiguousarray(H @ flow)
-    bare = without_noise(x, u, lower, block)
+    bare = without_noise(x, x0, u, lower, flow, block)
     hy, r = sensor.predict(x), sensor.residual(sensor.predict(bare))
     C = missed(hy, x0, u, w, block, start, HL, HPhi, sensor.angle)
-    R = np.ascontiguousarray(_WIDER * sensor.covariance(end) + C)
+    R = np.ascontiguousarray(_WIDER * (sensor.covariance(end) + 1.25 * C))
     z, cut = even_normals(net(count, n), key), uniform(key, np.uint64(0))
     ancestor, u, log_ratio = look_ahead(r, u, w, block, HL, R, z, cut)
     if not len(ancestor):

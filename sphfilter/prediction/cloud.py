@@ -31,6 +31,7 @@ _ORDER = 3.0  # of the steps' bias
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _CALMER = 0.1  # of the bias that is allowed, below which steps become longer
 _DOUBTFUL, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
+_PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
 _ASKED = 64  # states at which the model's change with time is looked at
 
 
@@ -96,7 +97,7 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         few = np.linspace(0.0, density.n_particles - 1, min(_fewer(count), density.n_particles)).astype(int)
         shadow = density.mass[few] / density.mass[few].sum()
         return CloudState(Points(density.x, density.mass), Points(density.x[few], shadow))
-    if density.gaussian and density.domain is None:
+    if density.family is not None and density.family.degree == 2:
         mean, cov = unrolled(density)
         starts = [begun(mean, cov, n, key_at(density.t, k)) for k, n in enumerate((count, _fewer(count)))]
         return CloudState(*starts)
@@ -115,7 +116,8 @@ def apart(points: Points, shadow: Points, domain: Domain | None) -> tuple[float,
     """
     (mean, cov), (other, own) = moments(points.x, points.w), moments(shadow.x, shadow.w)
     scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
-    off = (other - mean) / scale if domain is None else domain.nearest(other - mean) / scale
+    off = other - mean if domain is None else domain.nearest((other - mean)[None])[0]
+    off = off / scale
     try:
         root = np.linalg.inv(np.linalg.cholesky(cov / np.outer(scale, scale)))
     except np.linalg.LinAlgError:  # flat along some combination of the states
@@ -145,6 +147,9 @@ def _steps(
         return Steps(_enough(number, most, span), stiff), 0.0, Pace(step, waits - 1, stiff)
     if not model.autonomous:
         number = max(number, math.ceil(dt * rate_of_time(model, points.x[:_ASKED], *span)))
+    if model.domain.walled.any():
+        number = max(number, math.ceil(dt / _beside_walls(model, points, span[0])))
+        return Steps(_enough(number, most, span), stiff), 0.0, Pace(dt / number, 0, stiff)
     told, before = state.told.errors.mean, math.inf
     allowed = _PART * max(_USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told, target)
     while True:
@@ -162,6 +167,13 @@ def _steps(
     return steps, bias, Pace(dt / max(longest, least), int(_PILOTED / len(points.w)), stiff)
 
 
+def _beside_walls(model: SDE, points: Points, t: float) -> float:
+    """Longest step whose noise sees walls: a small part of the spread along each axis that ends."""
+    D = np.diagonal(model.diffusion(points.x[:_ASKED], t), axis1=1, axis2=2).max(axis=0)
+    noisy, variance = model.domain.walled & (D > 0.0), np.diag(moments(points.x, points.w)[1])
+    return float(np.min(_PART_OF_WALLS**2 * variance[noisy] / (2.0 * D[noisy]), initial=math.inf))
+
+
 def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
     if steps > most:
         raise StoppedError(
@@ -174,9 +186,9 @@ def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
 
 def _kept(points: Points, model: SDE, domain: Domain | None) -> tuple[Points, float]:
     """The points without weight where they left the finite numbers or a bounded axis; and what that was."""
-    if np.isfinite(np.add.reduce(points.x, axis=None)) and (domain is None or not domain.walled.any()):
-        return points, 0.0
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
+        if np.isfinite(points.x.sum()) and (domain is None or not domain.walled.any()):
+            return points, 0.0
         alive = np.isfinite(points.x).all(axis=1)
         if domain is not None:
             alive &= domain.contains(np.where(alive[:, None], points.x, np.inf))

@@ -27,8 +27,9 @@ __all__ = ["begun", "even", "gone", "key_at", "leg_of", "ordered", "Steps", "pas
 _FEW = 0.5
 #: Passages after which a path is forgotten: a reading goes through all of them once more.
 _MOST = 8
-#: Points by which the bias of steps is told, of one chunk of lanes.
-_PILOTS = 64
+#: Points by which the bias of steps is told, of one chunk of lanes, and groups of them.
+_PILOTS, _GROUPS = 64, 4
+_GONE = 0.1  # of them, that a model may carry to infinity
 
 
 class Steps(NamedTuple):
@@ -146,20 +147,25 @@ def _root(model: SDE) -> Floats:
 
 
 def steps_bias(points: Points, model: SDE, span: tuple[float, float], steps: Steps, key: int) -> float:
-    """How far apart the means of points are after steps and after half as long ones, in standard deviations.
+    """How far means of points are apart after steps and after half as long ones, in standard deviations.
 
-    Of a few points, along the same noise: so much steps of that length are off, or a little more.
+    Of a few points, along the same noise: so much steps of that length are off, or a little more. Means are of
+    groups of neighbours: what steps do to one branch of a density is judged by the width of that branch.
     """
     x = np.ascontiguousarray(points.x[np.sort(systematic(points.w, _PILOTS, 0.5))])
+    x = np.ascontiguousarray(x[_along(x, np.full(len(x), 1.0 / len(x)))])
     number, stiff = steps
     leg, half = leg_of(model, *span, number, stiff), leg_of(model, *span, 2 * number, stiff)
     with surfacing():
         coarse, fine = moved_twice(leg, half, x, np.uint64(mixed(np.uint64(key), _PILOT)))
-    ends, off = fine, coarse - fine
-    if not np.isfinite(off).all():
-        return np.inf
-    unit = np.sqrt(np.maximum(np.var(ends, axis=0), 1e-300))
-    return float(np.sqrt(np.mean((off.mean(axis=0) / unit) ** 2)))
+    alive = np.isfinite(fine).all(axis=1)
+    if alive.mean() < 1.0 - _GONE or not np.isfinite(coarse[alive]).all():
+        return math.inf
+    squares = []
+    for own in np.array_split(np.flatnonzero(alive), _GROUPS):
+        unit = np.maximum(np.std(fine[own], axis=0), 1e-300)
+        squares.append(np.mean(((coarse[own] - fine[own]).mean(axis=0) / unit) ** 2))
+    return math.sqrt(np.mean(squares))
 
 
 def _passage(model: SDE, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:

@@ -170,7 +170,8 @@ def _on_particles(
     goes_on: bool,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1, up to which the model does not jump, on a number of particles."""
-    density = density if isinstance(config.scheme, FamilyScheme) else on_lattice(density, n_particles)
+    as_it_is = isinstance(config.scheme, FamilyScheme | CloudScheme)
+    density = density if as_it_is else on_lattice(density, n_particles)
     if config.exact_linear and model.linear:
         exact = propagate_exactly(density, model, t1, n_particles)
         if exact is not None:

@@ -9,8 +9,6 @@ from scipy import integrate, stats
 import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
-from sphfilter.density.as_cloud import cloud_density
-from sphfilter.density.cloud import variance_error
 from sphfilter.density.storage import from_bytes, to_bytes
 
 CLOUD = sf.FilterConfig(scheme="cloud")
@@ -228,19 +226,6 @@ def test_copies_of_few_points_are_not_taken_for_as_many():
         off.append((flt.x - mean) / np.sqrt(exact))
         told.append(info.error)
     assert 0.5 < np.sqrt(np.mean(np.square(told)) / np.mean(np.square(off))) < 3.0
-
-
-def test_a_variance_that_few_points_make_is_told():
-    rng = np.random.default_rng(3)
-    even = cloud_of(rng.standard_normal((5000, 1)))
-    assert variance_error(even) == pytest.approx(np.sqrt(2.0 / 5000), rel=0.1)
-    far = np.append(0.01 * rng.standard_normal(4990), np.full(10, 3.0))
-    assert variance_error(cloud_of(far[:, None])) > 0.25
-
-
-def cloud_of(x):
-    start = sf.initialize(sf.Gaussian(np.zeros(x.shape[1]), np.eye(x.shape[1])), 60)
-    return cloud_density(start, x, np.full(len(x), 1.0 / len(x)))
 
 
 def test_steps_are_short_enough_for_the_narrowest_part_of_a_density():

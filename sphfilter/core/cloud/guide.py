@@ -14,20 +14,40 @@ from .weights import systematic
 
 __all__ = ["look_ahead", "missed", "without_noise"]
 
+#: Neighbours to either side, that tell what the flow is without noise.
+_NEAR = 2
 _LOG_2_PI = math.log(2.0 * math.pi)
 
 
 @jit
-def without_noise(y, u, L, block):
-    """Points (N, n) where those at y would be without the noise that moves the end."""
+def without_noise(y, x, u, L, Phi, block):
+    """Where each point (N, n) would go without the noise that moves the end, as its neighbours tell.
+
+    What its own noise did must not tell it: the proposal's density at a point would depend on the draw that it
+    is to weigh, and the evidence would be wrong however many points there are.
+    """
     N, n = y.shape
-    out = np.empty((N, n))
+    rest, out = np.empty((N, n)), np.empty((N, n))
     for i in range(N):
         b = block[i]
         for a in range(n):
             s = y[i, a]
-            for e in range(a + 1):
-                s -= L[b, a, e] * u[i, e]
+            for e in range(n):
+                s -= L[b, a, e] * u[i, e] + Phi[b, a, e] * x[i, e]
+            rest[i, a] = s
+    for i in range(N):
+        b, known = block[i], 0
+        for a in range(n):
+            out[i, a] = 0.0
+        for k in range(max(i - _NEAR, 0), min(i + _NEAR + 1, N)):
+            if k != i and block[k] == b:
+                known += 1
+                for a in range(n):
+                    out[i, a] += rest[k, a]
+        for a in range(n):
+            s = out[i, a] / max(known, 1)
+            for e in range(n):
+                s += Phi[b, a, e] * x[i, e]
             out[i, a] = s
     return out
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._addresses import function_at
 from .._jit import jit
-from .steps import flow_at, scaled
+from .steps import flow_at, scaled, times_root
 
 __all__ = ["block_roots", "block_size", "centres", "linearise", "lower_and_rows", "shrunk"]
 
@@ -148,24 +148,13 @@ def linearise(leg, c):
         for b in range(nb):
             _flow_matrices(J[b].reshape((n, n)), h, M[s, b], N)
             if not leg.additive:
-                _times_root(g[b], leg.root, sigma)
+                times_root(g[b], leg.root, sigma)
             for a in range(n):
                 for k in range(m):
                     A[s, b, a, k] = 0.0
                     for e in range(n):
                         A[s, b, a, k] += math.sqrt(h) * N[a, e] * sigma[e, k]
     return _backwards(M, A)
-
-
-@jit
-def _times_root(g, root, sigma):
-    """Fill σ = g L (n, m) from a row of g."""
-    n, m = sigma.shape
-    for a in range(n):
-        for k in range(m):
-            sigma[a, k] = 0.0
-            for r in range(m):
-                sigma[a, k] += g[a * m + r] * root[r, k]
 
 
 @jit

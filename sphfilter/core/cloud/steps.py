@@ -14,9 +14,10 @@ from numba import types
 
 from .._addresses import ADDRESS, Entry, function_at
 from .._jit import MATRIX, VECTOR, jit
-from ..domain import DOMAIN, Domain, bounce
+from ..domain import DOMAIN, REFLECTING, Domain, bounce
+from .noise import uniform
 
-__all__ = ["BESIDE", "BETWEEN", "FLOW", "LEG", "STIFF_FLOW", "Leg", "flow_at", "scaled", "walk_at"]
+__all__ = ["BESIDE", "BETWEEN", "FLOW", "LEG", "STIFF_FLOW", "Leg", "flow_at", "scaled", "times_root", "walk_at"]
 
 
 class Leg(NamedTuple):
@@ -53,15 +54,9 @@ _MOST_PARTS, _STIFF = 100_000, 0.02
 @jit
 def scaled(leg, x, t, sigma):
     """Fill σ (n, m) at time t, for noise that does not depend on the state."""
-    n, m = sigma.shape
-    g = np.empty((1, n * m))
+    g = np.empty((1, sigma.size))
     function_at(leg.noise)(x[:1], t, leg.p, g)
-    for a in range(n):
-        for k in range(m):
-            s = 0.0
-            for r in range(m):
-                s += g[0, a * m + r] * leg.root[r, k]
-            sigma[a, k] = s
+    times_root(g[0], leg.root, sigma)
 
 
 @jit
@@ -118,7 +113,7 @@ def flow_in_parts(leg, x, t, h, slope, work):
             if not went < h * (1.0 - 1e-12):
                 return
         dt *= min(max(0.8 * off ** (-1.0 / 3.0), 0.1), 4.0) if off > 0.0 else 4.0
-        if not dt > 1e-15 * h:
+        if not dt > 1e-24 * h:
             break
     for i in range(x.shape[0]):
         x[i, 0] = np.nan
@@ -146,6 +141,44 @@ flow_at = FLOW.at
 
 
 @jit
+def _reflect(leg, before, x, t):
+    """Push points x (K, n) back by as much as their way from `before` has passed reflecting walls.
+
+    How far a path of Brownian motion goes between two states has a known law, exact where noise and drift do
+    not change on the way (Lépingle 1995); its uniform number is made of the bits of the two.
+    """
+    (K, n), m = x.shape, leg.root.shape[0]
+    g, sigma = np.empty((K, n * m)), np.empty((n, m))
+    function_at(leg.noise)(before, t, leg.p, g)
+    for i in range(K):
+        times_root(g[i], leg.root, sigma)
+        for a in range(n):
+            if leg.domain.kind[a] != REFLECTING:
+                continue
+            variance, one, other = 0.0, before[i, a], x[i, a]
+            for k in range(m):
+                variance += sigma[a, k] * sigma[a, k] * leg.h
+            u = uniform(np.uint64(i), np.uint64(np.int64((other - one) * 2.0**40 / (abs(one) + 1e-300))))
+            way = math.sqrt((other - one) ** 2 - 2.0 * variance * math.log(u))
+            if one - leg.domain.low[a] < leg.domain.high[a] - one:
+                x[i, a] += max(0.0, leg.domain.low[a] - 0.5 * (one + other - way))
+            else:
+                x[i, a] -= max(0.0, 0.5 * (one + other + way) - leg.domain.high[a])
+    bounce(leg.domain, x)
+
+
+@jit
+def times_root(g, root, sigma):
+    """Fill σ = g L (n, m) from a row of g."""
+    n, m = sigma.shape
+    for a in range(n):
+        for k in range(m):
+            sigma[a, k] = 0.0
+            for r in range(m):
+                sigma[a, k] += g[a * m + r] * root[r, k]
+
+
+@jit
 def beside_noise(leg, x, Z, odd, work):
     """Walk with noise that does not depend on the state.
 
@@ -155,16 +188,18 @@ def beside_noise(leg, x, Z, odd, work):
     """
     (K, n), m = x.shape, leg.root.shape[0]
     sigma, jump, rise, slope = np.empty((n, m)), np.zeros((m, K)), np.empty((m, K)), np.zeros((K, n))
-    h, flow = leg.h, flow_at(leg.flow)
+    h, flow, before = leg.h, flow_at(leg.flow), np.empty((K if leg.walls else 0, n))
     root, area = math.sqrt(leg.h), math.sqrt(leg.h / 12.0)
     scaled(leg, x, leg.t, sigma)
     for s in range(leg.steps):
         t = leg.t + s * h
+        if leg.walls:
+            _copy(x, before)
         for k in range(m):
             w, H, c = Z[0, s * m + k], Z[1, s * m + k], Z[2, s * m + k]
-            before, up = jump[k], rise[k]
+            first, up = jump[k], rise[k]
             for i in range(K):
-                before[i] += 0.5 * root * c[i] + area * H[i]
+                first[i] += 0.5 * root * c[i] + area * H[i]
                 up[i] = (w[i] - c[i]) / root
         _add_noise(sigma, jump, x)
         if not leg.constant:
@@ -180,7 +215,7 @@ def beside_noise(leg, x, Z, odd, work):
             scaled(leg, x, t + h, sigma)
         if leg.walls:
             _add_noise(sigma, jump, x)
-            bounce(leg.domain, x)
+            _reflect(leg, before, x, t)
             _fill(jump, 0.0)
     _add_noise(sigma, jump, x)
 
@@ -245,9 +280,11 @@ def between_noise(leg, x, Z, odd, work):
     """
     (K, n), m = x.shape, leg.root.shape[0]
     nothing, raw, w = np.zeros((K, n)), np.empty((K, n * m)), np.empty((m, K))
-    h, flow = leg.h, flow_at(leg.flow)
+    h, flow, before = leg.h, flow_at(leg.flow), np.empty((K if leg.walls else 0, n))
     flow(leg, x, leg.t, 0.5 * h, nothing, work)
     for s in range(leg.steps):
+        if leg.walls:
+            _copy(x, before)
         middle = leg.t + (s + 0.5) * h
         for k in range(m):
             for i in range(K):
@@ -258,7 +295,7 @@ def between_noise(leg, x, Z, odd, work):
             _kick(leg, x, middle, w, k, k + 1, work, raw)
         flow(leg, x, middle, h if s + 1 < leg.steps else 0.5 * h, nothing, work)
         if leg.walls:
-            bounce(leg.domain, x)
+            _reflect(leg, before, x, middle)
 
 
 _WALKS = LEG, MATRIX, _CUBE, types.boolean, _CUBE
