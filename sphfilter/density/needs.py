@@ -49,14 +49,18 @@ class Needs(NamedTuple):
         return self.points or _power_of_two((_TYPICAL / target) ** 2)
 
     def told(self, error: float, target: float) -> "Needs":
-        """A cloud of so many points told an error: more at once, fewer when several readings ask for fewer."""
+        """What the next cloud needs after an error: more points at once, fewer after several readings."""
         now = self.cloud(target)
         wanted = now * min(max((error / (_AIMED * target)) ** (1.0 / ORDER), 1.0 / 8.0), 8.0)
         points = _power_of_two(wanted / math.sqrt(2.0))  # rounded, not up
         if points >= now:
             return self._replace(points=points, calm=0)
         calm = self.calm + 1
-        return self._replace(points=now // 2, calm=0) if calm >= _PATIENCE else self._replace(points=now, calm=calm)
+        return (
+            self._replace(points=now // 2, calm=0)
+            if calm >= _PATIENCE
+            else self._replace(points=now, calm=calm)
+        )
 
 
 def _power_of_two(count: float) -> int:

@@ -181,9 +181,9 @@ class ParticleDensity:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        from .storage import density_from, stored  # which knows this class
+        from .storage import density_from, models_of, stored  # which knows this class
 
-        return density_from, (stored(self),)  # without what can be made again: a quarter, in 4-D a tenth
+        return density_from, (stored(self), models_of(self))  # without what can be made again
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "ParticleDensity":
         return self  # nothing in it can be changed

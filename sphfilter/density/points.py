@@ -15,7 +15,7 @@ __all__ = ["ORDER", "SHADOW", "CloudState", "Pace", "Passage", "Path", "Points",
 class Passage(NamedTuple):
     """A change of points, linearised in blocks: x_T ≈ end + Φ (x_0 - start) + L u.
 
-    A prediction over an interval, or the noise that a Gaussian start stands for. Matrices of one block serve all.
+    A prediction over an interval, or noise about each point.
     """
 
     leg: Leg | None  # None: the linear change is exact
@@ -25,7 +25,9 @@ class Passage(NamedTuple):
     flow: Floats  # Φ, (blocks, n, n)
     lower: Floats  # L, (blocks, n, n)
     rows: Floats  # V, (blocks, n, d): u = V ξ of the noise ξ of all steps
-    model: Any = None  # keeps the functions that the leg calls
+    model: Any = None  # of a prediction; keeps the functions that the leg calls
+    span: tuple[float, float] = (0.0, 0.0)  # seconds
+    steps: tuple[int, bool] = (0, False)
 
 
 class Path(NamedTuple):
@@ -52,10 +54,13 @@ class Points(NamedTuple):
     w: Floats
     path: Path | None = None  # since the last reading
     prior: Prior | None = None  # before the readings of this time
+    family: Ints | None = (
+        None  # (N,): points of a number come from one point of the prior; None: each its own
+    )
 
 
 class Told(NamedTuple):
-    """Squares of what a cloud and its shadow are apart by, smoothed over the record; NaN: not compared yet."""
+    """Squares of what a cloud and its shadow are apart by, smoothed over the record; or NaN."""
 
     mean: float = math.nan  # of the means, in standard deviations, over the states
     variance: float = math.nan  # of the covariances, relative
@@ -64,7 +69,10 @@ class Told(NamedTuple):
     def after(self, mean: float, variance: float, log_evidence: float = math.nan) -> "Told":
         """With the squares of one more reading; those before count as long as a few readings."""
         pairs = zip(self, (mean, variance, log_evidence), strict=True)
-        return Told(*[new if math.isnan(old) else _LASTS * old + (1.0 - _LASTS) * new for old, new in pairs])
+        # what is worse than before is believed at once
+        return Told(
+            *[max(new, _LASTS * old + (1.0 - _LASTS) * new) if old == old else new for old, new in pairs]
+        )
 
     @property
     def errors(self) -> "Told":

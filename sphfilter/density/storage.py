@@ -3,6 +3,7 @@
 import io
 import json
 import zipfile
+from collections.abc import Sequence
 from dataclasses import fields
 from os import PathLike
 from typing import Any, BinaryIO, TypeAlias
@@ -15,17 +16,22 @@ from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
 from ..errors import ModelError
 from ..model.domain import Domain
+from ..model.sde import SDE
+from .as_cloud import cloud_of
 from .families import Families
 from .family import Family
 from .needs import Needs
 from .particle_density import ParticleDensity
+from .passage import blocks_of, gone_again
 from .pieces import Pieces
+from .points import CloudState, Pace, Passage, Path, Points, Told
 
 __all__ = [
     "FORMAT",
     "density_from",
     "from_bytes",
     "load_arrays",
+    "models_of",
     "part",
     "stored",
     "to_bytes",
@@ -53,7 +59,9 @@ def stored(density: ParticleDensity) -> Arrays:
         arrays |= under("pieces", density.pieces._asdict())
     if density.families is not None:
         arrays |= under("families", density.families._asdict())
-    special = {*_ARRAYS, "field", "moments", "domain", "family", "pieces", "families"}
+    if density.cloud is not None:
+        arrays = _stored_cloud(density.cloud)
+    special = {*_ARRAYS, "field", "moments", "domain", "family", "pieces", "families", "cloud"}
     about: dict[str, Any] = {
         f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
     }
@@ -61,9 +69,18 @@ def stored(density: ParticleDensity) -> Arrays:
     return arrays | {"about": np.array(json.dumps(about))}
 
 
-def density_from(arrays: Arrays) -> ParticleDensity:
-    """The density of arrays that `stored` made."""
+def density_from(arrays: Arrays, models: Sequence[SDE] = ()) -> ParticleDensity:
+    """The density of arrays that `stored` made.
+
+    Parameters
+    ----------
+    arrays : dict of str to ndarray
+    models : sequence of SDE
+        Those of a cloud's predictions since the last reading, or one for all of them. Without any the points
+        are there, and a reading weighs them, but does not lead them.
+    """
     about = json.loads(str(arrays["about"]))
+    about.pop("inherited", None)  # of files of before
     if about.get("needs") is not None:
         about["needs"] = Needs(*about["needs"])
     if about["domain"] is not None:
@@ -81,8 +98,73 @@ def density_from(arrays: Arrays) -> ParticleDensity:
         about["families"] = Families(**part("families", arrays))
     if "moments.mean" in arrays:
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
+    if "cloud.points.x" in arrays:
+        return _cloud_from(part("cloud", arrays), about, models)
     about |= {name: arrays[name] for name in _ARRAYS if name in arrays}
     return ParticleDensity(**about)
+
+
+def models_of(density: ParticleDensity) -> tuple[SDE, ...]:
+    """The models of a cloud's predictions since the last reading, which `density_from` needs."""
+    path = None if density.cloud is None else density.cloud.points.path
+    return () if path is None else tuple(p.model for p in path.passages if p.model is not None)
+
+
+def _stored_cloud(state: CloudState) -> Arrays:
+    """A cloud as arrays by name; of a path what begins it, and the spans and steps of its predictions."""
+    arrays = {"told": np.array(state.told), "pace": np.array([*map(float, state.pace)])}
+    for name, points in (("points", state.points), ("shadow", state.shadow)):
+        arrays |= under(name, {"x": points.x, "w": points.w})
+        if points.family is not None:
+            arrays[f"{name}.family"] = points.family
+        if points.path is None:
+            continue
+        arrays[f"{name}.path"] = points.path.x
+        for k, passage in enumerate(points.path.passages):
+            known: Arrays = {"key": np.array(passage.key)}
+            if passage.model is None:
+                known |= {"middle": passage.start, "lower": passage.lower}
+            else:
+                known |= {"span": np.array(passage.span), "steps": np.array(passage.steps)}
+            arrays |= under(f"{name}.{k}", known)
+    return under("cloud", arrays)
+
+
+def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) -> ParticleDensity:
+    """The cloud of arrays that `_stored_cloud` made."""
+    step, waits, stiff = arrays["pace"]
+    both = [_points_from(part(name, arrays), models) for name in ("points", "shadow")]
+    state = CloudState(*both, Told(*arrays["told"].tolist()), Pace(float(step), int(waits), bool(stiff)))
+    del about["read_out"], about["kernel"]
+    return cloud_of(ParticleDensity(x=both[0].x[:1], mass=np.ones(1), h=np.ones(1), **about), state, **about)
+
+
+def _points_from(arrays: Arrays, models: Sequence[SDE]) -> Points:
+    """The points of a cloud, with their path where models are given."""
+    points = Points(arrays["x"], arrays["w"], family=arrays.get("family"))
+    passages = []
+    while f"{len(passages)}.key" in arrays:
+        known = part(str(len(passages)), arrays)
+        passages.append(_passage_from(known))
+    predictions = sum(p.span[1] > p.span[0] for p in passages)
+    if not passages or predictions > len(models) > 1 or not (models or predictions == 0):
+        return points
+    path = Path(arrays["path"], blocks_of(len(points.w)), tuple(passages), ())
+    own = tuple(models) if len(models) > 1 else tuple(models) * predictions
+    return points._replace(path=gone_again(path, own))
+
+
+def _passage_from(arrays: Arrays) -> Passage:
+    """What is known of a passage: the noise that begins a path, or span and steps of a prediction."""
+    key, none = arrays["key"].item(), np.empty((1, 0, 0))
+    if "span" in arrays:
+        number, stiff = arrays["steps"].tolist()
+        at = np.empty((0, 0))
+        span = (float(arrays["span"][0]), float(arrays["span"][1]))
+        return Passage(None, key, at, at, none, none, none, None, span, (int(number), bool(stiff)))
+    middle, lower = arrays["middle"], arrays["lower"]
+    flow = np.tile(np.eye(middle.shape[1]), (len(middle), 1, 1))
+    return Passage(None, key, middle, middle, flow, lower, none)
 
 
 def under(name: str | int, arrays: Arrays) -> Arrays:

@@ -9,11 +9,11 @@ from ..config import CloudScheme, FilterConfig
 from ..core.cloud.weights import effective
 from ..density.as_cloud import cloud_of
 from ..density.particle_density import ParticleDensity
+from ..density.passage import key_at
 from ..density.points import CloudState, Points
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.cloud import apart, as_points
-from ..prediction.passage import key_at
 from .asked import Asked
 from .guided import weighed
 

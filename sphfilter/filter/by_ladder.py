@@ -15,7 +15,7 @@ from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.family import fits_density
 from ..prediction.ladder import best_family, first_degree, prefers_cloud
-from .asked import Asked, kept
+from .asked import Asked
 from .by_cloud import by_cloud
 from .by_families import by_families
 from .by_family import family_update

@@ -54,8 +54,7 @@ def restored(
     arrays = load_arrays(path)
     if "adapts" not in arrays:
         raise ModelError(f"{path} holds no filter: SPHFilter.save writes such files")
-    options = {
-        "density": density_from(part("density", arrays)),
+    options: dict[str, Any] = {
         "n_particles": int(arrays["n_particles"]),
         "config": FilterConfig.from_toml(str(arrays["config"])),
     }
@@ -66,6 +65,7 @@ def restored(
     state["inputs"] = json.loads(str(arrays.get("inputs", "{}")))
     if state["inputs"]:
         model = model.with_inputs(state["inputs"])
+    options["density"] = density_from(part("density", arrays), (model,))
     state["origin"] = _origin(part("origin", arrays), model, measurement)
     about = {"_adapts": bool(arrays["adapts"]), "dt": float(arrays["dt"]) if "dt" in arrays else None}
     return options, about, state
@@ -89,7 +89,7 @@ def _origin(arrays: Arrays, model: SDE, measurement: Sensor | None) -> Predictio
     """The origin of arrays that `_stored_origin` made; None if there are none."""
     if not arrays:
         return None
-    before = density_from(part("before", arrays))
+    before = density_from(part("before", arrays), (model,))
     if "z" in arrays:
         if measurement is None:
             return None

@@ -9,16 +9,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._types import Bools, Floats
+from .._types import Bools, Floats, Ints
 from ..core.cloud.guide import look_ahead, missed, without_noise
 from ..core.cloud.linearise import lower_and_rows
 from ..core.cloud.noise import even_normals, mixed, uniform
 from ..core.cloud.weights import effective, normalise
 from ..density.nets import net
-from ..density.points import Path, Points, Prior
+from ..density.passage import even, gone
+from ..density.points import Points, Prior
 from ..model.domain import Domain
 from ..model.measurements import has_gaussian_noise, is_gaussian
-from ..prediction.passage import even, gone
 
 __all__ = ["Weighed", "weighed"]
 
@@ -26,6 +26,8 @@ __all__ = ["Weighed", "weighed"]
 _EVEN = 0.9
 #: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good.
 _WIDER = 1.5
+#: Variance of a point's own rest about the mean of four neighbours', over that of one.
+_OWN = 1.0 + 1.0 / 4.0
 _FARTHEST = 300.0  # nats, of a ratio of densities
 
 
@@ -63,10 +65,13 @@ def weighed(points: Points, readings: tuple[Any, ...], key: int, domain: Domain 
     found = None
     if path is not None and effective(b) < _EVEN * effective(w):
         found = _twice(points, log_l, readings, key, domain)
-    x, b, log_evidence = (x, b, log_evidence) if found is None else found
+    family = np.arange(len(w))
+    if found is not None:
+        x, b, log_evidence, family = found
     heavy = b > 0.0
-    x, b = (x, b) if heavy.all() else (x[heavy], b[heavy])
-    after = Points(x, b, None, Prior(points, readings, log_evidence))
+    if not heavy.all():
+        x, b, family = x[heavy], b[heavy], family[heavy]
+    after = Points(x, b, None, Prior(points, readings, log_evidence), family)
     return Weighed(after, log_evidence - before, found is not None)
 
 
@@ -80,8 +85,8 @@ def _log_likelihood(x: Floats, readings: tuple[Any, ...], domain: Domain | None)
 
 def _twice(
     points: Points, log_l: Floats, readings: tuple[Any, ...], key: int, domain: Domain | None
-) -> tuple[Floats, Floats, float] | None:
-    """States (N + N, n), weights and log-evidence of both passes; None where no guide can be made."""
+) -> tuple[Floats, Floats, float, Ints] | None:
+    """States (N + N, n), weights, log-evidence and families of both passes; None without a guide."""
     sensor = _Stacked.of(readings, domain)
     if sensor is None:
         return None
@@ -94,7 +99,7 @@ def _twice(
     bare = without_noise(x, x0, u, lower, flow, block)
     hy, r = sensor.predict(x), sensor.residual(sensor.predict(bare))
     C = missed(hy, x0, u, w, block, start, HL, HPhi, sensor.angle)
-    R = np.ascontiguousarray(_WIDER * (sensor.covariance(end) + 1.25 * C))
+    R = np.ascontiguousarray(_WIDER * (sensor.covariance(end) + _OWN * C))
     z, cut = even_normals(net(count, n), key), uniform(key, np.uint64(0))
     ancestor, u, log_ratio = look_ahead(r, u, w, block, HL, R, z, cut)
     if not len(ancestor):
@@ -109,7 +114,7 @@ def _twice(
     log_w = np.log(base) + log_l - np.logaddexp(half + np.clip(log_ratio, -_FARTHEST, _FARTHEST), half)
     b = np.empty(2 * count)
     log_evidence = normalise(np.where(np.isfinite(log_w), log_w, -np.inf), b)
-    return np.concatenate([x, y]), b, log_evidence
+    return np.concatenate([x, y]), b, log_evidence, np.concatenate([np.arange(count), ancestor])
 
 
 def _joined(passages: Any) -> tuple[Floats, Floats, Floats | None, Floats, Floats]:

@@ -4,20 +4,19 @@ import math
 
 import numpy as np
 
-from .._types import Bools, Floats
 from ..config import CloudScheme
 from ..density.as_cloud import cloud_of
 from ..density.as_family import unrolled
 from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
-from ..density.points import SHADOW, CloudState, Pace, Path, Points, Told, moments
+from ..density.passage import Steps, begun, key_at, passed, steps_bias
+from ..density.points import SHADOW, CloudState, Pace, Path, Points, moments
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
 from ..model.domain import Domain
 from ..model.sde import SDE
 from ..model.simulate import rate_of_time
 from ._shared import blow_up, carried_off, skip_notes
-from .passage import Steps, begun, key_at, passed, steps_bias
 
 __all__ = ["apart", "as_points", "propagate"]
 
@@ -58,7 +57,7 @@ def propagate(
     n_particles : int, optional
         Bound of the next lattice's nodes, which the density keeps as its capacity.
     target : float
-        Error of the mean that is asked for, in standard deviations: steps need not be better than a part of it.
+        Error of the mean that is asked for, in standard deviations: steps need not be better.
 
     Returns
     -------
@@ -102,7 +101,7 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         starts = [begun(mean, cov, n, key_at(density.t, k)) for k, n in enumerate((count, _fewer(count)))]
         return CloudState(*starts)
     keys = (key_at(density.t, k) for k in (0, 1))
-    return CloudState(*[Points(*points_of(density, n, k)) for n, k in zip((count, _fewer(count)), keys)])
+    return CloudState(*[Points(*points_of(density, n, k)) for n, k in zip((count, _fewer(count)), keys, strict=True)])
 
 
 def _fewer(count: int) -> int:
@@ -110,20 +109,24 @@ def _fewer(count: int) -> int:
 
 
 def apart(points: Points, shadow: Points, domain: Domain | None) -> tuple[float, float]:
-    """Squared differences of the means and of the covariances of two clouds, in units of the first's.
+    """Squared errors that two clouds show of a mean and of a covariance, in units of the first's.
 
-    The means' in standard deviations and on average over the states, as errors are told.
+    The mean's in standard deviations, on average over the states, as errors are told. A sample's covariance
+    is off by n + 1 times as much (in squares): both are pooled, by how many numbers they are.
     """
     (mean, cov), (other, own) = moments(points.x, points.w), moments(shadow.x, shadow.w)
     scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
-    off = other - mean if domain is None else domain.nearest((other - mean)[None])[0]
+    off = other - mean
+    if domain is not None and domain.periodic.any():
+        off = domain.nearest((domain.mean(shadow.x, shadow.w) - domain.mean(points.x, points.w))[None])[0]
     off = off / scale
     try:
         root = np.linalg.inv(np.linalg.cholesky(cov / np.outer(scale, scale)))
     except np.linalg.LinAlgError:  # flat along some combination of the states
         root = np.eye(len(mean))
-    wider = root @ ((own - cov) / np.outer(scale, scale)) @ root.T
-    return float(np.mean((root @ off) ** 2)), float(np.sum(wider**2)) / len(mean)
+    wider, n = root @ ((own - cov) / np.outer(scale, scale)) @ root.T, len(mean)
+    first, second = float(np.mean((root @ off) ** 2)), float(np.sum(wider**2)) / n
+    return (2.0 * first + second) / (n + 3.0), second
 
 
 def _near_mean(points: Points, domain: Domain | None) -> Points:

@@ -1,7 +1,7 @@
-"""A reading before its time: ancestors chosen, and their noise led, by what the linearised flow says of it.
+"""A reading before its time: ancestors chosen, and their noise led, as the linearised flow says.
 
-Letters: y (N, n) ends of the first pass, u (N, n) what moved them, r (N, k) residuals z - h(y - L u) of points
-without their noise, HL (blocks, k, n), R the covariance of the reading, larger by what linearity misses.
+Letters: y (N, n) ends of the first pass, u (N, n) what moved them, r (N, k) residuals z - h(y - L u) of
+points without their noise, HL (blocks, k, n), R the covariance of the reading, larger by what linearity misses.
 """
 
 import math
@@ -23,8 +23,8 @@ _LOG_2_PI = math.log(2.0 * math.pi)
 def without_noise(y, x, u, L, Phi, block):
     """Where each point (N, n) would go without the noise that moves the end, as its neighbours tell.
 
-    What its own noise did must not tell it: the proposal's density at a point would depend on the draw that it
-    is to weigh, and the evidence would be wrong however many points there are.
+    What its own noise did must not tell it: the proposal's density at a point would depend on the draw that
+    it is to weigh, and the evidence would be wrong however many points there are.
     """
     N, n = y.shape
     rest, out = np.empty((N, n)), np.empty((N, n))

@@ -12,7 +12,7 @@ from .._addresses import function_at
 from .._jit import jit
 from .steps import flow_at, scaled, times_root
 
-__all__ = ["block_roots", "block_size", "centres", "linearise", "lower_and_rows", "shrunk"]
+__all__ = ["block_roots", "block_size", "centres", "distances", "linearise", "lower_and_rows", "shrunk"]
 
 #: Blocks at most, and points in one at least: enough to tell directions, few enough to cost a tenth.
 _BLOCKS, _POINTS = 64, 64
@@ -68,19 +68,54 @@ def block_roots(x):
 
 
 @jit
+def distances(x, family):
+    """Distances (blocks,) of points x (N, n) in their blocks, over the block's standard deviation.
+
+    Points of one `family` (N,) come from one point of before. As far as they have not moved apart since, it
+    is families that fill a block, and their distance that counts.
+    """
+    N, n = x.shape
+    size = block_size(N)
+    out = np.empty(-(-N // size))
+    for b in range(out.size):
+        own = x[b * size : min((b + 1) * size, N)]
+        names = family[b * size : min((b + 1) * size, N)]
+        order, K = np.argsort(names), own.shape[0]
+        families, ratio = 0, 0.0
+        for a in range(n):
+            mean = second = between = partial = 0.0
+            families, members = 0, 0
+            for j in range(K):
+                v = own[order[j], a]
+                mean, second, partial, members = mean + v / K, second + v * v / K, partial + v, members + 1
+                if j + 1 == K or names[order[j + 1]] != names[order[j]]:
+                    between += partial * partial / (members * K)
+                    families, members, partial = families + 1, 0, 0.0
+            variance = second - mean * mean
+            if variance > _NOTHING * second:
+                ratio += (between - mean * mean) / (variance * n)
+        # of as many points as families the means part by chance, too
+        chance = families / K
+        ratio = min(max((ratio - chance) / max(1.0 - chance, 1e-9), 0.0), 1.0) if families < K else 0.0
+        out[b] = math.sqrt(max(K ** (-2.0 / n), ratio * families ** (-2.0 / n)))
+        out[b] = min(out[b], 1.0)
+    return out
+
+
+@jit
 def shrunk(x, c, part):
-    """Points of x (N, n) drawn to the centres c (blocks, n) of their blocks, to a part of the distance."""
+    """Points of x (N, n) drawn to the centres c (blocks, n) of their blocks, to a part (blocks,)."""
     N, n = x.shape
     size, y = block_size(N), np.empty((N, n))
     for i in range(N):
         for a in range(n):
-            y[i, a] = c[i // size, a] + part * (x[i, a] - c[i // size, a])
+            y[i, a] = c[i // size, a] + part[i // size] * (x[i, a] - c[i // size, a])
     return y
 
 
 @jit
 def _flow_matrices(J, h, M, N):
-    """Fill exp(hJ) and its mean over a step, (n, n) each: their series, of a part of a stiff step, and doubling."""
+    """Fill exp(hJ) and its mean over a step, (n, n) each: a series, and doubling where it is stiff."""
     n, norm, doublings = J.shape[0], 0.0, 0
     for a in range(n):
         for b in range(n):

@@ -109,23 +109,23 @@ def even_normals(z, key):
 @jit
 def rotation(key, n):
     """A random rotation (n, n) of a key: Gram and Schmidt on normals (Box & Muller)."""
-    O, word = np.empty((n, n)), 0
+    Q, word = np.empty((n, n)), 0
     for a in range(n):
         length = 0.0
         while not length > 1e-3:  # else it lies among the rows before, and would be rounding
             for b in range(n):
                 r = math.sqrt(-2.0 * math.log(uniform(key, np.uint64(word))))
-                O[a, b] = r * math.cos(2.0 * math.pi * uniform(key, np.uint64(word + 1)))
+                Q[a, b] = r * math.cos(2.0 * math.pi * uniform(key, np.uint64(word + 1)))
                 word += 2
             for c in range(a):
                 along = 0.0
                 for b in range(n):
-                    along += O[a, b] * O[c, b]
+                    along += Q[a, b] * Q[c, b]
                 for b in range(n):
-                    O[a, b] -= along * O[c, b]
+                    Q[a, b] -= along * Q[c, b]
             length = 0.0
             for b in range(n):
-                length += O[a, b] * O[a, b]
+                length += Q[a, b] * Q[a, b]
         for b in range(n):
-            O[a, b] /= math.sqrt(length)
-    return O
+            Q[a, b] /= math.sqrt(length)
+    return Q

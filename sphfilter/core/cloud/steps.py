@@ -17,7 +17,18 @@ from .._jit import MATRIX, VECTOR, jit
 from ..domain import DOMAIN, REFLECTING, Domain, bounce
 from .noise import uniform
 
-__all__ = ["BESIDE", "BETWEEN", "FLOW", "LEG", "STIFF_FLOW", "Leg", "flow_at", "scaled", "times_root", "walk_at"]
+__all__ = [
+    "BESIDE",
+    "BETWEEN",
+    "FLOW",
+    "LEG",
+    "STIFF_FLOW",
+    "Leg",
+    "flow_at",
+    "scaled",
+    "times_root",
+    "walk_at",
+]
 
 
 class Leg(NamedTuple):
@@ -73,9 +84,9 @@ def _add_noise(sigma, w, x):
 
 @jit
 def _runge_kutta(drift, p, x, t, dt, slope, work, out):
-    """Fill out (K, n) with x after a step along drift plus slope (K, n): the classical method of order four."""
+    """Fill out (K, n) with x after a step along drift plus slope (K, n): Runge and Kutta's method."""
     y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
-    X, Y, S, O = x.reshape(-1), y.reshape(-1), slope.reshape(-1), out.reshape(-1)
+    X, Y, S, new = x.reshape(-1), y.reshape(-1), slope.reshape(-1), out.reshape(-1)
     K1, K2, K3, K4 = k1.reshape(-1), k2.reshape(-1), k3.reshape(-1), k4.reshape(-1)
     half = 0.5 * dt
     drift(x, t, p, k1)
@@ -89,7 +100,7 @@ def _runge_kutta(drift, p, x, t, dt, slope, work, out):
         Y[i] = X[i] + dt * (K3[i] + S[i])
     drift(y, t + dt, p, k4)
     for i in range(X.size):
-        O[i] = X[i] + dt / 6.0 * (K1[i] + 2.0 * (K2[i] + K3[i]) + K4[i]) + dt * S[i]
+        new[i] = X[i] + dt / 6.0 * (K1[i] + 2.0 * (K2[i] + K3[i]) + K4[i]) + dt * S[i]
 
 
 @jit
@@ -121,7 +132,7 @@ def flow_in_parts(leg, x, t, h, slope, work):
 
 @jit
 def _off(x, work, dt):
-    """How far two inner slopes of a step lead apart, over what is allowed; infinite where that is no number."""
+    """How far two inner slopes of a step lead apart, over what is allowed; or infinite."""
     off = 0.0
     for a in range(x.shape[1]):
         low, high, most = np.inf, -np.inf, 0.0
@@ -276,7 +287,7 @@ def _kick(leg, x, t, w, first, last, work, raw):
 def between_noise(leg, x, Z, odd, work):
     """Walk with noise that depends on the state.
 
-    Several noises act one after the other; in which order a coin says, and chunks that are odd do the opposite.
+    Several noises act one after the other; a coin says in which order, and odd chunks do the opposite.
     """
     (K, n), m = x.shape, leg.root.shape[0]
     nothing, raw, w = np.zeros((K, n)), np.empty((K, n * m)), np.empty((m, K))
@@ -299,7 +310,7 @@ def between_noise(leg, x, Z, odd, work):
 
 
 _WALKS = LEG, MATRIX, _CUBE, types.boolean, _CUBE
-#: Move points x (K, n) over a leg; the last argument (5, K, n) is scratch. Z (3, steps m, K or more) holds for
-#: each step and noise its increment over √h, its area over √(h/12), both with a normal's moments, and a sign.
+#: Move points x (K, n) over a leg; the last argument (5, K, n) is scratch. Z (3, steps m, K or more) holds
+#: for each step and noise its increment over √h, its area over √(h/12), both with a normal's moments, and a sign.
 BESIDE, BETWEEN = (Entry(function, _WALKS, types.void) for function in (beside_noise, between_noise))
 walk_at = BESIDE.at

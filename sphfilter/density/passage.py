@@ -9,24 +9,34 @@ import numpy as np
 from .._types import Floats
 from ..core._addresses import address_of
 from ..core.cloud.curve import along_curve, places
-from ..core.cloud.linearise import block_roots, block_size, centres, linearise, lower_and_rows, shrunk
+from ..core.cloud.linearise import (
+    block_roots,
+    block_size,
+    centres,
+    distances,
+    linearise,
+    lower_and_rows,
+    shrunk,
+)
 from ..core.cloud.move import affine, move, moved_twice
 from ..core.cloud.noise import LANES, even_normals, mixed, uniform
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, STIFF_FLOW, Leg
 from ..core.cloud.weights import effective, systematic
-from ..density.nets import net
-from ..density.points import Passage, Path, Points, moments
 from ..model.compile import surfacing
 from ..model.discretization import linear_transition
 from ..model.sde import SDE
 from ..model.simulate import noise_root
+from .nets import net
+from .points import Passage, Path, Points, moments
 
-__all__ = ["begun", "even", "gone", "key_at", "leg_of", "ordered", "Steps", "passed", "steps_bias", "systematically"]
+__all__ = ["Steps", "begun", "blocks_of", "even", "gone", "gone_again", "key_at", "passed", "steps_bias"]
 
 #: Effective part of points, below which they are drawn anew.
 _FEW = 0.5
 #: Passages after which a path is forgotten: a reading goes through all of them once more.
 _MOST = 8
+#: Least part of a start's spread that is noise. Up to a half, errors of nine scenes are the same or less.
+_SPREAD = 1.0 / 3.0
 #: Points by which the bias of steps is told, of one chunk of lanes, and groups of them.
 _PILOTS, _GROUPS = 64, 4
 _GONE = 0.1  # of them, that a model may carry to infinity
@@ -46,21 +56,19 @@ _CUT, _FIRST, _AGAIN, _PILOT, _KERNEL = (np.uint64(k) for k in range(5))
 def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
     """A Gaussian of mean (n,) and covariance (n, n) as points, each with noise as wide as their distance."""
     n = len(mean)
-    spread = count ** (-1.0 / n)
+    spread = max(count ** (-1.0 / n), _SPREAD)
     root = noise_root(cov) if np.linalg.det(cov) <= 0.0 else np.linalg.cholesky(cov)
     x = mean + np.sqrt(1.0 - spread**2) * np.einsum("ij,kj->ik", net(count, n), root)
     w = np.full(count, 1.0 / count)
     x = np.ascontiguousarray(x[_along(x, w)])
-    u = even(count, n, key)
-    middle = centres(x)
+    key = _own_key(key)
+    u, middle = even(count, n, key), centres(x)
     noise = _same_everywhere(None, key, middle, middle, np.eye(n), spread * root)
-    y = x + np.einsum("ij,kj->ik", u, spread * root)
-    return Points(y, w, Path(x, _blocks(count), (noise,), (u,)))
+    block = blocks_of(count)
+    return Points(gone(noise, x, u, block, False), w, Path(x, block, (noise,), (u,)))
 
 
-def passed(
-    points: Points, model: SDE, t0: float, t1: float, steps: Steps, count: int, key: int
-) -> Points:
+def passed(points: Points, model: SDE, t0: float, t1: float, steps: Steps, count: int, key: int) -> Points:
     """Points carried over an interval in steps; those of a new path are `count`."""
     path = points.path
     if path is None or len(path.passages) >= _MOST or len(points.w) != count:
@@ -74,32 +82,48 @@ def passed(
 
 
 def key_at(t: float, number: int) -> int:
-    """The key of what happens at a time: the same whatever the density, so that evidence is smooth in a model."""
+    """The key of what happens at a time, whatever the density: evidence is smooth in a model's parameters."""
     word = np.array([t + 0.0]).view(np.uint64)[0]
     return int(mixed(word, np.uint64(number)) >> np.uint64(1))
+
+
+def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:
+    """A path of which only what begins it is known, and of its predictions the models, spans and steps."""
+    x, passages, U, own = path.x, [], [], iter(models)
+    for known in path.passages:
+        u = even(len(x), x.shape[1], known.key)
+        passage = known
+        if known.span[1] > known.span[0]:
+            passage = _passage(next(own), x, known.span, Steps(*known.steps), known.key)
+        x = gone(passage, x, u, path.block, False)
+        passages.append(passage)
+        U.append(u)
+    return Path(path.x, path.block, tuple(passages), tuple(U))
 
 
 def ordered(points: Points, count: int, key: int) -> Points:
     """The points in order along a curve, drawn anew where too few of them weigh anything."""
     order = _along(points.x, points.w)
-    w = points.w[order]
+    w, family = points.w[order], order if points.family is None else points.family[order]
     if len(w) != count or effective(w) < _FEW * count:
-        order, w = order[systematically(w, count, key)], np.full(count, 1.0 / count)
-    return Points(points.x[order], w)
+        taken = systematically(w, count, key)
+        order, family, w = order[taken], family[taken], np.full(count, 1.0 / count)
+    return Points(points.x[order], w, family=family)
 
 
 def _apart(points: Points, key: int) -> Points:
-    """Ordered points, of which each stands for a Gaussian as wide as their distance: a reading can lead it there.
+    """Ordered points, each of which stands for a Gaussian as wide as their distance, for a reading to lead.
 
-    Copies of a point part by it, whatever the noise of the model. Mean and covariance of every block are kept.
+    Copies of a point part by it, whatever the noise of the model. Blocks keep their mean and covariance.
     """
     x, n = points.x, points.x.shape[1]
-    block, part = _blocks(len(x)), block_size(len(x)) ** (-1.0 / n)
+    block, part = blocks_of(len(x)), distances(x, points.family)
     middle, root = centres(x), block_roots(x)
     flow = np.tile(np.eye(n), (len(middle), 1, 1))
-    kernel = Passage(None, key, middle, middle, flow, part * root, np.empty((1, 0, 0)))
-    u = even(len(x), n, int(mixed(np.uint64(key), _KERNEL) >> np.uint64(1)))
-    start = shrunk(x, middle, math.sqrt(1.0 - part**2))
+    key = _own_key(key)
+    kernel = Passage(None, key, middle, middle, flow, part[:, None, None] * root, np.empty((1, 0, 0)))
+    u = even(len(x), n, key)
+    start = shrunk(x, middle, np.sqrt(1.0 - part**2))
     return Points(gone(kernel, start, u, block, False), points.w, Path(start, block, (kernel,), (u,)))
 
 
@@ -114,7 +138,7 @@ def even(count: int, dim: int, key: int) -> Floats:
 
 
 def gone(passage: Passage, x: Floats, u: Floats, block: Floats, again: bool) -> Floats:
-    """Points (N, n) at the end of a passage, from x, with ends moved by u; `again` with other noise beside."""
+    """Points (N, n) at the end of a passage, from x, with ends moved by u; `again`: other noise beside."""
     if passage.leg is None:
         return affine(x, u, block, passage.start, passage.end, passage.flow, passage.lower)
     x, key = x.copy(), mixed(np.uint64(passage.key), _AGAIN if again else _FIRST)
@@ -149,8 +173,8 @@ def _root(model: SDE) -> Floats:
 def steps_bias(points: Points, model: SDE, span: tuple[float, float], steps: Steps, key: int) -> float:
     """How far means of points are apart after steps and after half as long ones, in standard deviations.
 
-    Of a few points, along the same noise: so much steps of that length are off, or a little more. Means are of
-    groups of neighbours: what steps do to one branch of a density is judged by the width of that branch.
+    Of a few points, along the same noise: so much steps of that length are off, or a little more. Means are
+    of groups of neighbours: what steps do to one branch of a density is judged by the width of that branch.
     """
     x = np.ascontiguousarray(points.x[np.sort(systematic(points.w, _PILOTS, 0.5))])
     x = np.ascontiguousarray(x[_along(x, np.full(len(x), 1.0 / len(x)))])
@@ -174,12 +198,12 @@ def _passage(model: SDE, x: Floats, span: tuple[float, float], steps: Steps, key
     if model.linear:
         flow, offset, Q = linear_transition(model, span[1] - span[0])
         end = np.einsum("ij,kj->ik", start, flow) + offset
-        return _same_everywhere(model, key, start, end, flow, noise_root(Q))
+        return _same_everywhere(model, key, start, end, flow, noise_root(Q))._replace(span=span)
     leg = leg_of(model, *span, *steps)
     end = start.copy()
     with surfacing():
         flow, B = linearise(leg, end)
-    return Passage(leg, key, start, end, flow, *lower_and_rows(B), model)
+    return Passage(leg, key, start, end, flow, *lower_and_rows(B), model, span, tuple(steps))
 
 
 def _same_everywhere(
@@ -187,10 +211,18 @@ def _same_everywhere(
 ) -> Passage:
     """A linear change with noise of the same covariance in all blocks."""
     size = (len(start), 1, 1)
-    return Passage(None, key, start, end, np.tile(flow, size), np.tile(lower, size), np.empty((1, 0, 0)), model)
+    return Passage(
+        None, key, start, end, np.tile(flow, size), np.tile(lower, size), np.empty((1, 0, 0)), model
+    )
 
 
-def _blocks(count: int) -> Floats:
+def _own_key(key: int) -> int:
+    """Of the noise that begins a path: other than that of its first prediction."""
+    return int(mixed(np.uint64(key), _KERNEL) >> np.uint64(1))
+
+
+def blocks_of(count: int) -> Floats:
+    """Numbers (count,) of the blocks of as many points."""
     return np.arange(count) // block_size(count)
 
 
