@@ -22,9 +22,9 @@ __all__ = ["fill_rows", "move_blocks", "standard_normals"]
 
 #: Steps between two looks at the step length.
 _STEPS_PER_LOOK = 4
-#: Growth of a block's extent within a look from which steps were too long for it; how much shorter ones are
-#: tried then, and how often.
-_OUT, _SHORTER, _TRIES = 5.0, 0.1, 4
+#: Moves within a look, over standard deviation and mean move, from which steps were too long; how much
+#: shorter ones are tried then, and how often.
+_OUT, _SHORTER, _TRIES = 25.0, 0.1, 4
 
 
 @jit
@@ -42,11 +42,11 @@ def _take(scheme, x, t, dt, functions, constants, xi):
 
 @jit
 def _lost(x, before, variance):
-    """Whether a block is not finite, or has grown out of all proportion: steps were too long for it."""
+    """Whether a state is not finite, or has moved out of all proportion: steps were too long for it."""
     for a in range(x.shape[1]):
-        step = np.abs(x[:, a] - before[:, a]).mean()
-        extent = before[:, a].max() - before[:, a].min() + np.sqrt(variance[a]) + step
-        if not x[:, a].max() - x[:, a].min() <= _OUT * extent + 1e-300:
+        move = np.abs(x[:, a] - before[:, a])
+        bound = _OUT * (np.sqrt(variance[a]) + move.mean()) + 1e-300
+        if not (move.max() <= bound and bound < np.inf):
             return True
     return False
 

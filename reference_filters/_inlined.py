@@ -6,6 +6,7 @@ comes from bits, not from normals: variables of few values whose first moments a
 weak order of a step as it is (Kloeden & Platen 1992, section 14.2), and cost a tenth.
 """
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -17,6 +18,8 @@ from numba.np.arrayobj import populate_array
 
 from sphfilter.core._addresses import Entry
 from sphfilter.core._jit import MATRIX, VECTOR
+
+from ._weights import LANES
 
 __all__ = ["NEW_STEP", "NEW_TRIAL", "compiled", "fits", "pattern_of"]
 
@@ -84,17 +87,20 @@ def compiled(drift, pattern, order):
     step, trial : Entry
         They must outlive the use of their addresses.
     """
-    inlined = njit(drift.py_func, **_OPTIONS)
-    names = _NUMBERS | {"drift": inlined, "row": _row(len(pattern))}
+    n, inlined = len(pattern), njit(drift.py_func, **_OPTIONS)
+    sizes = {"block": _sized(n, LANES), "blocks": _sized(3, n, LANES), "generators": _sized(2, LANES)}
+    names = _NUMBERS | {"drift": inlined, "row": _row(n), **sizes}
     n_noises = len(pattern[0]) * (2 if order == 2 else 1)
     step = "\n    ".join([
         "def step(x, lanes, sigma, t, h, p):", "y, k, root = row(), row(), np.sqrt(h)",
-        *_roots(pattern, 3), "for i in range(x.shape[1]):",
+        "x, lanes = block(x), generators(lanes)",
+        *_roots(pattern, 3), f"for i in range({LANES}):",
         *(f"    {line}" for line in (*_words(n_noises), *_noise(pattern, order), *_runge_kutta(pattern, order))),
     ])  # fmt: skip
     trial = "\n    ".join([
         "def trial(x, sigma, t, h, p, work):", "y, k, root = row(), row(), 1.0 / np.sqrt(h)",
-        *_roots(pattern, 1), "for i in range(x.shape[1]):", *(f"    {line}" for line in _trial(pattern)),
+        "x, work = block(x), blocks(work)",
+        *_roots(pattern, 1), f"for i in range({LANES}):", *(f"    {line}" for line in _trial(pattern)),
     ])  # fmt: skip
     for source in (step, trial):
         exec(source, names)
@@ -111,15 +117,39 @@ def _row(n):
     def row(typing_context):
         def codegen(context, builder, signature, arguments):
             numbers = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), n))
-            array = context.make_array(MATRIX)(context, builder)
-            size = [context.get_constant(types.intp, k) for k in (1, n, 8 * n, 8)]
             data = builder.bitcast(numbers, ir.DoubleType().as_pointer())
-            populate_array(array, data, shape=size[:2], strides=size[2:], itemsize=size[3], meminfo=None)
-            return array._getvalue()
+            return _array_at(context, builder, MATRIX, data, (1, n))
 
         return MATRIX(), codegen
 
     return row
+
+
+def _sized(*shape):
+    """Compiled code's function that gives an array with a shape that is known as code is compiled.
+
+    Then the compiler sees that the rows of a block do not overlap, and need not ask at each call.
+    """
+
+    @intrinsic
+    def sized(typing_context, array):
+        def codegen(context, builder, signature, arguments):
+            data = context.make_array(array)(context, builder, arguments[0]).data
+            return _array_at(context, builder, array, data, shape)
+
+        return array(array), codegen
+
+    return sized
+
+
+def _array_at(context, builder, kind, data, shape):
+    """An array of 8-byte numbers at a pointer, that owns nothing."""
+    at = context.make_array(kind)(context, builder)
+    sizes = [context.get_constant(types.intp, size) for size in shape]
+    strides = [context.get_constant(types.intp, 8 * math.prod(shape[d + 1 :])) for d in range(len(shape))]
+    item = context.get_constant(types.intp, 8)
+    populate_array(at, data, shape=sizes, strides=strides, itemsize=item, meminfo=None)
+    return at._getvalue()
 
 
 def _roots(pattern, times):

@@ -151,13 +151,12 @@ def _lost(x, before, variance, room):
 
 
 @jit
-def _through(scheme, x, lanes, span, limits, functions, constants, room):
+def _through(scheme, x, lanes, span, limits, step, trial, noise, constants, room):
     """Move one block x (n, LANES) in place over the span; return (steps taken, length of the first).
 
     No steps taken means that none were short enough, or too many needed.
     """
     (t0, t1), (longest, h, tolerance) = span, limits
-    (step, trial, noise), before = functions, room[0]
     elapsed, whole, taken, first, tries = 0.0, t1 - t0, 0, 0.0, 0  # from t0, where time is resolved best
     while elapsed < whole:
         h, t = min(h, longest, whole - elapsed), t0 + elapsed
@@ -167,13 +166,13 @@ def _through(scheme, x, lanes, span, limits, functions, constants, room):
             return 0, t
         left = max(1, int(np.ceil((whole - elapsed) / h * (1 - 1e-12))))
         n_steps, dt = min(left, _STEPS_PER_LOOK), (whole - elapsed) / left
-        before[:] = x
+        room[0][:] = x
         _steps(x, lanes, t, dt, n_steps, step, noise, constants, room[1])
-        if _lost(x, before, constants[1], room[3]):
+        if _lost(x, room[0], constants[1], room[3]):
             if tries == _TRIES or tolerance == np.inf and not np.isfinite(x).all():
                 return 0, t
             if tolerance < np.inf:  # steps of given length are left as they are
-                x[:], h, tries = before, _SHORTER * dt, tries + 1
+                x[:], h, tries = room[0], _SHORTER * dt, tries + 1
                 continue
         first, tries = first if taken else dt, 0
         taken += n_steps
@@ -185,7 +184,7 @@ def _move_lanes(old, taken, new, w, report, moments, which, span, limits, addres
     """Move some blocks, by number; see `move_lanes`."""
     n, N = old.shape
     scheme, seed = stream
-    functions = NEW_STEP(addresses[0]), NEW_TRIAL(addresses[1]), function_at(addresses[2])
+    step, trial, noise = NEW_STEP(addresses[0]), NEW_TRIAL(addresses[1]), function_at(addresses[2])
     x, lanes = np.empty((n, LANES)), np.empty((2, LANES), dtype=np.uint64)
     sigma, work, rows = np.empty((3, n, constants[2].shape[0])), np.empty((3, n, LANES)), np.empty((3, LANES))
     room = np.empty((n, LANES)), sigma, work, rows
@@ -196,7 +195,8 @@ def _move_lanes(old, taken, new, w, report, moments, which, span, limits, addres
             for i in range(LANES):
                 at = min(start + i, N - 1)  # lanes to spare follow the last state
                 x[a, i] = old[a, taken[at] if taken.size else at]
-        report[b, 0], report[b, 1] = _through(scheme, x, lanes, span, limits, functions, constants, room)
+        found = _through(scheme, x, lanes, span, limits, step, trial, noise, constants, room)
+        report[b, 0], report[b, 1] = found
         new[:, start:end] = x[:, : end - start]
         block_moments(x, 0, w[start:end], moments[b])
 

@@ -19,7 +19,7 @@ from ._weights import ancestors, linear_log_likelihood, moments_of
 __all__ = ["ParticleFilter"]
 
 #: Default of the bias of an interval over 1/√N, the least sampling error of moments.
-_BIAS = 0.6
+_BIAS = 1.0
 
 
 class Cloud(NamedTuple):
@@ -68,7 +68,7 @@ class ParticleFilter(ReferenceFilter):
         Threads of a prediction; the result does not depend on it.
     tolerance : float, optional
         Bias that steps of automatic length may give to mean and covariance over an interval, in standard
-        deviations. Default 0.6 / sqrt(n_particles), below the sampling error.
+        deviations. Default 1 / sqrt(n_particles), below the sampling error.
     """
 
     takes_inputs = True
@@ -87,6 +87,7 @@ class ParticleFilter(ReferenceFilter):
         self._rng = validate.generator(rng)
         x0, P0 = gaussian_start(x0, P0, model.dim)
         x = x0[:, None] + np.linalg.cholesky(P0) @ self._rng.standard_normal((N, model.dim)).T
+        self._known = None, None  # last sensor, and what it is as whitened
         self._equal = np.full(N, -np.log(N)), np.full(N, 1.0 / N)
         super().__init__(self._cloud(x, *self._equal), measurement, t0, dt)
 
@@ -135,16 +136,15 @@ class ParticleFilter(ReferenceFilter):
         return self._cloud(belief.x, joint, w), {"log_evidence": log_evidence}
 
     def _log_likelihood(self, x, z, measurement):
-        """Log-likelihood of each state x (n, N), shape (N,); of a linear sensor without arrays in between."""
-        linear = type(measurement) is GaussianMeasurement and measurement.H is not None
-        if not linear or measurement.angles or len(z) != measurement.dim_z or np.isnan(z).any():
+        """Log-likelihood of each state x (n, N), shape (N,); of a linear sensor in one pass."""
+        if measurement is not self._known[0]:
+            self._known = measurement, _whitened(measurement)
+        whitened = self._known[1]
+        if whitened is None or len(z) != measurement.dim_z or np.isnan(z).any():
             return measurement.log_likelihood(z, x.T, self.t)
-        root = np.linalg.cholesky(measurement.noise_cov)
-        constant = -np.log(np.diagonal(root)).sum() - 0.5 * len(z) * np.log(2.0 * np.pi)
+        inverse, H, constant = whitened
         out = np.empty(x.shape[1])
-        linear_log_likelihood(
-            x, np.linalg.solve(root, measurement.H), np.linalg.solve(root, z), constant, out
-        )
+        linear_log_likelihood(x, H, inverse @ z, constant, out)
         return out
 
     def _resampled(self, belief):
@@ -155,3 +155,14 @@ class ParticleFilter(ReferenceFilter):
         taken = np.empty(N, np.int64)
         ancestors(w, self._rng.random(), taken)
         return taken, *self._equal
+
+
+def _whitened(measurement):
+    """Of a linear sensor with R = L Lᵀ: L⁻¹, L⁻¹ H and the constant of its log-likelihood; None of others."""
+    linear = type(measurement) is GaussianMeasurement and measurement.H is not None
+    if not linear or measurement.angles:
+        return None
+    root = np.linalg.cholesky(measurement.noise_cov)
+    constant = -np.log(np.diagonal(root)).sum() - 0.5 * len(root) * np.log(2.0 * np.pi)
+    inverse = np.linalg.inv(root)
+    return inverse, inverse @ measurement.H, constant
