@@ -1,9 +1,9 @@
-"""Many paths of any model over an interval: blocks that fit the cache, each with steps and normals of its own.
+"""Many paths of any model over an interval: blocks in the cache, each with steps and normals of its own.
 
 The general way, for noise that depends on the state and for drifts that are Python code; others go by
-`_lanes`. A block is moved through the whole interval before the next one is touched. Its generator is known by
-its number and its steps follow from its own states, so that the result does not depend on how threads share
-the blocks.
+`_lanes`. A block is moved through the whole interval before the next one is touched. Its generator is known
+by its number and its steps follow from its own states, so that the result does not depend on how threads
+share the blocks.
 """
 
 from functools import cache
@@ -76,7 +76,7 @@ def _move_block(scheme, x, span, limits, functions, constants, state):
         xi = normals[: drawn * n_normals].reshape((drawn, n_normals, N))
         _take(scheme, x, t, dt, functions, constants, xi)
         if _lost(x, before, constants[1]):
-            if tries == _TRIES or tolerance == np.inf and not np.isfinite(x).all():
+            if tries == _TRIES or (tolerance == np.inf and not np.isfinite(x).all()):
                 return 0, t
             if tolerance < np.inf:  # steps of given length are left as they are
                 x[:], h, tries = before, _SHORTER * dt, tries + 1
@@ -104,8 +104,8 @@ def move_blocks():
 
     Its arguments are the states x (N, n), moved in place; `report` (blocks, 2), which gets the steps taken,
     zero for a failure, and the first of them; the numbers of the blocks; the span (t0, t1); the longest step,
-    the one to try first and the tolerance in standard deviations; addresses of drift and noise; p, the variance
-    (n,) of all states, and L with L Lᵀ = Q; and scheme and seed.
+    the one to try first and the tolerance in standard deviations; addresses of drift and noise; p, the
+    variance (n,) of all states, and L with L Lᵀ = Q; and scheme and seed.
     """
     numbers = types.UniTuple(types.float64, 2), types.UniTuple(types.float64, 3), types.UniTuple(ADDRESS, 2)
     constants, stream = types.Tuple((VECTOR, VECTOR, MATRIX)), types.UniTuple(types.int64, 2)

@@ -1,4 +1,4 @@
-"""Steps of a model's paths with its drift compiled into them: one pass over a block of states for a whole step.
+"""Steps of a model's paths with its drift compiled into them: one pass over a block of states a step.
 
 A block holds its states axis by axis, (n, B), so that the compiler turns the pass into vector code. A model's
 drift takes rows of states: it is called on a row on the stack, inlined, and the row becomes registers. Noise
@@ -19,6 +19,7 @@ from numba.np.arrayobj import populate_array
 from sphfilter.core._addresses import Entry
 from sphfilter.core._jit import MATRIX, VECTOR
 
+from ._elementary import with_vector_functions
 from ._weights import LANES
 
 __all__ = ["NEW_STEP", "NEW_TRIAL", "compiled", "fits", "pattern_of"]
@@ -40,7 +41,9 @@ _OUTER = (1.0 + (2.0 * (1.0 - _RARE) / _RARE) ** 0.5) ** 0.5
 _INNER = (1.0 - (2.0 * _RARE / (1.0 - _RARE)) ** 0.5) ** 0.5
 #: Three values of the moments up to the fifth: 0, and ± the root of one over the chance.
 _NOT_ZERO = round(2**18 / 3) / 2**18
-_OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}  # fused multiply-adds, a third of the time
+#: Bytes of a drift's bytecode below which it is put into the step wherever it is asked for, seven times.
+_SHORT = 8000
+_OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}  # multiply-adds save a third
 _NUMBERS = {f"U{k}": np.uint64(k) for k in range(64)} | {
     "LOW": np.uint64(2**18 - 1), "FIRST": np.uint64(1 << 18), "SECOND": np.uint64(1 << 19),
     "THIRD": np.uint64(1 << 20), "OUTER": _OUTER, "INNER": _INNER, "RARE": np.uint64(_RARE * 2**18),
@@ -87,7 +90,8 @@ def compiled(drift, pattern, order):
     step, trial : Entry
         They must outlive the use of their addresses.
     """
-    n, inlined = len(pattern), njit(drift.py_func, **_OPTIONS)
+    n, short = len(pattern), len(drift.py_func.__code__.co_code) < _SHORT
+    inlined = njit(with_vector_functions(drift.py_func), forceinline=short, **_OPTIONS)
     sizes = {"block": _sized(n, LANES), "blocks": _sized(3, n, LANES), "generators": _sized(2, LANES)}
     names = _NUMBERS | {"drift": inlined, "row": _row(n), **sizes}
     n_noises = len(pattern[0]) * (2 if order == 2 else 1)
@@ -95,7 +99,7 @@ def compiled(drift, pattern, order):
         "def step(x, lanes, sigma, t, h, p):", "y, k, root = row(), row(), np.sqrt(h)",
         "x, lanes = block(x), generators(lanes)",
         *_roots(pattern, 3), f"for i in range({LANES}):",
-        *(f"    {line}" for line in (*_words(n_noises), *_noise(pattern, order), *_runge_kutta(pattern, order))),
+        *(f"    {line}" for line in _words(n_noises) + _noise(pattern, order) + _runge_kutta(pattern, order)),
     ])  # fmt: skip
     trial = "\n    ".join([
         "def trial(x, sigma, t, h, p, work):", "y, k, root = row(), row(), 1.0 / np.sqrt(h)",
@@ -189,14 +193,16 @@ def _noise(pattern, order):
 
 def _sums(pattern, name, times):
     """Lines of σ times a noise at every state, zeros left out: `{name}{j}_{a}` for each time j."""
-    return [
-        f"{name}{j}_{a} = " + (" + ".join(f"s{j}_{a}_{k} * {name}{k}" for k, moved in enumerate(row) if moved) or "0.0")
-        for j in times for a, row in enumerate(pattern)
-    ]  # fmt: skip
+    lines = []
+    for j in times:
+        for a, row in enumerate(pattern):
+            terms = [f"s{j}_{a}_{k} * {name}{k}" for k, moved in enumerate(row) if moved]
+            lines.append(f"{name}{j}_{a} = {' + '.join(terms) or '0.0'}")
+    return lines
 
 
 def _asked(n, state, factor, slope, time):
-    """Lines that ask for the drift at `state` + factor times what k holds, and add the noise's slope to it."""
+    """Lines that ask for the drift at `state` + factor times what k holds, and add the noise's slope."""
     shift = f" + {factor} * k[0, {{a}}]" if factor else ""
     lines = [f"y[0, {a}] = {state}{a}{shift.format(a=a)}" for a in range(n)]
     lines.append(f"drift(y, {time}, p, k)")
@@ -206,7 +212,7 @@ def _asked(n, state, factor, slope, time):
 def _runge_kutta(pattern, order):
     """Lines of a step: a jump, classical Runge-Kutta along drift and slopes, a jump."""
     n, rises = len(pattern), order == 4
-    lines = _sums(pattern, "j", [0]) + _sums(pattern, "l", [2]) + (_sums(pattern, "r", range(3)) if rises else [])
+    lines = _sums(pattern, "j", [0]) + _sums(pattern, "l", [2]) + _sums(pattern, "r", range(3 * rises))
     lines += [f"q{a} = x[{a}, i] + j0_{a}" for a in range(n)]
     slopes = [f"r{j}" if rises else "" for j in range(3)]
     lines += _asked(n, "q", "", slopes[0], "t") + [f"v{a} = k[0, {a}]" for a in range(n)]
@@ -224,7 +230,8 @@ def _trial(pattern):
     lines += _sums(pattern, "r", [0]) + [f"q{a} = x[{a}, i]" for a in range(n)]
     lines += _asked(n, "q", "", "r0", "t") + [f"v{a} = k[0, {a}]" for a in range(n)]
     lines += _asked(n, "q", "0.5 * h", "r0", "t + 0.5 * h")
-    lines += [f"u{a} = k[0, {a}]" for a in range(n)] + [f"work[2, {a}, i] = h * (u{a} - v{a})" for a in range(n)]
+    for a in range(n):
+        lines += [f"u{a} = k[0, {a}]", f"work[2, {a}, i] = h * (u{a} - v{a})"]
     lines += _asked(n, "q", "0.5 * h", "r0", "t + 0.5 * h")
     for a in range(n):
         lines += [f"work[0, {a}, i] = h * (k[0, {a}] - u{a})", f"work[1, {a}, i] = h * k[0, {a}]"]

@@ -1,9 +1,9 @@
-"""A cloud's move over an interval in blocks of states stored axis by axis, by steps with the drift compiled in.
+"""A cloud's move over an interval: blocks of states stored axis by axis, steps with the drift compiled in.
 
-A block of `LANES` states is read (resampled on the way), moved through the whole interval while it lies in the
-first-level cache, and written together with its moments. Its noise follows from seed and block number, and its
-steps from its own states, so that the result does not depend on how threads share the blocks. The loop is
-compiled once for all models, whose steps it gets by address.
+A block of `LANES` states is read (resampled on the way), moved through the whole interval while it lies in
+the first-level cache, and written together with its moments. Its noise follows from seed and block number,
+and its steps from its own states, so that the result does not depend on how threads share the blocks. The
+loop is compiled once for all models, whose steps it gets by address.
 """
 
 from functools import cache
@@ -154,7 +154,8 @@ def _lost(x, before, variance, room):
 def _through(scheme, x, lanes, span, limits, step, trial, noise, constants, room):
     """Move one block x (n, LANES) in place over the span; return (steps taken, length of the first).
 
-    No steps taken means that none were short enough, or too many needed.
+    No steps taken means that none were short enough, or too many needed. `room` is scratch: a block, σ at
+    three times, what a trial fills, and rows.
     """
     (t0, t1), (longest, h, tolerance) = span, limits
     elapsed, whole, taken, first, tries = 0.0, t1 - t0, 0, 0.0, 0  # from t0, where time is resolved best
@@ -169,7 +170,7 @@ def _through(scheme, x, lanes, span, limits, step, trial, noise, constants, room
         room[0][:] = x
         _steps(x, lanes, t, dt, n_steps, step, noise, constants, room[1])
         if _lost(x, room[0], constants[1], room[3]):
-            if tries == _TRIES or tolerance == np.inf and not np.isfinite(x).all():
+            if tries == _TRIES or (tolerance == np.inf and not np.isfinite(x).all()):
                 return 0, t
             if tolerance < np.inf:  # steps of given length are left as they are
                 x[:], h, tries = room[0], _SHORTER * dt, tries + 1
@@ -206,11 +207,11 @@ def move_lanes():
     """The compiled loop over blocks, for any model; compiled (or loaded from the disk cache) at first use.
 
     Its arguments are the states old (n, N); for each new state the number of the old one that it starts at,
-    (N,), or none if they are the same; the new states (n, N), filled; their weights (N,); `report` (blocks, 2),
-    which gets the steps taken, zero for a failure, and the first of them; `moments` (blocks, 1 + n + n²), which
-    gets what `merged` takes; the numbers of the blocks; the span (t0, t1); the longest step, the one to try
-    first and the tolerance in standard deviations; addresses of step, trial step and noise; p, the variance
-    (n,) of all states, and L with L Lᵀ = Q; and scheme and seed.
+    (N,), or none if they are the same; the new states (n, N), filled; their weights (N,); `report`
+    (blocks, 2), which gets the steps taken, zero for a failure, and the first of them; `moments`
+    (blocks, 1 + n + n²), which gets what `merged` takes; the numbers of the blocks; the span (t0, t1); the
+    longest step, the one to try first and the tolerance in standard deviations; addresses of step, trial step
+    and noise; p, the variance (n,) of all states, and L with L Lᵀ = Q; and scheme and seed.
     """
     integers, stream = types.int64[::1], types.UniTuple(types.int64, 2)
     arrays = MATRIX, integers, MATRIX, VECTOR, MATRIX, MATRIX, integers

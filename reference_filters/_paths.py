@@ -27,7 +27,7 @@ _THE_SAME = np.empty(0, np.int64)
 
 
 class Moved(NamedTuple):
-    """States (n, N) at the end of an interval, their mean (n,) and covariance (n, n), and most steps taken."""
+    """States (n, N) at the end of an interval, their mean (n,) and covariance (n, n), and steps."""
 
     states: np.ndarray
     mean: np.ndarray
@@ -38,9 +38,9 @@ class Moved(NamedTuple):
 class Paths:
     """How the states of a model are moved.
 
-    Noise that does not depend on the state has steps that are compiled for the model (`_inlined`). Other noise
-    has Platen's scheme of weak order 2, a drift that is Python code steps that call it on many states at once,
-    and a linear model its exact transition.
+    Noise that does not depend on the state has steps that are compiled for the model (`_inlined`). Other
+    noise has Platen's scheme of weak order 2, a drift that is Python code steps that call it on many states
+    at once, and a linear model its exact transition. Domains are the caller's.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Paths:
             self._addresses = (*map(address_of, self._own), self._addresses[1])
 
     def move(self, x, t0, t1, variance, tolerance, rng):
-        """Move the states x (N, n) from t0 to t1 in place, and return the most steps of a block; see `moved`."""
+        """Move the states x (N, n) from t0 to t1 in place; returns the most steps of a block. See `moved`."""
         w = np.full(len(x), 1.0 / len(x))
         found = self.moved(np.ascontiguousarray(x.T), None, w, (t0, t1), variance, tolerance, rng)
         x[:] = found.states.T
@@ -106,7 +106,8 @@ class Paths:
             new, n_blocks = np.empty_like(old), -(-N // LANES)
             report, moments = np.empty((n_blocks, 2)), np.empty((n_blocks, 1 + len(old) + len(old) ** 2))
             arrays = old, _THE_SAME if taken is None else taken, new, w, report, moments
-            self._in_blocks(move_lanes(), arrays, report, (span, self._limits(old, span, tolerance)), variance, seed)
+            numbers = span, self._limits(old, span, tolerance)
+            self._in_blocks(move_lanes(), arrays, report, numbers, variance, seed)
             mean, cov = np.empty(len(old)), np.empty((len(old), len(old)))
             merged(moments, mean, cov)
             return Moved(new, mean, cov, self._steps(report, span))
@@ -149,8 +150,8 @@ class Paths:
         """Most steps of a block; the first of them is what the next interval tries."""
         if not report[:, 0].all():
             raise PropagationError(
-                f"the model blew up between t = {span[0]:g} and t = {span[1]:g} s: a particle is not finite or "
-                "needs ever shorter steps. Check the drift and its parameters for growth without bound"
+                f"the model blew up between t = {span[0]:g} and t = {span[1]:g} s: a particle is not finite "
+                "or needs ever shorter steps. Check the drift and its parameters for growth without bound"
             )
         self._first = report[:, 1].min()
         return int(report[:, 0].max())

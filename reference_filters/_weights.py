@@ -5,8 +5,8 @@ from numba import njit
 
 from sphfilter.core._jit import jit
 
-__all__ = ["ANY_ORDER", "LANES", "all_moments", "ancestors", "block_moments", "condition", "linear_log_likelihood", "merged",
-           "moments_of", "weighted_moments"]  # fmt: skip
+__all__ = ["ANY_ORDER", "LANES", "all_moments", "ancestors", "block_moments", "condition",
+           "linear_log_likelihood", "merged", "moments_of", "weighted_moments"]  # fmt: skip
 
 #: States of a block.
 LANES = 256
@@ -67,8 +67,8 @@ def ancestors(w, u, out):
     """Fill `out` (N,) with the numbers of the states that systematic resampling takes, in order.
 
     One uniform u on [0, 1) shifts all N strata: state j is taken at the places from N times the sum of the
-    weights before it, less u, on. Places are counted and then summed, since a loop that looks for the end of a
-    state mispredicts it at every one. What rounding may have lost at the end of the weights goes to the
+    weights before it, less u, on. Places are counted and then summed, since a loop that looks for the end of
+    a state mispredicts it at every one. What rounding may have lost at the end of the weights goes to the
     last state that has any.
     """
     N, last, total = w.size, w.size - 1, 0.0
@@ -164,7 +164,7 @@ def all_moments(x, w, moments):
 
 @njit(cache=True, **ANY_ORDER)
 def linear_log_likelihood(x, H, z, constant, out):
-    """Fill `out` (N,) with constant − |z − H x|² / 2 of states x (n, N), for z (k,) of unit noise, H (k, n)."""
+    """Fill `out` (N,) with constant − |z − H x|² / 2 of states x (n, N), for z (k,) with unit noise."""
     out[:] = constant
     N = out.size
     for start in range(0, N, LANES):

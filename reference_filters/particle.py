@@ -1,4 +1,4 @@
-"""Bootstrap particle filter at its best: the drift compiled into steps of high weak order, few passes over the cloud.
+"""Bootstrap particle filter at its best: its drift compiled into steps of high weak order, few passes.
 
 Every ratio of run times is held against this filter: it is to be as fast as such a filter can be written.
 """
@@ -148,7 +148,7 @@ class ParticleFilter(ReferenceFilter):
         return out
 
     def _resampled(self, belief):
-        """Numbers of the states that go on, or None for all, and logarithms and weights that they have then."""
+        """Numbers of the states that go on, None for all; logarithms of their weights, and these."""
         w, N = belief.w, self.n_particles
         if w is self._equal[1] or (self.resampling == "ess" and np.dot(w, w) * N <= 2.0):
             return None, belief.log_w, w
