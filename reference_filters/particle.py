@@ -19,7 +19,7 @@ from ._weights import ancestors, linear_log_likelihood, moments_of
 __all__ = ["ParticleFilter"]
 
 #: Default of the bias of an interval over 1/√N, the least sampling error of moments.
-_BIAS = 1.0
+_BIAS = 0.4
 
 
 class Cloud(NamedTuple):
@@ -68,7 +68,7 @@ class ParticleFilter(ReferenceFilter):
         Threads of a prediction; the result does not depend on it.
     tolerance : float, optional
         Bias that steps of automatic length may give to mean and covariance over an interval, in standard
-        deviations. Default 1 / sqrt(n_particles), below the sampling error.
+        deviations. Default 0.4 / sqrt(n_particles), below the sampling error.
     """
 
     takes_inputs = True
