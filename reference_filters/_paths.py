@@ -56,7 +56,7 @@ class Paths:
     """
 
     def __init__(self, model, order=4, step=None, n_threads=1):
-        self.model, self.step, self.n_threads = model, step, n_threads
+        self.model, self.step, self.n_threads, self._order = model, step, n_threads, order
         self._scheme = PLATEN if model.state_dependent_noise else SPLIT if order == 2 else SHIFTED_PATH
         self._root = noise_root(model.spectral_density)
         self._first = np.inf
@@ -65,6 +65,10 @@ class Paths:
         if self._inlined:
             self._own = compiled(model.drift_batch, pattern_of(model), order)  # addresses need it alive
             self._addresses = (*map(address_of, self._own), self._addresses[1])
+
+    def __reduce__(self):
+        # addresses of compiled code mean nothing in another process
+        return Paths, (self.model, self._order, self.step, self.n_threads), {"_first": self._first}
 
     def move(self, x, t0, t1, variance, tolerance, rng):
         """Move the states x (N, n) from t0 to t1 in place; returns the most steps of a block. See `moved`."""

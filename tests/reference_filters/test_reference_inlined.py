@@ -1,5 +1,7 @@
 """Steps with the drift compiled in: values of the noise, weak orders, functions, and the general way."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -136,3 +138,15 @@ def test_a_prediction_tells_the_moments_of_its_cloud():
         np.testing.assert_allclose(filt.x, filt.weights @ filt.particles, rtol=1e-12)
         cov = np.cov(filt.particles.T, aweights=filt.weights, bias=True)
         np.testing.assert_allclose(filt.P, cov, rtol=1e-11)
+
+
+def test_a_copy_goes_on_to_the_same_bits_and_takes_no_addresses_along():
+    model = SDE.from_expressions(["x", "v"], ["v", "-x**3"], noise=NOISE)
+    filt = ParticleFilter(model, None, [0.0, 0.0], np.eye(2), n_particles=300, rng=0)
+    filt.predict(1.0)
+    stored = pickle.dumps(filt)
+    assert str(filt._paths._addresses[0]).encode() not in stored and b"_addresses" not in stored
+    again = pickle.loads(stored)
+    for own in (filt, again):
+        own.predict(0.5)
+    np.testing.assert_array_equal(filt.particles, again.particles)
