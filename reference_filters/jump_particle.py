@@ -3,10 +3,10 @@
 import numpy as np
 
 from sphfilter import validate
-from sphfilter.core.paths.weights import condition, weighted_moments
 from sphfilter.model.simulate import advance
 
 from ._base import ReferenceFilter, gaussian_start
+from ._weights import condition, weighted_moments
 
 __all__ = ["JumpParticleFilter"]
 

@@ -174,7 +174,7 @@ def test_particles_agree_with_the_grid_where_no_closed_form_exists():
     grid = GridFilter(model, sensor, [1.0, 1.0], np.diag([0.3, 1.5]), size=64).run(times, readings)
     cloud = ParticleFilter(model, sensor, [1.0, 1.0], np.diag([0.3, 1.5]), n_particles=n, rng=2)
     mean, cov, evidence = _errors(cloud.run(times, readings), grid)
-    noise = 5 / np.sqrt(n / 10)  # five standard errors for an effective size of a tenth
+    noise = 5 / np.sqrt(n / 20)  # five standard errors for a twentieth; 24 seeds: .09 at most
     assert mean < noise
     assert cov < 3 * noise
     assert evidence < noise

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from density_cases import whitened
 
-from reference_filters import _paths
+from reference_filters._blocks import standard_normals
+from reference_filters._normals import LANES
 from reference_filters._paths import Paths
 from sphfilter import consistency
-from sphfilter.core.paths.blocks import standard_normals
 from sphfilter.core.sde_steps import normals_per_step, shifted_path_steps, split_steps
 from sphfilter.errors import PropagationError
 from sphfilter.model.sde import SDE, LinearSDE
@@ -157,4 +157,4 @@ def test_exact_transitions_draw_normals():
     assert np.abs(z.mean(axis=0)).max() < 4.5 / np.sqrt(len(z))
     np.testing.assert_allclose(np.cov(z.T), np.eye(3), atol=6.5 / np.sqrt(len(z)))
     assert normals_per_step(3, True) == 9
-    assert _paths.LANES % 8 == 0
+    assert LANES % 8 == 0
