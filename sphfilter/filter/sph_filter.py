@@ -2,7 +2,6 @@
 
 import math
 from copy import copy
-from dataclasses import replace
 from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -209,7 +208,7 @@ class SPHFilter(Shown, Remembering):
     def n_particles(self, value: int) -> None:
         value = count("n_particles", value)
         if "_state" in vars(self):  # else a subclass sets it before it is made
-            self._state = replace(self._state, n_particles=value)
+            self._state = self._state.noted(n_particles=value)
             self._adapts = False
 
     @in_own_words
@@ -342,7 +341,7 @@ class SPHFilter(Shown, Remembering):
         filt = cls(model, measurement, **options)
         for name, value in about.items():
             setattr(filt, name, value)
-        filt._state = replace(filt._state, **state)
+        filt._state = filt._state.noted(**state)
         filt._remember_from_here(window)
         return filt
 
