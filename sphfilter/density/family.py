@@ -140,11 +140,16 @@ def gaussian_family(mean: Floats, cov: Floats, degree: int) -> Family:
     """A Gaussian."""
     n = len(mean)
     A: Floats = np.asarray(np.linalg.cholesky(cov), np.float64)
-    c = np.zeros(size(n, degree))
-    c[0] = -0.5 * n * math.log(2.0 * math.pi) - np.log(np.diag(A)).sum() - 0.5 * n
-    power = basis(n, degree).power
-    c[(power.max(axis=1) == 2) & (power.sum(axis=1) == 2)] = -math.sqrt(0.5)
+    c = _standard(n, degree).copy()
+    c[0] = -0.5 * n * math.log(2.0 * math.pi) - np.log(A.diagonal()).sum() - 0.5 * n
     return Family(np.array(mean), A, c)
+
+
+@cache
+def _standard(n: int, degree: int) -> Floats:
+    """Coefficients (M,) of a Gaussian in its own frame, but for the constant."""
+    power = basis(n, degree).power
+    return np.where((power.max(axis=1) == 2) & (power.sum(axis=1) == 2), -math.sqrt(0.5), 0.0)
 
 
 def particles_of(family: Family) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code
 from ..lattice.resolved import Search
 from ..model.domain import Domain
-from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
+from ..model.measurements import GaussianSensor, Reading, Sensor, block, is_gaussian
 from ..validate import state_rows
 from .solutions import solutions
 
@@ -35,12 +35,13 @@ class Asked(NamedTuple):
     t: float
     innovation: np.ndarray | None  # of the components that came; None for a sensor that is not Gaussian
     S: Floats | None
+    cross: Floats | None  # covariance of the state with the reading predicted, (n, k)
 
     @classmethod
     def of(cls, density: ParticleDensity, measurement: Sensor, z: ArrayLike | None) -> "Asked":
         """A measurement z asked of a density."""
         seen = measurement.observed(z)
-        off = _innovation(density, measurement, z, seen) if seen.any() else (None, None)
+        off = _innovation(density, measurement, z, seen) if seen.any() else (None, None, None)
         return cls(measurement, z, seen, density.t, *off)
 
     def log_weight(self, X: Floats) -> Floats:
@@ -62,7 +63,7 @@ class Asked(NamedTuple):
         """Volume of the posterior over that of the prior, as if both were Gaussian; or one."""
         if not is_gaussian(self.measurement) or self.S is None:
             return 1.0
-        R = self.measurement.noise_cov[np.ix_(self.seen, self.seen)]
+        R = block(self.measurement.noise_cov, self.seen)
         return float(np.exp(0.5 * (np.linalg.slogdet(R)[1] - np.linalg.slogdet(self.S)[1])))
 
     def whitened(self) -> tuple[OfStates, float]:
@@ -76,8 +77,8 @@ class Asked(NamedTuple):
         """
         if not is_gaussian(self.measurement):
             raise PropagationError("the sensor has no reading, but a likelihood only")
-        sensor, z, both = self.measurement, Reading.of(self.z).z, np.ix_(self.seen, self.seen)
-        factor = np.linalg.cholesky(sensor.noise_cov[both])
+        sensor, z = self.measurement, Reading.of(self.z).z
+        factor = np.linalg.cholesky(block(sensor.noise_cov, self.seen))
         back = np.linalg.inv(factor).T
 
         def white(X: Floats) -> Floats:
@@ -136,13 +137,16 @@ class Asked(NamedTuple):
 
 def _innovation(
     density: ParticleDensity, measurement: Sensor, z: Any, seen: Bools
-) -> tuple[Floats, Floats] | tuple[None, None]:
-    """z minus its predicted mean, and the predicted covariance plus R; None for a general likelihood."""
+) -> tuple[Floats, Floats, Floats] | tuple[None, None, None]:
+    """z minus its predicted mean, the predicted covariance plus R, and its covariance with the state.
+
+    None each for a general likelihood.
+    """
     if not is_gaussian(measurement):
-        return None, None
-    predicted, S, _ = predicted_reading(density, measurement)
-    both = np.ix_(seen, seen)
-    return measurement.residual(Reading.of(z).z, predicted)[seen], S[both] + measurement.noise_cov[both]
+        return None, None, None
+    predicted, S, cross = predicted_reading(density, measurement)
+    innovation = measurement.residual(Reading.of(z).z, predicted)[seen]
+    return innovation, block(S, seen) + block(measurement.noise_cov, seen), cross[:, seen]
 
 
 def predicted_reading(density: ParticleDensity, measurement: GaussianSensor) -> tuple[Floats, Floats, Floats]:
@@ -184,8 +188,8 @@ def kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:
 
     What is wrong with the weights of a density's pieces, or its shape, no reading forgets as fast as a shift.
     """
-    ratio = np.trace(np.linalg.solve(prior.cov(), posterior.cov())) / prior.dim
-    left = float(np.sqrt(np.clip(ratio, 0.0 if posterior.gaussian else _LEFT, 1.0)))
+    ratio = float(np.linalg.solve(prior.cov(), posterior.cov()).trace()) / prior.dim
+    left = math.sqrt(min(max(ratio, 0.0 if posterior.gaussian else _LEFT), 1.0))
     if prior.family is None or prior.gaussian:
         return left
     out, n = max(left, _brought_out(prior, posterior)), prior.dim  # along one direction of n

@@ -14,7 +14,7 @@ from ..density.family_posterior import family_posterior
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..model.measurements import is_gaussian
-from .asked import Asked, kept, predicted_reading, said_of
+from .asked import Asked, kept, said_of
 
 __all__ = ["by_family", "elsewhere", "family_update"]
 
@@ -65,7 +65,7 @@ def family_update(
     added = math.hypot(left * OF_MISFIT * misfit, added)
     error = math.hypot(left * density.error, added)
     said = said_of(asked, "family", found.log_evidence, error, found.evidence_error)
-    return replace(new, error=error), said | {"residual": found.misfit}, added
+    return new.noted(error=error), said | {"residual": found.misfit}, added
 
 
 def elsewhere(
@@ -118,12 +118,11 @@ def _moments(family: Family) -> tuple[Floats, Floats]:
 
 def _linearised(density: ParticleDensity, asked: Asked) -> tuple[Floats, Floats] | None:
     """Mean and a factor of the covariance by statistical linearisation; None without a Gaussian sensor."""
-    if not is_gaussian(asked.measurement) or asked.innovation is None or asked.S is None:
+    if asked.innovation is None or asked.S is None or asked.cross is None:
         return None
-    cross = predicted_reading(density, asked.measurement)[2][:, asked.seen]
-    gain = np.linalg.solve(asked.S, cross.T).T
+    gain = np.linalg.solve(asked.S, asked.cross.T).T
     mean, cov = unrolled(density)
-    cov = cov - gain @ cross.T
+    cov = cov - gain @ asked.cross.T
     cov = 0.5 * (cov + cov.T)
     try:
         return mean + gain @ asked.innovation, np.asarray(np.linalg.cholesky(cov), np.float64)

@@ -48,7 +48,7 @@ def degree_of(scheme: FamilyScheme, n: int) -> int:
     known = degrees(n)
     degree = scheme.degree or max((d for d in known if d <= HIGHEST), default=0)
     if degree not in known:
-        raise ConfigError(f"there is no family of degree {degree or 'any'} for {n} states, but of {known}")
+        raise ConfigError(f"there is no family of degree {degree or 'any'} for {n} states, but of {[*known]}")
     return degree
 
 
