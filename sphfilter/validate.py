@@ -1,6 +1,7 @@
 """One validator per kind of argument; each sentence says what was given, what is allowed, what to do."""
 
 import inspect
+import math
 import numbers
 from collections.abc import Callable, Iterable, Mapping
 from datetime import timedelta
@@ -170,7 +171,7 @@ def real(name: str, value: object) -> float:
     """Return a finite float."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
-    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not np.isfinite(float(value)):
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
         raise ModelError(f"{name} must be one finite number, got {short(value)}.")
     return float(value)
 

@@ -97,7 +97,7 @@ def degree_of(n: int, M: int) -> int:
 def node_weights(rule: Basis, A: Floats, log_p: Floats) -> tuple[Floats, float]:
     """Probabilities (N,) of nodes with log-densities (N,), and the log of the integral over the states."""
     w, n = np.empty(len(rule.xi)), len(A)
-    total = weigh(rule, np.ascontiguousarray(log_p), w)
+    total = weigh(rule.log_w, n, np.ascontiguousarray(log_p), w)
     return w, total + inverse(A, np.empty((n, n)))
 
 

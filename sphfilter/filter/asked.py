@@ -4,7 +4,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.polynomial.hermite_e import hermevander
 from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
@@ -209,6 +208,10 @@ def _brought_out(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     shift = posterior.mass @ way.T
     along = (shift / max(float(np.linalg.norm(shift)), 1e-300)) @ way
     y = np.linalg.solve(np.linalg.cholesky(own_cov), (posterior.x - own_mean).T)
+    below, last = np.ones_like(along), along  # Hermite polynomials of degrees zero and one, and then higher
+    for k in range(1, degree + 2):
+        below, last = last, last * along - below * k
     size = [math.sqrt(math.factorial(k)) for k in (degree + 1, degree + 2)]
-    following = hermevander(along, degree + 2)[:, -2:] / size
-    return float(np.linalg.norm((y * posterior.mass) @ following, axis=0).max())
+    following = np.array([below, last]).T / size
+    out = (y * posterior.mass) @ following
+    return math.sqrt(float((out * out).sum(axis=0).max()))

@@ -85,7 +85,7 @@ def check_assigned(name: str, cls: type, base: type) -> None:
     """
     subclasses = (parent for parent in cls.__mro__ if parent not in base.__mro__)
     own = (known for parent in subclasses for known in _declared(parent))
-    if name.startswith("_") or name in _SETTABLE or name in own:
+    if name in _SETTABLE or name in own:
         return
     if name in _MIXED:
         raise ModelError(

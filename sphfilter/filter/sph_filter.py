@@ -20,7 +20,7 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
 from ..density.weighted import WeightedStates
 from ..errors import ModelError
-from ..info import PredictInfo, UpdateInfo
+from ..info import NOTHING_CAME, PredictInfo, UpdateInfo
 from ..model.compile import StateFunction
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, driven
@@ -178,7 +178,8 @@ class SPHFilter(Shown, Remembering):
         )
 
     def __setattr__(self, name: str, value: Any) -> None:
-        check_assigned(name, type(self), SPHFilter)
+        if not name.startswith("_"):
+            check_assigned(name, type(self), SPHFilter)
         object.__setattr__(self, name, value)
         if name in ("n_particles", "log_evidence") and self._steps:  # parts of the state
             self._did("__setattr__", name=name, value=value)
@@ -305,7 +306,6 @@ class SPHFilter(Shown, Remembering):
         sensor = driven(sensor_of(self.measurement, given, H, self.model), state.inputs)
         numbers = numbers_of(sensor, z)
         used, values = parted(sensor, numbers)
-        seen = used.observed(values).any()
         prediction = state.origin if isinstance(state.origin, Prediction) else Prediction()
         self._budget.begin()
         most = "auto" if self._adapts else self._most()
@@ -314,10 +314,10 @@ class SPHFilter(Shown, Remembering):
             prediction, state.density, prediction.model or self.model, used, values, self.config, **options
         )
         repeated = outcome.before is not state.density
-        n_particles = outcome.density.n_particles
+        what = "" if outcome.info.reason == NOTHING_CAME else "update"
         own = H is None and (given is None or given is self.measurement)
         state = state.updated(outcome, (used, values, own), sensor, numbers)
-        info = self._budget.end("update" if seen else "", outcome.info, n_particles, repeated)
+        info = self._budget.end(what, outcome.info, outcome.density.n_particles, repeated)
         self._state = state
         self._did("update", z=z, measurement=measurement, H=H, R=R)
         return info

@@ -43,9 +43,10 @@ class Reading(NamedTuple):
         if z is None:
             return cls(np.full(k or 1, np.nan), np.zeros(k or 1, dtype=bool))
         try:
-            z = validate.column(np.array(validate.unmasked(z), dtype=float, ndmin=1))
+            z = np.array(validate.unmasked(z), dtype=float, ndmin=1)
         except (TypeError, ValueError) as error:
             raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
+        z = z[:, 0] if z.ndim == 2 and z.shape[1] == 1 else z
         if z.ndim != 1 or (k is not None and len(z) != k):
             sensor = f"the sensor {name!r}" if name else "the sensor"
             raise ModelError(f"The measurement has shape {z.shape}, but {sensor} gives ({k or 'k'},).")
