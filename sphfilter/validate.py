@@ -92,11 +92,11 @@ def keywords(
 
     @wraps(method)
     def checked(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
-        for name in kwargs:
-            if name not in known and name in others:
+        for name in (name for name in kwargs if name not in known):
+            if name in others:
                 raise ModelError(f"{method.__qualname__} takes no {name}=: {others[name]}")
             near = nearest(name, known)
-            if name not in known and near:
+            if near:
                 raise TypeError(f"{method.__qualname__} has no argument {name!r}{near}")
         return method(*args, **kwargs)
 

@@ -85,7 +85,7 @@ class Family(NamedTuple):
         """The same with an integral of one."""
         c = self.c.copy()
         c[0] -= self.weighted()[1]
-        return self._replace(c=c)
+        return Family(self.mu, self.A, c)
 
 
 @cache
@@ -120,8 +120,8 @@ def fitted(log_p: OfStates, mean: Floats, cov: Floats, degree: int) -> tuple[Fam
 
 def moments_apart(shift: Floats, change: Floats) -> float:
     """How far moments are apart in a frame: rms of a shift (n,), half of a covariance's change (n, n)."""
-    n = len(shift)
-    return max(float(np.linalg.norm(shift)) / math.sqrt(n), 0.5 * float(np.linalg.norm(change)) / n)
+    n, change = len(shift), change.ravel(order="K")
+    return max(math.sqrt(shift.dot(shift)) / math.sqrt(n), 0.5 * math.sqrt(change.dot(change)) / n)
 
 
 @cache

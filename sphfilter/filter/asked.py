@@ -46,7 +46,7 @@ class Asked(NamedTuple):
     def log_weight(self, X: Floats) -> Floats:
         """Log-likelihood of the states X (M, n), shape (M,)."""
         values = self.measurement.log_likelihood(self.z, X, self.t)
-        if np.isnan(values).any():
+        if np.count_nonzero(np.isnan(values)):
             where = X[np.isnan(values)][0]
             raise ModelError(
                 f"the likelihood of z = {self.z} is NaN at the state {where}; check the sensor function"

@@ -51,7 +51,7 @@ class Reading(NamedTuple):
             sensor = f"the sensor {name!r}" if name else "the sensor"
             raise ModelError(f"The measurement has shape {z.shape}, but {sensor} gives ({k or 'k'},).")
         seen = np.isfinite(z)
-        if not seen.all() and np.isinf(z).any():
+        if np.count_nonzero(seen) < len(z) and np.isinf(z).any():
             raise ModelError(f"The measurement {z} is infinite; use NaN for a missing component.")
         return cls(z, seen)
 
@@ -438,15 +438,16 @@ class GaussianMeasurement:
         Missing components are left out, with their rows and columns of R; all missing gives zeros.
         """
         z, seen = self.reading(z)
-        if not seen.any():
+        came = np.count_nonzero(seen)
+        if not came:
             return np.zeros(np.shape(X)[0])
         # a state where h is undefined gives NaN here, for the caller to judge
         off = self.residual(z, self.predict(X, t))
-        off = off if seen.all() else off[:, seen]
+        off = off if came == len(seen) else off[:, seen]
         if self._noise is not None:
             L = self._roots(X, t, seen)
             y = np.linalg.solve(L, off[:, :, None])[:, :, 0]
-            constant = -np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1) - seen.sum() * _HALF_LOG_2_PI
+            constant = -np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1) - came * _HALF_LOG_2_PI
         else:
             whiten, constant = self._factor(seen)
             y = off @ whiten
@@ -495,7 +496,7 @@ class GaussianMeasurement:
 
 def block(matrix: Floats, seen: Bools) -> Floats:
     """Rows and columns of a matrix (k, k) that belong to what came."""
-    return matrix if seen.all() else matrix[np.ix_(seen, seen)]
+    return matrix if np.count_nonzero(seen) == len(seen) else matrix[np.ix_(seen, seen)]
 
 
 def wrapped(r: Floats, angles: Iterable[int]) -> Floats:
