@@ -32,7 +32,10 @@ BatchFunction: TypeAlias = Callable[[Floats, float, Floats, Floats], None]
 
 
 class Noted:
-    """A frozen dataclass of which others are made that differ in a few fields."""
+    """A frozen dataclass of which others are made that differ in a few fields.
+
+    What it has found from its fields and kept, others have kept too: fields that this hangs on do not differ.
+    """
 
     def noted(self, **known: Any) -> Self:
         """The same with other fields, in a microsecond: nothing is checked or summed again."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -204,7 +204,7 @@ class Shown:
 
     @log_evidence.setter
     def log_evidence(self, value: float) -> None:
-        self._state = self._state.noted(log_evidence=float(value))
+        self._state = replace(self._state, log_evidence=float(value))
 
     @property
     def density(self) -> ParticleDensity:
