@@ -62,7 +62,8 @@ def array(name: str, value: object, shape: tuple[int | None, ...], what: str = "
     """
     try:
         given = np.asanyarray(value)
-        if given.dtype.kind in "USMmcV" or (np.ma.isMA(given) and np.ma.is_masked(given)):  # text, dates and what numpy would cut
+        masked = np.ma.isMA(given) and np.ma.is_masked(given)
+        if masked or given.dtype.kind in "USMmcV":  # text, dates and what numpy would cut
             raise TypeError
         a = np.array(given, dtype=float, order="C", subok=False)
     except (TypeError, ValueError) as error:

@@ -183,8 +183,8 @@ class ParticleDensity(Noted):
             return cls(**parts)
         new = object.__new__(cls)  # whose other fields are those of the class
         vars(new).update(parts)
-        for array in (x, mass, h):
-            array.flags.writeable = False
+        for own in (x, mass, h):
+            own.flags.writeable = False
         return new
 
     def __repr__(self) -> str:

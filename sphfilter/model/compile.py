@@ -67,6 +67,7 @@ class surfacing:
     No exception passes through compiled frames, whose threads it would end together with Python. After the
     first one the user's functions are not called any more, and give NaN.
     """
+
     def __enter__(self) -> None:
         pass
 
