@@ -70,17 +70,22 @@ def family_update(
 
 
 def _kalman(density: ParticleDensity, asked: Asked, degree: int) -> FamilyPosterior | None:
-    """A Gaussian times the likelihood of a linear sensor, in closed form; None where those are others."""
-    exact = density.gaussian and density.domain is None and asked.linear
-    if not exact or asked.innovation is None or asked.S is None or asked.cross is None:
+    """A Gaussian times the likelihood of a linear sensor, in closed form; None where there is none."""
+    if not (density.gaussian and density.domain is None and asked.linear and is_gaussian(asked.measurement)):
         return None
+    evidence = asked.gaussian_evidence
+    assert asked.measurement.H is not None and asked.innovation is not None
+    assert asked.S is not None and asked.cross is not None
     H, R = asked.measurement.H[asked.seen], block(asked.measurement.noise_cov, asked.seen)
     mean, cov = unrolled(density)
     gain = np.linalg.solve(asked.S, asked.cross.T).T
     rest = np.eye(len(mean)) - gain @ H
     cov = rest @ cov @ rest.T + gain @ R @ gain.T  # Joseph's, which stays definite however sharp the sensor
-    found = gaussian_family(mean + gain @ asked.innovation, 0.5 * (cov + cov.T), degree)
-    return FamilyPosterior(found, asked.gaussian_evidence, 0.0, 0.0, 0.0)
+    try:
+        found = gaussian_family(mean + gain @ asked.innovation, 0.5 * (cov + cov.T), degree)
+    except np.linalg.LinAlgError:
+        return None
+    return FamilyPosterior(found, evidence, 0.0, 0.0, 0.0) if math.isfinite(evidence) else None
 
 
 def elsewhere(
