@@ -391,13 +391,6 @@ class ParticleDensity(Noted):
         about |= {"kernel": self.kernel, "represented_mass": self.represented_mass}
         return ParticleDensity(**given, **about)
 
-    def noted(self, **known: Any) -> "ParticleDensity":
-        """The same density with other notes on its record, such as `error`, `needs` or `capacity`.
-
-        What is noted must not change the density itself.
-        """
-        return super().noted(**known)
-
     def _read(self, kind: ReadOut | None) -> "ParticleDensity":
         """The density with another read-out, or itself."""
         read_out = self.read_out if kind is None else choice("kind", kind, READ_OUTS)

@@ -137,15 +137,12 @@ class Asked(NamedTuple):
 def _innovation(
     density: ParticleDensity, measurement: Sensor, z: Any, seen: Bools
 ) -> tuple[Floats, Floats, Floats] | tuple[None, None, None]:
-    """z minus its predicted mean, the predicted covariance plus R, and its covariance with the state.
-
-    None each for a general likelihood.
-    """
+    """z minus its mean, the covariance of that, and with the state; None each for a general likelihood."""
     if not is_gaussian(measurement):
         return None, None, None
     predicted, S, cross = predicted_reading(density, measurement)
-    innovation = measurement.residual(Reading.of(z).z, predicted)[seen]
-    return innovation, block(S, seen) + block(measurement.noise_cov, seen), cross[:, seen]
+    off = measurement.residual(Reading.of(z).z, predicted)[seen]
+    return off, block(S, seen) + block(measurement.noise_cov, seen), cross[:, seen]
 
 
 def predicted_reading(density: ParticleDensity, measurement: GaussianSensor) -> tuple[Floats, Floats, Floats]:

@@ -223,8 +223,7 @@ class JumpMarkovFilter(Shown, Remembering):
         )
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not name.startswith("_"):
-            check_assigned(name, type(self), JumpMarkovFilter)
+        check_assigned(name, type(self), JumpMarkovFilter)
         object.__setattr__(self, name, value)
         if name == "log_evidence" and self._steps:  # a part of the state
             self._did("__setattr__", name=name, value=value)

@@ -178,8 +178,7 @@ class SPHFilter(Shown, Remembering):
         )
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not name.startswith("_"):
-            check_assigned(name, type(self), SPHFilter)
+        check_assigned(name, type(self), SPHFilter)
         object.__setattr__(self, name, value)
         if name in ("n_particles", "log_evidence") and self._steps:  # parts of the state
             self._did("__setattr__", name=name, value=value)
