@@ -62,7 +62,7 @@ class Asked(NamedTuple):
         """Volume of the posterior over that of the prior, as if both were Gaussian; or one."""
         if not is_gaussian(self.measurement) or self.S is None:
             return 1.0
-        R = block(self.measurement.noise_cov, self.seen)
+        R = self.measurement.noise_cov[np.ix_(self.seen, self.seen)]
         return float(np.exp(0.5 * (np.linalg.slogdet(R)[1] - np.linalg.slogdet(self.S)[1])))
 
     def whitened(self) -> tuple[OfStates, float]:
@@ -76,8 +76,8 @@ class Asked(NamedTuple):
         """
         if not is_gaussian(self.measurement):
             raise PropagationError("the sensor has no reading, but a likelihood only")
-        sensor, z = self.measurement, Reading.of(self.z).z
-        factor = np.linalg.cholesky(block(sensor.noise_cov, self.seen))
+        sensor, z, both = self.measurement, Reading.of(self.z).z, np.ix_(self.seen, self.seen)
+        factor = np.linalg.cholesky(sensor.noise_cov[both])
         back = np.linalg.inv(factor).T
 
         def white(X: Floats) -> Floats:
