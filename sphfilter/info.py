@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from enum import IntFlag, auto
 from functools import reduce
 from operator import or_
@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 
 from ._lines import in_a_line
-from ._types import Bools, Floats
+from ._types import Bools, Floats, Noted
 
 __all__ = [
     "DOUBTFUL",
@@ -69,7 +69,7 @@ _RUNGS = {
 }
 
 
-class _Marked:
+class _Marked(Noted):
     """Infos of all steps: a status in words, and a code for programs."""
 
     code: Code
@@ -81,7 +81,7 @@ class _Marked:
 
     def marked(self, code: Code, status: str) -> Self:
         """The info with another status, whose flags come to those it has."""
-        return replace(self, code=self.code | code, status=status)  # type: ignore[type-var]
+        return self.noted(code=self.code | code, status=status)
 
     @property
     def rung(self) -> str:
@@ -301,6 +301,8 @@ def innovation_of(info: UpdateInfo, seen: Bools, k: int) -> tuple[Floats, Floats
 
     `seen`, bool (k,), says which components came; the others are NaN, as all are if the update told none.
     """
+    if info.innovation is not None and len(info.innovation) == k:
+        return np.array(info.innovation), np.array(info.innovation_cov)
     y, S = np.full(k, np.nan), np.full((k, k), np.nan)
     if info.innovation is not None:
         y[seen], S[np.ix_(seen, seen)] = info.innovation, info.innovation_cov

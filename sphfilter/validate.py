@@ -1,6 +1,7 @@
 """One validator per kind of argument; each sentence says what was given, what is allowed, what to do."""
 
 import inspect
+import math
 import numbers
 from collections.abc import Callable, Iterable, Mapping
 from datetime import timedelta
@@ -61,7 +62,8 @@ def array(name: str, value: object, shape: tuple[int | None, ...], what: str = "
     """
     try:
         given = np.asanyarray(value)
-        if given.dtype.kind in "USMmcV" or np.ma.is_masked(given):  # text, dates and what numpy would cut
+        masked = np.ma.isMA(given) and np.ma.is_masked(given)
+        if masked or given.dtype.kind in "USMmcV":  # text, dates and what numpy would cut
             raise TypeError
         a = np.array(given, dtype=float, order="C", subok=False)
     except (TypeError, ValueError) as error:
@@ -91,11 +93,11 @@ def keywords(
 
     @wraps(method)
     def checked(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
-        for name in kwargs:
-            if name not in known and name in others:
+        for name in (name for name in kwargs if name not in known):
+            if name in others:
                 raise ModelError(f"{method.__qualname__} takes no {name}=: {others[name]}")
             near = nearest(name, known)
-            if name not in known and near:
+            if near:
                 raise TypeError(f"{method.__qualname__} has no argument {name!r}{near}")
         return method(*args, **kwargs)
 
@@ -170,7 +172,7 @@ def real(name: str, value: object) -> float:
     """Return a finite float."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
-    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not np.isfinite(float(value)):
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
         raise ModelError(f"{name} must be one finite number, got {short(value)}.")
     return float(value)
 

@@ -71,7 +71,7 @@ def _agree(density: ParticleDensity, family: ParticleDensity, most: float) -> bo
 
 def family_density(density: ParticleDensity, family: Family, **changes: Any) -> ParticleDensity:
     """A density whose place in the record is that of another, as one family."""
-    return ParticleDensity(**particles_of(family), **_about(density) | changes)
+    return ParticleDensity.of_new(**particles_of(family), **_about(density) | changes)
 
 
 def pieces_density(density: ParticleDensity, pieces: Pieces, **changes: Any) -> ParticleDensity:

@@ -85,7 +85,7 @@ class Family(NamedTuple):
         """The same with an integral of one."""
         c = self.c.copy()
         c[0] -= self.weighted()[1]
-        return self._replace(c=c)
+        return Family(self.mu, self.A, c)
 
 
 @cache
@@ -97,7 +97,7 @@ def degree_of(n: int, M: int) -> int:
 def node_weights(rule: Basis, A: Floats, log_p: Floats) -> tuple[Floats, float]:
     """Probabilities (N,) of nodes with log-densities (N,), and the log of the integral over the states."""
     w, n = np.empty(len(rule.xi)), len(A)
-    total = weigh(rule, np.ascontiguousarray(log_p), w)
+    total = weigh(rule.log_w, n, np.ascontiguousarray(log_p), w)
     return w, total + inverse(A, np.empty((n, n)))
 
 
@@ -120,8 +120,8 @@ def fitted(log_p: OfStates, mean: Floats, cov: Floats, degree: int) -> tuple[Fam
 
 def moments_apart(shift: Floats, change: Floats) -> float:
     """How far moments are apart in a frame: rms of a shift (n,), half of a covariance's change (n, n)."""
-    n = len(shift)
-    return max(float(np.linalg.norm(shift)) / math.sqrt(n), 0.5 * float(np.linalg.norm(change)) / n)
+    n, change = len(shift), change.ravel(order="K")
+    return max(math.sqrt(shift.dot(shift)) / math.sqrt(n), 0.5 * math.sqrt(change.dot(change)) / n)
 
 
 @cache
@@ -140,11 +140,16 @@ def gaussian_family(mean: Floats, cov: Floats, degree: int) -> Family:
     """A Gaussian."""
     n = len(mean)
     A: Floats = np.asarray(np.linalg.cholesky(cov), np.float64)
-    c = np.zeros(size(n, degree))
-    c[0] = -0.5 * n * math.log(2.0 * math.pi) - np.log(np.diag(A)).sum() - 0.5 * n
-    power = basis(n, degree).power
-    c[(power.max(axis=1) == 2) & (power.sum(axis=1) == 2)] = -math.sqrt(0.5)
+    c = _standard(n, degree).copy()
+    c[0] = -0.5 * n * math.log(2.0 * math.pi) - np.log(A.diagonal()).sum() - 0.5 * n
     return Family(np.array(mean), A, c)
+
+
+@cache
+def _standard(n: int, degree: int) -> Floats:
+    """Coefficients (M,) of a Gaussian in its own frame, but for the constant."""
+    power = basis(n, degree).power
+    return np.where((power.max(axis=1) == 2) & (power.sum(axis=1) == 2), -math.sqrt(0.5), 0.0)
 
 
 def particles_of(family: Family) -> dict[str, Any]:

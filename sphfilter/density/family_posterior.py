@@ -87,7 +87,7 @@ class _Seen(NamedTuple):
 def _product(prior: Family, log_weight: OfStates, X: Floats) -> Floats:
     """Log of prior times likelihood at states."""
     log_p = prior.log_p(X) + log_weight(X)
-    if not np.isfinite(log_p).all():
+    if np.count_nonzero(np.isfinite(log_p)) < len(log_p):
         raise PropagationError("one family does not hold the posterior: the likelihood is zero at its nodes")
     return log_p
 

@@ -1,6 +1,7 @@
 """What a density under a target error has needed so far: the memory of the ladder."""
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 from ..config import FilterConfig, LogDensityScheme, SolverConfig
@@ -82,6 +83,7 @@ def allowance(error: float, target: float, least: float = 0.5) -> float:
     return max(math.sqrt(max(target**2 - error**2, 0.0)), least * target)
 
 
+@cache
 def fewest(dim: int) -> int:
     """Number of nodes that a lattice begins with, and never has less of."""
     return max(60, 3 * fewest_particles(dim))

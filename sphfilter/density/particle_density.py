@@ -8,7 +8,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Floats, ReadOut, Seed
+from .._types import Floats, Noted, ReadOut, Seed
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph import kernels
@@ -34,7 +34,7 @@ _SUMMED = 1e-14  # distance from one of the sum of masses that have been normali
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ParticleDensity:
+class ParticleDensity(Noted):
     """A probability density on SPH particles: p(x) = sum_j m_j W(x - x_j, h_j) (002 (16)).
 
     Attributes
@@ -143,18 +143,20 @@ class ParticleDensity:
         for name in ("mass", "h", "log_density", "invariant"):
             if getattr(self, name) is not None:
                 own[name] = array(name, getattr(self, name), (len(x),))
-        if len(x) == 0 or own["mass"].min() < 0 or own["h"].min() <= 0 or own["mass"].sum() <= 0:
+        mass, total = own["mass"], own["mass"].sum()
+        if len(x) == 0 or mass.min() < 0 or own["h"].min() <= 0 or total <= 0:
             raise ModelError("a density needs particles, masses >= 0 that are not all zero, and h > 0")
-        if abs(own["mass"].sum() - 1.0) > _SUMMED:  # else a copy would differ in its last bits
-            own["mass"] /= own["mass"].sum()
+        if abs(total - 1.0) > _SUMMED:  # else a copy would differ in its last bits
+            mass /= total
         if self.domain is not None:  # none rather than one without bounds
             domain = Domain.of(self.domain, x.shape[1])
             object.__setattr__(self, "domain", None if domain.unbounded else domain)
         choice("kernel", self.kernel, kernels.KINDS)
         choice("read_out", self.read_out, READ_OUTS)
-        heavy = own["mass"] > 0
+        heavy = mass > 0
+        all_heavy = heavy.all()
         for name, value in own.items():
-            value = value if heavy.all() else value[heavy]
+            value = value if all_heavy else value[heavy]
             value.flags.writeable = False
             object.__setattr__(self, name, value)
 
@@ -171,6 +173,19 @@ class ParticleDensity:
         """The density of a `level_set.Laid` at time t; known: its `residual`, `error`, `lost`."""
         about: dict[str, Any] = {"t": t, "capacity": capacity, "gaussian": gaussian, "domain": domain} | known
         return cls(**lattice_particles(laid), **about)
+
+    @classmethod
+    def of_new(cls, **parts: Any) -> "ParticleDensity":
+        """The same density from arrays that were made for it, and need neither be copied nor normalised."""
+        x, mass, h = parts["x"], parts["mass"], parts["h"]
+        sound = np.isfinite(x).all() and mass.min() > 0.0 and 0.0 < h.min() <= h.max() < np.inf
+        if not sound or abs(mass.sum() - 1.0) > _SUMMED:
+            return cls(**parts)
+        new = object.__new__(cls)  # whose other fields are those of the class
+        vars(new).update(parts)
+        for own in (x, mass, h):
+            own.flags.writeable = False
+        return new
 
     def __repr__(self) -> str:
         domain = "" if self.domain is None else f", domain={self.domain}"
@@ -375,15 +390,6 @@ class ParticleDensity:
             return ParticleDensity(**given, **about, gaussian=self.gaussian)
         about |= {"kernel": self.kernel, "represented_mass": self.represented_mass}
         return ParticleDensity(**given, **about)
-
-    def noted(self, **known: Any) -> "ParticleDensity":
-        """The same density with other notes on its record, such as `error`, `needs` or `capacity`.
-
-        Nothing is checked or summed again: what is noted must not change the density itself.
-        """
-        new = object.__new__(type(self))
-        vars(new).update(vars(self) | known)
-        return new
 
     def _read(self, kind: ReadOut | None) -> "ParticleDensity":
         """The density with another read-out, or itself."""

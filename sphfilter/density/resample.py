@@ -166,7 +166,7 @@ def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
     middles = density.pieces.mean if density.pieces else density.families.mu if density.families else None
     laid = laid_family(whole.log_p, density.moments, n_particles, middles)
     about = density.t, density.capacity, density.gaussian, density.domain
-    return replace(ParticleDensity.on_lattice(laid, *about), error=density.error, lost=density.lost)
+    return ParticleDensity.on_lattice(laid, *about, error=density.error, lost=density.lost)
 
 
 def regrid(

@@ -4,7 +4,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.polynomial.hermite_e import hermevander
 from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
@@ -16,7 +15,7 @@ from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code
 from ..lattice.resolved import Search
 from ..model.domain import Domain
-from ..model.measurements import GaussianSensor, Reading, Sensor, is_gaussian
+from ..model.measurements import GaussianSensor, Reading, Sensor, block, is_gaussian
 from ..validate import state_rows
 from .solutions import solutions
 
@@ -35,18 +34,19 @@ class Asked(NamedTuple):
     t: float
     innovation: np.ndarray | None  # of the components that came; None for a sensor that is not Gaussian
     S: Floats | None
+    cross: Floats | None  # covariance of the state with the reading predicted, (n, k)
 
     @classmethod
     def of(cls, density: ParticleDensity, measurement: Sensor, z: ArrayLike | None) -> "Asked":
         """A measurement z asked of a density."""
         seen = measurement.observed(z)
-        off = _innovation(density, measurement, z, seen) if seen.any() else (None, None)
+        off = _innovation(density, measurement, z, seen) if seen.any() else (None, None, None)
         return cls(measurement, z, seen, density.t, *off)
 
     def log_weight(self, X: Floats) -> Floats:
         """Log-likelihood of the states X (M, n), shape (M,)."""
         values = self.measurement.log_likelihood(self.z, X, self.t)
-        if np.isnan(values).any():
+        if np.count_nonzero(np.isnan(values)):
             where = X[np.isnan(values)][0]
             raise ModelError(
                 f"the likelihood of z = {self.z} is NaN at the state {where}; check the sensor function"
@@ -133,13 +133,13 @@ class Asked(NamedTuple):
 
 def _innovation(
     density: ParticleDensity, measurement: Sensor, z: Any, seen: Bools
-) -> tuple[Floats, Floats] | tuple[None, None]:
-    """z minus its predicted mean, and the predicted covariance plus R; None for a general likelihood."""
+) -> tuple[Floats, Floats, Floats] | tuple[None, None, None]:
+    """z minus its mean, the covariance of that, and with the state; None each for a general likelihood."""
     if not is_gaussian(measurement):
-        return None, None
-    predicted, S, _ = predicted_reading(density, measurement)
-    both = np.ix_(seen, seen)
-    return measurement.residual(Reading.of(z).z, predicted)[seen], S[both] + measurement.noise_cov[both]
+        return None, None, None
+    predicted, S, cross = predicted_reading(density, measurement)
+    off = measurement.residual(Reading.of(z).z, predicted)[seen]
+    return off, block(S, seen) + block(measurement.noise_cov, seen), cross[:, seen]
 
 
 def predicted_reading(density: ParticleDensity, measurement: GaussianSensor) -> tuple[Floats, Floats, Floats]:
@@ -181,8 +181,8 @@ def kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:
 
     What is wrong with the weights of a density's pieces, or its shape, no reading forgets as fast as a shift.
     """
-    ratio = np.trace(np.linalg.solve(prior.cov(), posterior.cov())) / prior.dim
-    left = float(np.sqrt(np.clip(ratio, 0.0 if posterior.gaussian else _LEFT, 1.0)))
+    ratio = float(np.linalg.solve(prior.cov(), posterior.cov()).trace()) / prior.dim
+    left = math.sqrt(min(max(ratio, 0.0 if posterior.gaussian else _LEFT), 1.0))
     if prior.family is None or prior.gaussian:
         return left
     out, n = max(left, _brought_out(prior, posterior)), prior.dim  # along one direction of n
@@ -202,6 +202,10 @@ def _brought_out(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     shift = posterior.mass @ way.T
     along = (shift / max(float(np.linalg.norm(shift)), 1e-300)) @ way
     y = np.linalg.solve(np.linalg.cholesky(own_cov), (posterior.x - own_mean).T)
+    below, last = np.ones_like(along), along  # Hermite polynomials of degrees zero and one, and then higher
+    for k in range(1, degree + 2):
+        below, last = last, last * along - below * k
     size = [math.sqrt(math.factorial(k)) for k in (degree + 1, degree + 2)]
-    following = hermevander(along, degree + 2)[:, -2:] / size
-    return float(np.linalg.norm((y * posterior.mass) @ following, axis=0).max())
+    following = np.array([below, last]).T / size
+    out = (y * posterior.mass) @ following
+    return math.sqrt(float((out * out).sum(axis=0).max()))

@@ -109,7 +109,7 @@ class Budget:
             Whether the call made other predictions or updates again, so that it says nothing of a particle.
         """
         took = clock() - self._began
-        info, self.spent = replace(info, seconds=took), self.spent + took
+        info, self.spent = info.noted(seconds=took), self.spent + took
         if self.seconds is None:
             return info
         if what == "predict":

@@ -9,12 +9,12 @@ import numpy as np
 from .._types import Floats, OfStates
 from ..density.as_family import family_density, family_of, unrolled
 from ..density.cloud import key_of, points_of
-from ..density.family import OF_MISFIT, Family, moments_apart, node_moments
-from ..density.family_posterior import family_posterior
+from ..density.family import OF_MISFIT, Family, gaussian_family, moments_apart, node_moments
+from ..density.family_posterior import FamilyPosterior, family_posterior
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
-from ..model.measurements import is_gaussian
-from .asked import Asked, kept, predicted_reading, said_of
+from ..model.measurements import block, is_gaussian
+from .asked import Asked, kept, said_of
 
 __all__ = ["by_family", "elsewhere", "family_update"]
 
@@ -48,10 +48,11 @@ def family_update(
         raise PropagationError(
             "one family does not hold this density, which has no smooth logarithm; use another scheme"
         )
-    weight = asked.weight_on(density.domain)
-    prior, misfit = family_of(density, degree)
-    found = family_posterior(prior, weight, _linearised(density, asked))
-    missed = 0.0
+    missed = misfit = 0.0
+    found = _kalman(density, asked, degree)
+    if found is None:
+        prior, misfit = family_of(density, degree)
+        found = family_posterior(prior, asked.weight_on(density.domain), _linearised(density, asked))
     if not asked.linear:
         both = (prior.log_p, _moments(prior)), (found.family.log_p, _moments(found.family))
         missed = elsewhere(density, asked, *both, found.log_evidence)
@@ -61,11 +62,30 @@ def family_update(
     new = family_density(
         density, found.family, capacity=n_particles, gaussian=density.gaussian and asked.linear
     )
-    left = kept(density, new)
+    left = kept(density, new) if density.error or misfit else 0.0  # of nothing
     added = math.hypot(left * OF_MISFIT * misfit, added)
     error = math.hypot(left * density.error, added)
     said = said_of(asked, "family", found.log_evidence, error, found.evidence_error)
-    return replace(new, error=error), said | {"residual": found.misfit}, added
+    return new.noted(error=error), said | {"residual": found.misfit}, added
+
+
+def _kalman(density: ParticleDensity, asked: Asked, degree: int) -> FamilyPosterior | None:
+    """A Gaussian times the likelihood of a linear sensor, in closed form; None where there is none."""
+    if not (density.gaussian and density.domain is None and asked.linear and is_gaussian(asked.measurement)):
+        return None
+    evidence = asked.gaussian_evidence
+    assert asked.measurement.H is not None and asked.innovation is not None
+    assert asked.S is not None and asked.cross is not None
+    H, R = asked.measurement.H[asked.seen], block(asked.measurement.noise_cov, asked.seen)
+    mean, cov = unrolled(density)
+    gain = np.linalg.solve(asked.S, asked.cross.T).T
+    rest = np.eye(len(mean)) - gain @ H
+    cov = rest @ cov @ rest.T + gain @ R @ gain.T  # Joseph's, which stays definite however sharp the sensor
+    try:
+        found = gaussian_family(mean + gain @ asked.innovation, 0.5 * (cov + cov.T), degree)
+    except np.linalg.LinAlgError:
+        return None
+    return FamilyPosterior(found, evidence, 0.0, 0.0, 0.0) if math.isfinite(evidence) else None
 
 
 def elsewhere(
@@ -118,12 +138,11 @@ def _moments(family: Family) -> tuple[Floats, Floats]:
 
 def _linearised(density: ParticleDensity, asked: Asked) -> tuple[Floats, Floats] | None:
     """Mean and a factor of the covariance by statistical linearisation; None without a Gaussian sensor."""
-    if not is_gaussian(asked.measurement) or asked.innovation is None or asked.S is None:
+    if asked.innovation is None or asked.S is None or asked.cross is None:
         return None
-    cross = predicted_reading(density, asked.measurement)[2][:, asked.seen]
-    gain = np.linalg.solve(asked.S, cross.T).T
+    gain = np.linalg.solve(asked.S, asked.cross.T).T
     mean, cov = unrolled(density)
-    cov = cov - gain @ cross.T
+    cov = cov - gain @ asked.cross.T
     cov = 0.5 * (cov + cov.T)
     try:
         return mean + gain @ asked.innovation, np.asarray(np.linalg.cholesky(cov), np.float64)

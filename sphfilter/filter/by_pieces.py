@@ -1,7 +1,6 @@
 """Prior times likelihood as a few Gaussians, split before the update along which the reading bends."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,7 +54,7 @@ def by_pieces(
     before = math.hypot(density.error, OF_MISFIT * misfit)
     error = math.hypot(kept(density, new) * before, _OF_OFF * found.error, _OF_CHANGE * change)
     said = said_of(asked, "pieces", found.log_evidence + log_scale, error, found.evidence_error)
-    return replace(new, error=error), said
+    return new.noted(error=error), said
 
 
 def _prior(density: ParticleDensity, most: float) -> tuple[Pieces, float]:

@@ -83,9 +83,11 @@ def check_assigned(name: str, cls: type, base: type) -> None:
     base : type
         The library's own filter.
     """
+    if name.startswith("_") or name in _SETTABLE:
+        return
     subclasses = (parent for parent in cls.__mro__ if parent not in base.__mro__)
     own = (known for parent in subclasses for known in _declared(parent))
-    if name.startswith("_") or name in _SETTABLE or name in own:
+    if name in own:
         return
     if name in _MIXED:
         raise ModelError(

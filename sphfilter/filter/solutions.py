@@ -3,7 +3,7 @@
 import numpy as np
 
 from .._types import Floats
-from ..model.measurements import GaussianSensor
+from ..model.measurements import GaussianSensor, block
 
 __all__ = ["solutions"]
 
@@ -34,7 +34,7 @@ def solutions(sensor: GaussianSensor, z: Floats, x: Floats, cell: Floats, t: flo
         Where the iteration ended, whether or not the reading is explained there.
     """
     seen, n = np.isfinite(z), x.shape[1]
-    whiten = np.linalg.inv(np.linalg.cholesky(sensor.noise_cov[np.ix_(seen, seen)])).T
+    whiten = np.linalg.inv(np.linalg.cholesky(block(sensor.noise_cov, seen))).T
 
     def off(X: Floats) -> Floats:
         return np.asarray(sensor.residual(z, sensor.predict(X, t))[:, seen] @ whiten)

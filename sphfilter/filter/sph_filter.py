@@ -2,7 +2,6 @@
 
 import math
 from copy import copy
-from dataclasses import replace
 from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -21,7 +20,7 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
 from ..density.weighted import WeightedStates
 from ..errors import ModelError
-from ..info import PredictInfo, UpdateInfo
+from ..info import NOTHING_CAME, PredictInfo, UpdateInfo
 from ..model.compile import StateFunction
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, driven
@@ -209,7 +208,7 @@ class SPHFilter(Shown, Remembering):
     def n_particles(self, value: int) -> None:
         value = count("n_particles", value)
         if "_state" in vars(self):  # else a subclass sets it before it is made
-            self._state = replace(self._state, n_particles=value)
+            self._state = self._state.noted(n_particles=value)
             self._adapts = False
 
     @in_own_words
@@ -306,7 +305,6 @@ class SPHFilter(Shown, Remembering):
         sensor = driven(sensor_of(self.measurement, given, H, self.model), state.inputs)
         numbers = numbers_of(sensor, z)
         used, values = parted(sensor, numbers)
-        seen = used.observed(values).any()
         prediction = state.origin if isinstance(state.origin, Prediction) else Prediction()
         self._budget.begin()
         most = "auto" if self._adapts else self._most()
@@ -315,10 +313,10 @@ class SPHFilter(Shown, Remembering):
             prediction, state.density, prediction.model or self.model, used, values, self.config, **options
         )
         repeated = outcome.before is not state.density
-        n_particles = outcome.density.n_particles
+        what = "" if outcome.info.reason == NOTHING_CAME else "update"
         own = H is None and (given is None or given is self.measurement)
         state = state.updated(outcome, (used, values, own), sensor, numbers)
-        info = self._budget.end("update" if seen else "", outcome.info, n_particles, repeated)
+        info = self._budget.end(what, outcome.info, outcome.density.n_particles, repeated)
         self._state = state
         self._did("update", z=z, measurement=measurement, H=H, R=R)
         return info
@@ -342,7 +340,7 @@ class SPHFilter(Shown, Remembering):
         filt = cls(model, measurement, **options)
         for name, value in about.items():
             setattr(filt, name, value)
-        filt._state = replace(filt._state, **state)
+        filt._state = filt._state.noted(**state)
         filt._remember_from_here(window)
         return filt
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Floats
+from .._types import Floats, Noted
 from ..density.particle_density import ParticleDensity
 from ..info import PredictInfo, UpdateInfo, innovation_of
 from ..model.measurements import Sensor, has_gaussian_noise
@@ -23,7 +23,7 @@ __all__ = ["FilterState", "Shown", "said_of_reading"]
 
 
 @dataclass(frozen=True)
-class FilterState:
+class FilterState(Noted):
     """The state of a filter: its density, where that comes from, and what the last steps said.
 
     Attributes
@@ -78,8 +78,7 @@ class FilterState:
         origin: Prediction | Update | None = self.origin
         if outcome.density.t > self.density.t:
             origin = Prediction(outcome.before, outcome.info.mass_error, model, outcome.density.t)
-        return replace(
-            self,
+        return self.noted(
             density=outcome.density,
             n_particles=outcome.bound,
             origin=origin,
@@ -105,8 +104,7 @@ class FilterState:
         prior, density, info, _ = outcome
         x_prior, P_prior = (self.x, self.P) if prior is self.density else _moments(prior)
         x, P = _moments(density)
-        return replace(
-            self,
+        return self.noted(
             density=density,
             origin=Update(prior, *asked) if density is not prior else None,
             x=x,

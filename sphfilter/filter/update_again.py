@@ -72,14 +72,14 @@ def update_or_predict_again(
     Outcome
         It begins with the prior that was used.
     """
-    from scipy.stats import chi2  # on use: import time
-
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
     bound = particle_bound(prior, n_particles)
     known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED
     if known or before is None or before.field is None:
         return Outcome(prior, posterior, info, bound)
+    from scipy.stats import chi2  # on use: import time
+
     scheme = config.scheme if isinstance(config.scheme, LogDensityScheme) else LogDensityScheme()
     Z = lattice_reach(scheme, model.dim)
     beyond = chi2.sf(Z**2, model.dim)  # what a Gaussian has there: so much of it may be wrong

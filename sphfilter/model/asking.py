@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
 
-__all__ = ["noted", "watched"]
+__all__ = ["asked_before", "noted", "tell_of"]
 
 _LOGGER = logging.getLogger("sphfilter")
 _LONG, _MUCH = 1.0, 0.5  # seconds of a prediction, and the share of one function, from which it is said
@@ -36,13 +36,13 @@ def noted(index: int, name: str, rows: int) -> Iterator[None]:
         cost.seconds += perf_counter() - began
 
 
-@contextmanager
-def watched() -> Iterator[None]:
-    """Say it, once a function, if one took most of the time of a prediction that took long."""
-    before = {index: (cost.calls, cost.rows, cost.seconds) for index, cost in _COSTS.items()}
-    began = perf_counter()
-    yield
-    took = perf_counter() - began
+def asked_before() -> dict[int, tuple[int, int, float]]:
+    """What functions have cost before a prediction: their calls, rows and seconds by number."""
+    return {index: (cost.calls, cost.rows, cost.seconds) for index, cost in _COSTS.items()}
+
+
+def tell_of(before: dict[int, tuple[int, int, float]], took: float) -> None:
+    """Say it, once a function, if one took most of the time of a prediction that took long, in seconds."""
     for index, cost in list(_COSTS.items()) if took > _LONG else ():
         calls, rows, seconds = before.get(index, (0, 0, 0.0))
         calls, share = cost.calls - calls, (cost.seconds - seconds) / took

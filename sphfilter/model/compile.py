@@ -10,8 +10,7 @@ import inspect
 import itertools
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -62,16 +61,17 @@ _NUMBERS = itertools.count()  # of functions whose cost is noted
 _RAISED: dict[int, BaseException] = {}
 
 
-@contextmanager
-def surfacing() -> Iterator[None]:
+class surfacing:
     """Run compiled code: what a user's function raises in it is raised when it returns, as it was raised.
 
     No exception passes through compiled frames, whose threads it would end together with Python. After the
     first one the user's functions are not called any more, and give NaN.
     """
-    try:
-        yield
-    finally:
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *raised: object) -> None:
         problem = _RAISED.pop(threading.get_ident(), None) or _RAISED.pop(0, None)
         if problem is not None:
             raise problem

@@ -80,7 +80,7 @@ class Domain:
         """Number of axes."""
         return len(self.axes)
 
-    @property
+    @cached_property
     def unbounded(self) -> bool:
         """Whether no axis is periodic and none ends at a wall."""
         return not (self.periodic.any() or self.walled.any())

@@ -16,8 +16,8 @@ from .compile import StateFunction, compile_rows, probe, surfacing
 from .named import Inputs, Values, changed
 from .tables import Tables, tables_of
 
-__all__ = ["GaussianMeasurement", "GaussianSensor", "NoisySensor", "Reading", "Sensor", "direct_states",
-           "has_gaussian_noise", "is_gaussian", "wrapped"]  # fmt: skip
+__all__ = ["GaussianMeasurement", "GaussianSensor", "NoisySensor", "Reading", "Sensor", "block",
+           "direct_states", "has_gaussian_noise", "is_gaussian", "wrapped"]  # fmt: skip
 
 _HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 _DIFFERENT = (
@@ -43,15 +43,17 @@ class Reading(NamedTuple):
         if z is None:
             return cls(np.full(k or 1, np.nan), np.zeros(k or 1, dtype=bool))
         try:
-            z = np.array(validate.column(validate.unmasked(z)), dtype=float, ndmin=1)
+            z = np.array(validate.unmasked(z), dtype=float, ndmin=1)
         except (TypeError, ValueError) as error:
             raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
+        z = z[:, 0] if z.ndim == 2 and z.shape[1] == 1 else z
         if z.ndim != 1 or (k is not None and len(z) != k):
             sensor = f"the sensor {name!r}" if name else "the sensor"
             raise ModelError(f"The measurement has shape {z.shape}, but {sensor} gives ({k or 'k'},).")
-        if np.isinf(z).any():
+        seen = np.isfinite(z)
+        if np.count_nonzero(seen) < len(z) and np.isinf(z).any():
             raise ModelError(f"The measurement {z} is infinite; use NaN for a missing component.")
-        return cls(z, np.isfinite(z))
+        return cls(z, seen)
 
 
 class Sensor(Protocol):
@@ -436,14 +438,16 @@ class GaussianMeasurement:
         Missing components are left out, with their rows and columns of R; all missing gives zeros.
         """
         z, seen = self.reading(z)
-        if not seen.any():
+        came = np.count_nonzero(seen)
+        if not came:
             return np.zeros(np.shape(X)[0])
         # a state where h is undefined gives NaN here, for the caller to judge
-        off = self.residual(z, self.predict(X, t))[:, seen]
+        off = self.residual(z, self.predict(X, t))
+        off = off if came == len(seen) else off[:, seen]
         if self._noise is not None:
             L = self._roots(X, t, seen)
             y = np.linalg.solve(L, off[:, :, None])[:, :, 0]
-            constant = -np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1) - seen.sum() * _HALF_LOG_2_PI
+            constant = -np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1) - came * _HALF_LOG_2_PI
         else:
             whiten, constant = self._factor(seen)
             y = off @ whiten
@@ -484,10 +488,15 @@ class GaussianMeasurement:
         assert self.noise_cov is not None
         key = seen.tobytes()
         if key not in self._factors:
-            L = np.linalg.cholesky(self.noise_cov[np.ix_(seen, seen)])
+            L = np.linalg.cholesky(block(self.noise_cov, seen))
             constant = -np.log(np.diag(L)).sum() - len(L) * _HALF_LOG_2_PI
             self._factors[key] = solve_triangular(L, np.eye(len(L)), lower=True).T, constant
         return self._factors[key]
+
+
+def block(matrix: Floats, seen: Bools) -> Floats:
+    """Rows and columns of a matrix (k, k) that belong to what came."""
+    return matrix if np.count_nonzero(seen) == len(seen) else matrix[np.ix_(seen, seen)]
 
 
 def wrapped(r: Floats, angles: Iterable[int]) -> Floats:

@@ -3,6 +3,7 @@
 dX = f(X, t) dt + g(X, t) dW with E[dW dWᵀ] = Q dt, hence D = g Q gᵀ / 2 (002 (1)–(5) with the errata).
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Literal, Self, TypeAlias
@@ -295,7 +296,10 @@ class SDE:
     def breaks(self, t0: float, t1: float) -> Floats:
         """Return the times in [t0, t1] at which the model jumps by itself, sorted: events, jumps of text."""
         own: list[float] = []
-        if self._flags.get("switches") or self._flags.get("tabled"):
+        switches = self._flags.get("switches") or self._flags.get("tabled")
+        if not switches and not self.events.size:
+            return self.events
+        if switches:
             own = roots(self._conditions, t0, t1, self.max_step)
         return np.unique([*self.events[(self.events >= t0) & (self.events <= t1)], *own])
 
@@ -407,7 +411,7 @@ class SDE:
         X = np.array(X, dtype=float, order="C", ndmin=2)
         if X.ndim != 2 or X.shape[1] != self.dim:
             raise ModelError(f"States have shape {np.shape(X)}, but the model needs (N, {self.dim}).")
-        out = np.empty((len(X), int(np.prod(shape))))
+        out = np.empty((len(X), math.prod(shape)))
         with surfacing():
             fill(X, float(t), self.p, out)
         return out.reshape(len(X), *shape)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ def degree_of(scheme: FamilyScheme, n: int) -> int:
     known = degrees(n)
     degree = scheme.degree or max((d for d in known if d <= HIGHEST), default=0)
     if degree not in known:
-        raise ConfigError(f"there is no family of degree {degree or 'any'} for {n} states, but of {known}")
+        raise ConfigError(f"there is no family of degree {degree or 'any'} for {n} states, but of {[*known]}")
     return degree
 
 
@@ -123,8 +124,9 @@ def carried(
     ), _info(model, report, error)
 
 
+@lru_cache(maxsize=64)
 def flow_of(model: SDE) -> Flow:
-    """The model as families are carried by it; it must outlive its use."""
+    """A model, which never changes, as families are carried by it; it must outlive its use."""
     n, drift = model.dim, address_of(model.drift_batch)
     slope = curvature = drift  # never called
     if model.state_dependent_noise:
@@ -172,15 +174,21 @@ def _info(model: SDE, report: Report, error: float) -> PredictInfo:
     code, status = Code.OK, "ok"
     if error > DOUBTFUL:
         code, status = Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)
-    skipped = ("particles: one polynomial is the logarithm of the density", *skip_notes(model, 0))
     return PredictInfo(
         n_steps=report.steps,
         n_rejected=report.rejected,
         n_evaluations=report.evaluations,
         residual=report.residual,
         error=error,
-        skipped=tuple(note for note in skipped if not note.startswith("diffusion velocity")),
+        skipped=_skipped(model),
         scheme="family",
         status=status,
         code=code,
     )
+
+
+@lru_cache(maxsize=64)
+def _skipped(model: SDE) -> tuple[str, ...]:
+    """Work that a family and the structure of a model save."""
+    notes = (note for note in skip_notes(model, 0) if not note.startswith("diffusion velocity"))
+    return "particles: one polynomial is the logarithm of the density", *notes

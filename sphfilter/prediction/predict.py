@@ -21,7 +21,7 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice, particle_bound, target_of
 from ..errors import LatticeError, ModelError, UnresolvedError
 from ..info import PredictInfo
-from ..model.asking import watched
+from ..model.asking import asked_before, tell_of
 from ..model.domain import Domain
 from ..model.sde import SDE
 from ..model.timing import beside
@@ -120,16 +120,18 @@ def predict(
         infos.append(info)
         return density
 
-    with watched():
-        for stop in model.breaks(start, end):
-            before, after = beside(stop, start, end)
-            if density.t < before:
-                density = carried(density, before)
-            density = density.noted(t=after)
-        if density.t < end:
-            density = carried(density, end)
+    known = asked_before()
+    for stop in model.breaks(start, end):
+        before, after = beside(stop, start, end)
+        if density.t < before:
+            density = carried(density, before)
+        density = density.noted(t=after)
+    if density.t < end:
+        density = carried(density, end)
     density = density if density.t == end else density.noted(t=end)
-    return density, replace(PredictInfo.joined(infos), seconds=perf_counter() - began)
+    took = perf_counter() - began
+    tell_of(known, took)
+    return density, PredictInfo.joined(infos).noted(seconds=took)
 
 
 def _to_target(

@@ -108,7 +108,7 @@ def _values(power, c, xi, out):
         for i in range(values.size):
             values[i] = 0.0
         for j in range(c.size):
-            _multiply(power[j], table, product)
+            _multiply(power[j], table, product[: values.size])
             for i in range(values.size):
                 values[i] += c[j] * product[i]
 
@@ -124,7 +124,7 @@ def averages(power, xi, mass, first, second):
         some, own = xi[start : start + _AT_ONCE], mass[start : start + _AT_ONCE]
         _tabulate(some, table)
         for j in range(M):
-            _multiply(power[j], table, product)
+            _multiply(power[j], table, product[: own.size])
             once, twice = _sums(own, product)
             first[j] += once
             second[j] += twice

@@ -45,15 +45,16 @@ def inverse(A, out):
 
 
 @jit
-def weigh(basis, T, w):
-    """Weights w (N,) of sum one for log-densities T (N,) at the nodes; returns the log of what they sum to.
+def weigh(log_w, n, T, w):
+    """Weights w (N,) of sum one for log-densities T (N,) at the nodes of n states, whose own are `log_w`.
+
+    Returns the log of what they sum to.
 
     That is the integral over the frame's coordinates: with log |det A| it is that over the states.
     """
-    N, n = basis.xi.shape
-    highest = -np.inf
+    N, highest = T.size, -np.inf
     for i in range(N):
-        w[i] = T[i] + basis.log_w[i]
+        w[i] = T[i] + log_w[i]
         highest = max(highest, w[i])
     total = 0.0
     for i in range(N):

@@ -133,7 +133,7 @@ def _follow(basis, y, least):
     for j in range(c.size):
         for i in range(N):
             T[i] += c[j] * basis.V[j, i]
-    weigh(basis, T, w)
+    weigh(basis.log_w, n, T, w)
     moments_of(basis.xi, w, b, C)
     off = moved(b, C)
     if not off < _ASTRAY:

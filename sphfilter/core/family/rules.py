@@ -25,12 +25,13 @@ def _found():
     return {tuple(map(int, name.split())): found for name, found in table.items()}
 
 
+@cache
 def degrees(n):
     """Degrees of the families of n states that have a rule, lowest first."""
     if n == 1:
-        return list(range(2, _HIGHEST + 1))
+        return tuple(range(2, _HIGHEST + 1))
     found = sorted(degree for states, degree in _found() if states == n)
-    return [2, *found] if found else []
+    return (2, *found) if found else ()
 
 
 @cache

@@ -78,7 +78,7 @@ def settled_round(basis, log_p, settled, mu, A, total, mean, cov, off):
     (K, n), w = mu.shape, np.empty(log_p.shape[1])
     back, root = np.empty((n, n)), np.empty((n, n))
     for k in range(K):
-        total[k] = weigh(basis, log_p[k], w) + inverse(A[k], back)
+        total[k] = weigh(basis.log_w, n, log_p[k], w) + inverse(A[k], back)
         moments_of(basis.xi, w, mean[k], cov[k])
         off[k] = moved(mean[k], cov[k])
         if off[k] < settled or not off[k] < np.inf:
