@@ -13,8 +13,8 @@ __all__ = ["AIMED", "FEWEST_POINTS", "MOST_POINTS", "Needs", "allowance", "bound
 #: Points of a cloud, least and most: powers of two, for which nets are evenest.
 FEWEST_POINTS, MOST_POINTS = 256, 2**17
 _TYPICAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it
-#: What is aimed at, over the target; and readings that ask for fewer points before there are fewer.
-_AIMED, _PATIENCE = 1.0 / 1.5, 4
+_PATIENCE = 4  # readings that ask for fewer points before there are fewer
+_MORE = 4.0  # times the points at most, after one reading
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
 AIMED = 0.25
@@ -52,7 +52,7 @@ class Needs(NamedTuple):
     def told(self, error: float, target: float) -> "Needs":
         """What the next cloud needs after an error: more points at once, fewer after several readings."""
         now = self.cloud(target)
-        wanted = now * min(max((error / (_AIMED * target)) ** (1.0 / ORDER), 1.0 / 8.0), 8.0)
+        wanted = now * min((error / target) ** (1.0 / ORDER), _MORE)
         points = _power_of_two(wanted / math.sqrt(2.0))  # rounded, not up
         if points >= now:
             return self._replace(points=points, calm=0)

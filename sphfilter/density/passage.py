@@ -29,7 +29,18 @@ from ..model.simulate import noise_root
 from .nets import net
 from .points import Passage, Path, Points, moments
 
-__all__ = ["Steps", "begun", "blocks_of", "even", "gone", "gone_again", "key_at", "passed", "steps_bias"]
+__all__ = [
+    "Steps",
+    "begun",
+    "begun_from",
+    "blocks_of",
+    "even",
+    "gone",
+    "gone_again",
+    "key_at",
+    "passed",
+    "steps_bias",
+]
 
 #: Effective part of points, below which they are drawn anew.
 _FEW = 0.5
@@ -66,6 +77,11 @@ def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
     noise = _same_everywhere(None, key, middle, middle, np.eye(n), spread * root)
     block = blocks_of(count)
     return Points(gone(noise, x, u, block, False), w, Path(x, block, (noise,), (u,)))
+
+
+def begun_from(x: Floats, w: Floats, key: int) -> Points:
+    """Weighted points x (N, n), w (N,) of any density, each with noise as wide as their distance."""
+    return _apart(ordered(Points(x, w), len(w), key), key)
 
 
 def passed(points: Points, model: SDE, t0: float, t1: float, steps: Steps, count: int, key: int) -> Points:

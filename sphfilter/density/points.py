@@ -69,10 +69,12 @@ class Told(NamedTuple):
     def after(self, mean: float, variance: float, log_evidence: float = math.nan) -> "Told":
         """With the squares of one more reading; those before count as long as a few readings."""
         pairs = zip(self, (mean, variance, log_evidence), strict=True)
-        # what is worse than before is believed at once
-        return Told(
-            *[max(new, _LASTS * old + (1.0 - _LASTS) * new) if old == old else new for old, new in pairs]
-        )
+        # what is much worse than before is believed at once, to half of it
+        return Told(*[new if old != old else max(0.25 * new, old + _NEW * (new - old)) for old, new in pairs])
+
+    def of(self, times: float) -> "Told":
+        """The same for so many times the points."""
+        return Told(*[square * times ** (-2.0 * ORDER) for square in self])
 
     @property
     def errors(self) -> "Told":
@@ -82,7 +84,7 @@ class Told(NamedTuple):
 
 #: Points of a cloud over those of its shadow; an error falls with their number to about this power.
 SHADOW, ORDER = 8, 0.6
-_LASTS = 0.6  # of a squared difference, that the next reading leaves
+_NEW = 0.4  # weight of the last squared difference among all
 
 
 class Pace(NamedTuple):
@@ -100,6 +102,7 @@ class CloudState(NamedTuple):
     shadow: Points
     told: Told = Told()
     pace: Pace = Pace()
+    size: int = 0  # points that the errors told are of; after a reading there are twice as many
 
 
 def moments(x: Floats, w: Floats) -> tuple[Floats, Floats]:

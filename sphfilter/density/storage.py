@@ -113,6 +113,7 @@ def models_of(density: ParticleDensity) -> tuple[SDE, ...]:
 def _stored_cloud(state: CloudState) -> Arrays:
     """A cloud as arrays by name; of a path what begins it, and the spans and steps of its predictions."""
     arrays = {"told": np.array(state.told), "pace": np.array([*map(float, state.pace)])}
+    arrays["size"] = np.array(state.size)
     for name, points in (("points", state.points), ("shadow", state.shadow)):
         arrays |= under(name, {"x": points.x, "w": points.w})
         if points.family is not None:
@@ -133,8 +134,9 @@ def _stored_cloud(state: CloudState) -> Arrays:
 def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) -> ParticleDensity:
     """The cloud of arrays that `_stored_cloud` made."""
     step, waits, stiff = arrays["pace"]
+    pace, size = Pace(float(step), int(waits), bool(stiff)), arrays["size"].item()
     both = [_points_from(part(name, arrays), models) for name in ("points", "shadow")]
-    state = CloudState(*both, Told(*arrays["told"].tolist()), Pace(float(step), int(waits), bool(stiff)))
+    state = CloudState(*both, Told(*arrays["told"].tolist()), pace, size)
     del about["read_out"], about["kernel"]
     return cloud_of(ParticleDensity(x=both[0].x[:1], mass=np.ones(1), h=np.ones(1), **about), state, **about)
 

@@ -10,7 +10,7 @@ from ..core.cloud.weights import effective
 from ..density.as_cloud import cloud_of
 from ..density.particle_density import ParticleDensity
 from ..density.passage import key_at
-from ..density.points import CloudState, Points
+from ..density.points import Points
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.cloud import apart, as_points
@@ -49,7 +49,7 @@ def by_cloud(
     least = 1.0 / math.sqrt(points) if points < _FEW else 0.0
     error = max(errors.mean, least)
     known = {"capacity": n_particles, "error": error, "lost": density.lost}
-    new = cloud_of(density, CloudState(found.points, shadow, told, state.pace), **known)
+    new = cloud_of(density, state._replace(points=found.points, shadow=shadow, told=told), **known)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
     code, doubt = Code.CLOUD, 2.0 * errors.variance
     if doubt > _WRONG and error < DOUBTFUL:  # which is said of the mean already

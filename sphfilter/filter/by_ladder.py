@@ -41,17 +41,21 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     Where a lattice had to be taken, the posterior comes down to one family again if that holds it.
     """
     needs = density.needs or Needs()
+    walled = density.domain is not None and density.domain.walled.any()
+    by_cloud = density.field is None and not walled and prefers_cloud(density.dim, needs, target)
+    if density.read_out == "cloud":
+        return _on_cloud(density, asked, target, config, needs)
     found = _on_families(density, asked, target, needs) or _on_family(density, asked, target, needs)
-    if density.families is None and (found is None or found[1]["error"] > target):
+    missed = found is None or found[1]["error"] > target
+    if missed and not by_cloud and density.families is None:
         found = _on_pieces(density, asked, target, needs) or found
     if found is not None:
         return found
-    by_cloud = density.field is None and prefers_cloud(density.dim, needs, target)
-    by = _on_cloud if density.read_out == "cloud" or by_cloud else _on_lattice
-    (new, said), needs = by(density, asked, target, config, needs)
+    if by_cloud:
+        return _on_cloud(density, asked, target, config, needs)
+    (new, said), needs = _on_lattice(density, asked, target, config, needs)
     new = new.noted(needs=needs)
-    laid = new.read_out != "cloud"  # else a prediction tells whether a family does
-    if laid and needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
+    if needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
         one = settled(new, first_degree(new.dim, needs), allowance(new.error, target))
         new, needs = (new, needs.refused()) if one is None else (one, needs)
     return new.noted(needs=needs), _told(said | {"error": new.error}, target)
@@ -105,11 +109,11 @@ def _on_pieces(density: ParticleDensity, asked: Asked, target: float, needs: Nee
 
 def _on_cloud(
     density: ParticleDensity, asked: Asked, target: float, config: FilterConfig, needs: Needs
-) -> tuple[Posterior, Needs]:
+) -> Posterior:
     """The posterior as a cloud; of how many points the next one has, its error tells."""
     scheme = CloudScheme(n_points=needs.cloud(target))
     new, said = by_cloud(density, asked, 0, replace(config, scheme=scheme))
-    return (new, said), needs.told(new.error, target)
+    return new.noted(needs=needs.told(new.error, target)), _told(said, target)
 
 
 def _on_lattice(

@@ -9,7 +9,7 @@ from ..density.as_cloud import cloud_of
 from ..density.as_family import unrolled
 from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
-from ..density.passage import Steps, begun, key_at, passed, steps_bias
+from ..density.passage import Steps, begun, begun_from, key_at, passed, steps_bias
 from ..density.points import SHADOW, CloudState, Pace, Path, Points, moments
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
@@ -80,9 +80,10 @@ def propagate(
             raise PropagationError(_blow_up(model, moved, t0, t1))
         ends.append(moved)
     told = apart(*ends, density.domain)
-    now = state.told.after(*told)
+    before = state.told.of(count / state.size) if state.size else state.told
+    now = before.after(*told)
     error = math.hypot(now.errors.mean, _BEYOND * bias)
-    state = CloudState(ends[0], ends[1], state.told, pace)
+    state = CloudState(ends[0], ends[1], before, pace, count)
     capacity = density.capacity if n_particles is None else n_particles
     new = cloud_of(density, state, t=float(t1), capacity=capacity, error=error)
     return new, _info(model, count, steps.number, lost, error)
@@ -100,8 +101,8 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         mean, cov = unrolled(density)
         starts = [begun(mean, cov, n, key_at(density.t, k)) for k, n in enumerate((count, _fewer(count)))]
         return CloudState(*starts)
-    keys = (key_at(density.t, k) for k in (0, 1))
-    return CloudState(*[Points(*points_of(density, n, k)) for n, k in zip((count, _fewer(count)), keys, strict=True)])
+    sizes = ((count, key_at(density.t, 0)), (_fewer(count), key_at(density.t, 1)))
+    return CloudState(*[begun_from(*points_of(density, n, key), key) for n, key in sizes])
 
 
 def _fewer(count: int) -> int:

@@ -14,7 +14,6 @@ import numpy as np
 
 from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
-from ..density.as_cloud import thinned
 from ..density.as_family import family_density, settled, unrolled
 from ..density.family import gaussian_family
 from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
@@ -27,16 +26,16 @@ from ..model.sde import SDE
 from . import automatic, cloud, families, family, pieces
 from .to_target import Time, carried_to_target
 
-__all__ = ["best_family", "first_degree", "prefers_cloud", "propagate"]
+__all__ = ["best_family", "cloud_is_cheaper", "first_degree", "prefers_cloud", "propagate"]
 
 Found = TypeVar("Found")
 
-#: States up to which a lattice is cheaper than a cloud, and up to which it comes where clouds are too small.
-_LATTICE, _LATTICE_IF = 2, 4
-_NEARLY = 2.0  # times the points that a cloud may have: with as many less it is taken nevertheless
+#: Points of a cloud that take as long as a lattice that makes the same error, by states; a lattice of more
+#: states never pays. And points that take as long as one family. (`python -m experiments prices` measures.)
+_AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**14}, {5: 2**13, 6: 2**13}
+_LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _TOLERANCE = 0.1  # of a step of a family, over the target
-_FEW, _CHANCE = (2000, 20_000), 2.0  # points of a cloud that tell whether a family will do; what is chance
 _WORK = 1000.0  # evaluations of the drift, that a lattice may take for each point of a usual cloud
 _NODES = 30.0  # that families ask a model at, over a cloud's points that cost as much
 _FINER = 3  # times the nodes of a first lattice that loses probability
@@ -51,8 +50,13 @@ def first_degree(dim: int, needs: Needs) -> int:
 
 
 def prefers_cloud(dim: int, needs: Needs, target: float) -> bool:
-    """Whether a cloud comes after families, and not a lattice."""
-    return dim > _LATTICE or needs.cloud(target) < MOST_POINTS
+    """Whether a cloud comes after one family, and not a lattice."""
+    return needs.cloud(target) <= _AS_LATTICES.get(dim, MOST_POINTS)
+
+
+def cloud_is_cheaper(dim: int, needs: Needs, target: float) -> bool:
+    """Whether a cloud costs less than one family."""
+    return needs.cloud(target) < _AS_FAMILIES.get(dim, 0)
 
 
 def _in_parts(density: ParticleDensity) -> bool:
@@ -131,6 +135,9 @@ def propagate(
     needs = density.needs or Needs()
     if density.gaussian and model.linear and model.domain.unbounded:
         return _closed_form(density, model, t1, needs)
+    by_cloud = not model.domain.walled.any() and prefers_cloud(density.dim, needs, target)
+    if density.read_out == "cloud":
+        return _by_cloud(density, model, t1, target, needs)
     if density.pieces is not None or density.families is not None:
         if density.pieces is None:
             found = _by_families(density, model, t1, target, needs, families.LEVELS)
@@ -140,14 +147,12 @@ def propagate(
             return found
     elif needs.waits > 0:
         needs = needs.waited()
-    elif density.read_out == "cloud" or not family.fits(model, density):
-        by = _settled if density.read_out == "cloud" else _by_family
-        found = by(density, model, t1, target, needs)
+    elif not family.fits(model, density) and not (by_cloud and cloud_is_cheaper(density.dim, needs, target)):
+        found = _by_family(density, model, t1, target, needs, not by_cloud)
         if found is not None:
             return found
         needs = needs.refused()
-    by_cloud = model.domain.unbounded and prefers_cloud(density.dim, needs, target)
-    if density.read_out == "cloud" or by_cloud:
+    if by_cloud:
         return _by_cloud(density, model, t1, target, needs)
     return _by_lattice(density, model, t1, target, needs, time)
 
@@ -165,9 +170,9 @@ def _closed_form(
 
 
 def _by_family(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs, in_parts: bool
 ) -> tuple[ParticleDensity, PredictInfo] | None:
-    """Carry one family, of as high a degree as the error asks for; None where none will do."""
+    """Carry one family, of as high a degree as the error asks for, or parts of it; None where none do."""
 
     def carried(degree: int, most: float) -> tuple[tuple[ParticleDensity, PredictInfo], float]:
         scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE * target)
@@ -175,7 +180,8 @@ def _by_family(
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
 
     best = best_family(density, target, needs, first_degree(density.dim, needs), carried)
-    if (best is None or best[2] > 1.0) and _in_parts(density) and families.bent(density, model, t1):
+    bent = in_parts and (best is None or best[2] > 1.0) and _in_parts(density)
+    if bent and families.bent(density, model, t1):
         levels = families.LEVELS if best is None else 1
         found = _by_families(density, model, t1, target, needs, levels)
         if found is not None and (best is None or found[1].error < best[0][1].error):
@@ -190,7 +196,7 @@ def _by_families(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs, levels: int
 ) -> tuple[ParticleDensity, PredictInfo] | None:
     """Carry a few families, or one in parts; None where a cloud would be cheaper."""
-    most = _NODES * min(needs.cloud(target), MOST_POINTS)
+    most = _NODES * needs.cloud(target)
     try:
         allowed = allowance(density.error, target)
         moved, info = families.carried(density, model, t1, allowed, most, levels)
@@ -200,19 +206,6 @@ def _by_families(
         return None
     degree = max(d for d in degrees(density.dim) if d <= family.HIGHEST)
     return moved.noted(needs=needs.followed(degree)), info
-
-
-def _settled(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
-) -> tuple[ParticleDensity, PredictInfo] | None:
-    """Carry a cloud as one family; None where none will do, which a part of the points tells already."""
-    degree, most = first_degree(density.dim, needs), allowance(density.error, target)
-    for count in _FEW:
-        few = thinned(density, count)
-        if few is not density and settled(few, degree, math.hypot(most, _CHANCE / math.sqrt(count))) is None:
-            return None
-    one = settled(density, degree, most)
-    return None if one is None else _by_family(one, model, t1, target, needs)
 
 
 def _by_pieces(
@@ -244,7 +237,7 @@ def _by_lattice(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
     allowed = time.for_lattices(density, target)
-    work = _WORK * min(Needs().cloud(target), MOST_POINTS) if allowed else math.inf
+    work = _WORK * needs.cloud(target) if allowed else math.inf
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         laid = on_lattice(density, nodes)

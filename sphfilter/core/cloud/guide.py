@@ -1,7 +1,7 @@
 """A reading before its time: ancestors chosen, and their noise led, as the linearised flow says.
 
 Letters: y (N, n) ends of the first pass, u (N, n) what moved them, r (N, k) residuals z - h(y - L u) of
-points without their noise, HL (blocks, k, n), R the covariance of the reading, larger by what linearity misses.
+points without their noise, HL (blocks, k, n), R the covariance of the reading, with what linearity misses.
 """
 
 import math

@@ -311,6 +311,6 @@ def between_noise(leg, x, Z, odd, work):
 
 _WALKS = LEG, MATRIX, _CUBE, types.boolean, _CUBE
 #: Move points x (K, n) over a leg; the last argument (5, K, n) is scratch. Z (3, steps m, K or more) holds
-#: for each step and noise its increment over √h, its area over √(h/12), both with a normal's moments, and a sign.
+#: for each step and noise its increment over √h and its area over √(h/12), like normals, and a sign.
 BESIDE, BETWEEN = (Entry(function, _WALKS, types.void) for function in (beside_noise, between_noise))
 walk_at = BESIDE.at
