@@ -4,13 +4,19 @@ Both passes are weighted together: each point by its likelihood over the mixture
 drawn from, so that the guide, whatever it is worth, never makes a posterior worse than none.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._types import Bools, Floats, Ints
-from ..core.cloud.guide import look_ahead, missed, without_noise
+from ..core.cloud.guide import (
+    along_rows,
+    look_ahead,
+    missed,
+    spread,
+    weigh_together,
+    without_noise,
+)
 from ..core.cloud.linearise import lower_and_rows
 from ..core.cloud.noise import even_normals, mixed, uniform
 from ..core.cloud.weights import effective, normalise
@@ -28,7 +34,6 @@ _EVEN = 0.9
 _WIDER = 1.5
 #: Variance of a point's own rest about the mean of four neighbours', over that of one.
 _OWN = 1.0 + 1.0 / 4.0
-_FARTHEST = 300.0  # nats, of a ratio of densities
 
 
 class Weighed(NamedTuple):
@@ -93,7 +98,7 @@ def _twice(
     x, w, (x0, block, passages, U) = points.x, points.w, points.path
     (count, n), key = x.shape, np.uint64(mixed(np.uint64(key), np.uint64(11)))
     flow, lower, rows, start, end = _joined(passages)
-    u = U[0] if rows is None else _along_rows(rows, block, U)
+    u = U[0] if rows is None else along_rows(rows, block, np.concatenate(U, axis=1))
     H = sensor.jacobian(end)
     HL, HPhi = np.ascontiguousarray(H @ lower), np.ascontiguousarray(H @ flow)
     bare = without_noise(x, x0, u, lower, flow, block)
@@ -105,15 +110,12 @@ def _twice(
     if not len(ancestor):
         return None
     y, block = x0[ancestor], block[ancestor]
-    V = [u] if rows is None else _spread(rows, block, u, len(passages), key)
+    V = [u] if rows is None else _led(rows, block, u, len(passages), key)
     for passage, own in zip(passages, V, strict=True):
         y = gone(passage, y, own, block, True)
     log_l = np.concatenate([log_l, _log_likelihood(y, readings, domain)])
-    base = np.concatenate([0.5 * w, np.full(count, 0.5 / count)])
-    half = math.log(0.5)
-    log_w = np.log(base) + log_l - np.logaddexp(half + np.clip(log_ratio, -_FARTHEST, _FARTHEST), half)
     b = np.empty(2 * count)
-    log_evidence = normalise(np.where(np.isfinite(log_w), log_w, -np.inf), b)
+    log_evidence = weigh_together(log_l, log_ratio, w, b)
     return np.concatenate([x, y]), b, log_evidence, np.concatenate([np.arange(count), ancestor])
 
 
@@ -131,20 +133,13 @@ def _joined(passages: Any) -> tuple[Floats, Floats, Floats | None, Floats, Float
     return np.ascontiguousarray(flow), lower, rows, passages[0].start, passages[-1].end
 
 
-def _along_rows(rows: Floats, block: Any, U: tuple[Floats, ...]) -> Floats:
-    """What moves the end of each point (N, n), of all that moves it."""
-    return np.einsum("ijk,ik->ij", rows[block], np.concatenate(U, axis=1))
-
-
-def _spread(rows: Floats, block: Any, u: Floats, parts: int, key: Any) -> list[Floats]:
+def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: int) -> list[Floats]:
     """What moves the points in each passage, (N, n) each, such that together it moves their ends by u."""
     count, n = u.shape
-    fresh = np.concatenate(
-        [even(count, n, int(mixed(key, np.uint64(20 + k))) >> 1) for k in range(parts)], axis=1
-    )
-    V = rows[block]
-    fresh += np.einsum("ijk,ij->ik", V, u - np.einsum("ijk,ik->ij", V, fresh))
-    return [np.ascontiguousarray(fresh[:, k * n : (k + 1) * n]) for k in range(parts)]
+    fresh = [even(count, n, int(mixed(np.uint64(key), np.uint64(20 + k))) >> 1) for k in range(parts)]
+    U = np.concatenate(fresh, axis=1)
+    spread(rows, block, u, U)
+    return [np.ascontiguousarray(U[:, k * n : (k + 1) * n]) for k in range(parts)]
 
 
 class _Stacked(NamedTuple):

@@ -12,10 +12,11 @@ from .._jit import jit
 from ..small_matrices import cholesky, whiten
 from .weights import systematic
 
-__all__ = ["look_ahead", "missed", "without_noise"]
+__all__ = ["along_rows", "look_ahead", "missed", "spread", "weigh_together", "without_noise"]
 
 #: Neighbours to either side, that tell what the flow is without noise.
 _NEAR = 2
+_FARTHEST = 300.0  # nats, of a ratio of densities
 _LOG_2_PI = math.log(2.0 * math.pi)
 
 
@@ -50,6 +51,62 @@ def without_noise(y, x, u, L, Phi, block):
                 s += Phi[b, a, e] * x[i, e]
             out[i, a] = s
     return out
+
+
+@jit
+def along_rows(V, block, U):
+    """What moves the end of each point, V u (N, n), of all that moves it, U (N, d)."""
+    N, d = U.shape
+    n = V.shape[1]
+    out = np.empty((N, n))
+    for i in range(N):
+        b = block[i]
+        for a in range(n):
+            s = 0.0
+            for k in range(d):
+                s += V[b, a, k] * U[i, k]
+            out[i, a] = s
+    return out
+
+
+@jit
+def spread(V, block, u, U):
+    """Change what moves each point, U (N, d), in place, by as little as makes it u (N, n) for the end."""
+    N, d = U.shape
+    n = V.shape[1]
+    for i in range(N):
+        b = block[i]
+        for a in range(n):
+            s = u[i, a]
+            for k in range(d):
+                s -= V[b, a, k] * U[i, k]
+            for k in range(d):
+                U[i, k] += V[b, a, k] * s
+
+
+@jit
+def weigh_together(log_l, log_ratio, w, b):
+    """Fill weights b (N + count,) of both passes, and return the log-evidence, -inf without any.
+
+    The density of what either may have drawn is half the prior's and half the guide's: log-likelihoods log_l
+    and ratios log_ratio of the guide's density over the prior's, (N + count,); weights w (N,) of the first.
+    """
+    N, top, total = w.size, -np.inf, 0.0
+    for j in range(b.size):
+        base = w[j] if j < N else 1.0 / (b.size - N)
+        ratio = math.exp(min(max(log_ratio[j], -_FARTHEST), _FARTHEST))
+        b[j] = -np.inf
+        if base > 0.0 and math.isfinite(log_l[j]):
+            b[j] = log_l[j] + math.log(base / (1.0 + ratio))
+            top = max(top, b[j])
+    if top == -np.inf:
+        return top
+    for j in range(b.size):
+        b[j] = math.exp(b[j] - top)
+        total += b[j]
+    for j in range(b.size):
+        b[j] /= total
+    return top + math.log(total)
 
 
 @jit
