@@ -13,17 +13,15 @@ __all__ = ["cloud_density", "cloud_of", "thinned"]
 
 def cloud_density(density: ParticleDensity, x: Floats, mass: Floats, **changes: Any) -> ParticleDensity:
     """A density whose place in the record is that of another, as a cloud of points x (N, n), weights (N,)."""
-    heavy = mass > 0.0
-    if not heavy.all():
-        x, mass = x[heavy], mass[heavy]
+    if not mass.min() > 0.0:
+        x, mass = x[mass > 0.0], mass[mass > 0.0]
     mass = mass / mass.sum()
-    x = x.view()
-    x.flags.writeable = False  # as it will be: what sums it is compiled for either kind
     summed = moments(x, mass)
     names = ("t", "represented_mass", "capacity", "domain", "error", "lost")
     about = {name: getattr(density, name) for name in names} | changes
     h = smoothing_length(mass, summed[1])
-    new = ParticleDensity(x=x, mass=mass, h=h, kernel=KERNEL, read_out="cloud", **about)
+    parts: dict[str, Any] = {"x": x.view(), "mass": mass, "h": h, "kernel": KERNEL, "read_out": "cloud"}
+    new = ParticleDensity.of_new(**parts, **about)
     shape: Any = new.form.shape if isinstance(new.form, Folded) else new.form
     assert isinstance(shape, Cloud)
     vars(shape)["summed"] = summed  # else it would be summed again

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._types import Floats
+from .._types import Floats, Ints
 from ..core._addresses import address_of
 from ..core.cloud.curve import along_curve, places
 from ..core.cloud.linearise import (
@@ -27,7 +27,7 @@ from ..model.discretization import linear_transition
 from ..model.sde import SDE
 from ..model.simulate import noise_root
 from .nets import net
-from .points import Passage, Path, Points, moments
+from .points import Passage, Path, Points
 
 __all__ = [
     "Steps",
@@ -242,11 +242,6 @@ def blocks_of(count: int) -> Floats:
     return np.arange(count) // block_size(count)
 
 
-def _along(x: Floats, w: Floats) -> Floats:
+def _along(x: Floats, w: Floats) -> Ints:
     """Numbers of points (N, n) in an order in which neighbours follow each other."""
-    mean, cov = moments(x, w)
-    try:
-        white = np.linalg.inv(np.linalg.cholesky(cov))
-    except np.linalg.LinAlgError:  # flat along some combination of the states
-        white = np.diag(1.0 / np.sqrt(np.maximum(np.diag(cov), 1e-300)))
-    return along_curve(x, mean, white, *places(x.shape[1]))
+    return along_curve(x, w, *places(x.shape[1]))

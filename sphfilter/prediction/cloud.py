@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from ..config import CloudScheme
+from ..core.cloud.weights import compared
 from ..density.as_cloud import cloud_of
 from ..density.as_family import unrolled
 from ..density.cloud import points_of
@@ -116,17 +117,10 @@ def apart(points: Points, shadow: Points, domain: Domain | None) -> tuple[float,
     is off by n + 1 times as much (in squares): both are pooled, by how many numbers they are.
     """
     (mean, cov), (other, own) = moments(points.x, points.w), moments(shadow.x, shadow.w)
-    scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
-    off = other - mean
     if domain is not None and domain.periodic.any():
-        off = domain.nearest((domain.mean(shadow.x, shadow.w) - domain.mean(points.x, points.w))[None])[0]
-    off = off / scale
-    try:
-        root = np.linalg.inv(np.linalg.cholesky(cov / np.outer(scale, scale)))
-    except np.linalg.LinAlgError:  # flat along some combination of the states
-        root = np.eye(len(mean))
-    wider, n = root @ ((own - cov) / np.outer(scale, scale)) @ root.T, len(mean)
-    first, second = float(np.mean((root @ off) ** 2)), float(np.sum(wider**2)) / n
+        off = domain.mean(shadow.x, shadow.w) - domain.mean(points.x, points.w)
+        other = mean + domain.nearest(off[None])[0]
+    (first, second), n = compared(mean, cov, other, own), len(mean)
     return (2.0 * first + second) / (n + 3.0), second
 
 

@@ -1,10 +1,13 @@
 """Points in the order of Hilbert's curve, where neighbours lie close together; and points spread evenly."""
 
+import math
 from functools import cache
 
 import numpy as np
 
 from .._jit import jit
+from ..small_matrices import cholesky, invert_lower
+from .weights import weighted_moments
 
 __all__ = ["along_curve", "fill_places", "places", "spread"]
 
@@ -40,22 +43,30 @@ def spread(step, shift, order, out):
 
 
 @jit
-def along_curve(x, mean, white, table, bits):
-    """Numbers (N,) of points x (N, n) in their order on the curve, in coordinates white (x - mean).
+def along_curve(x, w, table, bits):
+    """Numbers (N,) of points x (N, n) of weights w (N,) in their order on the curve, in whitened coordinates.
 
     A counting sort, byte by byte: points of one cell stay in the order in which they came.
     """
     N, n = x.shape
-    top = 1 << bits
+    top, mean, cov, L = 1 << bits, np.empty(n), np.empty((n, n)), np.empty((n, n))
+    weighted_moments(x, w, mean, cov)
+    for a in range(n):  # a state without spread, or none that is a number, has one cell
+        cov[a, a] = cov[a, a] if 1e-300 < cov[a, a] < np.inf else 1.0
+    if not cholesky(cov, L):
+        for a in range(n):
+            for b in range(n):
+                L[a, b] = math.sqrt(cov[a, a]) if a == b else 0.0
+    white = invert_lower(L)
     scale = 0.5 * top / _REACH
     place, order, other = np.empty(N, np.uint32), np.empty(N, np.int64), np.empty(N, np.int64)
     for i in range(N):
         cell = 0
         for a in range(n):
             z = 0.5 * top
-            for b in range(n):
+            for b in range(a + 1):
                 z += scale * white[a, b] * (x[i, b] - mean[b])
-            cell = cell * top + int(min(max(z, 0.0), top - 1.0))
+            cell = cell * top + (int(min(max(z, 0.0), top - 1.0)) if z == z else 0)
         place[i], order[i] = table[cell], i
     shift = 0
     while shift < bits * n:

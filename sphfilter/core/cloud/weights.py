@@ -4,8 +4,9 @@ import numpy as np
 from numba import njit
 
 from .._jit import jit
+from ..small_matrices import cholesky, whiten
 
-__all__ = ["effective", "normalise", "systematic", "weighted_moments"]
+__all__ = ["compared", "effective", "normalise", "systematic", "weighted_moments"]
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
@@ -26,6 +27,33 @@ def weighted_moments(X, w, mean, cov):
             for i in range(N):
                 s += w[i] * (X[i, a] - mean[a]) * (X[i, b] - mean[b])
             cov[a, b] = cov[b, a] = s
+
+
+@jit
+def compared(mean, cov, other, own):
+    """Squared errors that two clouds show of a mean (n,) and a covariance (n, n), in units of the first's.
+
+    Of the mean on average over the states, in standard deviations; of the covariance relative, over n.
+    """
+    n = mean.size
+    L, off, wider = np.empty((n, n)), np.empty(n), np.empty((n, n))
+    if not cholesky(cov, L):
+        return np.nan, np.nan
+    for a in range(n):
+        off[a] = other[a] - mean[a]
+        for b in range(n):
+            wider[b, a] = own[a, b] - cov[a, b]
+    whiten(L, off)
+    for a in range(n):
+        whiten(L, wider[a])
+    wider = wider.T.copy()
+    first = second = 0.0
+    for a in range(n):
+        whiten(L, wider[a])
+        first += off[a] * off[a] / n
+        for b in range(n):
+            second += wider[a, b] * wider[a, b] / n
+    return first, second
 
 
 @jit
