@@ -190,5 +190,7 @@ def look_ahead(r, u, w, block, HL, R, z, cut):
                 own[c] = r[i, c]
                 for e in range(n):
                     own[c] -= HL[b, c, e] * (u[i, e] if j < N else new[j - N, e])
-            log_ratio[j] = _log_density(own, G[b], v) - top - math.log(total)
+            s = _log_density(own, G[b], v) - top - math.log(total)
+            if math.isfinite(s):  # else it was never proposed: h has no value where the guide looked
+                log_ratio[j] = s
     return ancestor, new, log_ratio
