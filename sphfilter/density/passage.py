@@ -31,6 +31,7 @@ from .points import Passage, Path, Points
 
 __all__ = [
     "Steps",
+    "along",
     "begun",
     "begun_from",
     "blocks_of",
@@ -71,7 +72,7 @@ def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
     root = noise_root(cov) if np.linalg.det(cov) <= 0.0 else np.linalg.cholesky(cov)
     x = mean + np.sqrt(1.0 - spread**2) * np.einsum("ij,kj->ik", net(count, n), root)
     w = np.full(count, 1.0 / count)
-    x = np.ascontiguousarray(x[_along(x, w)])
+    x = np.ascontiguousarray(x[along(x, w)])
     key = _own_key(key)
     u, middle = even(count, n, key), centres(x)
     noise = _same_everywhere(None, key, middle, middle, np.eye(n), spread * root)
@@ -119,7 +120,7 @@ def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:
 
 def ordered(points: Points, count: int, key: int) -> Points:
     """The points in order along a curve, drawn anew where too few of them weigh anything."""
-    order = _along(points.x, points.w)
+    order = along(points.x, points.w)
     w, family = points.w[order], order if points.family is None else points.family[order]
     if len(w) != count or effective(w) < _FEW * count:
         taken = systematically(w, count, key)
@@ -193,7 +194,7 @@ def steps_bias(points: Points, model: SDE, span: tuple[float, float], steps: Ste
     of groups of neighbours: what steps do to one branch of a density is judged by the width of that branch.
     """
     x = np.ascontiguousarray(points.x[np.sort(systematic(points.w, _PILOTS, 0.5))])
-    x = np.ascontiguousarray(x[_along(x, np.full(len(x), 1.0 / len(x)))])
+    x = np.ascontiguousarray(x[along(x, np.full(len(x), 1.0 / len(x)))])
     number, stiff = steps
     leg, half = leg_of(model, *span, number, stiff), leg_of(model, *span, 2 * number, stiff)
     with surfacing():
@@ -242,6 +243,6 @@ def blocks_of(count: int) -> Floats:
     return np.arange(count) // block_size(count)
 
 
-def _along(x: Floats, w: Floats) -> Ints:
+def along(x: Floats, w: Floats) -> Ints:
     """Numbers of points (N, n) in an order in which neighbours follow each other."""
     return along_curve(x, w, *places(x.shape[1]))

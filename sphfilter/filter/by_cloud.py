@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from ..config import CloudScheme, FilterConfig
-from ..core.cloud.weights import effective
 from ..density.as_cloud import cloud_of
 from ..density.particle_density import ParticleDensity
 from ..density.passage import key_at
@@ -19,7 +18,7 @@ from .guided import weighed
 
 __all__ = ["by_cloud"]
 
-_FEW = 50.0  # effective points, below which a shadow that sees the same few cannot tell the error
+_FEW = 50.0  # independent points, below which a shadow that sees the same few cannot tell the error
 _WRONG = 0.2  # of a variance, from which it is said
 _READING = 2  # of a key: the draws of a reading
 
@@ -45,9 +44,8 @@ def by_cloud(
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
-    points, errors = effective(found.points.w), told.errors
-    least = 1.0 / math.sqrt(points) if points < _FEW else 0.0
-    error = max(errors.mean, least)
+    errors = told.errors
+    error = max(errors.mean, _least(found.effective))
     known = {"capacity": n_particles, "error": error, "lost": density.lost}
     new = cloud_of(density, state._replace(points=found.points, shadow=shadow, told=told), **known)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
@@ -59,11 +57,16 @@ def by_cloud(
         "log_evidence": found.log_evidence,
         "reason": asked.outlying,
         "error": error,
-        "evidence_error": max(errors.log_evidence, least),
+        "evidence_error": max(errors.log_evidence, _least(found.families)),
         "status": f"{status}; {why}" if why else status,
         "code": code,
         "scheme": "cloud",
     }
+
+
+def _least(number: float) -> float:
+    """Error of an average of so many independent points, where they are few."""
+    return 1.0 / math.sqrt(number) if number < _FEW else 0.0
 
 
 def _part_of(points: Points, count: int) -> Points:

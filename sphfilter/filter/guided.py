@@ -4,27 +4,23 @@ Both passes are weighted together: each point by its likelihood over the mixture
 drawn from, so that the guide, whatever it is worth, never makes a posterior worse than none.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._types import Bools, Floats, Ints
-from ..core.cloud.guide import (
-    along_rows,
-    look_ahead,
-    missed,
-    spread,
-    weigh_together,
-    without_noise,
-)
-from ..core.cloud.linearise import lower_and_rows
+from .._types import Floats, Ints, OfStates
+from ..core.cloud.guide import along_rows, look_ahead, missed, spread, without_noise
 from ..core.cloud.noise import even_normals, mixed, uniform
-from ..core.cloud.weights import effective, normalise
+from ..core.cloud.weights import effective
+from ..density.carriers import Carried
 from ..density.nets import net
 from ..density.passage import even, gone
 from ..density.points import Points, Prior
 from ..model.domain import Domain
-from ..model.measurements import has_gaussian_noise, is_gaussian
+from .bridged import bridged
+from .stacked import Stacked, joined
+from .tempered import tempered
 
 __all__ = ["Weighed", "weighed"]
 
@@ -34,14 +30,26 @@ _EVEN = 0.9
 _WIDER = 1.5
 #: Variance of a point's own rest about the mean of four neighbours', over that of one.
 _OWN = 1.0 + 1.0 / 4.0
+#: Part of points below which carriers are few: the way piece by piece, at six times the cost, divides errors
+#: by five; what points lose of their carriers along it; the part below which tempering, at twenty, is tried.
+_FEW, _LOST, _FEWER = 0.25, 2.0, 1.0 / 16.0
+#: Independent points enough for an error of .14; times the carriers of one way, by which another is better.
+_ENOUGH, _FAR_MORE = 50.0, 2.0
+_NEXT_TO_NONE = 16.0  # the evidence's error is a quarter of a nat, and weights' own number is believed
+_FARTHEST = 300.0  # nats, of a ratio of densities
 
 
 class Weighed(NamedTuple):
-    """A posterior as points, its log-evidence, and whether it took a second pass."""
+    """A posterior as points, its log-evidence, and how many independent points each of them is an average of.
+
+    Copies of a point count once. Where they are few, the error of a mean is about 1/√effective standard
+    deviations, and that of the log-evidence 1/√families, whatever clouds agree on.
+    """
 
     points: Points
     log_evidence: float
-    guided: bool
+    effective: float  # 0 where no point can have been read: the points are the prior's
+    families: float
 
 
 def weighed(points: Points, readings: tuple[Any, ...], key: int, domain: Domain | None = None) -> Weighed:
@@ -64,40 +72,65 @@ def weighed(points: Points, readings: tuple[Any, ...], key: int, domain: Domain 
     if points.prior is not None:
         points, earlier, before = points.prior
         readings = (*earlier, *readings)
-    x, w, path = points.x, points.w, points.path
-    log_l, b = _log_likelihood(x, readings, domain), np.empty(len(w))
-    log_evidence = normalise(np.log(w) + log_l, b)
-    found = None
-    if path is not None and effective(b) < _EVEN * effective(w):
-        found = _twice(points, log_l, readings, key, domain)
-    family = np.arange(len(w))
-    if found is not None:
-        x, b, log_evidence, family = found
-    heavy = b > 0.0
-    if not heavy.all():
-        x, b, family = x[heavy], b[heavy], family[heavy]
-    after = Points(x, b, None, Prior(points, readings, log_evidence), family)
-    return Weighed(after, log_evidence - before, found is not None)
+
+    def log_likelihood(x: Floats) -> Floats:
+        fine, log_l = np.isfinite(x).all(axis=1), np.full(len(x), -np.inf)
+        X = x[fine] if domain is None else domain.wrap(x[fine])
+        log_l[fine] = sum(asked.log_weight(X) for asked in readings)
+        return log_l
+
+    found = _best(points, Stacked.of(readings, domain), log_likelihood, key)
+    x, w, family = found.x, found.w, found.family
+    if not found.families > 0.0:
+        x, w, family = points.x, points.w, np.arange(len(points.w))
+    heavy = w > 0.0
+    after = Points(x[heavy], w[heavy], None, Prior(points, readings, found.log_evidence), family[heavy])
+    return Weighed(after, found.log_evidence - before, found.effective, found.families)
 
 
-def _log_likelihood(x: Floats, readings: tuple[Any, ...], domain: Domain | None) -> Floats:
-    X = x if domain is None else domain.wrap(x)
-    total = readings[0].log_weight(X)
-    for asked in readings[1:]:
-        total = total + asked.log_weight(X)
-    return total
+def _best(points: Points, sensor: Stacked | None, log_likelihood: OfStates, key: int) -> Carried:
+    """The posterior by the first way that has enough carriers, or far more than those before it."""
+    w, path, count = points.w, points.path, len(points.w)
+    log_l = log_likelihood(points.x)
+    best = Carried.of(points.x, _logarithms(w) + log_l, np.arange(count))
+    if path is None or best.families >= _EVEN * effective(w):
+        return best
+    if sensor is not None:
+        best = _twice(points, log_l, sensor, log_likelihood, key) or best
+    if sensor is not None and best.families < _FEW * count:
+        least = _LOST * _FAR_MORE * best.families if best.families > _NEXT_TO_NONE else 0.0
+        best = _better(best, bridged(points, sensor, log_likelihood, key, least))
+    enough = _ENOUGH if sensor is None else _NEXT_TO_NONE
+    if best.families < min(_FEWER * count, enough):
+        best = _better(best, tempered(points, log_likelihood, key))
+    return best
+
+
+def _better(best: Carried, other: Carried | None) -> Carried:
+    """The one that has far more carriers; where both have next to none, else that of the higher evidence.
+
+    Both know the evidence without bias: what has missed the posterior says too little, most of the time.
+    """
+    if other is None or other.families > _FAR_MORE * best.families:
+        return other or best
+    few = max(best.families, other.families) < _NEXT_TO_NONE
+    return other if few and other.log_evidence > best.log_evidence else best
+
+
+def _logarithms(w: Floats) -> Floats:
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(w))
 
 
 def _twice(
-    points: Points, log_l: Floats, readings: tuple[Any, ...], key: int, domain: Domain | None
-) -> tuple[Floats, Floats, float, Ints] | None:
-    """States (N + N, n), weights, log-evidence and families of both passes; None without a guide."""
-    sensor = _Stacked.of(readings, domain)
-    if sensor is None:
-        return None
-    x, w, (x0, block, passages, U) = points.x, points.w, points.path
-    (count, n), key = x.shape, np.uint64(mixed(np.uint64(key), np.uint64(11)))
-    flow, lower, rows, start, end = _joined(passages)
+    points: Points, log_l: Floats, sensor: Stacked, log_likelihood: OfStates, key: int
+) -> Carried | None:
+    """The posterior of both passes; None where no guide can be made."""
+    path = points.path
+    assert path is not None
+    x, w, (x0, block, passages, U) = points.x, points.w, path
+    (count, n), own = x.shape, np.uint64(mixed(np.uint64(key), np.uint64(11)))
+    flow, lower, rows, start, end = joined(passages)
     u = U[0] if rows is None else along_rows(rows, block, np.concatenate(U, axis=1))
     H = sensor.jacobian(end)
     HL, HPhi = np.ascontiguousarray(H @ lower), np.ascontiguousarray(H @ flow)
@@ -105,104 +138,25 @@ def _twice(
     hy, r = sensor.predict(x), sensor.residual(sensor.predict(bare))
     C = missed(hy, x0, u, w, block, start, HL, HPhi, sensor.angle)
     R = np.ascontiguousarray(_WIDER * (sensor.covariance(end) + _OWN * C))
-    z, cut = even_normals(net(count, n), key), uniform(key, np.uint64(0))
+    z, cut = even_normals(net(count, n), own), uniform(own, np.uint64(0))
     ancestor, u, log_ratio = look_ahead(r, u, w, block, HL, R, z, cut)
     if not len(ancestor):
         return None
     y, block = x0[ancestor], block[ancestor]
-    V = [u] if rows is None else _led(rows, block, u, len(passages), key)
-    for passage, own in zip(passages, V, strict=True):
-        y = gone(passage, y, own, block, True)
-    log_l = np.concatenate([log_l, _log_likelihood(y, readings, domain)])
-    b = np.empty(2 * count)
-    log_evidence = weigh_together(log_l, log_ratio, w, b)
-    return np.concatenate([x, y]), b, log_evidence, np.concatenate([np.arange(count), ancestor])
+    V = [u] if rows is None else _led(rows, block, u, len(passages), own)
+    for passage, v in zip(passages, V, strict=True):
+        y = gone(passage, y, v, block, True)
+    log_l = np.concatenate([log_l, log_likelihood(y)])
+    base = _logarithms(np.concatenate([0.5 * w, np.full(count, 0.5 / count)]))
+    half = math.log(0.5)
+    log_w = base + log_l - np.logaddexp(half + np.clip(log_ratio, -_FARTHEST, _FARTHEST), half)
+    return Carried.of(np.concatenate([x, y]), log_w, np.append(np.arange(count), ancestor))
 
 
-def _joined(passages: Any) -> tuple[Floats, Floats, Floats | None, Floats, Floats]:
-    """Passages one after the other as one: Φ, L, rows of what moves the end among all u, begin and end."""
-    if len(passages) == 1:
-        (only,) = passages
-        return only.flow, only.lower, None, only.start, only.end
-    flow, parts = np.broadcast_to(np.eye(passages[0].flow.shape[1]), passages[0].flow.shape), []
-    for p in reversed(passages):
-        parts.append(flow @ p.lower)
-        flow = flow @ p.flow
-    G = np.ascontiguousarray(np.concatenate(parts[::-1], axis=2))
-    lower, rows = lower_and_rows(G)
-    return np.ascontiguousarray(flow), lower, rows, passages[0].start, passages[-1].end
-
-
-def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: int) -> list[Floats]:
+def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: Any) -> list[Floats]:
     """What moves the points in each passage, (N, n) each, such that together it moves their ends by u."""
     count, n = u.shape
-    fresh = [even(count, n, int(mixed(np.uint64(key), np.uint64(20 + k))) >> 1) for k in range(parts)]
+    fresh = [even(count, n, int(mixed(key, np.uint64(20 + k))) >> 1) for k in range(parts)]
     U = np.concatenate(fresh, axis=1)
     spread(rows, block, u, U)
     return [np.ascontiguousarray(U[:, k * n : (k + 1) * n]) for k in range(parts)]
-
-
-class _Stacked(NamedTuple):
-    """Sensors with Gaussian noise that read the state at one time, as one."""
-
-    asked: tuple[Any, ...]
-    domain: Domain | None
-
-    @classmethod
-    def of(cls, readings: tuple[Any, ...], domain: Domain | None) -> "_Stacked | None":
-        """None where a sensor has no noise that is Gaussian."""
-        fine = all(is_gaussian(a.measurement) or has_gaussian_noise(a.measurement) for a in readings)
-        return cls(readings, domain) if fine else None
-
-    @property
-    def angle(self) -> Bools:
-        """Which components are angles, (k,)."""
-        parts = []
-        for a in self.asked:
-            own = np.zeros(len(a.seen), bool)
-            own[list(a.measurement.angles)] = True
-            parts.append(own[a.seen])
-        return np.concatenate(parts)
-
-    def predict(self, x: Floats) -> Floats:
-        """Readings (N, k) of states, components that came."""
-        X = x if self.domain is None else self.domain.wrap(x)
-        return np.concatenate([a.measurement.predict(X, a.t)[:, a.seen] for a in self.asked], axis=1)
-
-    def residual(self, h: Floats) -> Floats:
-        """What was read less readings (N, k), angles wrapped."""
-        z = np.concatenate([np.atleast_1d(np.asarray(a.numbers))[a.seen] for a in self.asked])
-        return _wrapped(z - h, self.angle)
-
-    def jacobian(self, c: Floats) -> Floats:
-        """∂h/∂x at states (blocks, n), (blocks, k, n): by central differences where h is no matrix."""
-        (blocks, n), matrices = c.shape, [a.measurement.H for a in self.asked]
-        if all(H is not None for H in matrices):
-            H = np.concatenate([M[a.seen] for M, a in zip(matrices, self.asked, strict=True)])
-            return np.broadcast_to(H, (blocks, *H.shape))
-        step = np.finfo(float).eps ** (1 / 3) * np.maximum(1.0, np.abs(c))
-        moves = step[:, :, None] * np.eye(n)
-        h = self.predict(np.concatenate([c[:, None] + moves, c[:, None] - moves], axis=1).reshape(-1, n))
-        h = h.reshape(blocks, 2, n, -1)
-        off = _wrapped(h[:, 0] - h[:, 1], self.angle) / (2.0 * step[:, :, None])
-        return np.ascontiguousarray(np.swapaxes(off, 1, 2))
-
-    def covariance(self, c: Floats) -> Floats:
-        """Noise covariances (blocks, k, k) at states (blocks, n)."""
-        sizes = [int(a.seen.sum()) for a in self.asked]
-        R, at = np.zeros((len(c), sum(sizes), sum(sizes))), 0
-        for a, k in zip(self.asked, sizes, strict=True):
-            sensor = a.measurement
-            own = sensor.noise_cov if sensor.noise_cov is not None else sensor.covariance(c, a.t)
-            R[:, at : at + k, at : at + k] = np.broadcast_to(own, (len(c), len(a.seen), len(a.seen)))[
-                :, a.seen
-            ][:, :, a.seen]
-            at += k
-        return R
-
-
-def _wrapped(r: Floats, angle: Bools) -> Floats:
-    """Differences (..., k) with those of angles in (-π, π]."""
-    if angle.any():
-        r[..., angle] -= 2.0 * np.pi * np.round(r[..., angle] / (2.0 * np.pi))
-    return r

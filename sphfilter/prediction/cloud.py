@@ -32,6 +32,7 @@ _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _CALMER = 0.1  # of the bias that is allowed, below which steps become longer
 _DOUBTFUL, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
+_SEEN, _AWAY = 64, 1e6  # points that tell their extent, and extents from which one has run away
 _ASKED = 64  # states at which the model's change with time is looked at
 
 
@@ -183,13 +184,17 @@ def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
 
 
 def _kept(points: Points, model: SDE, domain: Domain | None) -> tuple[Points, float]:
-    """The points without weight where they left the finite numbers or a bounded axis; and what that was."""
+    """The points without weight where they ran away or left a bounded axis; and what that was."""
+    x = points.x
     with np.errstate(invalid="ignore", over="ignore"):
-        if np.isfinite(points.x.sum()) and (domain is None or not domain.walled.any()):
+        few = np.sort(x[:: max(len(x) // _SEEN, 1)], axis=0)
+        low, high = few[len(few) // 8], few[-1 - len(few) // 8]
+        reach = _AWAY * (high - low) + np.abs(low) + np.abs(high)
+        if domain is None and np.all(x.min(axis=0) >= low - reach) and np.all(x.max(axis=0) <= high + reach):
             return points, 0.0
-        alive = np.isfinite(points.x).all(axis=1)
+        alive = np.all((x >= low - reach) & (x <= high + reach), axis=1)
         if domain is not None:
-            alive &= domain.contains(np.where(alive[:, None], points.x, np.inf))
+            alive &= domain.contains(np.where(alive[:, None], x, np.inf))
     if alive.all() or not alive.any():
         return points, 0.0 if alive.all() else 1.0
     lost = float(points.w[~alive].sum())

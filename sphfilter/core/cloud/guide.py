@@ -12,11 +12,10 @@ from .._jit import jit
 from ..small_matrices import cholesky, whiten
 from .weights import systematic
 
-__all__ = ["along_rows", "look_ahead", "missed", "spread", "weigh_together", "without_noise"]
+__all__ = ["along_rows", "look_ahead", "missed", "spread", "without_noise"]
 
 #: Neighbours to either side, that tell what the flow is without noise.
 _NEAR = 2
-_FARTHEST = 300.0  # nats, of a ratio of densities
 _LOG_2_PI = math.log(2.0 * math.pi)
 
 
@@ -82,31 +81,6 @@ def spread(V, block, u, U):
                 s -= V[b, a, k] * U[i, k]
             for k in range(d):
                 U[i, k] += V[b, a, k] * s
-
-
-@jit
-def weigh_together(log_l, log_ratio, w, b):
-    """Fill weights b (N + count,) of both passes, and return the log-evidence, -inf without any.
-
-    The density of what either may have drawn is half the prior's and half the guide's: log-likelihoods log_l
-    and ratios log_ratio of the guide's density over the prior's, (N + count,); weights w (N,) of the first.
-    """
-    N, top, total = w.size, -np.inf, 0.0
-    for j in range(b.size):
-        base = w[j] if j < N else 1.0 / (b.size - N)
-        ratio = math.exp(min(max(log_ratio[j], -_FARTHEST), _FARTHEST))
-        b[j] = -np.inf
-        if base > 0.0 and math.isfinite(log_l[j]):
-            b[j] = log_l[j] + math.log(base / (1.0 + ratio))
-            top = max(top, b[j])
-    if top == -np.inf:
-        return top
-    for j in range(b.size):
-        b[j] = math.exp(b[j] - top)
-        total += b[j]
-    for j in range(b.size):
-        b[j] /= total
-    return top + math.log(total)
 
 
 @jit
@@ -247,5 +221,7 @@ def look_ahead(r, u, w, block, HL, R, z, cut):
                 own[c] = r[i, c]
                 for e in range(n):
                     own[c] -= HL[b, c, e] * (u[i, e] if j < N else new[j - N, e])
-            log_ratio[j] = _log_density(own, G[b], v) - top - math.log(total)
+            s = _log_density(own, G[b], v) - top - math.log(total)
+            if math.isfinite(s):  # else it was never proposed: h has no value where the guide looked
+                log_ratio[j] = s
     return ancestor, new, log_ratio

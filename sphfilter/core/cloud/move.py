@@ -8,11 +8,11 @@ from .._jit import jit
 from .noise import LANES, fill_noise
 from .steps import walk_at
 
-__all__ = ["affine", "move", "moved_twice"]
+__all__ = ["affine", "move", "moved_twice", "steer"]
 
 
 @jit
-def _steer(V, block, u, W, along):
+def steer(V, block, u, W, along):
     """Make increments W (d, K) such that V W is u (n, K), and the rest of it what it was; V (blocks, n, d).
 
     Points of a chunk are in the order of their blocks, `block` (K,).
@@ -75,7 +75,7 @@ def move(leg, x, u, V, block, key, first, last):
         for i in range(K):
             for a in range(n):
                 given[a, i] = u[begin + i, a]
-        _steer(V, block[begin:end], given[:, :K], Z[0], along)
+        steer(V, block[begin:end], given[:, :K], Z[0], along)
         walk_at(leg.walk)(leg, x[begin:end], Z, c % 2 == 1, work if K == LANES else np.empty((5, K, n)))
 
 

@@ -1,0 +1,213 @@
+"""Bayes' rule on points, where few of them carry the posterior: against closed forms and grids."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import sphfilter as sf
+from sphfilter.core.cloud.guide import look_ahead
+from sphfilter.density.carriers import Carried, carriers
+from sphfilter.density.passage import Steps, begun, passed
+from sphfilter.density.points import moments
+from sphfilter.filter.asked import Asked
+from sphfilter.filter.guided import weighed
+from sphfilter.model.discretization import linear_transition
+
+N = 1024
+DUFFING = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(0.1*x**2 - 1)"], [["0"], ["1"]], [[1.6]])
+START = np.array([-4.25, -1.46]), np.array([[0.2, 0.4], [0.4, 2.05]])
+ORNSTEIN_UHLENBECK = sf.SDE.from_expressions(["x"], ["-x"], [["1"]], [[2.0]])
+SWING = sf.SDE.from_expressions(["x", "v"], ["v", "-x - 0.2*v"], [["0"], ["1"]], [[0.8]])
+
+
+def asked(sensor, z, t):
+    return Asked(sensor, z, sensor.observed(z), t, None, None, None)
+
+
+def run(model, sensor, start, readings, dt, key=0):
+    """The last posterior, after readings dt seconds apart."""
+    points, t = begun(*start, N, key), 0.0
+    for i, z in enumerate(readings):
+        points = passed(points, model, t, t + dt, Steps(10), N, 100 * key + i)
+        t += dt
+        found = weighed(points, (asked(sensor, z, t),), 100 * key + i + 50)
+        points = found.points
+    return found
+
+
+def off(found, mean, cov, log_evidence):
+    """Errors: of the mean in standard deviations, relative of the covariance, of the log-evidence."""
+    m, P = moments(found.points.x, found.points.w)
+    L = np.linalg.cholesky(cov)
+    E = np.linalg.solve(L, np.linalg.solve(L, P - cov).T)
+    e = np.linalg.norm(np.linalg.solve(L, m - mean)), np.linalg.norm(E)
+    return *(np.array(e) / np.sqrt(len(m))), abs(found.log_evidence - log_evidence)
+
+
+def kalman(model, H, R, mean, cov, readings, dt):
+    F, shift, Q = linear_transition(model, dt)
+    for z in readings:
+        mean, cov = F @ mean + shift, F @ cov @ F.T + Q
+        S = float(H @ cov @ H) + R
+        log_evidence = norm.logpdf(z, H @ mean, np.sqrt(S))
+        gain = cov @ H / S
+        mean, cov = mean + gain * (z - H @ mean), cov - np.outer(gain, H @ cov)
+    return mean, cov, log_evidence
+
+
+# moments and log-evidence of GridFilter, 144 nodes an axis, tol 3e-4
+SHARP = (
+    [-2.2754423556, 0.7171523270],
+    [[1.99996e-05, 1.32916e-05], [1.32916e-05, 0.8794406607]],
+    -0.9834410007,
+)
+OUTLYING = (
+    [6.5815477864, -0.1854905249],
+    [[0.0588631798, 0.0072950951], [0.0072950951, 1.3022598364]],
+    -46.532180238,
+)
+BEFORE = [[-1.9815448517509], [-1.5857187625327993], [0.9171409384357706]]
+
+
+@pytest.mark.parametrize("key", range(3))
+def test_a_sensor_that_is_sharp_beside_two_wells(key):
+    sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[2e-5]])
+    found = run(DUFFING, sensor, START, [[-2.2754456074168994]], 2.0, key)
+    assert found.effective > 150.0  # both passes have a dozen
+    mean, cov, evidence = off(found, *SHARP)
+    assert mean < 3.0 / np.sqrt(found.effective)
+    assert cov < 0.2
+    assert evidence < 4.0 / np.sqrt(found.families)
+
+
+@pytest.mark.parametrize("key", range(3))
+def test_a_reading_far_off_beside_two_wells(key):
+    sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
+    found = run(DUFFING, sensor, START, [*BEFORE, [9.971284072451873]], 2.0, key)
+    mean, _, evidence = off(found, *OUTLYING)
+    assert mean < 0.5  # both passes: up to 2
+    assert mean < 3.0 / np.sqrt(found.effective)
+    assert evidence < 3.0 / np.sqrt(found.families)
+
+
+@pytest.mark.parametrize("R", [1.0, 1e-4])
+def test_a_linear_model(R):
+    start, sensor = (np.array([1.0, 0.0]), 0.3 * np.eye(2)), sf.GaussianMeasurement([[1.0, 0.0]], [[R]])
+    found = run(SWING, sensor, start, [[0.8], [-0.5]], 2.0)
+    exact = kalman(SWING, np.array([1.0, 0.0]), R, *start, [0.8, -0.5], 2.0)
+    assert max(off(found, *exact)) < 0.03
+    assert found.effective > 500.0
+
+
+@pytest.mark.parametrize("key", range(4))
+def test_starts_that_end_before_a_reading_are_told(key):
+    """What a cloud has no points for no noise of the model brings back."""
+    start, sensor = (np.array([1.0, 0.0]), 0.3 * np.eye(2)), sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
+    found = run(SWING, sensor, start, [[0.8], [16.0]], 2.0, key)
+    exact = kalman(SWING, np.array([1.0, 0.0]), 0.2, *start, [0.8, 16.0], 2.0)
+    assert off(found, *exact)[0] < 3.0 / np.sqrt(found.effective)
+    assert found.families < 16.0
+
+
+def test_a_box():
+    low, high = 0.595, 0.605
+    sensor = sf.LikelihoodMeasurement(
+        lambda z, X, t: np.where((X[:, 0] > low) & (X[:, 0] < high), 0.0, -np.inf)
+    )
+    found = run(ORNSTEIN_UHLENBECK, sensor, (np.array([0.5]), np.array([[0.5]])), [[0.0]], 1.0)
+    F, _, Q = linear_transition(ORNSTEIN_UHLENBECK, 1.0)
+    law = norm(0.5 * F[0, 0], np.sqrt(0.5 * F[0, 0] ** 2 + Q[0, 0]))
+    exact = [0.6], [[0.01**2 / 12.0]], np.log(law.cdf(high) - law.cdf(low))
+    mean, cov, evidence = off(found, *exact)
+    assert found.families > 50.0
+    assert max(mean, cov) < 3.0 / np.sqrt(found.effective)
+    assert evidence < 3.0 / np.sqrt(found.families)
+
+
+@pytest.mark.parametrize("s", [1e-2, 1e-3])
+def test_a_likelihood_with_two_narrow_peaks(s):
+    sensor = sf.LikelihoodMeasurement(lambda z, X, t: norm.logpdf(np.abs(X[:, 0]), 1.0, s))
+    found = run(ORNSTEIN_UHLENBECK, sensor, (np.array([0.5]), np.array([[0.5]])), [[0.0]], 1.0)
+    F, _, Q = linear_transition(ORNSTEIN_UHLENBECK, 1.0)
+    law = norm(0.5 * F[0, 0], np.sqrt(0.5 * F[0, 0] ** 2 + Q[0, 0]))
+    right = law.pdf(1.0) / (law.pdf(1.0) + law.pdf(-1.0))  # but for terms of s²
+    x, w = found.points.x[:, 0], found.points.w
+    assert found.effective > 50.0
+    assert abs(w[x > 0.0].sum() - right) < 3.0 * np.sqrt(right * (1.0 - right) / found.families)
+    assert abs(found.log_evidence - np.log(law.pdf(1.0) + law.pdf(-1.0))) < 3.0 / np.sqrt(found.families)
+
+
+def test_a_sharp_likelihood_after_noise_that_depends_on_the_state():
+    """The same posterior whether the sensor says h or a likelihood only."""
+    model = sf.SDE.from_expressions(["x"], ["x - x**3"], [["0.5 + 0.2*x"]], [[1.0]])
+    start = np.array([1.0]), np.array([[0.1]])
+    one = run(model, sf.GaussianMeasurement([[1.0]], [[1e-4]]), start, [[0.4]], 1.0)
+    only = sf.LikelihoodMeasurement(lambda z, X, t: norm.logpdf(z[0], X[:, 0], 1e-2))
+    other = run(model, only, start, [[0.4]], 1.0)
+    numbers = 1.0 / one.families + 1.0 / other.families
+    assert abs(one.log_evidence - other.log_evidence) < 3.0 * np.sqrt(numbers)
+    assert min(one.families, other.families) > 30.0
+
+
+def test_nothing_can_have_been_read():
+    sensor = sf.LikelihoodMeasurement(lambda z, X, t: np.full(len(X), -np.inf))
+    points = passed(begun(*START, 128, 0), DUFFING, 0.0, 1.0, Steps(4), 128, 0)
+    found = weighed(points, (asked(sensor, [0.0], 1.0),), 1)
+    assert found.log_evidence == -np.inf
+    assert found.effective == found.families == 0.0
+    assert np.array_equal(found.points.x, points.x)
+    assert np.array_equal(found.points.w, points.w)
+
+
+def test_points_that_are_no_numbers_weigh_nothing():
+    points = passed(begun(*START, 128, 0), DUFFING, 0.0, 1.0, Steps(4), 128, 0)
+    x = points.x.copy()
+    x[::7] = np.nan, np.inf
+    sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
+    found = weighed(points._replace(x=x), (asked(sensor, [-4.0], 1.0),), 1)
+    assert np.isfinite(found.points.x).all()
+    assert np.isfinite(found.log_evidence)
+
+
+def test_a_point_without_a_guide_keeps_its_weight():
+    """Where h has no value on the way without noise, nothing is proposed: the ratio is zero."""
+    N, one = 64, np.ones((1, 1, 1))
+    r = np.zeros((N, 1))
+    r[5] = np.nan
+    zero, z = np.zeros(N, np.int64), np.zeros((N, 1))
+    ancestor, _, log_ratio = look_ahead(r, np.zeros((N, 1)), np.full(N, 1.0 / N), zero, one, one, z, 0.5)
+    assert 5 not in ancestor
+    assert log_ratio[5] == -np.inf
+    assert np.isfinite(np.delete(log_ratio, 5)).all()
+
+
+@pytest.mark.parametrize("sharp", [False, True])
+def test_a_key_gives_the_same_bits(sharp):
+    only = sf.LikelihoodMeasurement(lambda z, X, t: -0.5 * ((X[:, 0] - z[0]) / 1e-3) ** 2)
+    sensor = only if sharp else sf.GaussianMeasurement([[1.0, 0.0]], [[2e-5]])
+    a, b = (run(DUFFING, sensor, START, [[-2.0]], 2.0, 7) for _ in range(2))
+    assert np.array_equal(a.points.x, b.points.x)
+    assert np.array_equal(a.points.w, b.points.w)
+    assert a.log_evidence == b.log_evidence
+
+
+def test_copies_carry_no_more_than_what_they_are_copies_of():
+    x = np.random.default_rng(0).standard_normal((400, 2))
+    w = np.full(400, 1.0 / 400.0)
+    mean, evidence = carriers(x, w, np.arange(400))
+    assert evidence == pytest.approx(400.0)
+    assert mean == pytest.approx(400.0, rel=0.02)
+    copied = np.repeat(x[:20], 20, axis=0)
+    mean, evidence = carriers(copied, w, np.repeat(np.arange(20), 20))
+    assert evidence == pytest.approx(20.0)
+    assert mean == pytest.approx(20.0, rel=0.1)
+    mean, evidence = carriers(x, w, np.zeros(400, np.int64))
+    assert (mean, evidence) == (pytest.approx(1.0), pytest.approx(1.0))
+
+
+def test_weights_that_are_no_numbers_are_left_out():
+    x, log_w = np.arange(8.0)[:, None], np.zeros(8)
+    log_w[2], x[3] = np.nan, np.inf
+    found = Carried.of(x, log_w, np.arange(8))
+    assert len(found.x) == 6
+    assert found.log_evidence == pytest.approx(np.log(6.0))
