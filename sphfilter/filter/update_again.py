@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
 from ..density.particle_density import ParticleDensity
-from ..density.resample import particle_bound
+from ..density.resample import particle_bound, target_of
 from ..errors import PropagationError
 from ..info import Code, UpdateInfo
 from ..lattice.level_set import lattice_reach
@@ -23,6 +23,8 @@ __all__ = ["Update", "update_or_predict_again"]
 #: Probability of a posterior that hangs on what the prediction lost, from which the prediction is repeated.
 _GUESSED = 0.01
 _LADDER = Ladder(deeper=0.7)
+_MISSED = 1.5  # times the target error, from which a cloud is drawn again
+_TRIES = 3  # times it is: a first number of points is a guess
 
 
 class Update(NamedTuple):
@@ -75,6 +77,9 @@ def update_or_predict_again(
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
     bound = particle_bound(prior, n_particles)
+    if posterior.read_out == "cloud" and before is not None:
+        once = prior, posterior, info
+        return Outcome(*_on_more_points(before, once, model, measurement, z, config), bound)
     known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED
     if known or before is None or before.field is None:
         return Outcome(prior, posterior, info, bound)
@@ -99,3 +104,27 @@ def update_or_predict_again(
         posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
         info = info.marked(Code.REPEATED, f"prediction repeated on {rung.times} times the particles")
     return Outcome(prior, posterior, info, bound)
+
+
+def _on_more_points(
+    before: ParticleDensity,
+    once: tuple[ParticleDensity, ParticleDensity, UpdateInfo],
+    model: SDE,
+    measurement: Sensor,
+    z: ArrayLike | None,
+    config: FilterConfig,
+) -> tuple[ParticleDensity, ParticleDensity, UpdateInfo]:
+    """Predict and update again where a reading finds too few points, or points that know no way to be led."""
+    prior, posterior, info = once
+    target = target_of(prior, config, None)
+    for _ in range(_TRIES):
+        known, needs = before.needs, posterior.needs
+        if target is None or known is None or needs is None or config.time_budget:
+            break
+        more = needs.points if info.error > _MISSED * target else 0
+        if prior.read_out == "cloud" and more <= known.cloud(target):
+            break
+        before = before.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
+        prior, _ = predict(before, model, t=prior.t, config=config, n_particles="auto", goes_on=False)
+        posterior, info = update(prior, measurement, z, config, n_particles="auto")
+    return prior, posterior, info

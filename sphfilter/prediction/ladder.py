@@ -31,7 +31,7 @@ __all__ = ["best_family", "cloud_is_cheaper", "first_degree", "prefers_cloud", "
 Found = TypeVar("Found")
 
 #: Points of a cloud that take as long as a lattice that makes the same error, by states; a lattice of more
-#: states never pays. And points that take as long as one family. (`python -m experiments prices` measures.)
+#: states never pays. And points that take as long as one family. (Of `experiments benchmark`.)
 _AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**14}, {5: 2**13, 6: 2**13}
 _LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
