@@ -1,12 +1,12 @@
 """Weighted points that share ancestors: copies of one carry no more than it does."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from .._types import Floats, Ints
-from ..core.cloud.weights import effective, normalise
-from .points import moments
+from ..core.cloud.weights import carried, effective, finite_rows, normalise
 
 __all__ = ["Carried", "carriers"]
 
@@ -24,13 +24,15 @@ class Carried(NamedTuple):
     @classmethod
     def of(cls, x: Floats, log_w: Floats, family: Ints) -> "Carried":
         """States with log-weights (N,) whose sum is the evidence, and the ancestor (N,) of each."""
-        w = np.zeros(len(x))
-        fine = np.isfinite(log_w) & np.isfinite(x).all(axis=1)
-        log_evidence = normalise(np.where(fine, log_w, -np.inf), w)
-        if not np.isfinite(log_evidence):
+        w, (fine, every) = np.zeros(len(x)), finite_rows(x)
+        if not every:
+            log_w = np.where(fine, log_w, -np.inf)
+        log_evidence = normalise(log_w, w)
+        if not math.isfinite(log_evidence):
             return cls(x, w, family, -np.inf, 0.0, 0.0)
-        if not fine.all():
-            x, w, family = x[fine], w[fine], family[fine]
+        if not w.min() > 0.0:
+            heavy = w > 0.0
+            x, w, family = x[heavy], w[heavy], family[heavy]
         return cls(x, w, family, log_evidence, *carriers(x, w, family))
 
 
@@ -52,15 +54,9 @@ def carriers(x: Floats, w: Floats, family: Ints) -> tuple[float, float]:
     -------
     mean, evidence : float
     """
-    families = 1.0 / float(np.sum(np.bincount(family, w) ** 2))
-    mean, cov = moments(x, w)
-    scale = np.sqrt(np.diag(cov))
-    if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+    squares, part = carried(x, w, family, int(family.max()) + 1)
+    families = 1.0 / squares
+    if not part > 0.0:
         return families, families
-    z = (x - mean) / scale
-    added = np.stack([np.bincount(family, w * z[:, a]) for a in range(x.shape[1])])
-    unlike = np.linalg.pinv(cov / np.outer(scale, scale), hermitian=True)
-    part = float(np.einsum("ij,ik,jk->", unlike, added, added)) / x.shape[1]
     # few families may agree by chance, and one agrees with itself: a variance seen F - 1 times
-    of_mean = min((1.0 - 1.0 / families) / max(part, 1e-300), families**2)
-    return max(families, min(effective(w), of_mean)), families
+    return max(families, min(effective(w), (1.0 - squares) / part, families**2)), families

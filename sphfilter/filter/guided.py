@@ -4,15 +4,14 @@ Both passes are weighted together: each point by its likelihood over the mixture
 drawn from, so that the guide, whatever it is worth, never makes a posterior worse than none.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._types import Floats, Ints, OfStates
-from ..core.cloud.guide import along_rows, look_ahead, missed, spread, without_noise
+from ..core.cloud.guide import along_rows, look_ahead, missed, over_both, spread, without_noise
 from ..core.cloud.noise import even_normals, mixed, uniform
-from ..core.cloud.weights import effective
+from ..core.cloud.weights import effective, finite_rows
 from ..density.carriers import Carried
 from ..density.nets import net
 from ..density.passage import even, gone
@@ -36,7 +35,6 @@ _FEW, _LOST, _FEWER = 0.25, 2.0, 1.0 / 16.0
 #: Independent points enough for an error of .14; times the carriers of one way, by which another is better.
 _ENOUGH, _FAR_MORE = 50.0, 2.0
 _NEXT_TO_NONE = 16.0  # the evidence's error is a quarter of a nat, and weights' own number is believed
-_FARTHEST = 300.0  # nats, of a ratio of densities
 
 
 class Weighed(NamedTuple):
@@ -74,17 +72,23 @@ def weighed(points: Points, readings: tuple[Any, ...], key: int, domain: Domain 
         readings = (*earlier, *readings)
 
     def log_likelihood(x: Floats) -> Floats:
-        fine, log_l = np.isfinite(x).all(axis=1), np.full(len(x), -np.inf)
-        X = x[fine] if domain is None else domain.wrap(x[fine])
-        log_l[fine] = sum(asked.log_weight(X) for asked in readings)
+        fine, every = finite_rows(x)
+        X = x if every else x[fine]
+        X = X if domain is None else domain.wrap(X)
+        values = readings[0].log_weight(X)
+        for asked in readings[1:]:
+            values = values + asked.log_weight(X)
+        if every:
+            return values
+        log_l = np.full(len(x), -np.inf)
+        log_l[fine] = values
         return log_l
 
     found = _best(points, Stacked.of(readings, domain), log_likelihood, key)
     x, w, family = found.x, found.w, found.family
     if not found.families > 0.0:
         x, w, family = points.x, points.w, np.arange(len(points.w))
-    heavy = w > 0.0
-    after = Points(x[heavy], w[heavy], None, Prior(points, readings, found.log_evidence), family[heavy])
+    after = Points(x, w, None, Prior(points, readings, found.log_evidence), family)
     return Weighed(after, found.log_evidence - before, found.effective, found.families)
 
 
@@ -147,10 +151,8 @@ def _twice(
     for passage, v in zip(passages, V, strict=True):
         y = gone(passage, y, v, block, True)
     log_l = np.concatenate([log_l, log_likelihood(y)])
-    base = _logarithms(np.concatenate([0.5 * w, np.full(count, 0.5 / count)]))
-    half = math.log(0.5)
-    log_w = base + log_l - np.logaddexp(half + np.clip(log_ratio, -_FARTHEST, _FARTHEST), half)
-    return Carried.of(np.concatenate([x, y]), log_w, np.append(np.arange(count), ancestor))
+    family = np.append(np.arange(count), ancestor)
+    return Carried.of(np.concatenate([x, y]), over_both(log_l, log_ratio, w), family)
 
 
 def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: Any) -> list[Floats]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from .._types import Bools, Floats
 from ..core.cloud.linearise import lower_and_rows
+from ..core.cloud.weights import finite_rows
 from ..model.domain import Domain
 from ..model.measurements import has_gaussian_noise, is_gaussian
 
@@ -50,10 +51,16 @@ class Stacked(NamedTuple):
 
     def predict(self, x: Floats) -> Floats:
         """Readings (N, k) of states, components that came; NaN where a state is no number."""
-        fine = np.isfinite(x).all(axis=1)
-        X = x[fine] if self.domain is None else self.domain.wrap(x[fine])
-        h = np.full((len(x), sum(int(a.seen.sum()) for a in self.asked)), np.nan)
-        h[fine] = np.concatenate([a.measurement.predict(X, a.t)[:, a.seen] for a in self.asked], axis=1)
+        fine, every = finite_rows(x)
+        X = x if every else x[fine]
+        X = X if self.domain is None else self.domain.wrap(X)
+        parts = [a.measurement.predict(X, a.t) for a in self.asked]
+        parts = [h if a.seen.all() else h[:, a.seen] for h, a in zip(parts, self.asked, strict=True)]
+        values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        if every:
+            return np.ascontiguousarray(values)
+        h = np.full((len(x), values.shape[1]), np.nan)
+        h[fine] = values
         return h
 
     def residual(self, h: Floats) -> Floats:

@@ -12,10 +12,11 @@ from .._jit import jit
 from ..small_matrices import cholesky, whiten
 from .weights import systematic
 
-__all__ = ["along_rows", "look_ahead", "missed", "spread", "without_noise"]
+__all__ = ["along_rows", "look_ahead", "missed", "over_both", "spread", "without_noise"]
 
 #: Neighbours to either side, that tell what the flow is without noise.
 _NEAR = 2
+_FARTHEST = 300.0  # nats, of a ratio of densities
 _LOG_2_PI = math.log(2.0 * math.pi)
 
 
@@ -81,6 +82,23 @@ def spread(V, block, u, U):
                 s -= V[b, a, k] * U[i, k]
             for k in range(d):
                 U[i, k] += V[b, a, k] * s
+
+
+@jit
+def over_both(log_l, log_ratio, w):
+    """Logarithms (N + count,) of the weights of both passes, whose sum is the evidence.
+
+    What either may have drawn has half the prior's density and half the guide's: log-likelihoods log_l and
+    ratios log_ratio of the guide's over the prior's, (N + count,); weights w (N,) of the first pass.
+    """
+    N, out = w.size, np.empty(log_l.size)
+    for j in range(out.size):
+        base = w[j] if j < N else 1.0 / (out.size - N)
+        ratio = math.exp(min(max(log_ratio[j], -_FARTHEST), _FARTHEST))
+        out[j] = -np.inf
+        if base > 0.0 and log_l[j] > -np.inf:
+            out[j] = log_l[j] + math.log(base / (1.0 + ratio))
+    return out
 
 
 @jit

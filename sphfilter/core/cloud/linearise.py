@@ -75,30 +75,39 @@ def distances(x, family):
     is families that fill a block, and their distance that counts.
     """
     N, n = x.shape
-    size = block_size(N)
-    out = np.empty(-(-N // size))
+    size, count = block_size(N), family.max() + 1
+    out, sums, members = np.empty(-(-N // size)), np.empty((count, n)), np.zeros(count, np.int64)
+    mean, square, own = np.empty(n), np.empty(n), np.empty(size, np.int64)
     for b in range(out.size):
-        own = x[b * size : min((b + 1) * size, N)]
-        names = family[b * size : min((b + 1) * size, N)]
-        order, K = np.argsort(names), own.shape[0]
-        families, ratio = 0, 0.0
+        first, last = b * size, min((b + 1) * size, N)
+        K, families = last - first, 0
         for a in range(n):
-            mean = second = between = partial = 0.0
-            families, members = 0, 0
-            for j in range(K):
-                v = own[order[j], a]
-                mean, second, partial, members = mean + v / K, second + v * v / K, partial + v, members + 1
-                if j + 1 == K or names[order[j + 1]] != names[order[j]]:
-                    between += partial * partial / (members * K)
-                    families, members, partial = families + 1, 0, 0.0
-            variance = second - mean * mean
-            if variance > _NOTHING * second:
-                ratio += (between - mean * mean) / (variance * n)
+            mean[a] = square[a] = 0.0
+        for i in range(first, last):
+            f = family[i]
+            if members[f] == 0:
+                own[families] = f
+                families += 1
+                for a in range(n):
+                    sums[f, a] = 0.0
+            members[f] += 1
+            for a in range(n):
+                sums[f, a] += x[i, a]
+                mean[a] += x[i, a] / K
+                square[a] += x[i, a] * x[i, a] / K
+        ratio = 0.0
+        for a in range(n):
+            variance, between = square[a] - mean[a] * mean[a], -mean[a] * mean[a]
+            for j in range(families):
+                between += sums[own[j], a] ** 2 / (members[own[j]] * K)
+            if variance > _NOTHING * square[a]:
+                ratio += between / (variance * n)
+        for j in range(families):
+            members[own[j]] = 0
         # of as many points as families the means part by chance, too
         chance = families / K
         ratio = min(max((ratio - chance) / max(1.0 - chance, 1e-9), 0.0), 1.0) if families < K else 0.0
-        out[b] = math.sqrt(max(K ** (-2.0 / n), ratio * families ** (-2.0 / n)))
-        out[b] = min(out[b], 1.0)
+        out[b] = min(math.sqrt(max(K ** (-2.0 / n), ratio * families ** (-2.0 / n))), 1.0)
     return out
 
 

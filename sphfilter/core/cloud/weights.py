@@ -6,7 +6,7 @@ from numba import njit
 from .._jit import jit
 from ..small_matrices import cholesky, whiten
 
-__all__ = ["compared", "effective", "normalise", "systematic", "weighted_moments"]
+__all__ = ["carried", "compared", "effective", "finite_rows", "normalise", "systematic", "weighted_moments"]
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
@@ -54,6 +54,56 @@ def compared(mean, cov, other, own):
         for b in range(n):
             second += wider[a, b] * wider[a, b] / n
     return first, second
+
+
+@jit
+def finite_rows(x):
+    """Which rows of x (N, n) are numbers, (N,), and whether all are."""
+    N, n = x.shape
+    fine, every = np.ones(N, np.bool_), True
+    for i in range(N):
+        for a in range(n):
+            if not abs(x[i, a]) < np.inf:
+                fine[i] = every = False
+    return fine, every
+
+
+@jit
+def carried(x, w, family, count):
+    """Squares of what families, (N,) of numbers below `count`, add: of their weights, and to the mean.
+
+    The latter over the variances of one point, on average over the states.
+
+    Parameters
+    ----------
+    x, w, family : ndarray, shapes (N, n), (N,), (N,)
+
+    Returns
+    -------
+    float, float
+        NaN where a covariance is none.
+    """
+    N, n = x.shape
+    mean, cov, L = np.empty(n), np.empty((n, n)), np.empty((n, n))
+    weighted_moments(x, w, mean, cov)
+    added, squares, part = np.zeros((count, n + 1)), 0.0, 0.0
+    for i in range(N):
+        f = family[i]
+        added[f, n] += w[i]
+        for a in range(n):
+            added[f, a] += w[i] * (x[i, a] - mean[a])
+    for f in range(count):
+        squares += added[f, n] * added[f, n]
+    if not cholesky(cov, L):
+        return squares, np.nan
+    v = np.empty(n)
+    for f in range(count):
+        for a in range(n):
+            v[a] = added[f, a]
+        whiten(L, v)
+        for a in range(n):
+            part += v[a] * v[a] / n
+    return squares, part
 
 
 @jit

@@ -1,1 +1,0 @@
-"""Clouds of weighted points along random paths: normals in bulk, step lengths, blocks of paths, weights."""
