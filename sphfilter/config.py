@@ -407,6 +407,10 @@ class FilterConfig(_Settings):
     target_error : float
         Length of the error of the posterior mean, in posterior standard deviations, which
         ``n_particles="auto"`` aims at; `info.error` is the root mean square of its components.
+    density_error : float, optional
+        Hellinger distance of the density that is wanted. With it ``n_particles="auto"`` lays lattices in one
+        and two states instead of clouds, whose moments cost less, but whose densities are rougher: pdf, tails,
+        modes. Without it the density is as good as the points give.
     most_left_out : float
         Probability that an update may leave out where it finds some beyond the cut of the posterior, such as
         in a remote mode; more is flagged, `Code.UNRESOLVED`.
@@ -430,12 +434,14 @@ class FilterConfig(_Settings):
     target_error: Positive = 0.01
     time_budget: Positive | None = None
     most_left_out: Annotated[float, Field(gt=0, lt=1)] = 1e-3
+    density_error: Positive | None = None
 
     def __repr__(self) -> str:
-        """The settings, but for the default of one that came later: campaigns know their runs by this."""
+        """The settings, but for the defaults of those that came later: campaigns know their runs by this."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        if values["most_left_out"] == FilterConfig.most_left_out:
-            del values["most_left_out"]
+        for later in ("most_left_out", "density_error"):
+            if values[later] == getattr(FilterConfig, later):
+                del values[later]
         return f"FilterConfig({', '.join(f'{name}={value!r}' for name, value in values.items())})"
 
     @classmethod

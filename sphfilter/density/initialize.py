@@ -137,8 +137,9 @@ def _to_target(
             f'n_particles="auto" carries densities of few states, and {n} are too many: leave states out of '
             f"the model, or give a number of particles, about {enough_particles(n)} for a Gaussian"
         )
+    smooth = isinstance(config, FilterConfig) and config.density_error is not None
     if ladder and (start := _as_family(distribution, t, known)):
-        return start.noted(needs=Needs())
+        return start.noted(needs=Needs(smooth=smooth))
     target = config.target_error if isinstance(config, FilterConfig) else FilterConfig().target_error
     nodes = fewest(n)
     for _ in range(_TRIES):
@@ -146,7 +147,7 @@ def _to_target(
         if not density.error > 0.5 * target:
             break
         nodes *= 2
-    return replace(density, needs=Needs(nodes=nodes), capacity=nodes)
+    return replace(density, needs=Needs(nodes=nodes, smooth=smooth), capacity=nodes)
 
 
 def _as_family(distribution: Distribution, t: float, domain: DomainLike) -> ParticleDensity | None:

@@ -74,6 +74,8 @@ class ModeDensities:
     @classmethod
     def alike(cls, w: Floats, density: ParticleDensity) -> "ModeDensities":
         """The same density in all modes, which have probabilities w (M,)."""
+        if density.needs is not None:  # those of modes are summed
+            density = density.noted(needs=density.needs._replace(smooth=True))
         with np.errstate(divide="ignore"):
             return cls(np.log(w), [density] * len(w))
 

@@ -31,6 +31,7 @@ class Needs(NamedTuple):
     nodes: int = 0  # of a lattice; zero before the first
     points: int = 0  # of a cloud; zero before the first
     calm: int = 0  # readings in a row that asked for fewer
+    smooth: bool = False  # densities are asked for, or summed: lattices, where states are few
 
     def followed(self, degree: int) -> "Needs":
         """A family of a degree did."""

@@ -155,7 +155,8 @@ def target_of(
     if not asked or not (config.scheme == "auto" or isinstance(config.scheme, LogDensityScheme)):
         return None
     whole = config if isinstance(config, FilterConfig) else FilterConfig()
-    return whole.target_error / math.sqrt(density.dim)
+    least = math.inf if whole.density_error is None else whole.density_error
+    return min(whole.target_error, least) / math.sqrt(density.dim)
 
 
 def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:

@@ -47,7 +47,7 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
         return _on_cloud(density, asked, target, config, needs)
     found = _on_families(density, asked, target, needs) or _on_family(density, asked, target, needs)
     missed = found is None or found[1]["error"] > target
-    if missed and not by_cloud and density.families is None:
+    if missed and (needs.smooth or not by_cloud) and density.families is None:
         found = _on_pieces(density, asked, target, needs) or found
     if found is not None:
         return found

@@ -51,7 +51,7 @@ def first_degree(dim: int, needs: Needs) -> int:
 
 def prefers_cloud(dim: int, needs: Needs, target: float) -> bool:
     """Whether a cloud comes after one family, and not a lattice."""
-    return needs.cloud(target) <= _AS_LATTICES.get(dim, MOST_POINTS)
+    return dim > _LATTICE if needs.smooth else needs.cloud(target) <= _AS_LATTICES.get(dim, MOST_POINTS)
 
 
 def cloud_is_cheaper(dim: int, needs: Needs, target: float) -> bool:
@@ -148,7 +148,7 @@ def propagate(
     elif needs.waits > 0:
         needs = needs.waited()
     elif not family.fits(model, density) and not (by_cloud and cloud_is_cheaper(density.dim, needs, target)):
-        found = _by_family(density, model, t1, target, needs, not by_cloud)
+        found = _by_family(density, model, t1, target, needs, needs.smooth or not by_cloud)
         if found is not None:
             return found
         needs = needs.refused()

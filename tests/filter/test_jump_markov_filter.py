@@ -12,6 +12,7 @@ from reference_filters.jump_grid import JumpGridFilter, unsplit_jump_filter
 from sphfilter.density.modes import ModeDensities
 from sphfilter.prediction.switching import predict_modes
 
+SMOOTH = sf.FilterConfig(density_error=0.01)  # as modes are carried
 CLOUDS = sf.FilterConfig(scheme=sf.CloudScheme(n_points=20_000))
 READING = sf.GaussianMeasurement([[1.0]], [[0.04]])
 
@@ -216,7 +217,7 @@ def test_modes_without_jumps_are_filters_of_their_own():
     times, z, _ = record(model, 6)
     start = np.array([0.5, 0.3, 0.2])
     found = run(still, times, z, mode_probabilities=start)
-    alone = [sf.SPHFilter(mode, READING, [0.0], [[0.1]]).run(times, z) for mode in model.modes.values()]
+    alone = [sf.SPHFilter(mode, READING, [0.0], [[0.1]], config=SMOOTH).run(times, z) for mode in model.modes.values()]
     log_w = np.log(start) + np.cumsum([own.log_evidence for own in alone], axis=1).T
     total = np.logaddexp.reduce(log_w, axis=1)
     w = np.exp(log_w - total[:, None])
@@ -229,7 +230,7 @@ def test_equal_modes_are_one():
     well = wells().modes["double"]
     model = sf.JumpMarkovModel({"one": well, "other": well}, [[-0.5, 0.5], [0.2, -0.2]])
     times, z, _ = record(model, 6)
-    found, alone = run(model, times, z), sf.SPHFilter(well, READING, [0.0], [[0.1]]).run(times, z)
+    found, alone = run(model, times, z), sf.SPHFilter(well, READING, [0.0], [[0.1]], config=SMOOTH).run(times, z)
     np.testing.assert_allclose(found.x, alone.x, atol=1e-3)
     np.testing.assert_allclose(found.P, alone.P, rtol=5e-3)
     np.testing.assert_allclose(found.log_evidence, alone.log_evidence, atol=2e-3)
