@@ -409,8 +409,8 @@ class FilterConfig(_Settings):
         ``n_particles="auto"`` aims at; `info.error` is the root mean square of its components.
     density_error : float, optional
         Hellinger distance of the density that is wanted. With it ``n_particles="auto"`` lays lattices in one
-        and two states instead of clouds, whose moments cost less, but whose densities are rougher: pdf, tails,
-        modes. Without it the density is as good as the points give.
+        and two states instead of clouds, whose moments cost less, but whose densities are rougher. Without it
+        the density is as good as the points give.
     most_left_out : float
         Probability that an update may leave out where it finds some beyond the cut of the posterior, such as
         in a remote mode; more is flagged, `Code.UNRESOLVED`.

@@ -30,6 +30,7 @@ from .nets import net
 from .points import Passage, Path, Points
 
 __all__ = [
+    "LED",
     "Steps",
     "along",
     "begun",
@@ -45,8 +46,11 @@ __all__ = [
 
 #: Effective part of points, below which they are drawn anew.
 _FEW = 0.5
-#: Passages after which a path is forgotten: a reading goes through all of them once more.
-_MOST = 8
+#: Passages after which a path is forgotten, and numbers of all points that they may hold: a reading leads
+#: points through all of them once more.
+_MOST, _NUMBERS = 24, 2**22
+#: Parts of nets that are of none of these: what leads points to a reading, and a start's own points.
+LED, _START = 30, 31
 #: Least part of a start's spread that is noise. Up to a half, errors of nine scenes are the same or less.
 _SPREAD = 1.0 / 3.0
 #: Points by which the bias of steps is told, of one chunk of lanes, and groups of them.
@@ -70,11 +74,11 @@ def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
     n = len(mean)
     spread = max(count ** (-1.0 / n), _SPREAD)
     root = noise_root(cov) if np.linalg.det(cov) <= 0.0 else np.linalg.cholesky(cov)
-    x = mean + np.sqrt(1.0 - spread**2) * np.einsum("ij,kj->ik", net(count, n), root)
+    x = mean + np.sqrt(1.0 - spread**2) * np.einsum("ij,kj->ik", net(count, n, _START), root)
     w = np.full(count, 1.0 / count)
     x = np.ascontiguousarray(x[along(x, w)])
     key = _own_key(key)
-    u, middle = even(count, n, key), centres(x)
+    u, middle = even(count, n, key, 0), centres(x)
     noise = _same_everywhere(None, key, middle, middle, np.eye(n), spread * root)
     block = blocks_of(count)
     return Points(gone(noise, x, u, block, False), w, Path(x, block, (noise,), (u,)))
@@ -88,12 +92,12 @@ def begun_from(x: Floats, w: Floats, key: int) -> Points:
 def passed(points: Points, model: SDE, t0: float, t1: float, steps: Steps, count: int, key: int) -> Points:
     """Points carried over an interval in steps; those of a new path are `count`."""
     path = points.path
-    if path is None or len(path.passages) >= _MOST or len(points.w) != count:
+    if path is None or len(path.passages) >= _most(count, model.dim) or len(points.w) != count:
         points = _apart(ordered(points, count, key), key)
         path = points.path
         assert path is not None
     passage = _passage(model, points.x, (t0, t1), steps, key)
-    u = even(count, model.dim, key)
+    u = even(count, model.dim, key, len(path.passages))
     x = gone(passage, points.x, u, path.block, False)
     return Points(x, points.w, Path(path.x, path.block, (*path.passages, passage), (*path.u, u)))
 
@@ -104,11 +108,15 @@ def key_at(t: float, number: int) -> int:
     return int(mixed(word, np.uint64(number)) >> np.uint64(1))
 
 
+def _most(count: int, dim: int) -> int:
+    return min(_MOST, max(4, _NUMBERS // (count * dim)))
+
+
 def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:
     """A path of which only what begins it is known, and of its predictions the models, spans and steps."""
     x, passages, U, own = path.x, [], [], iter(models)
-    for known in path.passages:
-        u = even(len(x), x.shape[1], known.key)
+    for part, known in enumerate(path.passages):
+        u = even(len(x), x.shape[1], known.key, part)
         passage = known
         if known.span[1] > known.span[0]:
             passage = _passage(next(own), x, known.span, Steps(*known.steps), known.key)
@@ -139,7 +147,7 @@ def _apart(points: Points, key: int) -> Points:
     flow = np.tile(np.eye(n), (len(middle), 1, 1))
     key = _own_key(key)
     kernel = Passage(None, key, middle, middle, flow, part[:, None, None] * root, np.empty((1, 0, 0)))
-    u = even(len(x), n, key)
+    u = even(len(x), n, key, 0)
     start = shrunk(x, middle, np.sqrt(1.0 - part**2))
     return Points(gone(kernel, start, u, block, False), points.w, Path(start, block, (kernel,), (u,)))
 
@@ -149,9 +157,9 @@ def systematically(w: Floats, count: int, key: int) -> Floats:
     return systematic(w, count, uniform(np.uint64(key), _CUT))
 
 
-def even(count: int, dim: int, key: int) -> Floats:
-    """Standard normals (count, dim) of the net, turned and shifted by a key."""
-    return even_normals(net(count, dim), np.uint64(key))
+def even(count: int, dim: int, key: int, part: int) -> Floats:
+    """Standard normals (count, dim) of the net of a part of a path, turned and shifted by a key."""
+    return even_normals(net(count, dim, part), np.uint64(key))
 
 
 def gone(passage: Passage, x: Floats, u: Floats, block: Floats, again: bool) -> Floats:

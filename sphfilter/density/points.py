@@ -88,11 +88,13 @@ _NEW = 0.4  # weight of the last squared difference among all
 
 
 class Pace(NamedTuple):
-    """Steps that a model has needed: their length, seconds, and predictions before it is looked at again."""
+    """Steps that a model has needed, what they may be off by, and when they are looked at again."""
 
-    step: float = 0.0
-    waits: int = 0
+    step: float = 0.0  # seconds, of the first prediction after a reading
+    waits: int = 0  # predictions
     stiff: bool = False
+    legs: int = 0  # predictions since the last reading
+    bias: float = 0.0  # that their steps have had, in standard deviations
 
 
 class CloudState(NamedTuple):

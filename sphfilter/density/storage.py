@@ -133,8 +133,8 @@ def _stored_cloud(state: CloudState) -> Arrays:
 
 def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) -> ParticleDensity:
     """The cloud of arrays that `_stored_cloud` made."""
-    step, waits, stiff = arrays["pace"]
-    pace, size = Pace(float(step), int(waits), bool(stiff)), arrays["size"].item()
+    step, waits, stiff, legs, bias = arrays["pace"].tolist()
+    pace, size = Pace(step, int(waits), bool(stiff), int(legs), bias), arrays["size"].item()
     both = [_points_from(part(name, arrays), models) for name in ("points", "shadow")]
     state = CloudState(*both, Told(*arrays["told"].tolist()), pace, size)
     del about["read_out"], about["kernel"]

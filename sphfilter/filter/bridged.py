@@ -19,7 +19,7 @@ from ..core.cloud.noise import even_normals, mixed, uniform
 from ..core.cloud.weights import effective, normalise
 from ..density.carriers import Carried
 from ..density.nets import net
-from ..density.passage import along, blocks_of, even, gone
+from ..density.passage import LED, along, blocks_of, even, gone
 from ..density.points import Passage, Points
 from ..model.compile import surfacing
 from .stacked import Stacked, joined
@@ -87,7 +87,7 @@ def _anew(passages: Any, x: Floats, block: Any, key: Any) -> tuple[Any, Any, Flo
     """What remains of the way from points x (N, n), noise for each part of it, and where that takes them."""
     count, n = x.shape
     passages = _halved(passages, x, key)
-    u = tuple(even(count, n, int(_of(key, k)) >> 1) for k in range(len(passages)))
+    u = tuple(even(count, n, int(_of(key, k)) >> 1, k) for k in range(len(passages)))
     for passage, v in zip(passages, u, strict=True):
         x = gone(passage, x, v, block, False)
     return passages, u, x
@@ -114,7 +114,7 @@ def _led(
         first = np.ascontiguousarray(HL @ rows[:, :, :n])
         R = R + HL @ HL.swapaxes(1, 2) - first @ first.swapaxes(1, 2)
     w = np.empty(N)
-    total, z = normalise(log_w, w), even_normals(net(count, n), key)
+    total, z = normalise(log_w, w), even_normals(net(count, n, LED), key)
     cut = uniform(key, np.uint64(0))
     ancestor, v, log_ratio = look_ahead(r, u[0], w, block, first, np.ascontiguousarray(R), z, cut)
     return ancestor, v, log_ratio - total

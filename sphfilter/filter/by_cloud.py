@@ -44,10 +44,13 @@ def by_cloud(
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
-    errors = told.errors
-    error = max(errors.mean, _least(found.effective))
+    errors, pace = told.errors, state.pace
+    error = math.hypot(max(errors.mean, _least(found.effective)), pace.bias)
+    after = pace._replace(legs=0, bias=0.0)
     known = {"capacity": n_particles, "error": error, "lost": density.lost}
-    new = cloud_of(density, state._replace(points=found.points, shadow=shadow, told=told), **known)
+    new = cloud_of(
+        density, state._replace(points=found.points, shadow=shadow, told=told, pace=after), **known
+    )
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
     code, doubt = Code.CLOUD, 2.0 * errors.variance
     if doubt > _WRONG and error < DOUBTFUL:  # which is said of the mean already

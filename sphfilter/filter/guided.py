@@ -14,7 +14,7 @@ from ..core.cloud.noise import even_normals, mixed, uniform
 from ..core.cloud.weights import effective, finite_rows
 from ..density.carriers import Carried
 from ..density.nets import net
-from ..density.passage import even, gone
+from ..density.passage import LED, even, gone
 from ..density.points import Points, Prior
 from ..model.domain import Domain
 from .bridged import bridged
@@ -142,7 +142,7 @@ def _twice(
     hy, r = sensor.predict(x), sensor.residual(sensor.predict(bare))
     C = missed(hy, x0, u, w, block, start, HL, HPhi, sensor.angle)
     R = np.ascontiguousarray(_WIDER * (sensor.covariance(end) + _OWN * C))
-    z, cut = even_normals(net(count, n), own), uniform(own, np.uint64(0))
+    z, cut = even_normals(net(count, n, LED), own), uniform(own, np.uint64(0))
     ancestor, u, log_ratio = look_ahead(r, u, w, block, HL, R, z, cut)
     if not len(ancestor):
         return None
@@ -158,7 +158,7 @@ def _twice(
 def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: Any) -> list[Floats]:
     """What moves the points in each passage, (N, n) each, such that together it moves their ends by u."""
     count, n = u.shape
-    fresh = [even(count, n, int(mixed(key, np.uint64(20 + k))) >> 1) for k in range(parts)]
+    fresh = [even(count, n, int(mixed(key, np.uint64(20 + k))) >> 1, k) for k in range(parts)]
     U = np.concatenate(fresh, axis=1)
     spread(rows, block, u, U)
     return [np.ascontiguousarray(U[:, k * n : (k + 1) * n]) for k in range(parts)]

@@ -152,7 +152,7 @@ def _together(parts: list[_Ways]) -> _Ways:
 
 def _fresh(passages: Any, count: int, n: int, key: Any) -> tuple[Any, Any]:
     """Normals (count, n) and noise beside them of every passage."""
-    u = [even(count, n, int(_of(key, k)) >> 1) for k in range(len(passages))]
+    u = [even(count, n, int(_of(key, k)) >> 1, k) for k in range(len(passages))]
     noise = [_beside(p, count, _of(key, 100 + k)) for k, p in enumerate(passages)]
     return tuple(u), tuple(noise)
 

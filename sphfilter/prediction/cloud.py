@@ -28,6 +28,7 @@ _PART, _BEYOND = 1.0 / 3.0, 1.5
 _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
 _PILOTED = 1500.0  # points that cost as much as a look at the steps, times eight
 _ORDER = 3.0  # of the steps' bias
+_SHARED = 1.5  # power of the predictions since a reading, by which their allowances fall: they add up to 2.6
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _CALMER = 0.1  # of the bias that is allowed, below which steps become longer
 _DOUBTFUL, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
@@ -72,7 +73,7 @@ def propagate(
     """
     t0, count = density.t, scheme.n_points
     state = as_points(density, count)
-    steps, bias, pace = _steps(state, model, (t0, t1), scheme.max_steps, target)
+    steps, pace = _steps(state, model, (t0, t1), scheme.max_steps, target)
     ends, lost = [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, _fewer(count)))):
         moved = passed(_near_mean(points, density.domain), model, t0, t1, steps, many, key_at(t0, k))
@@ -84,7 +85,7 @@ def propagate(
     told = apart(*ends, density.domain)
     before = state.told.of(count / state.size) if state.size else state.told
     now = before.after(*told)
-    error = math.hypot(now.errors.mean, _BEYOND * bias)
+    error = math.hypot(now.errors.mean, pace.bias)
     state = CloudState(ends[0], ends[1], before, pace, count)
     capacity = density.capacity if n_particles is None else n_particles
     new = cloud_of(density, state, t=float(t1), capacity=capacity, error=error)
@@ -135,22 +136,25 @@ def _near_mean(points: Points, domain: Domain | None) -> Points:
 
 def _steps(
     state: CloudState, model: SDE, span: tuple[float, float], most: int, target: float
-) -> tuple[Steps, float, Pace]:
-    """Steps whose bias is small beside the points' error, an estimate of it, and the pace of the next."""
+) -> tuple[Steps, Pace]:
+    """Steps whose bias is small beside the points' error, and the pace of the next."""
+    pace = state.pace._replace(legs=state.pace.legs + 1)
     if model.linear:
-        return Steps(1), 0.0, state.pace
-    dt, (step, waits, stiff), points = span[1] - span[0], state.pace, state.points
+        return Steps(1), pace
+    dt, (step, waits, stiff, legs, _), points = span[1] - span[0], pace, state.points
+    shorter = legs ** (_SHARED / _ORDER)  # biases of predictions without a reading between add up
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
-    number = max(least, math.ceil(dt / step - 1e-9) if step > 0.0 else _FIRST)
+    number = max(least, math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else _FIRST)
     if waits > 0 and step > 0.0:
-        return Steps(_enough(number, most, span), stiff), 0.0, Pace(step, waits - 1, stiff)
+        return Steps(_enough(number, most, span), stiff), pace._replace(waits=waits - 1)
     if not model.autonomous:
         number = max(number, math.ceil(dt * rate_of_time(model, points.x[:_ASKED], *span)))
     if model.domain.walled.any():
         number = max(number, math.ceil(dt / _beside_walls(model, points, span[0])))
-        return Steps(_enough(number, most, span), stiff), 0.0, Pace(dt / number, 0, stiff)
+        return Steps(_enough(number, most, span), stiff), pace
     told, before = state.told.errors.mean, math.inf
     allowed = _PART * max(_USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told, target)
+    allowed *= legs**-_SHARED
     while True:
         steps = Steps(_enough(number, most, span), stiff)
         bias = _BEYOND * steps_bias(points, model, span, steps, key_at(span[0], 0))
@@ -162,8 +166,9 @@ def _steps(
             continue
         before, number = bias, math.ceil(number * min(max(over ** (1.0 / _ORDER), 1.2), 4.0))
     longest = number * max(over, _CALMER) ** (1.0 / _ORDER) if over < _CALMER else number
-    bias = bias if math.isfinite(bias) else 0.0
-    return steps, bias, Pace(dt / max(longest, least), int(_PILOTED / len(points.w)), stiff)
+    bias = pace.bias + (bias if math.isfinite(bias) else 0.0)
+    step = dt * shorter / max(longest, least)
+    return steps, Pace(step, int(_PILOTED / len(points.w)), stiff, legs, bias)
 
 
 def _beside_walls(model: SDE, points: Points, t: float) -> float:
