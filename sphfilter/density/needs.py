@@ -8,11 +8,23 @@ from ..config import FilterConfig, LogDensityScheme, SolverConfig
 from ..lattice.level_set import fewest_particles
 from .points import ORDER
 
-__all__ = ["AIMED", "FEWEST_POINTS", "MOST_POINTS", "Needs", "allowance", "bound_of", "doubt", "fewest"]
+__all__ = [
+    "AIMED",
+    "FEWEST_POINTS",
+    "MOST_POINTS",
+    "SHARED",
+    "Needs",
+    "allowance",
+    "bound_of",
+    "doubt",
+    "fewest",
+]
 
 #: Points of a cloud, least and most: powers of two, for which nets are evenest.
 FEWEST_POINTS, MOST_POINTS = 256, 2**17
 _TYPICAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it
+#: Power of the predictions since a reading, by which their allowances fall.
+SHARED = 1.5
 _PATIENCE = 4  # readings that ask for fewer points before there are fewer
 _MORE = 4.0  # times the points at most, after one reading
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
@@ -31,7 +43,20 @@ class Needs(NamedTuple):
     nodes: int = 0  # of a lattice; zero before the first
     points: int = 0  # of a cloud; zero before the first
     calm: int = 0  # readings in a row that asked for fewer
+    legs: int = 0  # predictions since the last reading
     smooth: bool = False  # densities are asked for, or summed: lattices, where states are few
+
+    def gone_on(self) -> "Needs":
+        """One prediction more without a reading."""
+        return self._replace(legs=self.legs + 1)
+
+    @property
+    def shared(self) -> float:
+        """Part of an allowance that a prediction has, where others without a reading come before it.
+
+        What they add is often of one sign, and adds up: to 2.6 times the first one's at most.
+        """
+        return max(self.legs, 1) ** -SHARED
 
     def followed(self, degree: int) -> "Needs":
         """A family of a degree did."""

@@ -40,7 +40,7 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
 
     Where a lattice had to be taken, the posterior comes down to one family again if that holds it.
     """
-    needs = density.needs or Needs()
+    needs = (density.needs or Needs())._replace(legs=0)
     walled = density.domain is not None and density.domain.walled.any()
     by_cloud = density.field is None and not walled and prefers_cloud(density.dim, needs, target)
     if density.read_out == "cloud":

@@ -9,6 +9,7 @@ from ..core.cloud.weights import compared
 from ..density.as_cloud import cloud_of
 from ..density.as_family import unrolled
 from ..density.cloud import points_of
+from ..density.needs import SHARED
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Steps, begun, begun_from, key_at, passed, steps_bias
 from ..density.points import SHADOW, CloudState, Pace, Path, Points, moments
@@ -28,7 +29,6 @@ _PART, _BEYOND = 1.0 / 3.0, 1.5
 _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
 _PILOTED = 1500.0  # points that cost as much as a look at the steps, times eight
 _ORDER = 3.0  # of the steps' bias
-_SHARED = 1.5  # power of the predictions since a reading, by which their allowances fall: they add up to 2.6
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _CALMER = 0.1  # of the bias that is allowed, below which steps become longer
 _DOUBTFUL, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
@@ -142,7 +142,7 @@ def _steps(
     if model.linear:
         return Steps(1), pace
     dt, (step, waits, stiff, legs, _), points = span[1] - span[0], pace, state.points
-    shorter = legs ** (_SHARED / _ORDER)  # biases of predictions without a reading between add up
+    shorter = legs ** (SHARED / _ORDER)  # biases of predictions without a reading between add up
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
     number = max(least, math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else _FIRST)
     if waits > 0 and step > 0.0:
@@ -154,7 +154,7 @@ def _steps(
         return Steps(_enough(number, most, span), stiff), pace
     told, before = state.told.errors.mean, math.inf
     allowed = _PART * max(_USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told, target)
-    allowed *= legs**-_SHARED
+    allowed *= legs**-SHARED
     while True:
         steps = Steps(_enough(number, most, span), stiff)
         bias = _BEYOND * steps_bias(points, model, span, steps, key_at(span[0], 0))

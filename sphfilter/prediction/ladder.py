@@ -92,7 +92,7 @@ def best_family(
     -------
     What came of the step, its degree, and the error over the allowance; or None
     """
-    allowed = allowance(density.error, target)
+    allowed = allowance(density.error, target) * needs.shared
     best, most = None, doubt(density.dim) * allowed
     for degree in (d for d in degrees(density.dim) if 0 < first <= d <= family.HIGHEST):
         try:
@@ -132,7 +132,7 @@ def propagate(
     PropagationError
         The model carries the density to infinity.
     """
-    needs = density.needs or Needs()
+    needs = (density.needs or Needs()).gone_on()
     if density.gaussian and model.linear and model.domain.unbounded:
         return _closed_form(density, model, t1, needs)
     by_cloud = not model.domain.walled.any() and prefers_cloud(density.dim, needs, target)
