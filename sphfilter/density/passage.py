@@ -114,7 +114,9 @@ def _most(count: int, dim: int) -> int:
 
 def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:
     """A path of which only what begins it is known, and of its predictions the models, spans and steps."""
-    x, passages, U, own = path.x, [], [], iter(models)
+    x, own = path.x, iter(models)
+    passages: list[Passage] = []
+    U: list[Floats] = []
     for part, known in enumerate(path.passages):
         u = even(len(x), x.shape[1], known.key, part)
         passage = known
@@ -152,7 +154,7 @@ def _apart(points: Points, key: int) -> Points:
     return Points(gone(kernel, start, u, block, False), points.w, Path(start, block, (kernel,), (u,)))
 
 
-def systematically(w: Floats, count: int, key: int) -> Floats:
+def systematically(w: Floats, count: int, key: int) -> Ints:
     """Numbers (count,) of points of weights w (N,), each as often as its weight says but for rounding."""
     return systematic(w, count, uniform(np.uint64(key), _CUT))
 
@@ -162,7 +164,7 @@ def even(count: int, dim: int, key: int, part: int) -> Floats:
     return even_normals(net(count, dim, part), np.uint64(key))
 
 
-def gone(passage: Passage, x: Floats, u: Floats, block: Floats, again: bool) -> Floats:
+def gone(passage: Passage, x: Floats, u: Floats, block: Ints, again: bool) -> Floats:
     """Points (N, n) at the end of a passage, from x, with ends moved by u; `again`: other noise beside."""
     if passage.leg is None:
         return affine(x, u, block, passage.start, passage.end, passage.flow, passage.lower)
@@ -176,8 +178,13 @@ def leg_of(model: SDE, t0: float, t1: float, steps: int, stiff: bool = False) ->
     """A model over an interval, as compiled code takes it."""
     additive, functions = not model.state_dependent_noise, (model.flow_drift_batch, model.flow_jacobian_batch)
     own = STIFF_FLOW if stiff else FLOW, BESIDE if additive else BETWEEN
+    drift, jacobian, noise, flow, walk = map(address_of, (*functions, model.noise_batch, *own))
     return Leg(
-        *[address_of(function) for function in (*functions, model.noise_batch, *own)],
+        drift,
+        jacobian,
+        noise,
+        flow,
+        walk,
         model.p,
         _root(model),
         model.domain.codes,
@@ -228,7 +235,8 @@ def _passage(model: SDE, x: Floats, span: tuple[float, float], steps: Steps, key
     end = start.copy()
     with surfacing():
         flow, B = linearise(leg, end)
-    return Passage(leg, key, start, end, flow, *lower_and_rows(B), model, span, tuple(steps))
+    lower, rows = lower_and_rows(B)
+    return Passage(leg, key, start, end, flow, lower, rows, model, span, steps)
 
 
 def _same_everywhere(
@@ -246,7 +254,7 @@ def _own_key(key: int) -> int:
     return int(mixed(np.uint64(key), _KERNEL) >> np.uint64(1))
 
 
-def blocks_of(count: int) -> Floats:
+def blocks_of(count: int) -> Ints:
     """Numbers (count,) of the blocks of as many points."""
     return np.arange(count) // block_size(count)
 

@@ -135,16 +135,16 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) ->
     """The cloud of arrays that `_stored_cloud` made."""
     step, waits, stiff, legs, bias = arrays["pace"].tolist()
     pace, size = Pace(step, int(waits), bool(stiff), int(legs), bias), arrays["size"].item()
-    both = [_points_from(part(name, arrays), models) for name in ("points", "shadow")]
-    state = CloudState(*both, Told(*arrays["told"].tolist()), pace, size)
+    points, shadow = (_points_from(part(name, arrays), models) for name in ("points", "shadow"))
+    state = CloudState(points, shadow, Told(*arrays["told"].tolist()), pace, size)
     del about["read_out"], about["kernel"]
-    return cloud_of(ParticleDensity(x=both[0].x[:1], mass=np.ones(1), h=np.ones(1), **about), state, **about)
+    return cloud_of(ParticleDensity(x=points.x[:1], mass=np.ones(1), h=np.ones(1), **about), state, **about)
 
 
 def _points_from(arrays: Arrays, models: Sequence[SDE]) -> Points:
     """The points of a cloud, with their path where models are given."""
     points = Points(arrays["x"], arrays["w"], family=arrays.get("family"))
-    passages = []
+    passages: list[Passage] = []
     while f"{len(passages)}.key" in arrays:
         known = part(str(len(passages)), arrays)
         passages.append(_passage_from(known))

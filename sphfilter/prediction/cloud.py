@@ -82,7 +82,7 @@ def propagate(
         if gone > _MOST_LOST:
             raise PropagationError(_blow_up(model, moved, t0, t1))
         ends.append(moved)
-    told = apart(*ends, density.domain)
+    told = apart(ends[0], ends[1], density.domain)
     before = state.told.of(count / state.size) if state.size else state.told
     now = before.after(*told)
     error = math.hypot(now.errors.mean, pace.bias)
@@ -100,12 +100,13 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         few = np.linspace(0.0, density.n_particles - 1, min(_fewer(count), density.n_particles)).astype(int)
         shadow = density.mass[few] / density.mass[few].sum()
         return CloudState(Points(density.x, density.mass), Points(density.x[few], shadow))
+    sizes = (count, key_at(density.t, 0)), (_fewer(count), key_at(density.t, 1))
     if density.family is not None and density.family.degree == 2:
         mean, cov = unrolled(density)
-        starts = [begun(mean, cov, n, key_at(density.t, k)) for k, n in enumerate((count, _fewer(count)))]
-        return CloudState(*starts)
-    sizes = ((count, key_at(density.t, 0)), (_fewer(count), key_at(density.t, 1)))
-    return CloudState(*[begun_from(*points_of(density, n, key), key) for n, key in sizes])
+        points, shadow = (begun(mean, cov, *size) for size in sizes)
+        return CloudState(points, shadow)
+    points, shadow = (begun_from(*points_of(density, n, key), key) for n, key in sizes)
+    return CloudState(points, shadow)
 
 
 def _fewer(count: int) -> int:

@@ -217,7 +217,8 @@ def test_modes_without_jumps_are_filters_of_their_own():
     times, z, _ = record(model, 6)
     start = np.array([0.5, 0.3, 0.2])
     found = run(still, times, z, mode_probabilities=start)
-    alone = [sf.SPHFilter(mode, READING, [0.0], [[0.1]], config=SMOOTH).run(times, z) for mode in model.modes.values()]
+    filters = (sf.SPHFilter(mode, READING, [0.0], [[0.1]], config=SMOOTH) for mode in model.modes.values())
+    alone = [flt.run(times, z) for flt in filters]
     log_w = np.log(start) + np.cumsum([own.log_evidence for own in alone], axis=1).T
     total = np.logaddexp.reduce(log_w, axis=1)
     w = np.exp(log_w - total[:, None])
@@ -230,7 +231,8 @@ def test_equal_modes_are_one():
     well = wells().modes["double"]
     model = sf.JumpMarkovModel({"one": well, "other": well}, [[-0.5, 0.5], [0.2, -0.2]])
     times, z, _ = record(model, 6)
-    found, alone = run(model, times, z), sf.SPHFilter(well, READING, [0.0], [[0.1]], config=SMOOTH).run(times, z)
+    found = run(model, times, z)
+    alone = sf.SPHFilter(well, READING, [0.0], [[0.1]], config=SMOOTH).run(times, z)
     np.testing.assert_allclose(found.x, alone.x, atol=1e-3)
     np.testing.assert_allclose(found.P, alone.P, rtol=5e-3)
     np.testing.assert_allclose(found.log_evidence, alone.log_evidence, atol=2e-3)
