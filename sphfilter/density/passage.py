@@ -1,6 +1,5 @@
 """A cloud of points over an interval: order, noise that is even along it, motion; and once more, guided."""
 
-import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,7 +17,7 @@ from ..core.cloud.linearise import (
     lower_and_rows,
     shrunk,
 )
-from ..core.cloud.move import affine, move, moved_twice
+from ..core.cloud.move import affine, move, moved_twice, parted
 from ..core.cloud.noise import LANES, even_normals, mixed, uniform
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, STIFF_FLOW, Leg
 from ..core.cloud.weights import effective, systematic
@@ -55,7 +54,6 @@ LED, _START = 30, 31
 _SPREAD = 1.0 / 3.0
 #: Points by which the bias of steps is told, of one chunk of lanes, and groups of them.
 _PILOTS, _GROUPS = 64, 4
-_GONE = 0.1  # of them, that a model may carry to infinity
 
 
 class Steps(NamedTuple):
@@ -214,14 +212,7 @@ def steps_bias(points: Points, model: SDE, span: tuple[float, float], steps: Ste
     leg, half = leg_of(model, *span, number, stiff), leg_of(model, *span, 2 * number, stiff)
     with surfacing():
         coarse, fine = moved_twice(leg, half, x, np.uint64(mixed(np.uint64(key), _PILOT)))
-    alive = np.isfinite(fine).all(axis=1)
-    if alive.mean() < 1.0 - _GONE or not np.isfinite(coarse[alive]).all():
-        return math.inf
-    squares = []
-    for own in np.array_split(np.flatnonzero(alive), _GROUPS):
-        unit = np.maximum(np.std(fine[own], axis=0), 1e-300)
-        squares.append(np.mean(((coarse[own] - fine[own]).mean(axis=0) / unit) ** 2))
-    return math.sqrt(np.mean(squares))
+    return parted(coarse, fine, _GROUPS)
 
 
 def _passage(model: SDE, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:

@@ -8,7 +8,7 @@ from .._jit import jit
 from .noise import LANES, fill_noise
 from .steps import walk_at
 
-__all__ = ["affine", "move", "moved_twice", "steer"]
+__all__ = ["affine", "move", "moved_twice", "parted"]
 
 
 @jit
@@ -77,6 +77,35 @@ def move(leg, x, u, V, block, key, first, last):
                 given[a, i] = u[begin + i, a]
         steer(V, block[begin:end], given[:, :K], Z[0], along)
         walk_at(leg.walk)(leg, x[begin:end], Z, c % 2 == 1, work if K == LANES else np.empty((5, K, n)))
+
+
+@jit
+def parted(coarse, fine, groups):
+    """How far apart means of coarse and fine ends (K, n) are, in standard deviations, or infinite.
+
+    The root of the mean square over groups of neighbours and states: what steps do to one branch of a density
+    is judged by the width of that branch.
+    """
+    K, n = fine.shape
+    size, total = K // groups, 0.0
+    for g in range(groups):
+        for a in range(n):
+            mean = square = off = 0.0
+            count = 0
+            for i in range(g * size, (g + 1) * size):
+                if abs(fine[i, a]) < np.inf:
+                    d = coarse[i, a] - fine[i, a]
+                    if not abs(d) < np.inf:
+                        return np.inf
+                    count += 1
+                    mean, square = mean + fine[i, a], square + fine[i, a] ** 2
+                    off += d
+            if count < 0.8 * size:  # a model may carry some to infinity
+                return np.inf
+            mean, square, off = mean / count, square / count, off / count
+            variance = max(square - mean * mean, 1e-300 + 1e-24 * square)
+            total += off * off / (variance * n * groups)
+    return math.sqrt(total)
 
 
 @jit
