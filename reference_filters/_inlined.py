@@ -2,8 +2,7 @@
 
 A block holds its states axis by axis, (n, B), so that the compiler turns the pass into vector code. A model's
 drift takes rows of states: it is called on a row on the stack, inlined, and the row becomes registers. Noise
-comes from bits, not from normals: variables of few values whose first moments are the normal's leave the
-weak order of a step as it is (Kloeden & Platen 1992, section 14.2), and cost a tenth.
+is made of random bits on the way, or given (`_lane_noise`).
 """
 
 import math
@@ -20,35 +19,22 @@ from sphfilter.core._addresses import Entry
 from sphfilter.core._jit import MATRIX, VECTOR
 
 from ._elementary import with_vector_functions
+from ._lane_noise import BITS, NOISES, unit_noise
 from ._weights import LANES
 
 __all__ = ["NEW_STEP", "NEW_TRIAL", "compiled", "fits", "pattern_of"]
 
 _REAL, _CUBE = types.float64, types.float64[:, :, ::1]
-_STEP = (MATRIX, types.uint64[:, ::1], _CUBE, _REAL, _REAL, VECTOR)
+_STEP = (MATRIX, types.uint64[:, ::1], types.float32[:, ::1], _REAL, _CUBE, _REAL, _REAL, VECTOR)
 _TRIAL = (MATRIX, _CUBE, _REAL, _REAL, VECTOR, _CUBE)
-#: What a loop makes functions of, from their addresses: `step(x, lanes, sigma, t, h, p)` moves a block x
-#: (n, B), `trial(x, sigma, t, h, p, work)` fills work (3, n, B); see `compiled`.
+#: What a loop makes functions of, from their addresses: `step(x, lanes, given, own, sigma, t, h, p)` moves a
+#: block x (n, B), `trial(x, sigma, t, h, p, work)` fills work (3, n, B); see `compiled`.
 NEW_STEP, NEW_TRIAL = Entry(None, _STEP, types.void).at, Entry(None, _TRIAL, types.void).at
 
-#: Bits of a word that one noise takes: a number below 2¹⁸, and three signs. Three noises share a word, whose
-#: lowest bit is weak and not used.
-_BITS, _NOISES = 21, 3
-#: Four values of the moments of a normal up to the seventh: ±`_INNER`, and ±`_OUTER` with this chance.
-#: With a chance of 18 bits the second and the fourth are exact, the sixth is off by 1e-5.
-_RARE = round((3.0 - 6.0**0.5) / 6.0 * 2**18) / 2**18
-_OUTER = (1.0 + (2.0 * (1.0 - _RARE) / _RARE) ** 0.5) ** 0.5
-_INNER = (1.0 - (2.0 * _RARE / (1.0 - _RARE)) ** 0.5) ** 0.5
-#: Three values of the moments up to the fifth: 0, and ± the root of one over the chance.
-_NOT_ZERO = round(2**18 / 3) / 2**18
 #: Bytes of a drift's bytecode below which it is put into the step wherever it is asked for, seven times.
 _SHORT = 8000
 _OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}  # multiply-adds save a third
-_NUMBERS = {f"U{k}": np.uint64(k) for k in range(64)} | {
-    "LOW": np.uint64(2**18 - 1), "FIRST": np.uint64(1 << 18), "SECOND": np.uint64(1 << 19),
-    "THIRD": np.uint64(1 << 20), "OUTER": _OUTER, "INNER": _INNER, "RARE": np.uint64(_RARE * 2**18),
-    "THREE": _NOT_ZERO**-0.5, "NOT_ZERO": np.uint64(_NOT_ZERO * 2**18), "np": np,
-}  # fmt: skip
+_NAMES = {f"U{k}": np.uint64(k) for k in range(64)} | {"unit_noise": unit_noise, "np": np}
 
 
 def fits(model):
@@ -71,7 +57,8 @@ def pattern_of(model):
 def compiled(drift, pattern, order):
     """Addresses of the step and of the trial step of a drift; half a second for each drift and process.
 
-    The step is from t over h seconds, with σ = g L (3, n, m) at its begin, middle and end, and parameters p.
+    The step is from t over h seconds, with σ = g L (3, n, m) at its begin, middle and end, and parameters p;
+    its noise is `own` times what it draws from the generators plus the one that is given, see `fill_noise`.
     The trial fills what `_additive_trial` of `_step_length` does.
 
     Parameters
@@ -81,9 +68,8 @@ def compiled(drift, pattern, order):
     pattern : tuple
         Of `pattern_of`.
     order : {2, 4}
-        2: half the noise, classical Runge-Kutta along the drift, half the noise (Strang), three values each;
-        4: the path of `sde_steps.shifted_path_steps`, with four values for the increment and two for the
-        area; of weak order 3 as measured.
+        2: half the noise, classical Runge-Kutta along the drift, half the noise (Strang); 4: the path of
+        `sde_steps.shifted_path_steps`, of weak order 3 as measured.
 
     Returns
     -------
@@ -92,14 +78,15 @@ def compiled(drift, pattern, order):
     """
     n, short = len(pattern), len(drift.py_func.__code__.co_code) < _SHORT
     inlined = njit(with_vector_functions(drift.py_func), forceinline=short, **_OPTIONS)
-    sizes = {"block": _sized(n, LANES), "blocks": _sized(3, n, LANES), "generators": _sized(2, LANES)}
-    names = _NUMBERS | {"drift": inlined, "row": _row(n), **sizes}
-    n_noises = len(pattern[0]) * (2 if order == 2 else 1)
+    sizes = {"block": _sized(n, LANES), "blocks": _sized(3, n, LANES), "generators": _sized(3, LANES),
+             "noises": _sized(2 * len(pattern[0]), LANES)}  # fmt: skip
+    moves = _words(len(pattern[0])) + _noise(pattern, order) + _runge_kutta(pattern, order)
+    names = _NAMES | {"drift": inlined, "row": _row(n), **sizes}
     step = "\n    ".join([
-        "def step(x, lanes, sigma, t, h, p):", "y, k, root = row(), row(), np.sqrt(h)",
-        "x, lanes = block(x), generators(lanes)",
+        "def step(x, lanes, given, own, sigma, t, h, p):", "y, k, root = row(), row(), np.sqrt(h)",
+        "x, lanes, given = block(x), generators(lanes), noises(given)",
         *_roots(pattern, 3), f"for i in range({LANES}):",
-        *(f"    {line}" for line in _words(n_noises) + _noise(pattern, order) + _runge_kutta(pattern, order)),
+        *(f"    {line}" for line in moves),
     ])  # fmt: skip
     trial = "\n    ".join([
         "def trial(x, sigma, t, h, p, work):", "y, k, root = row(), row(), 1.0 / np.sqrt(h)",
@@ -167,27 +154,21 @@ def _entries(pattern):
 
 def _words(m):
     """Lines of the generator, xorshift128+ (Vigna 2017): 21 bits e0, e1, ... for each of m noises."""
-    lines, n_words = ["a, b = lanes[0, i], lanes[1, i]"], -(-m // _NOISES)
+    lines, n_words = ["a, b = lanes[0, i], lanes[1, i]"], -(-m // NOISES)
     for j in range(n_words):
         lines += ["a ^= a << U23", "c = a ^ b ^ (a >> U17) ^ (b >> U26)", f"a, b, w{j} = b, c, b + c"]
     lines.append("lanes[0, i], lanes[1, i] = a, b")
-    return lines + [f"e{k} = w{k // _NOISES} >> U{1 + _BITS * (k % _NOISES)}" for k in range(m)]
+    return lines + [f"e{k} = w{k // NOISES} >> U{1 + BITS * (k % NOISES)}" for k in range(m)]
 
 
 def _noise(pattern, order):
     """Lines of the step's path of noise: jump j_k, slope r_k over h, jump l_k, of noise k of unit density."""
-    lines, m = [], len(pattern[0])
-    if order == 2:
-        lines.append("half = THREE * np.sqrt(0.5) * root")
-        for k, name in [*((k, f"j{k}") for k in range(m)), *((m + k, f"l{k}") for k in range(m))]:
-            lines += [f"{name} = half if e{k} & FIRST else -half",
-                      f"{name} = {name} if (e{k} & LOW) < NOT_ZERO else 0.0"]  # fmt: skip
-        return lines
-    lines.append("inner, outer, area, half = INNER * root, OUTER * root, np.sqrt(h / 12.0), 0.5 * root")
-    for k in range(m):
-        lines += [f"W = outer if (e{k} & LOW) < RARE else inner", f"W = W if e{k} & FIRST else -W",
-                  f"H = area if e{k} & SECOND else -area", f"c = half if e{k} & THIRD else -half",
-                  f"j{k}, r{k}, l{k} = c + H, (W - 2.0 * c) / h, c - H"]  # fmt: skip
+    beside, half = ("np.sqrt(h / 12.0)", "half * c") if order == 4 else ("half", "half * W")
+    lines = ["half, per = 0.5 * root, 1.0 / root", f"beside = {beside}"]
+    for k in range(len(pattern[0])):
+        lines += [f"W, H, c = unit_noise(e{k})", f"W = own * W + given[{2 * k}, i]",
+                  f"c, H = {half}, beside * (own * H + given[{2 * k + 1}, i])",
+                  f"j{k}, r{k}, l{k} = c + H, per * (W - per * (c + c)), c - H"]  # fmt: skip
     return lines
 
 

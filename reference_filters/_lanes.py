@@ -16,6 +16,7 @@ from sphfilter.core._jit import MATRIX, VECTOR, jit, jit_for
 from sphfilter.core.sde_steps import root_now
 
 from ._inlined import NEW_STEP, NEW_TRIAL
+from ._lane_noise import fill_noise
 from ._step_length import MOST_STEPS, better_length
 from ._weights import ANY_ORDER, LANES, block_moments
 
@@ -31,7 +32,7 @@ _WITHOUT_SIGN = np.int64(2**63 - 1)
 
 @jit
 def _seed(seed, block, lanes):
-    """Fill the generators (2, LANES) of a block by splitmix64, the numbers of all blocks being in one row."""
+    """Fill the generators lanes[:2] of a block by splitmix64, the numbers of all blocks being in one row."""
     for r in range(2):
         for i in range(lanes.shape[1]):
             place = (block * np.uint64(2) + np.uint64(r)) * np.uint64(lanes.shape[1]) + np.uint64(i)
@@ -119,14 +120,20 @@ def _length(scheme, x, t, h, trial, noise, constants, room, tolerance):
 
 
 @jit
-def _steps(x, lanes, t, h, n_steps, step, noise, constants, sigma):
-    """Take equal steps of a block."""
+def _steps(x, lanes, given, t, h, n_steps, step, noise, constants, sigma):
+    """Take equal steps of a block; given (2, 2 m, LANES) is scratch, with zeros first.
+
+    The first and the last step have normals, which make the density smooth.
+    """
     p, _, L = constants
     state, g = np.empty((1, x.shape[0])), np.empty((1, x.shape[0] * L.shape[0]))
     for s in range(n_steps):
         for j in range(3):
             root_now(noise, state, t + (s + 0.5 * j) * h, p, L, g, sigma[j])
-        step(x, lanes, sigma, t + s * h, h, p)
+        outer = s == 0 or s == n_steps - 1
+        if outer:
+            fill_noise(lanes, given[1])
+        step(x, lanes, given[1] if outer else given[0], 0.0 if outer else 1.0, sigma, t + s * h, h, p)
 
 
 @njit(**ANY_ORDER)
@@ -151,11 +158,11 @@ def _lost(x, before, variance, room):
 
 
 @jit
-def _through(scheme, x, lanes, span, limits, step, trial, noise, constants, room):
+def _through(scheme, x, lanes, given, span, limits, step, trial, noise, constants, room):
     """Move one block x (n, LANES) in place over the span; return (steps taken, length of the first).
 
     No steps taken means that none were short enough, or too many needed. `room` is scratch: a block, σ at
-    three times, what a trial fills, and rows.
+    three times, what a trial fills, and rows; `given` is that of `_steps`.
     """
     (t0, t1), (longest, h, tolerance) = span, limits
     elapsed, whole, taken, first, tries = 0.0, t1 - t0, 0, 0.0, 0  # from t0, where time is resolved best
@@ -168,7 +175,7 @@ def _through(scheme, x, lanes, span, limits, step, trial, noise, constants, room
         left = max(1, int(np.ceil((whole - elapsed) / h * (1 - 1e-12))))
         n_steps, dt = min(left, _STEPS_PER_LOOK), (whole - elapsed) / left
         room[0][:] = x
-        _steps(x, lanes, t, dt, n_steps, step, noise, constants, room[1])
+        _steps(x, lanes, given, t, dt, n_steps, step, noise, constants, room[1])
         if _lost(x, room[0], constants[1], room[3]):
             if tries == _TRIES or (tolerance == np.inf and not np.isfinite(x).all()):
                 return 0, t
@@ -186,9 +193,10 @@ def _move_lanes(old, taken, new, w, report, moments, which, span, limits, addres
     n, N = old.shape
     scheme, seed = stream
     step, trial, noise = NEW_STEP(addresses[0]), NEW_TRIAL(addresses[1]), function_at(addresses[2])
-    x, lanes = np.empty((n, LANES)), np.empty((2, LANES), dtype=np.uint64)
+    x, lanes = np.empty((n, LANES)), np.empty((3, LANES), dtype=np.uint64)
     sigma, work, rows = np.empty((3, n, constants[2].shape[0])), np.empty((3, n, LANES)), np.empty((3, LANES))
     room = np.empty((n, LANES)), sigma, work, rows
+    given = np.zeros((2, 2 * constants[2].shape[0], LANES), dtype=np.float32)
     for b in which:
         start, end = b * LANES, min((b + 1) * LANES, N)
         _seed(np.uint64(seed), np.uint64(b), lanes)
@@ -196,7 +204,7 @@ def _move_lanes(old, taken, new, w, report, moments, which, span, limits, addres
             for i in range(LANES):
                 at = min(start + i, N - 1)  # lanes to spare follow the last state
                 x[a, i] = old[a, taken[at] if taken.size else at]
-        found = _through(scheme, x, lanes, span, limits, step, trial, noise, constants, room)
+        found = _through(scheme, x, lanes, given, span, limits, step, trial, noise, constants, room)
         report[b, 0], report[b, 1] = found
         new[:, start:end] = x[:, : end - start]
         block_moments(x, 0, w[start:end], moments[b])

@@ -1,13 +1,15 @@
-"""Steps with the drift compiled in: values of the noise, weak orders, functions, and the general way."""
+"""Steps with the drift compiled in: noise, densities, weak orders, functions, and the general way."""
 
 import pickle
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from reference_filters import _elementary, _inlined
+from reference_filters import _elementary, _inlined, _lane_noise
 from reference_filters._paths import Paths
 from reference_filters._weights import linear_log_likelihood, moments_of
+from reference_filters.grid import GridFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter.model.measurements import GaussianMeasurement
 from sphfilter.model.sde import SDE, LinearSDE
@@ -27,12 +29,64 @@ def moved(model, order, n_steps, span, n=2_000_000, x0=(1.0, -0.5), seed=1):
 
 
 def test_values_of_the_noise_have_the_moments_of_a_normal():
-    rare, outer, inner = _inlined._RARE, _inlined._OUTER, _inlined._INNER
+    rare, outer, inner = _lane_noise._RARE, _lane_noise._OUTER, _lane_noise._INNER
     moments = [rare * outer**k + (1.0 - rare) * inner**k for k in (2, 4, 6)]
     np.testing.assert_allclose(moments, [1.0, 3.0, 15.0], rtol=1e-4)
     np.testing.assert_allclose(moments[:2], [1.0, 3.0], rtol=1e-14)
-    size = _inlined._NUMBERS["THREE"]
-    np.testing.assert_allclose([_inlined._NOT_ZERO * size**k for k in (2, 4)], [1.0, 3.0], rtol=1e-5)
+
+
+def test_normals_of_single_precision():
+    lanes = np.random.default_rng(0).integers(0, 2**64, (3, 256), dtype=np.uint64)
+    rows = []
+    for _ in range(3000):
+        noise = np.empty((4, 256), dtype=np.float32)
+        _lane_noise.fill_noise(lanes, noise)
+        rows.append(noise.astype(float))
+    z = np.stack(rows, axis=1).reshape(4, -1)
+    for row in z:
+        assert stats.kstest(row, "norm").pvalue > 1e-3
+    for power, moment in ((1, 0.0), (2, 1.0), (3, 0.0), (4, 3.0), (6, 15.0), (8, 105.0)):
+        spread = np.sqrt((stats.norm.moment(2 * power) - moment**2) / z.size)
+        assert abs(np.mean(z**power) - moment) < 4.5 * spread, power
+    for f in (lambda v: v, np.square, np.abs):
+        off = np.corrcoef(f(z))[np.triu_indices(4, 1)]
+        assert np.abs(off).max() < 4.5 / np.sqrt(z.shape[1])
+
+
+WELLS = SDE.from_expressions(["x", "v"], ["v", "x - 0.1*x**3 - 0.4*v"], noise=NOISE, spectral_density=[[1.6]])
+PERIODIC = SDE.from_expressions(["x"], ["0.683*(sin(1.7*x) - x)"], noise=[["0.591"]])
+
+
+NARROW = {
+    "periodic": (PERIODIC, [0.7647], [[2.9146e-4]], 0.0597),
+    "wells": (WELLS, [1.0, 0.5], 1e-4 * np.eye(2), 0.1),
+}
+
+
+@pytest.mark.parametrize(("name", "order", "n_steps", "seen"), [
+    ("periodic", 4, 1, 0), ("periodic", 4, 2, 0), ("periodic", 4, 8, 0), ("periodic", 2, 1, 0),
+    ("periodic", 2, 8, 0), ("wells", 4, 1, 0), ("wells", 4, 2, 0), ("wells", 4, 4, 1),
+])  # fmt: skip
+def test_a_sharp_reading_after_a_narrow_start(name, order, n_steps, seen):
+    """The predicted density is smooth, not a lump for each value of few steps' noise."""
+    model, x0, P0, span = NARROW[name]
+    grid = GridFilter(model, None, x0, P0, size=400 if model.dim == 1 else 160, tol=1e-4)
+    cloud = ParticleFilter(model, None, x0, P0, n_particles=100_000, rng=0, order=order,
+                           step=span / n_steps * (1 + 1e-9))  # fmt: skip
+    grid.predict(span)
+    cloud.predict(span)
+    density, particles, P = grid.density, cloud._belief, grid.P[seen, seen]
+    for precision in (1e-2, 1e-4):
+        sensor = GaussianMeasurement(h=np.eye(model.dim)[[seen]], noise_cov=[[precision * P]])
+        for off in (-0.9, 0.0, 0.4, 1.3):
+            z = [grid.x[seen] + off * np.sqrt(P)]
+            exact = GridFilter(model, sensor, density=density, tol=1e-4)
+            told = exact.update(z).log_evidence
+            found, info = cloud._updated(particles, np.array(z), sensor)
+            sampling = np.sqrt(np.sum(found.w**2))
+            np.testing.assert_array_less(np.abs(found.mean - exact.x) / np.sqrt(np.diagonal(exact.P)),
+                                         5.0 * sampling + 0.005)  # fmt: skip
+            assert abs(info["log_evidence"] - told) < 5.0 * sampling + 0.01
 
 
 @pytest.mark.parametrize(("order", "low", "high"), [(2, 1.6, 2.6), (4, 2.6, 4.4)])
