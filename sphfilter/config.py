@@ -105,7 +105,7 @@ class PaperScheme:
     c_nns: Positive = 1.0
     bypass_max: Count = 15
     buffer_neighbors: Count | None = None
-    max_steps: Count = 20_000
+    max_steps: Count = 200_000
     read_out: Literal["points", "mixture"] = "points"
 
     @model_validator(mode="after")
@@ -212,12 +212,12 @@ class CloudScheme:
     --------
     >>> import sphfilter as sf
     >>> print(sf.FilterConfig(scheme="cloud").scheme.n_points)
-    10000
+    20000
     """
 
     name: Literal["cloud"] = "cloud"
-    n_points: Annotated[int, Field(ge=200, le=10_000_000)] = 10_000
-    max_steps: Count = 20_000
+    n_points: Annotated[int, Field(ge=200, le=10_000_000)] = 20_000
+    max_steps: Count = 200_000
 
 
 @settings

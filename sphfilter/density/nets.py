@@ -1,7 +1,7 @@
 """Nets: standard normals that lie evenly along a curve, the same for every cloud of so many points."""
 
 import warnings
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,7 +12,7 @@ __all__ = ["net"]
 _SEED = 20220  # of the one scrambling that all nets have
 
 
-@cache
+@lru_cache(maxsize=64)
 def net(count: int, dim: int, part: int = 0) -> Floats:
     """Standard normals (count, dim), read-only: a scrambled Sobol net in order of one more dimension.
 

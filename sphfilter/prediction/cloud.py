@@ -12,7 +12,7 @@ from ..density.cloud import points_of
 from ..density.needs import SHARED
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Steps, begun, begun_from, key_at, passed, steps_bias
-from ..density.points import SHADOW, CloudState, Pace, Path, Points, moments
+from ..density.points import ORDER, SHADOW, CloudState, Pace, Path, Points, Told, moments
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
 from ..model.domain import Domain
@@ -106,7 +106,9 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         points, shadow = (begun(mean, cov, *size) for size in sizes)
         return CloudState(points, shadow)
     points, shadow = (begun_from(*points_of(density, n, key), key) for n, key in sizes)
-    return CloudState(points, shadow)
+    known = density.error > 0.0  # what is wrong with the density goes on in the points
+    told = Told(mean=(density.error * SHADOW**ORDER) ** 2) if known else Told()
+    return CloudState(points, shadow, told, size=count if known else 0)
 
 
 def _fewer(count: int) -> int:

@@ -150,8 +150,8 @@ def switched(velocity, noise, rate, z):
 SAID = [
     *SAID_OF_FITS,
     lambda: predicted(line("x**3")),
-    lambda: predicted(line("x**3", "0.3"), scheme="cloud", start=sf.Gaussian([0.0], [[0.05]])),
-    lambda: predicted(line("-1e4*x - sin(x)"), scheme=sf.CloudScheme(max_steps=100)),
+    lambda: predicted(line("x**3", "0.3"), scheme="cloud", start=sf.Gaussian([0.0], [[0.08]])),
+    lambda: predicted(line("-x - x**3"), scheme=sf.CloudScheme(max_steps=2)),
     lambda: predicted(line("sqrt(x + 3)"), scheme="log_density"),
     lambda: predicted(line("-6*sign(x)", "0.1"), scheme="log_density"),
     lambda: sf.predict(laid(ROUND), wells(), 1.0, sf.SolverConfig(scheme="log_density"), n_particles=6),
