@@ -17,6 +17,7 @@ from numba.np.arrayobj import populate_array
 
 from sphfilter.core._addresses import Entry
 from sphfilter.core._jit import MATRIX, VECTOR
+from sphfilter.model.simulate import noise_root
 
 from ._elementary import with_vector_functions
 from ._lane_noise import BITS, NOISES, unit_noise
@@ -47,10 +48,8 @@ def pattern_of(model):
     """Which noises (m) move which states (n), as n tuples of truth values: zeros are left out of the code."""
     if model.inputs or not model.autonomous:
         return ((True,) * model.n_noise,) * model.dim
-    g = model.noise(np.zeros((1, model.dim)), 0.0)[0]
-    correlated = np.any(model.spectral_density != np.diag(np.diagonal(model.spectral_density)))
-    moved = np.repeat(np.any(g != 0.0, axis=1)[:, None], g.shape[1], axis=1) if correlated else g != 0.0
-    return tuple(tuple(row) for row in moved.tolist())
+    sigma = model.noise(np.zeros((1, model.dim)), 0.0)[0] @ noise_root(model.spectral_density)
+    return tuple(tuple(row) for row in (sigma != 0.0).tolist())
 
 
 @lru_cache(maxsize=64)

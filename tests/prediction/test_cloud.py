@@ -199,7 +199,7 @@ def test_what_the_default_refused_goes_on_as_a_cloud_and_says_so():
 
 
 def test_a_cloud_comes_back_to_a_lattice_that_holds_it():
-    as_many = sf.FilterConfig(scheme=sf.CloudScheme(n_points=4096))  # as the kernels that a lattice is laid on
+    as_many = sf.FilterConfig(scheme=sf.CloudScheme(n_points=4096))  # as a lattice is laid on
     cloud, _ = sf.predict(normal(1.0), line("-x"), 0.5, as_many)
     density, info = sf.predict(cloud, line("-x"), 0.5, n_particles=60)
     assert info.scheme == "log_density" and density.field is not None

@@ -204,3 +204,12 @@ def test_a_copy_goes_on_to_the_same_bits_and_takes_no_addresses_along():
     for own in (filt, again):
         own.predict(0.5)
     np.testing.assert_array_equal(filt.particles, again.particles)
+
+
+@pytest.mark.parametrize("Q", [(0.05, 0.005), (0.005, 0.05), (3.0, 3.0)])
+def test_noises_of_any_densities_move_the_states_they_belong_to(Q):
+    """The root of a diagonal spectral density may have its columns in another order."""
+    model = SDE.from_expressions(["x", "y"], ["-sin(x)", "-sin(y)"], [["1", "0"], ["0", "1"]], np.diag(Q))
+    filt = ParticleFilter(model, None, [0.0, 0.0], 1e-6 * np.eye(2), n_particles=40_000, rng=1)
+    filt.predict(t=0.05)
+    np.testing.assert_allclose(np.diag(filt.P), np.array(Q) * (1.0 - np.exp(-0.1)) / 2.0, rtol=0.04)
