@@ -1,4 +1,4 @@
-"""Weighted states, compiled: conditioning, moments, systematic resampling."""
+"""Weighted states, compiled: conditioning, moments in blocks, systematic resampling."""
 
 import numpy as np
 from numba import njit
@@ -6,7 +6,7 @@ from numba import njit
 from sphfilter.core._jit import jit
 
 __all__ = ["ANY_ORDER", "LANES", "all_moments", "ancestors", "block_moments", "condition",
-           "linear_log_likelihood", "merged", "moments_of", "weighted_moments"]  # fmt: skip
+           "linear_log_likelihood", "merged", "moments_of"]  # fmt: skip
 
 #: States of a block.
 LANES = 256
@@ -43,23 +43,6 @@ def condition(log_w, log_likelihood, w):
         log_w[i] -= log_sum
         w[i] /= total
     return log_sum
-
-
-@njit(cache=True, **ANY_ORDER)
-def weighted_moments(X, w, mean, cov):
-    """Fill mean (n,) and covariance (n, n) of states X (N, n) with weights w (N,) that sum to one."""
-    N, n = X.shape
-    for a in range(n):
-        s = 0.0
-        for i in range(N):
-            s += w[i] * X[i, a]
-        mean[a] = s
-    for a in range(n):
-        for b in range(a + 1):
-            s = 0.0
-            for i in range(N):
-                s += w[i] * (X[i, a] - mean[a]) * (X[i, b] - mean[b])
-            cov[a, b] = cov[b, a] = s
 
 
 @jit

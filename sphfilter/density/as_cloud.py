@@ -3,9 +3,9 @@
 from typing import Any
 
 from .._types import Floats
-from .cloud import KERNEL, Cloud, moments, smoothing_length
+from .cloud import KERNEL, Cloud, smoothing_length
 from .particle_density import ParticleDensity
-from .points import CloudState
+from .points import CloudState, moments
 from .shapes import Folded
 
 __all__ = ["cloud_density", "cloud_of", "thinned"]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._types import Floats, Ints
+from ..core.cloud import weights
 from ..core.sph.kernels import Kernel
 from ..errors import PropagationError
 from ..lattice.walls import inside
@@ -28,7 +29,6 @@ __all__ = [
     "Cloud",
     "drawn",
     "key_of",
-    "moments",
     "moments_of",
     "points_of",
     "smoothing_length",
@@ -109,11 +109,9 @@ def smoothing_length(mass: Floats, cov: Floats) -> Floats:
     return np.full(len(mass), size / math.sqrt(kernel.variance))
 
 
-def systematic(mass: Floats, count: int, shift: float = 0.5) -> Ints:
+def systematic(mass: Floats, count: int) -> Ints:
     """Numbers (count,) of points of weights (N,), each as often as its weight says but for rounding."""
-    ends = np.cumsum(mass)
-    found = np.searchsorted(ends, (np.arange(count) + shift) * (ends[-1] / count), side="right")
-    return np.minimum(found, np.flatnonzero(mass)[-1])
+    return weights.systematic(np.array(mass), count, 0.5)  # a copy: compiled code takes what may be written
 
 
 def key_of(density: "ParticleDensity") -> int:

@@ -8,8 +8,8 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.family.basis import averages
 from ..core.monomials import up_to
-from .cloud import moments
 from .family import Family, gaussian_family
+from .points import moments
 
 __all__ = ["max_entropy"]
 

@@ -10,7 +10,7 @@ from .points import ORDER
 
 __all__ = [
     "AIMED",
-    "FEWEST_POINTS",
+    "MISSED",
     "MOST_POINTS",
     "SHARED",
     "Needs",
@@ -21,7 +21,7 @@ __all__ = [
 ]
 
 #: Points of a cloud, least and most: powers of two, for which nets are evenest.
-FEWEST_POINTS, MOST_POINTS = 256, 2**17
+_FEWEST_POINTS, MOST_POINTS = 256, 2**17
 _TYPICAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it
 #: Power of the predictions since a reading, by which their allowances fall.
 SHARED = 1.5
@@ -30,6 +30,7 @@ _MORE = 4.0  # times the points at most, after one reading
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
 AIMED = 0.25
+MISSED = 1.5  # times the target, from which an error is said to miss it: estimates are no better
 _USUAL = 200  # particles of a scheme that estimates no error
 _LONGEST = 4  # doublings of the wait for a family that will not do
 
@@ -92,7 +93,7 @@ class Needs(NamedTuple):
 
 def _power_of_two(count: float) -> int:
     """The next power of two, within what clouds may have."""
-    return min(max(2 ** math.ceil(math.log2(max(count, 1.0))), FEWEST_POINTS), MOST_POINTS)
+    return min(max(2 ** math.ceil(math.log2(max(count, 1.0))), _FEWEST_POINTS), MOST_POINTS)
 
 
 def doubt(dim: int) -> float:

@@ -1,7 +1,7 @@
 """A cloud of points over an interval: order, noise that is even along it, motion; and once more, guided."""
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,8 +39,12 @@ __all__ = [
     "gone",
     "gone_again",
     "key_at",
+    "normals",
     "passed",
+    "relinearised",
     "steps_bias",
+    "stored_key",
+    "sub_key",
 ]
 
 #: Effective part of points, below which they are drawn anew.
@@ -64,7 +68,7 @@ class Steps(NamedTuple):
 
 
 # what numbers of a key are for
-_CUT, _FIRST, _AGAIN, _PILOT, _KERNEL = (np.uint64(k) for k in range(5))
+_CUT, _FIRST, _AGAIN, _PILOT, _KERNEL = range(5)
 
 
 def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
@@ -102,8 +106,17 @@ def passed(points: Points, model: SDE, t0: float, t1: float, steps: Steps, count
 
 def key_at(t: float, number: int) -> int:
     """The key of what happens at a time, whatever the density: evidence is smooth in a model's parameters."""
-    word = np.array([t + 0.0]).view(np.uint64)[0]
-    return int(mixed(word, np.uint64(number)) >> np.uint64(1))
+    return stored_key(np.array([t + 0.0]).view(np.uint64)[0], number)
+
+
+def sub_key(key: Any, number: int) -> Any:
+    """The key, of compiled code, of one of the things that a key is for."""
+    return np.uint64(mixed(np.uint64(key), np.uint64(number)))
+
+
+def stored_key(key: Any, number: int) -> int:
+    """The same as a number that signed integers hold."""
+    return int(sub_key(key, number)) >> 1
 
 
 def _most(count: int, dim: int) -> int:
@@ -154,7 +167,7 @@ def _apart(points: Points, key: int) -> Points:
 
 def systematically(w: Floats, count: int, key: int) -> Ints:
     """Numbers (count,) of points of weights w (N,), each as often as its weight says but for rounding."""
-    return systematic(w, count, uniform(np.uint64(key), _CUT))
+    return systematic(w, count, uniform(np.uint64(key), np.uint64(_CUT)))
 
 
 def even(count: int, dim: int, key: int, part: int) -> Floats:
@@ -162,13 +175,18 @@ def even(count: int, dim: int, key: int, part: int) -> Floats:
     return even_normals(net(count, dim, part), np.uint64(key))
 
 
+def normals(count: int, dim: int, key: Any, parts: int, first: int = 0) -> tuple[Floats, ...]:
+    """Standard normals (count, dim) of each part of a path, by numbers of a key from a first one on."""
+    return tuple(even(count, dim, stored_key(key, first + k), k) for k in range(parts))
+
+
 def gone(passage: Passage, x: Floats, u: Floats, block: Ints, again: bool) -> Floats:
     """Points (N, n) at the end of a passage, from x, with ends moved by u; `again`: other noise beside."""
     if passage.leg is None:
         return affine(x, u, block, passage.start, passage.end, passage.flow, passage.lower)
-    x, key = x.copy(), mixed(np.uint64(passage.key), _AGAIN if again else _FIRST)
+    x, key = x.copy(), sub_key(passage.key, _AGAIN if again else _FIRST)
     with surfacing():
-        move(passage.leg, x, u, passage.rows, block, np.uint64(key), 0, -(-len(x) // LANES))
+        move(passage.leg, x, u, passage.rows, block, key, 0, -(-len(x) // LANES))
     return x
 
 
@@ -211,7 +229,7 @@ def steps_bias(points: Points, model: SDE, span: tuple[float, float], steps: Ste
     number, stiff = steps
     leg, half = leg_of(model, *span, number, stiff), leg_of(model, *span, 2 * number, stiff)
     with surfacing():
-        coarse, fine = moved_twice(leg, half, x, np.uint64(mixed(np.uint64(key), _PILOT)))
+        coarse, fine = moved_twice(leg, half, x, sub_key(key, _PILOT))
     return parted(coarse, fine, _GROUPS)
 
 
@@ -223,11 +241,27 @@ def _passage(model: SDE, x: Floats, span: tuple[float, float], steps: Steps, key
         end = np.einsum("ij,kj->ik", start, flow) + offset
         return _same_everywhere(model, key, start, end, flow, noise_root(Q))._replace(span=span)
     leg = leg_of(model, *span, *steps)
+    return Passage(leg, key, start, *_linearised(leg, start), model, span, steps)
+
+
+def relinearised(passage: Passage, start: Floats, key: int) -> Passage:
+    """A passage linearised about other centres (blocks, n)."""
+    if passage.leg is None:  # the same in all blocks
+        flow = passage.flow[0]
+        end = passage.end[0] + np.einsum("ij,kj->ik", start - passage.start[0], flow)
+        return _same_everywhere(passage.model, key, start, end, flow, passage.lower[0])._replace(
+            span=passage.span
+        )
+    end, flow, lower, rows = _linearised(passage.leg, start)
+    return passage._replace(key=key, start=start, end=end, flow=flow, lower=lower, rows=rows)
+
+
+def _linearised(leg: Leg, start: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Ends of centres (blocks, n), Φ, L and V of a leg."""
     end = start.copy()
     with surfacing():
         flow, B = linearise(leg, end)
-    lower, rows = lower_and_rows(B)
-    return Passage(leg, key, start, end, flow, lower, rows, model, span, steps)
+    return end, flow, *lower_and_rows(B)
 
 
 def _same_everywhere(
@@ -242,7 +276,7 @@ def _same_everywhere(
 
 def _own_key(key: int) -> int:
     """Of the noise that begins a path: other than that of its first prediction."""
-    return int(mixed(np.uint64(key), _KERNEL) >> np.uint64(1))
+    return stored_key(key, _KERNEL)
 
 
 def blocks_of(count: int) -> Ints:

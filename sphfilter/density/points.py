@@ -54,9 +54,8 @@ class Points(NamedTuple):
     w: Floats
     path: Path | None = None  # since the last reading
     prior: Prior | None = None  # before the readings of this time
-    family: Ints | None = (
-        None  # (N,): points of a number come from one point of the prior; None: each its own
-    )
+    #: (N,): points of a number come from one point of the prior; None: each its own.
+    family: Ints | None = None
 
 
 class Told(NamedTuple):

@@ -82,7 +82,7 @@ def density_from(arrays: Arrays, models: Sequence[SDE] = ()) -> ParticleDensity:
     about = json.loads(str(arrays["about"]))
     about.pop("inherited", None)  # of files of before
     if about.get("needs") is not None:
-        about["needs"] = Needs(*about["needs"])
+        about["needs"] = _needs_from(about["needs"])
     if about["domain"] is not None:
         about["domain"] = Domain(*about["domain"])
     if "field.mu" in arrays:
@@ -102,6 +102,11 @@ def density_from(arrays: Arrays, models: Sequence[SDE] = ()) -> ParticleDensity:
         return _cloud_from(part("cloud", arrays), about, models)
     about |= {name: arrays[name] for name in _ARRAYS if name in arrays}
     return ParticleDensity(**about)
+
+
+def _needs_from(known: list[Any]) -> Needs:
+    """The needs of a list; of files of before the first five, which mean the same."""
+    return Needs(*(known if len(known) == len(Needs._fields) else known[:5]))
 
 
 def models_of(density: ParticleDensity) -> tuple[SDE, ...]:

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
 from ..density.as_family import unrolled
-from ..density.cloud import moments
 from ..density.particle_density import ParticleDensity
+from ..density.points import moments
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code
 from ..lattice.resolved import Search

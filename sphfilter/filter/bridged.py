@@ -13,16 +13,15 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats, Ints, OfStates
-from ..core.cloud.guide import along_rows, look_ahead, missed, without_noise
-from ..core.cloud.linearise import centres, linearise, lower_and_rows
-from ..core.cloud.noise import even_normals, mixed, uniform
+from ..core.cloud.guide import look_ahead, over_both
+from ..core.cloud.linearise import centres
+from ..core.cloud.noise import even_normals, uniform
 from ..core.cloud.weights import effective, normalise
 from ..density.carriers import Carried
 from ..density.nets import net
-from ..density.passage import LED, along, blocks_of, even, gone
+from ..density.passage import LED, along, blocks_of, gone, normals, relinearised, stored_key, sub_key
 from ..density.points import Passage, Points
-from ..model.compile import surfacing
-from .stacked import Stacked, joined
+from .stacked import Stacked, seen
 
 __all__ = ["bridged"]
 
@@ -31,7 +30,6 @@ _MORE = 4
 #: Times the reading's own noise that a guide sees, as that of both passes; and times what linearity misses on
 #: average, which is more in the tails: of 1, 2, 4, 8 and an outlier of twelve sigma, errors .14 .09 .06 .05.
 _WIDER, _MISSED = 1.5, 8.0
-_FARTHEST = 300.0  # nats, of a ratio of densities
 
 
 def bridged(
@@ -60,18 +58,22 @@ def bridged(
     log_w, family, count = np.log(np.maximum(points.w, 1e-300)), np.arange(len(path.x)), _MORE * len(path.x)
     stage = 0
     while True:  # each stage takes one step of the way, or more
-        own = _of(key, stage)
+        own = sub_key(key, stage)
         if stage > 0:
             order = along(x, np.full(len(x), 1.0 / len(x)))
             x, log_w, family, block = x[order], log_w[order], family[order], blocks_of(len(x))
             passages, u, y = _anew(passages, x, block, own)
-        ancestor, v, log_ratio = _led(x, y, u, log_w, block, passages, sensor, count, own)
+        w = np.empty(len(x))
+        total = normalise(log_w, w)
+        ancestor, v, log_ratio = _led(x, y, u, w, block, passages, sensor, count, own)
         if not len(ancestor) or (stage == 0 and effective(1.0 * np.bincount(ancestor)) < least):
             return None
         z = gone(passages[0], x[ancestor], v, block[ancestor], True)
         if len(passages) == 1:
-            return _both(y, z, log_w, log_ratio, log_likelihood, np.append(family, family[ancestor]))
-        log_w, family = -log_ratio[len(x) :] - math.log(count), family[ancestor]
+            ends = np.concatenate([y, z])
+            log_w = total + over_both(log_likelihood(ends), log_ratio, w)
+            return Carried.of(ends, log_w, np.append(family, family[ancestor]))
+        log_w, family = total - log_ratio[len(x) :] - math.log(count), family[ancestor]
         kept = np.asarray(np.isfinite(z).all(axis=1))
         if not kept.any():
             return None
@@ -79,22 +81,18 @@ def bridged(
         passages, stage = passages[1:], stage + 1
 
 
-def _of(key: Any, number: int) -> Any:
-    return np.uint64(mixed(np.uint64(key), np.uint64(number)))
-
-
 def _anew(passages: Any, x: Floats, block: Any, key: Any) -> tuple[Any, Any, Floats]:
     """What remains of the way from points x (N, n), noise for each part of it, and where that takes them."""
     count, n = x.shape
     passages = _halved(passages, x, key)
-    u = tuple(even(count, n, int(_of(key, k)) >> 1, k) for k in range(len(passages)))
+    u = normals(count, n, key, len(passages))
     for passage, v in zip(passages, u, strict=True):
         x = gone(passage, x, v, block, False)
     return passages, u, x
 
 
 def _led(
-    x: Floats, y: Floats, u: Any, log_w: Floats, block: Any, passages: Any, sensor: Any, count: int, key: Any
+    x: Floats, y: Floats, u: Any, w: Floats, block: Any, passages: Any, sensor: Any, count: int, key: Any
 ) -> tuple[Ints, Floats, Floats]:
     """Ancestors (count,), what leads them over the first of the passages (count, n), and what that is worth.
 
@@ -102,32 +100,13 @@ def _led(
     x (N, n) are the points now, y where they came with noise u of each of the passages.
     """
     N, n = x.shape
-    flow, lower, rows, start, end = joined(passages)
-    whole = u[0] if rows is None else along_rows(rows, block, np.concatenate(u, axis=1))
-    H = sensor.jacobian(end)
-    HL, HPhi = np.ascontiguousarray(H @ lower), np.ascontiguousarray(H @ flow)
-    r = sensor.residual(sensor.predict(without_noise(y, x, whole, lower, flow, block)))
-    even_w = np.full(N, 1.0 / N)
-    C = missed(sensor.predict(y), x, whole, even_w, block, start, HL, HPhi, sensor.angle)
-    first, R = HL, _WIDER * sensor.covariance(end) + _MISSED * C
+    rows, _, HL, r, noise, C = seen(sensor, passages, x, y, u, np.full(N, 1.0 / N), block)
+    first, R = HL, _WIDER * noise + _MISSED * C
     if rows is not None:  # what moves points later is noise of the reading
         first = np.ascontiguousarray(HL @ rows[:, :, :n])
         R = R + HL @ HL.swapaxes(1, 2) - first @ first.swapaxes(1, 2)
-    w = np.empty(N)
-    total, z = normalise(log_w, w), even_normals(net(count, n, LED), key)
-    cut = uniform(key, np.uint64(0))
-    ancestor, v, log_ratio = look_ahead(r, u[0], w, block, first, np.ascontiguousarray(R), z, cut)
-    return ancestor, v, log_ratio - total
-
-
-def _both(
-    y: Floats, z: Floats, log_w: Floats, log_ratio: Floats, log_likelihood: OfStates, family: Ints
-) -> Carried:
-    """The posterior of points y that went without a guide and z that went with one, by their mixture."""
-    x, log_half, total = np.concatenate([y, z]), math.log(0.5), np.logaddexp.reduce(log_w)
-    base = np.concatenate([log_w, np.full(len(z), total - math.log(len(z)))]) + log_half
-    over = np.clip(log_ratio + total, -_FARTHEST, _FARTHEST) + log_half
-    return Carried.of(x, base + log_likelihood(x) - np.logaddexp(over, log_half), family)
+    z, cut = even_normals(net(count, n, LED), key), uniform(key, np.uint64(0))
+    return look_ahead(r, u[0], w, block, first, np.ascontiguousarray(R), z, cut)
 
 
 def _halved(passages: Any, x: Floats, key: Any) -> tuple[Passage, ...]:
@@ -142,20 +121,6 @@ def _halved(passages: Any, x: Floats, key: Any) -> tuple[Passage, ...]:
             first = first._replace(leg=first.leg._replace(steps=steps))
     c, out = centres(x), []
     for k, passage in enumerate([first, *later]):
-        out.append(_about(passage, c, int(_of(key, 100 + k)) >> 1))
+        out.append(relinearised(passage, c, stored_key(key, 100 + k)))
         c = out[-1].end
     return tuple(out)
-
-
-def _about(passage: Passage, start: Floats, key: int) -> Passage:
-    """A passage linearised about other centres (blocks, n)."""
-    if passage.leg is None:  # the same in all blocks
-        flow, size = passage.flow[0], (len(start), 1, 1)
-        end = passage.end[0] + np.einsum("ij,kj->ik", start - passage.start[0], flow)
-        flow, lower = np.tile(flow, size), np.tile(passage.lower[0], size)
-        return passage._replace(key=key, start=start, end=end, flow=flow, lower=lower)
-    end = start.copy()
-    with surfacing():
-        flow, B = linearise(passage.leg, end)
-    lower, rows = lower_and_rows(B)
-    return passage._replace(key=key, start=start, end=end, flow=flow, lower=lower, rows=rows)

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..config import CloudScheme, FilterConfig
 from ..density.as_cloud import cloud_of
+from ..density.cloud import systematic
 from ..density.particle_density import ParticleDensity
 from ..density.passage import key_at
 from ..density.points import Points
@@ -74,6 +75,4 @@ def _least(number: float) -> float:
 
 def _part_of(points: Points, count: int) -> Points:
     """Some of a posterior's points, each as heavy as the others."""
-    ends = np.cumsum(points.w)
-    taken = np.minimum(np.searchsorted(ends, (np.arange(count) + 0.5) / count * ends[-1]), len(ends) - 1)
-    return Points(points.x[taken], np.full(count, 1.0 / count))
+    return Points(points.x[systematic(points.w, count)], np.full(count, 1.0 / count))

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..config import CloudScheme, FilterConfig
 from ..density.as_family import settled
-from ..density.needs import Needs, allowance, doubt, fewest
+from ..density.needs import MISSED, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
@@ -27,9 +27,6 @@ __all__ = ["by_ladder"]
 _TRIES, _MOST_NODES = 3, 20_000
 #: Nodes of pieces, over the points of a cloud that has the same error; and so many that are always tried.
 _NODES, _NODES_MORE, _FEW_NODES = {1: 0.2, 2: 0.2}, 2.0, 20_000
-_AIMED = 1.3  # times the points, as the next reading may be sharper
-_MISSED = 1.5  # times the target, from which that is said: estimates are no better, and rather too high
-_NEAR = 0.3  # of the points: changes that are not made
 _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
 
 Posterior = tuple[ParticleDensity, dict[str, Any]]
@@ -136,7 +133,7 @@ def _told(said: dict[str, Any], target: float) -> dict[str, Any]:
     usual = Code.CLOUD | Code.FINER
     if said["code"] & ~usual or not said["error"] < DOUBTFUL:
         return said
-    if said["error"] <= _MISSED * target:
+    if said["error"] <= MISSED * target:
         return said | {"status": "ok", "code": Code.OK}
     missed = f"the mean is good to {said['error']:.2g} standard deviations, not to the {target:g} asked for"
     return said | {"status": missed, "code": Code.COARSE}

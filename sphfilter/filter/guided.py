@@ -9,16 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, Ints, OfStates
-from ..core.cloud.guide import along_rows, look_ahead, missed, over_both, spread, without_noise
-from ..core.cloud.noise import even_normals, mixed, uniform
+from ..core.cloud.guide import look_ahead, over_both, spread
+from ..core.cloud.noise import even_normals, uniform
 from ..core.cloud.weights import effective, finite_rows
 from ..density.carriers import Carried
 from ..density.nets import net
-from ..density.passage import LED, even, gone
+from ..density.passage import LED, gone, normals, sub_key
 from ..density.points import Points, Prior
 from ..model.domain import Domain
 from .bridged import bridged
-from .stacked import Stacked, joined
+from .stacked import Stacked, seen
 from .tempered import tempered
 
 __all__ = ["Weighed", "weighed"]
@@ -133,15 +133,9 @@ def _twice(
     path = points.path
     assert path is not None
     x, w, (x0, block, passages, U) = points.x, points.w, path
-    (count, n), own = x.shape, np.uint64(mixed(np.uint64(key), np.uint64(11)))
-    flow, lower, rows, start, end = joined(passages)
-    u = U[0] if rows is None else along_rows(rows, block, np.concatenate(U, axis=1))
-    H = sensor.jacobian(end)
-    HL, HPhi = np.ascontiguousarray(H @ lower), np.ascontiguousarray(H @ flow)
-    bare = without_noise(x, x0, u, lower, flow, block)
-    hy, r = sensor.predict(x), sensor.residual(sensor.predict(bare))
-    C = missed(hy, x0, u, w, block, start, HL, HPhi, sensor.angle)
-    R = np.ascontiguousarray(_WIDER * (sensor.covariance(end) + _OWN * C))
+    (count, n), own = x.shape, sub_key(key, 11)
+    rows, u, HL, r, noise, C = seen(sensor, passages, x0, x, U, w, block)
+    R = np.ascontiguousarray(_WIDER * (noise + _OWN * C))
     z, cut = even_normals(net(count, n, LED), own), uniform(own, np.uint64(0))
     ancestor, u, log_ratio = look_ahead(r, u, w, block, HL, R, z, cut)
     if not len(ancestor):
@@ -158,7 +152,6 @@ def _twice(
 def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: Any) -> list[Floats]:
     """What moves the points in each passage, (N, n) each, such that together it moves their ends by u."""
     count, n = u.shape
-    fresh = [even(count, n, int(mixed(key, np.uint64(20 + k))) >> 1, k) for k in range(parts)]
-    U = np.concatenate(fresh, axis=1)
+    U = np.concatenate(normals(count, n, key, parts, 20), axis=1)
     spread(rows, block, u, U)
     return [np.ascontiguousarray(U[:, k * n : (k + 1) * n]) for k in range(parts)]

@@ -4,16 +4,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._types import Bools, Floats
+from .._types import Bools, Floats, Ints
+from ..core.cloud.guide import along_rows, missed, without_noise
 from ..core.cloud.linearise import lower_and_rows
 from ..core.cloud.weights import finite_rows
 from ..model.domain import Domain
 from ..model.measurements import has_gaussian_noise, is_gaussian
 
-__all__ = ["Stacked", "joined"]
+__all__ = ["Seen", "Stacked", "seen"]
 
 
-def joined(passages: Any) -> tuple[Floats, Floats, Floats | None, Floats, Floats]:
+def _joined(passages: Any) -> tuple[Floats, Floats, Floats | None, Floats, Floats]:
     """Passages one after the other as one: Φ, L, rows of what moves the end among all u, begin and end."""
     if len(passages) == 1:
         (only,) = passages
@@ -32,22 +33,18 @@ class Stacked(NamedTuple):
 
     asked: tuple[Any, ...]
     domain: Domain | None
+    z: Floats  # what was read, (k,) components that came
+    angle: Bools  # which of them are angles, (k,)
 
     @classmethod
     def of(cls, readings: tuple[Any, ...], domain: Domain | None) -> "Stacked | None":
         """None where a sensor has no noise that is Gaussian."""
         fine = all(is_gaussian(a.measurement) or has_gaussian_noise(a.measurement) for a in readings)
-        return cls(readings, domain) if fine else None
-
-    @property
-    def angle(self) -> Bools:
-        """Which components are angles, (k,)."""
-        parts = []
-        for a in self.asked:
-            own = np.zeros(len(a.seen), bool)
-            own[list(a.measurement.angles)] = True
-            parts.append(own[a.seen])
-        return np.concatenate(parts)
+        if not fine:
+            return None
+        z = np.concatenate([np.atleast_1d(np.asarray(a.numbers))[a.seen] for a in readings])
+        angle = [np.isin(np.flatnonzero(a.seen), list(a.measurement.angles)) for a in readings]
+        return cls(readings, domain, z, np.concatenate(angle))
 
     def predict(self, x: Floats) -> Floats:
         """Readings (N, k) of states, components that came; NaN where a state is no number."""
@@ -65,8 +62,7 @@ class Stacked(NamedTuple):
 
     def residual(self, h: Floats) -> Floats:
         """What was read less readings (N, k), angles wrapped."""
-        z = np.concatenate([np.atleast_1d(np.asarray(a.numbers))[a.seen] for a in self.asked])
-        return _wrapped(z - h, self.angle)
+        return _wrapped(self.z - h, self.angle)
 
     def jacobian(self, c: Floats) -> Floats:
         """∂h/∂x at states (blocks, n), (blocks, k, n): by central differences where h is no matrix."""
@@ -93,6 +89,28 @@ class Stacked(NamedTuple):
             ][:, :, a.seen]
             at += k
         return R
+
+
+class Seen(NamedTuple):
+    """A way of points as a sensor sees it, linearised in blocks: what a guide is made of."""
+
+    rows: Floats | None  # of what moves the end among what moves all passages; None of a single one
+    u: Floats  # what moves each point's end, (N, n)
+    HL: Floats  # (blocks, k, n)
+    r: Floats  # what was read less what each point would read without its noise, (N, k)
+    R: Floats  # noise covariances, (blocks, k, k)
+    C: Floats  # what linearity misses, (k, k)
+
+
+def seen(sensor: Stacked, passages: Any, x: Floats, y: Floats, u: Any, w: Floats, block: Ints) -> Seen:
+    """A way as a sensor sees it, of points of weights w (N,) from x to y (N, n), with u of each passage."""
+    flow, lower, rows, start, end = _joined(passages)
+    whole = u[0] if rows is None else along_rows(rows, block, np.concatenate(u, axis=1))
+    H = sensor.jacobian(end)
+    HL, HPhi = np.ascontiguousarray(H @ lower), np.ascontiguousarray(H @ flow)
+    r = sensor.residual(sensor.predict(without_noise(y, x, whole, lower, flow, block)))
+    C = missed(sensor.predict(y), x, whole, w, block, start, HL, HPhi, sensor.angle)
+    return Seen(rows, whole, HL, r, sensor.covariance(end), C)
 
 
 def _wrapped(r: Floats, angle: Bools) -> Floats:

@@ -14,10 +14,9 @@ import numpy as np
 from .._types import Floats, Ints, OfStates
 from ..core.cloud.given import move_along, noise_of, renew, uniforms
 from ..core.cloud.move import affine
-from ..core.cloud.noise import mixed
 from ..core.cloud.weights import effective, normalise, systematic
 from ..density.carriers import Carried
-from ..density.passage import even
+from ..density.passage import normals, sub_key
 from ..density.points import Passage, Points
 from ..model.compile import surfacing
 
@@ -103,20 +102,18 @@ def tempered(points: Points, log_likelihood: OfStates, key: int) -> Carried | No
         before, w = b, np.empty(len(log_w))
         b = _power(log_w, ways.log_l, b, N) if passes + 2 * _MOVES <= _PASSES else 1.0
         log_evidence += normalise(_risen(log_w, ways.log_l, b - before), w)
-        ways = ways.chosen(systematic(w, N, uniforms(_of(key, 2000 + passes), 1)[0]))
+        ways = ways.chosen(systematic(w, N, uniforms(sub_key(key, 2000 + passes), 1)[0]))
         log_w = np.full(N, -math.log(N))
         while True:
             for _ in range(_MOVES):
-                ways, steps = _moved(ways, path.passages, log_likelihood, b, steps, _of(key, 1000 + passes))
+                ways, steps = _moved(
+                    ways, path.passages, log_likelihood, b, steps, sub_key(key, 1000 + passes)
+                )
                 passes += 1
             found = Carried.of(ways.end, log_w + log_evidence, ways.family)
             if b < 1.0 or found.effective >= _ENOUGH or passes + _MOVES > _PASSES:
                 break
     return found
-
-
-def _of(key: Any, number: int) -> Any:
-    return np.uint64(mixed(np.uint64(key), np.uint64(number)))
 
 
 def _risen(log_w: Floats, log_l: Floats, rise: float) -> Floats:
@@ -130,7 +127,7 @@ def _drawn(points: Points, log_likelihood: OfStates, key: int) -> tuple[_Ways | 
     assert path is not None
     once, w = np.log(np.maximum(points.w, 1e-300)), np.empty(0)
     for k in range(_DRAWS):
-        u, noise = _fresh(path.passages, N, path.x.shape[1], _of(key, k))
+        u, noise = _fresh(path.passages, N, path.x.shape[1], sub_key(key, k))
         end = _ends(path.passages, path.x, path.block, u, noise)
         parts.append(_Ways(path.x, path.block, u, noise, end, log_likelihood(end), np.arange(N) + k * N))
         log_l, log_w = np.concatenate([p.log_l for p in parts]), np.tile(once - math.log(k + 1), k + 1)
@@ -152,9 +149,8 @@ def _together(parts: list[_Ways]) -> _Ways:
 
 def _fresh(passages: Any, count: int, n: int, key: Any) -> tuple[Any, Any]:
     """Normals (count, n) and noise beside them of every passage."""
-    u = [even(count, n, int(_of(key, k)) >> 1, k) for k in range(len(passages))]
-    noise = [_beside(p, count, _of(key, 100 + k)) for k, p in enumerate(passages)]
-    return tuple(u), tuple(noise)
+    noise = [_beside(p, count, sub_key(key, 100 + k)) for k, p in enumerate(passages)]
+    return normals(count, n, key, len(passages)), tuple(noise)
 
 
 def _beside(p: Passage, count: int, key: Any) -> Floats | None:
@@ -196,16 +192,16 @@ def _moved(
 ) -> tuple[_Ways, _Steps]:
     """Ways after a move of each that its likelihood's power accepts, and the steps to try next."""
     M, n = ways.start.shape
-    s = steps.of(M, _of(key, 300))
+    s = steps.of(M, sub_key(key, 300))
     v, fresh = _fresh(passages, M, n, key)
     stay = np.sqrt(1.0 - s**2)[:, None]
     u = tuple(stay * old + s[:, None] * new for old, new in zip(ways.u, v, strict=True))
     noise = tuple(None if z is None else z.copy() for z in ways.noise)
     for k, (z, new) in enumerate(zip(noise, fresh, strict=True)):
         if z is not None:
-            renew(z, new, s**2, _of(key, 200 + k))
+            renew(z, new, s**2, sub_key(key, 200 + k))
     end = _ends(passages, ways.start, ways.block, u, noise)
     log_l = log_likelihood(end)
-    taken = np.log(uniforms(_of(key, 400), M)) < _risen(np.zeros(M), log_l, b) - b * ways.log_l
+    taken = np.log(uniforms(sub_key(key, 400), M)) < _risen(np.zeros(M), log_l, b) - b * ways.log_l
     new_ways = ways._replace(u=u, noise=noise, end=end, log_l=log_l)
     return ways.moved(taken, new_ways), steps.after(s, taken)

@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
+from ..density.needs import MISSED
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, target_of
 from ..errors import PropagationError
@@ -23,7 +24,6 @@ __all__ = ["Update", "update_or_predict_again"]
 #: Probability of a posterior that hangs on what the prediction lost, from which the prediction is repeated.
 _GUESSED = 0.01
 _LADDER = Ladder(deeper=0.7)
-_MISSED = 1.5  # times the target error, from which a cloud is drawn again
 _TRIES = 3  # times it is: a first number of points is a guess
 
 
@@ -121,7 +121,7 @@ def _on_more_points(
         known, needs = before.needs, posterior.needs
         if target is None or known is None or needs is None or config.time_budget:
             break
-        more = needs.points if info.error > _MISSED * target else 0
+        more = needs.points if info.error > MISSED * target else 0
         if prior.read_out == "cloud" and more <= known.cloud(target):
             break
         before = before.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))

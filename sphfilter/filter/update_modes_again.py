@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from .._types import Floats
 from ..config import FilterConfig
 from ..density.modes import ModeDensities
+from ..density.needs import MISSED
 from ..info import Code, UpdateInfo
 from ..model.measurements import Sensor
 from ..prediction.switching import MOST_SUBSTEPS, ModesPrediction, predict_modes
@@ -17,7 +18,6 @@ from .update_modes import ModesUpdateInfo, update_modes
 
 __all__ = ["update_or_predict_modes_again"]
 
-_MISSED = 1.5  # times the target, from which that is said
 _REPEATED = "the prediction before repeated in more steps of the jumps between modes"
 _COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
 _MARGIN, _FINEST = 4.0, 250.0  # times less, that an error is to be, which a reading brings out
@@ -85,7 +85,7 @@ def update_or_predict_modes_again(
         if in_doubt <= _IN_DOUBT:
             break
     off = float(modes.w @ modes.splitting)
-    if off > _MISSED * target:
+    if off > MISSED * target:
         told.append((Code.COARSE, _COARSE.format(off)))
     if in_doubt > _IN_DOUBT:
         told.append((Code.COARSE, _MERGED.format(in_doubt)))

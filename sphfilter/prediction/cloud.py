@@ -12,7 +12,7 @@ from ..density.cloud import points_of
 from ..density.needs import SHARED
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Steps, begun, begun_from, key_at, passed, steps_bias
-from ..density.points import ORDER, SHADOW, CloudState, Pace, Path, Points, Told, moments
+from ..density.points import ORDER, SHADOW, CloudState, Pace, Points, Told, moments
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
 from ..model.domain import Domain
@@ -77,7 +77,7 @@ def propagate(
     ends, lost = [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, _fewer(count)))):
         moved = passed(_near_mean(points, density.domain), model, t0, t1, steps, many, key_at(t0, k))
-        moved, gone = _kept(moved, model, density.domain)
+        moved, gone = _kept(moved, density.domain)
         lost = gone if k == 0 else lost
         if gone > _MOST_LOST:
             raise PropagationError(_blow_up(model, moved, t0, t1))
@@ -191,7 +191,7 @@ def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
     return steps
 
 
-def _kept(points: Points, model: SDE, domain: Domain | None) -> tuple[Points, float]:
+def _kept(points: Points, domain: Domain | None) -> tuple[Points, float]:
     """The points without weight where they ran away or left a bounded axis; and what that was."""
     x = points.x
     with np.errstate(invalid="ignore", over="ignore"):
@@ -212,8 +212,7 @@ def _kept(points: Points, model: SDE, domain: Domain | None) -> tuple[Points, fl
 
 def _blow_up(model: SDE, points: Points, t0: float, t1: float) -> str:
     """Sentence for points of which many left the finite numbers."""
-    path: Path | None = points.path
-    x = points.x if path is None else path.x
+    x = points.x if points.path is None else points.path.x
     x = x[np.argsort(np.abs(model.drift(x, t0)).sum(axis=1))[-_ASKED:]]
     return carried_off(model, x, t0, t1) or blow_up(model, x[-1], t0, t0, t1)
 

@@ -6,10 +6,11 @@ from density_cases import whitened
 from filterpy.monte_carlo import systematic_resample
 from scipy.special import logsumexp
 
-from reference_filters._weights import ancestors, condition, weighted_moments
+from reference_filters._weights import ancestors, condition
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter import consistency
+from sphfilter.core.cloud.weights import weighted_moments
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.model.likelihood import LikelihoodMeasurement
 from sphfilter.model.measurements import GaussianMeasurement

@@ -3,9 +3,8 @@
 import numpy as np
 
 from .._jit import jit
-from .move import steer
+from .move import chunk_room, move_chunk
 from .noise import LANES, fill_noise, uniform
-from .steps import walk_at
 
 __all__ = ["move_along", "noise_of", "renew", "uniforms"]
 
@@ -44,12 +43,8 @@ def renew(noise, fresh, chance, key):
 @jit
 def move_along(leg, x, u, V, block, noise):
     """Move points x (N, n) over a leg in place, as `move` does, along noise (3, d, N) that is given."""
-    (N, n), d = x.shape, V.shape[2]
-    Z, along, given = np.zeros((3, d, LANES)), np.empty((n, LANES)), np.empty((n, LANES))
+    N, Z, room = len(x), np.zeros((3, V.shape[2], LANES)), chunk_room(x.shape[1])
     for c in range(-(-N // LANES)):
         begin, end = c * LANES, min((c + 1) * LANES, N)
-        K = end - begin
-        Z[:, :, :K] = noise[:, :, begin:end]
-        given[:, :K] = u[begin:end].T
-        steer(V, block[begin:end], given[:, :K], Z[0], along)
-        walk_at(leg.walk)(leg, x[begin:end], Z, c % 2 == 1, np.empty((5, K, n)))
+        Z[:, :, : end - begin] = noise[:, :, begin:end]
+        move_chunk(leg, c, x, u, V, block, Z, room)

@@ -8,7 +8,7 @@ from .._jit import jit
 from .noise import LANES, fill_noise
 from .steps import walk_at
 
-__all__ = ["affine", "move", "moved_twice", "parted"]
+__all__ = ["affine", "chunk_room", "move", "move_chunk", "moved_twice", "parted"]
 
 
 @jit
@@ -59,24 +59,38 @@ def affine(x, u, block, start, end, flow, lower):
 
 
 @jit
+def move_chunk(leg, c, x, u, V, block, Z, room):
+    """Move chunk c of points x (N, n) over a leg in place, along noise Z (3, d, LANES), which is changed.
+
+    `room` is that of `chunk_room`.
+    """
+    (N, n), (given, along, work) = x.shape, room
+    begin, end = c * LANES, min((c + 1) * LANES, N)
+    K = end - begin
+    for i in range(K):
+        for a in range(n):
+            given[a, i] = u[begin + i, a]
+    steer(V, block[begin:end], given[:, :K], Z[0], along)
+    walk_at(leg.walk)(leg, x[begin:end], Z, c % 2 == 1, work if K == LANES else np.empty((5, K, n)))
+
+
+@jit
+def chunk_room(n):
+    """Scratch for a chunk of points in n dimensions."""
+    return np.empty((n, LANES)), np.empty((n, LANES)), np.empty((5, LANES, n))
+
+
+@jit
 def move(leg, x, u, V, block, key, first, last):
     """Move the chunks first <= c < last of points x (N, n) over a leg, in place.
 
     `u` (N, n) says what moves each point's end, V (blocks, n, d) how, `block` (N,) whose; blocks never
     decrease. A chunk has generators of its own, so that the bits do not depend on who moves it.
     """
-    (N, n), d = x.shape, V.shape[2]
-    state, Z, along = np.empty(LANES, np.uint64), np.empty((3, d, LANES)), np.empty((n, LANES))
-    given, work = np.empty((n, LANES)), np.empty((5, LANES, n))
+    state, Z, room = np.empty(LANES, np.uint64), np.empty((3, V.shape[2], LANES)), chunk_room(x.shape[1])
     for c in range(first, last):
-        begin, end = c * LANES, min((c + 1) * LANES, N)
-        K = end - begin
         fill_noise(key, np.uint64(c), leg.additive, state, Z)
-        for i in range(K):
-            for a in range(n):
-                given[a, i] = u[begin + i, a]
-        steer(V, block[begin:end], given[:, :K], Z[0], along)
-        walk_at(leg.walk)(leg, x[begin:end], Z, c % 2 == 1, work if K == LANES else np.empty((5, K, n)))
+        move_chunk(leg, c, x, u, V, block, Z, room)
 
 
 @jit
