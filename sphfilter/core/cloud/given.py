@@ -20,7 +20,7 @@ def uniforms(key, count):
 
 @jit
 def noise_of(key, count, d, additive):
-    """Noise (3, d, count) of so many points, as `walk_at` takes it."""
+    """Noise (3, d, count) of so many points, as `walk` takes it."""
     out, Z, state = np.empty((3, d, count)), np.zeros((3, d, LANES)), np.empty(LANES, np.uint64)
     for c in range(-(-count // LANES)):
         begin, end = c * LANES, min((c + 1) * LANES, count)
@@ -43,7 +43,8 @@ def renew(noise, fresh, chance, key):
 @jit
 def move_along(leg, x, u, V, block, noise):
     """Move points x (N, n) over a leg in place, as `move` does, along noise (3, d, N) that is given."""
-    N, Z, room = len(x), np.zeros((3, V.shape[2], LANES)), chunk_room(x.shape[1])
+    N, Z = len(x), np.zeros((3, V.shape[2], LANES))
+    room = chunk_room(x.shape[1], leg.root.shape[0])
     for c in range(-(-N // LANES)):
         begin, end = c * LANES, min((c + 1) * LANES, N)
         Z[:, :, : end - begin] = noise[:, :, begin:end]

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._addresses import function_at
 from .._jit import jit
-from .steps import flow_at, scaled, times_root
+from .steps import flow, new_room, scaled, times_root
 
 __all__ = ["block_roots", "block_size", "centres", "distances", "linearise", "lower_and_rows", "shrunk"]
 
@@ -171,7 +171,7 @@ def linearise(leg, c):
     but efficiency.
     """
     (nb, n), m, h = c.shape, leg.root.shape[0], leg.h
-    nothing, work, middle = np.zeros((nb, n)), np.empty((5, nb, n)), np.empty((nb, n))
+    room, middle = new_room(m), np.empty((nb, n))
     J, g, sigma = np.empty((nb, n * n)), np.empty((nb, n * m)), np.empty((n, m))
     M, A = np.empty((leg.steps, nb, n, n)), np.empty((leg.steps, nb, n, m))
     N = np.empty((n, n))
@@ -180,7 +180,7 @@ def linearise(leg, c):
         for b in range(nb):
             for a in range(n):
                 middle[b, a] = 0.5 * c[b, a]
-        flow_at(leg.flow)(leg, c, t, h, nothing, work)
+        flow(leg, c, t, h, room)
         for b in range(nb):
             for a in range(n):
                 middle[b, a] += 0.5 * c[b, a]

@@ -5,41 +5,43 @@ import math
 import numpy as np
 
 from .._jit import jit
+from .._views import rows_at
 from .noise import LANES, fill_noise
-from .steps import walk_at
+from .steps import new_room, walk
 
 __all__ = ["affine", "chunk_room", "move", "move_chunk", "moved_twice", "parted"]
 
 
 @jit
 def steer(V, block, u, W, along):
-    """Make increments W (d, K) such that V W is u (n, K), and the rest of it what it was; V (blocks, n, d).
+    """Make increments W (d, LANES) such that V W is u (n, K), and the rest of it what it was; V (blocks, n, d).
 
     Points of a chunk are in the order of their blocks, `block` (K,).
     """
-    (_, n, d), K = V.shape, u.shape[1]
-    begin = 0
+    (_, n, d), K, begin = V.shape, u.shape[1], 0
+    flat = W.reshape(-1)
     while begin < K:
         b, end = block[begin], begin + 1
         while end < K and block[end] == b:
             end += 1
+        size = end - begin
         for a in range(n):
-            row = along[a, begin:end]
-            row[:] = u[a, begin:end]
-            for k in range(d):
+            for i in range(size):
+                along[a, i] = u[a, begin + i]
+        for k in range(d):
+            w = rows_at(flat, k * LANES + begin, 1, size)
+            for a in range(n):
                 v = V[b, a, k]
                 if v != 0.0:
-                    w = W[k, begin:end]
-                    for i in range(row.size):
-                        row[i] -= v * w[i]
-        for a in range(n):
-            row = along[a, begin:end]
-            for k in range(d):
+                    for i in range(size):
+                        along[a, i] -= v * w[0, i]
+        for k in range(d):
+            w = rows_at(flat, k * LANES + begin, 1, size)
+            for a in range(n):
                 v = V[b, a, k]
                 if v != 0.0:
-                    w = W[k, begin:end]
-                    for i in range(row.size):
-                        w[i] += v * row[i]
+                    for i in range(size):
+                        w[0, i] += v * along[a, i]
         begin = end
 
 
@@ -71,13 +73,13 @@ def move_chunk(leg, c, x, u, V, block, Z, room):
         for a in range(n):
             given[a, i] = u[begin + i, a]
     steer(V, block[begin:end], given[:, :K], Z[0], along)
-    walk_at(leg.walk)(leg, x[begin:end], Z, c % 2 == 1, work if K == LANES else np.empty((5, K, n)))
+    walk(leg, x[begin:end], Z, c % 2 == 1, work)
 
 
 @jit
-def chunk_room(n):
-    """Scratch for a chunk of points in n dimensions."""
-    return np.empty((n, LANES)), np.empty((n, LANES)), np.empty((5, LANES, n))
+def chunk_room(n, m):
+    """Scratch for a chunk of points in n dimensions with m noises."""
+    return np.empty((n, LANES)), np.empty((n, LANES)), new_room(m)
 
 
 @jit
@@ -87,7 +89,8 @@ def move(leg, x, u, V, block, key, first, last):
     `u` (N, n) says what moves each point's end, V (blocks, n, d) how, `block` (N,) whose; blocks never
     decrease. A chunk has generators of its own, so that the bits do not depend on who moves it.
     """
-    state, Z, room = np.empty(LANES, np.uint64), np.empty((3, V.shape[2], LANES)), chunk_room(x.shape[1])
+    state, Z = np.empty(LANES, np.uint64), np.empty((3, V.shape[2], LANES))
+    room = chunk_room(x.shape[1], leg.root.shape[0])
     for c in range(first, last):
         fill_noise(key, np.uint64(c), leg.additive, state, Z)
         move_chunk(leg, c, x, u, V, block, Z, room)
@@ -128,7 +131,6 @@ def moved_twice(leg, half, x, key):
 
     K is at most `LANES`. The noise of a step is that of the two that are its halves.
     """
-    K, n = x.shape
     d, m = leg.steps * leg.root.shape[0], leg.root.shape[0]
     state, fine, Z = np.empty(LANES, np.uint64), np.empty((3, 2 * d, LANES)), np.empty((3, d, LANES))
     fill_noise(key, np.uint64(0), leg.additive, state, fine)
@@ -140,8 +142,8 @@ def moved_twice(leg, half, x, key):
             Z[1, r, i] = math.sqrt(0.125) * (fine[1, one, i] + fine[1, one + m, i])
             Z[1, r, i] += math.sqrt(0.375) * (first - second)
             Z[2, r, i] = fine[2, one, i]
-    coarse, work = x.copy(), np.empty((5, K, n))
-    walk_at(leg.walk)(leg, coarse, Z, False, work)
+    coarse, room = x.copy(), new_room(m)
+    walk(leg, coarse, Z, False, room)
     x = x.copy()
-    walk_at(half.walk)(half, x, fine, False, work)
+    walk(half, x, fine, False, room)
     return coarse, x

@@ -14,8 +14,9 @@ from numba import types
 
 from .._addresses import ADDRESS, Entry, function_at
 from .._jit import MATRIX, VECTOR, jit
+from .._views import rows_at
 from ..domain import DOMAIN, REFLECTING, Domain, bounce
-from .noise import uniform
+from .noise import LANES, uniform
 
 __all__ = [
     "BESIDE",
@@ -24,10 +25,11 @@ __all__ = [
     "LEG",
     "STIFF_FLOW",
     "Leg",
-    "flow_at",
+    "flow",
+    "new_room",
     "scaled",
     "times_root",
-    "walk_at",
+    "walk",
 ]
 
 
@@ -58,6 +60,12 @@ _NUMBERS = [types.float64, types.float64, types.int64, types.boolean, types.bool
 #: Numba's type of `Leg`.
 LEG = types.NamedTuple([*[ADDRESS] * 5, VECTOR, MATRIX, DOMAIN, *_NUMBERS], Leg)
 _CUBE = types.float64[:, :, ::1]
+#: The room of a chunk: points, a state between, slopes of the drift and of the noise, the points before. Parts
+#: are a constant apart, by which the compiler sees that they do not overlap; not by a power of two, for the
+#: cache. Behind them is what moves the points, of each noise a row.
+X, Y, K1, K2, K3, K4, SLOPE, BEFORE = range(8)
+_PARTS, _PART = 8, 16 * LANES + 16
+_Y, _K1, _K2, _K3, _K4, _SLOPE, _NOISE = (k * _PART for k in (Y, K1, K2, K3, K4, SLOPE, _PARTS))
 #: Parts of a step of a stiff drift at most; and of the extent of points, by how much its slopes may part.
 _MOST_PARTS, _STIFF = 100_000, 0.02
 
@@ -71,74 +79,77 @@ def scaled(leg, x, t, sigma):
 
 
 @jit
-def _add_noise(sigma, w, x):
-    """x_i <- x_i + σ w_i, w (m, K), x (K, n): by entries, most of which are zero in most models."""
-    for a in range(sigma.shape[0]):
-        for k in range(sigma.shape[1]):
-            s = sigma[a, k]
-            if s != 0.0:
-                row = w[k]
-                for i in range(x.shape[0]):
-                    x[i, a] += s * row[i]
+def part(room, k, K, n):
+    """Part number k of the room of a chunk as an array (K, n)."""
+    return rows_at(room, k * _PART, K, n)
 
 
 @jit
-def _runge_kutta(drift, p, x, t, dt, slope, work, out):
-    """Fill out (K, n) with x after a step along drift plus slope (K, n): Runge and Kutta's method."""
-    y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
-    X, Y, S, new = x.reshape(-1), y.reshape(-1), slope.reshape(-1), out.reshape(-1)
-    K1, K2, K3, K4 = k1.reshape(-1), k2.reshape(-1), k3.reshape(-1), k4.reshape(-1)
-    half = 0.5 * dt
+def new_room(m):
+    """Room of a chunk, and of m noises of each of its points."""
+    return np.empty(_PARTS * _PART + 3 * m * LANES)
+
+
+@jit
+def _runge_kutta(drift, p, room, K, n, t, dt):
+    """Move the points in a room by a step along drift plus slope: Runge and Kutta's method."""
+    x, y = part(room, X, K, n), part(room, Y, K, n)
+    k1, k2, k3, k4 = part(room, K1, K, n), part(room, K2, K, n), part(room, K3, K, n), part(room, K4, K, n)
+    half, sixth, size = 0.5 * dt, dt / 6.0, K * n
     drift(x, t, p, k1)
-    for i in range(X.size):
-        Y[i] = X[i] + half * (K1[i] + S[i])
+    for i in range(size):
+        room[_Y + i] = room[i] + half * (room[_K1 + i] + room[_SLOPE + i])
     drift(y, t + half, p, k2)
-    for i in range(X.size):
-        Y[i] = X[i] + half * (K2[i] + S[i])
+    for i in range(size):
+        room[_Y + i] = room[i] + half * (room[_K2 + i] + room[_SLOPE + i])
     drift(y, t + half, p, k3)
-    for i in range(X.size):
-        Y[i] = X[i] + dt * (K3[i] + S[i])
+    for i in range(size):
+        room[_Y + i] = room[i] + dt * (room[_K3 + i] + room[_SLOPE + i])
     drift(y, t + dt, p, k4)
-    for i in range(X.size):
-        new[i] = X[i] + dt / 6.0 * (K1[i] + 2.0 * (K2[i] + K3[i]) + K4[i]) + dt * S[i]
+    for i in range(size):
+        k = room[_K1 + i] + 2.0 * (room[_K2 + i] + room[_K3 + i]) + room[_K4 + i]
+        room[i] += sixth * k + dt * room[_SLOPE + i]
 
 
 @jit
-def flow_at_once(leg, x, t, h, slope, work):
-    """Move x (K, n) along drift plus slope (K, n) over h, in one step."""
-    _runge_kutta(function_at(leg.drift), leg.p, x, t, h, slope, work, x)
+def flow_at_once(leg, room, K, n, t, h):
+    """Move the K points in a room along drift plus slope over h, in one step."""
+    _runge_kutta(function_at(leg.drift), leg.p, room, K, n, t, h)
 
 
 @jit
-def flow_in_parts(leg, x, t, h, slope, work):
-    """Move x (K, n) along a stiff drift plus slope (K, n) over h, in as many steps as it takes; or to NaN."""
-    drift = function_at(leg.drift)
-    new, went, dt = np.empty_like(x), 0.0, h
+def flow_in_parts(leg, room, K, n, t, h):
+    """Move the K points in a room along a stiff drift plus slope, in as many steps as it takes; or to NaN."""
+    drift, x, before = function_at(leg.drift), part(room, X, K, n), part(room, BEFORE, K, n)
+    went, dt = 0.0, h
     for _ in range(_MOST_PARTS):
         dt = min(dt, h - went)
-        _runge_kutta(drift, leg.p, x, t + went, dt, slope, work, new)
-        off = _off(x, work, dt)
+        _copy(x, before)
+        _runge_kutta(drift, leg.p, room, K, n, t + went, dt)
+        off = _off(room, K, n, dt)
         if off <= 1.0:
-            _copy(new, x)
             went += dt
             if not went < h * (1.0 - 1e-12):
                 return
+        else:
+            _copy(before, x)
         dt *= min(max(0.8 * off ** (-1.0 / 3.0), 0.1), 4.0) if off > 0.0 else 4.0
         if not dt > 1e-24 * h:
             break
-    for i in range(x.shape[0]):
+    for i in range(K):
         x[i, 0] = np.nan
 
 
 @jit
-def _off(x, work, dt):
+def _off(room, K, n, dt):
     """How far two inner slopes of a step lead apart, over what is allowed; or infinite."""
+    x, k2, k3, k4 = part(room, BEFORE, K, n), part(room, K2, K, n), part(room, K3, K, n), part(room, K4, K, n)
     off = 0.0
-    for a in range(x.shape[1]):
+    for a in range(n):
         low, high, most = np.inf, -np.inf, 0.0
-        for i in range(x.shape[0]):
+        for i in range(K):
             low, high = min(low, x[i, a]), max(high, x[i, a])
-            d = abs(work[3, i, a] - work[2, i, a]) + abs(work[4, i, a] - work[3, i, a])
+            d = abs(k3[i, a] - k2[i, a]) + abs(k4[i, a] - k3[i, a])
             if not d < np.inf:
                 return np.inf
             most = max(most, d)
@@ -146,9 +157,23 @@ def _off(x, work, dt):
     return off
 
 
-_FLOWS = LEG, MATRIX, types.float64, types.float64, MATRIX, _CUBE
+_FLOWS = LEG, VECTOR, types.int64, types.int64, types.float64, types.float64
 FLOW, STIFF_FLOW = (Entry(function, _FLOWS, types.void) for function in (flow_at_once, flow_in_parts))
 flow_at = FLOW.at
+
+
+@jit
+def flow(leg, x, t, h, room):
+    """Move points x (K, n), however many, along the drift over h."""
+    (K, n), at = x.shape, 0
+    while at < K:
+        many = min(K - at, _PART // n)
+        own = part(room, X, many, n)
+        _copy(x[at : at + many], own)
+        _fill(part(room, SLOPE, many, n), 0.0)
+        flow_at(leg.flow)(leg, room, many, n, t, h)
+        _copy(own, x[at : at + many])
+        at += many
 
 
 @jit
@@ -190,7 +215,7 @@ def times_root(g, root, sigma):
 
 
 @jit
-def beside_noise(leg, x, Z, odd, work):
+def beside_noise(leg, x, Z, odd, room):
     """Walk with noise that does not depend on the state.
 
     With H the area between a noise's path and its chord, of variance h/12, and c = ±√h/2: the path jumps by
@@ -198,37 +223,71 @@ def beside_noise(leg, x, Z, odd, work):
     are those of the true one. The jump that ends a step and the one that begins the next are one.
     """
     (K, n), m = x.shape, leg.root.shape[0]
-    sigma, jump, rise, slope = np.empty((n, m)), np.zeros((m, K)), np.empty((m, K)), np.zeros((K, n))
+    own, slope, sigma = part(room, X, K, n), part(room, SLOPE, K, n), np.empty((n, m))
+    first, rise, last = (
+        rows_at(room, _NOISE, m, K),
+        rows_at(room, _NOISE + m * LANES, m, K),
+        rows_at(room, _NOISE + 2 * m * LANES, m, K),
+    )
     h, flow, before = leg.h, flow_at(leg.flow), np.empty((K if leg.walls else 0, n))
-    root, area = math.sqrt(leg.h), math.sqrt(leg.h / 12.0)
+    half, area, per = 0.5 * math.sqrt(leg.h), math.sqrt(leg.h / 12.0), 1.0 / math.sqrt(leg.h)
+    _copy(x, own)
+    _fill(last, 0.0)
     scaled(leg, x, leg.t, sigma)
     for s in range(leg.steps):
         t = leg.t + s * h
         if leg.walls:
-            _copy(x, before)
+            _copy(own, before)
         for k in range(m):
-            w, H, c = Z[0, s * m + k], Z[1, s * m + k], Z[2, s * m + k]
-            first, up = jump[k], rise[k]
+            r = s * m + k
             for i in range(K):
-                first[i] += 0.5 * root * c[i] + area * H[i]
-                up[i] = (w[i] - c[i]) / root
-        _add_noise(sigma, jump, x)
+                c, H = half * Z[2, r, i], area * Z[1, r, i]
+                first[k, i] = last[k, i] + (c + H)
+                rise[k, i] = per * (Z[0, r, i] - Z[2, r, i])
+                last[k, i] = c - H
+        _add_noise(sigma, first, own)
         if not leg.constant:
-            scaled(leg, x, t + 0.5 * h, sigma)
-        _fill(slope, 0.0)
-        _add_noise(sigma, rise, slope)
-        flow(leg, x, t, h, slope, work)
-        for k in range(m):
-            H, c, after = Z[1, s * m + k], Z[2, s * m + k], jump[k]
-            for i in range(K):
-                after[i] = 0.5 * root * c[i] - area * H[i]
+            scaled(leg, own, t + 0.5 * h, sigma)
+        _set_noise(sigma, rise, slope)
+        flow(leg, room, K, n, t, h)
         if not leg.constant:
-            scaled(leg, x, t + h, sigma)
+            scaled(leg, own, t + h, sigma)
         if leg.walls:
-            _add_noise(sigma, jump, x)
-            _reflect(leg, before, x, t)
-            _fill(jump, 0.0)
-    _add_noise(sigma, jump, x)
+            _add_noise(sigma, last, own)
+            _reflect(leg, before, own, t)
+            _fill(last, 0.0)
+    _add_noise(sigma, last, own)
+    _copy(own, x)
+
+
+@jit
+def _add_noise(sigma, w, x):
+    """x_i <- x_i + σ w_i, w (m, K), x (K, n): by entries, most of which are zero in most models."""
+    for a in range(sigma.shape[0]):
+        for k in range(sigma.shape[1]):
+            s = sigma[a, k]
+            if s != 0.0:
+                for i in range(x.shape[0]):
+                    x[i, a] += s * w[k, i]
+
+
+@jit
+def _set_noise(sigma, w, x):
+    """x_i <- σ w_i, w (m, K), x (K, n)."""
+    for a in range(sigma.shape[0]):
+        new = True
+        for k in range(sigma.shape[1]):
+            s = sigma[a, k]
+            if s != 0.0 and new:
+                new = False
+                for i in range(x.shape[0]):
+                    x[i, a] = s * w[k, i]
+            elif s != 0.0:
+                for i in range(x.shape[0]):
+                    x[i, a] += s * w[k, i]
+        if new:
+            for i in range(x.shape[0]):
+                x[i, a] = 0.0
 
 
 @jit
@@ -250,17 +309,17 @@ def _copy(x, y):
 @jit
 def _add(x, y):
     """x <- x + y."""
-    X, Y = x.reshape(-1), y.reshape(-1)
-    for i in range(X.size):
-        X[i] += Y[i]
+    for i in range(x.shape[0]):
+        for a in range(x.shape[1]):
+            x[i, a] += y[i, a]
 
 
 @jit
-def _kick(leg, x, t, w, first, last, work, raw):
+def _kick(leg, x, t, w, first, last, room, raw):
     """Move x along the noises first <= k < last for as long as w (m, K) says: Runge and Kutta's method."""
     noise, p, root = function_at(leg.noise), leg.p, leg.root
     (K, n), m = x.shape, root.shape[0]
-    y, total, k1 = work[0], work[1], work[2]
+    y, total, k1 = part(room, Y, K, n), part(room, K2, K, n), part(room, K1, K, n)
     _copy(x, y)
     _fill(total, 0.0)
     for stage in range(4):
@@ -274,28 +333,30 @@ def _kick(leg, x, t, w, first, last, work, raw):
                         c += raw[i, a * m + r] * root[r, k]
                     s += c * w[k, i]
                 k1[i, a] = s
-        part = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
+        share = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
         ahead = 0.5 if stage < 2 else 1.0
         for i in range(K):
             for a in range(n):
-                total[i, a] += part * k1[i, a]
+                total[i, a] += share * k1[i, a]
                 y[i, a] = x[i, a] + ahead * k1[i, a]
     _add(x, total)
 
 
 @jit
-def between_noise(leg, x, Z, odd, work):
+def between_noise(leg, x, Z, odd, room):
     """Walk with noise that depends on the state.
 
     Several noises act one after the other; a coin says in which order, and odd chunks do the opposite.
     """
     (K, n), m = x.shape, leg.root.shape[0]
-    nothing, raw, w = np.zeros((K, n)), np.empty((K, n * m)), np.empty((m, K))
+    own, raw, w = part(room, X, K, n), np.empty((K, n * m)), np.empty((m, K))
     h, flow, before = leg.h, flow_at(leg.flow), np.empty((K if leg.walls else 0, n))
-    flow(leg, x, leg.t, 0.5 * h, nothing, work)
+    _copy(x, own)
+    _fill(part(room, SLOPE, K, n), 0.0)
+    flow(leg, room, K, n, leg.t, 0.5 * h)
     for s in range(leg.steps):
         if leg.walls:
-            _copy(x, before)
+            _copy(own, before)
         middle = leg.t + (s + 0.5) * h
         for k in range(m):
             for i in range(K):
@@ -303,14 +364,27 @@ def between_noise(leg, x, Z, odd, work):
         forward = (Z[2, s * m, 0] > 0.0) != odd
         for j in range(m):
             k = j if forward else m - 1 - j
-            _kick(leg, x, middle, w, k, k + 1, work, raw)
-        flow(leg, x, middle, h if s + 1 < leg.steps else 0.5 * h, nothing, work)
+            _kick(leg, own, middle, w, k, k + 1, room, raw)
+        flow(leg, room, K, n, middle, h if s + 1 < leg.steps else 0.5 * h)
         if leg.walls:
-            _reflect(leg, before, x, middle)
+            _reflect(leg, before, own, middle)
+    _copy(own, x)
 
 
-_WALKS = LEG, MATRIX, _CUBE, types.boolean, _CUBE
-#: Move points x (K, n) over a leg; the last argument (5, K, n) is scratch. Z (3, steps m, K or more) holds
-#: for each step and noise its increment over √h and its area over √(h/12), like normals, and a sign.
+_WALKS = LEG, MATRIX, _CUBE, types.boolean, VECTOR
+#: Move points x (K, n) over a leg. Z (3, steps m, K or more) holds for each step and noise its increment over
+#: √h and its area over √(h/12), like normals, and a sign. Then whether noises act in the opposite order, and a
+#: room.
 BESIDE, BETWEEN = (Entry(function, _WALKS, types.void) for function in (beside_noise, between_noise))
-walk_at = BESIDE.at
+_walk_at = BESIDE.at
+
+
+@jit
+def walk(leg, x, Z, odd, room):
+    """Move points x (K, n), at most `LANES`, over a leg along noise Z."""
+    (K, n), at = x.shape, 0
+    while at < K:
+        many = min(K - at, _PART // n)
+        own = Z if many == K else Z[:, :, at:].copy()
+        _walk_at(leg.walk)(leg, x[at : at + many], own, odd, room)
+        at += many

@@ -1,0 +1,31 @@
+"""Parts of an array of numbers as arrays that own nothing: what a slice costs is more than a short loop."""
+
+from numba import types
+from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
+
+from ._jit import MATRIX
+
+__all__ = ["rows_at"]
+
+
+@intrinsic
+def rows_at(typing_context, numbers, at, K, n):
+    """Numbers (K n,) from index `at` on as rows (K, n), for as long as the caller keeps the whole."""
+
+    def codegen(context, builder, signature, arguments):
+        whole, at, K, n = arguments
+        data = context.make_array(signature.args[0])(context, builder, whole).data
+        rows = context.make_array(MATRIX)(context, builder)
+        size = context.get_constant(types.intp, 8)
+        populate_array(
+            rows,
+            builder.gep(data, [at]),
+            shape=[K, n],
+            strides=[builder.mul(n, size), size],
+            itemsize=size,
+            meminfo=None,
+        )
+        return rows._getvalue()
+
+    return MATRIX(numbers, types.intp, types.intp, types.intp), codegen
