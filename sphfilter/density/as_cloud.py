@@ -10,13 +10,25 @@ from .shapes import Folded
 
 __all__ = ["cloud_density", "cloud_of", "thinned"]
 
+_SUMMED = 1e-12  # rounding, up to which weights sum to one
 
-def cloud_density(density: ParticleDensity, x: Floats, mass: Floats, **changes: Any) -> ParticleDensity:
-    """A density whose place in the record is that of another, as a cloud of points x (N, n), weights (N,)."""
+
+def cloud_density(
+    density: ParticleDensity,
+    x: Floats,
+    mass: Floats,
+    summed: tuple[Floats, Floats] | None = None,
+    **changes: Any,
+) -> ParticleDensity:
+    """A density whose place in the record is that of another, as a cloud of points x (N, n), weights (N,).
+
+    Their mean (n,) and covariance (n, n), where they are known, are not summed again.
+    """
     if not mass.min() > 0.0:
-        x, mass = x[mass > 0.0], mass[mass > 0.0]
-    mass = mass / mass.sum()
-    summed = moments(x, mass)
+        x, mass, summed = x[mass > 0.0], mass[mass > 0.0], None
+    total = mass.sum()
+    mass = mass.view() if abs(total - 1.0) < _SUMMED else mass / total
+    summed = moments(x, mass) if summed is None else summed
     names = ("t", "represented_mass", "capacity", "domain", "error", "lost")
     about = {name: getattr(density, name) for name in names} | changes
     h = smoothing_length(mass, summed[1])
@@ -28,11 +40,13 @@ def cloud_density(density: ParticleDensity, x: Floats, mass: Floats, **changes: 
     return new
 
 
-def cloud_of(density: ParticleDensity, state: CloudState, **changes: Any) -> ParticleDensity:
-    """A density whose place in the record is that of another, as the cloud of a state."""
+def cloud_of(
+    density: ParticleDensity, state: CloudState, summed: tuple[Floats, Floats], **changes: Any
+) -> ParticleDensity:
+    """A density whose place in the record is that of another, as the cloud of a state of known moments."""
     (x, w), domain = state.points[:2], density.domain
-    new = cloud_density(density, x if domain is None else domain.wrap(x), w, **changes)
-    return new.noted(cloud=state)
+    known = (x, w, summed) if domain is None else (domain.wrap(x), w)
+    return cloud_density(density, *known, **changes, cloud=state)
 
 
 def thinned(density: ParticleDensity, count: int) -> ParticleDensity:

@@ -10,6 +10,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud import weights
+from ..core.cloud.weights import kernel_width
 from ..core.sph.kernels import Kernel
 from ..errors import PropagationError
 from ..lattice.walls import inside
@@ -104,9 +105,8 @@ def smoothing_length(mass: Floats, cov: Floats) -> Floats:
     """Smoothing lengths (N,) of points with covariance (n, n): spheres as large as the best kernel."""
     n = len(cov)
     kernel = Kernel.of(KERNEL, n)
-    values = np.maximum(np.linalg.eigvalsh(cov), max(1e-24 * np.trace(cov), 1e-280))
-    size = mixture.silverman(mass, n) * math.exp(0.5 * np.log(values).mean())
-    return np.full(len(mass), size / math.sqrt(kernel.variance))
+    width = kernel_width(1.0 / (mass @ mass), cov)
+    return np.full(len(mass), width / math.sqrt(kernel.variance))
 
 
 def systematic(mass: Floats, count: int) -> Ints:

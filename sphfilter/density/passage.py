@@ -8,19 +8,12 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core._addresses import address_of
 from ..core.cloud.curve import along_curve, places
-from ..core.cloud.linearise import (
-    block_roots,
-    block_size,
-    centres,
-    distances,
-    linearise,
-    lower_and_rows,
-    shrunk,
-)
-from ..core.cloud.move import affine, move, moved_twice, parted
-from ..core.cloud.noise import LANES, even_normals, mixed, uniform
+from ..core.cloud.linearise import LINEARISE, centres, linearise, lower_and_rows
+from ..core.cloud.move import MOVE, affine, move, moved_twice, parted
+from ..core.cloud.noise import LANES, even_normals, mixed, stored
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, STIFF_FLOW, Leg
-from ..core.cloud.weights import effective, systematic
+from ..core.cloud.way import AGAIN, FIRST, KERNEL, PILOT, begin, blocks_of, carry
+from ..core.cloud.weights import systematic
 from ..model.compile import surfacing
 from ..model.discretization import linear_transition
 from ..model.sde import SDE
@@ -34,7 +27,6 @@ __all__ = [
     "along",
     "begun",
     "begun_from",
-    "blocks_of",
     "even",
     "gone",
     "gone_again",
@@ -47,8 +39,6 @@ __all__ = [
     "sub_key",
 ]
 
-#: Effective part of points, below which they are drawn anew.
-_FEW = 0.5
 #: Passages after which a path is forgotten, and numbers of all points that they may hold: a reading leads
 #: points through all of them once more.
 _MOST, _NUMBERS = 24, 2**22
@@ -56,6 +46,7 @@ _MOST, _NUMBERS = 24, 2**22
 LED, _START = 30, 31
 #: Least part of a start's spread that is noise. Up to a half, errors of nine scenes are the same or less.
 _SPREAD = 1.0 / 3.0
+_EACH_ITS_OWN, _NO_ROWS = np.empty(0, np.int64), np.empty((1, 0, 0))
 #: Points by which the bias of steps is told, of one chunk of lanes, and groups of them.
 _PILOTS, _GROUPS = 64, 4
 
@@ -67,10 +58,6 @@ class Steps(NamedTuple):
     stiff: bool = False
 
 
-# what numbers of a key are for
-_CUT, _FIRST, _AGAIN, _PILOT, _KERNEL = range(5)
-
-
 def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
     """A Gaussian of mean (n,) and covariance (n, n) as points, each with noise as wide as their distance."""
     n = len(mean)
@@ -79,29 +66,40 @@ def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
     x = mean + np.sqrt(1.0 - spread**2) * np.einsum("ij,kj->ik", net(count, n, _START), root)
     w = np.full(count, 1.0 / count)
     x = np.ascontiguousarray(x[along(x, w)])
-    key = _own_key(key)
+    key = stored_key(key, KERNEL)
     u, middle = even(count, n, key, 0), centres(x)
     noise = _same_everywhere(None, key, middle, middle, np.eye(n), spread * root)
     block = blocks_of(count)
     return Points(gone(noise, x, u, block, False), w, Path(x, block, (noise,), (u,)))
 
 
-def begun_from(x: Floats, w: Floats, key: int) -> Points:
-    """Weighted points x (N, n), w (N,) of any density, each with noise as wide as their distance."""
-    return _apart(ordered(Points(x, w), len(w), key), key)
+def begun_from(points: Points, count: int, key: int) -> Points:
+    """Weighted points of any density as the begin of a path of `count` points."""
+    n, family = points.x.shape[1], _EACH_ITS_OWN if points.family is None else points.family
+    start, y, u, w, block, middle, lower, flow = begin(
+        points.x, points.w, family, count, key, net(count, n, 0), *places(n)
+    )
+    kernel = Passage(None, stored_key(key, KERNEL), middle, middle, flow, lower, _NO_ROWS)
+    return Points(y, w, Path(start, block, (kernel,), (u,)))
 
 
 def passed(points: Points, model: SDE, t0: float, t1: float, steps: Steps, count: int, key: int) -> Points:
     """Points carried over an interval in steps; those of a new path are `count`."""
     path = points.path
     if path is None or len(path.passages) >= _most(count, model.dim) or len(points.w) != count:
-        points = _apart(ordered(points, count, key), key)
+        points = begun_from(points, count, key)
         path = points.path
         assert path is not None
-    passage = _passage(model, points.x, (t0, t1), steps, key)
-    u = even(count, model.dim, key, len(path.passages))
-    x = gone(passage, points.x, u, path.block, False)
-    return Points(x, points.w, Path(path.x, path.block, (*path.passages, passage), (*path.u, u)))
+    x, (start, block, passages, U) = points.x, path
+    if model.linear:
+        passage, u = _passage(model, x, (t0, t1), steps, key), even(count, model.dim, key, len(passages))
+        x = gone(passage, x, u, block, False)
+    else:
+        leg = leg_of(model, t0, t1, *steps)
+        with surfacing():
+            x, u, *linear = carry(leg, x, block, net(count, model.dim, len(passages)), key)
+        passage = Passage(leg, key, *linear)._replace(model=model, span=(t0, t1), steps=steps)
+    return Points(x, points.w, Path(start, block, (*passages, passage), (*U, u)))
 
 
 def key_at(t: float, number: int) -> int:
@@ -116,7 +114,7 @@ def sub_key(key: Any, number: int) -> Any:
 
 def stored_key(key: Any, number: int) -> int:
     """The same as a number that signed integers hold."""
-    return int(sub_key(key, number)) >> 1
+    return int(stored(key, number))
 
 
 def _most(count: int, dim: int) -> int:
@@ -139,37 +137,6 @@ def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:
     return Path(path.x, path.block, tuple(passages), tuple(U))
 
 
-def ordered(points: Points, count: int, key: int) -> Points:
-    """The points in order along a curve, drawn anew where too few of them weigh anything."""
-    order = along(points.x, points.w)
-    w, family = points.w[order], order if points.family is None else points.family[order]
-    if len(w) != count or effective(w) < _FEW * count:
-        taken = systematically(w, count, key)
-        order, family, w = order[taken], family[taken], np.full(count, 1.0 / count)
-    return Points(points.x[order], w, family=family)
-
-
-def _apart(points: Points, key: int) -> Points:
-    """Ordered points, each of which stands for a Gaussian as wide as their distance, for a reading to lead.
-
-    Copies of a point part by it, whatever the noise of the model. Blocks keep their mean and covariance.
-    """
-    x, n = points.x, points.x.shape[1]
-    block, part = blocks_of(len(x)), distances(x, points.family)
-    middle, root = centres(x), block_roots(x)
-    flow = np.tile(np.eye(n), (len(middle), 1, 1))
-    key = _own_key(key)
-    kernel = Passage(None, key, middle, middle, flow, part[:, None, None] * root, np.empty((1, 0, 0)))
-    u = even(len(x), n, key, 0)
-    start = shrunk(x, middle, np.sqrt(1.0 - part**2))
-    return Points(gone(kernel, start, u, block, False), points.w, Path(start, block, (kernel,), (u,)))
-
-
-def systematically(w: Floats, count: int, key: int) -> Ints:
-    """Numbers (count,) of points of weights w (N,), each as often as its weight says but for rounding."""
-    return systematic(w, count, uniform(np.uint64(key), np.uint64(_CUT)))
-
-
 def even(count: int, dim: int, key: int, part: int) -> Floats:
     """Standard normals (count, dim) of the net of a part of a path, turned and shifted by a key."""
     return even_normals(net(count, dim, part), np.uint64(key))
@@ -184,7 +151,7 @@ def gone(passage: Passage, x: Floats, u: Floats, block: Ints, again: bool) -> Fl
     """Points (N, n) at the end of a passage, from x, with ends moved by u; `again`: other noise beside."""
     if passage.leg is None:
         return affine(x, u, block, passage.start, passage.end, passage.flow, passage.lower)
-    x, key = x.copy(), sub_key(passage.key, _AGAIN if again else _FIRST)
+    x, key = x.copy(), sub_key(passage.key, AGAIN if again else FIRST)
     with surfacing():
         move(passage.leg, x, u, passage.rows, block, key, 0, -(-len(x) // LANES))
     return x
@@ -193,24 +160,11 @@ def gone(passage: Passage, x: Floats, u: Floats, block: Ints, again: bool) -> Fl
 def leg_of(model: SDE, t0: float, t1: float, steps: int, stiff: bool = False) -> Leg:
     """A model over an interval, as compiled code takes it."""
     additive, functions = not model.state_dependent_noise, (model.flow_drift_batch, model.flow_jacobian_batch)
-    own = STIFF_FLOW if stiff else FLOW, BESIDE if additive else BETWEEN
-    drift, jacobian, noise, flow, walk = map(address_of, (*functions, model.noise_batch, *own))
-    return Leg(
-        drift,
-        jacobian,
-        noise,
-        flow,
-        walk,
-        model.p,
-        _root(model),
-        model.domain.codes,
-        t0,
-        (t1 - t0) / steps,
-        steps,
-        additive,
-        model.constant_diffusion,
-        "reflecting" in model.domain.kinds,
-    )
+    own = STIFF_FLOW if stiff else FLOW, BESIDE if additive else BETWEEN, LINEARISE, MOVE
+    at = [address_of(function) for function in (*functions, model.noise_batch, *own)]
+    data, time = (model.p, _root(model), model.domain.codes), (t0, (t1 - t0) / steps, steps)
+    kinds = additive, model.constant_diffusion, "reflecting" in model.domain.kinds
+    return Leg._make([*at, *data, *time, *kinds])
 
 
 @lru_cache(maxsize=64)
@@ -229,7 +183,7 @@ def steps_bias(points: Points, model: SDE, span: tuple[float, float], steps: Ste
     number, stiff = steps
     leg, half = leg_of(model, *span, number, stiff), leg_of(model, *span, 2 * number, stiff)
     with surfacing():
-        coarse, fine = moved_twice(leg, half, x, sub_key(key, _PILOT))
+        coarse, fine = moved_twice(leg, half, x, sub_key(key, PILOT))
     return parted(coarse, fine, _GROUPS)
 
 
@@ -269,19 +223,7 @@ def _same_everywhere(
 ) -> Passage:
     """A linear change with noise of the same covariance in all blocks."""
     size = (len(start), 1, 1)
-    return Passage(
-        None, key, start, end, np.tile(flow, size), np.tile(lower, size), np.empty((1, 0, 0)), model
-    )
-
-
-def _own_key(key: int) -> int:
-    """Of the noise that begins a path: other than that of its first prediction."""
-    return stored_key(key, _KERNEL)
-
-
-def blocks_of(count: int) -> Ints:
-    """Numbers (count,) of the blocks of as many points."""
-    return np.arange(count) // block_size(count)
+    return Passage(None, key, start, end, np.tile(flow, size), np.tile(lower, size), _NO_ROWS, model)
 
 
 def along(x: Floats, w: Floats) -> Ints:

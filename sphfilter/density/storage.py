@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._version import __version__
+from ..core.cloud.way import blocks_of
 from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
 from ..errors import ModelError
@@ -22,9 +23,9 @@ from .families import Families
 from .family import Family
 from .needs import Needs
 from .particle_density import ParticleDensity
-from .passage import blocks_of, gone_again
+from .passage import gone_again
 from .pieces import Pieces
-from .points import CloudState, Pace, Passage, Path, Points, Told
+from .points import CloudState, Pace, Passage, Path, Points, Told, moments
 
 __all__ = [
     "FORMAT",
@@ -143,7 +144,8 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) ->
     points, shadow = (_points_from(part(name, arrays), models) for name in ("points", "shadow"))
     state = CloudState(points, shadow, Told(*arrays["told"].tolist()), pace, size)
     del about["read_out"], about["kernel"]
-    return cloud_of(ParticleDensity(x=points.x[:1], mass=np.ones(1), h=np.ones(1), **about), state, **about)
+    begun = ParticleDensity(x=points.x[:1], mass=np.ones(1), h=np.ones(1), **about)
+    return cloud_of(begun, state, moments(points.x, points.w), **about)
 
 
 def _points_from(arrays: Arrays, models: Sequence[SDE]) -> Points:

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from .._types import Floats, Ints, OfStates
+from .._types import Floats, Ints
 from ..core.cloud.guide import look_ahead, over_both
 from ..core.cloud.linearise import centres
-from ..core.cloud.noise import even_normals, uniform
+from ..core.cloud.way import blocks_of
 from ..core.cloud.weights import effective, normalise
 from ..density.carriers import Carried
 from ..density.nets import net
-from ..density.passage import LED, along, blocks_of, gone, normals, relinearised, stored_key, sub_key
+from ..density.passage import LED, along, gone, normals, relinearised, stored_key, sub_key
 from ..density.points import Passage, Points
 from .stacked import Stacked, seen
 
@@ -32,9 +32,7 @@ _MORE = 4
 _WIDER, _MISSED = 1.5, 8.0
 
 
-def bridged(
-    points: Points, sensor: Stacked, log_likelihood: OfStates, key: int, least: float
-) -> Carried | None:
+def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried | None:
     """A posterior by guides over ever shorter rests of the way since the last reading.
 
     Parameters
@@ -42,8 +40,6 @@ def bridged(
     points : Points
         The prior, with the path that its points came.
     sensor : Stacked
-    log_likelihood : callable
-        Of states (M, n), shape (M,).
     key : int
     least : float
         Number of the prior's points, below which no more is tried: what moves them later parts only those.
@@ -71,7 +67,7 @@ def bridged(
         z = gone(passages[0], x[ancestor], v, block[ancestor], True)
         if len(passages) == 1:
             ends = np.concatenate([y, z])
-            log_w = total + over_both(log_likelihood(ends), log_ratio, w)
+            log_w = total + over_both(sensor.log_likelihood(ends), log_ratio, w)
             return Carried.of(ends, log_w, np.append(family, family[ancestor]))
         log_w, family = total - log_ratio[len(x) :] - math.log(count), family[ancestor]
         kept = np.asarray(np.isfinite(z).all(axis=1))
@@ -100,13 +96,13 @@ def _led(
     x (N, n) are the points now, y where they came with noise u of each of the passages.
     """
     N, n = x.shape
-    rows, _, HL, r, noise, C = seen(sensor, passages, x, y, u, np.full(N, 1.0 / N), block)
-    first, R = HL, _WIDER * noise + _MISSED * C
+    way = x, y, u, np.full(N, 1.0 / N), block
+    rows, _, HL, r, R = seen(sensor, passages, *way, sensor.predict(y), _WIDER, _MISSED)
+    first = HL
     if rows is not None:  # what moves points later is noise of the reading
         first = np.ascontiguousarray(HL @ rows[:, :, :n])
         R = R + HL @ HL.swapaxes(1, 2) - first @ first.swapaxes(1, 2)
-    z, cut = even_normals(net(count, n, LED), key), uniform(key, np.uint64(0))
-    return look_ahead(r, u[0], w, block, first, np.ascontiguousarray(R), z, cut)
+    return look_ahead(r, u[0], w, block, first, np.ascontiguousarray(R), net(count, n, LED), key)
 
 
 def _halved(passages: Any, x: Floats, key: Any) -> tuple[Passage, ...]:

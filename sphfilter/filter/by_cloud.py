@@ -41,7 +41,7 @@ def by_cloud(
     shadow, told = beside.points, state.told
     if math.isfinite(beside.log_evidence):
         off = found.log_evidence - beside.log_evidence
-        told = told.after(*apart(found.points, shadow, domain), off**2)
+        told = told.after(*apart(found.points, shadow, domain, found.moments, beside.moments), off**2)
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
@@ -49,9 +49,8 @@ def by_cloud(
     error = math.hypot(max(errors.mean, _least(found.effective)), pace.bias)
     after = pace._replace(legs=0, bias=0.0)
     known = {"capacity": n_particles, "error": error, "lost": density.lost}
-    new = cloud_of(
-        density, state._replace(points=found.points, shadow=shadow, told=told, pace=after), **known
-    )
+    state = state._replace(points=found.points, shadow=shadow, told=told, pace=after)
+    new = cloud_of(density, state, found.moments, **known)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
     code, doubt = Code.CLOUD, 2.0 * errors.variance
     if doubt > _WRONG and error < DOUBTFUL:  # which is said of the mean already

@@ -5,46 +5,81 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Bools, Floats, Ints
-from ..core.cloud.guide import along_rows, missed, without_noise
+from ..core.cloud.guide import along_rows, joined, linear_reading, log_normals, without_noise
 from ..core.cloud.linearise import lower_and_rows
+from ..core.cloud.reading import LINEAR, Reader
 from ..core.cloud.weights import finite_rows
 from ..model.domain import Domain
-from ..model.measurements import has_gaussian_noise, is_gaussian
+from ..model.measurements import block as block_of
+from ..model.measurements import has_gaussian_noise, has_own_likelihood, is_gaussian
 
 __all__ = ["Seen", "Stacked", "seen"]
 
-
-def _joined(passages: Any) -> tuple[Floats, Floats, Floats | None, Floats, Floats]:
-    """Passages one after the other as one: Φ, L, rows of what moves the end among all u, begin and end."""
-    if len(passages) == 1:
-        (only,) = passages
-        return only.flow, only.lower, None, only.start, only.end
-    flow, parts = np.broadcast_to(np.eye(passages[0].flow.shape[1]), passages[0].flow.shape), []
-    for p in reversed(passages):
-        parts.append(flow @ p.lower)
-        flow = flow @ p.flow
-    G = np.ascontiguousarray(np.concatenate(parts[::-1], axis=2))
-    lower, rows = lower_and_rows(G)
-    return np.ascontiguousarray(flow), lower, rows, passages[0].start, passages[-1].end
+_NOTHING, _NO_MATRIX = np.empty(0), np.empty((0, 0))
 
 
 class Stacked(NamedTuple):
-    """Sensors with Gaussian noise that read the state at one time, as one."""
+    """Sensors that read the state at one time, as one; and what a guide asks of Gaussian noise."""
 
     asked: tuple[Any, ...]
     domain: Domain | None
-    z: Floats  # what was read, (k,) components that came
-    angle: Bools  # which of them are angles, (k,)
+    guides: bool
+    z: Floats = np.empty(0)  # what was read, (k,) components that came
+    angle: Bools = np.empty(0, bool)  # which of them are angles, (k,)
+    H: Floats | None = None  # (1, k, n), where all are linear
+    R: Floats | None = None  # (1, k, k), where it is the same in all states
+    root: Floats | None = None  # lower, of R, where the likelihood is known to be that Gaussian
+    reader: Reader | None = None  # all that in one, where compiled code knows the sensor
 
     @classmethod
-    def of(cls, readings: tuple[Any, ...], domain: Domain | None) -> "Stacked | None":
-        """None where a sensor has no noise that is Gaussian."""
-        fine = all(is_gaussian(a.measurement) or has_gaussian_noise(a.measurement) for a in readings)
-        if not fine:
+    def of(cls, readings: tuple[Any, ...], domain: Domain | None) -> "Stacked":
+        """The readings of one time, each of them `Asked`."""
+        sensors = [a.measurement for a in readings]
+        if not all(is_gaussian(s) or has_gaussian_noise(s) for s in sensors):
+            return cls(readings, domain, False)
+        z = _joined([np.atleast_1d(np.asarray(a.numbers))[a.seen] for a in readings])
+        angle = _joined([_are_angles(a) for a in readings])
+        H = R = root = None
+        if all(s.H is not None for s in sensors):
+            H = _joined([s.H[a.seen] for s, a in zip(sensors, readings, strict=True)])[None]
+        if all(s.noise_cov is not None for s in sensors):
+            R = _blocks([block_of(s.noise_cov, a.seen) for s, a in zip(sensors, readings, strict=True)])[None]
+        if all(map(has_own_likelihood, sensors)) and R is not None:
+            root = _blocks([s.root(a.seen) for s, a in zip(sensors, readings, strict=True)])
+        made = cls(readings, domain, True, z, angle, H, R, root)
+        return made._replace(reader=made._reader())
+
+    def _reader(self) -> Reader | None:
+        """What compiled code reads by; None for states in a domain, and sensors of which it knows no h."""
+        if self.root is None or self.R is None or self.domain is not None:
             return None
-        z = np.concatenate([np.atleast_1d(np.asarray(a.numbers))[a.seen] for a in readings])
-        angle = [np.isin(np.flatnonzero(a.seen), list(a.measurement.angles)) for a in readings]
-        return cls(readings, domain, z, np.concatenate(angle))
+        if self.H is not None:
+            h, p, H = LINEAR, _NOTHING, np.array(self.H[0])
+        elif len(self.asked) == 1 and self.asked[0].seen.all():
+            (h, p), H = self.asked[0].measurement.compiled, _NO_MATRIX
+        else:
+            return None
+        return Reader(
+            int(h), p, H, self.z, self.angle, np.array(self.R[0]), self.root, float(self.asked[0].t)
+        )
+
+    def log_likelihood(self, x: Floats, h: Floats | None = None) -> Floats:
+        """Log-likelihood (N,) of states, of which the readings may be known; none where one is no number."""
+        if self.root is not None:
+            values, wrong = log_normals(self.z, self.predict(x) if h is None else h, self.angle, self.root)
+            if not wrong:
+                return np.asarray(values)
+        fine, every = finite_rows(x)
+        X = x if every else x[fine]
+        X = X if self.domain is None else self.domain.wrap(X)
+        values = self.asked[0].log_weight(X)
+        for asked in self.asked[1:]:
+            values = values + asked.log_weight(X)
+        if every:
+            return np.asarray(values)
+        log_l = np.full(len(x), -np.inf)
+        log_l[fine] = values
+        return log_l
 
     def predict(self, x: Floats) -> Floats:
         """Readings (N, k) of states, components that came; NaN where a state is no number."""
@@ -53,7 +88,7 @@ class Stacked(NamedTuple):
         X = X if self.domain is None else self.domain.wrap(X)
         parts = [a.measurement.predict(X, a.t) for a in self.asked]
         parts = [h if a.seen.all() else h[:, a.seen] for h, a in zip(parts, self.asked, strict=True)]
-        values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        values = _joined(parts, axis=1)
         if every:
             return np.ascontiguousarray(values)
         h = np.full((len(x), values.shape[1]), np.nan)
@@ -65,11 +100,10 @@ class Stacked(NamedTuple):
         return _wrapped(self.z - h, self.angle)
 
     def jacobian(self, c: Floats) -> Floats:
-        """∂h/∂x at states (blocks, n), (blocks, k, n): by central differences where h is no matrix."""
-        (blocks, n), matrices = c.shape, [a.measurement.H for a in self.asked]
-        if all(H is not None for H in matrices):
-            H = np.concatenate([M[a.seen] for M, a in zip(matrices, self.asked, strict=True)])
-            return np.broadcast_to(H, (blocks, *H.shape))
+        """∂h/∂x at states (blocks, n), (blocks, k, n) or (1, k, n): by differences where h is no matrix."""
+        if self.H is not None:
+            return self.H
+        blocks, n = c.shape
         step = np.finfo(float).eps ** (1 / 3) * np.maximum(1.0, np.abs(c))
         moves = step[:, :, None] * np.eye(n)
         h = self.predict(np.concatenate([c[:, None] + moves, c[:, None] - moves], axis=1).reshape(-1, n))
@@ -78,17 +112,39 @@ class Stacked(NamedTuple):
         return np.ascontiguousarray(np.swapaxes(off, 1, 2))
 
     def covariance(self, c: Floats) -> Floats:
-        """Noise covariances (blocks, k, k) at states (blocks, n)."""
-        sizes = [int(a.seen.sum()) for a in self.asked]
-        R, at = np.zeros((len(c), sum(sizes), sum(sizes))), 0
-        for a, k in zip(self.asked, sizes, strict=True):
-            sensor = a.measurement
-            own = sensor.noise_cov if sensor.noise_cov is not None else sensor.covariance(c, a.t)
-            R[:, at : at + k, at : at + k] = np.broadcast_to(own, (len(c), len(a.seen), len(a.seen)))[
-                :, a.seen
-            ][:, :, a.seen]
-            at += k
-        return R
+        """Noise covariances at states (blocks, n), (blocks, k, k) or (1, k, k)."""
+        if self.R is not None:
+            return self.R
+        parts = []
+        for a in self.asked:
+            own, k = a.measurement.noise_cov, len(a.seen)
+            own = a.measurement.covariance(c, a.t) if own is None else np.broadcast_to(own, (len(c), k, k))
+            parts.append(own[:, a.seen][:, :, a.seen])
+        return _blocks(parts)
+
+
+def _are_angles(asked: Any) -> Bools:
+    """Which of the components that came are angles."""
+    angles, came = asked.measurement.angles, np.flatnonzero(asked.seen)
+    return np.isin(came, list(angles)) if angles else np.zeros(len(came), dtype=bool)
+
+
+def _joined(parts: list[Any], axis: int = 0) -> Any:
+    """Arrays one after the other."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
+
+
+def _blocks(parts: list[Floats]) -> Floats:
+    """Matrices (..., k, k) as blocks on the diagonal of one."""
+    if len(parts) == 1:
+        return np.ascontiguousarray(parts[0])
+    size, at = sum(p.shape[-1] for p in parts), 0
+    out = np.zeros((*parts[0].shape[:-2], size, size))
+    for p in parts:
+        k = p.shape[-1]
+        out[..., at : at + k, at : at + k] = p
+        at += k
+    return out
 
 
 class Seen(NamedTuple):
@@ -98,19 +154,37 @@ class Seen(NamedTuple):
     u: Floats  # what moves each point's end, (N, n)
     HL: Floats  # (blocks, k, n)
     r: Floats  # what was read less what each point would read without its noise, (N, k)
-    R: Floats  # noise covariances, (blocks, k, k)
-    C: Floats  # what linearity misses, (k, k)
+    R: Floats  # noise that a guide takes, with what linearity misses, (blocks, k, k)
 
 
-def seen(sensor: Stacked, passages: Any, x: Floats, y: Floats, u: Any, w: Floats, block: Ints) -> Seen:
-    """A way as a sensor sees it, of points of weights w (N,) from x to y (N, n), with u of each passage."""
-    flow, lower, rows, start, end = _joined(passages)
-    whole = u[0] if rows is None else along_rows(rows, block, np.concatenate(u, axis=1))
-    H = sensor.jacobian(end)
-    HL, HPhi = np.ascontiguousarray(H @ lower), np.ascontiguousarray(H @ flow)
+def seen(
+    sensor: Stacked,
+    passages: Any,
+    x: Floats,
+    y: Floats,
+    u: Any,
+    w: Floats,
+    block: Ints,
+    h: Floats,
+    wider: float,
+    misses: float,
+) -> Seen:
+    """A way as a sensor sees it, of points of weights w (N,) from x to y (N, n), with u of each passage.
+
+    Of the ends, the readings are h (N, k). A guide takes `wider` times the sensor's noise, and `misses` times
+    what linearity misses.
+    """
+    first, rows, whole = passages[0], None, u[0]
+    start, end, flow, lower = first.start, passages[-1].end, first.flow, first.lower
+    if len(passages) > 1:
+        for p in passages[1:]:
+            flow, lower = joined(flow, lower, p.flow, p.lower)
+        lower, rows = lower_and_rows(lower)
+        whole = along_rows(rows, block, np.concatenate(u, axis=1))
     r = sensor.residual(sensor.predict(without_noise(y, x, whole, lower, flow, block)))
-    C = missed(sensor.predict(y), x, whole, w, block, start, HL, HPhi, sensor.angle)
-    return Seen(rows, whole, HL, r, sensor.covariance(end), C)
+    about = start, flow, lower, sensor.jacobian(end), sensor.covariance(end), sensor.angle
+    HL, R = linear_reading(h, x, whole, w, block, *about, wider, misses)
+    return Seen(rows, whole, HL, r, R)
 
 
 def _wrapped(r: Floats, angle: Bools) -> Floats:

@@ -11,13 +11,14 @@ from scipy.linalg import solve_triangular
 
 from .. import validate
 from .._types import BatchFunction, Bools, Floats, Ints, Seed
+from ..core._addresses import address_of
 from ..errors import ModelError
 from .compile import StateFunction, compile_rows, probe, surfacing
 from .named import Inputs, Values, changed
 from .tables import Tables, tables_of
 
 __all__ = ["GaussianMeasurement", "GaussianSensor", "NoisySensor", "Reading", "Sensor", "block",
-           "direct_states", "has_gaussian_noise", "is_gaussian", "wrapped"]  # fmt: skip
+           "direct_states", "has_gaussian_noise", "has_own_likelihood", "is_gaussian", "wrapped"]  # fmt: skip
 
 _HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 _DIFFERENT = (
@@ -43,7 +44,7 @@ class Reading(NamedTuple):
         if z is None:
             return cls(np.full(k or 1, np.nan), np.zeros(k or 1, dtype=bool))
         try:
-            z = np.array(validate.unmasked(z), dtype=float, ndmin=1)
+            z = np.array(z if type(z) is np.ndarray else validate.unmasked(z), dtype=float, ndmin=1)
         except (TypeError, ValueError) as error:
             raise ModelError(f"A measurement must be {k or 'k'} numbers or NaN, got {z!r}.") from error
         z = z[:, 0] if z.ndim == 2 and z.shape[1] == 1 else z
@@ -120,6 +121,11 @@ def is_gaussian(sensor: Sensor) -> TypeGuard[GaussianSensor]:
 def has_gaussian_noise(sensor: object) -> TypeGuard[NoisySensor]:
     """Whether the readings of a sensor in a state are Gaussian, in every state."""
     return getattr(sensor, "gaussian_noise", False) is True
+
+
+def has_own_likelihood(sensor: object) -> bool:
+    """Whether the likelihood is what `GaussianMeasurement` makes of reading, angles and covariance."""
+    return getattr(type(sensor), "log_likelihood", None) is GaussianMeasurement.log_likelihood
 
 
 class GaussianMeasurement:
@@ -271,7 +277,7 @@ class GaussianMeasurement:
 
     def _begin(self, made: Callable[..., Any], recipe: dict[str, Any], values: Values) -> None:
         self._made, self._recipe = made, recipe
-        self._factors: dict[bytes, tuple[Floats, float]] = {}
+        self._factors: dict[bytes, tuple[Floats, Floats, float]] = {}
         self._tried: set[int] = set()
         self._tail = np.empty(0)
         self.noise_cov = self.H = self._matrix = self._n = None
@@ -449,7 +455,7 @@ class GaussianMeasurement:
             y = np.linalg.solve(L, off[:, :, None])[:, :, 0]
             constant = -np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1) - came * _HALF_LOG_2_PI
         else:
-            whiten, constant = self._factor(seen)
+            _, whiten, constant = self._factor(seen)
             y = off @ whiten
         return constant - 0.5 * np.einsum("ik,ik->i", y, y)
 
@@ -480,17 +486,27 @@ class GaussianMeasurement:
                 "It must be, wherever the density is."
             ) from None
 
-    def _factor(self, seen: Bools) -> tuple[Floats, float]:
-        """Return L^-T for R = L Lᵀ, observed block, and the log of the normalising constant.
+    @property
+    def compiled(self) -> tuple[Any, Floats]:
+        """Address of h, as compiled code calls it, and its data."""
+        assert self._fill is not None
+        return address_of(self._fill), self._p
+
+    def root(self, seen: Bools) -> Floats:
+        """Return the lower factor L of R = L Lᵀ, observed block, of noise that is the same in all states."""
+        return self._factor(seen)[0]
+
+    def _factor(self, seen: Bools) -> tuple[Floats, Floats, float]:
+        """Return L and L^-T for R = L Lᵀ, observed block, and the log of the normalising constant.
 
         Residuals are multiplied by it: on tall, narrow arrays a triangular solve costs a hundred times more.
         """
         assert self.noise_cov is not None
         key = seen.tobytes()
         if key not in self._factors:
-            L = np.linalg.cholesky(block(self.noise_cov, seen))
+            L = np.asarray(np.linalg.cholesky(block(self.noise_cov, seen)))
             constant = -np.log(np.diag(L)).sum() - len(L) * _HALF_LOG_2_PI
-            self._factors[key] = solve_triangular(L, np.eye(len(L)), lower=True).T, constant
+            self._factors[key] = L, solve_triangular(L, np.eye(len(L)), lower=True).T, constant
         return self._factors[key]
 
 

@@ -1,6 +1,7 @@
 """What the schemes share: the model as compiled marches take it, and sentences about a prediction."""
 
 import itertools
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,6 +29,7 @@ def equations_of(model: SDE) -> Equations:
     )
 
 
+@lru_cache(maxsize=64)
 def skip_notes(model: SDE, bypassed: int) -> tuple[str, ...]:
     """Sentences for `PredictInfo.skipped`: work that the model's structure or valid neighbour lists saved."""
     zero = np.flatnonzero(~model.diffusion_rows)

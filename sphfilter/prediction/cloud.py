@@ -1,11 +1,12 @@
 """A cloud of weighted points on paths of the model: carries any density, and tells its own error."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from ..config import CloudScheme
-from ..core.cloud.weights import compared
+from ..core.cloud.weights import compared, together
 from ..density.as_cloud import cloud_of
 from ..density.as_family import unrolled
 from ..density.cloud import points_of
@@ -33,7 +34,7 @@ _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _CALMER = 0.1  # of the bias that is allowed, below which steps become longer
 _DOUBTFUL, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
-_SEEN, _AWAY = 64, 1e6  # points that tell their extent, and extents from which one has run away
+_AWAY = 1e6  # extents of points from which one has run away
 _ASKED = 64  # states at which the model's change with time is looked at
 
 
@@ -74,7 +75,7 @@ def propagate(
     t0, count = density.t, scheme.n_points
     state = as_points(density, count)
     steps, pace = _steps(state, model, (t0, t1), scheme.max_steps, target)
-    ends, lost = [], 0.0
+    ends, sums, lost = [], [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, _fewer(count)))):
         moved = passed(_near_mean(points, density.domain), model, t0, t1, steps, many, key_at(t0, k))
         moved, gone = _kept(moved, density.domain)
@@ -82,13 +83,14 @@ def propagate(
         if gone > _MOST_LOST:
             raise PropagationError(_blow_up(model, moved, t0, t1))
         ends.append(moved)
-    told = apart(ends[0], ends[1], density.domain)
+        sums.append(moments(moved.x, moved.w))
+    told = apart(ends[0], ends[1], density.domain, *sums)
     before = state.told.of(count / state.size) if state.size else state.told
     now = before.after(*told)
     error = math.hypot(now.errors.mean, pace.bias)
     state = CloudState(ends[0], ends[1], before, pace, count)
     capacity = density.capacity if n_particles is None else n_particles
-    new = cloud_of(density, state, t=float(t1), capacity=capacity, error=error)
+    new = cloud_of(density, state, sums[0], t=float(t1), capacity=capacity, error=error)
     return new, _info(model, count, steps.number, lost, error)
 
 
@@ -105,7 +107,7 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         mean, cov = unrolled(density)
         points, shadow = (begun(mean, cov, *size) for size in sizes)
         return CloudState(points, shadow)
-    points, shadow = (begun_from(*points_of(density, n, key), key) for n, key in sizes)
+    points, shadow = (begun_from(Points(*points_of(density, n, key)), n, key) for n, key in sizes)
     known = density.error > 0.0  # what is wrong with the density goes on in the points
     told = Told(mean=(density.error * SHADOW**ORDER) ** 2) if known else Told()
     return CloudState(points, shadow, told, size=count if known else 0)
@@ -115,13 +117,14 @@ def _fewer(count: int) -> int:
     return max(count // SHADOW, 32)
 
 
-def apart(points: Points, shadow: Points, domain: Domain | None) -> tuple[float, float]:
+def apart(points: Points, shadow: Points, domain: Domain | None, *known: Any) -> tuple[float, float]:
     """Squared errors that two clouds show of a mean and of a covariance, in units of the first's.
 
     The mean's in standard deviations, on average over the states, as errors are told. A sample's covariance
-    is off by n + 1 times as much (in squares): both are pooled, by how many numbers they are.
+    is off by n + 1 times as much (in squares): both are pooled, by how many numbers they are. Mean and
+    covariance of each, where they are known, need not be summed again.
     """
-    (mean, cov), (other, own) = moments(points.x, points.w), moments(shadow.x, shadow.w)
+    (mean, cov), (other, own) = known or (moments(points.x, points.w), moments(shadow.x, shadow.w))
     if domain is not None and domain.periodic.any():
         off = domain.mean(shadow.x, shadow.w) - domain.mean(points.x, points.w)
         other = mean + domain.nearest(off[None])[0]
@@ -193,16 +196,11 @@ def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
 
 def _kept(points: Points, domain: Domain | None) -> tuple[Points, float]:
     """The points without weight where they ran away or left a bounded axis; and what that was."""
-    x = points.x
-    with np.errstate(invalid="ignore", over="ignore"):
-        few = np.sort(x[:: max(len(x) // _SEEN, 1)], axis=0)
-        low, high = few[len(few) // 8], few[-1 - len(few) // 8]
-        reach = _AWAY * (high - low) + np.abs(low) + np.abs(high)
-        if domain is None and np.all(x.min(axis=0) >= low - reach) and np.all(x.max(axis=0) <= high + reach):
-            return points, 0.0
-        alive = np.all((x >= low - reach) & (x <= high + reach), axis=1)
-        if domain is not None:
-            alive &= domain.contains(np.where(alive[:, None], x, np.inf))
+    alive, every = together(points.x, _AWAY)
+    if every and domain is None:
+        return points, 0.0
+    if domain is not None:
+        alive &= domain.contains(np.where(alive[:, None], points.x, np.inf))
     if alive.all() or not alive.any():
         return points, 0.0 if alive.all() else 1.0
     lost = float(points.w[~alive].sum())

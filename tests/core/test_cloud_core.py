@@ -10,9 +10,10 @@ from sphfilter.core.cloud.guide import look_ahead, spread
 from sphfilter.core.cloud.linearise import distances, linearise, lower_and_rows
 from sphfilter.core.cloud.move import move, moved_twice
 from sphfilter.core.cloud.noise import LANES, even_normals, fill_noise, rotation
+from sphfilter.core.cloud.way import blocks_of
 from sphfilter.core.cloud.weights import compared, systematic
 from sphfilter.density.nets import net
-from sphfilter.density.passage import blocks_of, leg_of
+from sphfilter.density.passage import leg_of
 
 WELLS = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[1.6]])
 KEY = np.uint64(7)
@@ -157,7 +158,7 @@ def test_the_guide_is_exact_where_everything_is_linear():
     m, w, u = rng.standard_normal((N, 1)), np.full(N, 1.0 / N), rng.standard_normal((N, 1))
     HL, R, z = np.array([[[0.8]]]), np.array([[[0.3]]]), 1.4
     block = np.zeros(N, np.int64)
-    ancestor, new, log_ratio = look_ahead(z - m, u, w, block, HL, R, net(N, 1), 0.5)
+    ancestor, new, log_ratio = look_ahead(z - m, u, w, block, HL, R, net(N, 1), 7)
     log_l = stats.norm.logpdf(z - m[ancestor] - 0.8 * new, scale=np.sqrt(0.3))[:, 0]
     log_w = log_l - log_ratio[N:]
     exact = np.log(np.mean(stats.norm.pdf(z, m, np.sqrt(0.64 + 0.3))))

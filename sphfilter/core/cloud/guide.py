@@ -10,9 +10,19 @@ import numpy as np
 
 from .._jit import jit
 from ..small_matrices import cholesky, whiten
+from .noise import even_normals, uniform
 from .weights import systematic
 
-__all__ = ["along_rows", "look_ahead", "missed", "over_both", "spread", "without_noise"]
+__all__ = [
+    "along_rows",
+    "joined",
+    "linear_reading",
+    "log_normals",
+    "look_ahead",
+    "over_both",
+    "spread",
+    "without_noise",
+]
 
 #: Neighbours to either side, that tell what the flow is without noise.
 _NEAR = 2
@@ -102,37 +112,105 @@ def over_both(log_l, log_ratio, w):
 
 
 @jit
-def missed(hy, x, u, w, block, middle, HL, HPhi, angle):
-    """Half the mean square difference (k, k) of neighbours' readings hy (N, k) less their linear parts.
+def joined(Phi, G, flow, lower):
+    """A linear change Φ x + G u and one after it, as one: Φ (blocks, n, n), G (blocks, n, d + n)."""
+    (nb, n, d), G = G.shape, G
+    new, whole = np.empty((nb, n, n)), np.empty((nb, n, d + n))
+    for b in range(nb):
+        for a in range(n):
+            for c in range(d):
+                s = 0.0
+                for e in range(n):
+                    s += flow[b, a, e] * G[b, e, c]
+                whole[b, a, c] = s
+            for c in range(n):
+                s = 0.0
+                for e in range(n):
+                    s += flow[b, a, e] * Phi[b, e, c]
+                new[b, a, c], whole[b, a, d + c] = s, lower[b, a, c]
+    return new, whole
 
+
+@jit
+def linear_reading(hy, x, u, w, block, start, Phi, L, H, R, angle, wider, misses):
+    """What a reading sees of a way of points, linearised in blocks: HL, and the noise that a guide takes.
+
+    What linearity misses is half the mean square difference of neighbours' readings less their linear parts.
     Neighbours on the curve stand for the second derivatives of a block: what is the same for both cancels.
+
+    Parameters
+    ----------
+    hy : ndarray, shape (N, k)
+        Readings of the ends.
+    x, u, w, block : ndarray, shapes (N, n), (N, n), (N,), (N,)
+    start, Phi, L : ndarray, shapes (blocks, n), (blocks, n, n), (blocks, n, n)
+    H, R : ndarray, shapes (1 or blocks, k, n), (1 or blocks, k, k)
+    angle : ndarray of bool, shape (k,)
+    wider, misses : float
+        Times R, and times what linearity misses, that make the noise.
+
+    Returns
+    -------
+    HL, noise : ndarray, shapes (blocks, k, n), (blocks, k, k)
     """
-    N, k = hy.shape
-    n = x.shape[1]
-    C, before, now = np.zeros((k, k)), np.empty(k), np.empty(k)
-    total = 0.0
+    (N, k), n, nb = hy.shape, x.shape[1], start.shape[0]
+    HL, HPhi = np.zeros((nb, k, n)), np.zeros((nb, k, n))
+    for b in range(nb):
+        own = b if len(H) > 1 else 0
+        for a in range(k):
+            for e in range(n):
+                for c in range(n):
+                    HL[b, a, c] += H[own, a, e] * L[b, e, c]
+                    HPhi[b, a, c] += H[own, a, e] * Phi[b, e, c]
+    C, before, now, total = np.zeros((k, k)), np.empty(k), np.empty(k), 0.0
     for i in range(N):
-        b = block[i]
+        b, finite = block[i], True
+        follows = i > 0 and block[i - 1] == b
         for a in range(k):
             s = hy[i, a]
             for e in range(n):
-                s -= HL[b, a, e] * u[i, e] + HPhi[b, a, e] * (x[i, e] - middle[b, e])
+                s -= HL[b, a, e] * u[i, e] + HPhi[b, a, e] * (x[i, e] - start[b, e])
             now[a] = s
-        if i > 0 and block[i - 1] == b:
-            finite = True
+            d = s - before[a]
+            before[a] = d - 2.0 * math.pi * round(d / (2.0 * math.pi)) if angle[a] and follows else d
+            finite &= abs(before[a]) < np.inf
+        if follows and finite:
+            v = 0.5 * (w[i] + w[i - 1])
+            total += v
             for a in range(k):
-                d = now[a] - before[a]
-                before[a] = d - 2.0 * math.pi * round(d / (2.0 * math.pi)) if angle[a] else d
-                finite &= math.isfinite(before[a])
-            if finite:
-                v = 0.5 * (w[i] + w[i - 1])
-                total += v
-                for a in range(k):
-                    for e in range(k):
-                        C[a, e] += 0.5 * v * before[a] * before[e]
+                for e in range(k):
+                    C[a, e] += 0.5 * v * before[a] * before[e]
         for a in range(k):
             before[a] = now[a]
-    return C / total if total > 0.0 else C
+    noise = np.empty((nb, k, k))
+    for b in range(nb):
+        own = b if len(R) > 1 else 0
+        for a in range(k):
+            for e in range(k):
+                noise[b, a, e] = wider * R[own, a, e] + (misses * C[a, e] / total if total > 0.0 else 0.0)
+    return HL, noise
+
+
+@jit
+def log_normals(z, h, angle, F):
+    """Logarithms (N,) of N(z; h, F Fᵀ) at readings h (N, k), angles wrapped; and how many are NaN."""
+    N, k = h.shape
+    out, r, wrong, constant = np.empty(N), np.empty(k), 0, -0.5 * _LOG_2_PI * k
+    for a in range(k):
+        constant -= math.log(F[a, a])
+    for i in range(N):
+        s = 0.0
+        for a in range(k):
+            v = z[a] - h[i, a]
+            if angle[a]:
+                v -= 2.0 * math.pi * round(v / (2.0 * math.pi))
+            for e in range(a):
+                v -= F[a, e] * r[e]
+            r[a] = v / F[a, a]
+            s += r[a] * r[a]
+        out[i] = constant - 0.5 * s
+        wrong += out[i] != out[i]
+    return out, wrong
 
 
 @jit
@@ -167,30 +245,38 @@ def _gain(HL, R, S, K, T):
 
 
 @jit
-def _log_density(r, F, v):
-    """Logarithm of N(r; 0, F Fᵀ), r (k,), F lower; v (k,) is scratch."""
+def _log_peak(F):
+    """Logarithm of N(0; 0, F Fᵀ), F (k, k) lower."""
+    s = -0.5 * _LOG_2_PI * len(F)
+    for a in range(len(F)):
+        s -= math.log(F[a, a])
+    return s
+
+
+@jit
+def _square(r, F, v):
+    """Square of the length of F⁻¹ r, r (k,), F lower; v (k,) is scratch."""
     s = 0.0
     for a in range(r.size):
         v[a] = r[a]
         for e in range(a):
             v[a] -= F[a, e] * v[e]
         v[a] /= F[a, a]
-        s -= 0.5 * v[a] * v[a] + math.log(F[a, a])
-    return s - 0.5 * _LOG_2_PI * r.size
+        s += v[a] * v[a]
+    return s
 
 
 @jit
-def look_ahead(r, u, w, block, HL, R, z, cut):
+def look_ahead(r, u, w, block, HL, R, net, key):
     """Choose ancestors of a reading, and what shall move their ends.
 
     Parameters
     ----------
     r, u, w, block : ndarray, shapes (N, k), (N, n), (N,), (N,)
     HL, R : ndarray, shapes (blocks, k, n), (blocks, k, k)
-    z : ndarray, shape (count, n)
-        Standard normals that are even along the curve.
-    cut : float
-        Where strata are cut, in [0, 1).
+    net : ndarray, shape (count, n)
+        Standard normals that are even along the curve, and are turned and shifted by the key.
+    key : int
 
     Returns
     -------
@@ -200,19 +286,22 @@ def look_ahead(r, u, w, block, HL, R, z, cut):
         Logarithm of the proposal's density of (point, u) over the prior's: of the N of the first pass, then
         of the new ones.
     """
-    (N, k), (count, n), blocks = r.shape, z.shape, HL.shape[0]
+    (N, k), (count, n), blocks = r.shape, net.shape, HL.shape[0]
+    z, cut = even_normals(net, key), uniform(key, np.uint64(0))
     K, T, S = np.zeros((blocks, n, k)), np.zeros((blocks, n, n)), np.empty((k, k))
     F, G = np.empty((blocks, k, k)), np.zeros((blocks, k, k))
-    fine = np.zeros(blocks, np.bool_)
+    fine, of_F, of_G = np.zeros(blocks, np.bool_), np.empty(blocks), np.empty(blocks)
     for b in range(blocks):
         fine[b] = _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, F[b]) and cholesky(R[b], G[b])
+        if fine[b]:
+            of_F[b], of_G[b] = _log_peak(F[b]), _log_peak(G[b])
     a, v, own = np.zeros(N), np.empty(k), np.empty(k)
     top, total = -np.inf, 0.0
     for i in range(N):
         a[i] = -np.inf
         if fine[block[i]] and w[i] > 0.0:
-            s = _log_density(r[i], F[block[i]], v) + math.log(w[i])
-            a[i] = s if math.isfinite(s) else -np.inf
+            s = of_F[block[i]] - 0.5 * _square(r[i], F[block[i]], v) + math.log(w[i])
+            a[i] = s if abs(s) < np.inf else -np.inf
             top = max(top, a[i])
     log_ratio, new = np.empty(N + count), np.empty((count, n))
     if top == -np.inf:
@@ -220,7 +309,7 @@ def look_ahead(r, u, w, block, HL, R, z, cut):
     for i in range(N):
         a[i] = math.exp(a[i] - top)
         total += a[i]
-    ancestor = systematic(a, count, cut)
+    ancestor, known = systematic(a, count, cut), top + math.log(total)
     for j in range(count):
         i, b = ancestor[j], block[ancestor[j]]
         for c in range(n):
@@ -239,7 +328,7 @@ def look_ahead(r, u, w, block, HL, R, z, cut):
                 own[c] = r[i, c]
                 for e in range(n):
                     own[c] -= HL[b, c, e] * (u[i, e] if j < N else new[j - N, e])
-            s = _log_density(own, G[b], v) - top - math.log(total)
-            if math.isfinite(s):  # else it was never proposed: h has no value where the guide looked
+            s = of_G[b] - 0.5 * _square(own, G[b], v) - known
+            if abs(s) < np.inf:  # else it was never proposed: h has no value where the guide looked
                 log_ratio[j] = s
     return ancestor, new, log_ratio

@@ -7,15 +7,27 @@ L V = B, rows of V orthonormal, say what of all the noise moves the end: u = V Î
 import math
 
 import numpy as np
+from numba import types
 
-from .._addresses import function_at
-from .._jit import jit
-from .steps import flow, new_room, scaled, times_root
+from .._addresses import Entry, function_at
+from .._jit import MATRIX, jit
+from .steps import CUBE, LEG, flow, new_room, scaled, times_root
 
-__all__ = ["block_roots", "block_size", "centres", "distances", "linearise", "lower_and_rows", "shrunk"]
+__all__ = [
+    "LINEARISE",
+    "block_roots",
+    "block_size",
+    "centres",
+    "distances",
+    "linearise",
+    "linearise_at",
+    "lower_and_rows",
+    "shrunk",
+]
 
 #: Blocks at most, and points in one at least: enough to tell directions, few enough to cost a tenth.
 _BLOCKS, _POINTS = 64, 64
+_TERMS = 5  # of an exponential at half a norm: 3e-4, of what only guides
 _NOTHING = 1e-9  # of a row's square, below which it lies among the rows before
 
 
@@ -123,19 +135,22 @@ def shrunk(x, c, part):
 
 
 @jit
-def _flow_matrices(J, h, M, N):
-    """Fill exp(hJ) and its mean over a step, (n, n) each: a series, and doubling where it is stiff."""
+def _flow_matrices(J, h, M, N, term, new):
+    """Fill exp(hJ) and its mean over a step, (n, n) each: a series, and doubling where it is stiff.
+
+    Two more such matrices are scratch.
+    """
     n, norm, doublings = J.shape[0], 0.0, 0
     for a in range(n):
         for b in range(n):
             norm = max(norm, h * abs(J[a, b]))
     while norm > 0.5 and doublings < 60:
         norm, doublings = 0.5 * norm, doublings + 1
-    term, new, part = np.empty((n, n)), np.empty((n, n)), h * 0.5**doublings
+    part = h * 0.5**doublings
     for a in range(n):
         for b in range(n):
             term[a, b] = M[a, b] = N[a, b] = 1.0 if a == b else 0.0
-    for k in range(1, 6):
+    for k in range(1, _TERMS):
         _product(J, term, part / k, new)
         for a in range(n):
             for b in range(n):
@@ -174,7 +189,7 @@ def linearise(leg, c):
     room, middle = new_room(m), np.empty((nb, n))
     J, g, sigma = np.empty((nb, n * n)), np.empty((nb, n * m)), np.empty((n, m))
     M, A = np.empty((leg.steps, nb, n, n)), np.empty((leg.steps, nb, n, m))
-    N = np.empty((n, n))
+    N, term, new = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     for s in range(leg.steps):
         t = leg.t + s * h
         for b in range(nb):
@@ -190,7 +205,7 @@ def linearise(leg, c):
         elif s == 0 or not leg.constant:
             scaled(leg, c, t + 0.5 * h, sigma)
         for b in range(nb):
-            _flow_matrices(J[b].reshape((n, n)), h, M[s, b], N)
+            _flow_matrices(J[b].reshape((n, n)), h, M[s, b], N, term, new)
             if not leg.additive:
                 times_root(g[b], leg.root, sigma)
             for a in range(n):
@@ -199,6 +214,10 @@ def linearise(leg, c):
                     for e in range(n):
                         A[s, b, a, k] += math.sqrt(h) * N[a, e] * sigma[e, k]
     return _backwards(M, A)
+
+
+LINEARISE = Entry(linearise, (LEG, MATRIX), types.UniTuple(CUBE, 2))
+linearise_at = LINEARISE.at
 
 
 @jit

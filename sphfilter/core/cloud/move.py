@@ -3,20 +3,22 @@
 import math
 
 import numpy as np
+from numba import types
 
-from .._jit import jit
+from .._addresses import Entry
+from .._jit import MATRIX, jit
 from .._views import rows_at
 from .noise import LANES, fill_noise
-from .steps import new_room, walk
+from .steps import CUBE, LEG, new_room, walk
 
-__all__ = ["affine", "chunk_room", "move", "move_chunk", "moved_twice", "parted"]
+__all__ = ["MOVE", "affine", "chunk_room", "move", "move_at", "move_chunk", "moved_twice", "parted"]
 
 
 @jit
 def steer(V, block, u, W, along):
-    """Make increments W (d, LANES) such that V W is u (n, K), and the rest of it what it was; V (blocks, n, d).
+    """Make increments W (d, LANES) such that V W is u (n, K), and the rest of it what it was.
 
-    Points of a chunk are in the order of their blocks, `block` (K,).
+    V is (blocks, n, d). Points of a chunk are in the order of their blocks, `block` (K,).
     """
     (_, n, d), K, begin = V.shape, u.shape[1], 0
     flat = W.reshape(-1)
@@ -94,6 +96,11 @@ def move(leg, x, u, V, block, key, first, last):
     for c in range(first, last):
         fill_noise(key, np.uint64(c), leg.additive, state, Z)
         move_chunk(leg, c, x, u, V, block, Z, room)
+
+
+_MOVES = LEG, MATRIX, MATRIX, CUBE, types.int64[::1], types.uint64, types.int64, types.int64
+MOVE = Entry(move, _MOVES, types.void)
+move_at = MOVE.at
 
 
 @jit

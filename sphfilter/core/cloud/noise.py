@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import jit
 
-__all__ = ["LANES", "even_normals", "fill_noise", "mixed", "uniform"]
+__all__ = ["LANES", "even_normals", "fill_noise", "mixed", "stored", "uniform"]
 
 #: Points that are moved together: their states, slopes and noise fit the first-level cache.
 LANES = 128
@@ -24,6 +24,12 @@ def mixed(key, word):
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
+
+
+@jit
+def stored(key, number):
+    """The key of one of the things that a key is for, as a number that signed integers hold."""
+    return np.int64(mixed(np.uint64(key), np.uint64(number)) >> np.uint64(1))
 
 
 @jit

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from .._addresses import ADDRESS, Entry, function_at
+from .._addresses import ADDRESS, NOWHERE_AT, Entry, function_at
 from .._jit import MATRIX, VECTOR, jit
 from .._views import rows_at
 from ..domain import DOMAIN, REFLECTING, Domain, bounce
@@ -21,8 +21,10 @@ from .noise import LANES, uniform
 __all__ = [
     "BESIDE",
     "BETWEEN",
+    "CUBE",
     "FLOW",
     "LEG",
+    "NO_LEG",
     "STIFF_FLOW",
     "Leg",
     "flow",
@@ -37,7 +39,8 @@ class Leg(NamedTuple):
     """A model over an interval, as compiled code takes it.
 
     Functions are addresses; `drift` is that of Stratonovich, `jacobian` its derivative. What moves points
-    along the drift, and along the noise too, is one of the functions below.
+    along the drift, and along the noise too, is one of the functions below; `linearise` and `move` are those
+    of the files of these names.
     """
 
     drift: int
@@ -45,6 +48,8 @@ class Leg(NamedTuple):
     noise: int
     flow: int
     walk: int
+    linearise: int
+    move: int
     p: np.ndarray  # data of the model
     root: np.ndarray  # L (m, m)
     domain: Domain
@@ -58,10 +63,14 @@ class Leg(NamedTuple):
 
 _NUMBERS = [types.float64, types.float64, types.int64, types.boolean, types.boolean, types.boolean]
 #: Numba's type of `Leg`.
-LEG = types.NamedTuple([*[ADDRESS] * 5, VECTOR, MATRIX, DOMAIN, *_NUMBERS], Leg)
-_CUBE = types.float64[:, :, ::1]
-#: The room of a chunk: points, a state between, slopes of the drift and of the noise, the points before. Parts
-#: are a constant apart, by which the compiler sees that they do not overlap; not by a power of two, for the
+LEG = types.NamedTuple([*[ADDRESS] * 7, VECTOR, MATRIX, DOMAIN, *_NUMBERS], Leg)
+_EMPTY = np.empty(0)
+_ANYWHERE = Domain(np.empty(0, np.int64), _EMPTY, _EMPTY)
+#: Stands for a leg of a linear model, of which nothing is called.
+NO_LEG = Leg(*[NOWHERE_AT] * 7, _EMPTY, np.empty((0, 0)), _ANYWHERE, 0.0, 0.0, 0, True, True, False)
+CUBE = types.float64[:, :, ::1]
+#: The room of a chunk: points, a state between, slopes of the drift and of the noise, the points before.
+#: Parts are a constant apart, by which the compiler sees that they do not overlap; no power of two, for the
 #: cache. Behind them is what moves the points, of each noise a row.
 X, Y, K1, K2, K3, K4, SLOPE, BEFORE = range(8)
 _PARTS, _PART = 8, 16 * LANES + 16
@@ -371,10 +380,10 @@ def between_noise(leg, x, Z, odd, room):
     _copy(own, x)
 
 
-_WALKS = LEG, MATRIX, _CUBE, types.boolean, VECTOR
+_WALKS = LEG, MATRIX, CUBE, types.boolean, VECTOR
 #: Move points x (K, n) over a leg. Z (3, steps m, K or more) holds for each step and noise its increment over
-#: √h and its area over √(h/12), like normals, and a sign. Then whether noises act in the opposite order, and a
-#: room.
+#: √h and its area over √(h/12), like normals, and a sign. Then whether noises act in the opposite order, and
+#: a room.
 BESIDE, BETWEEN = (Entry(function, _WALKS, types.void) for function in (beside_noise, between_noise))
 _walk_at = BESIDE.at
 

@@ -1,12 +1,28 @@
 """Weighted points: moments, effective numbers, systematic resampling."""
 
+import math
+
 import numpy as np
 from numba import njit
 
 from .._jit import jit
 from ..small_matrices import cholesky, whiten
 
-__all__ = ["carried", "compared", "effective", "finite_rows", "normalise", "systematic", "weighted_moments"]
+__all__ = [
+    "carried",
+    "compared",
+    "effective",
+    "finite_rows",
+    "kernel_width",
+    "normalise",
+    "prior_times",
+    "systematic",
+    "together",
+    "weighted_moments",
+]
+
+
+_SEEN = 64  # rows that tell the extent of all
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
@@ -27,6 +43,22 @@ def weighted_moments(X, w, mean, cov):
             for i in range(N):
                 s += w[i] * (X[i, a] - mean[a]) * (X[i, b] - mean[b])
             cov[a, b] = cov[b, a] = s
+
+
+@jit
+def kernel_width(number, cov):
+    """Standard deviation of the spheres that smooth so many points of covariance (n, n) best (Silverman)."""
+    n, trace, extent = len(cov), 0.0, 0.0
+    P, L = cov.copy(), np.empty((n, n))
+    for a in range(n):
+        trace += P[a, a]
+    for a in range(n):  # a state without spread has next to none
+        P[a, a] = max(P[a, a], 1e-24 * trace, 1e-280)
+    if not cholesky(P, L):
+        return 1e-140
+    for a in range(n):
+        extent += math.log(L[a, a]) / n
+    return math.exp(extent) * (4.0 / ((n + 2.0) * number)) ** (1.0 / (n + 4.0))
 
 
 @jit
@@ -69,40 +101,128 @@ def finite_rows(x):
 
 
 @jit
-def carried(x, w, family, count):
-    """Squares of what families, (N,) of numbers below `count`, add: of their weights, and to the mean.
+def together(x, away):
+    """Which rows of x (N, n) lie no farther off than `away` times the extent of all; and whether all do.
 
-    The latter over the variances of one point, on average over the states.
+    The extent is that between an eighth and seven of the values of a few dozen rows.
+    """
+    N, n = x.shape
+    each, some = max(N // _SEEN, 1), np.empty(N // max(N // _SEEN, 1) + 1)
+    near, every = np.ones(N, np.bool_), True
+    for a in range(n):
+        count = 0
+        for i in range(0, N, each):  # sorted, and what is no number last
+            at = count
+            while at > 0 and (some[at - 1] > x[i, a] or some[at - 1] != some[at - 1]):
+                some[at] = some[at - 1]
+                at -= 1
+            some[at] = x[i, a]
+            count += 1
+        low, high = some[count // 8], some[count - 1 - count // 8]
+        reach = away * (high - low) + abs(low) + abs(high)
+        for i in range(N):
+            if not low - reach <= x[i, a] <= high + reach:
+                near[i] = every = False
+    return near, every
+
+
+@jit
+def prior_times(w, log_l):
+    """Logarithms (N,) of weights w (N,) times likelihoods."""
+    out = np.empty(w.size)
+    for i in range(w.size):
+        out[i] = log_l[i] + math.log(w[i]) if w[i] > 0.0 else -np.inf
+    return out
+
+
+@jit
+def carried(x, log_w, family):
+    """Points that weigh something, and of how many independent ones they are an average.
+
+    Families are independent of each other, so that the variance of the mean is the sum of the squares of what
+    each adds to it (Chan & Lai 2013); over that of one point that is the mean's number. The evidence knows of
+    no more than the families' weights.
 
     Parameters
     ----------
-    x, w, family : ndarray, shapes (N, n), (N,), (N,)
+    x : ndarray, shape (N, n)
+        States; one that is no number weighs nothing.
+    log_w : ndarray, shape (N,)
+        Logarithms of weights whose sum is the evidence.
+    family : ndarray of int, shape (N,)
+        The ancestor of each.
 
     Returns
     -------
-    float, float
-        NaN where a covariance is none.
+    x, w, family : ndarray
+        Those with weights, of sum one; all, without weights, where none has any.
+    log_evidence : float
+    mean, cov : ndarray, shapes (n,), (n, n)
+    effective, families : float
+        Numbers for the mean and for the evidence.
     """
     N, n = x.shape
-    mean, cov, L = np.empty(n), np.empty((n, n)), np.empty((n, n))
+    log_w, w, mean, cov = log_w.copy(), np.zeros(N), np.zeros(n), np.zeros((n, n))
+    for i in range(N):
+        for a in range(n):
+            if not abs(x[i, a]) < np.inf:
+                log_w[i] = -np.inf
+    log_evidence = normalise(log_w, w)
+    if not abs(log_evidence) < np.inf:
+        return x, w, family, -np.inf, mean, cov, 0.0, 0.0
+    heavy = 0
+    for i in range(N):
+        heavy += w[i] > 0.0
+    if heavy < N:
+        x, w, family = _heavy(x, w, family, heavy)
     weighted_moments(x, w, mean, cov)
-    added, squares, part = np.zeros((count, n + 1)), 0.0, 0.0
+    squares, part = _squares(x, w, family, mean, cov)
+    families = 1.0 / squares
+    number = families
+    if part > 0.0:
+        # few families may agree by chance, and one agrees with itself: a variance seen F - 1 times
+        number = max(families, min(effective(w), (1.0 - squares) / part, families * families))
+    return x, w, family, log_evidence, mean, cov, number, families
+
+
+@jit
+def _heavy(x, w, family, count):
+    """The points, so many, that weigh anything, their weights and families."""
+    n, j = x.shape[1], 0
+    y, v, own = np.empty((count, n)), np.empty(count), np.empty(count, np.int64)
+    for i in range(w.size):
+        if w[i] > 0.0:
+            v[j], own[j] = w[i], family[i]
+            for a in range(n):
+                y[j, a] = x[i, a]
+            j += 1
+    return y, v, own
+
+
+@jit
+def _squares(x, w, family, mean, cov):
+    """Squares of what families add: of their weights, and to the mean, over one point's variances."""
+    (N, n), last = x.shape, 0
+    for i in range(N):
+        last = max(last, family[i])
+    L, added, squares, part = np.empty((n, n)), np.zeros((last + 1, n + 1)), 0.0, 0.0
     for i in range(N):
         f = family[i]
         added[f, n] += w[i]
         for a in range(n):
             added[f, a] += w[i] * (x[i, a] - mean[a])
-    for f in range(count):
+    for f in range(added.shape[0]):
         squares += added[f, n] * added[f, n]
     if not cholesky(cov, L):
         return squares, np.nan
     v = np.empty(n)
-    for f in range(count):
-        for a in range(n):
-            v[a] = added[f, a]
-        whiten(L, v)
-        for a in range(n):
-            part += v[a] * v[a] / n
+    for f in range(added.shape[0]):
+        if added[f, n] > 0.0:
+            for a in range(n):
+                v[a] = added[f, a]
+            whiten(L, v)
+            for a in range(n):
+                part += v[a] * v[a] / n
     return squares, part
 
 

@@ -1,0 +1,192 @@
+"""A reading of a cloud in one call: weighted, and once more from ancestors that the reading chooses.
+
+That is what `filter.guided` does of any sensor and any way, for one prediction since the last reading and
+noise that is the same in all states.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .._addresses import function_at
+from .._jit import jit
+from .guide import (
+    along_rows,
+    joined,
+    linear_reading,
+    log_normals,
+    look_ahead,
+    over_both,
+    spread,
+    without_noise,
+)
+from .linearise import lower_and_rows
+from .move import affine, move_at
+from .noise import LANES, even_normals, mixed, stored
+from .way import AGAIN
+from .weights import effective, normalise, prior_times
+
+__all__ = ["EVEN", "GUIDE", "LINEAR", "OWN", "PARTS", "WIDER", "Part", "Reader", "weigh"]
+
+#: Effective part of weights, from which they are good enough as they are.
+EVEN = 0.9
+#: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good. Times
+#: what linearity misses: the variance of a point's own rest about the mean of four neighbours', over one's.
+WIDER, OWN = 1.5, 1.0 + 1.0 / 4.0
+#: What numbers of a reading's key are for: its guide, and the noise of the passages.
+GUIDE, PARTS = 11, 20
+#: Stands for a sensor's function where a matrix says it all.
+LINEAR = 0
+
+
+class Reader(NamedTuple):
+    """What was read, z (k,), and the sensor: address and data of h, or its matrix; angles; R and its root."""
+
+    h: int
+    p: np.ndarray
+    H: np.ndarray  # (k, n)
+    z: np.ndarray
+    angle: np.ndarray  # bool (k,)
+    R: np.ndarray  # (k, k)
+    root: np.ndarray
+    t: float
+
+
+class Part(NamedTuple):
+    """A passage of a way, linearised in blocks; see `density.points.Passage`."""
+
+    start: np.ndarray
+    end: np.ndarray
+    flow: np.ndarray
+    lower: np.ndarray
+    rows: np.ndarray
+
+
+@jit
+def _read(reader, x):
+    """Readings (N, k) of states (N, n)."""
+    (N, n), k = x.shape, reader.z.size
+    out = np.empty((N, k))
+    if reader.h != LINEAR:
+        function_at(reader.h)(x, reader.t, reader.p, out)
+        return out
+    for i in range(N):
+        for a in range(k):
+            s = 0.0
+            for e in range(n):
+                s += reader.H[a, e] * x[i, e]
+            out[i, a] = s
+    return out
+
+
+@jit
+def _wrapped(r, angle):
+    """A difference, of angles in (-π, π]."""
+    return r - 2.0 * math.pi * round(r / (2.0 * math.pi)) if angle else r
+
+
+@jit
+def _slopes(reader, c):
+    """∂h/∂x at states c (blocks, n), (blocks, k, n), or (1, k, n) where it is a matrix."""
+    (nb, n), k = c.shape, reader.z.size
+    if reader.h == LINEAR:
+        return reader.H.copy().reshape((1, k, n))
+    x, J = np.empty((nb * 2 * n, n)), np.empty((nb, k, n))
+    for i in range(len(x)):
+        for e in range(n):
+            x[i, e] = c[i // (2 * n), e]
+    for b in range(nb):
+        for e in range(n):
+            step = _STEP * max(1.0, abs(c[b, e]))
+            x[2 * (b * n + e), e] += step
+            x[2 * (b * n + e) + 1, e] -= step
+    h = _read(reader, x)
+    for b in range(nb):
+        for e in range(n):
+            i, step = 2 * (b * n + e), _STEP * max(1.0, abs(c[b, e]))
+            for a in range(k):
+                J[b, a, e] = _wrapped(h[i, a] - h[i + 1, a], reader.angle[a]) / (2.0 * step)
+    return J
+
+
+@jit
+def _beside(u, v):
+    """Numbers u and v (N, n) side by side, (N, 2n)."""
+    (N, n) = u.shape
+    U = np.empty((N, 2 * n))
+    for i in range(N):
+        for a in range(n):
+            U[i, a], U[i, n + a] = u[i, a], v[i, a]
+    return U
+
+
+_STEP = np.finfo(np.float64).eps ** (1.0 / 3.0)  # of central differences
+
+
+@jit
+def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, nets, key):
+    """Prior times likelihood, of both passes.
+
+    Parameters
+    ----------
+    reader : Reader
+    leg, linear, passage : Leg, bool, int
+        The prediction, whether its change is linear, and its key.
+    x, y, w, block : ndarray, shapes (N, n), (N, n), (N,), (N,)
+        Where points began, where they are, their weights and blocks.
+    kernel, moved : Part
+        The noise that begins the way, and the prediction.
+    u, v : ndarray, shape (N, n)
+        What moved the points in each.
+    nets : tuple of ndarray, shape (N, n)
+        Standard normals of the guide and of both passages.
+    key : int
+
+    Returns
+    -------
+    x, log_w, family : ndarray, shapes (M, n), (M,), (M,)
+        States, logarithms of weights whose sum is the evidence, and ancestors.
+    wrong : int
+        How many likelihoods are no number: then the rest is of no worth.
+    """
+    N, n = x.shape
+    own = mixed(np.uint64(key), np.uint64(GUIDE))
+    h = _read(reader, y)
+    log_l, wrong = log_normals(reader.z, h, reader.angle, reader.root)
+    log_w, alone = prior_times(w, log_l), np.arange(N)
+    first = np.zeros(N)
+    if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= EVEN * effective(w):
+        return y, log_w, alone, wrong
+    flow, G = joined(kernel.flow, kernel.lower, moved.flow, moved.lower)
+    lower, rows = lower_and_rows(G)
+    U = _beside(u, v)
+    whole = along_rows(rows, block, U)
+    r = _read(reader, without_noise(y, x, whole, lower, flow, block))
+    for i in range(N):
+        for a in range(reader.z.size):
+            r[i, a] = _wrapped(reader.z[a] - r[i, a], reader.angle[a])
+    H, R = _slopes(reader, moved.end), reader.R.copy().reshape((1, reader.z.size, reader.z.size))
+    HL, R = linear_reading(
+        h, x, whole, w, block, kernel.start, flow, lower, H, R, reader.angle, WIDER, WIDER * OWN
+    )
+    ancestor, new, log_ratio = look_ahead(r, whole, w, block, HL, R, nets[0], own)
+    if ancestor.size == 0:
+        return y, log_w, alone, wrong
+    end, block = x[ancestor], block[ancestor]
+    u = even_normals(nets[1], np.uint64(stored(own, PARTS)))
+    v = even_normals(nets[2], np.uint64(stored(own, PARTS + 1)))
+    U = _beside(u, v)
+    spread(rows, block, new, U)
+    for i in range(N):
+        for a in range(n):
+            u[i, a], v[i, a] = U[i, a], U[i, n + a]
+    end = affine(end, u, block, kernel.start, kernel.end, kernel.flow, kernel.lower)
+    if linear:
+        end = affine(end, v, block, moved.start, moved.end, moved.flow, moved.lower)
+    else:
+        again = mixed(np.uint64(passage), np.uint64(AGAIN))
+        move_at(leg.move)(leg, end, v, moved.rows, block, again, 0, -(-N // LANES))
+    more, wrong = log_normals(reader.z, _read(reader, end), reader.angle, reader.root)
+    both = over_both(np.concatenate((log_l, more)), log_ratio, w)
+    return np.concatenate((y, end)), both, np.concatenate((alone, ancestor)), wrong

@@ -1,0 +1,104 @@
+"""The way of a cloud from one reading to the next: how it begins, and an interval of it, in one call each."""
+
+import numpy as np
+
+from .._jit import jit
+from .curve import along_curve
+from .linearise import (
+    block_roots,
+    block_size,
+    centres,
+    distances,
+    linearise_at,
+    lower_and_rows,
+    shrunk,
+)
+from .move import affine, move_at
+from .noise import LANES, even_normals, mixed, stored, uniform
+from .weights import effective, systematic
+
+__all__ = ["AGAIN", "CUT", "FIRST", "KERNEL", "PILOT", "begin", "blocks_of", "carry"]
+
+# what numbers of a key are for
+CUT, FIRST, AGAIN, PILOT, KERNEL = range(5)
+#: Effective part of points, below which they are drawn anew.
+_FEW = 0.5
+
+
+@jit
+def blocks_of(count):
+    """Numbers (count,) of the blocks of as many points."""
+    out, size = np.empty(count, np.int64), block_size(count)
+    for i in range(count):
+        out[i] = i // size
+    return out
+
+
+@jit
+def begin(x, w, family, count, key, net, table, bits):
+    """Begin the way of a cloud: points in order, each standing for a Gaussian as wide as their distance.
+
+    They are drawn anew where too few of them weigh anything. Copies of a point part by its Gaussian, whatever
+    the noise of the model. Blocks keep their mean and covariance.
+
+    Parameters
+    ----------
+    x, w : ndarray, shapes (N, n), (N,)
+    family : ndarray of int, shape (N,) or (0,)
+        Points of a number come from one point of before; without any, each is its own.
+    count : int
+        Points afterwards.
+    key : int
+    net : ndarray, shape (count, n)
+        Standard normals.
+    table, bits : ndarray, int
+        Of the curve.
+
+    Returns
+    -------
+    start, y, u : ndarray, shape (count, n)
+        Middles of the Gaussians, points in them, and what moved each: standard normals.
+    w, block : ndarray, shape (count,)
+    middle, lower : ndarray, shapes (blocks, n), (blocks, n, n)
+        Of the blocks: centres, and lower roots of the Gaussians' covariances.
+    """
+    N, n = x.shape
+    order = along_curve(x, w, table, bits)
+    w = w[order]
+    if count != N or effective(w) < _FEW * count:
+        order = order[systematic(w, count, uniform(np.uint64(key), np.uint64(CUT)))]
+        w = np.full(count, 1.0 / count)
+    x = x[order]
+    part = distances(x, family[order] if family.size > 0 else order)
+    block, middle, lower = blocks_of(count), centres(x), block_roots(x)
+    u = even_normals(net, np.uint64(stored(key, KERNEL)))
+    start = shrunk(x, middle, np.sqrt(1.0 - part**2))
+    flow = np.zeros(lower.shape)
+    for b in range(len(lower)):
+        for a in range(n):
+            flow[b, a, a] = 1.0
+            for e in range(n):
+                lower[b, a, e] *= part[b]
+    return start, affine(start, u, block, middle, middle, flow, lower), u, w, block, middle, lower, flow
+
+
+@jit
+def carry(leg, x, block, net, key):
+    """Carry points x (N, n) over a leg, with their ends moved by the normals of a net (N, n).
+
+    Returns
+    -------
+    y, u : ndarray, shape (N, n)
+        Ends, and what moved them.
+    start, end : ndarray, shape (blocks, n)
+        Centres of the blocks, and where they come without noise.
+    flow, lower, rows : ndarray, shapes (blocks, n, n), (blocks, n, n), (blocks, n, d)
+        Φ, L and V: what linearises the blocks.
+    """
+    start = centres(x)
+    end = start.copy()
+    flow, B = linearise_at(leg.linearise)(leg, end)
+    lower, rows = lower_and_rows(B)
+    u, y = even_normals(net, np.uint64(key)), x.copy()
+    move_at(leg.move)(leg, y, u, rows, block, mixed(np.uint64(key), np.uint64(FIRST)), 0, -(-len(x) // LANES))
+    return y, u, start, end, flow, lower, rows
