@@ -405,8 +405,8 @@ class FilterConfig(_Settings):
     exact_linear : bool
     acceptance : AcceptanceTest
     target_error : float
-        Length of the error of the posterior mean, in posterior standard deviations, which
-        ``n_particles="auto"`` aims at; `info.error` is the root mean square of its components.
+        Error of the posterior mean, in posterior standard deviations, root mean square over the states, which
+        ``n_particles="auto"`` aims at; `info.error` is what a step estimates of the same number.
     density_error : float, optional
         Hellinger distance of the density that is wanted. With it ``n_particles="auto"`` lays lattices in one
         and two states instead of clouds, whose moments cost less, but whose densities are rougher. Without it

@@ -18,6 +18,7 @@ __all__ = [
     "bound_of",
     "doubt",
     "fewest",
+    "points_for",
 ]
 
 #: Points of a cloud, least and most: powers of two, for which nets are evenest.
@@ -25,8 +26,8 @@ _FEWEST_POINTS, MOST_POINTS = 256, 2**17
 _TYPICAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it
 #: Power of the predictions since a reading, by which their allowances fall.
 SHARED = 1.5
-_PATIENCE = 4  # readings that ask for fewer points before there are fewer
-_MORE = 4.0  # times the points at most, after one reading
+_PATIENCE = 2  # readings in a row that ask for fewer points before there are fewer
+_MORE = 4.0  # times the points at most, at once
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
 AIMED = 0.25
@@ -76,19 +77,21 @@ class Needs(NamedTuple):
         """Points that a cloud has for a target error."""
         return self.points or _power_of_two((_TYPICAL / target) ** 2)
 
-    def told(self, error: float, target: float) -> "Needs":
-        """What the next cloud needs after an error: more points at once, fewer after several readings."""
-        now = self.cloud(target)
-        wanted = now * min((error / target) ** (1.0 / ORDER), _MORE)
-        points = _power_of_two(wanted / math.sqrt(2.0))  # rounded, not up
-        if points >= now:
-            return self._replace(points=points, calm=0)
+    def told(self, error: float, target: float, count: int) -> "Needs":
+        """What the next cloud needs after `count` points had an error: more at once, fewer after a while.
+
+        What a single reading asks beyond that is its own: it is made again on more points.
+        """
+        now, wanted = self.cloud(target), points_for(count, error, target)
+        if wanted >= now:
+            return self._replace(points=wanted, calm=0)
         calm = self.calm + 1
-        return (
-            self._replace(points=now // 2, calm=0)
-            if calm >= _PATIENCE
-            else self._replace(points=now, calm=calm)
-        )
+        return self._replace(points=wanted if calm >= _PATIENCE else now, calm=calm % _PATIENCE)
+
+
+def points_for(count: int, error: float, target: float) -> int:
+    """Points that have a target error where so many have an error: a power of two."""
+    return _power_of_two(count * min((error / target) ** (1.0 / ORDER), _MORE))
 
 
 def _power_of_two(count: float) -> int:

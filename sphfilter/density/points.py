@@ -87,10 +87,9 @@ _NEW = 0.4  # weight of the last squared difference among all
 
 
 class Pace(NamedTuple):
-    """Steps that a model has needed, what they may be off by, and when they are looked at again."""
+    """Steps that a model has needed, and what they may be off by."""
 
     step: float = 0.0  # seconds, of the first prediction after a reading
-    waits: int = 0  # predictions
     stiff: bool = False
     legs: int = 0  # predictions since the last reading
     bias: float = 0.0  # that their steps have had, in standard deviations
@@ -104,6 +103,7 @@ class CloudState(NamedTuple):
     told: Told = Told()
     pace: Pace = Pace()
     size: int = 0  # points that the errors told are of; after a reading there are twice as many
+    inherited: float = 0.0  # error of the mean before it became points, as far as readings have left it
 
 
 def moments(x: Floats, w: Floats) -> tuple[Floats, Floats]:

@@ -147,16 +147,13 @@ def particle_bound(density: ParticleDensity, n_particles: int | str | None = Non
 def target_of(
     density: ParticleDensity, config: SolverConfig | FilterConfig, n_particles: int | str | None
 ) -> float | None:
-    """Target error of a step, rms over the states; None where a number of particles or a scheme decides.
-
-    That of a configuration is a length: of as many components as there are states.
-    """
+    """Target error of a step, rms over the states; None where a number of particles or a scheme decides."""
     asked = n_particles == "auto" or (n_particles is None and density.needs is not None)
     if not asked or not (config.scheme == "auto" or isinstance(config.scheme, LogDensityScheme)):
         return None
     whole = config if isinstance(config, FilterConfig) else FilterConfig()
     least = math.inf if whole.density_error is None else whole.density_error
-    return min(whole.target_error, least) / math.sqrt(density.dim)
+    return min(whole.target_error, least)
 
 
 def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:

@@ -119,7 +119,7 @@ def models_of(density: ParticleDensity) -> tuple[SDE, ...]:
 def _stored_cloud(state: CloudState) -> Arrays:
     """A cloud as arrays by name; of a path what begins it, and the spans and steps of its predictions."""
     arrays = {"told": np.array(state.told), "pace": np.array([*map(float, state.pace)])}
-    arrays["size"] = np.array(state.size)
+    arrays |= {"size": np.array(state.size), "inherited": np.array(state.inherited)}
     for name, points in (("points", state.points), ("shadow", state.shadow)):
         arrays |= under(name, {"x": points.x, "w": points.w})
         if points.family is not None:
@@ -139,10 +139,11 @@ def _stored_cloud(state: CloudState) -> Arrays:
 
 def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) -> ParticleDensity:
     """The cloud of arrays that `_stored_cloud` made."""
-    step, waits, stiff, legs, bias = arrays["pace"].tolist()
-    pace, size = Pace(step, int(waits), bool(stiff), int(legs), bias), arrays["size"].item()
+    step, *_, stiff, legs, bias = arrays["pace"].tolist()  # older files had one more
+    pace, size = Pace(step, bool(stiff), int(legs), bias), arrays["size"].item()
     points, shadow = (_points_from(part(name, arrays), models) for name in ("points", "shadow"))
-    state = CloudState(points, shadow, Told(*arrays["told"].tolist()), pace, size)
+    inherited = float(arrays.get("inherited", 0.0))  # which older files do not have
+    state = CloudState(points, shadow, Told(*arrays["told"].tolist()), pace, size, inherited)
     del about["read_out"], about["kernel"]
     begun = ParticleDensity(x=points.x[:1], mass=np.ones(1), h=np.ones(1), **about)
     return cloud_of(begun, state, moments(points.x, points.w), **about)

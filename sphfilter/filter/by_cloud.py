@@ -14,7 +14,7 @@ from ..density.points import Points
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.cloud import apart, as_points
-from .asked import Asked
+from .asked import Asked, kept
 from .guided import weighed
 
 __all__ = ["by_cloud"]
@@ -46,11 +46,13 @@ def by_cloud(
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
     errors, pace = told.errors, state.pace
-    error = math.hypot(max(errors.mean, _least(found.effective)), pace.bias)
     after = pace._replace(legs=0, bias=0.0)
-    known = {"capacity": n_particles, "error": error, "lost": density.lost}
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=after)
-    new = cloud_of(density, state, found.moments, **known)
+    new = cloud_of(density, state, found.moments, capacity=n_particles, lost=density.lost)
+    if state.inherited > 0.0:
+        state = state._replace(inherited=state.inherited * kept(density, new))
+    error = math.hypot(max(errors.mean, _least(found.effective)), pace.bias, state.inherited)
+    new = new.noted(cloud=state, error=error)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
     code, doubt = Code.CLOUD, 2.0 * errors.variance
     if doubt > _WRONG and error < DOUBTFUL:  # which is said of the mean already

@@ -43,6 +43,8 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     if density.read_out == "cloud":
         return _on_cloud(density, asked, target, config, needs)
     found = _on_families(density, asked, target, needs) or _on_family(density, asked, target, needs)
+    if found is not None and by_cloud and found[1]["error"] > doubt(density.dim) * target:
+        found = None  # what the reading made of the prior's error, no family tells
     missed = found is None or found[1]["error"] > target
     if missed and (needs.smooth or not by_cloud) and density.families is None:
         found = _on_pieces(density, asked, target, needs) or found
@@ -107,10 +109,12 @@ def _on_pieces(density: ParticleDensity, asked: Asked, target: float, needs: Nee
 def _on_cloud(
     density: ParticleDensity, asked: Asked, target: float, config: FilterConfig, needs: Needs
 ) -> Posterior:
-    """The posterior as a cloud; of how many points the next one has, its error tells."""
+    """The posterior as a cloud; of how many points the next one has, what its points told tells."""
     scheme = CloudScheme(n_points=needs.cloud(target))
     new, said = by_cloud(density, asked, 0, replace(config, scheme=scheme))
-    return new.noted(needs=needs.told(new.error, target)), _told(said, target)
+    assert new.cloud is not None
+    needs = needs.told(new.cloud.told.errors.mean, target, new.cloud.size)
+    return new.noted(needs=needs), _told(said, target)
 
 
 def _on_lattice(

@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
-from ..density.needs import MISSED
+from ..density.needs import MISSED, points_for
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, target_of
 from ..errors import PropagationError
@@ -116,15 +116,20 @@ def _on_more_points(
 ) -> tuple[ParticleDensity, ParticleDensity, UpdateInfo]:
     """Predict and update again where a reading finds too few points, or points that know no way to be led."""
     prior, posterior, info = once
-    target = target_of(prior, config, None)
+    target, known = target_of(prior, config, None), before.needs
+    if target is None or known is None or config.time_budget:
+        return once
     for _ in range(_TRIES):
-        known, needs = before.needs, posterior.needs
-        if target is None or known is None or needs is None or config.time_budget:
+        cloud = posterior.cloud
+        assert cloud is not None
+        more = points_for(cloud.size, info.error, target) if info.error > MISSED * target else 0
+        if prior.read_out == "cloud" and more <= cloud.size:
             break
-        more = needs.points if info.error > MISSED * target else 0
-        if prior.read_out == "cloud" and more <= known.cloud(target):
-            break
-        before = before.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
-        prior, _ = predict(before, model, t=prior.t, config=config, n_particles="auto", goes_on=False)
+        own = before.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
+        prior, _ = predict(own, model, t=prior.t, config=config, n_particles="auto", goes_on=False)
         posterior, info = update(prior, measurement, z, config, n_particles="auto")
+    cloud, needs = posterior.cloud, posterior.needs
+    if cloud is not None and needs is not None:
+        usual = known.told(cloud.told.errors.mean, target, cloud.size)
+        posterior = posterior.noted(needs=needs._replace(points=usual.points, calm=usual.calm))
     return prior, posterior, info

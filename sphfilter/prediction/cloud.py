@@ -13,9 +13,9 @@ from ..density.cloud import points_of
 from ..density.needs import SHARED
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Steps, begun, begun_from, key_at, passed, steps_bias
-from ..density.points import ORDER, SHADOW, CloudState, Pace, Points, Told, moments
+from ..density.points import SHADOW, CloudState, Pace, Points, moments
 from ..errors import PropagationError, StoppedError
-from ..info import Code, PredictInfo
+from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
 from ..model.sde import SDE
 from ..model.simulate import rate_of_time
@@ -28,7 +28,6 @@ _FIRST = 4  # steps that are tried first
 #: which the means of all points have been found to part (measured on six scenes: 1.2 to 1.6).
 _PART, _BEYOND = 1.0 / 2.0, 1.5
 _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
-_PILOTED = 1500.0  # points that cost as much as a look at the steps, times eight
 _ORDER = 3.0  # of the steps' bias
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _CALMER = 0.1  # of the bias that is allowed, below which steps become longer
@@ -87,8 +86,8 @@ def propagate(
     told = apart(ends[0], ends[1], density.domain, *sums)
     before = state.told.of(count / state.size) if state.size else state.told
     now = before.after(*told)
-    error = math.hypot(now.errors.mean, pace.bias)
-    state = CloudState(ends[0], ends[1], before, pace, count)
+    error = math.hypot(now.errors.mean, pace.bias, state.inherited)
+    state = CloudState(ends[0], ends[1], before, pace, count, state.inherited)
     capacity = density.capacity if n_particles is None else n_particles
     new = cloud_of(density, state, sums[0], t=float(t1), capacity=capacity, error=error)
     return new, _info(model, count, steps.number, lost, error)
@@ -106,11 +105,9 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
     if density.family is not None and density.family.degree == 2:
         mean, cov = unrolled(density)
         points, shadow = (begun(mean, cov, *size) for size in sizes)
-        return CloudState(points, shadow)
-    points, shadow = (begun_from(Points(*points_of(density, n, key)), n, key) for n, key in sizes)
-    known = density.error > 0.0  # what is wrong with the density goes on in the points
-    told = Told(mean=(density.error * SHADOW**ORDER) ** 2) if known else Told()
-    return CloudState(points, shadow, told, size=count if known else 0)
+    else:
+        points, shadow = (begun_from(Points(*points_of(density, n, key)), n, key) for n, key in sizes)
+    return CloudState(points, shadow, inherited=density.error)
 
 
 def _fewer(count: int) -> int:
@@ -147,19 +144,18 @@ def _steps(
     pace = state.pace._replace(legs=state.pace.legs + 1)
     if model.linear:
         return Steps(1), pace
-    dt, (step, waits, stiff, legs, _), points = span[1] - span[0], pace, state.points
+    dt, (step, stiff, legs, _), points = span[1] - span[0], pace, state.points
     shorter = legs ** (SHARED / _ORDER)  # biases of predictions without a reading between add up
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
     number = max(least, math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else _FIRST)
-    if waits > 0 and step > 0.0:
-        return Steps(_enough(number, most, span), stiff), pace._replace(waits=waits - 1)
     if not model.autonomous:
         number = max(number, math.ceil(dt * rate_of_time(model, points.x[:_ASKED], *span)))
     if model.domain.walled.any():
         number = max(number, math.ceil(dt / _beside_walls(model, points, span[0])))
         return Steps(_enough(number, most, span), stiff), pace
     told, before = state.told.errors.mean, math.inf
-    allowed = _PART * max(_USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told, target)
+    told = _USUAL / math.sqrt(len(points.w)) if math.isnan(told) else min(told, DOUBTFUL)
+    allowed = _PART * max(told, target)
     allowed *= legs**-SHARED
     while True:
         steps = Steps(_enough(number, most, span), stiff)
@@ -174,7 +170,7 @@ def _steps(
     longest = number * max(over, _CALMER) ** (1.0 / _ORDER) if over < _CALMER else number
     bias = pace.bias + (bias if math.isfinite(bias) else 0.0)
     step = dt * shorter / max(longest, least)
-    return steps, Pace(step, int(_PILOTED / len(points.w)), stiff, legs, bias)
+    return steps, Pace(step, stiff, legs, bias)
 
 
 def _beside_walls(model: SDE, points: Points, t: float) -> float:

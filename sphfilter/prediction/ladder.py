@@ -32,7 +32,7 @@ Found = TypeVar("Found")
 
 #: Points of a cloud that take as long as a lattice that makes the same error, by states; a lattice of more
 #: states never pays. And points that take as long as one family. (Of `experiments benchmark`.)
-_AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**14}, {5: 2**13, 6: 2**13}
+_AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**13}, {5: 2**13, 6: 2**13}
 _LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _TOLERANCE = 0.1  # of a step of a family, over the target

@@ -102,7 +102,7 @@ def predict_modes(
     PropagationError
         A mode that is not unlikely cannot be carried; the sentence says why.
     """
-    t0, target = modes.heaviest.t, config.target_error / math.sqrt(model.dim)
+    t0, target = modes.heaviest.t, config.target_error
     allowed = allowance(modes.error, config.target_error)
     jumps = model.rates.any()
     steps, off = 1, [no_ripple(model.dim) for _ in model.names]

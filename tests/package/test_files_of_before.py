@@ -179,4 +179,4 @@ def test_needs_of_seven_numbers():
     arrays["about"] = np.array(json.dumps(about))
     needs = density_from(arrays).needs
     assert needs == Needs(4, 1, 2, 90, 512)
-    assert needs.told(1e-3, 1e-2).calm == 1
+    assert needs.told(1e-3, 1e-2, 512).calm == 1
