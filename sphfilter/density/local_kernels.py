@@ -13,8 +13,8 @@ __all__ = ["LocalKernels", "local_kernels"]
 
 #: Groups of points that have a kernel each; with twice as many, 10,000 points are a tenth better.
 _KERNELS = 1024
-#: Width of what looks about, over N^(-1/(n + 8)), as `python -m experiments.kernel_widths` measures it.
-_WIDTH = 1.5
+#: Width of what looks about, over N^(-1/(n + 8)), as `python tests/density/kernel_widths.py` measures it.
+_WIDTH = 1.4
 _REACH = 6.0  # standard deviations of a kernel, beyond which it ends
 
 
