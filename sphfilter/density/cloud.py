@@ -17,6 +17,7 @@ from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import mixture
 from .families import Families
+from .local_kernels import local_kernels
 from .pieces import GaussianPieces
 from .points import moments
 from .quasi_random import quasi_random, spread_evenly, weighted_points
@@ -46,17 +47,15 @@ _KEY, _MIX = np.uint64(0x5EED0C10D), np.uint64(0x9E3779B97F4A7C15)
 class Cloud(Kernels):
     """Weighted points, any of which may be heavy: moments are sums over them.
 
-    The density between them is that of kernels whose width follows from the effective number of points, with
-    the variance that kernels add taken back; in a domain, of kernels with their images.
+    The density between them is that of kernels as wide as the density about each is; in a domain, or where
+    points are flat, of kernels whose width follows from the effective number of points.
     """
 
     @cached_property
-    def mixture(self) -> mixture.Mixture:
+    def mixture(self) -> Any:
         """The kernels that the pdf sums; made at the first question."""
-        if self.images is not None:
-            return self.images
-        found = mixture.shrunk(self.x, self.mass, None, self.kernel)
-        return mixture.mixture(self.x, self.mass, self.h, self.kernel) if found is None else found
+        local = local_kernels(self.x, self.mass) if self.images is None else self.images
+        return mixture.mixture(self.x, self.mass, self.h, self.kernel) if local is None else local
 
     @cached_property
     def summed(self) -> tuple[Floats, Floats]:
@@ -74,9 +73,9 @@ class Cloud(Kernels):
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """Points in the kernels, as many for the whole cloud as serve a lattice: always the same ones."""
-        total = _STATES * count
-        offsets = mixture.standing_for(self.kernel.kind, self.x.shape[1], count)
-        X = mixture.points(self.mixture, np.tile(offsets, (_STATES, 1)), systematic(self.mass, total))
+        mix, total = self.mixture, _STATES * count
+        offsets = mixture.standing_for(mix.kernel.kind, self.x.shape[1], count)
+        X = mix.points(np.tile(offsets, (_STATES, 1)), systematic(mix.mass[: len(self.x)], total))
         return X, np.full(total, 1.0 / total)
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
@@ -166,8 +165,9 @@ def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
         x = _from_cells(shape, count, quasi_random(count, n, key))
     else:
         seen = shape if domain is None else shape.around(domain)
-        offsets = mixture.drawn(seen.kernel.kind, quasi_random(count, n + 1, key))
-        x = mixture.points(seen.mixture, offsets, systematic(density.mass, count))
+        mix = seen.mixture
+        offsets = mixture.drawn(mix.kernel.kind, quasi_random(count, n + 1, key))
+        x = mix.points(offsets, systematic(mix.mass[: len(density.x)], count))
     if domain is not None:
         return domain.fold(x)
     try:

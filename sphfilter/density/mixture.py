@@ -15,7 +15,7 @@ from ..core.sph import kernels
 from ..core.sph.neighbors import build_index, choose_method
 from ..core.sph.summation import sample_density, sample_density_parallel, sample_gradient
 
-__all__ = ["Mixture", "drawn", "gradient", "mixture", "narrowed", "pdf", "points", "raw_moment", "shrunk",
+__all__ = ["Mixture", "drawn", "framed", "least_change", "mixture", "narrowed", "raw_moment", "shrunk",
            "silverman", "standing_for"]  # fmt: skip
 
 _PARALLEL_FROM = 10_000_000  # distances of points and particles, about a second's work of one thread
@@ -37,6 +37,40 @@ class Mixture(NamedTuple):
     kernel: kernels.Kernel
     index: Any  # of the search
 
+    def pdf(self, X: Floats) -> Floats:
+        """Density at the states X (M, n)."""
+        z = np.linalg.solve(self.factor, (X - self.centre).T).T
+        return _at(self, np.ascontiguousarray(z)) / abs(np.linalg.det(self.factor))
+
+    def logpdf(self, X: Floats) -> Floats:
+        """Logarithm of the density; minus infinity outside of the kernels' supports."""
+        with np.errstate(divide="ignore"):
+            return np.log(self.pdf(X))
+
+    def gradient(self, X: Floats) -> Floats:
+        """Gradient of `pdf` at the states X (M, n), shape (M, n)."""
+        z = np.ascontiguousarray(np.linalg.solve(self.factor, (X - self.centre).T).T)
+        out = np.empty_like(z)
+        sample_gradient(z, self.z, self.mass, self.h, self.index, self.kernel.pair, out)
+        return np.linalg.solve(self.factor.T, out.T).T / abs(np.linalg.det(self.factor))
+
+    def points(self, offsets: Floats, which: slice | Ints = slice(None)) -> Floats:
+        """States at `offsets` (k, n) from kernels, in their smoothing lengths, shape (N k, n).
+
+        which : a slice of the kernels, or their numbers (k,) for one offset of each.
+        """
+        z, h = self.z[which], self.h[which]
+        if isinstance(which, slice):
+            z, h = z[:, None], h[:, None]
+        z = (z + h[..., None] * offsets).reshape(-1, z.shape[-1])
+        return self.centre + z @ self.factor.T
+
+    def ends(self) -> tuple[Floats, Floats, Floats]:
+        """Lower and upper ends of kernels of one state, and how wide they are; arrays."""
+        width = self.factor[0, 0] * self.h
+        middle, reach = self.centre + self.factor[0, 0] * self.z[:, 0], self.kernel.radius * width
+        return middle - reach, middle + reach, width
+
 
 def mixture(
     x: Floats,
@@ -53,32 +87,6 @@ def mixture(
     x = np.ascontiguousarray(x)
     index = build_index(x, kernel.radius * np.median(h), choose_method(len(x), n))
     return Mixture(centre, factor, x, mass, h, kernel, index)
-
-
-def pdf(mix: Mixture, X: Floats) -> Floats:
-    """Density at the states X (M, n)."""
-    z = np.linalg.solve(mix.factor, (X - mix.centre).T).T
-    return _at(mix, np.ascontiguousarray(z)) / abs(np.linalg.det(mix.factor))
-
-
-def gradient(mix: Mixture, X: Floats) -> Floats:
-    """Gradient of `pdf` at the states X (M, n), shape (M, n)."""
-    z = np.ascontiguousarray(np.linalg.solve(mix.factor, (X - mix.centre).T).T)
-    out = np.empty_like(z)
-    sample_gradient(z, mix.z, mix.mass, mix.h, mix.index, mix.kernel.pair, out)
-    return np.linalg.solve(mix.factor.T, out.T).T / abs(np.linalg.det(mix.factor))
-
-
-def points(mix: Mixture, offsets: Floats, which: slice | Ints = slice(None)) -> Floats:
-    """States at `offsets` (k, n) from kernels, in their smoothing lengths, shape (N k, n).
-
-    which : a slice of the kernels, or their numbers (k,) for one offset of each.
-    """
-    z, h = mix.z[which], mix.h[which]
-    if isinstance(which, slice):
-        z, h = z[:, None], h[:, None]
-    z = (z + h[..., None] * offsets).reshape(-1, z.shape[-1])
-    return mix.centre + z @ mix.factor.T
 
 
 def narrowed(mix: Mixture, axes: Sequence[int]) -> float:
@@ -136,7 +144,26 @@ def silverman(mass: Floats, n: int) -> float:
     return float((4.0 / ((n + 2.0) * effective)) ** (1.0 / (n + 4.0)))
 
 
-def shrunk(x: Floats, mass: Floats, h: Floats | None, kernel: kernels.Kernel) -> Mixture | None:
+def framed(x: Floats, mass: Floats) -> tuple[Floats, ...] | None:
+    """Whitened coordinates z (N, n) of points x = centre + root z; None where their covariance is singular.
+
+    Centre, root, z, the slope of the log-density at z, and the lower root (n, n) of the covariance within
+    pieces that lie apart.
+    """
+    centre = mass @ x
+    try:
+        root = np.linalg.cholesky(((x - centre) * mass[:, None]).T @ (x - centre))
+    except np.linalg.LinAlgError:
+        return None
+    z = np.ascontiguousarray(np.linalg.solve(root, (x - centre).T).T)
+    slope = _slope(z, mass)
+    # Inverse of the slopes' second moments: covariance within the pieces, in no direction above the whole's.
+    values, axes = np.linalg.eigh((slope * mass[:, None]).T @ slope)
+    within = np.linalg.cholesky((axes / np.maximum(values, 1.0)) @ axes.T)
+    return centre, *(np.asarray(part, dtype=float) for part in (root, z, slope, within))
+
+
+def shrunk(x: Floats, mass: Floats, h: Floats, kernel: kernels.Kernel) -> Mixture | None:
     """The mixture with the kernels' own variance taken back, for points that have the density's covariance.
 
     Kernels of variance s² move what a density carries by -s²/2 times the slope of its logarithm, as heat
@@ -149,7 +176,6 @@ def shrunk(x: Floats, mass: Floats, h: Floats | None, kernel: kernels.Kernel) ->
     ----------
     x : ndarray, shape (N, n)
     mass, h : ndarray, shape (N,)
-        Without h, kernels are as wide as `silverman` says within the pieces.
     kernel : Kernel
 
     Returns
@@ -161,30 +187,21 @@ def shrunk(x: Floats, mass: Floats, h: Floats | None, kernel: kernels.Kernel) ->
     P. Hall, M. Minnotte, "High order data sharpening for density estimation", J. R. Stat. Soc. B 64 (2002)
     141, with the slope of a polynomial instead of that of the kernels, which know no more of it than of p.
     """
-    n, centre = x.shape[1], mass @ x
-    try:
-        whole = np.linalg.cholesky(((x - centre) * mass[:, None]).T @ (x - centre))
-    except np.linalg.LinAlgError:
+    found, n = framed(x, mass), x.shape[1]
+    if found is None:
         return None
-    z = np.ascontiguousarray(np.linalg.solve(whole, (x - centre).T).T)
-    slope = _slope(z, mass)
-    # Inverse of the slopes' second moments: covariance within the pieces, in no direction above the whole's.
-    values, axes = np.linalg.eigh((slope * mass[:, None]).T @ slope)
-    within = np.linalg.cholesky((axes / np.maximum(values, 1.0)) @ axes.T)
-    if h is None:
-        h = np.full(len(x), silverman(mass, n) / math.sqrt(kernel.variance))
-    else:
-        h = h * (np.prod(np.diag(whole)) * np.prod(np.diag(within))) ** (-1.0 / n)
+    centre, whole, z, slope, within = found
+    h = h * (np.prod(np.diag(whole)) * np.prod(np.diag(within))) ** (-1.0 / n)
     variance = kernel.variance * (mass @ h**2)
     a = 1.0 / math.sqrt(1.0 + variance)
     z = np.linalg.solve(within, z.T).T + (1.0 - a) * slope @ within
     z -= mass @ z
     own = (z * mass[:, None]).T @ z + a**2 * variance * np.eye(n)
     wanted = np.linalg.inv(within)
-    return mixture(z, mass, a * h, kernel, centre, whole @ within @ _least_change(own, wanted @ wanted.T))
+    return mixture(z, mass, a * h, kernel, centre, whole @ within @ least_change(own, wanted @ wanted.T))
 
 
-def _least_change(have: Floats, wanted: Floats) -> Floats:
+def least_change(have: Floats, wanted: Floats) -> Floats:
     """The symmetric matrix that makes one covariance (n, n) another: the least change of the states."""
     root = _root(have)
     inverse = np.linalg.inv(root)

@@ -55,7 +55,7 @@ class ParticleDensity(Noted):
         "shrunk" (the mixture with the widening by the kernels taken back: mean and covariance are those of
         the points; with a domain the mixture itself), "log_density" (sums over a lattice and the ring
         around its cut edge; the pdf is the exponential of the `field`, tails included), "cloud" (sums over
-        weighted points; the pdf is that of kernels as wide as their effective number asks), "family" (the
+        weighted points; the pdf is that of kernels as wide as the density about each is), "family" (the
         exponential of one polynomial, and a lattice laid for what has no closed form) or "pieces" (a few
         Gaussians, or families). Questions about the density between the points, read as "points", are
         answered by the mixture.
@@ -365,6 +365,14 @@ class ParticleDensity(Noted):
     def spread(self, kind: ReadOut | None = None) -> WeightedStates:
         """The density as states and weights whose sums are its expectations, `WeightedStates`."""
         return statistics.spread(self._between(kind))
+
+    @cached_property
+    def pdf_error(self) -> float:
+        """Estimated Hellinger distance of the `pdf` of a cloud from the true one; NaN where nothing tells it.
+
+        In [0, 1]: the square is half the integral of (√p - √q)². A smaller cloud beside it tells.
+        """
+        return statistics.pdf_error(self)
 
     def mode(self) -> Floats:
         """The state of highest density, shape (n,): the best particle, then a simplex search from it."""

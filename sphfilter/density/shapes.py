@@ -99,16 +99,15 @@ class Kernels:
 
     def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,)."""
-        return mixture.pdf(self.mixture, X)
+        return self.mixture.pdf(X)
 
     def logpdf(self, X: Floats) -> Floats:
-        """Logarithm of the density; minus infinity outside of the kernels' supports."""
-        with np.errstate(divide="ignore"):
-            return np.log(self.pdf(X))
+        """Logarithm of the density; minus infinity outside of supports that end."""
+        return self.mixture.logpdf(X)
 
     def gradient(self, X: Floats) -> Floats:
         """Gradient of the density, shape (M, n)."""
-        return mixture.gradient(self.mixture, X)
+        return self.mixture.gradient(X)
 
     def mean(self) -> Floats:
         """Mean, shape (n,); points and mixture agree, kernels being symmetric."""
@@ -124,14 +123,15 @@ class Kernels:
         if self.kind == "points":
             return self.x, self.mass
         offsets = mixture.standing_for(self.kernel.kind, self.x.shape[1], count)
-        X = mixture.points(self.mixture, offsets, slice(len(self.x)))  # images are seen, but carry nothing
+        X = self.mixture.points(offsets, slice(len(self.x)))  # images are seen, but carry nothing
         return X, np.repeat(self.mass / count, count)
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
-        chosen = rng.choice(len(self.x), size=size, p=self.mass)
-        offsets = mixture.drawn(self.kernel.kind, rng.random((size, self.x.shape[1] + 1)))
-        return mixture.points(self.mixture, offsets, chosen)
+        mix = self.mixture
+        mass = mix.mass[: len(self.x)]  # without images
+        offsets = mixture.drawn(mix.kernel.kind, rng.random((size, self.x.shape[1] + 1)))
+        return mix.points(offsets, rng.choice(len(mass), size=size, p=mass))
 
     def raw_moment(self, powers: Ints, centre: Floats) -> float | None:
         """Moment about a centre (n,) in closed form; None where there is none."""
@@ -146,10 +146,7 @@ class Kernels:
 
     def ends(self) -> tuple[Floats, Floats, Floats]:
         """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
-        mix = self.mixture
-        width = mix.factor[0, 0] * mix.h
-        middle, reach = mix.centre + mix.factor[0, 0] * mix.z[:, 0], mix.kernel.radius * width
-        return middle - reach, middle + reach, width
+        return self.mixture.ends()
 
     def around(self, domain: Domain) -> "Kernels":
         """The same kernels with their images beyond the ends of a domain."""

@@ -4,8 +4,9 @@ All are sums over states that stand for the density as it is read: its particles
 kernels, or points in each cell of its lattice and beyond.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from .._types import Bools, Floats, Ints, OfStates
 from ..errors import ModelError
 from ..validate import state_rows
 from . import weighted
+from .cloud import smoothing_length
+from .points import SHADOW, moments
 from .weighted import WeightedStates
 
 if TYPE_CHECKING:
@@ -29,6 +32,7 @@ __all__ = [
     "hpd_rank",
     "mode",
     "moment",
+    "pdf_error",
     "quantile",
     "spread",
     "states",
@@ -151,6 +155,24 @@ def spread(density: "ParticleDensity") -> WeightedStates:
     """A density as `WeightedStates`: points in its cells or kernels, and how it is read between them."""
     X, w = states(density, _FEW_SUBPOINTS)
     return WeightedStates(X, w, density.logpdf)
+
+
+def pdf_error(density: "ParticleDensity") -> float:
+    """Hellinger distance of a cloud's pdf from the true one, as that from its shadow's pdf tells it; or NaN.
+
+    The distance of kernels of fourth order falls as N^(-4/(n + 8)), and squares of both clouds' add up.
+    """
+    if density.cloud is None or density.read_out != "cloud":
+        return math.nan
+    x, w = density.cloud.shadow[:2]
+    h = smoothing_length(w / w.sum(), moments(x, w)[1])
+    x = x if density.domain is None else density.domain.wrap(x)
+    shadow = replace(density, x=x, mass=w, h=h, cloud=None)
+    X, w = states(density, _FEW_SUBPOINTS)
+    with np.errstate(invalid="ignore"):
+        off = np.expm1(0.5 * (shadow.logpdf(X) - density.logpdf(X)))
+    square = 0.5 * (w @ np.where(np.isnan(off), 0.0, off) ** 2)  # none of either beyond a wall
+    return math.sqrt(square / (1.0 + SHADOW ** (8.0 / (density.dim + 8))))
 
 
 def hpd_rank(density: "ParticleDensity", X: ArrayLike) -> Floats:
