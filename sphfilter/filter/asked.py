@@ -19,7 +19,7 @@ from ..model.measurements import GaussianSensor, Reading, Sensor, block, is_gaus
 from ..validate import state_rows
 from .solutions import solutions
 
-__all__ = ["Asked", "kept", "predicted_reading", "said_of"]
+__all__ = ["Asked", "kept", "predicted_reading", "reading_of", "said_of"]
 
 _LEFT = 0.25  # of the square of an error of a density that is no Gaussian
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
@@ -147,15 +147,26 @@ def predicted_reading(density: ParticleDensity, measurement: GaussianSensor) -> 
 
     Angles are averaged around the reading of the mean.
     """
-    reference = measurement.predict(density.mean(), density.t)[0]
+    summed = density.mean(), density.cov()
+    return reading_of(measurement, density.t, density.x, density.mass, summed, density.domain)
+
+
+def reading_of(
+    measurement: GaussianSensor,
+    t: float,
+    x: Floats,
+    mass: Floats,
+    summed: tuple[Floats, Floats],
+    domain: Domain | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """The same of states x (N, n), mass (N,) with a mean and covariance."""
+    reference = measurement.predict(summed[0], t)[0]
     if measurement.H is not None and not measurement.angles:
-        H, cov = measurement.H, density.cov()
+        H, cov = measurement.H, summed[1]
         return reference, H @ cov @ H.T, cov @ H.T
-    around = measurement.residual(measurement.predict(density.x, density.t), reference)
-    states, n = density.x, density.dim
-    if density.domain is not None:
-        states = density.domain.nearest(states - density.mean())
-    mean, cov = moments(np.hstack([states, around]), density.mass)
+    around, n = measurement.residual(measurement.predict(x, t), reference), x.shape[1]
+    states = x if domain is None else domain.nearest(x - summed[0])
+    mean, cov = moments(np.hstack([states, around]), mass)
     return reference + mean[n:], cov[n:, n:], cov[:n, n:]
 
 

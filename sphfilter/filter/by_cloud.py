@@ -1,26 +1,29 @@
 """Prior times likelihood as a cloud of weighted points, which any likelihood leaves."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._types import Floats
 from ..config import CloudScheme, FilterConfig
 from ..density.as_cloud import cloud_of
 from ..density.cloud import systematic
 from ..density.particle_density import ParticleDensity
 from ..density.passage import key_at
-from ..density.points import Points
+from ..density.points import CloudState, Points
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.cloud import apart, as_points
 from .asked import Asked, kept
 from .guided import weighed
+from .stacked import Stacked
 
-__all__ = ["by_cloud"]
+__all__ = ["WRONG", "Read", "by_cloud", "read"]
 
 _FEW = 50.0  # independent points, below which a shadow that sees the same few cannot tell the error
-_WRONG = 0.2  # of a variance, from which it is said
+WRONG = 0.2  # of a variance, from which it is said
+_HIDDEN = 0.1  # of an error, below which another adds less than a hundredth
 _READING = 2  # of a key: the draws of a reading
 
 
@@ -30,43 +33,77 @@ def by_cloud(
     """Prior times likelihood as a cloud of weighted points, and what the update says."""
     scheme = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
     state = as_points(density, scheme.n_points)
-    t, domain = density.t, density.domain
-    found = weighed(state.points, (asked,), key_at(t, _READING), domain)
-    if not math.isfinite(found.log_evidence):
+    found = read(state, Stacked.of((asked,), density.domain), density.t)
+    if found is None:
         raise PropagationError(
             "prior times likelihood is zero wherever the prior has particles: check the measurement, its "
             "unit and its noise"
         )
-    beside = weighed(state.shadow, (asked,), key_at(t, _READING + 1), domain)
-    shadow, told = beside.points, state.told
-    if math.isfinite(beside.log_evidence):
-        off = found.log_evidence - beside.log_evidence
-        told = told.after(*apart(found.points, shadow, domain, found.moments, beside.moments), off**2)
-    else:  # none of the few sees the reading: a part of the many goes on beside them
-        shadow = _part_of(found.points, len(state.shadow.w))
-        told = told.after(1.0, 1.0, 1.0)
-    errors, pace = told.errors, state.pace
-    after = pace._replace(legs=0, bias=0.0)
-    state = state._replace(points=found.points, shadow=shadow, told=told, pace=after)
-    new = cloud_of(density, state, found.moments, capacity=n_particles, lost=density.lost)
-    if state.inherited > 0.0:
-        state = state._replace(inherited=state.inherited * kept(density, new))
-    error = math.hypot(max(errors.mean, _least(found.effective)), pace.bias, state.inherited)
-    new = new.noted(cloud=state, error=error)
+    new = cloud_of(density, found.state, found.moments, capacity=n_particles, lost=density.lost)
+    if found.state.inherited > 0.0:
+        found = found.left(kept(density, new))
+    error, doubt, code = found.error, found.doubt, Code.CLOUD
+    new = new.noted(cloud=found.state, error=error)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
-    code, doubt = Code.CLOUD, 2.0 * errors.variance
-    if doubt > _WRONG and error < DOUBTFUL:  # which is said of the mean already
+    if doubt > WRONG and error < DOUBTFUL:  # which is said of the mean already
         status, code = f"{status}, but the variance may be off by {doubt:.0%}", code | Code.UNRESOLVED
     return new, {
         "accepted": True,
         "log_evidence": found.log_evidence,
         "reason": asked.outlying,
         "error": error,
-        "evidence_error": max(errors.log_evidence, _least(found.families)),
+        "evidence_error": found.evidence_error,
         "status": f"{status}; {why}" if why else status,
         "code": code,
         "scheme": "cloud",
     }
+
+
+class Read(NamedTuple):
+    """A cloud after a reading; mean and covariance of its points, the evidence, and errors."""
+
+    state: CloudState
+    moments: tuple[Floats, Floats]
+    t: float
+    log_evidence: float
+    evidence_error: float
+    own: float  # error of the mean that is its own
+
+    @property
+    def error(self) -> float:
+        """Error of the mean, in standard deviations, with what was wrong before there were points."""
+        return math.hypot(self.own, self.state.inherited)
+
+    @property
+    def doubt(self) -> float:
+        """By how much of itself the variance may be off."""
+        return 2.0 * self.state.told.errors.variance
+
+    def left(self, part: float) -> "Read":
+        """With that part of the inherited error; without what its own hides."""
+        inherited = self.state.inherited * part
+        inherited = inherited if inherited > _HIDDEN * self.own else 0.0
+        return self._replace(state=self.state._replace(inherited=inherited))
+
+
+def read(state: CloudState, sensor: Stacked, t: float) -> Read | None:
+    """A cloud and its shadow times a likelihood; None where that is zero at all points."""
+    found = weighed(state.points, sensor, key_at(t, _READING))
+    if not math.isfinite(found.log_evidence):
+        return None
+    beside = weighed(state.shadow, sensor, key_at(t, _READING + 1))
+    shadow, told = beside.points, state.told
+    if math.isfinite(beside.log_evidence):
+        off = found.log_evidence - beside.log_evidence
+        told = told.after(*apart(found.points, shadow, sensor.domain, found.moments, beside.moments), off**2)
+    else:  # none of the few sees the reading: a part of the many goes on beside them
+        shadow = _part_of(found.points, len(state.shadow.w))
+        told = told.after(1.0, 1.0, 1.0)
+    own = math.hypot(max(told.errors.mean, _least(found.effective)), state.pace.bias)
+    pace = state.pace._replace(legs=0, bias=0.0)
+    state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
+    evidence_error = max(told.errors.log_evidence, _least(found.families))
+    return Read(state, found.moments, t, found.log_evidence, evidence_error, own)
 
 
 def _least(number: float) -> float:

@@ -18,7 +18,6 @@ from ..density.nets import net
 from ..density.passage import LED, gone, normals, sub_key
 from ..density.points import Points, Prior
 from ..model.compile import surfacing
-from ..model.domain import Domain
 from .bridged import bridged
 from .stacked import Stacked, seen
 from .tempered import tempered
@@ -47,16 +46,16 @@ class Weighed(NamedTuple):
     moments: tuple[Floats, Floats]  # mean (n,), covariance (n, n)
 
 
-def weighed(points: Points, readings: tuple[Any, ...], key: int, domain: Domain | None = None) -> Weighed:
+def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
     """Prior times the likelihood of all readings of one time.
 
     Parameters
     ----------
     points : Points
         The prior; or the posterior of readings of the same time before, whose prior is taken.
-    readings : tuple of Asked
+    sensor : Stacked
+        What was read now.
     key : int
-    domain : Domain, optional
 
     Returns
     -------
@@ -66,12 +65,12 @@ def weighed(points: Points, readings: tuple[Any, ...], key: int, domain: Domain 
     before = 0.0
     if points.prior is not None:
         points, earlier, before = points.prior
-        readings = (*earlier, *readings)
-    found = _best(points, Stacked.of(readings, domain), key)
+        sensor = Stacked.of((*earlier, *sensor.asked), sensor.domain)
+    found = _best(points, sensor, key)
     x, w, family = found.x, found.w, found.family
     if not found.families > 0.0:
         x, w, family = points.x, points.w, np.arange(len(points.w))
-    after = Points(x, w, None, Prior(points, readings, found.log_evidence), family)
+    after = Points(x, w, None, Prior(points, sensor.asked, found.log_evidence), family)
     return Weighed(
         after, found.log_evidence - before, found.effective, found.families, (found.mean, found.cov)
     )

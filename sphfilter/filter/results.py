@@ -185,9 +185,16 @@ def run_filter(
     known = getattr(getattr(filt, "measurement", None), "dim_z", None)
     k = max((np.size(z) for z in readings if z is not None), default=known or 1)
     looks = observer is not None and hasattr(filt, "spread")
-    rows = []
-    for epoch, (t, z, u) in enumerate(zip(times, readings, driving, strict=True)):
-        rows.append(_epoch(filt, t, z, u, k, epoch, observer if looks else None))
+    rows: list[dict[str, Any]] = []
+    alone = inputs is None and observer is None and each is None
+    glide = filt._glide() if alone and hasattr(filt, "_glide") else None
+    while len(rows) < len(times):
+        if glide is not None:
+            rows += glide.through(times[len(rows) :], readings[len(rows) :])
+        epoch = len(rows)
+        rows.append(
+            _epoch(filt, times[epoch], readings[epoch], driving[epoch], k, epoch, observer if looks else None)
+        )
         if each is not None:
             each(filt)
     kept = {name: shape for name, shape in shapes(len(filt.x), k).items() if looks or name not in RANKS}

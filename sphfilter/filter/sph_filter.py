@@ -31,6 +31,7 @@ from ..prediction.to_target import Time
 from ..validate import array, choice, column, count, covariance, positive, real, row, seconds, short
 from .budget import Budget, rehearse
 from .checkpoint import restored, write
+from .glide import Glide
 from .late import Remembering
 from .names import check_assigned, check_read, in_own_words
 from .readings import checked_sensor, interval_of, numbers_of, parted, sensor_of
@@ -347,6 +348,10 @@ class SPHFilter(Shown, Remembering):
     def spread(self) -> WeightedStates:
         """The density now as states and weights, `WeightedStates`; of a large cloud, of a part of it."""
         return thinned(self._state.density, _RANKED).spread()
+
+    def _glide(self) -> Glide:
+        """What puts a record through the filter without coming up for each reading."""
+        return Glide(self)
 
     @in_own_words
     def run(

@@ -49,6 +49,12 @@ class Stacked(NamedTuple):
         made = cls(readings, domain, True, z, angle, H, R, root)
         return made._replace(reader=made._reader())
 
+    def again(self, asked: Any) -> "Stacked":
+        """The same sensor, that has read other numbers, all of them, at another time."""
+        z = np.asarray(asked.numbers)
+        reader = None if self.reader is None else self.reader._replace(z=z, t=float(asked.t))
+        return self._replace(asked=(asked,), z=z, reader=reader)
+
     def _reader(self) -> Reader | None:
         """What compiled code reads by; None for states in a domain, and sensors of which it knows no h."""
         if self.root is None or self.R is None or self.domain is not None:

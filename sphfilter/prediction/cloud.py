@@ -1,10 +1,11 @@
 """A cloud of weighted points on paths of the model: carries any density, and tells its own error."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._types import Floats
 from ..config import CloudScheme
 from ..core.cloud.weights import compared, together
 from ..density.as_cloud import cloud_of
@@ -21,7 +22,7 @@ from ..model.sde import SDE
 from ..model.simulate import rate_of_time
 from ._shared import blow_up, carried_off, skip_notes
 
-__all__ = ["apart", "as_points", "propagate"]
+__all__ = ["DOUBTED", "Carried", "apart", "as_points", "carried", "propagate"]
 
 _FIRST = 4  # steps that are tried first
 #: Part of the error that points have, up to which steps may be off; and of what shorter steps show, beyond
@@ -31,7 +32,7 @@ _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^
 _ORDER = 3.0  # of the steps' bias
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _CALMER = 0.1  # of the bias that is allowed, below which steps become longer
-_DOUBTFUL, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
+DOUBTED, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
 _AWAY = 1e6  # extents of points from which one has run away
 _ASKED = 64  # states at which the model's change with time is looked at
@@ -71,26 +72,48 @@ def propagate(
     PropagationError
         The model carries a tenth of the probability to infinity, or needs more steps than allowed.
     """
-    t0, count = density.t, scheme.n_points
-    state = as_points(density, count)
-    steps, pace = _steps(state, model, (t0, t1), scheme.max_steps, target)
+    state, span = as_points(density, scheme.n_points), (density.t, t1)
+    moved = carried(state, model, span, scheme, target, density.domain)
+    capacity = density.capacity if n_particles is None else n_particles
+    new = cloud_of(density, moved.state, moved.moments, t=float(t1), capacity=capacity, error=moved.error)
+    return new, _info(model, scheme.n_points, moved.steps, moved.lost, moved.error)
+
+
+class Carried(NamedTuple):
+    """A cloud after a prediction; mean and covariance of its points, its error, and what was given up."""
+
+    state: CloudState
+    moments: tuple[Floats, Floats]
+    error: float
+    lost: float  # probability
+    steps: int
+
+
+def carried(
+    state: CloudState,
+    model: SDE,
+    span: tuple[float, float],
+    scheme: CloudScheme,
+    target: float = 0.0,
+    domain: Domain | None = None,
+) -> Carried:
+    """Carry a cloud and its shadow over a span of time: what `propagate` does with densities."""
+    (t0, t1), count = span, scheme.n_points
+    steps, pace = _steps(state, model, span, scheme.max_steps, target)
     ends, sums, lost = [], [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, _fewer(count)))):
-        moved = passed(_near_mean(points, density.domain), model, t0, t1, steps, many, key_at(t0, k))
-        moved, gone = _kept(moved, density.domain)
+        moved = passed(_near_mean(points, domain), model, t0, t1, steps, many, key_at(t0, k))
+        moved, gone = _kept(moved, domain)
         lost = gone if k == 0 else lost
         if gone > _MOST_LOST:
             raise PropagationError(_blow_up(model, moved, t0, t1))
         ends.append(moved)
         sums.append(moments(moved.x, moved.w))
-    told = apart(ends[0], ends[1], density.domain, *sums)
+    told = apart(ends[0], ends[1], domain, *sums)
     before = state.told.of(count / state.size) if state.size else state.told
-    now = before.after(*told)
-    error = math.hypot(now.errors.mean, pace.bias, state.inherited)
+    error = math.hypot(before.after(*told).errors.mean, pace.bias, state.inherited)
     state = CloudState(ends[0], ends[1], before, pace, count, state.inherited)
-    capacity = density.capacity if n_particles is None else n_particles
-    new = cloud_of(density, state, sums[0], t=float(t1), capacity=capacity, error=error)
-    return new, _info(model, count, steps.number, lost, error)
+    return Carried(state, sums[0], error, lost, steps.number)
 
 
 def as_points(density: ParticleDensity, count: int) -> CloudState:
@@ -214,7 +237,7 @@ def _blow_up(model: SDE, points: Points, t0: float, t1: float) -> str:
 def _info(model: SDE, count: int, steps: int, lost: float, error: float) -> PredictInfo:
     status = f"on a cloud of {count} points: the mean is good to {error:.2g} standard deviations"
     code = Code.CLOUD
-    if lost > _DOUBTFUL:
+    if lost > DOUBTED:
         status += f", but the model carried {100 * lost:.2g} % of the probability to infinity"
         code |= Code.UNRESOLVED
     return PredictInfo(

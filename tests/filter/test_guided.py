@@ -12,6 +12,7 @@ from sphfilter.density.passage import Steps, begun, passed
 from sphfilter.density.points import moments
 from sphfilter.filter.asked import Asked
 from sphfilter.filter.guided import weighed
+from sphfilter.filter.stacked import Stacked
 from sphfilter.model.discretization import linear_transition
 
 N = 1024
@@ -31,7 +32,7 @@ def run(model, sensor, start, readings, dt, key=0):
     for i, z in enumerate(readings):
         points = passed(points, model, t, t + dt, Steps(10), N, 100 * key + i)
         t += dt
-        found = weighed(points, (asked(sensor, z, t),), 100 * key + i + 50)
+        found = weighed(points, Stacked.of((asked(sensor, z, t),), None), 100 * key + i + 50)
         points = found.points
     return found
 
@@ -153,7 +154,7 @@ def test_a_sharp_likelihood_after_noise_that_depends_on_the_state():
 def test_nothing_can_have_been_read():
     sensor = sf.LikelihoodMeasurement(lambda z, X, t: np.full(len(X), -np.inf))
     points = passed(begun(*START, 128, 0), DUFFING, 0.0, 1.0, Steps(4), 128, 0)
-    found = weighed(points, (asked(sensor, [0.0], 1.0),), 1)
+    found = weighed(points, Stacked.of((asked(sensor, [0.0], 1.0),), None), 1)
     assert found.log_evidence == -np.inf
     assert found.effective == found.families == 0.0
     assert np.array_equal(found.points.x, points.x)
@@ -165,7 +166,7 @@ def test_points_that_are_no_numbers_weigh_nothing():
     x = points.x.copy()
     x[::7] = np.nan, np.inf
     sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
-    found = weighed(points._replace(x=x), (asked(sensor, [-4.0], 1.0),), 1)
+    found = weighed(points._replace(x=x), Stacked.of((asked(sensor, [-4.0], 1.0),), None), 1)
     assert np.isfinite(found.points.x).all()
     assert np.isfinite(found.log_evidence)
 

@@ -1,0 +1,80 @@
+"""A record put through a cloud at once: the bits of steps taken one by one, whatever comes between."""
+
+import numpy as np
+import pytest
+
+import sphfilter as sf
+from experiments.scene.scenario import load_scenario
+from sphfilter.campaign.campaign import draw_case
+from sphfilter.filter.glide import Glide
+
+
+def record(scene, target, n):
+    scenario = load_scenario(scene)
+    case = draw_case(scenario, 1, 0)
+
+    def made():
+        config = sf.FilterConfig(target_error=target)
+        known = {"t0": case.t0, "n_particles": "auto", "config": config}
+        return sf.SPHFilter(scenario.model, scenario.measurement, case.x0, case.P0, **known)
+
+    return made, np.array(case.times[:n]), np.array(case.z[:n], dtype=float)
+
+
+def step_by_step(flt, times, z):
+    found = {name: [] for name in ("x", "P", "x_prior", "log_evidence", "error", "flagged", "innovation")}
+    for t, reading in zip(times, z, strict=True):
+        predicted = flt.predict(t=t) if t > flt.t else None
+        found["x_prior"].append(flt.x)
+        updated = flt.update(reading)
+        flagged = updated.flagged or (predicted is not None and predicted.flagged)
+        values = flt.x, flt.P, flt.log_likelihood, updated.error, flagged, flt.y
+        for name, value in zip(
+            ("x", "P", "log_evidence", "error", "flagged", "innovation"), values, strict=True
+        ):
+            found[name].append(value)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("scene", "target", "least"),
+    [("van_der_pol", 0.03, 7), ("duffing_square", 0.03, 5), ("bearings_only", 0.05, 0)],
+)
+def test_a_record_has_the_bits_of_its_steps(monkeypatch, scene, target, least):
+    made, times, z = record(scene, target, 12)
+    z[4], times[8] = np.nan, times[7]  # nothing came; and two readings at one time
+    one_by_one, at_once, through = made(), made(), []
+    own = Glide._through
+    found = step_by_step(one_by_one, times, z)
+    monkeypatch.setattr(Glide, "_through", lambda self, *given: noted(own(self, *given), through))
+    result = at_once.run(times, z)
+    assert len(through) >= least
+    for name, values in found.items():
+        np.testing.assert_array_equal(
+            np.array(values, dtype=float), np.asarray(getattr(result, name), dtype=float)
+        )
+    np.testing.assert_array_equal(one_by_one.density.x, at_once.density.x)
+    np.testing.assert_array_equal(one_by_one.x_prior, at_once.x_prior)
+    assert one_by_one.density.needs == at_once.density.needs
+    assert one_by_one.log_evidence == at_once.log_evidence
+
+
+def noted(rows, through):
+    through.extend(rows)
+    return rows
+
+
+def test_a_drift_that_raises_surfaces_as_itself_from_the_middle_of_a_record():
+    made, times, z = record("van_der_pol", 0.03, 4)
+
+    def drift(x, t):
+        if t > 6.0:
+            raise KeyError("no such place")
+        return np.stack([x[:, 1], -x[:, 0]], axis=1)
+
+    model = sf.SDE(drift, 2, [[0.0], [1.0]], [[0.5]], vectorized=True)
+    flt = sf.SPHFilter(
+        model, made().measurement, [1.0, 0.0], np.eye(2), config=sf.FilterConfig(target_error=0.05)
+    )
+    with pytest.raises(KeyError, match="no such place"):
+        flt.run(times, z)
