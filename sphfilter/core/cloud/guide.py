@@ -38,7 +38,7 @@ def without_noise(y, x, u, L, Phi, block):
     it is to weigh, and the evidence would be wrong however many points there are.
     """
     N, n = y.shape
-    rest, out = np.empty((N, n)), np.empty((N, n))
+    rest, out, first = np.empty((N, n)), np.empty((N, n)), 0
     for i in range(N):
         b = block[i]
         for a in range(n):
@@ -46,20 +46,22 @@ def without_noise(y, x, u, L, Phi, block):
             for e in range(n):
                 s -= L[b, a, e] * u[i, e] + Phi[b, a, e] * x[i, e]
             rest[i, a] = s
-    for i in range(N):
-        b, known = block[i], 0
-        for a in range(n):
-            out[i, a] = 0.0
-        for k in range(max(i - _NEAR, 0), min(i + _NEAR + 1, N)):
-            if k != i and block[k] == b:
-                known += 1
-                for a in range(n):
-                    out[i, a] += rest[k, a]
-        for a in range(n):
-            s = out[i, a] / max(known, 1)
-            for e in range(n):
-                s += Phi[b, a, e] * x[i, e]
-            out[i, a] = s
+    while first < N:
+        b, end = block[first], first + 1
+        while end < N and block[end] == b:
+            end += 1
+        for i in range(first, end):
+            low, high = max(i - _NEAR, first), min(i + _NEAR + 1, end)
+            share = 1.0 / max(high - low - 1, 1)
+            for a in range(n):
+                s = -rest[i, a]
+                for k in range(low, high):
+                    s += rest[k, a]
+                s *= share
+                for e in range(n):
+                    s += Phi[b, a, e] * x[i, e]
+                out[i, a] = s
+        first = end
     return out
 
 
@@ -296,11 +298,13 @@ def look_ahead(r, u, w, block, HL, R, net, key):
         if fine[b]:
             of_F[b], of_G[b] = _log_peak(F[b]), _log_peak(G[b])
     a, v, own = np.zeros(N), np.empty(k), np.empty(k)
-    top, total = -np.inf, 0.0
+    top, total, before, log_w = -np.inf, 0.0, 0.0, 0.0
     for i in range(N):
         a[i] = -np.inf
         if fine[block[i]] and w[i] > 0.0:
-            s = of_F[block[i]] - 0.5 * _square(r[i], F[block[i]], v) + math.log(w[i])
+            if w[i] != before:  # most are the same
+                before, log_w = w[i], math.log(w[i])
+            s = of_F[block[i]] - 0.5 * _square(r[i], F[block[i]], v) + log_w
             a[i] = s if abs(s) < np.inf else -np.inf
             top = max(top, a[i])
     log_ratio, new = np.empty(N + count), np.empty((count, n))

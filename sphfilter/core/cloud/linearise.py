@@ -11,6 +11,7 @@ from numba import types
 
 from .._addresses import Entry, function_at
 from .._jit import MATRIX, jit
+from .._views import rows_at
 from .steps import CUBE, LEG, flow, new_room, scaled, times_root
 
 __all__ = [
@@ -27,7 +28,7 @@ __all__ = [
 
 #: Blocks at most, and points in one at least: enough to tell directions, few enough to cost a tenth.
 _BLOCKS, _POINTS = 64, 64
-_TERMS = 5  # of an exponential at half a norm: 3e-4, of what only guides
+_TERMS = 4  # of an exponential at half a norm: to 3e-3, of what only guides
 _NOTHING = 1e-9  # of a row's square, below which it lies among the rows before
 
 
@@ -190,6 +191,7 @@ def linearise(leg, c):
     J, g, sigma = np.empty((nb, n * n)), np.empty((nb, n * m)), np.empty((n, m))
     M, A = np.empty((leg.steps, nb, n, n)), np.empty((leg.steps, nb, n, m))
     N, term, new = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    slopes, steps = J.reshape(-1), M.reshape(-1)
     for s in range(leg.steps):
         t = leg.t + s * h
         for b in range(nb):
@@ -205,7 +207,8 @@ def linearise(leg, c):
         elif s == 0 or not leg.constant:
             scaled(leg, c, t + 0.5 * h, sigma)
         for b in range(nb):
-            _flow_matrices(J[b].reshape((n, n)), h, M[s, b], N, term, new)
+            own = rows_at(steps, (s * nb + b) * n * n, n, n)
+            _flow_matrices(rows_at(slopes, b * n * n, n, n), h, own, N, term, new)
             if not leg.additive:
                 times_root(g[b], leg.root, sigma)
             for a in range(n):
