@@ -92,7 +92,10 @@ def local_kernels(x: Floats, mass: Floats) -> LocalKernels | None:
     z, S = z - w @ z, A @ (h**2 * one + C) @ A
     own, wanted = (z * w[:, None]).T @ z + np.einsum("k,kab->ab", w, S), np.linalg.inv(within)
     factor = whole @ within @ least_change(own, wanted @ wanted.T)
-    return LocalKernels(centre, factor, z, w, np.linalg.cholesky(S), Kernel.of("gaussian", n))
+    try:
+        return LocalKernels(centre, factor, z, w, np.linalg.cholesky(S), Kernel.of("gaussian", n))
+    except np.linalg.LinAlgError:  # one point has all the weight but for rounding
+        return None
 
 
 def _grouped(z: Floats, mass: Floats) -> tuple[Floats, Floats, Floats]:

@@ -90,8 +90,9 @@ class Needs(NamedTuple):
 
 
 def points_for(count: int, error: float, target: float) -> int:
-    """Points that have a target error where so many have an error: a power of two."""
-    return _power_of_two(count * min((error / target) ** (1.0 / ORDER), _MORE))
+    """Points that have a target error where so many have an error: a power of two; as many if it is NaN."""
+    times = (error / target) ** (1.0 / ORDER) if error == error else 1.0
+    return _power_of_two(count * min(times, _MORE))
 
 
 def _power_of_two(count: float) -> int:

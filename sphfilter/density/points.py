@@ -69,7 +69,7 @@ class Told(NamedTuple):
         """With the squares of one more reading; those before count as long as a few readings."""
         pairs = zip(self, (mean, variance, log_evidence), strict=True)
         # what is much worse than before is believed at once, to half of it
-        return Told(*[new if old != old else max(0.25 * new, old + _NEW * (new - old)) for old, new in pairs])
+        return Told(*[_smoothed(old, new) for old, new in pairs])
 
     def of(self, times: float) -> "Told":
         """The same for so many times the points."""
@@ -79,6 +79,12 @@ class Told(NamedTuple):
     def errors(self) -> "Told":
         """The errors of the cloud itself, where its shadow's fall as they do with the number of points."""
         return Told(*[math.sqrt(square) * SHADOW**-ORDER for square in self])
+
+
+def _smoothed(old: float, new: float) -> float:
+    if old != old or new != new:  # one of them is not known
+        return new if old != old else old
+    return max(0.25 * new, old + _NEW * (new - old))
 
 
 #: Points of a cloud over those of its shadow; an error falls with their number to about this power.

@@ -13,16 +13,18 @@ from .._types import Floats
 from ..config import CloudScheme
 from ..density.as_cloud import cloud_of
 from ..density.needs import MISSED, Needs
+from ..density.particle_density import ParticleDensity
 from ..density.resample import target_of
-from ..errors import PropagationError
+from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL
 from ..model.measurements import GaussianMeasurement
 from ..model.sde import SDE
-from ..prediction.cloud import DOUBTED, carried
+from ..prediction.cloud import carried
 from .asked import Asked, reading_of
 from .by_cloud import WRONG, read
 from .found import found
 from .stacked import Stacked
+from .state import FilterState
 
 __all__ = ["Glide"]
 
@@ -53,30 +55,38 @@ class Glide:
 
     def _through(self, times: Floats, readings: Sequence[Any]) -> list[dict[str, Any]]:
         filt, rows = self._filt, []
-        density, sensor, t = filt.density, filt.measurement, filt.t
-        state, needs, log_evidence = density.cloud, density.needs, filt.log_evidence
-        target: Any = target_of(density, filt.config, "auto")
-        stacked, done = None, None
-        for t1, z in zip(times[:-1].tolist(), readings[:-1], strict=True):
-            numbers = _all_of(sensor, z)
-            if numbers is None or not t1 > t or next(iter(filt.model.breaks(t, t1)), None) is not None:
-                break
-            asked = Asked(sensor, numbers, np.ones(len(numbers), dtype=bool), t1, None, None, None)
-            stacked = Stacked.of((asked,), None) if stacked is None else stacked.again(asked)
-            if stacked.reader is None:
-                break
-            made = _step(state, filt.model, (t, t1), stacked, needs.gone_on(), target)
-            if made is None:
-                break
-            moved, done, needs = made
-            rows.append(_row(sensor, numbers, moved, done))
-            state, t, log_evidence = done.state, t1, log_evidence + done.log_evidence
-        if done is not None:
-            new = cloud_of(density, state, done.moments, t=t, capacity=0, error=done.error)
-            x, P = map(found, done.moments)
-            known = {"x": x, "P": P, "x_post": x, "P_post": P, "origin": None, "log_evidence": log_evidence}
-            filt._state = filt._state.noted(density=new.noted(needs=needs), **known)
+        density, model, sensor, t = filt.density, filt.model, filt.measurement, filt.t
+        state, needs, target = density.cloud, density.needs, target_of(density, filt.config, "auto")
+        stacked, done, last = None, None, None
+        try:
+            for t1, z in zip(times[:-1].tolist(), readings[:-1], strict=True):
+                numbers = _all_of(sensor, z)
+                if numbers is None or not t1 > t or next(iter(model.breaks(t, t1)), None) is not None:
+                    break
+                asked = Asked(sensor, numbers, np.ones(len(numbers), dtype=bool), t1, None, None, None)
+                stacked = Stacked.of((asked,), None) if stacked is None else stacked.again(asked)
+                made = None
+                if stacked.reader is not None:
+                    made = _step(state, model, (t, t1), stacked, needs.gone_on(), target)
+                if made is None:
+                    break
+                row, done, needs = made
+                rows.append(row)
+                state, t, last = done.state, t1, asked
+        finally:  # what is done stays done, whatever raises
+            if done is not None:
+                new = cloud_of(density, state, done.moments, t=t, capacity=0, error=done.error)
+                filt._state = _after(filt._state, new.noted(needs=needs), rows, last)
         return rows
+
+
+def _after(state: FilterState, density: ParticleDensity, rows: Any, asked: Any) -> FilterState:
+    """The state of a filter that has put these rows through."""
+    last, told = rows[-1], {name: found(rows[-1][name]) for name in ("x", "P", "x_prior", "P_prior")}
+    log_evidence = sum((row["log_evidence"] for row in rows), start=state.log_evidence)
+    said = {"z": asked.z, "y": last["innovation"], "S": last["innovation_cov"]}
+    said |= {"log_likelihood": last["log_evidence"], "log_evidence": log_evidence, "origin": None}
+    return state.noted(density=density, **told, x_post=told["x"], P_post=told["P"], **said)
 
 
 def _usual(filt: Any) -> bool:
@@ -85,32 +95,36 @@ def _usual(filt: Any) -> bool:
     plain = config.scheme == "auto" and config.time_budget is None and not config.acceptance.enabled
     known = density.cloud is not None and density.needs is not None and density.cloud.inherited == 0.0
     own = type(sensor) is GaussianMeasurement and not sensor.inputs and not filt.model.inputs
+    if own:
+        sensor.check_dim(filt.model.dim)
     return bool(plain and filt.adapts and known and own and filt.model.domain.unbounded and not filt._steps)
 
 
 def _all_of(sensor: GaussianMeasurement, z: Any) -> Floats | None:
-    """The numbers of a reading, if all of them came."""
-    if z is None:
+    """The numbers of a reading, if all of them came; a filter says what is wrong with others."""
+    try:
+        numbers, seen = sensor.reading(z)
+    except ModelError:
         return None
-    numbers, seen = sensor.reading(z)
     return numbers if seen.all() else None
 
 
 def _step(
-    state: Any, model: SDE, span: tuple[float, float], stacked: Stacked, needs: Needs, target: float
+    state: Any, model: SDE, span: tuple[float, float], stacked: Stacked, needs: Needs, target: Any
 ) -> tuple[Any, Any, Needs] | None:
     """A prediction and a reading of a cloud, and what the next needs; None where a filter would do more."""
     try:
         moved = carried(state, model, span, CloudScheme(n_points=needs.cloud(target)), target)
     except PropagationError:
         return None
-    if moved.lost > DOUBTED or not moved.error < DOUBTFUL:
+    if moved.lost > 0.0 or not moved.error < DOUBTFUL:
         return None
     done = read(moved.state, stacked, span[1])
     if done is None or not done.error <= MISSED * target or done.doubt > WRONG:
         return None
-    told = done.state.told.errors.mean
-    return moved, done, needs._replace(legs=0).told(told, target, done.state.size)
+    row, told = _row(stacked.asked[0].measurement, stacked.z, moved, done), done.state.told.errors.mean
+    off = stacked.asked[0]._replace(innovation=row["innovation"], S=row["innovation_cov"])
+    return None if off.outlying else (row, done, needs._replace(legs=0).told(told, target, done.state.size))
 
 
 def _row(sensor: Any, z: Floats, moved: Any, done: Any) -> dict[str, Any]:

@@ -349,9 +349,11 @@ class SPHFilter(Shown, Remembering):
         """The density now as states and weights, `WeightedStates`; of a large cloud, of a part of it."""
         return thinned(self._state.density, _RANKED).spread()
 
-    def _glide(self) -> Glide:
-        """What puts a record through the filter without coming up for each reading."""
-        return Glide(self)
+    def _glide(self) -> Glide | None:
+        """What puts a record through without coming up for each reading, where that is not the steps' own."""
+        kind, changed = type(self), {"predict", "update"} & vars(self).keys()
+        own = kind.predict is SPHFilter.predict and kind.update is SPHFilter.update
+        return Glide(self) if own and not changed else None
 
     @in_own_words
     def run(

@@ -11,7 +11,7 @@ from ..density.needs import MISSED, points_for
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, target_of
 from ..errors import PropagationError
-from ..info import Code, UpdateInfo
+from ..info import NOTHING_CAME, Code, UpdateInfo
 from ..lattice.level_set import lattice_reach
 from ..model.measurements import Sensor
 from ..model.sde import SDE
@@ -115,21 +115,24 @@ def _on_more_points(
     config: FilterConfig,
 ) -> tuple[ParticleDensity, ParticleDensity, UpdateInfo]:
     """Predict and update again where a reading finds too few points, or points that know no way to be led."""
-    prior, posterior, info = once
+    (prior, posterior, info), best = once, once
     target, known = target_of(prior, config, None), before.needs
-    if target is None or known is None or config.time_budget:
+    if target is None or known is None or config.time_budget or info.reason == NOTHING_CAME:
         return once
     for _ in range(_TRIES):
         cloud = posterior.cloud
-        assert cloud is not None
+        if cloud is None:  # the ladder has found something cheaper than so many points
+            break
         more = points_for(cloud.size, info.error, target) if info.error > MISSED * target else 0
         if prior.read_out == "cloud" and more <= cloud.size:
             break
         own = before.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
         prior, _ = predict(own, model, t=prior.t, config=config, n_particles="auto", goes_on=False)
         posterior, info = update(prior, measurement, z, config, n_particles="auto")
+        best = best if best[2].error < info.error else (prior, posterior, info)
+    prior, posterior, info = best
     cloud, needs = posterior.cloud, posterior.needs
-    if cloud is not None and needs is not None:
+    if best is not once and cloud is not None and needs is not None:
         usual = known.told(cloud.told.errors.mean, target, cloud.size)
         posterior = posterior.noted(needs=needs._replace(points=usual.points, calm=usual.calm))
     return prior, posterior, info

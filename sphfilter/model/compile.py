@@ -332,8 +332,8 @@ def _compile_vectorized(
     number, called = next(_NUMBERS), getattr(function, "__name__", name)
 
     def call(x: Floats, t: float, p: Floats, out: Floats) -> None:
-        with noted(number, called, len(x)):
-            out[:] = _rows_of(function(*data.given(arguments, x, t, p)), len(x), shape, name)
+        with noted(number, called, len(x)):  # a copy: who keeps the states must own them
+            out[:] = _rows_of(function(*data.given(arguments, x.copy(), t, p)), len(x), shape, name)
 
     return _through_python(call)
 

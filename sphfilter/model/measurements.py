@@ -124,8 +124,9 @@ def has_gaussian_noise(sensor: object) -> TypeGuard[NoisySensor]:
 
 
 def has_own_likelihood(sensor: object) -> bool:
-    """Whether the likelihood is what `GaussianMeasurement` makes of reading, angles and covariance."""
-    return getattr(type(sensor), "log_likelihood", None) is GaussianMeasurement.log_likelihood
+    """Whether a sensor reads, and its likelihood is, as `GaussianMeasurement` says, whatever its class."""
+    kind, names = type(sensor), ("predict", "residual", "reading", "covariance", "log_likelihood")
+    return all(getattr(kind, name, None) is getattr(GaussianMeasurement, name) for name in names)
 
 
 class GaussianMeasurement:

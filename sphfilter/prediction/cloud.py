@@ -22,7 +22,7 @@ from ..model.sde import SDE
 from ..model.simulate import rate_of_time
 from ._shared import blow_up, carried_off, skip_notes
 
-__all__ = ["DOUBTED", "Carried", "apart", "as_points", "carried", "propagate"]
+__all__ = ["Carried", "apart", "as_points", "carried", "propagate"]
 
 _FIRST = 4  # steps that are tried first
 #: Part of the error that points have, up to which steps may be off; and of what shorter steps show, beyond
@@ -32,7 +32,7 @@ _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^
 _ORDER = 3.0  # of the steps' bias
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _CALMER = 0.1  # of the bias that is allowed, below which steps become longer
-DOUBTED, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
+_DOUBTED, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
 _AWAY = 1e6  # extents of points from which one has run away
 _ASKED = 64  # states at which the model's change with time is looked at
@@ -177,8 +177,8 @@ def _steps(
         number = max(number, math.ceil(dt / _beside_walls(model, points, span[0])))
         return Steps(_enough(number, most, span), stiff), pace
     told, before = state.told.errors.mean, math.inf
-    told = _USUAL / math.sqrt(len(points.w)) if math.isnan(told) else min(told, DOUBTFUL)
-    allowed = _PART * max(told, target)
+    told = _USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told
+    allowed = _PART * max(min(math.hypot(told, state.inherited), DOUBTFUL), target)
     allowed *= legs**-SHARED
     while True:
         steps = Steps(_enough(number, most, span), stiff)
@@ -237,7 +237,7 @@ def _blow_up(model: SDE, points: Points, t0: float, t1: float) -> str:
 def _info(model: SDE, count: int, steps: int, lost: float, error: float) -> PredictInfo:
     status = f"on a cloud of {count} points: the mean is good to {error:.2g} standard deviations"
     code = Code.CLOUD
-    if lost > DOUBTED:
+    if lost > _DOUBTED:
         status += f", but the model carried {100 * lost:.2g} % of the probability to infinity"
         code |= Code.UNRESOLVED
     return PredictInfo(

@@ -71,11 +71,11 @@ def mixture(parts: Sequence[tuple[float, ModeDensities]], config: FilterConfig) 
     splitting = np.array([modes.splitting for _, modes in parts])
     error = math.sqrt(float(b @ [modes.error**2 for _, modes in parts]))
     target = config.target_error
-    allowed = allowance(error, config.target_error)
+    allowed = allowance(error, target)
     return summed(log_w, [modes.densities for _, modes in parts], splitting, target, (allowed, allowed))
 
 
 def whatever_the_mode(modes: ModeDensities, target_error: float) -> ParticleDensity:
     """The density of the states: the sum of those of the modes, as one."""
-    target = target_error
-    return mixed([Part(log_w, p) for _, log_w, p in modes.some], target, (target, target))
+    each = target_error, target_error
+    return mixed([Part(log_w, p) for _, log_w, p in modes.some], target_error, each)

@@ -78,3 +78,56 @@ def test_a_drift_that_raises_surfaces_as_itself_from_the_middle_of_a_record():
     )
     with pytest.raises(KeyError, match="no such place"):
         flt.run(times, z)
+
+
+def test_what_is_done_stays_done_where_a_reading_is_bad():
+    made, times, z = record("van_der_pol", 0.03, 10)
+    z[7] = np.inf
+    at_once, one_by_one = made(), made()
+    with pytest.raises(sf.ModelError, match="infinite"):
+        at_once.run(times, z)
+    step_by_step(one_by_one, times[:7], z[:7])
+    one_by_one.predict(t=times[7])
+    assert at_once.t == times[7]
+    np.testing.assert_array_equal(at_once.x, one_by_one.x)
+    assert at_once.log_evidence == one_by_one.log_evidence
+
+
+def test_a_filter_with_steps_of_its_own_takes_them():
+    made, times, z = record("van_der_pol", 0.03, 8)
+    plain, seen = made(), []
+
+    class Own(sf.SPHFilter):
+        def update(self, z, *given, **named):
+            seen.append(z)
+            return super().update(z, *given, **named)
+
+    flt = Own(plain.model, plain.measurement, plain.x, plain.P, t0=plain.t, config=plain.config)
+    flt.run(times, z)
+    assert len(seen) == len(times)
+
+
+def test_a_sensor_that_reads_in_its_own_way_is_read_so():
+    made, times, z = record("van_der_pol", 0.03, 6)
+    plain = made()
+
+    class Off(sf.GaussianMeasurement):
+        def predict(self, X, t=0.0):
+            return super().predict(X, t) + 1.0
+
+    sensor = Off([[1.0, 0.0]], plain.measurement.noise_cov)
+    flt = sf.SPHFilter(plain.model, sensor, plain.x, plain.P, t0=plain.t, config=plain.config)
+    shifted, usual = flt.run(times, z + 1.0), plain.run(times, z)
+    np.testing.assert_allclose(shifted.x, usual.x, atol=0.1)
+    np.testing.assert_allclose(shifted.log_evidence, usual.log_evidence, atol=0.1)
+
+
+def test_nothing_that_comes_leaves_a_cloud_as_it_was():
+    made, times, _ = record("van_der_pol", 0.03, 2)
+    flt = made()
+    flt.predict(t=times[0])
+    before = flt.density
+    flt.update(None)
+    assert flt.density is before
+    flt.update(np.nan)
+    assert flt.density is before

@@ -25,7 +25,7 @@ from .linearise import lower_and_rows
 from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored
 from .way import AGAIN
-from .weights import effective, normalise, prior_times
+from .weights import effective, finite_rows, normalise, prior_times
 
 __all__ = ["EVEN", "GUIDE", "LINEAR", "OWN", "PARTS", "WIDER", "Part", "Reader", "weigh"]
 
@@ -187,6 +187,12 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     else:
         again = mixed(np.uint64(passage), np.uint64(AGAIN))
         move_at(leg.move)(leg, end, v, moved.rows, block, again, 0, -(-N // LANES))
+    fine, every = finite_rows(end)
+    for i in range(0 if every else N):  # h is asked where the state is a number
+        for a in range(n):
+            end[i, a] = end[i, a] if fine[i] else y[0, a]
     more, wrong = log_normals(reader.z, _read(reader, end), reader.angle, reader.root)
+    for i in range(0 if every else N):
+        more[i] = more[i] if fine[i] else -np.inf
     both = over_both(np.concatenate((log_l, more)), log_ratio, w)
     return np.concatenate((y, end)), both, np.concatenate((alone, ancestor)), wrong

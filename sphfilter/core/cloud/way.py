@@ -17,10 +17,10 @@ from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
 from .weights import effective, systematic
 
-__all__ = ["AGAIN", "CUT", "FIRST", "KERNEL", "PILOT", "begin", "blocks_of", "carry"]
+__all__ = ["AGAIN", "FIRST", "KERNEL", "PILOT", "begin", "blocks_of", "carry"]
 
 # what numbers of a key are for
-CUT, FIRST, AGAIN, PILOT, KERNEL = range(5)
+_CUT, FIRST, AGAIN, PILOT, KERNEL = range(5)
 #: Effective part of points, below which they are drawn anew.
 _FEW = 0.5
 
@@ -66,7 +66,7 @@ def begin(x, w, family, count, key, net, table, bits):
     order = along_curve(x, w, table, bits)
     w = w[order]
     if count != N or effective(w) < _FEW * count:
-        order = order[systematic(w, count, uniform(np.uint64(key), np.uint64(CUT)))]
+        order = order[systematic(w, count, uniform(np.uint64(key), np.uint64(_CUT)))]
         w = np.full(count, 1.0 / count)
     x = x[order]
     part = distances(x, family[order] if family.size > 0 else order)

@@ -13,6 +13,7 @@ __all__ = [
     "compared",
     "effective",
     "finite_rows",
+    "floored",
     "kernel_width",
     "normalise",
     "prior_times",
@@ -46,15 +47,22 @@ def weighted_moments(X, w, mean, cov):
 
 
 @jit
+def floored(cov, part):
+    """A covariance (n, n) in which a state without spread has next to none, or that part of all of it."""
+    P, trace = cov.copy(), 0.0
+    for a in range(len(P)):
+        trace += P[a, a]
+    for a in range(len(P)):
+        P[a, a] = max(P[a, a], part * trace, 1e-280)
+    return P
+
+
+@jit
 def kernel_width(number, cov):
     """Standard deviation of the spheres that smooth so many points of covariance (n, n) best (Silverman)."""
-    n, trace, extent = len(cov), 0.0, 0.0
-    P, L = cov.copy(), np.empty((n, n))
-    for a in range(n):
-        trace += P[a, a]
-    for a in range(n):  # a state without spread has next to none
-        P[a, a] = max(P[a, a], 1e-24 * trace, 1e-280)
-    if not cholesky(P, L):
+    n, extent = len(cov), 0.0
+    L = np.empty((n, n))
+    if not cholesky(floored(cov, 1e-24), L):
         return 1e-140
     for a in range(n):
         extent += math.log(L[a, a]) / n
@@ -69,7 +77,7 @@ def compared(mean, cov, other, own):
     """
     n = mean.size
     L, off, wider = np.empty((n, n)), np.empty(n), np.empty((n, n))
-    if not cholesky(cov, L):
+    if not cholesky(floored(cov, 0.0), L):
         return np.nan, np.nan
     for a in range(n):
         off[a] = other[a] - mean[a]
