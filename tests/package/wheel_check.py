@@ -96,7 +96,7 @@ def check_wheel(path):
         said = message_from_bytes(wheel.read(metadata))
     rooms = {name.partition("/")[0] for name in names}
     assert rooms == {"sphfilter", metadata.partition("/")[0]}, rooms
-    for page in ("API.md", "RECIPES.md", "FAILURES.md", "EXTENDING.md", "py.typed"):
+    for page in ("API.md", "CLOUD.md", "RECIPES.md", "FAILURES.md", "EXTENDING.md", "py.typed"):
         assert f"sphfilter/{page}" in names, page
     needed = [line for line in said.get_all("Requires-Dist") if "extra ==" not in line]
     assert {re.match(r"[\w-]+", line)[0] for line in needed} == NEEDED, needed
