@@ -27,6 +27,7 @@ _TYPICAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long
 #: Power of the predictions since a reading, by which their allowances fall.
 SHARED = 1.5
 _PATIENCE = 2  # readings in a row that ask for fewer points before there are fewer
+_SETTLED = 3  # readings after there are more points, before there are more again
 _MORE = 4.0  # times the points at most, at once
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
@@ -44,7 +45,7 @@ class Needs(NamedTuple):
     failed: int = 0  # predictions in a row that none would do for
     nodes: int = 0  # of a lattice; zero before the first
     points: int = 0  # of a cloud; zero before the first
-    calm: int = 0  # readings in a row that asked for fewer
+    calm: int = 0  # readings in a row that asked for fewer; negative: to wait before there are more
     legs: int = 0  # predictions since the last reading
     smooth: bool = False  # densities are asked for, or summed: lattices, where states are few
 
@@ -83,9 +84,11 @@ class Needs(NamedTuple):
         What a single reading asks beyond that is its own: it is made again on more points.
         """
         now, wanted = self.cloud(target), points_for(count, error, target)
-        if wanted >= now:
-            return self._replace(points=wanted, calm=0)
-        calm = self.calm + 1
+        if wanted > now and self.calm >= 0:
+            return self._replace(points=wanted, calm=-_SETTLED)
+        if wanted >= now:  # what there was before takes readings to be forgotten, whatever the points
+            return self._replace(points=now, calm=min(self.calm + 1, 0))
+        calm = max(self.calm, 0) + 1
         return self._replace(points=wanted if calm >= _PATIENCE else now, calm=calm % _PATIENCE)
 
 

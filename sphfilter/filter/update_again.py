@@ -24,6 +24,7 @@ __all__ = ["Update", "update_or_predict_again"]
 #: Probability of a posterior that hangs on what the prediction lost, from which the prediction is repeated.
 _GUESSED = 0.01
 _LADDER = Ladder(deeper=0.7)
+_HELPED = 0.7  # of an error, that four times the points leave if it is theirs: less than a half
 _TRIES = 3  # times it is: a first number of points is a guess
 
 
@@ -133,6 +134,8 @@ def _on_more_points(
     prior, posterior, info = best
     cloud, needs = posterior.cloud, posterior.needs
     if best is not once and cloud is not None and needs is not None:
-        usual = known.told(cloud.told.errors.mean, target, cloud.size)
-        posterior = posterior.noted(needs=needs._replace(points=usual.points, calm=usual.calm))
+        usual = known
+        if info.error < _HELPED * once[2].error:  # else it is not points that are wanting
+            usual = known._replace(calm=max(known.calm, 0)).told(cloud.told.errors.mean, target, cloud.size)
+        posterior = posterior.noted(needs=needs._replace(points=usual.cloud(target), calm=usual.calm))
     return prior, posterior, info
