@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.show.files import write_csv
-from sphfilter.density import mixture
 from sphfilter.density.storage import write_arrays
 
 __all__ = ["Probing", "points_of", "probed", "velocity", "write_particles"]
@@ -52,8 +51,8 @@ def _smoothing_length(model, density, X):
     if density.domain is not None:
         shape, X = shape.around(density.domain), density.domain.fold(X)
     kernels = shape.mixture
-    p = mixture.pdf(kernels, X)
-    total = mixture.pdf(kernels._replace(mass=kernels.mass * kernels.h), X)
+    p = kernels.pdf(X)
+    total = kernels._replace(mass=kernels.mass * kernels.h).pdf(X)
     return np.divide(total, p, out=np.full(len(X), np.nan), where=p > 0)
 
 
