@@ -198,7 +198,7 @@ class TestPosterior:
 
 
 class TestOnTheLadder:
-    TARGET = sf.FilterConfig(target_error=0.05, density_error=0.05)
+    TARGET = sf.FilterConfig(target_error=0.025, density_error=0.025)
 
     def filter(self):
         model = sf.SDE.from_expressions(
