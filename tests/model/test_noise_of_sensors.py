@@ -54,7 +54,8 @@ def on_a_grid(s, b=0.0):
 
 @pytest.mark.parametrize("sensor", [TEXT, FUNCTION, ROWS], ids=["text", "function", "rows"])
 def test_noise_of_the_state_is_what_a_grid_makes_of_it(sensor):
-    flt = sf.SPHFilter(OU, sensor.with_parameters(s=0.1), [0.0], [[0.5]])
+    config = sf.FilterConfig(target_error=0.003)
+    flt = sf.SPHFilter(OU, sensor.with_parameters(s=0.1), [0.0], [[0.5]], config=config)
     result = flt.run(TIMES, Z)
     log_evidence, mean = on_a_grid(0.1)
     assert result.log_evidence.sum() == pytest.approx(log_evidence, abs=0.01)
