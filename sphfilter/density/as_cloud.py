@@ -4,13 +4,11 @@ from typing import Any
 
 from .._types import Floats
 from .cloud import KERNEL, Cloud, smoothing_length
-from .particle_density import ParticleDensity
+from .particle_density import SUMMED, ParticleDensity
 from .points import CloudState, moments
 from .shapes import Folded
 
 __all__ = ["cloud_density", "cloud_of", "thinned"]
-
-_SUMMED = 1e-12  # rounding, up to which weights sum to one
 
 
 def cloud_density(
@@ -27,7 +25,7 @@ def cloud_density(
     if not mass.min() > 0.0:
         x, mass, summed = x[mass > 0.0], mass[mass > 0.0], None
     total = mass.sum()
-    mass = mass.view() if abs(total - 1.0) < _SUMMED else mass / total
+    mass = mass.view() if abs(total - 1.0) <= SUMMED else mass / total
     summed = moments(x, mass) if summed is None else summed
     names = ("t", "represented_mass", "capacity", "domain", "error", "lost")
     about = {name: getattr(density, name) for name in names} | changes

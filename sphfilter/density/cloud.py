@@ -10,7 +10,6 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud import weights
-from ..core.cloud.weights import kernel_width
 from ..core.sph.kernels import Kernel
 from ..errors import PropagationError
 from ..lattice.walls import inside
@@ -104,8 +103,8 @@ def smoothing_length(mass: Floats, cov: Floats) -> Floats:
     """Smoothing lengths (N,) of points with covariance (n, n): spheres as large as the best kernel."""
     n = len(cov)
     kernel = Kernel.of(KERNEL, n)
-    width = kernel_width(1.0 / (mass @ mass), cov)
-    return np.full(len(mass), width / math.sqrt(kernel.variance))
+    size = mixture.silverman(mass, n) * weights.extent(cov)
+    return np.full(len(mass), size / math.sqrt(kernel.variance))
 
 
 def systematic(mass: Floats, count: int) -> Ints:

@@ -1,6 +1,8 @@
 """Weighted points as a sum of Gaussian kernels, each as wide as the density about it is."""
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +20,8 @@ _WIDTH = 1.4
 _REACH = 6.0  # standard deviations of a kernel, beyond which it ends
 
 
-class LocalKernels(NamedTuple):
+@dataclass(frozen=True)
+class LocalKernels:
     """p(x) = sum_j m_j N(z; z_j, R_j R_jᵀ) / det factor, where x = centre + factor z: see `Mixture`."""
 
     centre: Floats  # (n,)
@@ -56,11 +59,15 @@ class LocalKernels(NamedTuple):
 
     def _asked(self, X: Floats) -> tuple[Floats, ...]:
         """What compiled sums take."""
+        return np.ascontiguousarray(np.linalg.solve(self.factor, (X - self.centre).T).T), *self._terms
+
+    @cached_property
+    def _terms(self) -> tuple[Floats, Floats, Floats]:
+        """Of every kernel what compiled sums take: made once, for questions of one state after the other."""
         P = np.linalg.inv(self.root)
         size = np.linalg.slogdet(P)[1] - np.linalg.slogdet(np.sqrt(2.0 * np.pi) * self.factor)[1]
-        Z = np.ascontiguousarray(np.linalg.solve(self.factor, (X - self.centre).T).T)
         middle = np.einsum("kab,kb->ak", P, self.z)
-        return Z, np.log(self.mass) + size, middle, np.ascontiguousarray(np.moveaxis(P, 0, -1))
+        return np.log(self.mass) + size, middle, np.ascontiguousarray(np.moveaxis(P, 0, -1))
 
 
 def local_kernels(x: Floats, mass: Floats) -> LocalKernels | None:

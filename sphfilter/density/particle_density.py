@@ -27,10 +27,10 @@ from .points import CloudState
 from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
 from .weighted import WeightedStates
 
-__all__ = ["ParticleDensity"]
+__all__ = ["SUMMED", "ParticleDensity"]
 
 READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "shrunk", "log_density", "cloud", "family", "pieces")
-_SUMMED = 1e-14  # distance from one of the sum of masses that have been normalised already
+SUMMED = 1e-14  # distance from one of the sum of masses that have been normalised already
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -146,7 +146,7 @@ class ParticleDensity(Noted):
         mass, total = own["mass"], own["mass"].sum()
         if len(x) == 0 or mass.min() < 0 or own["h"].min() <= 0 or total <= 0:
             raise ModelError("a density needs particles, masses >= 0 that are not all zero, and h > 0")
-        if abs(total - 1.0) > _SUMMED:  # else a copy would differ in its last bits
+        if abs(total - 1.0) > SUMMED:  # else a copy would differ in its last bits
             mass /= total
         if self.domain is not None:  # none rather than one without bounds
             domain = Domain.of(self.domain, x.shape[1])
@@ -179,7 +179,7 @@ class ParticleDensity(Noted):
         """The same density from arrays that were made for it, and need neither be copied nor normalised."""
         x, mass, h = parts["x"], parts["mass"], parts["h"]
         sound = np.isfinite(x).all() and mass.min() > 0.0 and 0.0 < h.min() <= h.max() < np.inf
-        if not sound or abs(mass.sum() - 1.0) > _SUMMED:
+        if not sound or abs(mass.sum() - 1.0) > SUMMED:
             return cls(**parts)
         new = object.__new__(cls)  # whose other fields are those of the class
         vars(new).update(parts)

@@ -15,6 +15,7 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.cloud.guide import look_ahead, over_both
 from ..core.cloud.linearise import centres
+from ..core.cloud.reading import WIDER
 from ..core.cloud.way import blocks_of
 from ..core.cloud.weights import effective, normalise
 from ..density.carriers import Carried
@@ -27,9 +28,9 @@ __all__ = ["bridged"]
 
 #: Points for each of the prior: the first guide chooses few of these, and what remains of the way parts them.
 _MORE = 4
-#: Times the reading's own noise that a guide sees, as that of both passes; and times what linearity misses on
-#: average, which is more in the tails: of 1, 2, 4, 8 and an outlier of twelve sigma, errors .14 .09 .06 .05.
-_WIDER, _MISSED = 1.5, 8.0
+#: Times what linearity misses on average, that a guide sees, which is more in the tails: of 1, 2, 4, 8 and an
+#: outlier of twelve sigma, errors .14 .09 .06 .05.
+_MISSED = 8.0
 
 
 def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried | None:
@@ -97,7 +98,7 @@ def _led(
     """
     N, n = x.shape
     way = x, y, u, np.full(N, 1.0 / N), block
-    rows, _, HL, r, R = seen(sensor, passages, *way, sensor.predict(y), _WIDER, _MISSED)
+    rows, _, HL, r, R = seen(sensor, passages, *way, sensor.predict(y), WIDER, _MISSED)
     first = HL
     if rows is not None:  # what moves points later is noise of the reading
         first = np.ascontiguousarray(HL @ rows[:, :, :n])

@@ -95,7 +95,8 @@ def read(state: CloudState, sensor: Stacked, t: float) -> Read | None:
     shadow, told = beside.points, state.told
     if math.isfinite(beside.log_evidence):
         off = found.log_evidence - beside.log_evidence
-        told = told.after(*apart(found.points, shadow, sensor.domain, found.moments, beside.moments), off**2)
+        sums = found.moments, beside.moments
+        told = told.after(*apart(found.points, shadow, sensor.domain, sums), off**2)
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)

@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Bools, Floats, Ints
+from ..core._addresses import NOWHERE_AT
 from ..core.cloud.guide import along_rows, joined, linear_reading, log_normals, without_noise
 from ..core.cloud.linearise import lower_and_rows
-from ..core.cloud.reading import LINEAR, Reader
+from ..core.cloud.reading import Reader
 from ..core.cloud.weights import finite_rows
 from ..model.domain import Domain
 from ..model.measurements import block as block_of
@@ -60,14 +61,12 @@ class Stacked(NamedTuple):
         if self.root is None or self.R is None or self.domain is not None:
             return None
         if self.H is not None:
-            h, p, H = LINEAR, _NOTHING, np.array(self.H[0])
+            h, p, H = NOWHERE_AT, _NOTHING, np.array(self.H[0])
         elif len(self.asked) == 1 and self.asked[0].seen.all():
             (h, p), H = self.asked[0].measurement.compiled, _NO_MATRIX
         else:
             return None
-        return Reader(
-            int(h), p, H, self.z, self.angle, np.array(self.R[0]), self.root, float(self.asked[0].t)
-        )
+        return Reader(h, p, H, self.z, self.angle, np.array(self.R[0]), self.root, float(self.asked[0].t))
 
     def log_likelihood(self, x: Floats, h: Floats | None = None) -> Floats:
         """Log-likelihood (N,) of states, of which the readings may be known; none where one is no number."""

@@ -109,7 +109,7 @@ def carried(
             raise PropagationError(_blow_up(model, moved, t0, t1))
         ends.append(moved)
         sums.append(moments(moved.x, moved.w))
-    told = apart(ends[0], ends[1], domain, *sums)
+    told = apart(ends[0], ends[1], domain, sums)
     before = state.told.of(count / state.size) if state.size else state.told
     error = math.hypot(before.after(*told).errors.mean, pace.bias, state.inherited)
     state = CloudState(ends[0], ends[1], before, pace, count, state.inherited)
@@ -137,14 +137,14 @@ def _fewer(count: int) -> int:
     return max(count // SHADOW, 32)
 
 
-def apart(points: Points, shadow: Points, domain: Domain | None, *known: Any) -> tuple[float, float]:
+def apart(points: Points, shadow: Points, domain: Domain | None, sums: Any) -> tuple[float, float]:
     """Squared errors that two clouds show of a mean and of a covariance, in units of the first's.
 
     The mean's in standard deviations, on average over the states, as errors are told. A sample's covariance
-    is off by n + 1 times as much (in squares): both are pooled, by how many numbers they are. Mean and
-    covariance of each, where they are known, need not be summed again.
+    is off by n + 1 times as much (in squares): both are pooled, by how many numbers they are. The sums are
+    mean (n,) and covariance (n, n) of each.
     """
-    (mean, cov), (other, own) = known or (moments(points.x, points.w), moments(shadow.x, shadow.w))
+    (mean, cov), (other, own) = sums
     if domain is not None and domain.periodic.any():
         off = domain.mean(shadow.x, shadow.w) - domain.mean(points.x, points.w)
         other = mean + domain.nearest(off[None])[0]

@@ -103,7 +103,7 @@ def predict_modes(
         A mode that is not unlikely cannot be carried; the sentence says why.
     """
     t0, target = modes.heaviest.t, config.target_error
-    allowed = allowance(modes.error, config.target_error)
+    allowed = allowance(modes.error, target)
     jumps = model.rates.any()
     steps, off = 1, [no_ripple(model.dim) for _ in model.names]
     if jumps:

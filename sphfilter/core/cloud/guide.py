@@ -22,6 +22,7 @@ __all__ = [
     "over_both",
     "spread",
     "without_noise",
+    "wrapped",
 ]
 
 #: Neighbours to either side, that tell what the flow is without noise.
@@ -114,6 +115,12 @@ def over_both(log_l, log_ratio, w):
 
 
 @jit
+def wrapped(r, angle):
+    """A difference, of angles in (-π, π]."""
+    return r - 2.0 * math.pi * round(r / (2.0 * math.pi)) if angle else r
+
+
+@jit
 def joined(Phi, G, flow, lower):
     """A linear change Φ x + G u and one after it, as one: Φ (blocks, n, n), G (blocks, n, d + n)."""
     (nb, n, d), G = G.shape, G
@@ -174,7 +181,7 @@ def linear_reading(hy, x, u, w, block, start, Phi, L, H, R, angle, wider, misses
                 s -= HL[b, a, e] * u[i, e] + HPhi[b, a, e] * (x[i, e] - start[b, e])
             now[a] = s
             d = s - before[a]
-            before[a] = d - 2.0 * math.pi * round(d / (2.0 * math.pi)) if angle[a] and follows else d
+            before[a] = wrapped(d, angle[a] and follows)
             finite &= abs(before[a]) < np.inf
         if follows and finite:
             v = 0.5 * (w[i] + w[i - 1])
@@ -197,20 +204,11 @@ def linear_reading(hy, x, u, w, block, start, Phi, L, H, R, angle, wider, misses
 def log_normals(z, h, angle, F):
     """Logarithms (N,) of N(z; h, F Fᵀ) at readings h (N, k), angles wrapped; and how many are NaN."""
     N, k = h.shape
-    out, r, wrong, constant = np.empty(N), np.empty(k), 0, -0.5 * _LOG_2_PI * k
-    for a in range(k):
-        constant -= math.log(F[a, a])
+    out, r, v, wrong, peak = np.empty(N), np.empty(k), np.empty(k), 0, _log_peak(F)
     for i in range(N):
-        s = 0.0
         for a in range(k):
-            v = z[a] - h[i, a]
-            if angle[a]:
-                v -= 2.0 * math.pi * round(v / (2.0 * math.pi))
-            for e in range(a):
-                v -= F[a, e] * r[e]
-            r[a] = v / F[a, a]
-            s += r[a] * r[a]
-        out[i] = constant - 0.5 * s
+            r[a] = wrapped(z[a] - h[i, a], angle[a])
+        out[i] = peak - 0.5 * _square(r, F, v)
         wrong += out[i] != out[i]
     return out, wrong
 
@@ -261,9 +259,8 @@ def _square(r, F, v):
     s = 0.0
     for a in range(r.size):
         v[a] = r[a]
-        for e in range(a):
-            v[a] -= F[a, e] * v[e]
-        v[a] /= F[a, a]
+    whiten(F, v)
+    for a in range(r.size):
         s += v[a] * v[a]
     return s
 

@@ -4,12 +4,11 @@ That is what `filter.guided` does of any sensor and any way, for one prediction 
 noise that is the same in all states.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from .._addresses import function_at
+from .._addresses import NOWHERE_AT, function_at
 from .._jit import jit
 from .guide import (
     along_rows,
@@ -20,6 +19,7 @@ from .guide import (
     over_both,
     spread,
     without_noise,
+    wrapped,
 )
 from .linearise import lower_and_rows
 from .move import affine, move_at
@@ -27,7 +27,7 @@ from .noise import LANES, even_normals, mixed, stored
 from .way import AGAIN
 from .weights import effective, finite_rows, normalise, prior_times
 
-__all__ = ["EVEN", "GUIDE", "LINEAR", "OWN", "PARTS", "WIDER", "Part", "Reader", "weigh"]
+__all__ = ["EVEN", "GUIDE", "OWN", "PARTS", "WIDER", "Part", "Reader", "weigh"]
 
 #: Effective part of weights, from which they are good enough as they are.
 EVEN = 0.9
@@ -36,12 +36,10 @@ EVEN = 0.9
 WIDER, OWN = 1.5, 1.0 + 1.0 / 4.0
 #: What numbers of a reading's key are for: its guide, and the noise of the passages.
 GUIDE, PARTS = 11, 20
-#: Stands for a sensor's function where a matrix says it all.
-LINEAR = 0
 
 
 class Reader(NamedTuple):
-    """What was read, z (k,), and the sensor: address and data of h, or its matrix; angles; R and its root."""
+    """What was read, z (k,), and the sensor: h by address and data, or nowhere and H; angles; R and root."""
 
     h: int
     p: np.ndarray
@@ -68,7 +66,7 @@ def _read(reader, x):
     """Readings (N, k) of states (N, n)."""
     (N, n), k = x.shape, reader.z.size
     out = np.empty((N, k))
-    if reader.h != LINEAR:
+    if reader.h != NOWHERE_AT:
         function_at(reader.h)(x, reader.t, reader.p, out)
         return out
     for i in range(N):
@@ -81,16 +79,10 @@ def _read(reader, x):
 
 
 @jit
-def _wrapped(r, angle):
-    """A difference, of angles in (-π, π]."""
-    return r - 2.0 * math.pi * round(r / (2.0 * math.pi)) if angle else r
-
-
-@jit
 def _slopes(reader, c):
     """∂h/∂x at states c (blocks, n), (blocks, k, n), or (1, k, n) where it is a matrix."""
     (nb, n), k = c.shape, reader.z.size
-    if reader.h == LINEAR:
+    if reader.h == NOWHERE_AT:
         return reader.H.copy().reshape((1, k, n))
     x, J = np.empty((nb * 2 * n, n)), np.empty((nb, k, n))
     for i in range(len(x)):
@@ -106,7 +98,7 @@ def _slopes(reader, c):
         for e in range(n):
             i, step = 2 * (b * n + e), _STEP * max(1.0, abs(c[b, e]))
             for a in range(k):
-                J[b, a, e] = _wrapped(h[i, a] - h[i + 1, a], reader.angle[a]) / (2.0 * step)
+                J[b, a, e] = wrapped(h[i, a] - h[i + 1, a], reader.angle[a]) / (2.0 * step)
     return J
 
 
@@ -165,7 +157,7 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     r = _read(reader, without_noise(y, x, whole, lower, flow, block))
     for i in range(N):
         for a in range(reader.z.size):
-            r[i, a] = _wrapped(reader.z[a] - r[i, a], reader.angle[a])
+            r[i, a] = wrapped(reader.z[a] - r[i, a], reader.angle[a])
     H, R = _slopes(reader, moved.end), reader.R.copy().reshape((1, reader.z.size, reader.z.size))
     HL, R = linear_reading(
         h, x, whole, w, block, kernel.start, flow, lower, H, R, reader.angle, WIDER, WIDER * OWN

@@ -12,9 +12,9 @@ __all__ = [
     "carried",
     "compared",
     "effective",
+    "extent",
     "finite_rows",
     "floored",
-    "kernel_width",
     "normalise",
     "prior_times",
     "systematic",
@@ -58,15 +58,15 @@ def floored(cov, part):
 
 
 @jit
-def kernel_width(number, cov):
-    """Standard deviation of the spheres that smooth so many points of covariance (n, n) best (Silverman)."""
-    n, extent = len(cov), 0.0
+def extent(cov):
+    """Geometric mean of the standard deviations of a covariance (n, n) along its axes."""
+    n, total = len(cov), 0.0
     L = np.empty((n, n))
     if not cholesky(floored(cov, 1e-24), L):
         return 1e-140
     for a in range(n):
-        extent += math.log(L[a, a]) / n
-    return math.exp(extent) * (4.0 / ((n + 2.0) * number)) ** (1.0 / (n + 4.0))
+        total += math.log(L[a, a]) / n
+    return math.exp(total)
 
 
 @jit
