@@ -11,7 +11,6 @@ from ..core.cloud.weights import compared, together
 from ..density.as_cloud import cloud_of
 from ..density.as_family import unrolled
 from ..density.cloud import points_of
-from ..density.needs import SHARED
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Steps, begun, begun_from, key_at, passed, steps_bias
 from ..density.points import SHADOW, CloudState, Pace, Points, moments
@@ -168,7 +167,7 @@ def _steps(
     if model.linear:
         return Steps(1), pace
     dt, (step, stiff, legs, _), points = span[1] - span[0], pace, state.points
-    shorter = legs ** (SHARED / _ORDER)  # biases of predictions without a reading between add up
+    shorter = legs ** (1.0 / _ORDER)  # biases of predictions without a reading between add up
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
     number = max(least, math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else _FIRST)
     if not model.autonomous:
@@ -178,8 +177,7 @@ def _steps(
         return Steps(_enough(number, most, span), stiff), pace
     told, before = state.told.errors.mean, math.inf
     told = _USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told
-    allowed = _PART * max(min(math.hypot(told, state.inherited), DOUBTFUL), target)
-    allowed *= legs**-SHARED
+    allowed = _PART * max(min(math.hypot(told, state.inherited), DOUBTFUL), target) / legs
     while True:
         steps = Steps(_enough(number, most, span), stiff)
         bias = _BEYOND * steps_bias(points, model, span, steps, key_at(span[0], 0))
