@@ -130,12 +130,13 @@ def _on_more_points(
         own = before.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
         prior, _ = predict(own, model, t=prior.t, config=config, n_particles="auto", goes_on=False)
         posterior, info = update(prior, measurement, z, config, n_particles="auto")
-        best = best if best[2].error < info.error else (prior, posterior, info)
+        if info.error < (_HELPED if more else 1.0) * best[2].error:  # else it is not points that are wanting
+            best = prior, posterior, info
     prior, posterior, info = best
     cloud, needs = posterior.cloud, posterior.needs
     if best is not once and cloud is not None and needs is not None:
         usual = known
-        if info.error < _HELPED * once[2].error:  # else it is not points that are wanting
+        if info.error < _HELPED * once[2].error:
             usual = known._replace(calm=max(known.calm, 0)).told(cloud.told.errors.mean, target, cloud.size)
         posterior = posterior.noted(needs=needs._replace(points=usual.cloud(target), calm=usual.calm))
     return prior, posterior, info

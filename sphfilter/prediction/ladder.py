@@ -24,6 +24,7 @@ from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.discretization import linear_transition
 from ..model.sde import SDE
 from . import automatic, cloud, families, family, pieces
+from .again import MOST_WORK
 from .to_target import Time, carried_to_target
 
 __all__ = ["best_family", "cloud_is_cheaper", "first_degree", "prefers_cloud", "propagate"]
@@ -237,7 +238,8 @@ def _by_lattice(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
     allowed = time.for_lattices(density, target)
-    work = _WORK * needs.cloud(target) if allowed else math.inf
+    work = MOST_WORK if needs.smooth else _WORK * needs.cloud(target)
+    work = work if allowed else math.inf
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         laid = on_lattice(density, nodes)

@@ -15,7 +15,7 @@ from .linearise import (
 )
 from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
-from .weights import effective, systematic
+from .weights import effective, for_moments
 
 __all__ = ["AGAIN", "FIRST", "KERNEL", "PILOT", "begin", "blocks_of", "carry"]
 
@@ -38,7 +38,7 @@ def blocks_of(count):
 def begin(x, w, family, count, key, net, table, bits):
     """Begin the way of a cloud: points in order, each standing for a Gaussian as wide as their distance.
 
-    They are drawn anew where too few of them weigh anything. Copies of a point part by its Gaussian, whatever
+    They are drawn anew where too few of them weigh anything, those far out more often than they weigh. Copies of a point part by its Gaussian, whatever
     the noise of the model. Blocks keep their mean and covariance.
 
     Parameters
@@ -64,11 +64,10 @@ def begin(x, w, family, count, key, net, table, bits):
     """
     N, n = x.shape
     order = along_curve(x, w, table, bits)
-    w = w[order]
+    x, w = x[order], w[order]
     if count != N or effective(w) < _FEW * count:
-        order = order[systematic(w, count, uniform(np.uint64(key), np.uint64(_CUT)))]
-        w = np.full(count, 1.0 / count)
-    x = x[order]
+        chosen, w = for_moments(x, w, count, uniform(np.uint64(key), np.uint64(_CUT)))
+        order, x = order[chosen], x[chosen]
     part = distances(x, family[order] if family.size > 0 else order)
     block, middle, lower = blocks_of(count), centres(x), block_roots(x)
     u = even_normals(net, np.uint64(stored(key, KERNEL)))

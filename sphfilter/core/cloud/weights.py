@@ -15,6 +15,7 @@ __all__ = [
     "extent",
     "finite_rows",
     "floored",
+    "for_moments",
     "normalise",
     "prior_times",
     "systematic",
@@ -286,3 +287,32 @@ def systematic(w, count, shift):
             passed += w[j]
         out[i] = j
     return out
+
+
+@jit
+def for_moments(x, w, count, shift):
+    """Numbers and weights (count,) of points drawn from weighted ones, x (N, n) and w (N,), all of sum one.
+
+    A point d standard deviations from the mean is drawn 1 + d²/n times as often as its weight says, and
+    weighs as much less: mean and covariance hang on it so much more, and so may what is read next.
+    """
+    (N, n), by = x.shape, w.copy()
+    mean, cov, L, v = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty(n)
+    weighted_moments(x, w, mean, cov)
+    if cholesky(cov, L):
+        for i in range(N):
+            for a in range(n):
+                v[a] = x[i, a] - mean[a]
+            whiten(L, v)
+            square = 0.0
+            for a in range(n):
+                square += v[a] * v[a]
+            by[i] *= 1.0 + square / n
+    chosen = systematic(by, count, shift)
+    own, total = np.empty(count), 0.0
+    for j in range(count):
+        own[j] = w[chosen[j]] / by[chosen[j]]
+        total += own[j]
+    for j in range(count):
+        own[j] /= total
+    return chosen, own
