@@ -28,7 +28,7 @@ _TYPICAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long
 SHARED = 1.5
 _PATIENCE = 2  # readings in a row that ask for fewer points before there are fewer
 _SETTLED = 3  # readings after there are more points, before there are more again
-_MORE = 4.0  # times the points at most, at once
+_MORE = 2.0  # times the points at most, at once
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
 AIMED = 0.25
