@@ -56,7 +56,7 @@ class Code(IntFlag):
     LATE = auto()  # the time budget was exceeded, or left no time for a try on more particles
     CLOUD = auto()  # the density goes on as a cloud of weighted points
     UNRESOLVED = auto()  # the estimated error is above what the answer may be trusted with
-    COARSE = auto()  # the estimated error is above one and a half times the target
+    COARSE = auto()  # the estimated error is above twice the target
 
 
 #: What schemes put in the place of a density.

@@ -10,6 +10,7 @@ from .points import ORDER
 
 __all__ = [
     "AIMED",
+    "FLAGGED",
     "MISSED",
     "MOST_POINTS",
     "SHARED",
@@ -32,7 +33,9 @@ _MORE = 2.0  # times the points at most, at once
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
 AIMED = 0.25
-MISSED = 1.5  # times the target, from which an error is said to miss it: estimates are no better
+MISSED = 1.5  # times the target, from which a reading is tried again: estimates are no better
+#: Times the target, from which an error is flagged: one in ten of those is off by three targets.
+FLAGGED = 2.0
 _USUAL = 200  # particles of a scheme that estimates no error
 _LONGEST = 4  # doublings of the wait for a family that will not do
 

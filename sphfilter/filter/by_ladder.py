@@ -8,7 +8,7 @@ import numpy as np
 
 from ..config import CloudScheme, FilterConfig
 from ..density.as_family import settled
-from ..density.needs import MISSED, Needs, allowance, doubt, fewest
+from ..density.needs import FLAGGED, Needs, allowance, doubt, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
@@ -137,7 +137,7 @@ def _told(said: dict[str, Any], target: float) -> dict[str, Any]:
     usual = Code.CLOUD | Code.FINER
     if said["code"] & ~usual or not said["error"] < DOUBTFUL:
         return said
-    if said["error"] <= MISSED * target:
+    if said["error"] <= FLAGGED * target:
         return said | {"status": "ok", "code": Code.OK}
     missed = f"the mean is good to {said['error']:.2g} standard deviations, not to the {target:g} asked for"
     return said | {"status": missed, "code": Code.COARSE}
