@@ -38,8 +38,9 @@ def blocks_of(count):
 def begin(x, w, family, count, key, net, table, bits):
     """Begin the way of a cloud: points in order, each standing for a Gaussian as wide as their distance.
 
-    They are drawn anew where too few of them weigh anything, those far out more often than they weigh. Copies of a point part by its Gaussian, whatever
-    the noise of the model. Blocks keep their mean and covariance.
+    They are drawn anew where too few of them weigh anything, those far out more often than they weigh.
+    Copies of a point part by its Gaussian, whatever the noise of the model. Blocks keep their mean and
+    covariance.
 
     Parameters
     ----------
