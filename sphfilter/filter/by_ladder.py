@@ -46,7 +46,7 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     if found is not None and by_cloud and found[1]["error"] > doubt(density.dim) * target:
         found = None  # what the reading made of the prior's error, no family tells
     missed = found is None or found[1]["error"] > target
-    if missed and (needs.smooth or not by_cloud) and density.families is None:
+    if missed and density.families is None:
         found = _on_pieces(density, asked, target, needs) or found
     if found is not None:
         return found
