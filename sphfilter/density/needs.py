@@ -24,12 +24,13 @@ __all__ = [
 
 #: Points of a cloud, least and most: powers of two, for which nets are evenest.
 _FEWEST_POINTS, MOST_POINTS = 256, 2**17
+_AIM = 0.7  # of the target, at what clouds aim: some readings are harder than others
 _TYPICAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it
 #: Power of the predictions since a reading, by which their allowances fall.
 SHARED = 1.5
 _PATIENCE = 2  # readings in a row that ask for fewer points before there are fewer
 _SETTLED = 3  # readings after there are more points, before there are more again
-_MORE = 2.0  # times the points at most, at once
+_MORE = 4.0  # times the points at most, at once
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
 AIMED = 0.25
@@ -86,7 +87,7 @@ class Needs(NamedTuple):
 
         What a single reading asks beyond that is its own: it is made again on more points.
         """
-        now, wanted = self.cloud(target), points_for(count, error, target)
+        now, wanted = self.cloud(target), points_for(count, error, _AIM * target)
         if wanted > now and self.calm >= 0:
             return self._replace(points=wanted, calm=-_SETTLED)
         if wanted >= now:  # what there was before takes readings to be forgotten, whatever the points
