@@ -149,7 +149,7 @@ def propagate(
     elif needs.waits > 0:
         needs = needs.waited()
     elif not family.fits(model, density) and not (by_cloud and cloud_is_cheaper(density.dim, needs, target)):
-        found = _by_family(density, model, t1, target, needs, needs.smooth or not by_cloud)
+        found = _by_family(density, model, t1, target, needs)
         if found is not None:
             return found
         needs = needs.refused()
@@ -171,7 +171,7 @@ def _closed_form(
 
 
 def _by_family(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs, in_parts: bool
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
 ) -> tuple[ParticleDensity, PredictInfo] | None:
     """Carry one family, of as high a degree as the error asks for, or parts of it; None where none do."""
 
@@ -181,7 +181,7 @@ def _by_family(
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
 
     best = best_family(density, target, needs, first_degree(density.dim, needs), carried)
-    bent = in_parts and (best is None or best[2] > 1.0) and _in_parts(density)
+    bent = (best is None or best[2] > 1.0) and _in_parts(density)
     if bent and families.bent(density, model, t1):
         levels = families.LEVELS if best is None else 1
         found = _by_families(density, model, t1, target, needs, levels)
