@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats, Ints
-from ..density.as_family import family_of, pieces_density
+from ..density.as_family import family_of, pieces_density, unrolled
 from ..density.family import OF_MISFIT
 from ..density.merging import merged
 from ..density.needs import allowance
@@ -16,6 +16,7 @@ from ..density.pieces_posterior import Settings, pieces_posterior
 from ..density.splitting import White
 from ..errors import PropagationError
 from .asked import Asked, kept, said_of
+from .by_family import elsewhere
 
 __all__ = ["by_pieces"]
 
@@ -52,8 +53,11 @@ def by_pieces(
     pieces, change = merged(found.pieces, _CHANGE * aim)
     new = pieces_density(density, pieces)
     before = math.hypot(density.error, OF_MISFIT * misfit)
-    error = math.hypot(kept(density, new) * before, _OF_OFF * found.error, _OF_CHANGE * change)
-    said = said_of(asked, "pieces", found.log_evidence + log_scale, error, found.evidence_error)
+    log_evidence = found.log_evidence + log_scale
+    both = (prior.log_p, unrolled(density)), (pieces.log_p, unrolled(new))
+    missed = elsewhere(density, asked, *both, log_evidence)  # tails, which splitting cuts off
+    error = math.hypot(kept(density, new) * before, _OF_OFF * found.error, _OF_CHANGE * change, missed)
+    said = said_of(asked, "pieces", log_evidence, error, found.evidence_error)
     return new.noted(error=error), said
 
 

@@ -120,12 +120,12 @@ def _on_more_points(
     target, known = target_of(prior, config, None), before.needs
     if target is None or known is None or config.time_budget or info.reason == NOTHING_CAME:
         return once
-    for _ in range(_TRIES):
+    for tries in range(_TRIES):
         cloud = posterior.cloud
         if cloud is None:  # the ladder has found something cheaper than so many points
             break
         more = points_for(cloud.size, info.error, target) if info.error > MISSED * target else 0
-        if prior.read_out == "cloud" and more <= cloud.size:
+        if more <= cloud.size and (tries > 0 or prior.read_out == "cloud"):
             break
         own = before.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
         prior, _ = predict(own, model, t=prior.t, config=config, n_particles="auto", goes_on=False)
