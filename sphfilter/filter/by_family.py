@@ -21,7 +21,7 @@ __all__ = ["by_family", "elsewhere", "family_update"]
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
-_HIGHEST, _LOST = 300.0, 1e3  # logarithm of a weight, and an error, that are as bad as any
+_HIGHEST, _LOST = 700.0, 1e3  # logarithm of a weight, and an error, that are as bad as any
 
 #: Logarithm of a density, and its mean and covariance.
 Shape = tuple[OfStates, tuple[Floats, Floats]]
@@ -122,7 +122,9 @@ def elsewhere(
     likely, own = weight(X) - log_evidence, log_posterior(X) - log_prior(X)
     off = mass * (np.exp(np.minimum(likely, _HIGHEST)) - np.exp(np.minimum(own, _HIGHEST)))
     y = (X - own_mean) @ root.T
-    return min(moments_apart(off @ y, (y * off[:, None]).T @ y - off.sum() * np.eye(len(mean))), _LOST)
+    with np.errstate(over="ignore", invalid="ignore"):  # of a family that is nowhere near
+        apart = moments_apart(off @ y, (y * off[:, None]).T @ y - off.sum() * np.eye(len(mean)))
+    return min(apart, _LOST)
 
 
 def _moments(family: Family) -> tuple[Floats, Floats]:
