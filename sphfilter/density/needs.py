@@ -24,7 +24,6 @@ __all__ = [
 
 #: Points of a cloud, least and most: powers of two, for which nets are evenest.
 _FEWEST_POINTS, MOST_POINTS = 256, 2**17
-_AIM = 0.7  # of the target, at what clouds aim: some readings are harder than others
 _TYPICAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it
 #: Power of the predictions since a reading, by which their allowances fall.
 SHARED = 1.5
@@ -87,7 +86,7 @@ class Needs(NamedTuple):
 
         What a single reading asks beyond that is its own: it is made again on more points.
         """
-        now, wanted = self.cloud(target), points_for(count, error, _AIM * target)
+        now, wanted = self.cloud(target), points_for(count, error, target)
         if wanted > now and self.calm >= 0:
             return self._replace(points=wanted, calm=-_SETTLED)
         if wanted >= now:  # what there was before takes readings to be forgotten, whatever the points
