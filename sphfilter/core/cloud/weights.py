@@ -293,9 +293,9 @@ def systematic(w, count, shift):
 def for_moments(x, w, count, shift):
     """Numbers and weights (count,) of points drawn from weighted ones, x (N, n) and w (N,), all of sum one.
 
-    A point d standard deviations from the mean is drawn 1 + d²/n times as often as its weight says, and
-    weighs as much less: mean and covariance hang on it so much more, and so may what is read next. None is
-    copied for that, as copies know no more than it does.
+    A point d standard deviations from the mean is drawn up to 1 + d²/n times as often as its weight says, and
+    weighs as much less: mean and covariance hang on it so much more, and so may what is read next. That makes
+    no more than one draw of any, as copies know no more than it does.
     """
     (N, n), by = x.shape, w.copy()
     mean, cov, L, v = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty(n)
@@ -308,7 +308,8 @@ def for_moments(x, w, count, shift):
             square = 0.0
             for a in range(n):
                 square += v[a] * v[a]
-            by[i] = max(w[i], min(w[i] * (1.0 + square / n), 1.0 / count))
+            more = w[i] * square / n
+            by[i] += more / (1.0 + count * more)
     chosen = systematic(by, count, shift)
     own, total = np.empty(count), 0.0
     for j in range(count):
