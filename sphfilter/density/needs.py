@@ -88,7 +88,7 @@ class Needs(NamedTuple):
         """
         now, wanted = self.cloud(target), points_for(count, error, target)
         if wanted > now and self.calm >= 0:
-            return self._replace(points=wanted, calm=-_SETTLED)
+            return self._replace(points=min(wanted, 2 * now), calm=-_SETTLED)  # the estimate may be chance
         if wanted >= now:  # what there was before takes readings to be forgotten, whatever the points
             return self._replace(points=now, calm=min(self.calm + 1, 0))
         calm = max(self.calm, 0) + 1

@@ -109,7 +109,7 @@ def carried(
         ends.append(moved)
         sums.append(moments(moved.x, moved.w))
     told = apart(ends[0], ends[1], domain, sums)
-    before = state.told.of(count / state.size) if state.size else state.told
+    before = state.told.of(count / state.size)
     error = math.hypot(before.after(*told).errors.mean, pace.bias, state.inherited)
     state = CloudState(ends[0], ends[1], before, pace, count, state.inherited)
     return Carried(state, sums[0], error, lost, steps.number)
@@ -122,14 +122,15 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
     if density.read_out == "cloud":
         few = np.linspace(0.0, density.n_particles - 1, min(_fewer(count), density.n_particles)).astype(int)
         shadow = density.mass[few] / density.mass[few].sum()
-        return CloudState(Points(density.x, density.mass), Points(density.x[few], shadow))
+        every = Points(density.x, density.mass)
+        return CloudState(every, Points(density.x[few], shadow), size=density.n_particles)
     sizes = (count, key_at(density.t, 0)), (_fewer(count), key_at(density.t, 1))
     if density.family is not None and density.family.degree == 2:
         mean, cov = unrolled(density)
         points, shadow = (begun(mean, cov, *size) for size in sizes)
     else:
         points, shadow = (begun_from(Points(*points_of(density, n, key)), n, key) for n, key in sizes)
-    return CloudState(points, shadow, inherited=density.error)
+    return CloudState(points, shadow, size=count, inherited=density.error)
 
 
 def _fewer(count: int) -> int:
