@@ -6,7 +6,16 @@ import numpy as np
 
 from ._jit import jit
 
-__all__ = ["cholesky", "eigen", "extremes", "invert_lower", "moments", "times_lower", "whiten"]
+__all__ = [
+    "cholesky",
+    "eigen",
+    "extremes",
+    "invert_lower",
+    "moments",
+    "times_lower",
+    "white_square",
+    "whiten",
+]
 
 
 @jit
@@ -63,6 +72,18 @@ def whiten(L, v):
         for b in range(a):
             v[a] -= L[a, b] * v[b]
         v[a] /= L[a, a]
+
+
+@jit
+def white_square(r, F, v):
+    """Square of the length of F⁻¹ r, r (k,), F lower; v (k,) is scratch."""
+    s = 0.0
+    for a in range(r.size):
+        v[a] = r[a]
+    whiten(F, v)
+    for a in range(r.size):
+        s += v[a] * v[a]
+    return s
 
 
 @jit

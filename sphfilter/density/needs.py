@@ -29,13 +29,13 @@ _TYPICAL = 0.3  # error of a cloud after a typical reading, over N^-1/2, as long
 SHARED = 1.5
 _PATIENCE = 2  # readings in a row that ask for fewer points before there are fewer
 _SETTLED = 3  # readings after there are more points, before there are more again
-_MORE = 4.0  # times the points at most, at once
+#: Times the points at most, of a reading that is made again, and of the next one: estimates may be chance.
+_MORE, _MORE_NEXT = 4.0, 2
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
 AIMED = 0.25
 MISSED = 1.5  # times the target, from which a reading is tried again: estimates are no better
-#: Times the target, from which an error is flagged: one in ten of those is off by three targets.
-FLAGGED = 2.0
+FLAGGED = 2.0  # times the target, from which an error is flagged: estimates scatter by as much
 _USUAL = 200  # particles of a scheme that estimates no error
 _LONGEST = 4  # doublings of the wait for a family that will not do
 
@@ -88,7 +88,7 @@ class Needs(NamedTuple):
         """
         now, wanted = self.cloud(target), points_for(count, error, target)
         if wanted > now and self.calm >= 0:
-            return self._replace(points=min(wanted, 2 * now), calm=-_SETTLED)  # the estimate may be chance
+            return self._replace(points=min(wanted, _MORE_NEXT * now), calm=-_SETTLED)
         if wanted >= now:  # what there was before takes readings to be forgotten, whatever the points
             return self._replace(points=now, calm=min(self.calm + 1, 0))
         calm = max(self.calm, 0) + 1

@@ -106,9 +106,9 @@ class CloudState(NamedTuple):
 
     points: Points
     shadow: Points
+    size: int  # points that the errors told are of; after a reading there are twice as many
     told: Told = Told()
     pace: Pace = Pace()
-    size: int = 0  # points that the errors told are of; after a reading there are twice as many
     inherited: float = 0.0  # error of the mean before it became points, as far as readings have left it
 
 

@@ -140,10 +140,11 @@ def _stored_cloud(state: CloudState) -> Arrays:
 def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) -> ParticleDensity:
     """The cloud of arrays that `_stored_cloud` made."""
     step, *_, stiff, legs, bias = arrays["pace"].tolist()  # older files had one more
-    pace, size = Pace(step, bool(stiff), int(legs), bias), arrays["size"].item()
+    pace = Pace(step, bool(stiff), int(legs), bias)
     points, shadow = (_points_from(part(name, arrays), models) for name in ("points", "shadow"))
+    size = arrays["size"].item() or len(points.w)  # older files have none where a reading began the cloud
     inherited = float(arrays.get("inherited", 0.0))  # which older files do not have
-    state = CloudState(points, shadow, Told(*arrays["told"].tolist()), pace, size, inherited)
+    state = CloudState(points, shadow, size, Told(*arrays["told"].tolist()), pace, inherited)
     del about["read_out"], about["kernel"]
     begun = ParticleDensity(x=points.x[:1], mass=np.ones(1), h=np.ones(1), **about)
     return cloud_of(begun, state, moments(points.x, points.w), **about)

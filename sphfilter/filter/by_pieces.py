@@ -54,8 +54,10 @@ def by_pieces(
     new = pieces_density(density, pieces)
     before = math.hypot(density.error, OF_MISFIT * misfit)
     log_evidence = found.log_evidence + log_scale
-    both = (prior.log_p, unrolled(density)), (pieces.log_p, unrolled(new))
-    missed = elsewhere(density, asked, *both, log_evidence)  # tails, which splitting cuts off
+    missed = 0.0
+    if not asked.linear:  # splitting cuts tails off
+        both = (prior.log_p, unrolled(density)), (pieces.log_p, unrolled(new))
+        missed = elsewhere(density, asked, *both, log_evidence)
     error = math.hypot(kept(density, new) * before, _OF_OFF * found.error, _OF_CHANGE * change, missed)
     said = said_of(asked, "pieces", log_evidence, error, found.evidence_error)
     return new.noted(error=error), said

@@ -10,7 +10,7 @@ from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code, PredictInfo, UpdateInfo
 from ..model.sde import SDE
 
-__all__ = ["FINEST", "MOST", "Ladder", "Outcome", "Rung", "or_as_cloud", "predict_from_finer"]
+__all__ = ["FINEST", "MOST", "MOST_WORK", "Ladder", "Outcome", "Rung", "or_as_cloud", "predict_from_finer"]
 
 Info = TypeVar("Info", PredictInfo, UpdateInfo)
 Found = TypeVar("Found")

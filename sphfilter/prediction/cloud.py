@@ -111,7 +111,7 @@ def carried(
     told = apart(ends[0], ends[1], domain, sums)
     before = state.told.of(count / state.size)
     error = math.hypot(before.after(*told).errors.mean, pace.bias, state.inherited)
-    state = CloudState(ends[0], ends[1], before, pace, count, state.inherited)
+    state = CloudState(ends[0], ends[1], count, before, pace, state.inherited)
     return Carried(state, sums[0], error, lost, steps.number)
 
 
@@ -122,15 +122,15 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
     if density.read_out == "cloud":
         few = np.linspace(0.0, density.n_particles - 1, min(_fewer(count), density.n_particles)).astype(int)
         shadow = density.mass[few] / density.mass[few].sum()
-        every = Points(density.x, density.mass)
-        return CloudState(every, Points(density.x[few], shadow), size=density.n_particles)
+        points = Points(density.x, density.mass)
+        return CloudState(points, Points(density.x[few], shadow), density.n_particles)
     sizes = (count, key_at(density.t, 0)), (_fewer(count), key_at(density.t, 1))
     if density.family is not None and density.family.degree == 2:
         mean, cov = unrolled(density)
         points, shadow = (begun(mean, cov, *size) for size in sizes)
     else:
         points, shadow = (begun_from(Points(*points_of(density, n, key)), n, key) for n, key in sizes)
-    return CloudState(points, shadow, size=count, inherited=density.error)
+    return CloudState(points, shadow, count, inherited=density.error)
 
 
 def _fewer(count: int) -> int:

@@ -238,8 +238,8 @@ def _by_lattice(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
     allowed = time.for_lattices(density, target)
-    work = MOST_WORK if needs.smooth else _WORK * needs.cloud(target)
-    work = work if allowed else math.inf
+    bound = MOST_WORK if needs.smooth else _WORK * needs.cloud(target)
+    work = bound if allowed else math.inf
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         laid = on_lattice(density, nodes)

@@ -180,3 +180,17 @@ def test_needs_of_seven_numbers():
     needs = density_from(arrays).needs
     assert needs == Needs(4, 1, 2, 90, 512)
     assert needs.told(1e-3, 1e-2, 512).calm == 1
+
+
+def test_a_cloud_that_a_reading_began_without_a_size():
+    sensor = sf.GaussianMeasurement.from_expressions(["x"], ["abs(x)"], [[0.01]])
+    model = sf.SDE.from_expressions(["x"], ["-x**3"], [["0.5"]])
+    config = sf.FilterConfig(scheme=sf.CloudScheme(n_points=256))
+    flt = sf.SPHFilter(model, sensor, [0.3], [[1.0]], config=config)
+    flt.update([0.8])
+    arrays = stored(flt.density)
+    arrays["cloud.size"] = np.array(0)
+    old = density_from(arrays, (model,))
+    moved, info = sf.predict(old, model, 0.5, sf.SolverConfig(scheme="cloud"))
+    assert old.cloud.size == old.n_particles
+    assert moved.t == 0.5 and 0.0 < info.error < 0.5

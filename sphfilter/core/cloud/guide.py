@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from .._jit import jit
-from ..small_matrices import cholesky, whiten
+from ..small_matrices import cholesky, white_square, whiten
 from .noise import even_normals, uniform
 from .weights import systematic
 
@@ -208,7 +208,7 @@ def log_normals(z, h, angle, F):
     for i in range(N):
         for a in range(k):
             r[a] = wrapped(z[a] - h[i, a], angle[a])
-        out[i] = peak - 0.5 * _square(r, F, v)
+        out[i] = peak - 0.5 * white_square(r, F, v)
         wrong += out[i] != out[i]
     return out, wrong
 
@@ -254,18 +254,6 @@ def _log_peak(F):
 
 
 @jit
-def _square(r, F, v):
-    """Square of the length of F⁻¹ r, r (k,), F lower; v (k,) is scratch."""
-    s = 0.0
-    for a in range(r.size):
-        v[a] = r[a]
-    whiten(F, v)
-    for a in range(r.size):
-        s += v[a] * v[a]
-    return s
-
-
-@jit
 def look_ahead(r, u, w, block, HL, R, net, key):
     """Choose ancestors of a reading, and what shall move their ends.
 
@@ -301,7 +289,7 @@ def look_ahead(r, u, w, block, HL, R, net, key):
         if fine[block[i]] and w[i] > 0.0:
             if w[i] != before:  # most are the same
                 before, log_w = w[i], math.log(w[i])
-            s = of_F[block[i]] - 0.5 * _square(r[i], F[block[i]], v) + log_w
+            s = of_F[block[i]] - 0.5 * white_square(r[i], F[block[i]], v) + log_w
             a[i] = s if abs(s) < np.inf else -np.inf
             top = max(top, a[i])
     log_ratio, new = np.empty(N + count), np.empty((count, n))
@@ -329,7 +317,7 @@ def look_ahead(r, u, w, block, HL, R, net, key):
                 own[c] = r[i, c]
                 for e in range(n):
                     own[c] -= HL[b, c, e] * (u[i, e] if j < N else new[j - N, e])
-            s = of_G[b] - 0.5 * _square(own, G[b], v) - known
+            s = of_G[b] - 0.5 * white_square(own, G[b], v) - known
             if abs(s) < np.inf:  # else it was never proposed: h has no value where the guide looked
                 log_ratio[j] = s
     return ancestor, new, log_ratio

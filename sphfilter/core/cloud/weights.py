@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from .._jit import jit
-from ..small_matrices import cholesky, whiten
+from ..small_matrices import cholesky, white_square, whiten
 
 __all__ = [
     "carried",
@@ -298,23 +298,14 @@ def for_moments(x, w, count, shift):
     no more than one draw of any, as copies know no more than it does.
     """
     (N, n), by = x.shape, w.copy()
-    mean, cov, L, v = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty(n)
+    mean, cov, L, off, v = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty(n)
     weighted_moments(x, w, mean, cov)
     if cholesky(cov, L):
         for i in range(N):
             for a in range(n):
-                v[a] = x[i, a] - mean[a]
-            whiten(L, v)
-            square = 0.0
-            for a in range(n):
-                square += v[a] * v[a]
-            more = w[i] * square / n
+                off[a] = x[i, a] - mean[a]
+            more = w[i] * white_square(off, L, v) / n
             by[i] += more / (1.0 + count * more)
     chosen = systematic(by, count, shift)
-    own, total = np.empty(count), 0.0
-    for j in range(count):
-        own[j] = w[chosen[j]] / by[chosen[j]]
-        total += own[j]
-    for j in range(count):
-        own[j] /= total
-    return chosen, own
+    own = w[chosen] / by[chosen]
+    return chosen, own / own.sum()
