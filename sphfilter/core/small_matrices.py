@@ -75,15 +75,15 @@ def whiten(L, v):
 
 
 @jit
-def white_square(r, F, v):
-    """Square of the length of F⁻¹ r, r (k,), F lower; v (k,) is scratch."""
-    s = 0.0
-    for a in range(r.size):
-        v[a] = r[a]
-    whiten(F, v)
-    for a in range(r.size):
-        s += v[a] * v[a]
-    return s
+def white_square(W, v):
+    """Square of the length of W v, W (k, k) lower: of F⁻¹ v where W is that inverse."""
+    square = 0.0
+    for a in range(v.size):
+        s = 0.0
+        for b in range(a + 1):
+            s += W[a, b] * v[b]
+        square += s * s
+    return square
 
 
 @jit

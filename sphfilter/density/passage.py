@@ -1,19 +1,21 @@
 """A cloud of points over an interval: order, noise that is even along it, motion; and once more, guided."""
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from .._types import Floats, Ints
 from ..core._addresses import address_of
 from ..core.cloud.curve import along_curve, places
+from ..core.cloud.cycle import PARTS, Cycled, Resting, cycle
 from ..core.cloud.linearise import LINEARISE, centres, linearise, lower_and_rows
-from ..core.cloud.move import MOVE, affine, move, moved_twice, parted
+from ..core.cloud.move import MOVE, affine, move
 from ..core.cloud.noise import LANES, even_normals, mixed, stored
-from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, STIFF_FLOW, Leg
-from ..core.cloud.way import AGAIN, FIRST, KERNEL, PILOT, begin, blocks_of, carry
-from ..core.cloud.weights import systematic
+from ..core.cloud.pace import Steps, chosen
+from ..core.cloud.reading import Reader
+from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, NO_LEG, STIFF_FLOW, Leg
+from ..core.cloud.way import AGAIN, FIRST, KERNEL, begin, blocks_of, carry, carry_linear, everywhere
 from ..model.compile import surfacing
 from ..model.discretization import linear_transition
 from ..model.sde import SDE
@@ -23,10 +25,13 @@ from .points import Passage, Path, Points
 
 __all__ = [
     "LED",
+    "READING",
     "Steps",
     "along",
     "begun",
     "begun_from",
+    "chosen_steps",
+    "cycled",
     "even",
     "gone",
     "gone_again",
@@ -34,7 +39,6 @@ __all__ = [
     "normals",
     "passed",
     "relinearised",
-    "steps_bias",
     "stored_key",
     "sub_key",
 ]
@@ -44,18 +48,11 @@ __all__ = [
 _MOST, _NUMBERS = 24, 2**22
 #: Parts of nets that are of none of these: what leads points to a reading, and a start's own points.
 LED, _START = 30, 31
+READING = 2  # of the key of a time: a reading of a cloud; and of its shadow the next
 #: Least part of a start's spread that is noise. Up to a half, errors of nine scenes are the same or less.
 _SPREAD = 1.0 / 3.0
 _EACH_ITS_OWN, _NO_ROWS = np.empty(0, np.int64), np.empty((1, 0, 0))
-#: Points by which the bias of steps is told, of one chunk of lanes, and groups of them.
-_PILOTS, _GROUPS = 64, 4
-
-
-class Steps(NamedTuple):
-    """Steps of an interval, and whether the drift is too stiff to be followed in one step each."""
-
-    number: int
-    stiff: bool = False
+_NO_CHANGE = np.empty((0, 0)), np.empty(0), np.empty((0, 0))
 
 
 def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
@@ -68,7 +65,7 @@ def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
     x = np.ascontiguousarray(x[along(x, w)])
     key = stored_key(key, KERNEL)
     u, middle = even(count, n, key, 0), centres(x)
-    noise = _same_everywhere(None, key, middle, middle, np.eye(n), spread * root)
+    noise = _changed(None, key, middle, (np.eye(n), np.zeros(n), spread * root))
     block = blocks_of(count)
     return Points(gone(noise, x, u, block, False), w, Path(x, block, (noise,), (u,)))
 
@@ -90,15 +87,15 @@ def passed(points: Points, model: SDE, t0: float, t1: float, steps: Steps, count
         points = begun_from(points, count, key)
         path = points.path
         assert path is not None
-    x, (start, block, passages, U) = points.x, path
+    (start, block, passages, U), leg = path, None
+    about = points.x, block, net(count, model.dim, len(passages)), key
     if model.linear:
-        passage, u = _passage(model, x, (t0, t1), steps, key), even(count, model.dim, key, len(passages))
-        x = gone(passage, x, u, block, False)
+        x, u, *linear = carry_linear(change_of(model, t1 - t0), *about)
     else:
-        leg = leg_of(model, t0, t1, *steps)
+        leg = leg_of(model, t0, t1, *steps[:2])
         with surfacing():
-            x, u, *linear = carry(leg, x, block, net(count, model.dim, len(passages)), key)
-        passage = Passage(leg, key, *linear)._replace(model=model, span=(t0, t1), steps=steps)
+            x, u, *linear = carry(leg, *about)
+    passage = Passage(leg, key, *linear)._replace(model=model, span=(t0, t1), steps=steps[:2])
     return Points(x, points.w, Path(start, block, (*passages, passage), (*U, u)))
 
 
@@ -119,6 +116,32 @@ def stored_key(key: Any, number: int) -> int:
 
 def _most(count: int, dim: int) -> int:
     return min(_MOST, max(4, _NUMBERS // (count * dim)))
+
+
+def cycled(
+    clouds: tuple[Points, Points],
+    model: SDE,
+    span: tuple[float, float],
+    steps: Steps,
+    reader: Reader,
+    counts: tuple[int, int],
+) -> tuple[Cycled, Cycled, tuple[float, float], tuple[float, float]]:
+    """A cloud of so many points and its shadow, as a reading left them, over an interval and a reading.
+
+    After those come squared errors that the two show of mean and covariance, before the reading and after it.
+    """
+    (t0, t1), n, resting = span, model.dim, []
+    for k, (points, count) in enumerate(zip(clouds, counts, strict=True)):
+        family = _EACH_ITS_OWN if points.family is None else points.family
+        nets = net(count, n, LED), net(count, n, 0), net(count, n, 1)
+        keys = key_at(t0, k), key_at(t1, READING + k)
+        resting.append(Resting(points.x, points.w, family, *keys, nets))
+    if model.linear:
+        leg, change = NO_LEG, change_of(model, t1 - t0)
+    else:
+        leg, change = leg_of(model, t0, t1, *steps[:2]), _NO_CHANGE
+    with surfacing():
+        return cycle(tuple(map(address_of, PARTS)), leg, change, reader, *resting, *places(n))
 
 
 def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:
@@ -159,10 +182,16 @@ def gone(passage: Passage, x: Floats, u: Floats, block: Ints, again: bool) -> Fl
 
 def leg_of(model: SDE, t0: float, t1: float, steps: int, stiff: bool = False) -> Leg:
     """A model over an interval, as compiled code takes it."""
+    return _leg(model, stiff)._replace(t=t0, h=(t1 - t0) / steps, steps=steps)
+
+
+@lru_cache(maxsize=64)
+def _leg(model: SDE, stiff: bool) -> Leg:
+    """A model over no time yet."""
     additive, functions = not model.state_dependent_noise, (model.flow_drift_batch, model.flow_jacobian_batch)
     own = STIFF_FLOW if stiff else FLOW, BESIDE if additive else BETWEEN, LINEARISE, MOVE
     at = [address_of(function) for function in (*functions, model.noise_batch, *own)]
-    data, time = (model.p, _root(model), model.domain.codes), (t0, (t1 - t0) / steps, steps)
+    data, time = (model.p, _root(model), model.domain.codes), (0.0, 0.0, 0)
     kinds = additive, model.constant_diffusion, "reflecting" in model.domain.kinds
     return Leg._make([*at, *data, *time, *kinds])
 
@@ -172,40 +201,45 @@ def _root(model: SDE) -> Floats:
     return noise_root(model.spectral_density)
 
 
-def steps_bias(points: Points, model: SDE, span: tuple[float, float], steps: Steps, key: int) -> float:
-    """How far means of points are apart after steps and after half as long ones, in standard deviations.
+@lru_cache(maxsize=64)
+def change_of(model: SDE, dt: float) -> tuple[Floats, Floats, Floats]:
+    """Φ, offset and root of the noise of a linear model over a time, as compiled code takes them."""
+    flow, offset, Q = linear_transition(model, dt)
+    return flow.copy(), offset.copy(), noise_root(Q)
 
-    Of a few points, along the same noise: so much steps of that length are off, or a little more. Means are
-    of groups of neighbours: what steps do to one branch of a density is judged by the width of that branch.
-    """
-    x = np.ascontiguousarray(points.x[np.sort(systematic(points.w, _PILOTS, 0.5))])
-    x = np.ascontiguousarray(x[along(x, np.full(len(x), 1.0 / len(x)))])
-    number, stiff = steps
-    leg, half = leg_of(model, *span, number, stiff), leg_of(model, *span, 2 * number, stiff)
+
+def chosen_steps(
+    points: Points,
+    model: SDE,
+    span: tuple[float, float],
+    begin: Steps,
+    bounds: tuple[int, int],
+    allowed: float,
+) -> Steps:
+    """Steps within bounds, whose bias is allowed; more than the most where that is not enough."""
+    x, w, key = points.x, points.w, key_at(span[0], 0)
+    about = x, w, key, *places(model.dim), begin.number, begin.stiff, *bounds, allowed
     with surfacing():
-        coarse, fine = moved_twice(leg, half, x, sub_key(key, PILOT))
-    return parted(coarse, fine, _GROUPS)
+        return chosen(_leg(model, False), address_of(STIFF_FLOW), span, *about)
 
 
 def _passage(model: SDE, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:
     """A model over an interval, linearised about blocks of points x (N, n)."""
     start = centres(x)
     if model.linear:
-        flow, offset, Q = linear_transition(model, span[1] - span[0])
-        end = np.einsum("ij,kj->ik", start, flow) + offset
-        return _same_everywhere(model, key, start, end, flow, noise_root(Q))._replace(span=span)
-    leg = leg_of(model, *span, *steps)
-    return Passage(leg, key, start, *_linearised(leg, start), model, span, steps)
+        return _changed(model, key, start, change_of(model, span[1] - span[0]))._replace(
+            span=span, steps=steps[:2]
+        )
+    leg = leg_of(model, *span, *steps[:2])
+    return Passage(leg, key, start, *_linearised(leg, start), model, span, steps[:2])
 
 
 def relinearised(passage: Passage, start: Floats, key: int) -> Passage:
     """A passage linearised about other centres (blocks, n)."""
     if passage.leg is None:  # the same in all blocks
-        flow = passage.flow[0]
-        end = passage.end[0] + np.einsum("ij,kj->ik", start - passage.start[0], flow)
-        return _same_everywhere(passage.model, key, start, end, flow, passage.lower[0])._replace(
-            span=passage.span
-        )
+        flow, lower = passage.flow[0], passage.lower[0]
+        change = flow, passage.end[0] - flow @ passage.start[0], lower
+        return _changed(passage.model, key, start, change)._replace(span=passage.span)
     end, flow, lower, rows = _linearised(passage.leg, start)
     return passage._replace(key=key, start=start, end=end, flow=flow, lower=lower, rows=rows)
 
@@ -218,12 +252,10 @@ def _linearised(leg: Leg, start: Floats) -> tuple[Floats, Floats, Floats, Floats
     return end, flow, *lower_and_rows(B)
 
 
-def _same_everywhere(
-    model: SDE | None, key: int, start: Floats, end: Floats, flow: Floats, lower: Floats
-) -> Passage:
-    """A linear change with noise of the same covariance in all blocks."""
-    size = (len(start), 1, 1)
-    return Passage(None, key, start, end, np.tile(flow, size), np.tile(lower, size), _NO_ROWS, model)
+def _changed(model: SDE | None, key: int, start: Floats, change: tuple[Floats, Floats, Floats]) -> Passage:
+    """A change Φ x + offset + L u of points in blocks of these centres (blocks, n)."""
+    end, flow, lower = everywhere(change, start)
+    return Passage(None, key, start, end, flow, lower, _NO_ROWS, model)
 
 
 def along(x: Floats, w: Floats) -> Ints:

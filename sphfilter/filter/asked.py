@@ -19,7 +19,7 @@ from ..model.measurements import GaussianSensor, Reading, Sensor, block, is_gaus
 from ..validate import state_rows
 from .solutions import solutions
 
-__all__ = ["Asked", "kept", "predicted_reading", "reading_of", "said_of"]
+__all__ = ["Asked", "kept", "left_of", "predicted_reading", "reading_of", "said_of"]
 
 _LEFT = 0.25  # of the square of an error of a density that is no Gaussian
 _OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
@@ -192,12 +192,17 @@ def kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:
 
     What is wrong with the weights of a density's pieces, or its shape, no reading forgets as fast as a shift.
     """
-    ratio = float(np.linalg.solve(prior.cov(), posterior.cov()).trace()) / prior.dim
-    left = math.sqrt(min(max(ratio, 0.0 if posterior.gaussian else _LEFT), 1.0))
+    left = left_of(prior.cov(), posterior.cov(), posterior.gaussian)
     if prior.family is None or prior.gaussian:
         return left
     out, n = max(left, _brought_out(prior, posterior)), prior.dim  # along one direction of n
     return math.sqrt(((n - 1) * left**2 + out**2) / n)
+
+
+def left_of(prior: Floats, posterior: Floats, gaussian: bool = False) -> float:
+    """Part of a shift of the mean that a reading leaves, by covariances (n, n) before and after it."""
+    ratio = float(np.linalg.solve(prior, posterior).trace()) / len(prior)
+    return math.sqrt(min(max(ratio, 0.0 if gaussian else _LEFT), 1.0))
 
 
 def _brought_out(prior: ParticleDensity, posterior: ParticleDensity) -> float:

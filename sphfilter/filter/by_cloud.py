@@ -10,21 +10,20 @@ from ..config import CloudScheme, FilterConfig
 from ..density.as_cloud import cloud_of
 from ..density.cloud import systematic
 from ..density.particle_density import ParticleDensity
-from ..density.passage import key_at
-from ..density.points import CloudState, Points
+from ..density.passage import READING, key_at
+from ..density.points import CloudState, Points, Told
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.cloud import apart, as_points
 from .asked import Asked, kept
-from .guided import weighed
+from .guided import Weighed, weighed
 from .stacked import Stacked
 
-__all__ = ["WRONG", "Read", "by_cloud", "read"]
+__all__ = ["WRONG", "Read", "by_cloud", "read", "read_of"]
 
 _FEW = 50.0  # independent points, below which a shadow that sees the same few cannot tell the error
 WRONG = 0.2  # of a variance, from which it is said
 _HIDDEN = 0.1  # of an error, below which another adds less than a hundredth
-_READING = 2  # of a key: the draws of a reading
 
 
 def by_cloud(
@@ -88,10 +87,10 @@ class Read(NamedTuple):
 
 def read(state: CloudState, sensor: Stacked, t: float) -> Read | None:
     """A cloud and its shadow times a likelihood; None where that is zero at all points."""
-    found = weighed(state.points, sensor, key_at(t, _READING))
+    found = weighed(state.points, sensor, key_at(t, READING))
     if not math.isfinite(found.log_evidence):
         return None
-    beside = weighed(state.shadow, sensor, key_at(t, _READING + 1))
+    beside = weighed(state.shadow, sensor, key_at(t, READING + 1))
     shadow, told = beside.points, state.told
     if math.isfinite(beside.log_evidence):
         off = found.log_evidence - beside.log_evidence
@@ -100,6 +99,11 @@ def read(state: CloudState, sensor: Stacked, t: float) -> Read | None:
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
+    return read_of(state, found, shadow, told, t)
+
+
+def read_of(state: CloudState, found: Weighed, shadow: Points, told: Told, t: float) -> Read:
+    """A cloud after a reading of which this was found, and what a shadow beside it tells."""
     own = math.hypot(max(told.errors.mean, _least(found.effective)), state.pace.bias)
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)

@@ -12,17 +12,21 @@ import numpy as np
 from .._types import Floats
 from ..config import CloudScheme
 from ..density.as_cloud import cloud_of
+from ..density.carriers import Carried
 from ..density.needs import MISSED, Needs
 from ..density.particle_density import ParticleDensity
+from ..density.passage import cycled
+from ..density.points import CloudState
 from ..density.resample import target_of
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL
 from ..model.measurements import GaussianMeasurement
 from ..model.sde import SDE
-from ..prediction.cloud import carried
-from .asked import Asked, reading_of
-from .by_cloud import WRONG, read
-from .found import found
+from ..prediction.cloud import ahead, carried, fewer, pooled, steps_of
+from .asked import Asked, left_of, reading_of
+from .by_cloud import WRONG, Read, read, read_of
+from .found import found as as_found
+from .guided import Weighed
 from .stacked import Stacked
 from .state import FilterState
 
@@ -59,9 +63,9 @@ class Glide:
         state, needs, target = density.cloud, density.needs, target_of(density, filt.config, "auto")
         stacked, done, last = None, None, None
         try:
-            for t1, z in zip(times[:-1].tolist(), readings[:-1], strict=True):
+            for t1, then, z in zip(times[:-1].tolist(), times[1:].tolist(), readings[:-1], strict=True):
                 numbers = _all_of(sensor, z)
-                if numbers is None or not t1 > t or next(iter(model.breaks(t, t1)), None) is not None:
+                if numbers is None or not t < t1 < then or next(iter(model.breaks(t, t1)), None) is not None:
                     break
                 asked = Asked(sensor, numbers, np.ones(len(numbers), dtype=bool), t1, None, None, None)
                 stacked = Stacked.of((asked,), None) if stacked is None else stacked.again(asked)
@@ -82,7 +86,7 @@ class Glide:
 
 def _after(state: FilterState, density: ParticleDensity, rows: Any, asked: Any) -> FilterState:
     """The state of a filter that has put these rows through."""
-    last, told = rows[-1], {name: found(rows[-1][name]) for name in ("x", "P", "x_prior", "P_prior")}
+    last, told = rows[-1], {name: as_found(rows[-1][name]) for name in ("x", "P", "x_prior", "P_prior")}
     log_evidence = sum((row["log_evidence"] for row in rows), start=state.log_evidence)
     said = {"z": asked.z, "y": last["innovation"], "S": last["innovation_cov"]}
     said |= {"log_likelihood": last["log_evidence"], "log_evidence": log_evidence, "origin": None}
@@ -93,7 +97,7 @@ def _usual(filt: Any) -> bool:
     """Whether a filter is such that steps of its cloud are all there is to do."""
     config, density, sensor = filt.config, filt.density, filt.measurement
     plain = config.scheme == "auto" and config.time_budget is None and not config.acceptance.enabled
-    known = density.cloud is not None and density.needs is not None and density.cloud.inherited == 0.0
+    known = density.cloud is not None and density.needs is not None
     own = type(sensor) is GaussianMeasurement and not sensor.inputs and not filt.model.inputs
     if own:
         sensor.check_dim(filt.model.dim)
@@ -110,28 +114,61 @@ def _all_of(sensor: GaussianMeasurement, z: Any) -> Floats | None:
 
 
 def _step(
-    state: Any, model: SDE, span: tuple[float, float], stacked: Stacked, needs: Needs, target: Any
+    state: CloudState, model: SDE, span: tuple[float, float], stacked: Stacked, needs: Needs, target: Any
 ) -> tuple[Any, Any, Needs] | None:
     """A prediction and a reading of a cloud, and what the next needs; None where a filter would do more."""
+    about = state, model, span, stacked, needs.cloud(target), target
     try:
-        moved = carried(state, model, span, CloudScheme(n_points=needs.cloud(target)), target)
+        made = _at_once(*about) or _in_turn(*about)
     except PropagationError:
         return None
+    if made is None:
+        return None
+    prior, done = made
+    if done.state.inherited > 0.0:
+        done = done.left(left_of(prior[2][1], done.moments[1]))
+    if not done.error <= MISSED * target or done.doubt > WRONG:
+        return None
+    row, told = _row(stacked.asked[0].measurement, stacked.z, prior, done), done.state.told.errors.mean
+    asked = stacked.asked[0]._replace(innovation=row["innovation"], S=row["innovation_cov"])
+    return None if asked.outlying else (row, done, needs._replace(legs=0).told(told, target, done.state.size))
+
+
+def _at_once(
+    state: CloudState, model: SDE, span: tuple[float, float], stacked: Stacked, count: int, target: float
+) -> tuple[Any, Read] | None:
+    """The prior's points and moments, and what was read, by one call of compiled code; None if unusual."""
+    if stacked.reader is None or state.points.path is not None:
+        return None
+    steps, pace = steps_of(state, model, span, CloudScheme().max_steps, target)
+    about = model, span, steps, stacked.reader, (count, fewer(count))
+    cloud, beside, before, after = cycled((state.points, state.shadow), *about)
+    if not cloud.usual or not beside.usual:
+        return None
+    found, few, n = Carried(*cloud.found), Carried(*beside.found), model.dim
+    error, told = ahead(state, pace, count, *pooled(*before, n))
+    told = told.after(*pooled(*after, n), (found.log_evidence - few.log_evidence) ** 2)
+    state = CloudState(state.points, state.shadow, count, told, pace, state.inherited)
+    done = read_of(state, Weighed.of(found, found.points), few.points, told, span[1])
+    return ((cloud.y, cloud.w, (cloud.mean, cloud.cov)), done) if error < DOUBTFUL else None
+
+
+def _in_turn(
+    state: CloudState, model: SDE, span: tuple[float, float], stacked: Stacked, count: int, target: float
+) -> tuple[Any, Read] | None:
+    """The same step by step."""
+    moved = carried(state, model, span, CloudScheme(n_points=count), target)
     if moved.lost > 0.0 or not moved.error < DOUBTFUL:
         return None
     done = read(moved.state, stacked, span[1])
-    if done is None or not done.error <= MISSED * target or done.doubt > WRONG:
-        return None
-    row, told = _row(stacked.asked[0].measurement, stacked.z, moved, done), done.state.told.errors.mean
-    off = stacked.asked[0]._replace(innovation=row["innovation"], S=row["innovation_cov"])
-    return None if off.outlying else (row, done, needs._replace(legs=0).told(told, target, done.state.size))
+    return done and ((moved.state.points.x, moved.state.points.w, moved.moments), done)
 
 
-def _row(sensor: Any, z: Floats, moved: Any, done: Any) -> dict[str, Any]:
-    """What a result keeps of a reading."""
-    points, (mean, cov), (x, P) = moved.state.points, moved.moments, done.moments
-    expected, S, _ = reading_of(sensor, done.t, points.x, points.w, (mean, cov))
-    row = {"x_prior": mean, "P_prior": cov, "x": x, "P": P, "log_evidence": done.log_evidence}
-    row |= {"error": done.error, "flagged": False, "accepted": True}
+def _row(sensor: Any, z: Floats, prior: tuple[Floats, Floats, tuple[Floats, Floats]], done: Read) -> Any:
+    """What a result keeps of a reading of points x (N, n), w (N,) with a mean and covariance."""
+    x, w, summed = prior
+    expected, S, _ = reading_of(sensor, done.t, x, w, summed)
+    row: dict[str, Any] = dict(zip(("x_prior", "P_prior", "x", "P"), (*summed, *done.moments), strict=True))
+    row |= {"log_evidence": done.log_evidence, "error": done.error, "flagged": False, "accepted": True}
     y = sensor.residual(z, expected)
     return row | {"innovation": y, "innovation_cov": S + sensor.noise_cov}

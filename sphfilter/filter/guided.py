@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, Ints
+from ..core.cloud.cycle import FEW
 from ..core.cloud.guide import look_ahead, over_both, spread
 from ..core.cloud.reading import EVEN, GUIDE, OWN, PARTS, WIDER, Part, weigh
 from ..core.cloud.steps import NO_LEG
@@ -24,9 +25,9 @@ from .tempered import tempered
 
 __all__ = ["Weighed", "weighed"]
 
-#: Part of points below which carriers are few: the way piece by piece, at six times the cost, divides errors
-#: by five; what points lose of their carriers along it; the part below which tempering, at twenty, is tried.
-_FEW, _LOST, _FEWER = 0.25, 2.0, 1.0 / 16.0
+#: What points lose of their carriers along the way piece by piece; the part of points below which tempering,
+#: at twenty times the cost, is tried.
+_LOST, _FEWER = 2.0, 1.0 / 16.0
 #: Independent points enough for an error of .14; times the carriers of one way, by which another is better.
 _ENOUGH, _FAR_MORE = 50.0, 2.0
 _NEXT_TO_NONE = 16.0  # the evidence's error is a quarter of a nat, and weights' own number is believed
@@ -44,6 +45,12 @@ class Weighed(NamedTuple):
     effective: float  # 0 where no point can have been read: the points are the prior's
     families: float
     moments: tuple[Floats, Floats]  # mean (n,), covariance (n, n)
+
+    @classmethod
+    def of(cls, found: Carried, points: Points, before: float = 0.0) -> "Weighed":
+        """What was found, in these points, where readings of the same time had this log-evidence before."""
+        moments = found.mean, found.cov
+        return cls(points, found.log_evidence - before, found.effective, found.families, moments)
 
 
 def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
@@ -71,9 +78,7 @@ def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
     if not found.families > 0.0:
         x, w, family = points.x, points.w, np.arange(len(points.w))
     after = Points(x, w, None, Prior(points, sensor.asked, found.log_evidence), family)
-    return Weighed(
-        after, found.log_evidence - before, found.effective, found.families, (found.mean, found.cov)
-    )
+    return Weighed.of(found, after, before)
 
 
 def _best(points: Points, sensor: Stacked, key: int) -> Carried:
@@ -82,7 +87,7 @@ def _best(points: Points, sensor: Stacked, key: int) -> Carried:
     best = _at_once(points, sensor, key) or _in_turn(points, sensor, key)
     if points.path is None or best.families >= EVEN * effective(points.w):
         return best
-    if sensor.guides and best.families < _FEW * count:
+    if sensor.guides and best.families < FEW * count:
         least = _LOST * _FAR_MORE * best.families if best.families > _NEXT_TO_NONE else 0.0
         best = _better(best, bridged(points, sensor, key, least))
     if best.families < min(_FEWER * count, _NEXT_TO_NONE if sensor.guides else _ENOUGH):

@@ -7,13 +7,15 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
+from ..core.cloud.cycle import AWAY
+from ..core.cloud.pace import ORDER, Steps
 from ..core.cloud.weights import compared, together
 from ..density.as_cloud import cloud_of
 from ..density.as_family import unrolled
 from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
-from ..density.passage import Steps, begun, begun_from, key_at, passed, steps_bias
-from ..density.points import SHADOW, CloudState, Pace, Points, moments
+from ..density.passage import begun, begun_from, chosen_steps, key_at, passed
+from ..density.points import SHADOW, CloudState, Pace, Points, Told, moments
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
@@ -21,19 +23,13 @@ from ..model.sde import SDE
 from ..model.simulate import rate_of_time
 from ._shared import blow_up, carried_off, skip_notes
 
-__all__ = ["Carried", "apart", "as_points", "carried", "propagate"]
+__all__ = ["Carried", "ahead", "apart", "as_points", "carried", "fewer", "pooled", "propagate", "steps_of"]
 
-_FIRST = 4  # steps that are tried first
-#: Part of the error that points have, up to which steps may be off; and of what shorter steps show, beyond
-#: which the means of all points have been found to part (measured on six scenes: 1.2 to 1.6).
-_PART, _BEYOND = 1.0 / 2.0, 1.5
+_PART = 1.0 / 2.0  # of the error that points have, up to which steps may be off
 _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
-_ORDER = 3.0  # of the steps' bias
-_HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _CALMER = 0.1  # of the bias that is allowed, below which steps become longer
 _DOUBTED, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
-_AWAY = 1e6  # extents of points from which one has run away
 _ASKED = 64  # states at which the model's change with time is looked at
 
 
@@ -98,9 +94,9 @@ def carried(
 ) -> Carried:
     """Carry a cloud and its shadow over a span of time: what `propagate` does with densities."""
     (t0, t1), count = span, scheme.n_points
-    steps, pace = _steps(state, model, span, scheme.max_steps, target)
+    steps, pace = steps_of(state, model, span, scheme.max_steps, target)
     ends, sums, lost = [], [], 0.0
-    for k, (points, many) in enumerate(((state.points, count), (state.shadow, _fewer(count)))):
+    for k, (points, many) in enumerate(((state.points, count), (state.shadow, fewer(count)))):
         moved = passed(_near_mean(points, domain), model, t0, t1, steps, many, key_at(t0, k))
         moved, gone = _kept(moved, domain)
         lost = gone if k == 0 else lost
@@ -108,11 +104,15 @@ def carried(
             raise PropagationError(_blow_up(model, moved, t0, t1))
         ends.append(moved)
         sums.append(moments(moved.x, moved.w))
-    told = apart(ends[0], ends[1], domain, sums)
-    before = state.told.of(count / state.size)
-    error = math.hypot(before.after(*told).errors.mean, pace.bias, state.inherited)
-    state = CloudState(ends[0], ends[1], count, before, pace, state.inherited)
+    error, told = ahead(state, pace, count, *apart(ends[0], ends[1], domain, sums))
+    state = CloudState(ends[0], ends[1], count, told, pace, state.inherited)
     return Carried(state, sums[0], error, lost, steps.number)
+
+
+def ahead(state: CloudState, pace: Pace, count: int, *off: float) -> tuple[float, Told]:
+    """Error of the mean where a cloud of so many points and its shadow are off; and what was told before."""
+    before = state.told.of(count / state.size)
+    return math.hypot(before.after(*off).errors.mean, pace.bias, state.inherited), before
 
 
 def as_points(density: ParticleDensity, count: int) -> CloudState:
@@ -120,11 +120,11 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
     if density.cloud is not None:
         return density.cloud
     if density.read_out == "cloud":
-        few = np.linspace(0.0, density.n_particles - 1, min(_fewer(count), density.n_particles)).astype(int)
+        few = np.linspace(0.0, density.n_particles - 1, min(fewer(count), density.n_particles)).astype(int)
         shadow = density.mass[few] / density.mass[few].sum()
         points = Points(density.x, density.mass)
         return CloudState(points, Points(density.x[few], shadow), density.n_particles)
-    sizes = (count, key_at(density.t, 0)), (_fewer(count), key_at(density.t, 1))
+    sizes = (count, key_at(density.t, 0)), (fewer(count), key_at(density.t, 1))
     if density.family is not None and density.family.degree == 2:
         mean, cov = unrolled(density)
         points, shadow = (begun(mean, cov, *size) for size in sizes)
@@ -133,22 +133,30 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
     return CloudState(points, shadow, count, inherited=density.error)
 
 
-def _fewer(count: int) -> int:
+def fewer(count: int) -> int:
+    """Points of a shadow."""
     return max(count // SHADOW, 32)
 
 
 def apart(points: Points, shadow: Points, domain: Domain | None, sums: Any) -> tuple[float, float]:
-    """Squared errors that two clouds show of a mean and of a covariance, in units of the first's.
+    """Squared errors that two clouds show of a mean and of a covariance, as `pooled` gives them.
 
-    The mean's in standard deviations, on average over the states, as errors are told. A sample's covariance
-    is off by n + 1 times as much (in squares): both are pooled, by how many numbers they are. The sums are
-    mean (n,) and covariance (n, n) of each.
+    The sums are mean (n,) and covariance (n, n) of each.
     """
     (mean, cov), (other, own) = sums
     if domain is not None and domain.periodic.any():
         off = domain.mean(shadow.x, shadow.w) - domain.mean(points.x, points.w)
         other = mean + domain.nearest(off[None])[0]
-    (first, second), n = compared(mean, cov, other, own), len(mean)
+    first, second = compared(mean, cov, other, own)
+    return pooled(first, second, len(mean))
+
+
+def pooled(first: float, second: float, n: int) -> tuple[float, float]:
+    """Squared errors of a mean of n states and of a covariance, in units of the first's, from those seen.
+
+    The mean's in standard deviations, on average over the states, as errors are told. A sample's covariance
+    is off by n + 1 times as much (in squares): both are pooled, by how many numbers they are.
+    """
     return (2.0 * first + second) / (n + 3.0), second
 
 
@@ -160,7 +168,7 @@ def _near_mean(points: Points, domain: Domain | None) -> Points:
     return points._replace(x=np.ascontiguousarray(mean + domain.nearest(points.x - mean)))
 
 
-def _steps(
+def steps_of(
     state: CloudState, model: SDE, span: tuple[float, float], most: int, target: float
 ) -> tuple[Steps, Pace]:
     """Steps whose bias is small beside the points' error, and the pace of the next."""
@@ -168,31 +176,24 @@ def _steps(
     if model.linear:
         return Steps(1), pace
     dt, (step, stiff, legs, _), points = span[1] - span[0], pace, state.points
-    shorter = legs ** (1.0 / _ORDER)  # biases of predictions without a reading between add up
+    shorter = legs ** (1.0 / ORDER)  # biases of predictions without a reading between add up
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
-    number = max(least, math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else _FIRST)
+    number = max(least, math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else 0)
     if not model.autonomous:
         number = max(number, math.ceil(dt * rate_of_time(model, points.x[:_ASKED], *span)))
     if model.domain.walled.any():
         number = max(number, math.ceil(dt / _beside_walls(model, points, span[0])))
         return Steps(_enough(number, most, span), stiff), pace
-    told, before = state.told.errors.mean, math.inf
+    told = state.told.errors.mean
     told = _USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told
     allowed = _PART * max(min(math.hypot(told, state.inherited), DOUBTFUL), target) / legs
-    while True:
-        steps = Steps(_enough(number, most, span), stiff)
-        bias = _BEYOND * steps_bias(points, model, span, steps, key_at(span[0], 0))
-        over = bias / allowed
-        if not over > 1.0 or (stiff and (2 * number > most or not bias < _HELPED * before)):
-            break
-        if not stiff and not bias < before:  # shorter steps do not help: it takes too many of them
-            number, stiff, before = max(least, _FIRST), True, math.inf
-            continue
-        before, number = bias, math.ceil(number * min(max(over ** (1.0 / _ORDER), 1.2), 4.0))
-    longest = number * max(over, _CALMER) ** (1.0 / _ORDER) if over < _CALMER else number
-    bias = pace.bias + (bias if math.isfinite(bias) else 0.0)
-    step = dt * shorter / max(longest, least)
-    return steps, Pace(step, stiff, legs, bias)
+    steps = chosen_steps(points, model, span, Steps(number, stiff), (least, most), allowed)
+    _enough(steps.number, most, span)
+    over, longest = steps.bias / allowed, float(steps.number)
+    if over < _CALMER:
+        longest *= max(over, _CALMER) ** (1.0 / ORDER)
+    bias = pace.bias + (steps.bias if math.isfinite(steps.bias) else 0.0)
+    return steps, Pace(dt * shorter / max(longest, least), steps.stiff, legs, bias)
 
 
 def _beside_walls(model: SDE, points: Points, t: float) -> float:
@@ -214,7 +215,7 @@ def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
 
 def _kept(points: Points, domain: Domain | None) -> tuple[Points, float]:
     """The points without weight where they ran away or left a bounded axis; and what that was."""
-    alive, every = together(points.x, _AWAY)
+    alive, every = together(points.x, AWAY)
     if every and domain is None:
         return points, 0.0
     if domain is not None:

@@ -8,8 +8,9 @@ import sphfilter as sf
 from sphfilter.core.cloud.curve import along_curve, places
 from sphfilter.core.cloud.guide import look_ahead, spread
 from sphfilter.core.cloud.linearise import distances, linearise, lower_and_rows
-from sphfilter.core.cloud.move import move, moved_twice
+from sphfilter.core.cloud.move import move
 from sphfilter.core.cloud.noise import LANES, even_normals, fill_noise, rotation
+from sphfilter.core.cloud.pace import moved_twice
 from sphfilter.core.cloud.way import blocks_of
 from sphfilter.core.cloud.weights import compared, systematic
 from sphfilter.density.nets import net

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from .._jit import jit
-from ..small_matrices import cholesky, white_square, whiten
+from ..small_matrices import cholesky, invert_lower, white_square, whiten
 from .noise import even_normals, uniform
 from .weights import systematic
 
@@ -204,11 +204,11 @@ def linear_reading(hy, x, u, w, block, start, Phi, L, H, R, angle, wider, misses
 def log_normals(z, h, angle, F):
     """Logarithms (N,) of N(z; h, F Fᵀ) at readings h (N, k), angles wrapped; and how many are NaN."""
     N, k = h.shape
-    out, r, v, wrong, peak = np.empty(N), np.empty(k), np.empty(k), 0, _log_peak(F)
+    out, r, wrong, peak, white = np.empty(N), np.empty(k), 0, _log_peak(F), invert_lower(F)
     for i in range(N):
         for a in range(k):
             r[a] = wrapped(z[a] - h[i, a], angle[a])
-        out[i] = peak - 0.5 * white_square(r, F, v)
+        out[i] = peak - 0.5 * white_square(white, r)
         wrong += out[i] != out[i]
     return out, wrong
 
@@ -275,26 +275,19 @@ def look_ahead(r, u, w, block, HL, R, net, key):
     """
     (N, k), (count, n), blocks = r.shape, net.shape, HL.shape[0]
     z, cut = even_normals(net, key), uniform(key, np.uint64(0))
-    K, T, S = np.zeros((blocks, n, k)), np.zeros((blocks, n, n)), np.empty((k, k))
-    F, G = np.empty((blocks, k, k)), np.zeros((blocks, k, k))
-    fine, of_F, of_G = np.zeros(blocks, np.bool_), np.empty(blocks), np.empty(blocks)
+    K, T, S, L = np.zeros((blocks, n, k)), np.zeros((blocks, n, n)), np.empty((k, k)), np.empty((k, k))
+    of_S, of_R, fine = np.zeros((blocks, k, k)), np.zeros((blocks, k, k)), np.zeros(blocks, np.bool_)
+    peak_S, peak_R = np.empty(blocks), np.empty(blocks)
     for b in range(blocks):
-        fine[b] = _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, F[b]) and cholesky(R[b], G[b])
-        if fine[b]:
-            of_F[b], of_G[b] = _log_peak(F[b]), _log_peak(G[b])
-    a, v, own = np.zeros(N), np.empty(k), np.empty(k)
-    top, total, before, log_w = -np.inf, 0.0, 0.0, 0.0
-    for i in range(N):
-        a[i] = -np.inf
-        if fine[block[i]] and w[i] > 0.0:
-            if w[i] != before:  # most are the same
-                before, log_w = w[i], math.log(w[i])
-            s = of_F[block[i]] - 0.5 * white_square(r[i], F[block[i]], v) + log_w
-            a[i] = s if abs(s) < np.inf else -np.inf
-            top = max(top, a[i])
+        fine[b] = _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, L)
+        of_S[b], peak_S[b] = invert_lower(L), _log_peak(L)
+        fine[b] = fine[b] and cholesky(R[b], L)
+        of_R[b], peak_R[b] = invert_lower(L), _log_peak(L)
+    a, top = _ahead(r, w, block, of_S, peak_S, fine)
     log_ratio, new = np.empty(N + count), np.empty((count, n))
     if top == -np.inf:
         return np.empty(0, np.int64), new, log_ratio
+    total = 0.0
     for i in range(N):
         a[i] = math.exp(a[i] - top)
         total += a[i]
@@ -308,16 +301,46 @@ def look_ahead(r, u, w, block, HL, R, net, key):
             for e in range(c + 1):
                 s += T[b, c, e] * z[j, e]
             new[j, c] = s
-    for j in range(N + count):
-        i = j if j < N else ancestor[j - N]
+    _ratios(r, u, block, np.arange(N), HL, of_R, peak_R, fine, known, log_ratio[:N])
+    _ratios(r, new, block, ancestor, HL, of_R, peak_R, fine, known, log_ratio[N:])
+    return ancestor, new, log_ratio
+
+
+@jit
+def _ahead(r, w, block, white, peak, fine):
+    """Logarithms (N,) of weights w times what a guide says of residuals r (N, k); and their largest."""
+    N, top, before, log_w, last = w.size, -np.inf, 0.0, 0.0, -1
+    a, W = np.empty(N), white[0]
+    for i in range(N):
         b = block[i]
-        log_ratio[j] = -np.inf
+        if b != last:
+            last, W = b, white[b]
+        a[i] = -np.inf
+        if fine[b] and w[i] > 0.0:
+            if w[i] != before:  # most are the same
+                before, log_w = w[i], math.log(w[i])
+            s = peak[b] - 0.5 * white_square(W, r[i]) + log_w
+            a[i] = s if abs(s) < np.inf else -np.inf
+            top = max(top, a[i])
+    return a, top
+
+
+@jit
+def _ratios(r, u, block, ancestor, HL, white, peak, fine, known, out):
+    """Fill logarithms (M,) of the proposal's density over the prior's, of points by number and their u."""
+    (M, n), k, last = u.shape, r.shape[1], -1
+    own, W, H = np.empty(k), white[0], HL[0]
+    for j in range(M):
+        i, b = ancestor[j], block[ancestor[j]]
+        if b != last:
+            last, W, H = b, white[b], HL[b]
+        out[j] = -np.inf
         if fine[b]:
             for c in range(k):
-                own[c] = r[i, c]
+                s = r[i, c]
                 for e in range(n):
-                    own[c] -= HL[b, c, e] * (u[i, e] if j < N else new[j - N, e])
-            s = of_G[b] - 0.5 * white_square(own, G[b], v) - known
+                    s -= H[c, e] * u[j, e]
+                own[c] = s
+            s = peak[b] - 0.5 * white_square(W, own) - known
             if abs(s) < np.inf:  # else it was never proposed: h has no value where the guide looked
-                log_ratio[j] = s
-    return ancestor, new, log_ratio
+                out[j] = s

@@ -1,7 +1,5 @@
 """Points moved over a leg with noise of which a part is given: what moves their ends."""
 
-import math
-
 import numpy as np
 from numba import types
 
@@ -11,7 +9,7 @@ from .._views import rows_at
 from .noise import LANES, fill_noise
 from .steps import CUBE, LEG, new_room, walk
 
-__all__ = ["MOVE", "affine", "chunk_room", "move", "move_at", "move_chunk", "moved_twice", "parted"]
+__all__ = ["MOVE", "affine", "chunk_room", "move", "move_at", "move_chunk"]
 
 
 @jit
@@ -101,56 +99,3 @@ def move(leg, x, u, V, block, key, first, last):
 _MOVES = LEG, MATRIX, MATRIX, CUBE, types.int64[::1], types.uint64, types.int64, types.int64
 MOVE = Entry(move, _MOVES, types.void)
 move_at = MOVE.at
-
-
-@jit
-def parted(coarse, fine, groups):
-    """How far apart means of coarse and fine ends (K, n) are, in standard deviations, or infinite.
-
-    The root of the mean square over groups of neighbours and states: what steps do to one branch of a density
-    is judged by the width of that branch.
-    """
-    K, n = fine.shape
-    size, total = K // groups, 0.0
-    for g in range(groups):
-        for a in range(n):
-            mean = square = off = 0.0
-            count = 0
-            for i in range(g * size, (g + 1) * size):
-                if abs(fine[i, a]) < np.inf:
-                    d = coarse[i, a] - fine[i, a]
-                    if not abs(d) < np.inf:
-                        return np.inf
-                    count += 1
-                    mean, square = mean + fine[i, a], square + fine[i, a] ** 2
-                    off += d
-            if count < 0.8 * size:  # a model may carry some to infinity
-                return np.inf
-            mean, square, off = mean / count, square / count, off / count
-            variance = max(square - mean * mean, 1e-300 + 1e-24 * square)
-            total += off * off / (variance * n * groups)
-    return math.sqrt(total)
-
-
-@jit
-def moved_twice(leg, half, x, key):
-    """Points x (K, n) at the end of a leg, and of one in steps of half the length along the same noise.
-
-    K is at most `LANES`. The noise of a step is that of the two that are its halves.
-    """
-    d, m = leg.steps * leg.root.shape[0], leg.root.shape[0]
-    state, fine, Z = np.empty(LANES, np.uint64), np.empty((3, 2 * d, LANES)), np.empty((3, d, LANES))
-    fill_noise(key, np.uint64(0), leg.additive, state, fine)
-    for r in range(d):
-        one = 2 * (r // m) * m + r % m
-        for i in range(LANES):
-            first, second = fine[0, one, i], fine[0, one + m, i]
-            Z[0, r, i] = math.sqrt(0.5) * (first + second)
-            Z[1, r, i] = math.sqrt(0.125) * (fine[1, one, i] + fine[1, one + m, i])
-            Z[1, r, i] += math.sqrt(0.375) * (first - second)
-            Z[2, r, i] = fine[2, one, i]
-    coarse, room = x.copy(), new_room(m)
-    walk(leg, coarse, Z, False, room)
-    x = x.copy()
-    walk(half, x, fine, False, room)
-    return coarse, x

@@ -7,9 +7,10 @@ noise that is the same in all states.
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
-from .._addresses import NOWHERE_AT, function_at
-from .._jit import jit
+from .._addresses import ADDRESS, NOWHERE_AT, function_at
+from .._jit import MATRIX, VECTOR, jit
 from .guide import (
     along_rows,
     joined,
@@ -27,7 +28,7 @@ from .noise import LANES, even_normals, mixed, stored
 from .way import AGAIN
 from .weights import effective, finite_rows, normalise, prior_times
 
-__all__ = ["EVEN", "GUIDE", "OWN", "PARTS", "WIDER", "Part", "Reader", "weigh"]
+__all__ = ["EVEN", "GUIDE", "OWN", "PARTS", "READER", "WIDER", "Part", "Reader", "weigh"]
 
 #: Effective part of weights, from which they are good enough as they are.
 EVEN = 0.9
@@ -49,6 +50,12 @@ class Reader(NamedTuple):
     R: np.ndarray  # (k, k)
     root: np.ndarray
     t: float
+
+
+#: Numba's type of `Reader`.
+READER = types.NamedTuple(
+    [ADDRESS, VECTOR, MATRIX, VECTOR, types.boolean[::1], MATRIX, MATRIX, types.float64], Reader
+)
 
 
 class Part(NamedTuple):

@@ -17,10 +17,10 @@ from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
 from .weights import effective, for_moments
 
-__all__ = ["AGAIN", "FIRST", "KERNEL", "PILOT", "begin", "blocks_of", "carry"]
+__all__ = ["AGAIN", "FIRST", "KERNEL", "begin", "blocks_of", "carry", "carry_linear", "everywhere"]
 
 # what numbers of a key are for
-_CUT, FIRST, AGAIN, PILOT, KERNEL = range(5)
+_CUT, FIRST, AGAIN, _, KERNEL = range(5)
 #: Effective part of points, below which they are drawn anew.
 _FEW = 0.5
 
@@ -102,3 +102,26 @@ def carry(leg, x, block, net, key):
     u, y = even_normals(net, np.uint64(key)), x.copy()
     move_at(leg.move)(leg, y, u, rows, block, mixed(np.uint64(key), np.uint64(FIRST)), 0, -(-len(x) // LANES))
     return y, u, start, end, flow, lower, rows
+
+
+@jit
+def carry_linear(change, x, block, net, key):
+    """Carry points x (N, n) over a linear change Φ x + offset + L u, as `carry` does over a leg."""
+    start = centres(x)
+    end, flow, lower = everywhere(change, start)
+    u = even_normals(net, np.uint64(key))
+    return affine(x, u, block, start, end, flow, lower), u, start, end, flow, lower, np.empty((1, 0, 0))
+
+
+@jit
+def everywhere(change, start):
+    """Ends of centres (blocks, n) after a linear change, and its Φ and L in all blocks."""
+    (blocks, n), (Phi, offset, L) = start.shape, change
+    end, flow, lower = np.empty((blocks, n)), np.empty((blocks, n, n)), np.empty((blocks, n, n))
+    for b in range(blocks):
+        flow[b], lower[b] = Phi, L
+        for a in range(n):
+            end[b, a] = offset[a]
+            for e in range(n):
+                end[b, a] += Phi[a, e] * start[b, e]
+    return end, flow, lower

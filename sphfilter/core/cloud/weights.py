@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from .._jit import jit
-from ..small_matrices import cholesky, white_square, whiten
+from ..small_matrices import cholesky, invert_lower, white_square, whiten
 
 __all__ = [
     "carried",
@@ -298,13 +298,14 @@ def for_moments(x, w, count, shift):
     no more than one draw of any, as copies know no more than it does.
     """
     (N, n), by = x.shape, w.copy()
-    mean, cov, L, off, v = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty(n)
+    mean, cov, L, off = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty(n)
     weighted_moments(x, w, mean, cov)
     if cholesky(cov, L):
+        white = invert_lower(L)
         for i in range(N):
             for a in range(n):
                 off[a] = x[i, a] - mean[a]
-            more = w[i] * white_square(off, L, v) / n
+            more = w[i] * white_square(white, off) / n
             by[i] += more / (1.0 + count * more)
     chosen = systematic(by, count, shift)
     own = w[chosen] / by[chosen]
