@@ -7,19 +7,20 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
+from ..core.cloud.pace import Steps
 from ..density.as_cloud import cloud_of
 from ..density.cloud import systematic
 from ..density.particle_density import ParticleDensity
-from ..density.passage import READING, key_at
+from ..density.passage import READING, key_at, passed
 from ..density.points import CloudState, Points, Told
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
-from ..prediction.cloud import apart, as_points
+from ..prediction.cloud import apart, as_points, fewer
 from .asked import Asked, kept
 from .guided import Weighed, weighed
 from .stacked import Stacked
 
-__all__ = ["WRONG", "Read", "by_cloud", "read", "read_of"]
+__all__ = ["WRONG", "Read", "by_cloud", "fresh", "read", "read_of"]
 
 _FEW = 50.0  # independent points, below which a shadow that sees the same few cannot tell the error
 WRONG = 0.2  # of a variance, from which it is said
@@ -109,6 +110,31 @@ def read_of(state: CloudState, found: Weighed, shadow: Points, told: Told, t: fl
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
     evidence_error = max(told.errors.log_evidence, _least(found.families))
     return Read(state, found.moments, t, found.log_evidence, evidence_error, own)
+
+
+def fresh(
+    before: CloudState,
+    after: CloudState,
+    model: Any,
+    span: tuple[float, float],
+    sensor: Stacked,
+    moments: tuple[Floats, Floats],
+) -> float:
+    """Error of the mean that a prediction and a reading have added, of a cloud of these moments after them.
+
+    A part of the points of before goes beside the cloud: unlike its shadow it has what was wrong then, too.
+    NaN where it cannot be told.
+    """
+    points, (step, stiff, *_), many = before.points, after.pace, fewer(after.size)
+    if points.path is not None or not (model.linear or step > 0.0):
+        return math.nan
+    steps = Steps(1) if model.linear else Steps(max(math.ceil((span[1] - span[0]) / step), 1), stiff)
+    moved = passed(_part_of(points, many), model, *span, steps, many, key_at(span[0], 1))
+    beside = weighed(moved, sensor, key_at(span[1], READING + 1))
+    if not math.isfinite(beside.log_evidence):
+        return math.nan
+    off = apart(points, beside.points, sensor.domain, (moments, beside.moments))
+    return Told(*off).errors.mean
 
 
 def _least(number: float) -> float:

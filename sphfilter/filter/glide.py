@@ -13,7 +13,7 @@ from .._types import Floats
 from ..config import CloudScheme
 from ..density.as_cloud import cloud_of
 from ..density.carriers import Carried
-from ..density.needs import MISSED, Needs
+from ..density.needs import FLAGGED, MISSED, Needs
 from ..density.particle_density import ParticleDensity
 from ..density.passage import cycled
 from ..density.points import CloudState
@@ -24,7 +24,7 @@ from ..model.measurements import GaussianMeasurement
 from ..model.sde import SDE
 from ..prediction.cloud import ahead, carried, fewer, pooled, steps_of
 from .asked import Asked, left_of, reading_of
-from .by_cloud import WRONG, Read, read, read_of
+from .by_cloud import WRONG, Read, fresh, read, read_of
 from .found import found as as_found
 from .guided import Weighed
 from .stacked import Stacked
@@ -127,8 +127,12 @@ def _step(
     prior, done = made
     if done.state.inherited > 0.0:
         done = done.left(left_of(prior[2][1], done.moments[1]))
-    if not done.error <= MISSED * target or done.doubt > WRONG:
+    if not done.error <= FLAGGED * target or done.doubt > WRONG:
         return None
+    if done.error > MISSED * target:  # more points help where this cycle has added it
+        added = fresh(state, done.state, model, span, stacked, done.moments)
+        if not added <= MISSED * target:
+            return None
     row, told = _row(stacked.asked[0].measurement, stacked.z, prior, done), done.state.told.errors.mean
     asked = stacked.asked[0]._replace(innovation=row["innovation"], S=row["innovation_cov"])
     return None if asked.outlying else (row, done, needs._replace(legs=0).told(told, target, done.state.size))

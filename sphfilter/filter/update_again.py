@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
+from ..density.cloud import moments_of
 from ..density.needs import MISSED, points_for
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound, target_of
@@ -17,6 +18,9 @@ from ..model.measurements import Sensor
 from ..model.sde import SDE
 from ..prediction.again import Ladder, Outcome
 from ..prediction.predict import Prediction, predict
+from .asked import Asked
+from .by_cloud import fresh
+from .stacked import Stacked
 from .update import update
 
 __all__ = ["Update", "update_or_predict_again"]
@@ -124,7 +128,13 @@ def _on_more_points(
         cloud = posterior.cloud
         if cloud is None:  # the ladder has found something cheaper than so many points
             break
-        more = points_for(cloud.size, info.error, target) if info.error > MISSED * target else 0
+        error = info.error
+        if error > MISSED * target and before.cloud is not None:
+            sensor = Stacked.of((Asked.of(prior, measurement, z),), prior.domain)
+            about = model, (before.t, prior.t), sensor, moments_of(posterior)
+            added = fresh(before.cloud, cloud, *about)
+            error = added if added < error else error  # what was there before, no points cure
+        more = points_for(cloud.size, error, target) if error > MISSED * target else 0
         if more <= cloud.size and (tries > 0 or prior.read_out == "cloud"):
             break
         own = before.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))

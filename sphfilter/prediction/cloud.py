@@ -178,11 +178,11 @@ def steps_of(
     dt, (step, stiff, legs, _), points = span[1] - span[0], pace, state.points
     shorter = legs ** (1.0 / ORDER)  # biases of predictions without a reading between add up
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
-    number = max(least, math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else 0)
     if not model.autonomous:
-        number = max(number, math.ceil(dt * rate_of_time(model, points.x[:_ASKED], *span)))
+        least = max(least, math.ceil(dt * rate_of_time(model, points.x[:_ASKED], *span)))
+    number = math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else 0
     if model.domain.walled.any():
-        number = max(number, math.ceil(dt / _beside_walls(model, points, span[0])))
+        number = max(least, number, math.ceil(dt / _beside_walls(model, points, span[0])))
         return Steps(_enough(number, most, span), stiff), pace
     told = state.told.errors.mean
     told = _USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told

@@ -95,10 +95,11 @@ def parted(coarse, fine, groups):
     """How far apart means of coarse and fine ends (K, n) are, in standard deviations, or infinite.
 
     The root of the mean square over groups of neighbours and states: what steps do to one branch of a density
-    is judged by the width of that branch.
+    is judged by the width of that branch, which a few that steps threw out do not make wider.
     """
     K, n = fine.shape
     size, total = K // groups, 0.0
+    ends = np.empty(size)
     for g in range(groups):
         for a in range(n):
             mean = square = off = 0.0
@@ -108,13 +109,18 @@ def parted(coarse, fine, groups):
                     d = coarse[i, a] - fine[i, a]
                     if not abs(d) < np.inf:
                         return np.inf
+                    ends[count] = fine[i, a]
                     count += 1
                     mean, square = mean + fine[i, a], square + fine[i, a] ** 2
                     off += d
             if count < 0.8 * size:  # a model may carry some to infinity
                 return np.inf
             mean, square, off = mean / count, square / count, off / count
+            within = np.sort(ends[:count])
+            middle = within[count - 1 - count // 8] - within[count // 8]
             variance = max(square - mean * mean, 1e-300 + 1e-24 * square)
+            if middle > 0.0:  # of a Gaussian, 2.3 standard deviations
+                variance = min(variance, middle * middle)
             total += off * off / (variance * n * groups)
     return math.sqrt(total)
 
