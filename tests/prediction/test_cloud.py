@@ -9,6 +9,8 @@ from scipy import integrate, stats
 import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
+from sphfilter.density.passage import Steps, begun, chosen_steps, passed
+from sphfilter.density.points import moments
 from sphfilter.density.storage import from_bytes, to_bytes
 
 CLOUD = sf.FilterConfig(scheme="cloud")
@@ -257,3 +259,17 @@ def test_steps_are_short_enough_for_the_narrowest_part_of_a_density():
     (x, P), (own, _) = moments
     off = np.linalg.solve(np.linalg.cholesky(P), own - x)
     assert np.sqrt(np.mean(off**2)) < 3.0 * info.error
+
+
+def test_steps_that_throw_points_out_are_seen_to_be_too_long():
+    """Far points turn the faster, and one step would throw some of a hundred out to 1e14."""
+    turn = "1 + 0.4*(x**2 + y**2)"
+    drift = [f"-y*({turn})", f"x*({turn}) - 0.3*y"]
+    model = sf.SDE.from_expressions(["x", "y"], drift, [["1", "0"], ["0", "1"]], np.diag([0.02, 0.05]))
+    points = begun([1.5, 0.0], np.diag([1.0, 0.01]), 2048, 7)
+    steps = chosen_steps(points, model, (0.0, 0.8), Steps(1), (1, 10_000), 0.005)
+    assert 4 <= steps.number <= 200 and steps.bias <= 0.005
+    coarse, fine = (passed(points, model, 0.0, 0.8, Steps(k), 2048, 7) for k in (steps.number, 400))
+    (mean, cov), (true, P) = (moments(ends.x, ends.w) for ends in (coarse, fine))
+    np.testing.assert_allclose(mean, true, atol=0.03)
+    np.testing.assert_allclose(cov, P, atol=0.03)

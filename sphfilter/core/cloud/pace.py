@@ -72,7 +72,7 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     Steps
     """
     x = x[systematic(w, _PILOTS, 0.5)]
-    x, before = x[along_curve(x, np.full(len(x), 1.0 / len(x)), table, bits)], np.inf
+    x, before, tried = x[along_curve(x, np.full(len(x), 1.0 / len(x)), table, bits)], np.inf, False
     number, own = max(least, number if number > 0 else _FIRST), mixed(np.uint64(key), np.uint64(_PILOT))
     while number <= most:
         flow = stiff_flow if stiff else leg.flow
@@ -82,10 +82,10 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
         too_much = bias / allowed
         if not too_much > 1.0 or (stiff and (2 * number > most or not bias < _HELPED * before)):
             return Steps(number, stiff, bias)
-        if not stiff and not bias < before:  # shorter steps do not help: it takes too many of them
+        if not stiff and tried and not bias < before:  # shorter steps do not help: it takes too many of them
             number, stiff, before = max(least, _FIRST), True, np.inf
             continue
-        before = bias
+        before, tried = bias, True
         number = math.ceil(number * min(max(too_much ** (1.0 / ORDER), 1.2), 4.0))
     return Steps(number, stiff, np.inf)
 
@@ -122,7 +122,7 @@ def parted(coarse, fine, groups):
             if middle > 0.0:  # of a Gaussian, 2.3 standard deviations
                 variance = min(variance, middle * middle)
             total += off * off / (variance * n * groups)
-    return math.sqrt(total)
+    return math.sqrt(total) if total < np.inf else np.inf
 
 
 @jit
