@@ -280,9 +280,9 @@ def look_ahead(r, u, w, block, HL, R, net, key):
     peak_S, peak_R = np.empty(blocks), np.empty(blocks)
     for b in range(blocks):
         fine[b] = _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, L)
-        of_S[b], peak_S[b] = invert_lower(L), _log_peak(L)
+        peak_S[b] = _inverse(L, of_S[b])
         fine[b] = fine[b] and cholesky(R[b], L)
-        of_R[b], peak_R[b] = invert_lower(L), _log_peak(L)
+        peak_R[b] = _inverse(L, of_R[b])
     a, top = _ahead(r, w, block, of_S, peak_S, fine)
     log_ratio, new = np.empty(N + count), np.empty((count, n))
     if top == -np.inf:
@@ -304,6 +304,16 @@ def look_ahead(r, u, w, block, HL, R, net, key):
     _ratios(r, u, block, np.arange(N), HL, of_R, peak_R, fine, known, log_ratio[:N])
     _ratios(r, new, block, ancestor, HL, of_R, peak_R, fine, known, log_ratio[N:])
     return ancestor, new, log_ratio
+
+
+@jit
+def _inverse(F, out):
+    """Fill the inverse of a lower F (k, k); return the logarithm of N(0; 0, F Fᵀ)."""
+    white = invert_lower(F)
+    for a in range(len(F)):
+        for e in range(len(F)):
+            out[a, e] = white[a, e]
+    return _log_peak(F)
 
 
 @jit

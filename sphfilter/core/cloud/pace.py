@@ -109,15 +109,18 @@ def parted(coarse, fine, groups):
                     d = coarse[i, a] - fine[i, a]
                     if not abs(d) < np.inf:
                         return np.inf
-                    ends[count] = fine[i, a]
+                    at = count  # sorted
+                    while at > 0 and ends[at - 1] > fine[i, a]:
+                        ends[at] = ends[at - 1]
+                        at -= 1
+                    ends[at] = fine[i, a]
                     count += 1
                     mean, square = mean + fine[i, a], square + fine[i, a] ** 2
                     off += d
             if count < 0.8 * size:  # a model may carry some to infinity
                 return np.inf
             mean, square, off = mean / count, square / count, off / count
-            within = np.sort(ends[:count])
-            middle = within[count - 1 - count // 8] - within[count // 8]
+            middle = ends[count - 1 - count // 8] - ends[count // 8]
             variance = max(square - mean * mean, 1e-300 + 1e-24 * square)
             if middle > 0.0:  # of a Gaussian, 2.3 standard deviations
                 variance = min(variance, middle * middle)

@@ -119,9 +119,9 @@ def everywhere(change, start):
     (blocks, n), (Phi, offset, L) = start.shape, change
     end, flow, lower = np.empty((blocks, n)), np.empty((blocks, n, n)), np.empty((blocks, n, n))
     for b in range(blocks):
-        flow[b], lower[b] = Phi, L
         for a in range(n):
             end[b, a] = offset[a]
             for e in range(n):
+                flow[b, a, e], lower[b, a, e] = Phi[a, e], L[a, e]
                 end[b, a] += Phi[a, e] * start[b, e]
     return end, flow, lower
