@@ -133,7 +133,7 @@ def fresh(
     beside = weighed(moved, sensor, key_at(span[1], READING + 1))
     if not math.isfinite(beside.log_evidence):
         return math.nan
-    off = apart(points, beside.points, sensor.domain, (moments, beside.moments))
+    off = apart(after.points, beside.points, sensor.domain, (moments, beside.moments))
     return Told(*off).errors.mean
 
 
