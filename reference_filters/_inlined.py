@@ -19,7 +19,6 @@ from sphfilter.core._addresses import Entry
 from sphfilter.core._jit import MATRIX, VECTOR
 from sphfilter.model.simulate import noise_root
 
-from ._elementary import with_vector_functions
 from ._lane_noise import BITS, NOISES, unit_noise
 from ._weights import LANES
 
@@ -76,7 +75,7 @@ def compiled(drift, pattern, order):
         They must outlive the use of their addresses.
     """
     n, short = len(pattern), len(drift.py_func.__code__.co_code) < _SHORT
-    inlined = njit(with_vector_functions(drift.py_func), forceinline=short, **_OPTIONS)
+    inlined = njit(drift.py_func, forceinline=short, **_OPTIONS)
     sizes = {"block": _sized(n, LANES), "blocks": _sized(3, n, LANES), "generators": _sized(3, LANES),
              "noises": _sized(2 * len(pattern[0]), LANES)}  # fmt: skip
     moves = _words(len(pattern[0])) + _noise(pattern, order) + _runge_kutta(pattern, order)

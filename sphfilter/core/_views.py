@@ -4,9 +4,9 @@ from numba import types
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
-from ._jit import MATRIX
+from ._jit import MATRIX, VECTOR
 
-__all__ = ["rows_at"]
+__all__ = ["flat", "rows_at"]
 
 
 @intrinsic
@@ -29,3 +29,17 @@ def rows_at(typing_context, numbers, at, K, n):
         return rows._getvalue()
 
     return MATRIX(numbers, types.intp, types.intp, types.intp), codegen
+
+
+@intrinsic
+def flat(typing_context, rows):
+    """Rows of numbers (K, n) one after the other, (K n,), for as long as the caller keeps them."""
+
+    def codegen(context, builder, signature, arguments):
+        whole = context.make_array(signature.args[0])(context, builder, arguments[0])
+        numbers, size = context.make_array(VECTOR)(context, builder), context.get_constant(types.intp, 8)
+        shape = [whole.nitems]
+        populate_array(numbers, data=whole.data, shape=shape, strides=[size], itemsize=size, meminfo=None)
+        return numbers._getvalue()
+
+    return VECTOR(rows), codegen

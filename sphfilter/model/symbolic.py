@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 
 from .. import validate
 from .._types import BatchFunction, Floats
+from ..core._views import flat
+from ..core.elementary import FAST
 from ..errors import ExpressionError, ModelError, nearest
 from . import derived
 from .compile import Maker, compile_source, shared
@@ -266,14 +268,17 @@ def _maker(name: str, matrix: sp.Matrix, names: Names) -> Maker:
             raise ExpressionError(
                 f"The {name} has {size} operations; beyond {MAX_OPERATIONS}, write the model as a function."
             )
-        lines = [f"{s} = x[i, {j}]" for j, s in enumerate(names.x)]
+        n, k = len(names.x), len(matrix)  # rows at numbers known when it is compiled become vector code
+        before = [f"{s} = p[{j}]" for j, s in enumerate(names.p)]
+        before += ["X, O = flat(x), flat(out)"]
+        lines = [f"{s} = X[{n}*i + {j}]" for j, s in enumerate(names.x)]
         try:
             lines += [f"{s} = {source(v)}" for s, v in common]
-            lines += [f"out[i, {k}] = {source(v)}" for k, v in enumerate(reduced)]
+            lines += [f"O[{k}*i + {j}] = {source(v)}" for j, v in enumerate(reduced)]
         except ValueError as error:
             raise ExpressionError(f"The {name} cannot be worked out: {error}.") from error
-        return compile_source([f"{s} = p[{j}]" for j, s in enumerate(names.p)], lines, np=np, linear=linear,
-                              previous=previous, slope=slope)  # fmt: skip
+        names_of_code = {"np": FAST, "flat": flat, "linear": linear, "previous": previous, "slope": slope}
+        return compile_source(before, lines, **names_of_code)
 
     return make
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reference_filters import _elementary, _inlined, _lane_noise
+from reference_filters import _inlined, _lane_noise
 from reference_filters._paths import Paths
 from reference_filters._weights import linear_log_likelihood, moments_of
 from reference_filters.grid import GridFilter
@@ -127,18 +127,6 @@ def test_a_noise_switched_on_by_a_parameter_is_not_left_out():
     x = np.ones((1000, 1))
     Paths(model.with_parameters(s=1.0)).move(x, 0.0, 0.1, np.ones(1), 1e-2, np.random.default_rng(0))
     assert np.isclose(x.std(), np.sqrt(0.1), rtol=0.25)
-
-
-def test_elementary_functions():
-    rng = np.random.default_rng(0)
-    x = np.concatenate([rng.uniform(-30.0, 30.0, 3000), rng.uniform(-1e5, 1e5, 300), [0.0, -0.0]])
-    for own, numpy in ((_elementary._sin, np.sin), (_elementary._cos, np.cos), (_elementary._tanh, np.tanh)):
-        np.testing.assert_allclose([own(v) for v in x], numpy(x), atol=1e-15, rtol=1e-15)
-        assert np.isnan(own(np.nan))
-    x = rng.uniform(-700.0, 700.0, 3000)
-    np.testing.assert_allclose([_elementary._exp(v) for v in x], np.exp(x), rtol=1e-15)
-    assert (_elementary._exp(-800.0), _elementary._exp(800.0)) == (0.0, np.inf)
-    assert np.isnan(_elementary._exp(np.nan))
 
 
 def test_a_drift_in_text_and_as_a_function_move_alike():
