@@ -29,7 +29,6 @@ __all__ = [
     "KERNEL",
     "Cloud",
     "drawn",
-    "key_of",
     "moments_of",
     "points_of",
     "smoothing_length",
@@ -40,7 +39,6 @@ KERNEL = "wendland_c2"
 _STATES = 128  # points that stand for a cloud, over those that stand for one kernel of other densities
 _FEW = 64  # points of a family, below which they do not have its mean and covariance
 _CANDIDATES = 8  # states in the cells of a lattice, over the points drawn from them
-_KEY, _MIX = np.uint64(0x5EED0C10D), np.uint64(0x9E3779B97F4A7C15)
 
 
 class Cloud(Kernels):
@@ -110,16 +108,6 @@ def smoothing_length(mass: Floats, cov: Floats) -> Floats:
 def systematic(mass: Floats, count: int) -> Ints:
     """Numbers (count,) of points of weights (N,), each as often as its weight says but for rounding."""
     return weights.systematic(np.array(mass), count, 0.5)  # a copy: compiled code takes what may be written
-
-
-def key_of(density: "ParticleDensity") -> int:
-    """Number that the time and the mean of a density give, by all their bits: where its points begin."""
-    key = _KEY
-    with np.errstate(over="ignore"):
-        for word in np.append(moments_of(density)[0], density.t).view(np.uint64):
-            key = (key ^ word) * _MIX
-            key ^= key >> np.uint64(31)
-    return int(key >> np.uint64(1))
 
 
 def points_of(density: "ParticleDensity", count: int, key: int) -> tuple[Floats, Floats]:

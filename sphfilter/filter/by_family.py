@@ -8,10 +8,11 @@ import numpy as np
 
 from .._types import Floats, OfStates
 from ..density.as_family import family_density, family_of, unrolled
-from ..density.cloud import key_of, points_of
+from ..density.cloud import points_of
 from ..density.family import OF_MISFIT, Family, gaussian_family, moments_apart, node_moments
 from ..density.family_posterior import FamilyPosterior, family_posterior
 from ..density.particle_density import ParticleDensity
+from ..density.passage import key_at
 from ..errors import PropagationError
 from ..model.measurements import block, is_gaussian
 from .asked import Asked, kept, said_of
@@ -20,6 +21,7 @@ __all__ = ["by_family", "elsewhere", "family_update"]
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
+_ELSEWHERE = 4  # of the key of a time: these points
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
 _HIGHEST, _LOST = 700.0, 1e3  # logarithm of a weight, and an error, that are as bad as any
 
@@ -102,8 +104,7 @@ def elsewhere(
         A state explains the reading as well and is nowhere near, or too few points lie where the posterior is
         to tell.
     """
-    key = key_of(density)
-    X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key)
+    X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key_at(density.t, _ELSEWHERE))
     weight = asked.weight_on(density.domain)
     (log_prior, (mean, cov)), (log_posterior, (own_mean, own_cov)) = prior, posterior
     root = np.linalg.inv(np.linalg.cholesky(own_cov))

@@ -127,7 +127,7 @@ def _step(
     prior, done = made
     if done.state.inherited > 0.0:
         done = done.left(left_of(prior[2][1], done.moments[1]))
-    if not done.error <= FLAGGED * target or done.doubt > WRONG:
+    if not done.error <= FLAGGED * target or not done.error < DOUBTFUL or done.doubt > WRONG:
         return None
     if done.error > MISSED * target:  # more points help where this cycle has added it
         added = fresh(state, done.state, model, span, stacked, done.moments)

@@ -7,9 +7,8 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
-from ..core.cloud.cycle import AWAY
 from ..core.cloud.pace import ORDER, Steps
-from ..core.cloud.weights import compared, together
+from ..core.cloud.weights import AWAY, compared, together
 from ..density.as_cloud import cloud_of
 from ..density.as_family import unrolled
 from ..density.cloud import points_of

@@ -25,7 +25,7 @@ from ..density.as_family import (
     settled,
     unrolled,
 )
-from ..density.cloud import key_of, points_of
+from ..density.cloud import points_of
 from ..density.families import Families
 from ..density.families_posterior import AWAY
 from ..density.family import OF_MISFIT, fitted, gaussian_family, moments_apart, node_moments
@@ -33,6 +33,7 @@ from ..density.gathering import gathered
 from ..density.merging import merged
 from ..density.needs import MOST_POINTS, Needs, fewest
 from ..density.particle_density import ParticleDensity
+from ..density.passage import key_at
 from ..density.pieces import Pieces, light, root_of
 from ..density.resample import logarithm
 from ..errors import PropagationError
@@ -53,6 +54,7 @@ _HEAVY = 0.1  # share of a family, below which it may be off by more
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
 _TRIES, _FINER, _MOST_NODES = 6, 2, 20_000  # lattices, and times the nodes of the one before
 _HELPED = 0.8  # of an error that is left by finer lattices, if it comes from them
+_POINTS = 5  # of the key of a time: the points of a part, and of the next
 _SEEDS = 1e-4  # of the heaviest node of a part: those by which a lattice finds all of its pieces
 
 
@@ -343,11 +345,13 @@ def _as_cloud(parts: Sequence[Part], about: ParticleDensity, target: float) -> P
     """The points of all; of what is no cloud, as many as its share says."""
     count = min((about.needs or Needs()).cloud(target), MOST_POINTS)
     x, mass = [], []
-    for part in parts:
+    for k, part in enumerate(parts):
         density, w = part.density, math.exp(part.log_w)
         points, weights = density.x, density.mass
         if density.read_out != "cloud":
-            points, weights = points_of(density, max(math.ceil(w * count), 1000), key_of(density))
+            points, weights = points_of(
+                density, max(math.ceil(w * count), 1000), key_at(density.t, _POINTS + k)
+            )
         x.append(points)
         mass.append(w * weights)
     return cloud_density(about, np.concatenate(x), np.concatenate(mass)).noted(needs=about.needs)

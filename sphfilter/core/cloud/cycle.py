@@ -14,11 +14,10 @@ from .._jit import MATRIX, VECTOR, jit
 from .reading import EVEN, READER, Part, weigh
 from .steps import CUBE, LEG
 from .way import begin, carry, carry_linear
-from .weights import carried, compared, effective, together, weighted_moments
+from .weights import AWAY, carried, compared, effective, together, weighted_moments
 
-__all__ = ["AWAY", "FEW", "PARTS", "Cycled", "Resting", "cycle"]
+__all__ = ["FEW", "PARTS", "Cycled", "Resting", "cycle"]
 
-AWAY = 1e6  # extents of points from which one has run away
 #: Part of points below which carriers are few: the way piece by piece, at six times the cost, divides errors
 #: by five.
 FEW = 0.25

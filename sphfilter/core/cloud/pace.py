@@ -9,7 +9,7 @@ from .._jit import jit
 from .curve import along_curve
 from .noise import LANES, fill_noise, mixed
 from .steps import Leg, new_room, walk
-from .weights import systematic
+from .weights import AWAY, systematic
 
 __all__ = ["ORDER", "Steps", "chosen", "moved_twice", "over", "parted"]
 
@@ -21,6 +21,7 @@ _PILOT = 3  # of a key: the noise of pilots
 _BEYOND = 1.5
 ORDER = 3.0  # of the steps' bias
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
+_MOST_OF = 0.8  # of pilots, that the model must leave where they are compared
 _FIRST = 4  # steps that are tried first, of a stiff drift, too
 
 
@@ -95,35 +96,43 @@ def parted(coarse, fine, groups):
     """How far apart means of coarse and fine ends (K, n) are, in standard deviations, or infinite.
 
     The root of the mean square over groups of neighbours and states: what steps do to one branch of a density
-    is judged by the width of that branch, which a few that steps threw out do not make wider.
+    is judged by the width of that branch, which a few that steps threw out do not make wider. Those that the
+    model carries to infinity do not count, as long as they are few.
     """
     K, n = fine.shape
     size, total = K // groups, 0.0
     ends = np.empty(size)
     for g in range(groups):
         for a in range(n):
-            mean = square = off = 0.0
             count = 0
             for i in range(g * size, (g + 1) * size):
                 if abs(fine[i, a]) < np.inf:
-                    d = coarse[i, a] - fine[i, a]
-                    if not abs(d) < np.inf:
-                        return np.inf
                     at = count  # sorted
                     while at > 0 and ends[at - 1] > fine[i, a]:
                         ends[at] = ends[at - 1]
                         at -= 1
                     ends[at] = fine[i, a]
                     count += 1
+            if count < _MOST_OF * size:
+                return np.inf
+            low, high = ends[count // 8], ends[count - 1 - count // 8]
+            reach = AWAY * (high - low) + abs(low) + abs(high)
+            mean = square = off = 0.0
+            count = 0
+            for i in range(g * size, (g + 1) * size):
+                if low - reach <= fine[i, a] <= high + reach:
+                    d = coarse[i, a] - fine[i, a]
+                    if not abs(d) < np.inf:
+                        return np.inf
+                    count += 1
                     mean, square = mean + fine[i, a], square + fine[i, a] ** 2
                     off += d
-            if count < 0.8 * size:  # a model may carry some to infinity
+            if count < _MOST_OF * size:
                 return np.inf
             mean, square, off = mean / count, square / count, off / count
-            middle = ends[count - 1 - count // 8] - ends[count // 8]
             variance = max(square - mean * mean, 1e-300 + 1e-24 * square)
-            if middle > 0.0:  # of a Gaussian, 2.3 standard deviations
-                variance = min(variance, middle * middle)
+            if high > low:  # of a Gaussian, 2.3 standard deviations
+                variance = min(variance, (high - low) ** 2)
             total += off * off / (variance * n * groups)
     return math.sqrt(total) if total < np.inf else np.inf
 

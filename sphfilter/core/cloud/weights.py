@@ -9,6 +9,7 @@ from .._jit import jit
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
 
 __all__ = [
+    "AWAY",
     "carried",
     "compared",
     "effective",
@@ -25,6 +26,7 @@ __all__ = [
 
 
 _SEEN = 64  # rows that tell the extent of all
+AWAY = 1e6  # extents of points from which one has run away
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
