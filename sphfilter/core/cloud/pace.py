@@ -21,7 +21,7 @@ _PILOT = 3  # of a key: the noise of pilots
 _BEYOND = 1.5
 ORDER = 3.0  # of the steps' bias
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
-_MOST_OF = 0.8  # of pilots, that the model must leave where they are compared
+_MOST_OF = 0.8  # of pilots, that the model must not carry to infinity
 _FIRST = 4  # steps that are tried first, of a stiff drift, too
 
 
@@ -131,7 +131,7 @@ def parted(coarse, fine, groups):
                 return np.inf
             mean, square, off = mean / count, square / count, off / count
             variance = max(square - mean * mean, 1e-300 + 1e-24 * square)
-            if high > low:  # of a Gaussian, 2.3 standard deviations
+            if high > low and count == size:  # of a Gaussian, 2.3 standard deviations
                 variance = min(variance, (high - low) ** 2)
             total += off * off / (variance * n * groups)
     return math.sqrt(total) if total < np.inf else np.inf
