@@ -92,10 +92,10 @@ def passed(points: Points, model: SDE, t0: float, t1: float, steps: Steps, count
     if model.linear:
         x, u, *linear = carry_linear(change_of(model, t1 - t0), *about)
     else:
-        leg = leg_of(model, t0, t1, *steps[:2])
+        leg = leg_of(model, t0, t1, *steps)
         with surfacing():
             x, u, *linear = carry(leg, *about)
-    passage = Passage(leg, key, *linear)._replace(model=model, span=(t0, t1), steps=steps[:2])
+    passage = Passage(leg, key, *linear)._replace(model=model, span=(t0, t1), steps=steps)
     return Points(x, points.w, Path(start, block, (*passages, passage), (*U, u)))
 
 
@@ -139,7 +139,7 @@ def cycled(
     if model.linear:
         leg, change = NO_LEG, change_of(model, t1 - t0)
     else:
-        leg, change = leg_of(model, t0, t1, *steps[:2]), _NO_CHANGE
+        leg, change = leg_of(model, t0, t1, *steps), _NO_CHANGE
     with surfacing():
         return cycle(tuple(map(address_of, PARTS)), leg, change, reader, *resting, *places(n))
 
@@ -215,8 +215,8 @@ def chosen_steps(
     begin: Steps,
     bounds: tuple[int, int],
     allowed: float,
-) -> Steps:
-    """Steps within bounds, whose bias is allowed; more than the most where that is not enough."""
+) -> tuple[Steps, float]:
+    """Steps within bounds, and their bias, which is allowed; more than the most where that is not enough."""
     x, w, key = points.x, points.w, key_at(span[0], 0)
     about = x, w, key, *places(model.dim), begin.number, begin.stiff, *bounds, allowed
     with surfacing():
@@ -228,10 +228,10 @@ def _passage(model: SDE, x: Floats, span: tuple[float, float], steps: Steps, key
     start = centres(x)
     if model.linear:
         return _changed(model, key, start, change_of(model, span[1] - span[0]))._replace(
-            span=span, steps=steps[:2]
+            span=span, steps=steps
         )
-    leg = leg_of(model, *span, *steps[:2])
-    return Passage(leg, key, start, *_linearised(leg, start), model, span, steps[:2])
+    leg = leg_of(model, *span, *steps)
+    return Passage(leg, key, start, *_linearised(leg, start), model, span, steps)
 
 
 def relinearised(passage: Passage, start: Floats, key: int) -> Passage:

@@ -130,8 +130,8 @@ def _on_more_points(
             break
         error = info.error
         if error > MISSED * target and before.cloud is not None:
-            sensor = Stacked.of((Asked.of(prior, measurement, z),), prior.domain)
-            about = model, (before.t, prior.t), sensor, moments_of(posterior)
+            asked = Asked(measurement, z, measurement.observed(z), prior.t, None, None, None)
+            about = model, (before.t, prior.t), Stacked.of((asked,), prior.domain), moments_of(posterior)
             added = fresh(before.cloud, cloud, *about)
             error = added if added < error else error  # what was there before, no points cure
         more = points_for(cloud.size, error, target) if error > MISSED * target else 0

@@ -277,8 +277,8 @@ def _maker(name: str, matrix: sp.Matrix, names: Names) -> Maker:
             lines += [f"O[{k}*i + {j}] = {source(v)}" for j, v in enumerate(reduced)]
         except ValueError as error:
             raise ExpressionError(f"The {name} cannot be worked out: {error}.") from error
-        names_of_code = {"np": FAST, "flat": flat, "linear": linear, "previous": previous, "slope": slope}
-        return compile_source(before, lines, **names_of_code)
+        tables = {"linear": linear, "previous": previous, "slope": slope}
+        return compile_source(before, lines, np=FAST, flat=flat, **tables)
 
     return make
 

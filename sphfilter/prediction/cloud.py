@@ -7,7 +7,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
-from ..core.cloud.pace import ORDER, Steps
+from ..core.cloud.pace import FIRST_TRIED, ORDER, Steps
 from ..core.cloud.weights import AWAY, compared, together
 from ..density.as_cloud import cloud_of
 from ..density.as_family import unrolled
@@ -179,19 +179,19 @@ def steps_of(
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
     if not model.autonomous:
         least = max(least, math.ceil(dt * rate_of_time(model, points.x[:_ASKED], *span)))
-    number = math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else 0
+    number = math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else FIRST_TRIED
     if model.domain.walled.any():
         number = max(least, number, math.ceil(dt / _beside_walls(model, points, span[0])))
         return Steps(_enough(number, most, span), stiff), pace
     told = state.told.errors.mean
     told = _USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told
     allowed = _PART * max(min(math.hypot(told, state.inherited), DOUBTFUL), target) / legs
-    steps = chosen_steps(points, model, span, Steps(number, stiff), (least, most), allowed)
+    steps, bias = chosen_steps(points, model, span, Steps(number, stiff), (least, most), allowed)
     _enough(steps.number, most, span)
-    over, longest = steps.bias / allowed, float(steps.number)
+    over, longest = bias / allowed, float(steps.number)
     if over < _CALMER:
         longest *= max(over, _CALMER) ** (1.0 / ORDER)
-    bias = pace.bias + (steps.bias if math.isfinite(steps.bias) else 0.0)
+    bias = pace.bias + (bias if math.isfinite(bias) else 0.0)
     return steps, Pace(dt * shorter / max(longest, least), steps.stiff, legs, bias)
 
 

@@ -9,28 +9,27 @@ from .._jit import jit
 from .curve import along_curve
 from .noise import LANES, fill_noise, mixed
 from .steps import Leg, new_room, walk
+from .way import PILOT
 from .weights import AWAY, systematic
 
-__all__ = ["ORDER", "Steps", "chosen", "moved_twice", "over", "parted"]
+__all__ = ["FIRST_TRIED", "ORDER", "Steps", "chosen", "moved_twice", "over", "parted"]
 
 #: Points by which the bias of steps is told, of one chunk of lanes, and groups of them.
 _PILOTS, _GROUPS = 64, 4
-_PILOT = 3  # of a key: the noise of pilots
 #: Of what shorter steps show, beyond which the means of all points have been found to part (measured on six
 #: scenes: 1.2 to 1.6).
 _BEYOND = 1.5
 ORDER = 3.0  # of the steps' bias
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _MOST_OF = 0.8  # of pilots, that the model must not carry to infinity
-_FIRST = 4  # steps that are tried first, of a stiff drift, too
+FIRST_TRIED = 4  # steps that are tried first, of a stiff drift, too
 
 
 class Steps(NamedTuple):
-    """Steps of an interval; whether its drift is too stiff to be followed in one step each; their bias."""
+    """Steps of an interval, and whether its drift is too stiff to be followed in one step each."""
 
     number: int
     stiff: bool = False
-    bias: float = 0.0  # standard deviations
 
 
 @jit
@@ -61,7 +60,7 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     table, bits : ndarray, int
         Of the curve.
     number : int
-        Steps to begin with; zero: some.
+        Steps to begin with.
     stiff : bool
     least, most : int
         Of all numbers; more than the most are returned where that is not enough.
@@ -71,10 +70,12 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     Returns
     -------
     Steps
+    bias : float
+        Standard deviations.
     """
     x = x[systematic(w, _PILOTS, 0.5)]
     x, before, tried = x[along_curve(x, np.full(len(x), 1.0 / len(x)), table, bits)], np.inf, False
-    number, own = max(least, number if number > 0 else _FIRST), mixed(np.uint64(key), np.uint64(_PILOT))
+    number, own = max(least, number), mixed(np.uint64(key), np.uint64(PILOT))
     while number <= most:
         flow = stiff_flow if stiff else leg.flow
         steps, half = over(leg, flow, *span, number), over(leg, flow, *span, 2 * number)
@@ -82,13 +83,13 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
         bias = _BEYOND * parted(coarse, fine, _GROUPS)
         too_much = bias / allowed
         if not too_much > 1.0 or (stiff and (2 * number > most or not bias < _HELPED * before)):
-            return Steps(number, stiff, bias)
+            return Steps(number, stiff), bias
         if not stiff and tried and not bias < before:  # shorter steps do not help: it takes too many of them
-            number, stiff, before = max(least, _FIRST), True, np.inf
+            number, stiff, before = max(least, FIRST_TRIED), True, np.inf
             continue
         before, tried = bias, True
         number = math.ceil(number * min(max(too_much ** (1.0 / ORDER), 1.2), 4.0))
-    return Steps(number, stiff, np.inf)
+    return Steps(number, stiff), np.inf
 
 
 @jit

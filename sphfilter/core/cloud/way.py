@@ -17,10 +17,10 @@ from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
 from .weights import effective, for_moments
 
-__all__ = ["AGAIN", "FIRST", "KERNEL", "begin", "blocks_of", "carry", "carry_linear", "everywhere"]
+__all__ = ["AGAIN", "FIRST", "KERNEL", "PILOT", "begin", "blocks_of", "carry", "carry_linear", "everywhere"]
 
 # what numbers of a key are for
-_CUT, FIRST, AGAIN, _, KERNEL = range(5)
+_CUT, FIRST, AGAIN, PILOT, KERNEL = range(5)
 #: Effective part of points, below which they are drawn anew.
 _FEW = 0.5
 
