@@ -150,7 +150,7 @@ def switched(velocity, noise, rate, z):
 SAID = [
     *SAID_OF_FITS,
     lambda: predicted(line("x**3")),
-    lambda: predicted(line("x**3", "0.3"), scheme="cloud", start=sf.Gaussian([0.0], [[0.06]])),
+    lambda: predicted(line("x**3", "0.3"), scheme="cloud", start=sf.Gaussian([0.0], [[0.08]])),
     lambda: predicted(line("-x - x**3"), scheme=sf.CloudScheme(max_steps=2)),
     lambda: predicted(line("sqrt(x + 3)"), scheme="log_density"),
     lambda: predicted(line("-6*sign(x)", "0.1"), scheme="log_density"),

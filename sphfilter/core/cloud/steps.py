@@ -128,14 +128,17 @@ def flow_at_once(leg, room, K, n, t, h):
 
 @jit
 def flow_in_parts(leg, room, K, n, t, h):
-    """Move the K points in a room along a stiff drift plus slope, in as many steps as it takes; or to NaN."""
+    """Move the K points in a room along a stiff drift plus slope, in as many steps as it takes.
+
+    A point that no step is short enough for is given up, as no number; all are, if it takes too many steps.
+    """
     drift, x, before = function_at(leg.drift), part(room, X, K, n), part(room, BEFORE, K, n)
     went, dt = 0.0, h
     for _ in range(_MOST_PARTS):
         dt = min(dt, h - went)
         _copy(x, before)
         _runge_kutta(drift, leg.p, room, K, n, t + went, dt)
-        off = _off(room, K, n, dt)
+        off, worst = _off(room, K, n, dt)
         if off <= 1.0:
             went += dt
             if not went < h * (1.0 - 1e-12):
@@ -144,26 +147,33 @@ def flow_in_parts(leg, room, K, n, t, h):
             _copy(before, x)
         dt *= min(max(0.8 * off ** (-1.0 / 3.0), 0.1), 4.0) if off > 0.0 else 4.0
         if not dt > 1e-24 * h:
-            break
+            x[worst, 0], dt = np.nan, h
     for i in range(K):
         x[i, 0] = np.nan
 
 
 @jit
 def _off(room, K, n, dt):
-    """How far two inner slopes of a step lead apart, over what is allowed; or infinite."""
+    """How far two inner slopes of a step lead apart, over what is allowed, or infinite; and of which point.
+
+    Points that have been given up do not count.
+    """
     x, k2, k3, k4 = part(room, BEFORE, K, n), part(room, K2, K, n), part(room, K3, K, n), part(room, K4, K, n)
-    off = 0.0
+    off, worst = 0.0, 0
     for a in range(n):
-        low, high, most = np.inf, -np.inf, 0.0
+        low, high, most, at = np.inf, -np.inf, 0.0, 0
         for i in range(K):
-            low, high = min(low, x[i, a]), max(high, x[i, a])
-            d = abs(k3[i, a] - k2[i, a]) + abs(k4[i, a] - k3[i, a])
-            if not d < np.inf:
-                return np.inf
-            most = max(most, d)
-        off = max(off, dt * most / (_STIFF * (high - low) + 1e-9 * abs(high) + 1e-300))
-    return off
+            if x[i, 0] == x[i, 0]:
+                low, high = min(low, x[i, a]), max(high, x[i, a])
+                d = abs(k3[i, a] - k2[i, a]) + abs(k4[i, a] - k3[i, a])
+                if not d < np.inf:
+                    return np.inf, i
+                if d > most:
+                    most, at = d, i
+        own = dt * most / (_STIFF * (high - low) + 1e-9 * abs(high) + 1e-300)
+        if own > off:
+            off, worst = own, at
+    return off, worst
 
 
 _FLOWS = LEG, VECTOR, types.int64, types.int64, types.float64, types.float64
