@@ -1,12 +1,21 @@
-"""Parts of an array of numbers as arrays that own nothing: what a slice costs is more than a short loop."""
+"""Arrays as compiled code takes them; and parts of one as arrays that own nothing, cheaper than a slice."""
 
+import numpy as np
 from numba import types
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
 from ._jit import MATRIX, VECTOR
 
-__all__ = ["flat", "rows_at"]
+__all__ = ["as_compiled", "flat", "rows_at"]
+
+
+def as_compiled(x):
+    """An array as functions are compiled for, dense and not read-only: a copy where it is not such.
+
+    Of any other kind they would be compiled once more, in the middle of a run.
+    """
+    return np.require(x, requirements="CW")
 
 
 @intrinsic

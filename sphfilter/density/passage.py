@@ -7,6 +7,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core._addresses import address_of
+from ..core._views import as_compiled
 from ..core.cloud.curve import along_curve, places
 from ..core.cloud.cycle import PARTS, Cycled, Resting, cycle
 from ..core.cloud.linearise import LINEARISE, centres, linearise, lower_and_rows
@@ -73,9 +74,8 @@ def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
 def begun_from(points: Points, count: int, key: int) -> Points:
     """Weighted points of any density as the begin of a path of `count` points."""
     n, family = points.x.shape[1], _EACH_ITS_OWN if points.family is None else points.family
-    start, y, u, w, block, middle, lower, flow = begin(
-        points.x, points.w, family, count, key, net(count, n, 0), *places(n)
-    )
+    about = family, count, key, net(count, n, 0), *places(n)
+    start, y, u, w, block, middle, lower, flow = begin(as_compiled(points.x), as_compiled(points.w), *about)
     kernel = Passage(None, stored_key(key, KERNEL), middle, middle, flow, lower, _NO_ROWS)
     return Points(y, w, Path(start, block, (kernel,), (u,)))
 
@@ -260,4 +260,4 @@ def _changed(model: SDE | None, key: int, start: Floats, change: tuple[Floats, F
 
 def along(x: Floats, w: Floats) -> Ints:
     """Numbers of points (N, n) in an order in which neighbours follow each other."""
-    return along_curve(x, w, *places(x.shape[1]))
+    return along_curve(as_compiled(x), as_compiled(w), *places(x.shape[1]))

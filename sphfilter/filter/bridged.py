@@ -103,7 +103,7 @@ def _led(
     if rows is not None:  # what moves points later is noise of the reading
         first = np.ascontiguousarray(HL @ rows[:, :, :n])
         R = R + HL @ HL.swapaxes(1, 2) - first @ first.swapaxes(1, 2)
-    return look_ahead(r, u[0], w, block, first, np.ascontiguousarray(R), net(count, n, LED), key)
+    return look_ahead(r, u[0], w, block, first, np.ascontiguousarray(R), net(count, n, LED), np.uint64(key))
 
 
 def _halved(passages: Any, x: Floats, key: Any) -> tuple[Passage, ...]:

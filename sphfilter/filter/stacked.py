@@ -6,6 +6,7 @@ import numpy as np
 
 from .._types import Bools, Floats, Ints
 from ..core._addresses import NOWHERE_AT
+from ..core._views import as_compiled
 from ..core.cloud.guide import along_rows, joined, linear_reading, log_normals, without_noise
 from ..core.cloud.linearise import lower_and_rows
 from ..core.cloud.reading import Reader
@@ -187,7 +188,7 @@ def seen(
         lower, rows = lower_and_rows(lower)
         whole = along_rows(rows, block, np.concatenate(u, axis=1))
     r = sensor.residual(sensor.predict(without_noise(y, x, whole, lower, flow, block)))
-    about = start, flow, lower, sensor.jacobian(end), sensor.covariance(end), sensor.angle
+    about = start, flow, lower, as_compiled(sensor.jacobian(end)), sensor.covariance(end), sensor.angle
     HL, R = linear_reading(h, x, whole, w, block, *about, wider, misses)
     return Seen(rows, whole, HL, r, R)
 
