@@ -5,10 +5,12 @@ matrices are stored row-major in the columns.
 """
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numba.extending import register_jitable
 
 from .._types import BatchFunction, Floats
+from ..core._addresses import Entry
+from ..core._jit import MATRIX, jit
 from .compile import batch
 
 __all__ = [
@@ -31,6 +33,7 @@ def scales(D: Floats) -> Floats:
     return np.where(d > 0.0, d, 1.0)
 
 
+@register_jitable
 def symmetric_root(D: Floats) -> Floats:
     """Return g, shape (n, n), with g gᵀ = 2 D: the symmetric root of D of unit diagonal, smooth in D."""
     d = scales(D)
@@ -115,18 +118,27 @@ def diffusion_from_noise(g: BatchFunction, Q: Floats) -> BatchFunction:
 
 def noise_from_diffusion(D: BatchFunction) -> BatchFunction:
     """Return the batch function of the symmetric g with g gᵀ = 2 D."""
-    root = njit(symmetric_root)
+    at = _ROOTS.address
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
-        n = x.shape[1]
         D(x, t, p, out)
-        for i in range(x.shape[0]):
-            if np.isfinite(out[i]).all():
-                out[i] = root(out[i].copy().reshape((n, n))).ravel()
-            else:
-                out[i] = np.nan
+        _roots_at(at)(x.shape[1], out)
 
     return batch(fill)
+
+
+@jit
+def symmetric_roots(n: int, out: Floats) -> None:
+    """Put g, with g gᵀ = 2 D, in the place of D (n, n) in each row of `out`; NaN where that is no number."""
+    for i in range(out.shape[0]):
+        if np.isfinite(out[i]).all():
+            out[i] = symmetric_root(out[i].copy().reshape((n, n))).ravel()
+        else:
+            out[i] = np.nan
+
+
+_ROOTS = Entry(symmetric_roots, (types.int64, MATRIX), types.void)
+_roots_at = _ROOTS.at
 
 
 @njit(error_model="numpy")
