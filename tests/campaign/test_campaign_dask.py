@@ -36,6 +36,7 @@ def test_dask_gives_the_same_bits_and_keeps_runs(cluster, tmp_path):
     assert isinstance(spread.results["kf"], FilterResult) and spread.failures == []
 
 
+@pytest.mark.slow
 def test_command_with_a_scheduler_and_with_none(cluster, tmp_path, capsys):
     words = ["campaign", "linear_underdamped", "--runs", "3", "--filters", "kf", "--set", "times.end=6"]
     assert main([*words, "--out", str(tmp_path / "a"), "--dask", cluster.scheduler_address]) == 0

@@ -367,6 +367,7 @@ def test_command_goes_on_from_what_is_there(folder, monkeypatch, capsys):
     assert "PF, order 2" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_command_tells_who_wins_with_an_expensive_drift(tmp_path, capsys):
     arguments = ["--filters", "ekf,pf4", "--counts", "200", "--limit", "1", "--out", str(tmp_path)]
     assert commands.main(["benchmark", "expensive", *_QUICK, "--set", "times.end=5", *arguments]) == 0

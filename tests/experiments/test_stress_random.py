@@ -208,6 +208,7 @@ def test_command_writes_its_files_and_resumes(tmp_path, capsys, monkeypatch):
     assert "choose from the grid" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_default_filter_is_judged_beside_the_one_of_so_many_particles(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(command, "_WARM", ())
     for auto in ([], ["--auto"]):

@@ -48,6 +48,7 @@ def test_linear_run_against_kalman(config):
     assert result.accepted.all()
 
 
+@pytest.mark.slow
 def test_error_against_kalman_falls_with_the_number_of_particles():
     z = data()
     exact = KalmanFilter(OSCILLATOR, POSITION, X0, P0).run(TIMES, z)

@@ -113,7 +113,7 @@ def test_edges_between_nodes_are_part_of_the_error(count, half, z):
     assert abs(density.mean()[0] - exact.mean()) < 3.0 * info.error * exact.std()
 
 
-@pytest.mark.parametrize("noise", [0.1, 0.03])
+@pytest.mark.parametrize("noise", [0.1, pytest.param(0.03, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("anchors", [[[0.0, 0.0], [1.5, 0.0]], [[-3.0, 0.0], [0.0, -2.0]]])
 def test_ranges_one_after_the_other(anchors, noise):
     both = ranges(anchors, noise)

@@ -100,6 +100,7 @@ def test_two_states(name):
     assert_smoothed(model, POSITION, start, z, 150, exact, 2e-3)
 
 
+@pytest.mark.slow
 def test_three_states_apart():
     """Each is smoothed as if it were alone. Measured: 4e-3, 1.2e-3, the evidence 4.3e-3."""
     f, g, _, drift, D, ends, x0 = LINES["ito"]

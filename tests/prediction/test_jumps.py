@@ -27,7 +27,7 @@ def moments(drift, T):
     return mean, p @ (x - mean) ** 2
 
 
-@pytest.mark.parametrize("n_particles", [50, 400])
+@pytest.mark.parametrize("n_particles", [50, pytest.param(400, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("pieces", [1, 64])
 @pytest.mark.parametrize("drift", DRIFTS)
 def test_long_and_short_predictions(drift, pieces, n_particles):
