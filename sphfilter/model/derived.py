@@ -4,13 +4,15 @@ Indices of the papers: f drift (n,), g noise (n, m), Q (m, m), D = g Q gᵀ / 2 
 matrices are stored row-major in the columns.
 """
 
+from typing import Any
+
 import numpy as np
-from numba import njit, types
+from numba import float64, types
 from numba.extending import register_jitable
 
 from .._types import BatchFunction, Floats
-from ..core._addresses import Entry
-from ..core._jit import MATRIX, jit
+from ..core._addresses import ADDRESS, Entry, address_of, function_at
+from ..core._jit import MATRIX, VECTOR, jit
 from .compile import batch
 
 __all__ = [
@@ -141,25 +143,37 @@ _ROOTS = Entry(symmetric_roots, (types.int64, MATRIX), types.void)
 _roots_at = _ROOTS.at
 
 
-@njit(error_model="numpy")
-def _difference(f: BatchFunction, x: Floats, t: float, p: Floats, j: int, step: float, out: Floats) -> None:
-    """Fill ∂f/∂x_j by central differences, all rows at once; out (N, k)."""
-    moved, below = x.copy(), np.empty_like(out)
+@jit
+def difference(f: int, x: Floats, t: float, p: Floats, j: int, step: float, out: Floats) -> None:
+    """Fill ∂f/∂x_j by central differences, all rows at once; out (N, k). A batch function f, by address."""
+    call, moved, below = function_at(f), x.copy(), np.empty_like(out)
     for i in range(x.shape[0]):
         moved[i, j] = x[i, j] - step * max(1.0, abs(x[i, j]))
-    f(moved, t, p, below)
+    call(moved, t, p, below)
     for i in range(x.shape[0]):
         moved[i, j] = x[i, j] + step * max(1.0, abs(x[i, j]))
-    f(moved, t, p, out)
+    call(moved, t, p, out)
     for i in range(x.shape[0]):
         h = 2.0 * step * max(1.0, abs(x[i, j]))
         for k in range(out.shape[1]):
             out[i, k] = (out[i, k] - below[i, k]) / h
 
 
+_DIFFERENCE = Entry(difference, (ADDRESS, MATRIX, float64, VECTOR, types.int64, float64, MATRIX), types.void)
+_difference_at = _DIFFERENCE.at
+
+
+def _using(fill: BatchFunction, f: BatchFunction) -> BatchFunction:
+    """The batch function of one that calls another by address, which lives as long."""
+    made: Any = batch(fill)
+    made.calls = f
+    return made
+
+
 def stratonovich_drift(f: BatchFunction, g: BatchFunction, Q: Floats) -> BatchFunction:
     """Return the Itô drift f_i + ½ Σ_jkl g_jk Q_kl ∂_j g_il of a Stratonovich equation (002 (4), erratum)."""
     m, step = len(Q), _STEP
+    at, own = _DIFFERENCE.address, address_of(g)
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
@@ -168,7 +182,7 @@ def stratonovich_drift(f: BatchFunction, g: BatchFunction, Q: Floats) -> BatchFu
         dG = np.empty((x.shape[0], n * m))
         g(x, t, p, G)
         for j in range(n):
-            _difference(g, x, t, p, j, step, dG)
+            _difference_at(at)(own, x, t, p, j, step, dG)
             for i in range(x.shape[0]):
                 for k in range(m):
                     for r in range(m):
@@ -176,12 +190,13 @@ def stratonovich_drift(f: BatchFunction, g: BatchFunction, Q: Floats) -> BatchFu
                         for a in range(n):
                             out[i, a] += c * dG[i, a * m + r]
 
-    return batch(fill)
+    return _using(fill, g)
 
 
 def noise_columns(g: BatchFunction, R: Floats) -> BatchFunction:
     """Return the batch function of c = g R, shape (n, r) per row, then Σ_a ∂_a c_ak of its columns."""
     (m, r), step = R.shape, _STEP
+    at, own = _DIFFERENCE.address, address_of(g)
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
@@ -189,47 +204,47 @@ def noise_columns(g: BatchFunction, R: Floats) -> BatchFunction:
         out[:] = 0.0
         g(x, t, p, G)
         for a in range(n):
-            _difference(g, x, t, p, a, step, dG)
+            _difference_at(at)(own, x, t, p, a, step, dG)
             for i in range(x.shape[0]):
                 for k in range(r):
                     for j in range(m):
                         out[i, a * r + k] += G[i, a * m + j] * R[j, k]
                         out[i, n * r + k] += dG[i, a * m + j] * R[j, k]
 
-    return batch(fill)
+    return _using(fill, g)
 
 
 def jacobian_from(f: BatchFunction, k: int) -> BatchFunction:
     """Return the batch function of ∂_j f_a, shape (k, n) per row, by central differences."""
-    step = _STEP
+    step, at, own = _STEP, _DIFFERENCE.address, address_of(f)
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
         df = np.empty((x.shape[0], k))
         for j in range(n):
-            _difference(f, x, t, p, j, step, df)
+            _difference_at(at)(own, x, t, p, j, step, df)
             for i in range(x.shape[0]):
                 for a in range(k):
                     out[i, a * n + j] = df[i, a]
 
-    return batch(fill)
+    return _using(fill, f)
 
 
 def row_divergence_from(D: BatchFunction) -> BatchFunction:
     """Return the batch function of (∇·D)_a = Σ_j ∂_j D_aj by central differences."""
-    step = _STEP
+    step, at, own = _STEP, _DIFFERENCE.address, address_of(D)
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
         out[:] = 0.0
         dD = np.empty((x.shape[0], n * n))
         for j in range(n):
-            _difference(D, x, t, p, j, step, dD)
+            _difference_at(at)(own, x, t, p, j, step, dD)
             for i in range(x.shape[0]):
                 for a in range(n):
                     out[i, a] += dD[i, a * n + j]
 
-    return batch(fill)
+    return _using(fill, D)
 
 
 def trace_from(J: BatchFunction) -> BatchFunction:
