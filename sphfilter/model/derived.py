@@ -18,7 +18,7 @@ from .compile import batch
 __all__ = [
     "constant_diffusion", "constant_noise", "diffusion_from_noise", "jacobian_from", "linear_divergence",
     "linear_drift", "linear_jacobian", "noise_columns", "noise_from_diffusion", "row_divergence_from",
-    "scales", "stratonovich_drift", "symmetric_root", "trace_from", "zeros",
+    "scales", "stratonovich_drift", "trace_from", "zeros",
 ]  # fmt: skip
 
 #: Relative step of central differences: balances rounding (eps/h) against truncation (h²).
@@ -33,14 +33,6 @@ def scales(D: Floats) -> Floats:
     """
     d = np.sqrt(np.abs(np.diag(D)))
     return np.where(d > 0.0, d, 1.0)
-
-
-@register_jitable
-def symmetric_root(D: Floats) -> Floats:
-    """Return g, shape (n, n), with g gᵀ = 2 D: the symmetric root of D of unit diagonal, smooth in D."""
-    d = scales(D)
-    w, V = np.linalg.eigh(D / np.outer(d, d))
-    return ((V * np.sqrt(2.0 * np.maximum(w, 0.0))) @ V.T) * d.reshape((-1, 1))
 
 
 # --- constants, read from the tail of p: [parameters, g (n m), D (n n)] ---
@@ -131,10 +123,16 @@ def noise_from_diffusion(D: BatchFunction) -> BatchFunction:
 
 @jit
 def symmetric_roots(n: int, out: Floats) -> None:
-    """Put g, with g gᵀ = 2 D, in the place of D (n, n) in each row of `out`; NaN where that is no number."""
+    """Put g with g gᵀ = 2 D in the place of D (n, n) in each row; NaN where D is no number.
+
+    That is the symmetric root of D of unit diagonal, smooth in D.
+    """
     for i in range(out.shape[0]):
         if np.isfinite(out[i]).all():
-            out[i] = symmetric_root(out[i].copy().reshape((n, n))).ravel()
+            D = out[i].copy().reshape((n, n))
+            d = scales(D)
+            w, V = np.linalg.eigh(D / np.outer(d, d))
+            out[i] = (((V * np.sqrt(2.0 * np.maximum(w, 0.0))) @ V.T) * d.reshape((-1, 1))).ravel()
         else:
             out[i] = np.nan
 
