@@ -20,6 +20,7 @@ from ..density.passage import LED, gone, normals, sub_key
 from ..density.points import Points, Prior
 from ..model.compile import surfacing
 from .bridged import bridged
+from .pilot import piloted
 from .stacked import Stacked, seen
 from .tempered import tempered
 
@@ -84,13 +85,15 @@ def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
 def _best(points: Points, sensor: Stacked, key: int) -> Carried:
     """The posterior by the first way that has enough carriers, or far more than those before it."""
     count = len(points.w)
-    best = _at_once(points, sensor, key) or _in_turn(points, sensor, key)
+    best = _at_once(points, sensor, key)
+    if best is None:
+        best, sensor = _in_turn(points, sensor, key)
     if points.path is None or best.families >= EVEN * effective(points.w):
         return best
-    if sensor.guides and best.families < FEW * count:
+    if len(sensor.z) and best.families < FEW * count:
         least = _LOST * _FAR_MORE * best.families if best.families > _NEXT_TO_NONE else 0.0
         best = _better(best, bridged(points, sensor, key, least))
-    if best.families < min(_FEWER * count, _NEXT_TO_NONE if sensor.guides else _ENOUGH):
+    if best.families < min(_FEWER * count, _ENOUGH if sensor.hidden else _NEXT_TO_NONE):
         best = _better(best, tempered(points, sensor.log_likelihood, key))
     return best
 
@@ -121,13 +124,17 @@ def _at_once(points: Points, sensor: Stacked, key: int) -> Carried | None:
     return None if wrong else Carried.of(*found)
 
 
-def _in_turn(points: Points, sensor: Stacked, key: int) -> Carried:
-    """The posterior of the first pass, or of both where that is uneven: any sensor, any way."""
-    h = sensor.predict(points.x) if sensor.guides else None
+def _in_turn(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Stacked]:
+    """The posterior of the first pass, or of both where that is uneven: any sensor, any way; and its guide."""
+    h = None if sensor.hidden else sensor.predict(points.x)
     log_l = sensor.log_likelihood(points.x, h)
     best = Carried.of(points.x, prior_times(points.w, log_l), np.arange(len(points.w)))
-    even = points.path is None or best.families >= EVEN * effective(points.w)
-    return best if even or h is None else _twice(points, log_l, h, sensor, key) or best
+    if points.path is None or best.families >= EVEN * effective(points.w):
+        return best, sensor
+    if sensor.hidden:
+        sensor = piloted(sensor, points, log_l)
+        h = sensor.predict(points.x) if len(sensor.z) else None
+    return (best if h is None else _twice(points, log_l, h, sensor, key) or best), sensor
 
 
 def _twice(points: Points, log_l: Floats, h: Floats, sensor: Stacked, key: int) -> Carried | None:

@@ -21,41 +21,57 @@ _NOTHING, _NO_MATRIX = np.empty(0), np.empty((0, 0))
 
 
 class Stacked(NamedTuple):
-    """Sensors that read the state at one time, as one; and what a guide asks of Gaussian noise."""
+    """Sensors that read the state at one time, as one; and what a guide asks of those of Gaussian noise."""
 
     asked: tuple[Any, ...]
     domain: Domain | None
-    guides: bool
+    guides: tuple[Any, ...] = ()  # those of Gaussian noise; of them is the rest
     z: Floats = np.empty(0)  # what was read, (k,) components that came
     angle: Bools = np.empty(0, bool)  # which of them are angles, (k,)
     H: Floats | None = None  # (1, k, n), where all are linear
     R: Floats | None = None  # (1, k, k), where it is the same in all states
     root: Floats | None = None  # lower, of R, where the likelihood is known to be that Gaussian
     reader: Reader | None = None  # all that in one, where compiled code knows the sensor
+    pilot: Floats | None = None  # (j, n), the last components: linear, of unit noise
 
     @classmethod
     def of(cls, readings: tuple[Any, ...], domain: Domain | None) -> "Stacked":
         """The readings of one time, each of them `Asked`."""
-        sensors = [a.measurement for a in readings]
-        if not all(is_gaussian(s) or has_gaussian_noise(s) for s in sensors):
-            return cls(readings, domain, False)
-        z = _joined([np.atleast_1d(np.asarray(a.numbers))[a.seen] for a in readings])
-        angle = _joined([_are_angles(a) for a in readings])
+        guides = tuple(a for a in readings if is_gaussian(a.measurement) or has_gaussian_noise(a.measurement))
+        if not guides:
+            return cls(readings, domain)
+        sensors = [a.measurement for a in guides]
+        z = _joined([np.atleast_1d(np.asarray(a.numbers))[a.seen] for a in guides])
+        angle = _joined([_are_angles(a) for a in guides])
         H = R = root = None
         if all(s.H is not None for s in sensors):
-            H = _joined([s.H[a.seen] for s, a in zip(sensors, readings, strict=True)])[None]
+            H = _joined([s.H[a.seen] for s, a in zip(sensors, guides, strict=True)])[None]
         if all(s.noise_cov is not None for s in sensors):
-            R = _blocks([block_of(s.noise_cov, a.seen) for s, a in zip(sensors, readings, strict=True)])[None]
-        if all(map(has_own_likelihood, sensors)) and R is not None:
-            root = _blocks([s.root(a.seen) for s, a in zip(sensors, readings, strict=True)])
-        made = cls(readings, domain, True, z, angle, H, R, root)
+            R = _blocks([block_of(s.noise_cov, a.seen) for s, a in zip(sensors, guides, strict=True)])[None]
+        if len(guides) == len(readings) and all(map(has_own_likelihood, sensors)) and R is not None:
+            root = _blocks([s.root(a.seen) for s, a in zip(sensors, guides, strict=True)])
+        made = cls(readings, domain, guides, z, angle, H, R, root)
         return made._replace(reader=made._reader())
+
+    @property
+    def hidden(self) -> tuple[Any, ...]:
+        """Readings that say nothing but a likelihood."""
+        return tuple(a for a in self.asked if not any(a is other for other in self.guides))
+
+    def with_pilot(self, rows: Floats, z: Floats) -> "Stacked":
+        """The same, and for a guide linear readings z (j,) of unit noise, rows (j, n), beside it."""
+        known = bool(self.guides)
+        H = rows[None] if not known else None if self.H is None else np.concatenate([self.H[0], rows])[None]
+        one = np.eye(len(z))[None]
+        R = one if not known else None if self.R is None else _blocks([self.R, one])
+        angle = np.append(self.angle, np.zeros(len(z), bool))
+        return self._replace(z=np.append(self.z, z), angle=angle, H=H, R=R, pilot=rows)
 
     def again(self, asked: Any) -> "Stacked":
         """The same sensor, that has read other numbers, all of them, at another time."""
         z = np.asarray(asked.numbers)
         reader = None if self.reader is None else self.reader._replace(z=z, t=float(asked.t))
-        return self._replace(asked=(asked,), z=z, reader=reader)
+        return self._replace(asked=(asked,), guides=(asked,), z=z, reader=reader)
 
     def _reader(self) -> Reader | None:
         """What compiled code reads by; None for states in a domain, and sensors of which it knows no h."""
@@ -75,11 +91,15 @@ class Stacked(NamedTuple):
             values, wrong = log_normals(self.z, self.predict(x) if h is None else h, self.angle, self.root)
             if not wrong:
                 return np.asarray(values)
+        return self.log_weights(x, self.asked)
+
+    def log_weights(self, x: Floats, readings: tuple[Any, ...]) -> Floats:
+        """Log-likelihood (N,) of states (N, n) by some of the readings; none where a state is no number."""
         fine, every = finite_rows(x)
         X = x if every else x[fine]
         X = X if self.domain is None else self.domain.wrap(X)
-        values = self.asked[0].log_weight(X)
-        for asked in self.asked[1:]:
+        values = readings[0].log_weight(X)
+        for asked in readings[1:]:
             values = values + asked.log_weight(X)
         if every:
             return np.asarray(values)
@@ -90,10 +110,11 @@ class Stacked(NamedTuple):
     def predict(self, x: Floats) -> Floats:
         """Readings (N, k) of states, components that came; NaN where a state is no number."""
         fine, every = finite_rows(x)
-        X = x if every else x[fine]
-        X = X if self.domain is None else self.domain.wrap(X)
-        parts = [a.measurement.predict(X, a.t) for a in self.asked]
-        parts = [h if a.seen.all() else h[:, a.seen] for h, a in zip(parts, self.asked, strict=True)]
+        own = x if every else x[fine]
+        X = own if self.domain is None else self.domain.wrap(own)
+        parts = [a.measurement.predict(X, a.t) for a in self.guides]
+        parts = [h if a.seen.all() else h[:, a.seen] for h, a in zip(parts, self.guides, strict=True)]
+        parts += [] if self.pilot is None else [own @ self.pilot.T]
         values = _joined(parts, axis=1)
         if every:
             return np.ascontiguousarray(values)
@@ -122,10 +143,13 @@ class Stacked(NamedTuple):
         if self.R is not None:
             return self.R
         parts = []
-        for a in self.asked:
+        for a in self.guides:
             own, k = a.measurement.noise_cov, len(a.seen)
             own = a.measurement.covariance(c, a.t) if own is None else np.broadcast_to(own, (len(c), k, k))
             parts.append(own[:, a.seen][:, :, a.seen])
+        if self.pilot is not None:
+            one = np.eye(len(self.pilot))
+            parts.append(np.broadcast_to(one, (len(c), *one.shape)))
         return _blocks(parts)
 
 

@@ -82,7 +82,7 @@ def update_or_predict_again(
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
     bound = particle_bound(prior, n_particles)
-    if posterior.read_out == "cloud" and before is not None:
+    if posterior.read_out == "cloud" and (before is not None or prior.read_out != "cloud"):
         once = prior, posterior, info
         return Outcome(*_on_more_points(before, once, model, measurement, z, config), bound)
     known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED
@@ -112,16 +112,20 @@ def update_or_predict_again(
 
 
 def _on_more_points(
-    before: ParticleDensity,
+    before: ParticleDensity | None,
     once: tuple[ParticleDensity, ParticleDensity, UpdateInfo],
     model: SDE,
     measurement: Sensor,
     z: ArrayLike | None,
     config: FilterConfig,
 ) -> tuple[ParticleDensity, ParticleDensity, UpdateInfo]:
-    """Predict and update again where a reading finds too few points, or points that know no way to be led."""
+    """Predict and update again where a reading finds too few points, or points that know no way to be led.
+
+    Without a prediction before, the prior itself is drawn anew.
+    """
     (prior, posterior, info), best = once, once
-    target, known = target_of(prior, config, None), before.needs
+    start = prior if before is None else before
+    target, known = target_of(prior, config, None), start.needs
     if target is None or known is None or config.time_budget or info.reason == NOTHING_CAME:
         return once
     for tries in range(_TRIES):
@@ -129,16 +133,18 @@ def _on_more_points(
         if cloud is None:  # the ladder has found something cheaper than so many points
             break
         error = info.error
-        if error > MISSED * target and before.cloud is not None:
+        if error > MISSED * target and before is not None and before.cloud is not None:
             asked = Asked(measurement, z, measurement.observed(z), prior.t, None, None, None)
             about = model, (before.t, prior.t), Stacked.of((asked,), prior.domain), moments_of(posterior)
             added = fresh(before.cloud, cloud, *about)
             error = added if added < error else error  # what was there before, no points cure
         more = points_for(cloud.size, error, target) if error > MISSED * target else 0
-        if more <= cloud.size and (tries > 0 or prior.read_out == "cloud"):
+        led = before is None or prior.read_out == "cloud"
+        if more <= cloud.size and (tries > 0 or led):
             break
-        own = before.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
-        prior, _ = predict(own, model, t=prior.t, config=config, n_particles="auto", goes_on=False)
+        prior = start.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
+        if before is not None:
+            prior, _ = predict(prior, model, t=posterior.t, config=config, n_particles="auto", goes_on=False)
         posterior, info = update(prior, measurement, z, config, n_particles="auto")
         if info.error < (_HELPED if more else 1.0) * best[2].error:  # else it is not points that are wanting
             best = prior, posterior, info

@@ -111,6 +111,39 @@ def test_starts_that_end_before_a_reading_are_told(key):
     assert found.families < 16.0
 
 
+def of_likelihood(R, index):
+    """A sensor of one state that says nothing but the likelihood of a Gaussian reading of variance R."""
+    return sf.LikelihoodMeasurement(lambda z, X, t: norm.logpdf(z[0], X[:, index], np.sqrt(R)), dim_z=1)
+
+
+@pytest.mark.parametrize("R", [1e-2, 1e-3])
+def test_sensors_that_say_nothing_but_a_likelihood_are_guided(R):
+    cov, z = np.diag([2.0, 2.0]), 1.0
+    expected = kalman(SWING, np.array([1.0, 0.0]), R, np.zeros(2), cov, [z], 0.6)
+    found = run(SWING, of_likelihood(R, 0), (np.zeros(2), cov), [[z]], 0.6)
+    assert found.effective > N / 4  # unguided: .05 N and .016 N
+    assert np.all(np.array(off(found, *expected)) < [0.03, 0.1, 0.03])
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_likelihood_beside_a_sensor_that_guides(order):
+    """Of two wells that a square leaves, an edge leaves one: what guides is the square and the edge."""
+    square = sf.GaussianMeasurement.from_expressions(["x", "v"], ["x**2"], [[0.005]])
+    edge = sf.LikelihoodMeasurement(lambda z, X, t: np.where(X[:, 0] > z[0], 0.0, -np.inf), dim_z=1)
+    points = passed(begun(np.zeros(2), np.diag([2.0, 2.0]), N, 0), SWING, 0.0, 0.6, Steps(10), N, 1)
+    readings = [asked(square, [0.1], 0.6), asked(edge, [0.0], 0.6)][::order]
+    for k, reading in enumerate(readings):
+        found = weighed(points, Stacked.of((reading,), None), 50 + k)
+        points = found.points
+    F, _, Q = linear_transition(SWING, 0.6)
+    sd = np.sqrt((F @ np.diag([2.0, 2.0]) @ F.T + Q)[0, 0])
+    x = np.linspace(1e-6, 2.0, 20_001)
+    p = norm.pdf(x, scale=sd) * norm.pdf(0.1, x**2, np.sqrt(0.005))
+    mean = np.sum(x * p) / np.sum(p)
+    assert found.effective > N / 4  # by the edge alone .05 N
+    assert found.points.x[:, 0] @ found.points.w == pytest.approx(mean, abs=0.003)
+
+
 def test_a_box():
     low, high = 0.595, 0.605
     sensor = sf.LikelihoodMeasurement(
