@@ -125,7 +125,7 @@ def _at_once(points: Points, sensor: Stacked, key: int) -> Carried | None:
 
 
 def _in_turn(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Stacked]:
-    """The posterior of the first pass, or of both where that is uneven: any sensor, any way; and its guide."""
+    """The posterior of the first pass, or of both where that is uneven; and the sensor with its guide."""
     h = None if sensor.hidden else sensor.predict(points.x)
     log_l = sensor.log_likelihood(points.x, h)
     best = Carried.of(points.x, prior_times(points.w, log_l), np.arange(len(points.w)))

@@ -50,7 +50,7 @@ def piloted(sensor: Stacked, points: Points, log_l: Floats) -> Stacked:
     s = s * (1.0 + (n + 2) / carriers)
     rows = (V.T @ white)[s < EVEN]
     s = s[s < EVEN]
-    # of unit noise, a row √(1/s - 1) e leaves variance s along e, and moves the mean by 1 - s of what it reads
+    # of unit noise, √(1/s - 1) e leaves variance s along e, and moves the mean by 1 - s of what it reads
     gain = np.sqrt(1.0 / s - 1.0)
     z = gain * (rows @ mean + rows @ (moved - mean) / (1.0 - s))
     return sensor.with_pilot(np.ascontiguousarray(gain[:, None] * rows), z) if len(s) else sensor
