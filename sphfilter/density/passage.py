@@ -56,12 +56,15 @@ _EACH_ITS_OWN, _NO_ROWS = np.empty(0, np.int64), np.empty((1, 0, 0))
 _NO_CHANGE = np.empty((0, 0)), np.empty(0), np.empty((0, 0))
 
 
-def begun(mean: Floats, cov: Floats, count: int, key: int) -> Points:
-    """A Gaussian of mean (n,) and covariance (n, n) as points, each with noise as wide as their distance."""
+def begun(mean: Floats, cov: Floats, count: int, key: int, number: int = 0) -> Points:
+    """A Gaussian of mean (n,) and covariance (n, n) as points, each with noise as wide as their distance.
+
+    Clouds of other numbers have starts of their own: those of one net are parts of each other.
+    """
     n = len(mean)
     spread = max(count ** (-1.0 / n), _SPREAD)
     root = noise_root(cov) if np.linalg.det(cov) <= 0.0 else np.linalg.cholesky(cov)
-    x = mean + np.sqrt(1.0 - spread**2) * np.einsum("ij,kj->ik", net(count, n, _START), root)
+    x = mean + np.sqrt(1.0 - spread**2) * np.einsum("ij,kj->ik", net(count, n, _START + number), root)
     w = np.full(count, 1.0 / count)
     x = np.ascontiguousarray(x[along(x, w)])
     key = stored_key(key, KERNEL)

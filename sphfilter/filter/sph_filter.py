@@ -26,7 +26,7 @@ from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, driven
 from ..model.sde import SDE
 from ..prediction.again import MOST, Outcome, or_as_cloud, predict_from_finer
-from ..prediction.predict import Prediction, predict
+from ..prediction.predict import predict
 from ..prediction.to_target import Time
 from ..validate import array, choice, column, count, covariance, positive, real, row, seconds, short
 from .budget import Budget, rehearse
@@ -37,7 +37,7 @@ from .names import check_assigned, check_read, in_own_words
 from .readings import checked_sensor, interval_of, numbers_of, parted, sensor_of
 from .results import FilterResult, run_filter
 from .state import FilterState, Shown
-from .update_again import update_or_predict_again
+from .update_again import predicted, update_or_predict_again
 
 __all__ = ["SPHFilter"]
 
@@ -306,7 +306,7 @@ class SPHFilter(Shown, Remembering):
         sensor = driven(sensor_of(self.measurement, given, H, self.model), state.inputs)
         numbers = numbers_of(sensor, z)
         used, values = parted(sensor, numbers)
-        prediction = state.origin if isinstance(state.origin, Prediction) else Prediction()
+        prediction = predicted(state.origin)
         self._budget.begin()
         most = "auto" if self._adapts else self._most()
         options: dict[str, Any] = {"n_particles": most, "fits": self._budget.fits}

@@ -106,7 +106,7 @@ class FilterState(Noted):
         x, P = _moments(density)
         return self.noted(
             density=density,
-            origin=Update(prior, *asked) if density is not prior else None,
+            origin=Update.after(self.origin, prior, *asked) if density is not prior else None,
             x=x,
             P=P,
             x_prior=x_prior,

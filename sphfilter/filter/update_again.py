@@ -18,12 +18,11 @@ from ..model.measurements import Sensor
 from ..model.sde import SDE
 from ..prediction.again import Ladder, Outcome
 from ..prediction.predict import Prediction, predict
-from .asked import Asked
 from .by_cloud import fresh
 from .stacked import Stacked
 from .update import update
 
-__all__ = ["Update", "update_or_predict_again"]
+__all__ = ["Update", "predicted", "update_or_predict_again"]
 
 #: Probability of a posterior that hangs on what the prediction lost, from which the prediction is repeated.
 _GUESSED = 0.01
@@ -39,10 +38,26 @@ class Update(NamedTuple):
     measurement: Sensor
     z: ArrayLike | None
     own: bool = True  # the filter's own sensor
+    prediction: Prediction = Prediction()  # and what was read since, this too
+
+    @classmethod
+    def after(cls, origin: Any, before: ParticleDensity, *asked: Any) -> "Update":
+        """An update of a density of this origin: a `Prediction`, an `Update` or none."""
+        prediction, (sensor, z, *_) = predicted(origin), asked
+        return cls(before, *asked)._replace(
+            prediction=prediction._replace(readings=(*prediction.readings, (sensor, z)))
+        )
 
     def repeated(self, config: Any, n_particles: int) -> ParticleDensity:
         """The posterior on another number of particles."""
         return update(self.before, self.measurement, self.z, config, n_particles=n_particles)[0]
+
+
+def predicted(origin: Any) -> Prediction:
+    """The prediction that led to a density of this origin, with the readings since."""
+    if isinstance(origin, Update):
+        return origin.prediction
+    return origin if isinstance(origin, Prediction) else Prediction()
 
 
 def update_or_predict_again(
@@ -63,7 +78,7 @@ def update_or_predict_again(
     Parameters
     ----------
     prediction : Prediction
-        What led to the prior.
+        What led to the prior, with readings of the same time before this one.
     prior : ParticleDensity
     model : SDE
     measurement : GaussianMeasurement or LikelihoodMeasurement
@@ -84,8 +99,8 @@ def update_or_predict_again(
     bound = particle_bound(prior, n_particles)
     if posterior.read_out == "cloud" and (before is not None or prior.read_out != "cloud"):
         once = prior, posterior, info
-        return Outcome(*_on_more_points(before, once, model, measurement, z, config), bound)
-    known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED
+        return Outcome(*_on_more_points(prediction, once, model, measurement, z, config), bound)
+    known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED or prediction.readings
     if known or before is None or before.field is None:
         return Outcome(prior, posterior, info, bound)
     from scipy.stats import chi2  # on use: import time
@@ -112,7 +127,7 @@ def update_or_predict_again(
 
 
 def _on_more_points(
-    before: ParticleDensity | None,
+    prediction: Prediction,
     once: tuple[ParticleDensity, ParticleDensity, UpdateInfo],
     model: SDE,
     measurement: Sensor,
@@ -121,9 +136,9 @@ def _on_more_points(
 ) -> tuple[ParticleDensity, ParticleDensity, UpdateInfo]:
     """Predict and update again where a reading finds too few points, or points that know no way to be led.
 
-    Without a prediction before, the prior itself is drawn anew.
+    Readings of the same time are used once more; without a prediction, the prior itself is drawn anew.
     """
-    (prior, posterior, info), best = once, once
+    (prior, posterior, info), best, before = once, once, prediction.before
     start = prior if before is None else before
     target, known = target_of(prior, config, None), start.needs
     if target is None or known is None or config.time_budget or info.reason == NOTHING_CAME:
@@ -134,8 +149,9 @@ def _on_more_points(
             break
         error = info.error
         if error > MISSED * target and before is not None and before.cloud is not None:
-            asked = Asked(measurement, z, measurement.observed(z), prior.t, None, None, None)
-            about = model, (before.t, prior.t), Stacked.of((asked,), prior.domain), moments_of(posterior)
+            assert cloud.points.prior is not None
+            seen = Stacked.of(cloud.points.prior.readings, prior.domain)
+            about = model, (before.t, prior.t), seen, moments_of(posterior)
             added = fresh(before.cloud, cloud, *about)
             error = added if added < error else error  # what was there before, no points cure
         more = points_for(cloud.size, error, target) if error > MISSED * target else 0
@@ -145,6 +161,8 @@ def _on_more_points(
         prior = start.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
         if before is not None:
             prior, _ = predict(prior, model, t=posterior.t, config=config, n_particles="auto", goes_on=False)
+        for sensor, numbers in prediction.readings:
+            prior, _ = update(prior, sensor, numbers, config, n_particles="auto")
         posterior, info = update(prior, measurement, z, config, n_particles="auto")
         if info.error < (_HELPED if more else 1.0) * best[2].error:  # else it is not points that are wanting
             best = prior, posterior, info

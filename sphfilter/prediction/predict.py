@@ -198,6 +198,7 @@ class Prediction(NamedTuple):
     lost: float = 0.0  # probability that the lattices lost
     model: SDE | None = None
     t: float = 0.0  # seconds, where it ended
+    readings: tuple[Any, ...] = ()  # used since: pairs of sensor and numbers
 
     def repeated(self, config: SolverConfig | FilterConfig, n_particles: int) -> ParticleDensity:
         """The density it ended with on another number of particles."""

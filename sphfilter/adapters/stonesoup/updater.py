@@ -22,11 +22,10 @@ from ...density.resample import particle_bound
 from ...errors import ModelError, PropagationError
 from ...filter.asked import predicted_reading
 from ...filter.update_again import Update as UpdateOrigin
-from ...filter.update_again import update_or_predict_again
+from ...filter.update_again import predicted, update_or_predict_again
 from ...info import Code, UpdateInfo
 from ...model.measurements import GaussianSensor, Sensor
 from ...prediction.again import Outcome
-from ...prediction.predict import Prediction as PredictionOrigin
 from ...validate import choice, count
 from .association import (
     Alone,
@@ -193,8 +192,7 @@ class SPHUpdater(DensityUpdater):
     def _multiplied(
         self, prediction: State, sensor: Sensor, z: Any, times: int = 1, config: FilterConfig | None = None
     ) -> Outcome[UpdateInfo]:
-        density, origin = self._density(prediction), origin_of(prediction)
-        origin = origin if isinstance(origin, PredictionOrigin) else PredictionOrigin()
+        density, origin = self._density(prediction), predicted(origin_of(prediction))
         n_particles = particle_bound(density, self.n_particles)
         config = checked_filter_config(self.config) if config is None else config
         model: Any = origin.model  # unknown where nothing was predicted, and not asked for then
@@ -219,7 +217,7 @@ class SPHUpdater(DensityUpdater):
             state, density=density, timestamp=timestamp, hypothesis=hypothesis, info=info
         )
         if asked is not None and density is not prior:
-            return remember(posterior, UpdateOrigin(prior, *asked))
+            return remember(posterior, UpdateOrigin.after(origin_of(prediction), prior, *asked))
         return remember(posterior, origin_of(prediction)) if density is state.density else posterior
 
     def _reading(self, state: State, sensor: GaussianSensor) -> tuple[Floats, Floats, Floats, Floats]:
