@@ -71,6 +71,12 @@ class Told(NamedTuple):
         # what is much worse than before is believed at once, to half of it
         return Told(*[_smoothed(old, new) for old, new in pairs])
 
+    def or_expected(self, number: float, n: int) -> "Told":
+        """These; before any, what a shadow of so many independent points of n states usually shows."""
+        if not math.isnan(self.mean):
+            return self
+        return self._replace(mean=_USUAL / number, variance=(n + 1.0) * _USUAL / number)
+
     def of(self, times: float) -> "Told":
         """The same for so many times the points."""
         return Told(*[square * times ** (-2.0 * ORDER) for square in self])
@@ -90,6 +96,9 @@ def _smoothed(old: float, new: float) -> float:
 #: Points of a cloud over those of its shadow; an error falls with their number to about this power.
 SHADOW, ORDER = 8, 0.6
 _NEW = 0.4  # weight of the last squared difference among all
+#: Squared error of a mean over that of as many points drawn at random: .3 to .65 of the error after the first
+#: readings of 90 random models, whatever part of the points carries them.
+_USUAL = 0.25
 
 
 class Pace(NamedTuple):

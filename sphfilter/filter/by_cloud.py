@@ -96,6 +96,7 @@ def read(state: CloudState, sensor: Stacked, t: float) -> Read | None:
     if math.isfinite(beside.log_evidence):
         off = found.log_evidence - beside.log_evidence
         sums = found.moments, beside.moments
+        told = told.or_expected(max(beside.effective, 1.0), len(shadow.x[0]))
         told = told.after(*apart(found.points, shadow, sensor.domain, sums), off**2)
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))

@@ -151,6 +151,7 @@ def _at_once(
         return None
     found, few, n = Carried(*cloud.found), Carried(*beside.found), model.dim
     error, told = ahead(state, pace, count, *pooled(*before, n))
+    told = told.or_expected(max(few.effective, 1.0), n)
     told = told.after(*pooled(*after, n), (found.log_evidence - few.log_evidence) ** 2)
     state = CloudState(state.points, state.shadow, count, told, pace, state.inherited)
     done = read_of(state, Weighed.of(found, found.points), few.points, told, span[1])

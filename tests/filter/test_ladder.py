@@ -263,14 +263,14 @@ def test_a_cloud_that_misses_the_target_has_no_fewer_points_next():
 def test_a_reading_is_not_made_again_for_what_was_wrong_before_it(monkeypatch):
     """No number of points cures weights of two wells that were wrong when the interval began."""
     case, flt = made("duffing_square", 0.03)
-    followed(flt, case, 8)
+    followed(flt, case, 9)
     cloud = flt.density.cloud
     one_sided = cloud.shadow.w * np.where(cloud.shadow.x[:, 0] > 0.0, 10.0, 1.0)
     parted = cloud._replace(shadow=cloud.shadow._replace(w=one_sided / one_sided.sum()))
     flt = sf.SPHFilter(flt.model, flt.measurement, density=flt.density.noted(cloud=parted), config=flt.config)
-    flt.predict(t=case.times[8])
+    flt.predict(t=case.times[9])
     monkeypatch.setattr(update_again, "predict", None)  # nothing is predicted again
-    assert flt.update(case.z[8]).error > 1.5 * 0.03
+    assert flt.update(case.z[9]).error > 1.5 * 0.03
 
 
 def test_many_short_predictions_are_as_good_as_one():
