@@ -7,7 +7,15 @@ import numpy as np
 
 from .._types import Floats
 from .families import Families, particles_of_families
-from .family import OF_MISFIT, Family, fitted, gaussian_family, moments_apart, particles_of
+from .family import (
+    OF_MISFIT,
+    Family,
+    fitted,
+    gaussian_family,
+    moments_apart,
+    node_moments,
+    particles_of,
+)
 from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
 from .pieces import Pieces, particles_of_pieces
@@ -18,6 +26,9 @@ __all__ = ["families_density", "family_density", "family_of", "pieces_density", 
 
 def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     """The family of a density, and its misfit: the rms of log p less its polynomial.
+
+    That is where the family is. What lies elsewhere, a part far away, moments tell: what they are apart by is a
+    misfit, too.
 
     Parameters
     ----------
@@ -30,7 +41,9 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     mean, cov = unrolled(density)
     if density.gaussian:
         return gaussian_family(mean, cov, degree), 0.0
-    return fitted(logarithm(density), mean, cov, degree)
+    family, misfit = fitted(logarithm(density), mean, cov, degree)
+    own_mean, own_cov = node_moments(family.basis.xi, family.weighted()[0])  # in the frame of the density's own
+    return family, max(misfit, moments_apart(own_mean, own_cov - np.eye(len(mean))) / OF_MISFIT)
 
 
 def unrolled(density: ParticleDensity) -> tuple[Floats, Floats]:
