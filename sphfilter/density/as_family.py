@@ -42,7 +42,9 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     if density.gaussian:
         return gaussian_family(mean, cov, degree), 0.0
     family, misfit = fitted(logarithm(density), mean, cov, degree)
-    own_mean, own_cov = node_moments(family.basis.xi, family.weighted()[0])  # in the frame of the density's own
+    own_mean, own_cov = node_moments(
+        family.basis.xi, family.weighted()[0]
+    )  # in the frame of the density's own
     return family, max(misfit, moments_apart(own_mean, own_cov - np.eye(len(mean))) / OF_MISFIT)
 
 

@@ -78,8 +78,8 @@ class Told(NamedTuple):
         return self._replace(mean=_USUAL / number, variance=(n + 1.0) * _USUAL / number)
 
     def of(self, times: float) -> "Told":
-        """The same for so many times the points."""
-        return Told(*[square * times ** (-2.0 * ORDER) for square in self])
+        """The same for so many times the points; fewer points leave what was wrong as it was."""
+        return Told(*[square * max(times, 1.0) ** (-2.0 * ORDER) for square in self])
 
     @property
     def errors(self) -> "Told":

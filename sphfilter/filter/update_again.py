@@ -164,7 +164,7 @@ def _on_more_points(
         for sensor, numbers in prediction.readings:
             prior, _ = update(prior, sensor, numbers, config, n_particles="auto")
         posterior, info = update(prior, measurement, z, config, n_particles="auto")
-        if info.error < (_HELPED if more else 1.0) * best[2].error:  # else it is not points that are wanting
+        if more or info.error < best[2].error:  # more points know better what they do not know
             best = prior, posterior, info
     prior, posterior, info = best
     cloud, needs = posterior.cloud, posterior.needs
