@@ -27,8 +27,8 @@ __all__ = ["families_density", "family_density", "family_of", "pieces_density", 
 def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     """The family of a density, and its misfit: the rms of log p less its polynomial.
 
-    That is where the family is. What lies elsewhere, a part far away, moments tell: what they are apart by is a
-    misfit, too.
+    That is where the family is. Of what lies elsewhere, a part far away, moments tell: what they are apart by
+    is a misfit, too.
 
     Parameters
     ----------

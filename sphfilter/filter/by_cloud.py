@@ -111,7 +111,7 @@ def read_of(state: CloudState, found: Weighed, shadow: Points, told: Told, t: fl
     own = math.hypot(max(told.errors.mean, _least(found.effective, state.size)), state.pace.bias)
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
-    evidence_error = max(told.errors.log_evidence, _least(found.families, state.size))
+    evidence_error = max(told.errors.log_evidence, _least(found.families))
     return Read(state, found.moments, t, found.log_evidence, evidence_error, own)
 
 
@@ -140,13 +140,13 @@ def fresh(
     return Told(*off).errors.mean
 
 
-def _least(number: float, size: int) -> float:
-    """Error at least of an average of so many independent points among those of a cloud.
+def _least(number: float, size: float = 0.0) -> float:
+    """Error at least of an average of so many independent points, among those of a cloud of a size.
 
     Where a small part of the points carries a posterior, it is no more even than if it were drawn at random;
     and a shadow sees the same few.
     """
-    part = 1.0 if number < _FEW else _UNEVEN * max(1.0 - number / size, 0.0)
+    part = 1.0 if number < _FEW else _UNEVEN * max(1.0 - number / size, 0.0) if size > 0.0 else 0.0
     return part / math.sqrt(number) if number > 0.0 else 0.0
 
 
