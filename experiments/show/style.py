@@ -93,7 +93,7 @@ def plain_numbers(axis):
 
 
 def legend_below(figure, *axes, columns=None, **look):
-    """One legend under all panels, of what `axes` show, each label once; as wide as there is room for.
+    """One legend under all panels, of what `axes` show, each label once; in as few rows as there is room for.
 
     Returns
     -------
@@ -104,5 +104,6 @@ def legend_below(figure, *axes, columns=None, **look):
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
     place = {"loc": "outside lower center", "frameon": False}
-    place["ncols"] = columns or max(min(len(entries), int(figure.get_figwidth() / 1.5)), 1)
+    most = columns or max(int(figure.get_figwidth() / 1.5), 1)
+    place["ncols"] = -(-len(entries) // -(-len(entries) // most)) if entries else 1
     return figure.legend(entries.values(), entries, **place | look)

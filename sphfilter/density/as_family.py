@@ -42,10 +42,8 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     if density.gaussian:
         return gaussian_family(mean, cov, degree), 0.0
     family, misfit = fitted(logarithm(density), mean, cov, degree)
-    own_mean, own_cov = node_moments(
-        family.basis.xi, family.weighted()[0]
-    )  # in the frame of the density's own
-    return family, max(misfit, moments_apart(own_mean, own_cov - np.eye(len(mean))) / OF_MISFIT)
+    shift, own = node_moments(family.basis.xi, family.weighted()[0])  # 0 and I where moments agree
+    return family, max(moments_apart(shift, own - np.eye(len(mean))) / OF_MISFIT, misfit)
 
 
 def unrolled(density: ParticleDensity) -> tuple[Floats, Floats]:

@@ -47,7 +47,7 @@ __all__ = [
 #: Passages after which a path is forgotten, and numbers of all points that they may hold: a reading leads
 #: points through all of them once more.
 _MOST, _NUMBERS = 24, 2**22
-#: Parts of nets that are of none of these: what leads points to a reading, and a start's own points.
+#: Parts of nets that are of none of these: what leads points to a reading; and the first of starts' own.
 LED, _START = 30, 31
 READING = 2  # of the key of a time: a reading of a cloud; and of its shadow the next
 #: Least part of a start's spread that is noise. Up to a half, errors of nine scenes are the same or less.

@@ -75,7 +75,7 @@ class Told(NamedTuple):
         """These; before any, what a shadow of so many independent points of n states usually shows."""
         if not math.isnan(self.mean):
             return self
-        return self._replace(mean=_USUAL / number, variance=(n + 1.0) * _USUAL / number)
+        return self._replace(mean=_EXPECTED_SQUARE / number, variance=(n + 1.0) * _EXPECTED_SQUARE / number)
 
     def of(self, times: float) -> "Told":
         """The same for so many times the points; fewer points leave what was wrong as it was."""
@@ -98,7 +98,7 @@ SHADOW, ORDER = 8, 0.6
 _NEW = 0.4  # weight of the last squared difference among all
 #: Squared error of a mean over that of as many points drawn at random: .3 to .65 of the error after the first
 #: readings of 90 random models, whatever part of the points carries them.
-_USUAL = 0.25
+_EXPECTED_SQUARE = 0.25
 
 
 class Pace(NamedTuple):

@@ -146,8 +146,10 @@ def _least(number: float, size: float = 0.0) -> float:
     Where a small part of the points carries a posterior, it is no more even than if it were drawn at random;
     and a shadow sees the same few.
     """
-    part = 1.0 if number < _FEW else _UNEVEN * max(1.0 - number / size, 0.0) if size > 0.0 else 0.0
-    return part / math.sqrt(number) if number > 0.0 else 0.0
+    if not number > 0.0:
+        return math.inf
+    uneven = _UNEVEN * max(1.0 - number / size, 0.0) if size > 0.0 else 0.0
+    return (1.0 if number < _FEW else uneven) / math.sqrt(number)
 
 
 def _part_of(points: Points, count: int) -> Points:

@@ -74,14 +74,16 @@ def restored(
 def _stored_origin(state: FilterState) -> Arrays:
     """The last prediction or update of a filter, which it may have to repeat, as arrays.
 
-    An update with another sensor than the filter's own is left out: sensors are code, not data.
+    An update with another sensor than the filter's own is left out: sensors are code, not data. So is one
+    that a reading of which nothing came has followed.
     """
     origin = state.origin
     if isinstance(origin, Prediction) and origin.before is not None:
         numbers = {"lost": np.array(origin.lost), "t": np.array(origin.t)}
         return under("before", stored(origin.before)) | numbers
     if isinstance(origin, Update) and origin.own:
-        return under("before", stored(origin.before)) | {"z": np.asarray(state.z, dtype=float)}
+        z = np.asarray(state.z, dtype=float)
+        return under("before", stored(origin.before)) | {"z": z} if np.isfinite(z).any() else {}
     return {}
 
 

@@ -15,6 +15,8 @@ from .stacked import Stacked
 
 __all__ = ["piloted"]
 
+_NARROWEST = 1e-12  # part of a prior's variance that rounding leaves
+
 
 def piloted(sensor: Stacked, points: Points, log_l: Floats) -> Stacked:
     """The sensors with linear readings beside them, in place of those that say nothing but a likelihood.
@@ -34,8 +36,8 @@ def piloted(sensor: Stacked, points: Points, log_l: Floats) -> Stacked:
     """
     before, after = np.empty(len(points.w)), np.empty(len(points.w))
     known = sensor.log_weights(points.x, sensor.guides) if sensor.guides else np.zeros(len(points.w))
-    seen = np.isfinite(normalise(prior_times(points.w, known), before))
-    if not seen or not np.isfinite(normalise(prior_times(points.w, log_l), after)):
+    could = np.isfinite(normalise(prior_times(points.w, known), before))
+    if not could or not np.isfinite(normalise(prior_times(points.w, log_l), after)):
         return sensor
     n, carriers = points.x.shape[1], min(effective(before), effective(after))
     if carriers <= n + 1:
@@ -46,6 +48,7 @@ def piloted(sensor: Stacked, points: Points, log_l: Floats) -> Stacked:
     except np.linalg.LinAlgError:
         return sensor
     s, V = np.linalg.eigh(white @ narrower @ white.T)
+    s = np.maximum(s, _NARROWEST)
     # mean and covariance of few points are off themselves: by 1 / carriers and (n + 1) / carriers of it
     s = s * (1.0 + (n + 2) / carriers)
     rows = (V.T @ white)[s < EVEN]

@@ -1,7 +1,7 @@
 """`SPHFilter`: predict and update with state, in the shape filterpy users know."""
 
 import math
-from copy import copy
+from copy import copy, deepcopy
 from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -37,7 +37,7 @@ from .names import check_assigned, check_read, in_own_words
 from .readings import checked_sensor, interval_of, numbers_of, parted, sensor_of
 from .results import FilterResult, run_filter
 from .state import FilterState, Shown
-from .update_again import predicted, update_or_predict_again
+from .update_again import prediction_of, update_or_predict_again
 
 __all__ = ["SPHFilter"]
 
@@ -305,8 +305,8 @@ class SPHFilter(Shown, Remembering):
         given, state = measurement if R is None else R, self._state
         sensor = driven(sensor_of(self.measurement, given, H, self.model), state.inputs)
         numbers = numbers_of(sensor, z)
-        used, values = parted(sensor, numbers)
-        prediction = predicted(state.origin)
+        used, values = parted(sensor, deepcopy(numbers))  # they may be asked for again
+        prediction = prediction_of(state.origin)
         self._budget.begin()
         most = "auto" if self._adapts else self._most()
         options: dict[str, Any] = {"n_particles": most, "fits": self._budget.fits}
@@ -330,6 +330,7 @@ class SPHFilter(Shown, Remembering):
     def load(cls, path: str | PathLike[str], model: SDE, measurement: Sensor | None, window: int = 0) -> Self:
         """Read a filter that `save` wrote, with the model and sensor it had: it goes on to the same bits.
 
+        One that was saved between two readings of one time does not: it knows the first as a density only.
         The steps of a `window` are not in the file: it begins anew.
 
         Raises

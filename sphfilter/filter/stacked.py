@@ -14,6 +14,7 @@ from ..core.cloud.weights import finite_rows
 from ..model.domain import Domain
 from ..model.measurements import block as block_of
 from ..model.measurements import has_gaussian_noise, has_own_likelihood, is_gaussian
+from ..model.sensors import Sensors
 
 __all__ = ["Seen", "Stacked", "seen"]
 
@@ -36,7 +37,8 @@ class Stacked(NamedTuple):
 
     @classmethod
     def of(cls, readings: tuple[Any, ...], domain: Domain | None) -> "Stacked":
-        """The readings of one time, each of them `Asked`."""
+        """The readings of one time, each of them `Asked`; of several sensors as one, those of each."""
+        readings = tuple(member for asked in readings for member in _members(asked))
         guides = tuple(a for a in readings if is_gaussian(a.measurement) or has_gaussian_noise(a.measurement))
         if not guides:
             return cls(readings, domain)
@@ -151,6 +153,19 @@ class Stacked(NamedTuple):
             one = np.eye(len(self.pilot))
             parts.append(np.broadcast_to(one, (len(c), *one.shape)))
         return _blocks(parts)
+
+
+def _members(asked: Any) -> tuple[Any, ...]:
+    """A reading of `Sensors` as those of each that came, where some say nothing but a likelihood."""
+    sensors = asked.measurement
+    if not isinstance(sensors, Sensors) or is_gaussian(sensors) or has_gaussian_noise(sensors):
+        return (asked,)
+    z, rows = np.asarray(asked.numbers), {name: sensors.rows(name) for name in sensors}
+    return tuple(
+        asked._replace(measurement=sensors[name], z=z[own], seen=asked.seen[own])
+        for name, own in rows.items()
+        if asked.seen[own].any()
+    )
 
 
 def _are_angles(asked: Any) -> Bools:

@@ -102,11 +102,12 @@ class FilterState(Noted):
         and whether it is the filter's own sensor.
         """
         prior, density, info, _ = outcome
-        x_prior, P_prior = (self.x, self.P) if prior is self.density else _moments(prior)
+        used, same = density is not prior, prior is self.density
+        x_prior, P_prior = (self.x, self.P) if same else _moments(prior)
         x, P = _moments(density)
         return self.noted(
             density=density,
-            origin=Update.after(self.origin, prior, *asked) if density is not prior else None,
+            origin=Update.after(self.origin, prior, *asked) if used else self.origin if same else None,
             x=x,
             P=P,
             x_prior=x_prior,

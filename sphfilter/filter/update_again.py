@@ -1,4 +1,6 @@
-"""A prediction repeated, finer and further, where a measurement finds the state in what it lost."""
+"""Predictions repeated: finer and further where a reading finds the state in what one lost, on more points
+where it finds too few, together with what was read since.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,7 +24,7 @@ from .by_cloud import fresh
 from .stacked import Stacked
 from .update import update
 
-__all__ = ["Update", "predicted", "update_or_predict_again"]
+__all__ = ["Update", "prediction_of", "update_or_predict_again"]
 
 #: Probability of a posterior that hangs on what the prediction lost, from which the prediction is repeated.
 _GUESSED = 0.01
@@ -41,19 +43,22 @@ class Update(NamedTuple):
     prediction: Prediction = Prediction()  # and what was read since, this too
 
     @classmethod
-    def after(cls, origin: Any, before: ParticleDensity, *asked: Any) -> "Update":
+    def after(
+        cls, origin: Any, before: ParticleDensity, sensor: Sensor, z: Any, own: bool = True
+    ) -> "Update":
         """An update of a density of this origin: a `Prediction`, an `Update` or none."""
-        prediction, (sensor, z, *_) = predicted(origin), asked
-        return cls(before, *asked)._replace(
-            prediction=prediction._replace(readings=(*prediction.readings, (sensor, z)))
-        )
+        prediction = prediction_of(origin)
+        if prediction.before is None:  # what was read before is in the prior, and nothing leads to that
+            return cls(before, sensor, z, own)
+        readings = (*prediction.readings, (sensor, z))
+        return cls(before, sensor, z, own, prediction._replace(readings=readings))
 
     def repeated(self, config: Any, n_particles: int) -> ParticleDensity:
         """The posterior on another number of particles."""
         return update(self.before, self.measurement, self.z, config, n_particles=n_particles)[0]
 
 
-def predicted(origin: Any) -> Prediction:
+def prediction_of(origin: Any) -> Prediction:
     """The prediction that led to a density of this origin, with the readings since."""
     if isinstance(origin, Update):
         return origin.prediction
@@ -70,7 +75,7 @@ def update_or_predict_again(
     n_particles: int | Literal["auto"],
     fits: Callable[[int], bool] | None = None,
 ) -> Outcome[UpdateInfo]:
-    """Update; if the posterior hangs on what the prediction lost, predict again, finer and further.
+    """Update; if the posterior hangs on what the prediction lost, or on too few points, predict again.
 
     A prediction cuts off what lies below a level of the density, and loses some of what is near. There a
     measurement may find the state.
@@ -100,7 +105,8 @@ def update_or_predict_again(
     if posterior.read_out == "cloud" and (before is not None or prior.read_out != "cloud"):
         once = prior, posterior, info
         return Outcome(*_on_more_points(prediction, once, model, measurement, z, config), bound)
-    known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED or prediction.readings
+    known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED
+    known = known or bool(prediction.readings)
     if known or before is None or before.field is None:
         return Outcome(prior, posterior, info, bound)
     from scipy.stats import chi2  # on use: import time
@@ -159,11 +165,16 @@ def _on_more_points(
         if more <= cloud.size and (tries > 0 or led):
             break
         prior = start.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
-        if before is not None:
-            prior, _ = predict(prior, model, t=posterior.t, config=config, n_particles="auto", goes_on=False)
-        for sensor, numbers in prediction.readings:
-            prior, _ = update(prior, sensor, numbers, config, n_particles="auto")
-        posterior, info = update(prior, measurement, z, config, n_particles="auto")
+        try:
+            if before is not None:
+                prior, _ = predict(
+                    prior, model, t=posterior.t, config=config, n_particles="auto", goes_on=False
+                )
+            for sensor, numbers in prediction.readings:
+                prior, _ = update(prior, sensor, numbers, config, n_particles="auto")
+            posterior, info = update(prior, measurement, z, config, n_particles="auto")
+        except PropagationError:  # what there is already is better than none
+            break
         if more or info.error < best[2].error:  # more points know better what they do not know
             best = prior, posterior, info
     prior, posterior, info = best

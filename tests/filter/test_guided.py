@@ -144,6 +144,17 @@ def test_a_likelihood_beside_a_sensor_that_guides(order):
     assert found.points.x[:, 0] @ found.points.w == pytest.approx(mean, abs=0.003)
 
 
+def test_sensors_of_which_one_is_a_likelihood_are_guided_as_their_parts():
+    square = sf.GaussianMeasurement.from_expressions(["x", "v"], ["x**2"], [[0.005]])
+    weak = sf.LikelihoodMeasurement(lambda z, X, t: -((X[:, 1] - z[0]) ** 2) / 20.0, dim_z=1)
+    points = passed(begun(np.zeros(2), np.diag([2.0, 2.0]), N, 0), SWING, 0.0, 0.6, Steps(10), N, 1)
+    both = asked(sf.Sensors({"square": square, "weak": weak}), np.array([0.1, 0.3]), 0.6)
+    one = weighed(points, Stacked.of((both,), None), 50)
+    other = weighed(points, Stacked.of((asked(square, [0.1], 0.6), asked(weak, [0.3], 0.6)), None), 50)
+    assert one.log_evidence == other.log_evidence
+    assert one.effective == other.effective
+
+
 def test_a_box():
     low, high = 0.595, 0.605
     sensor = sf.LikelihoodMeasurement(

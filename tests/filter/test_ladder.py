@@ -289,3 +289,76 @@ def test_many_short_predictions_are_as_good_as_one():
         assert off[-1] < 3.0 * np.sqrt(2.0) * told.error
     assert np.sqrt(np.mean(np.square(off))) < 0.03
     assert rungs == {"family", "cloud"}
+
+
+BOX = sf.LikelihoodMeasurement(
+    lambda z, X, t: np.where(np.abs(X[:, 1:] - z[0]).max(axis=1) < 0.05, 0.0, -np.inf), dim_z=1
+)
+APART = sf.SDE.from_expressions(["a", "b", "c"], ["0", "0", "0"], [["0.01"], ["0.01"], ["0.01"]], [[1.0]])
+
+
+@pytest.mark.parametrize("nothing_first", [False, True])
+def test_no_reading_is_used_twice_where_nothing_leads_to_the_prior(nothing_first):
+    first = sf.GaussianMeasurement([[1.0, 0.0, 0.0]], [[1.0]])
+    flt = sf.SPHFilter(APART, first, np.zeros(3), np.eye(3), config=sf.FilterConfig(target_error=0.03))
+    if nothing_first:
+        flt.predict(1e-6)
+        flt.update(None)
+    flt.update([2.0])
+    flt.update([0.5], BOX)
+    assert flt.x[0] == pytest.approx(1.0, abs=0.1)
+    assert flt.P[0, 0] == pytest.approx(0.5, abs=0.1)
+
+
+def sines():
+    """A filter of one state that two sensors read at one time, sharply."""
+    model = sf.SDE.from_expressions(["x"], ["0.7*sin(2*x) - 0.7*x"], [["0.016"]], [[1.0]])
+    bearing = sf.GaussianMeasurement.from_expressions(["x"], ["atan2(1, x - 1.7)"], [[0.02]], angles=[0])
+    sine = sf.GaussianMeasurement.from_expressions(["x"], ["sin(1.56*x)"], [[0.00095]])
+    return sf.SPHFilter(model, bearing, [-0.15], [[0.6]], config=sf.FilterConfig(target_error=0.01)), sine
+
+
+def test_readings_of_one_time_are_made_again_together_where_the_last_finds_too_few_points():
+    flt, sine = sines()
+    flt.predict(0.36)
+    flt.update([2.39])
+    assert flt.update([0.864], sine).error < 0.02  # .046, not made again
+    grid = sf.SPHFilter(
+        flt.model,
+        flt.measurement,
+        [-0.15],
+        [[0.6]],
+        n_particles=400,
+        config=sf.FilterConfig(scheme="log_density"),
+    )
+    grid.predict(0.36)
+    grid.update([2.39])
+    grid.update([0.864], sine)
+    assert flt.x == pytest.approx(grid.x, abs=0.03 * grid.P[0, 0] ** 0.5)
+    assert flt.log_evidence == pytest.approx(grid.log_evidence, abs=0.03)
+
+
+def test_a_reading_that_did_not_come_leaves_the_others_together():
+    found = []
+    for between in ((), (None,)):
+        flt, sine = sines()
+        flt.predict(0.36)
+        flt.update([2.39])
+        for z in between:
+            flt.update(z)
+        flt.update([0.864], sine)
+        found.append((flt.x[0], flt.P[0, 0]))
+    assert found[0] == found[1]
+
+
+def test_a_reading_is_kept_as_it_was():
+    """The caller's array may hold the next reading before this one is asked for again."""
+    found = []
+    for z, later in ((np.array([2.39]), 0.5), (np.array([2.39]), 2.39)):
+        flt, sine = sines()
+        flt.predict(0.36)
+        flt.update(z)
+        z[0] = later
+        flt.update([0.864], sine)
+        found.append(flt.x[0])
+    assert found[0] == found[1]

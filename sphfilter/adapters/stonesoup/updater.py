@@ -22,7 +22,7 @@ from ...density.resample import particle_bound
 from ...errors import ModelError, PropagationError
 from ...filter.asked import predicted_reading
 from ...filter.update_again import Update as UpdateOrigin
-from ...filter.update_again import predicted, update_or_predict_again
+from ...filter.update_again import prediction_of, update_or_predict_again
 from ...info import Code, UpdateInfo
 from ...model.measurements import GaussianSensor, Sensor
 from ...prediction.again import Outcome
@@ -192,7 +192,7 @@ class SPHUpdater(DensityUpdater):
     def _multiplied(
         self, prediction: State, sensor: Sensor, z: Any, times: int = 1, config: FilterConfig | None = None
     ) -> Outcome[UpdateInfo]:
-        density, origin = self._density(prediction), predicted(origin_of(prediction))
+        density, origin = self._density(prediction), prediction_of(origin_of(prediction))
         n_particles = particle_bound(density, self.n_particles)
         config = checked_filter_config(self.config) if config is None else config
         model: Any = origin.model  # unknown where nothing was predicted, and not asked for then
