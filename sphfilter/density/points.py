@@ -75,7 +75,8 @@ class Told(NamedTuple):
         """These; before any, what a shadow of so many independent points of n states usually shows."""
         if not math.isnan(self.mean):
             return self
-        return self._replace(mean=_EXPECTED_SQUARE / number, variance=(n + 1.0) * _EXPECTED_SQUARE / number)
+        mean = _EXPECTED_SQUARE / max(number, 1.0)
+        return self._replace(mean=mean, variance=(n + 1.0) * mean)
 
     def of(self, times: float) -> "Told":
         """The same for so many times the points; fewer points leave what was wrong as it was."""

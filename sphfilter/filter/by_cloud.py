@@ -20,7 +20,7 @@ from .asked import Asked, kept
 from .guided import Weighed, weighed
 from .stacked import Stacked
 
-__all__ = ["WRONG", "Read", "by_cloud", "fresh", "read", "read_of"]
+__all__ = ["WRONG", "Read", "by_cloud", "fresh", "read", "read_of", "told_after"]
 
 _FEW = 50.0  # independent points, below which a shadow that sees the same few cannot tell the error
 #: Of the error of as many points drawn at random, the least of few among many: rms .8 to .95 below a fifth.
@@ -96,22 +96,27 @@ def read(state: CloudState, sensor: Stacked, t: float) -> Read | None:
     beside = weighed(state.shadow, sensor, key_at(t, READING + 1))
     shadow, told = beside.points, state.told
     if math.isfinite(beside.log_evidence):
-        off = found.log_evidence - beside.log_evidence
         sums = found.moments, beside.moments
-        told = told.or_expected(max(beside.effective, 1.0), len(shadow.x[0]))
-        told = told.after(*apart(found.points, shadow, sensor.domain, sums), off**2)
+        told = told_after(told, found, beside, apart(found.points, shadow, sensor.domain, sums))
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
     return read_of(state, found, shadow, told, t)
 
 
+def told_after(told: Told, found: Any, beside: Any, off: tuple[float, float]) -> Told:
+    """What is told after a reading of a cloud and its shadow, which are off by these squares."""
+    told = told.or_expected(beside.effective, beside.points.x.shape[1])
+    return told.after(*off, (found.log_evidence - beside.log_evidence) ** 2)
+
+
 def read_of(state: CloudState, found: Weighed, shadow: Points, told: Told, t: float) -> Read:
     """A cloud after a reading of which this was found, and what a shadow beside it tells."""
-    own = math.hypot(max(told.errors.mean, _least(found.effective, state.size)), state.pace.bias)
+    least = max(_few(found.effective), _uneven(found.effective, state.size))
+    own = math.hypot(max(told.errors.mean, least), state.pace.bias)
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
-    evidence_error = max(told.errors.log_evidence, _least(found.families))
+    evidence_error = max(told.errors.log_evidence, _few(found.families))
     return Read(state, found.moments, t, found.log_evidence, evidence_error, own)
 
 
@@ -140,16 +145,18 @@ def fresh(
     return Told(*off).errors.mean
 
 
-def _least(number: float, size: float = 0.0) -> float:
-    """Error at least of an average of so many independent points, among those of a cloud of a size.
+def _few(number: float) -> float:
+    """Error of an average of so many independent points, where they are few."""
+    return 1.0 / math.sqrt(number) if number < _FEW else 0.0
+
+
+def _uneven(number: float, size: int) -> float:
+    """Error at least of an average of so many independent points among those of a cloud.
 
     Where a small part of the points carries a posterior, it is no more even than if it were drawn at random;
     and a shadow sees the same few.
     """
-    if not number > 0.0:
-        return math.inf
-    uneven = _UNEVEN * max(1.0 - number / size, 0.0) if size > 0.0 else 0.0
-    return (1.0 if number < _FEW else uneven) / math.sqrt(number)
+    return _UNEVEN * max(1.0 - number / size, 0.0) / math.sqrt(number)
 
 
 def _part_of(points: Points, count: int) -> Points:

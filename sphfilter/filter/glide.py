@@ -24,7 +24,7 @@ from ..model.measurements import GaussianMeasurement
 from ..model.sde import SDE
 from ..prediction.cloud import ahead, carried, fewer, pooled, steps_of
 from .asked import Asked, left_of, reading_of
-from .by_cloud import WRONG, Read, fresh, read, read_of
+from .by_cloud import WRONG, Read, fresh, read, read_of, told_after
 from .found import found as as_found
 from .guided import Weighed
 from .stacked import Stacked
@@ -151,8 +151,7 @@ def _at_once(
         return None
     found, few, n = Carried(*cloud.found), Carried(*beside.found), model.dim
     error, told = ahead(state, pace, count, *pooled(*before, n))
-    told = told.or_expected(max(few.effective, 1.0), n)
-    told = told.after(*pooled(*after, n), (found.log_evidence - few.log_evidence) ** 2)
+    told = told_after(told, found, few, pooled(*after, n))
     state = CloudState(state.points, state.shadow, count, told, pace, state.inherited)
     done = read_of(state, Weighed.of(found, found.points), few.points, told, span[1])
     return ((cloud.y, cloud.w, (cloud.mean, cloud.cov)), done) if error < DOUBTFUL else None

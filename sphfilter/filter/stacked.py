@@ -56,9 +56,9 @@ class Stacked(NamedTuple):
         return made._replace(reader=made._reader())
 
     @property
-    def hidden(self) -> tuple[Any, ...]:
-        """Readings that say nothing but a likelihood."""
-        return tuple(a for a in self.asked if not any(a is other for other in self.guides))
+    def hidden(self) -> bool:
+        """Whether some say nothing but a likelihood."""
+        return len(self.guides) < len(self.asked)
 
     def with_pilot(self, rows: Floats, z: Floats) -> "Stacked":
         """The same, and for a guide linear readings z (j,) of unit noise, rows (j, n), beside it."""

@@ -106,8 +106,7 @@ def update_or_predict_again(
         once = prior, posterior, info
         return Outcome(*_on_more_points(prediction, once, model, measurement, z, config), bound)
     known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED
-    known = known or bool(prediction.readings)
-    if known or before is None or before.field is None:
+    if known or prediction.readings or before is None or before.field is None:
         return Outcome(prior, posterior, info, bound)
     from scipy.stats import chi2  # on use: import time
 

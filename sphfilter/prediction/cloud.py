@@ -123,12 +123,12 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         shadow = density.mass[few] / density.mass[few].sum()
         points = Points(density.x, density.mass)
         return CloudState(points, Points(density.x[few], shadow), density.n_particles)
-    sizes = (count, key_at(density.t, 0), 0), (fewer(count), key_at(density.t, 1), 1)
+    clouds = [(n, key_at(density.t, k)) for k, n in enumerate((count, fewer(count)))]
     if density.family is not None and density.family.degree == 2:
         mean, cov = unrolled(density)
-        points, shadow = (begun(mean, cov, *size) for size in sizes)
+        points, shadow = (begun(mean, cov, n, key, k) for k, (n, key) in enumerate(clouds))
     else:
-        points, shadow = (begun_from(Points(*points_of(density, n, key)), n, key) for n, key, _ in sizes)
+        points, shadow = (begun_from(Points(*points_of(density, n, key)), n, key) for n, key in clouds)
     return CloudState(points, shadow, count, inherited=density.error)
 
 
