@@ -2,8 +2,8 @@
 
 The rooms, from what is given to what is made of it; each imports only from those before it:
 
-core         compiled: kernel sums (sph, corrected), log-densities on lattices (field, characteristics), one
-             exponential family (family), clouds of points on random paths (paths)
+core         compiled: kernel sums (sph), log-densities on lattices (field, characteristics), one
+             exponential family (family), clouds of weighted points (cloud)
 model        equations, modes they switch between, sensors, tables, where states live, simulated truths
 lattice      where particles lie
 density      what a filter carries: particles, points, a family or a few, Gaussian pieces; how it is stored
@@ -22,7 +22,6 @@ from .campaign.report import Report, report
 from .config import (
     AcceptanceTest,
     CloudScheme,
-    CorrectedScheme,
     FamilyScheme,
     FilterConfig,
     LogDensityScheme,
@@ -69,7 +68,6 @@ __all__ = [
     "CloudScheme",
     "Code",
     "ConfigError",
-    "CorrectedScheme",
     "Domain",
     "EstimationError",
     "ExpressionError",

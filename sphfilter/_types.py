@@ -26,7 +26,7 @@ Interval: TypeAlias = float | timedelta | np.timedelta64
 #: A function of states (M, n), with a number for each, (M,).
 OfStates: TypeAlias = Callable[[Floats], Floats]
 #: How a density is read between its points.
-ReadOut: TypeAlias = Literal["points", "mixture", "shrunk", "log_density", "cloud", "family", "pieces"]
+ReadOut: TypeAlias = Literal["points", "mixture", "log_density", "cloud", "family", "pieces"]
 #: fill(x, t, p, out): rows of states in, rows of values out.
 BatchFunction: TypeAlias = Callable[[Floats, float, Floats, Floats], None]
 

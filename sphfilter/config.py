@@ -4,6 +4,7 @@ Pydantic does the checking; its report is turned into one sentence a user can ac
 nearest valid key where a key is unknown.
 """
 
+import logging
 import tomllib
 from dataclasses import asdict, fields, is_dataclass, replace
 from typing import Annotated, Any, Literal, Self, TypeAlias
@@ -17,7 +18,6 @@ from .settings import Count, Positive, from_table, settings
 __all__ = [
     "AcceptanceTest",
     "CloudScheme",
-    "CorrectedScheme",
     "FamilyScheme",
     "FilterConfig",
     "LogDensityScheme",
@@ -27,6 +27,7 @@ __all__ = [
     "checked_filter_config",
 ]
 
+_LOGGER = logging.getLogger("sphfilter")
 
 #: M_B for n = 2, 3, 4 (002 section 4.5). For n = 1 two layers of a lattice; n = 5, 6 continue the growth.
 BUFFER_NEIGHBORS = {1: 4, 2: 8, 3: 30, 4: 54, 5: 80, 6: 110}
@@ -163,38 +164,6 @@ class LogDensityScheme:
 
 
 @settings
-class CorrectedScheme:
-    """Summation SPH in whitened coordinates whose velocities satisfy the moment equations.
-
-    Attributes
-    ----------
-    kernel : str
-    support : float
-        K h in units of the particle spacing.
-    degree : int
-        Degree of the polynomial correction, lower where there are less than ten particles a polynomial; 0 is
-        plain SPH.
-    tol : float
-        Error allowed in a time step: root mean square over the mass, in standard deviations of the cloud.
-    max_steps : int
-        Steps of one prediction after which it is given up with an error.
-
-    Examples
-    --------
-    >>> import sphfilter as sf
-    >>> print(sf.FilterConfig(scheme=sf.CorrectedScheme(degree=2)).scheme.kernel)
-    wendland_c2
-    """
-
-    name: Literal["corrected"] = "corrected"
-    kernel: Literal["gaussian", "lucy", "cubic", "wendland_c2", "wendland_c4"] = "wendland_c2"
-    support: Positive = 3.5
-    degree: Annotated[int, Field(ge=0, le=6)] = 4
-    tol: Positive = 1e-4
-    max_steps: Count = 20_000
-
-
-@settings
 class CloudScheme:
     """Weighted points on paths of the model, quasi-random, which a reading leads to where it finds the state.
 
@@ -323,19 +292,24 @@ def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
 
 SCHEMES = {
     "log_density": LogDensityScheme,
-    "corrected": CorrectedScheme,
     "paper": PaperScheme,
     "cloud": CloudScheme,
     "family": FamilyScheme,
 }
 #: Names become settings: of these a configuration holds "auto" only.
-_Name = Literal["auto", "log_density", "corrected", "paper", "cloud", "family"]
-_Settled = LogDensityScheme | CorrectedScheme | PaperScheme | CloudScheme | FamilyScheme
+_Name = Literal["auto", "log_density", "paper", "cloud", "family"]
+_Settled = LogDensityScheme | PaperScheme | CloudScheme | FamilyScheme
 Scheme: TypeAlias = _Name | _Settled
+#: Schemes that were taken out: files and programs that name one get the default, and are told so.
+_TAKEN_OUT = {"corrected": "moment-corrected SPH"}
 
 
 def _named_scheme(value: object) -> object:
     """A scheme by its name, or as a table: the paper's where the table does not name one."""
+    name = value.get("name") if isinstance(value, dict) else value
+    if isinstance(name, str) and name in _TAKEN_OUT:
+        _LOGGER.warning('scheme %r, %s, was taken out; "auto" takes its place', name, _TAKEN_OUT[name])
+        return "auto"
     if isinstance(value, str) and value in SCHEMES:
         return SCHEMES[value]()
     if isinstance(value, str) and value != "auto":
@@ -374,8 +348,8 @@ class SolverConfig(_Settings):
     ----------
     scheme : "auto", or a scheme, or its name
         "auto" carries the log-density where the model and the number of particles allow it, and falls back
-        on moment-corrected SPH where they do not or its health check fails, and on a cloud of weighted points
-        where neither can go on; the info says which it was.
+        on a cloud of weighted points where they do not, beside walls on sums over kernels; the info says
+        which it was.
     exact_linear : bool
         Carry a Gaussian through a linear model in closed form.
     remesh : "never", "health" or float
@@ -386,8 +360,8 @@ class SolverConfig(_Settings):
     Examples
     --------
     >>> import sphfilter as sf
-    >>> print(sf.SolverConfig(scheme="corrected", remesh=2.0).scheme.degree)
-    4
+    >>> print(sf.SolverConfig(scheme="paper", remesh=2.0).scheme.masses)
+    riemann
     """
 
     scheme: SchemeChoice = "auto"

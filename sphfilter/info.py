@@ -52,7 +52,7 @@ class Code(IntFlag):
     REPEATED = auto()  # the step before was made again, on more particles
     FALLBACK = auto()  # another scheme than the first choice carried the density
     REGRIDDED = auto()  # the particles were put on a new lattice on the way, or should have been
-    MIXED = auto()  # the particles carry less than the scheme asks of them
+    MIXED = auto()  # of files of before: particles carried less than moment-corrected SPH asked of them
     LATE = auto()  # the time budget was exceeded, or left no time for a try on more particles
     CLOUD = auto()  # the density goes on as a cloud of weighted points
     UNRESOLVED = auto()  # the estimated error is above what the answer may be trusted with

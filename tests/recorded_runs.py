@@ -153,7 +153,6 @@ def filters_2d():
     schemes = {
         "default": sf.FilterConfig(),
         "paper": sf.FilterConfig.paper(),
-        "corrected": sf.FilterConfig(scheme=sf.CorrectedScheme()),
         "log_density": sf.FilterConfig(scheme=sf.LogDensityScheme()),
         "accepting": sf.FilterConfig(acceptance=sf.AcceptanceTest(enabled=True)),
     }
@@ -230,10 +229,9 @@ def transients():
     every = [0.5, 1.0, 3.0]
     configs = {
         "default": sf.SolverConfig(),
-        "corrected": sf.SolverConfig(scheme=sf.CorrectedScheme()),
         "paper": sf.SolverConfig(scheme=sf.PaperScheme()),
         "health": sf.SolverConfig(scheme=sf.PaperScheme(), remesh="health"),
-        "remesh": sf.SolverConfig(scheme=sf.CorrectedScheme(), remesh=1.0),
+        "remesh": sf.SolverConfig(scheme=sf.PaperScheme(), remesh=1.0),
     }
     for name, config in configs.items():
         p = sf.initialize(sf.Gaussian([2.0, 0.0], 0.3 * np.eye(2)), 300, config)
@@ -246,8 +244,8 @@ def transients():
     with tempfile.TemporaryDirectory() as folder:
         path.save(Path(folder, "path.npz"))
         yield from answers("loaded", sf.Trajectory.load(Path(folder, "path.npz")).densities[-1])
-    box = sf.initialize(sf.Uniform([[-1.0, 1.0], [-1.0, 1.0]]), 300, sf.SolverConfig(scheme="corrected"))
-    path = sf.propagate(box, van_der_pol(), every, sf.SolverConfig(scheme="corrected"))
+    box = sf.initialize(sf.Uniform([[-1.0, 1.0], [-1.0, 1.0]]), 300, sf.SolverConfig())
+    path = sf.propagate(box, van_der_pol(), every, sf.SolverConfig())
     yield from answers("uniform", path.densities[-1])
     for kernel in ("wendland_c2", "cubic"):
         scheme = sf.PaperScheme(kernel=kernel, integrator="rk4")

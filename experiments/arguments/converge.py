@@ -18,8 +18,6 @@ What is studied:
   NAME --over particles           a density without measurements (`list`), over particles, as its file says
   NAME --over scheme              ... of every scheme, with run times
   NAME --over step                ... of the published scheme, over time steps (or C_CFL) and integrators
-  [NAME] --calibrate              C_CFL, C_NNS and M_B of the published scheme (002 4.4-4.5); van_der_pol
-  [NAME] --cfl                    absolute against relative CFL (000 Table 4); five Duffing oscillators
 """
 FILTER = "a filter scenario"
 _DEFAULTS = {"filter": "sph", "runs": 3, "seed": 0, "limit": 300.0}
@@ -31,8 +29,6 @@ _TAKES = {
     "--over particles": {"counts", "end", "limit"},
     "--over scheme": {"counts", "schemes", "end", "limit"},
     "--over step": {"n_particles", "steps", "c_cfl", "end", "limit"},
-    "--calibrate": {"counts", "end", "limit", "repeats", "quick"},
-    "--cfl": {"n_particles", "end", "limit", "quick"},
 }
 _COUNTS = {FILTER: "100,200,400,800,1600", "--over particles": "200,400,800,1600"}
 _COUNTS["--over scheme"] = _COUNTS["--over particles"]
@@ -46,17 +42,13 @@ def add_arguments(parser):
     )
     parser.add_argument("--over", choices=("particles", "scheme", "step", "nodes"), help="see below")
     parser.add_argument("--sensors", action="store_true", help="nodes doubled on sensors of one state")
-    parser.add_argument("--calibrate", action="store_true", help="the search bypassed and not")
-    parser.add_argument("--cfl", action="store_true", help="absolute against relative CFL")
     parser.add_argument("--counts", help="particles at most, comma-separated")
-    parser.add_argument("--n-particles", type=int, help="particles of --over step and --cfl, at most")
-    parser.add_argument("--schemes", help="comma-separated (default: log_density,corrected,paper)")
+    parser.add_argument("--n-particles", type=int, help="particles of --over step, at most")
+    parser.add_argument("--schemes", help="comma-separated (default: log_density,paper)")
     parser.add_argument("--steps", help="fixed time steps in seconds, comma-separated")
     parser.add_argument("--c-cfl", help="or values of C_CFL, comma-separated")
     parser.add_argument("--end", type=float, help="time at which a density is left alone, seconds")
     parser.add_argument("--limit", type=float, help="seconds one solution may take (default: 300)")
-    parser.add_argument("--repeats", type=int, help="runs that --calibrate takes the median of (default: 3)")
-    parser.add_argument("--quick", action="store_true", help="a small version of --calibrate or --cfl")
     parser.add_argument("--filter", choices=("sph", "sph_paper"), help="of a filter scenario (default: sph)")
     parser.add_argument("--runs", type=int, help="simulated runs of a filter for each count (default: 3)")
     parser.add_argument("--seed", type=int, help="seed of everything random, of a filter scenario")
@@ -69,7 +61,7 @@ def add_arguments(parser):
 
 def study_of(args):
     """Which of `_TAKES` is asked for; a name that filters do not know may be one of a density."""
-    asked = [f"--{name}" for name in ("sensors", "calibrate", "cfl") if getattr(args, name)]
+    asked = [f"--{name}" for name in ("sensors",) if getattr(args, name)]
     asked += [f"--over {args.over}"] if args.over else []
     if len(asked) > 1:
         raise ConfigError(f"{' and '.join(asked)} are different studies: ask for one of them")

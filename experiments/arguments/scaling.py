@@ -8,7 +8,7 @@ from sphfilter.errors import ConfigError
 
 __all__ = ["add_arguments", "check", "counts_of"]
 
-SCHEMES = ("log_density", "corrected", "paper")
+SCHEMES = ("log_density", "paper")
 _COUNTS = "500,1000,2000,5000,10000,20000"
 
 

@@ -7,7 +7,7 @@ from experiments.scene.files import changes_of
 from experiments.terminal.options import names_of
 from experiments.terminal.running import new_console
 
-from . import calibration, courant, filters, nodes, sensors, transient
+from . import filters, nodes, sensors, transient
 
 __all__ = ["main"]
 
@@ -16,11 +16,7 @@ def main(args):
     """Run the command; prints to standard output."""
     console = new_console()
     study = study_of(args)
-    if study == "--calibrate":
-        calibration.study(args, console)
-    elif study == "--cfl":
-        courant.study(args, console)
-    elif study == "--over step":
+    if study == "--over step":
         transient.study_steps(args, console, *sizes_of(args))
     else:
         counts, names = counts_of(args, study), names_of(args.scenario) if args.scenario else []

@@ -12,7 +12,6 @@ __all__ = ["draw_filter", "draw_schemes", "draw_steps"]
 _SCHEMES = {
     "auto": COLOURS["sph"],
     "log_density": COLOURS["sph"],
-    "corrected": COLOURS["pf"],
     "paper": COLOURS["sph_paper"],
 }
 _STEPPERS = {"euler": COLOURS["ekf"], "midpoint": COLOURS["pf"], "rk4": COLOURS["sph"]}

@@ -20,7 +20,7 @@ __all__ = ["progress", "scheme_keys", "setting_of", "study_schemes", "study_step
 
 _END = 6.0  # seconds: errors of a density come from its first oscillations
 _N_PARTICLES = 400
-_SCHEMES = "log_density", "corrected", "paper"
+_SCHEMES = "log_density", "paper"
 
 
 def study_schemes(args, console, counts):

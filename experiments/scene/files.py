@@ -63,7 +63,7 @@ def read_toml(path):
 
 _HELP = (
     "change a key of the scenario, e.g. times.interval=3, the scheme of the SPH filter, e.g. "
-    "scheme=corrected, or a key of the published one, e.g. scheme.kernel=gaussian; may be repeated"
+    "scheme=cloud, or a key of the published one, e.g. scheme.kernel=gaussian; may be repeated"
 )
 
 

@@ -28,7 +28,7 @@ def read_settings(name, changes=None):
         A name of `scenario_names`, or the path of a TOML file.
     changes : mapping of str to value, optional
         Values to replace, by dotted key: ``{"times.interval": 3.0}``. The scheme of the SPH filter, and keys
-        of the published one's configuration, may be given short: ``{"scheme": "corrected"}``,
+        of the published one's configuration, may be given short: ``{"scheme": "cloud"}``,
         ``{"scheme.kernel": "gaussian"}``.
 
     Raises

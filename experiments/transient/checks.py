@@ -57,7 +57,7 @@ def check(problem):
     if lattice is not None and isinstance(scheme, LogDensityScheme):
         raise ConfigError(
             "start.lattice is for schemes that take particles as they lie: solver.config.scheme may be "
-            '"auto", "corrected" or "paper", not "log_density"'
+            '"auto", "cloud" or "paper", not "log_density"'
         )
     _ = problem.quantities
     _check_reference(problem)

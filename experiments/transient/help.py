@@ -15,7 +15,7 @@ parameters = { c = 0.4, k = 1.0, b = 0.1 }
 [start]                               # a density of the states at time = 0.0; zero outside the lattice
 kind = "expression"                   # or "gaussian" with mean and cov, or "uniform"
 pdf = "where(x**2 + v**2 < 1.44, exp(-(x**2 + v**2)/0.18), 0)"      # where it is zero lies no particle
-lattice = { origin = [-1.2, -1.2], size = [2.4, 2.4], spacing = 0.1 }         # for "paper", "corrected"
+lattice = { origin = [-1.2, -1.2], size = [2.4, 2.4], spacing = 0.1 }         # for "paper", "cloud"
 # box = [[-1.2, 1.2], [-1.2, 1.2]]    # instead of a lattice: particles where the scheme wants them
 
 [times]
@@ -25,7 +25,7 @@ interval = 0.25                       # or, instead of both, at = [0.1, 0.5, 2.0
 [solver]
 # n_particles = 500                   # at most; a lattice has its own number
 # config.exact_linear = true          # closed form of what is linear and Gaussian
-[solver.config.scheme]                # or config.scheme = "auto", "log_density" or "corrected"
+[solver.config.scheme]                # or config.scheme = "auto", "log_density" or "cloud"
 name = "paper"
 kernel = "gaussian"                   # or "cubic", "lucy", "wendland_c2", "wendland_c4"
 support_range = [3.6, 3.6]            # smoothing length 1.2 spacings, times 3 for the Gaussian kernel

@@ -29,6 +29,7 @@ __all__ = [
     "KERNEL",
     "Cloud",
     "drawn",
+    "matched",
     "moments_of",
     "points_of",
     "smoothing_length",
@@ -119,7 +120,7 @@ def points_of(density: "ParticleDensity", count: int, key: int) -> tuple[Floats,
         return _of_each(density.families, count, key)
     assert density.moments is not None
     x, mass = weighted_points(whole.log_p, density.moments, count, key)
-    x = _matched(x, mass, *density.moments)
+    x = matched(x, mass, *density.moments)
     return (x if density.domain is None else density.domain.fold(x)), mass
 
 
@@ -129,12 +130,12 @@ def _of_each(families: Families, count: int, key: int) -> tuple[Floats, Floats]:
     for k, each in zip(*np.unique(own, return_counts=True), strict=True):
         about = seen.mean[k], seen.cov[k]
         x, mass = weighted_points(families.one(k).log_p, about, int(each), key)
-        parts.append((_matched(x, mass, *about) if each > _FEW else x, mass * (each / count)))
+        parts.append((matched(x, mass, *about) if each > _FEW else x, mass * (each / count)))
     x, mass = (np.concatenate(part) for part in zip(*parts, strict=True))
     return x, mass
 
 
-def _matched(x: Floats, mass: Floats, mean: Floats, cov: Floats) -> Floats:
+def matched(x: Floats, mass: Floats, mean: Floats, cov: Floats) -> Floats:
     """Points shifted and stretched, so that they have a mean and covariance."""
     own_mean, own_cov = moments(x, mass)
     change = np.linalg.cholesky(cov) @ np.linalg.inv(np.linalg.cholesky(own_cov))
@@ -158,7 +159,7 @@ def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
     if domain is not None:
         return domain.fold(x)
     try:
-        return _matched(x, np.full(count, 1.0 / count), density.mean(), density.cov())
+        return matched(x, np.full(count, 1.0 / count), density.mean(), density.cov())
     except np.linalg.LinAlgError:  # flat along some combination of the states
         return x
 

@@ -1,26 +1,29 @@
 """Is a cloud of particles still in order? The adverse phenomena of 002 section 5, seen in a density."""
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from .._types import Bools, Floats
 from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
 from ..errors import ModelError
-from .interpolant import smoothed
 from .particle_density import ParticleDensity
 
-__all__ = ["MIXED", "Health", "health"]
+__all__ = ["Health", "health"]
 
 #: Nats. A cloud in order has .002 to .05 however sheared (two to four states, 300 to 1300 particles), one
 #: that has mixed .2 to 1; at .1 neighbours contradict each other by a tenth of the density.
-MIXED = 0.1
+_MIXED = 0.1
 #: Steps shorten with the smallest distance: from a twentieth of the typical one on they are five to ten times
 #: as many. Shear alone, which passes, leaves a quarter, and what spreads on a limit cycle a fifteenth.
 _CLUMPED = 0.05
 #: Share of the particles that moves without any neighbour. Those at the rim come first, and carry nothing.
 _ASTRAY = 0.05
 _FIT_REACH = 2.0  # supports, within which the neighbours of a polynomial lie
+_NEIGHBORS_A_TERM = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +75,7 @@ class Health:
 
     def _severities(self) -> dict[str, float]:
         return {
-            "particles have mixed": self.mixing / MIXED,
+            "particles have mixed": self.mixing / _MIXED,
             "particles have clumped": _CLUMPED / max(self.spacing, 1e-300),
             "particles have gone astray": self.rogue / _ASTRAY,
         }
@@ -81,8 +84,8 @@ class Health:
 def health(density: ParticleDensity) -> Health:
     """Measure how far the particles of a density are from a regular lattice (002 5.1).
 
-    Distances are taken as the kernels see them: between whitened states in moment-corrected SPH, between the
-    states themselves in other schemes; the short way round a periodic axis.
+    Distances are those of the kernels, between the states themselves; of a lattice or a cloud they are taken
+    between whitened states. On a periodic axis they go the short way round.
 
     Parameters
     ----------
@@ -109,7 +112,7 @@ def health(density: ParticleDensity) -> Health:
     if N < 2:
         raise ModelError("health compares particles with their neighbours: the density has only one")
     z, mass, support = _as_kernels_see(density)
-    smooth, nearest = (a[:N] for a in smoothed(z, np.log(mass)))
+    smooth, nearest = (a[:N] for a in _smoothed(z, np.log(mass)))
     off = np.log(density.mass) - smooth
     alone = _alone(z, support)[:N]
     typical = np.median(nearest)
@@ -143,3 +146,63 @@ def _alone(z: Floats, support: Floats) -> Bools:
     index = build_index(z, float(np.median(support)), choose_method(N, n))
     start, _ = neighbor_lists(z, support, support.copy(), 0, index)
     return start[1:] == start[:-1]
+
+
+def _smoothed(z: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """What quadratic polynomials through the neighbours of each point make of values there.
+
+    Parameters
+    ----------
+    z : ndarray, shape (N, n)
+        Two points at least.
+    values : ndarray, shape (N,)
+
+    Returns
+    -------
+    smooth, nearest : ndarray, shape (N,)
+        Values of the polynomials at their own points, and distances to the nearest point.
+    """
+    from scipy.spatial import cKDTree  # on use: import time
+
+    tree = cKDTree(z)
+    c, _, nearest = _fit(tree, z, values, _terms(z.shape[1], 2, len(z)))
+    return c[:, 0], nearest
+
+
+def _terms(n: int, degree: int, N: int) -> list[tuple[int, ...]]:
+    """Monomials as tuples of axes, by degree; of lower degree where particles are few."""
+    every = [t for k in range(degree + 1) for t in itertools.combinations_with_replacement(range(n), k)]
+    while len(every) > max(n + 1, N // 2):
+        degree -= 1
+        every = [t for t in every if len(t) <= degree]
+    return every
+
+
+def _monomials(d: Floats, terms: Sequence[tuple[int, ...]]) -> Floats:
+    """Values of the monomials at displacements d (..., n), shape (..., T)."""
+    values = np.empty((*d.shape[:-1], len(terms)))
+    for k, axes in enumerate(terms):
+        values[..., k] = 1.0 if not axes else d[..., axes[-1]]
+        if len(axes) > 1:
+            values[..., k] *= values[..., terms.index(axes[:-1])]
+    return values
+
+
+def _weight(q: Floats) -> Floats:
+    """Wendland's C2 function."""
+    return (1.0 - q) ** 4 * (1.0 + 4.0 * q)
+
+
+def _fit(
+    tree: Any, z: Floats, log_p: Floats, terms: Sequence[tuple[int, ...]]
+) -> tuple[Floats, Floats, Floats]:
+    """Coefficients (N, T) in units of each particle's reach, the reaches, and nearest distances."""
+    K = min(_NEIGHBORS_A_TERM * len(terms), len(z) - 1)
+    distance, neighbors = tree.query(z, K + 1)
+    reach = distance[:, -1]
+    basis = _monomials((z[neighbors] - z[:, None]) / reach[:, None, None], terms)
+    weighted = basis * _weight(distance / (1.05 * reach[:, None]))[..., None]
+    normal = np.swapaxes(weighted, 1, 2) @ basis
+    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(len(terms))
+    right = np.einsum("ikp,ik->ip", weighted, log_p[neighbors])
+    return np.linalg.solve(normal, right[..., None])[..., 0], reach, distance[:, 1]

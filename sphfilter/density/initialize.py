@@ -38,8 +38,8 @@ _FAR = 6.0  # standard deviations within which a Gaussian is put on a domain wit
 _TRIES = 5  # numbers of nodes, each twice the one before, for a target error
 _MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
 _COARSE, _SEEN = 5000, 1.0 - 1e-6  # particles a callable pdf is first looked at with, and their probability
-#: For moment-corrected SPH, which finds smoothing lengths of its own.
-_FOR_CORRECTED = PaperScheme(kernel="wendland_c2", support_steps=1)
+#: Kernels of a density that no scheme asks kernels of: smooth, and not fitted.
+_PLAIN = PaperScheme(kernel="wendland_c2", support_steps=1)
 
 
 def initialize(
@@ -67,7 +67,7 @@ def initialize(
     spacing : float or array_like, shape (n,), optional
         Spacing of a lattice with nodes at both ends of the box, or the next smaller one that fits: all nodes
         where the pdf is not zero carry a particle, of the density times the volume of a cell (000 5.2.3). For
-        the schemes that take particles as they lie: "paper", "corrected", and "auto", which takes the latter.
+        schemes that take particles as they lie: "paper", "cloud" and "auto".
     t : float
         Time of the density, seconds.
     domain : Domain, or sequence of its axes, optional
@@ -113,7 +113,7 @@ def initialize(
         if smooth and not isinstance(distribution, Uniform):
             return _on_level_set(distribution, box, n_particles, scheme, t, domain)
         if domain is None and isinstance(distribution, Uniform):
-            return _for_corrected(distribution, box, n_particles, t)  # edges have no smooth logarithm
+            return _uniform(distribution, box, n_particles, t)  # edges have no smooth logarithm
         scheme = PaperScheme(kernel="wendland_c2")
     if isinstance(distribution, Gaussian) and domain is None:
         return _from_gaussian(distribution, n_particles, scheme, t)
@@ -191,7 +191,7 @@ def _spaced(
     """All nodes of a given lattice on which a distribution is not zero."""
     if isinstance(scheme, LogDensityScheme):
         raise ModelError(
-            'spacing is for schemes "paper" and "corrected": "log_density" lays lattices of its own'
+            'spacing is for schemes "paper", "cloud" and "auto": "log_density" lays lattices of its own'
         )
     box = _box_of(distribution, box) if box is None else checked_box(box)
     domain = _bounds(domain, box)
@@ -207,7 +207,7 @@ def _spaced(
         )
     about = {"t": t, "capacity": kept if n_particles is None else n_particles, "domain": domain}
     if not isinstance(scheme, PaperScheme):
-        scheme = _FOR_CORRECTED
+        scheme = _PLAIN
     first, last = scheme.support_range
     if first == last or scheme.support_steps == 1:  # nothing to choose from
         h = first * lattice.cell_volume ** (1.0 / len(box)) / Kernel.of(scheme.kernel, len(box)).radius
@@ -229,9 +229,9 @@ def _spacings(spacing: ArrayLike, box: Floats) -> Floats:
     return spacing
 
 
-def _for_corrected(distribution: Uniform, box: Floats, n_particles: int, t: float) -> ParticleDensity:
+def _uniform(distribution: Uniform, box: Floats, n_particles: int, t: float) -> ParticleDensity:
     """Particles of a uniform density with its variance, which cell centres alone have too little of."""
-    density = _from_pdf(distribution.pdf, box, n_particles, _FOR_CORRECTED, t)
+    density = _from_pdf(distribution.pdf, box, n_particles, _PLAIN, t)
     centre, actual = box.mean(axis=1), np.diag(density.cov("points"))
     stretch = np.sqrt((box[:, 1] - box[:, 0]) ** 2 / 12.0 / actual)
     return replace(density, x=centre + stretch * (density.x - centre))

@@ -9,7 +9,7 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.cloud.kernels import log_sum, log_sum_gradient, seen
 from ..core.sph.kernels import Kernel
-from .mixture import framed, least_change
+from .whitening import framed, least_change
 
 __all__ = ["LocalKernels", "local_kernels"]
 
@@ -85,7 +85,7 @@ def local_kernels(x: Floats, mass: Floats) -> LocalKernels | None:
     found, n = framed(x, mass), x.shape[1]
     if found is None:
         return None
-    centre, whole, z, _, within = found
+    centre, whole, z, within = found
     one, h = np.eye(n), _WIDTH * np.sum(mass**2) ** (1.0 / (n + 8))
     w, z, C = _grouped(z @ np.linalg.inv(within).T, mass)
     m, S, number = np.empty_like(z), np.empty_like(C), np.empty_like(w)

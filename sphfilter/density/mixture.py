@@ -1,4 +1,4 @@
-"""Densities as mixtures of kernels: the kernels as they stand, or what they widen a density by taken back."""
+"""Densities as mixtures of kernels."""
 
 import itertools
 import math
@@ -10,17 +10,13 @@ import numpy as np
 from scipy import special
 
 from .._types import Floats, Ints
-from ..core.corrected.moment_correction import Diffusion, Polynomials, correct, exponents
 from ..core.sph import kernels
 from ..core.sph.neighbors import build_index, choose_method
 from ..core.sph.summation import sample_density, sample_density_parallel, sample_gradient
 
-__all__ = ["Mixture", "drawn", "framed", "least_change", "mixture", "narrowed", "raw_moment", "shrunk",
-           "silverman", "standing_for"]  # fmt: skip
+__all__ = ["Mixture", "drawn", "mixture", "raw_moment", "silverman", "standing_for"]
 
 _PARALLEL_FROM = 10_000_000  # distances of points and particles, about a second's work of one thread
-_POINTS_A_TERM = 2  # of the polynomial of slopes
-_TRUSTED = 2.0, 3.0  # standard deviations from the mean to which it is, and from which it no longer is
 
 
 class Mixture(NamedTuple):
@@ -89,13 +85,6 @@ def mixture(
     return Mixture(centre, factor, x, mass, h, kernel, index)
 
 
-def narrowed(mix: Mixture, axes: Sequence[int]) -> float:
-    """Smoothing lengths of kernels seen along some axes only, over those along all, for equal widths."""
-    rows = mix.factor[axes]
-    seen = np.linalg.det(rows @ rows.T) ** (0.5 / len(axes))
-    return seen * abs(np.linalg.det(mix.factor)) ** (-1.0 / len(mix.centre))
-
-
 @cache
 def standing_for(code: int, n: int, count: int) -> Floats:
     """Points (count, n) that stand for the kernel with h = 1: evenly spread, with its mean and covariance."""
@@ -142,97 +131,6 @@ def silverman(mass: Floats, n: int) -> float:
     """Standard deviation of kernels, in those of the points (N, n): best for the pdf of a Gaussian."""
     effective = 1.0 / (mass @ mass)
     return float((4.0 / ((n + 2.0) * effective)) ** (1.0 / (n + 4.0)))
-
-
-def framed(x: Floats, mass: Floats) -> tuple[Floats, ...] | None:
-    """Whitened coordinates z (N, n) of points x = centre + root z; None where their covariance is singular.
-
-    Centre, root, z, the slope of the log-density at z, and the lower root (n, n) of the covariance within
-    pieces that lie apart.
-    """
-    centre = mass @ x
-    try:
-        root = np.linalg.cholesky(((x - centre) * mass[:, None]).T @ (x - centre))
-    except np.linalg.LinAlgError:
-        return None
-    z = np.ascontiguousarray(np.linalg.solve(root, (x - centre).T).T)
-    slope = _slope(z, mass)
-    # Inverse of the slopes' second moments: covariance within the pieces, in no direction above the whole's.
-    values, axes = np.linalg.eigh((slope * mass[:, None]).T @ slope)
-    within = np.linalg.cholesky((axes / np.maximum(values, 1.0)) @ axes.T)
-    return centre, *(np.asarray(part, dtype=float) for part in (root, z, slope, within))
-
-
-def shrunk(x: Floats, mass: Floats, h: Floats, kernel: kernels.Kernel) -> Mixture | None:
-    """The mixture with the kernels' own variance taken back, for points that have the density's covariance.
-
-    Kernels of variance s² move what a density carries by -s²/2 times the slope of its logarithm, as heat
-    would. Points are moved back along that slope and kernels made smaller by as much: for a Gaussian, points
-    x become mu + a (x - mu) and h becomes a h, with a = (1 + s²)^-1/2 in whitened coordinates. Pieces far
-    apart shrink each towards its own middle, and kernels are spheres where the covariance within the pieces
-    is whitened. What is left of the error is taken out of the covariance: it is that of the points, exactly.
-
-    Parameters
-    ----------
-    x : ndarray, shape (N, n)
-    mass, h : ndarray, shape (N,)
-    kernel : Kernel
-
-    Returns
-    -------
-    Mixture, or None where the points' covariance is singular.
-
-    Notes
-    -----
-    P. Hall, M. Minnotte, "High order data sharpening for density estimation", J. R. Stat. Soc. B 64 (2002)
-    141, with the slope of a polynomial instead of that of the kernels, which know no more of it than of p.
-    """
-    found, n = framed(x, mass), x.shape[1]
-    if found is None:
-        return None
-    centre, whole, z, slope, within = found
-    h = h * (np.prod(np.diag(whole)) * np.prod(np.diag(within))) ** (-1.0 / n)
-    variance = kernel.variance * (mass @ h**2)
-    a = 1.0 / math.sqrt(1.0 + variance)
-    z = np.linalg.solve(within, z.T).T + (1.0 - a) * slope @ within
-    z -= mass @ z
-    own = (z * mass[:, None]).T @ z + a**2 * variance * np.eye(n)
-    wanted = np.linalg.inv(within)
-    return mixture(z, mass, a * h, kernel, centre, whole @ within @ least_change(own, wanted @ wanted.T))
-
-
-def least_change(have: Floats, wanted: Floats) -> Floats:
-    """The symmetric matrix that makes one covariance (n, n) another: the least change of the states."""
-    root = _root(have)
-    inverse = np.linalg.inv(root)
-    return inverse @ _root(root @ wanted @ root) @ inverse
-
-
-def _root(matrix: Floats) -> Floats:
-    values, axes = np.linalg.eigh(matrix)
-    return (axes * np.sqrt(values)) @ axes.T
-
-
-def _slope(z: Floats, mass: Floats) -> Floats:
-    """Gradient of the log-density (N, n) at whitened points, a polynomial of degree three.
-
-    It is the one for which E[q . grad log p] = -E[div q] holds for polynomials q of that degree: that of a
-    Gaussian, or of exp of any polynomial of degree four, exactly. Far from the middle, where a few light
-    points would decide, it points inwards at least as steeply as a Gaussian's.
-    """
-    N, n = z.shape
-    points = min(N, 1.0 / np.sum(mass**2))
-    degree = max((p for p in (1, 2, 3) if _POINTS_A_TERM * math.comb(n + p, p) <= points), default=1)
-    powers, u = exponents(n, degree), np.zeros((N, n))
-    polynomials = Polynomials(powers, np.empty((N, len(powers))), np.empty((len(powers), len(powers))))
-    diffusion = Diffusion(np.eye(n).reshape(1, -1), np.arange(n), np.eye(n))
-    # Arrays like those of a march, for which it is compiled: a density's own masses are read-only.
-    correct(np.ascontiguousarray(z), mass.copy(), diffusion, polynomials, u)
-    r2 = (z**2).sum(axis=1)
-    near, far = _TRUSTED
-    doubt = np.clip((np.sqrt(r2) - near) / (far - near), 0.0, 1.0)
-    short = np.maximum(r2 - (u * z).sum(axis=1), 0.0) / np.maximum(r2, near**2)
-    return -u - (doubt * short)[:, None] * z
 
 
 def _at(mix: Mixture, z: Floats) -> Floats:

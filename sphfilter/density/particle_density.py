@@ -29,7 +29,7 @@ from .weighted import WeightedStates
 
 __all__ = ["SUMMED", "ParticleDensity"]
 
-READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "shrunk", "log_density", "cloud", "family", "pieces")
+READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "log_density", "cloud", "family", "pieces")
 SUMMED = 1e-14  # distance from one of the sum of masses that have been normalised already
 
 
@@ -52,8 +52,7 @@ class ParticleDensity(Noted):
     read_out : str
         What mean, covariance and the like are computed from unless ``kind=`` says otherwise: "points"
         (sums over particles), "mixture" (integrals of p; its covariance is larger by the kernel's own),
-        "shrunk" (the mixture with the widening by the kernels taken back: mean and covariance are those of
-        the points; with a domain the mixture itself), "log_density" (sums over a lattice and the ring
+        "log_density" (sums over a lattice and the ring
         around its cut edge; the pdf is the exponential of the `field`, tails included), "cloud" (sums over
         weighted points; the pdf is that of kernels as wide as the density about each is), "family" (the
         exponential of one polynomial, and a lattice laid for what has no closed form) or "pieces" (a few
@@ -62,7 +61,7 @@ class ParticleDensity(Noted):
     represented_mass : float
         Probability of the region the particles cover, where the density was cut; one if unknown.
     log_density : ndarray, shape (N,), or None
-        Log-density carried along the particles' paths, for schemes that have it.
+        Log-density at the particles, where they are the nodes of a lattice.
     invariant : ndarray, shape (N,), or None
         rho h^n on the last lattice, which smoothing lengths keep (002 (14)); None on a fresh lattice.
     field : Field or None
@@ -296,11 +295,10 @@ class ParticleDensity(Noted):
         powers : sequence of int, length n
         central : bool
         kind : str, optional
-            A `read_out`; by default "points" for a density that is "shrunk" or a "cloud", since a prediction
-            gets the moments of its points right. "shrunk" and "log_density" take a fixed set of points a
-            kernel or cell.
+            A `read_out`; by default "points" for a "cloud", since a prediction gets the moments of its points
+            right. "log_density" takes a fixed set of points a cell.
         """
-        read = self._read("points" if kind is None and self.read_out in ("shrunk", "cloud") else kind)
+        read = self._read("points" if kind is None and self.read_out == "cloud" else kind)
         return statistics.moment(read, powers, self.mean() if central else None)
 
     def probability(self, region: Callable[[Floats], ArrayLike], kind: ReadOut | None = None) -> float:

@@ -24,7 +24,6 @@ from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
 from .family import laid_family
-from .interpolant import normalised
 from .needs import fewest
 from .particle_density import ParticleDensity
 from .particles import particles_on
@@ -75,8 +74,6 @@ def logarithm(density: ParticleDensity) -> OfStates:
     whole = density.family or density.pieces or density.families
     if whole is not None:
         return whole.log_p
-    if density.log_density is not None:
-        return normalised(density)
     factor = np.linalg.cholesky(density.cov("points"))
     # A mixture of kernels ends somewhere: a faint Gaussian of the same moments goes on.
     faint = gaussian_log_pdf(density.mean(), factor @ factor.T)

@@ -69,8 +69,8 @@ class Shape(Protocol):
 class Kernels:
     """Particles and the kernels around them: p(x) = sum_j m_j W(x - x_j, h_j) (002 (16)).
 
-    `kind` says what moments and expectations are of: "points" (sums over the particles), "mixture" (integrals
-    of p) or "shrunk" (integrals of p, what the kernels widen taken back).
+    `kind` says what moments and expectations are of: "points" (sums over the particles) or "mixture"
+    (integrals of p).
     """
 
     x: Floats  # (N, n)
@@ -85,10 +85,7 @@ class Kernels:
         """The kernels that the pdf sums; made at the first question."""
         if self.images is not None:
             return self.images
-        found = None
-        if self.kind == "shrunk":
-            found = mixture.shrunk(self.x, self.mass, self.h, self.kernel)
-        return mixture.mixture(self.x, self.mass, self.h, self.kernel) if found is None else found
+        return mixture.mixture(self.x, self.mass, self.h, self.kernel)
 
     @property
     def widening(self) -> float:
@@ -140,8 +137,6 @@ class Kernels:
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: the same kernel, with its variance there."""
         ratio = math.sqrt(self.kernel.variance / kernel_variance(self.kernel.kind, len(axes)))
-        if self.kind == "shrunk":
-            ratio *= mixture.narrowed(self.mixture, axes)
         return {"x": self.x[:, axes], "mass": self.mass, "h": ratio * self.h, "read_out": self.kind}
 
     def ends(self) -> tuple[Floats, Floats, Floats]:

@@ -18,7 +18,7 @@ from ..core.field.stencils import stencils
 from ..errors import ModelError
 from ..model.domain import Domain
 from ..model.sde import SDE
-from .as_cloud import cloud_of
+from .as_cloud import cloud_density, cloud_of
 from .families import Families
 from .family import Family
 from .needs import Needs
@@ -82,6 +82,12 @@ def density_from(arrays: Arrays, models: Sequence[SDE] = ()) -> ParticleDensity:
     """
     about = json.loads(str(arrays["about"]))
     about.pop("inherited", None)  # of files of before
+    if about["read_out"] == "shrunk":  # particles of moment-corrected SPH, which was taken out
+        own = ("t", "represented_mass", "capacity", "error", "lost")
+        known = ParticleDensity(x=arrays["x"], mass=arrays["mass"], h=arrays["h"])
+        return cloud_density(
+            known, known.x, known.mass, **{name: about[name] for name in own if name in about}
+        )
     if about.get("needs") is not None:
         about["needs"] = _needs_from(about["needs"])
     if about["domain"] is not None:

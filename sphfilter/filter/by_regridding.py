@@ -33,7 +33,7 @@ def by_regridding(
         "reason": reason,
         "kernel_ratio": _kernel_ratio(new),
         "resample": resampled,
-        "scheme": getattr(config.scheme, "name", "corrected"),
+        "scheme": getattr(config.scheme, "name", config.scheme),
     }
 
 

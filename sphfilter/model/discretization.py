@@ -7,6 +7,7 @@ import numpy as np
 from scipy.linalg import expm, matrix_balance
 
 from .._types import Floats
+from ..errors import PropagationError
 
 if TYPE_CHECKING:
     from .sde import SDE
@@ -16,8 +17,20 @@ __all__ = ["linear_transition", "transition"]
 
 @lru_cache(maxsize=256)
 def linear_transition(model: "SDE", dt: float) -> tuple[Floats, Floats, Floats]:
-    """The exact transition of a model that is linear, which never changes; read-only."""
-    found = model.to_linear().discretize(dt)
+    """The exact transition of a model that is linear, which never changes; read-only.
+
+    Raises
+    ------
+    PropagationError
+        It grows beyond the finite numbers.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = model.to_linear().discretize(dt)
+    if not all(np.isfinite(part).all() for part in found):
+        raise PropagationError(
+            f"the model blew up: within {dt:g} s its linear drift leaves the finite numbers. Check the drift "
+            f"there, or predict over a shorter interval"
+        )
     for part in found:
         part.setflags(write=False)
     return found

@@ -45,11 +45,10 @@ def skip_notes(model: SDE, bypassed: int) -> tuple[str, ...]:
     return tuple(notes)
 
 
-#: What keeps particles out of the far tail, by scheme; the corrected one has nothing of its own for that.
+#: What keeps particles out of the far tail, by scheme.
 _OUT_OF_THE_TAIL = {
     "log_density": "lay no particles so far out, with scheme=LogDensityScheme(reach=3)",
     "paper": "use a smaller represented_mass so that particles stay out of the far tail",
-    "corrected": "start from a narrower density",
 }
 
 

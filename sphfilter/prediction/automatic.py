@@ -1,4 +1,4 @@
-"""scheme="auto": the log-density, if need be on more particles, else moment-corrected SPH, or a cloud.
+"""scheme="auto": the log-density, if need be on more particles, else a cloud, or sums over kernels.
 
 A cloud, which takes over where these are refused, comes back to a lattice where one holds it.
 """
@@ -8,22 +8,20 @@ from contextlib import suppress
 
 import numpy as np
 
-from ..config import CloudScheme, CorrectedScheme, LogDensityScheme, PaperScheme
-from ..density.cloud import KERNEL, systematic
+from ..config import CloudScheme, LogDensityScheme, PaperScheme
+from ..density.cloud import KERNEL, matched, systematic
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
-from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
+from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code, PredictInfo
 from ..model.sde import SDE
-from . import cloud, corrected, log_density, paper
+from . import cloud, log_density, paper
 from ._shared import carried_off
 from .again import Ladder
 
-__all__ = ["MOST_FINER", "MOST_SUMMED", "SUMMED", "propagate"]
+__all__ = ["MOST_FINER", "SUMMED", "propagate"]
 
 MOST_FINER = 30_000  # particles on which a prediction is made again where the lattice loses probability
-#: States up to which sums over kernels go on: of more, a cloud is better, and knows how good it is.
-MOST_SUMMED = 2
 #: Plain sums over kernels, for domains whose ends other schemes do not know.
 SUMMED = PaperScheme(kernel="wendland_c2")
 #: States, and kernels of a cloud, from which a lattice is tried again.
@@ -41,7 +39,7 @@ def propagate(
     allowed: float = 0.0,
     most_work: float = math.inf,
 ) -> tuple[ParticleDensity, PredictInfo]:
-    """Carry a density to time t1 by the log-density where that can be, else by sums over kernels.
+    """Carry a density to time t1 by the log-density where that can be, else as a cloud.
 
     Parameters
     ----------
@@ -67,7 +65,7 @@ def propagate(
         if laid is None:
             return cloud.propagate(density, model, t1, CloudScheme(), n_particles)
         density = laid
-    reason, stopped = log_density.fits(model, density, n_particles), False
+    reason = log_density.fits(model, density, n_particles)
     if not reason:
         try:
             return log_density.propagate(
@@ -78,27 +76,28 @@ def propagate(
         except PropagationError as problem:
             if most_work < math.inf and density.domain is None:
                 raise
-            reason, stopped = str(problem), isinstance(problem, StoppedError)
+            reason = str(problem)
     if density.domain is not None:
         moved, info = _in_domain(density, model, t1, n_particles)
-    elif model.dim > MOST_SUMMED:
-        moved, info = cloud.propagate(density, model, t1, CloudScheme(), n_particles)
-        return moved, info.marked(Code.FALLBACK, f"{info.status}; not log_density: {reason}")
-    else:
-        try:
-            moved, info = corrected.propagate(density, model, t1, CorrectedScheme(), n_particles)
-        except PropagationError as problem:
-            raise PropagationError(reason if stopped else str(problem)) from problem
-    return moved, info.marked(Code.FALLBACK, f"not log_density: {reason}")
+        return moved, info.marked(Code.FALLBACK, f"not log_density: {reason}")
+    moved, info = cloud.propagate(density, model, t1, CloudScheme(), n_particles)
+    return moved, info.marked(Code.FALLBACK, f"{info.status}; not log_density: {reason}")
 
 
 def _on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity | None:
     """A cloud on a lattice that has its mean and covariance and its density, or None where none has."""
     if density.dim > _MOST_STATES or abs(density.lost) > _FORGOTTEN:
         return None
+    mean, cov = density.mean(), density.cov()
+    x, mass = density.x[systematic(density.mass, _KERNELS)], np.full(_KERNELS, 1.0 / _KERNELS)
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(cov))
+        x = matched(x, mass, mean, cov) if density.domain is None else x
+    except np.linalg.LinAlgError:  # flat along some combination of the states
+        return None
     few = ParticleDensity(
-        x=density.x[systematic(density.mass, _KERNELS)],
-        mass=np.full(_KERNELS, 1.0 / _KERNELS),
+        x=x,
+        mass=mass,
         h=density.h[:1].repeat(_KERNELS),
         kernel=KERNEL,
         read_out="cloud",
@@ -109,8 +108,7 @@ def _on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity |
         laid, *_ = times_likelihood(few, lambda X: np.zeros(len(X)), n_particles, "auto")
     except PropagationError:
         return None
-    root = np.linalg.inv(np.linalg.cholesky(density.cov()))
-    off = np.sqrt(np.mean((root @ (laid.mean() - density.mean())) ** 2))
+    off = np.sqrt(np.mean((root @ (laid.mean() - mean)) ** 2))
     wider = np.abs(root @ laid.cov() @ root.T - np.eye(density.dim)).max()
     X, _ = few.form.states(16, True)
     residual = np.mean(np.abs(np.expm1(np.clip(laid.logpdf(X) - few.logpdf(X), -1.0, 1.0))))

@@ -9,7 +9,6 @@ import numpy as np
 from .._types import Interval
 from ..config import (
     CloudScheme,
-    CorrectedScheme,
     FamilyScheme,
     FilterConfig,
     LogDensityScheme,
@@ -26,7 +25,7 @@ from ..model.domain import Domain
 from ..model.sde import SDE
 from ..model.timing import beside
 from ..validate import count, onwards, real, seconds
-from . import automatic, cloud, corrected, family, ladder, log_density, paper
+from . import automatic, cloud, family, ladder, log_density, paper
 from .again import Ladder, Outcome, or_as_cloud
 from .exact import propagate_exactly
 from .to_target import ALWAYS, Time, carried_to_target
@@ -65,8 +64,8 @@ def predict(
         Particles at most of a prediction that ``scheme="auto"`` makes again where a lattice loses
         probability; 30,000 if not given.
     goes_on : bool
-        Whether ``scheme="auto"`` goes on as a cloud of points, and says so, where neither a lattice nor sums
-        over kernels can; if not, what stopped them is raised.
+        Whether ``scheme="auto"`` goes on as a cloud of points, and says so, where what it tried is refused;
+        if not, the refusal is raised.
     time : Time, optional
         What a time budget leaves of particles, with "auto".
 
@@ -209,15 +208,15 @@ class Prediction(NamedTuple):
 
 def load(
     model: SDE, density: ParticleDensity, config: SolverConfig | FilterConfig
-) -> CorrectedScheme | PaperScheme | None:
+) -> CloudScheme | PaperScheme | None:
     """Compile what predictions call only now and then; returns the scheme they may fall back on, or None."""
-    if isinstance(config.scheme, PaperScheme | CorrectedScheme | CloudScheme | FamilyScheme):
+    if isinstance(config.scheme, PaperScheme | CloudScheme | FamilyScheme):
         return None
     if not log_density.fits(model, density, density.n_particles):
         log_density.load(model)
     if config.scheme != "auto":
         return None
-    return CorrectedScheme() if model.domain.unbounded else automatic.SUMMED
+    return CloudScheme() if model.domain.unbounded else automatic.SUMMED
 
 
 def _in_domain(density: ParticleDensity, domain: Domain) -> ParticleDensity:
@@ -235,7 +234,6 @@ def _in_domain(density: ParticleDensity, domain: Domain) -> ParticleDensity:
 
 _SCHEMES = {
     LogDensityScheme: log_density.propagate,
-    CorrectedScheme: corrected.propagate,
     PaperScheme: paper.propagate,
     CloudScheme: cloud.propagate,
     FamilyScheme: family.propagate,

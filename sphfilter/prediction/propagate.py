@@ -11,24 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._types import Floats, ReadOut
-from ..config import CorrectedScheme, FilterConfig, RemeshRule, SolverConfig
+from ..config import FilterConfig, RemeshRule, SolverConfig
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
 from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
-from ..errors import LatticeError, ModelError, UnresolvedError
+from ..errors import ModelError
 from ..info import Code, PredictInfo
 from ..model.sde import SDE
 from ..validate import array, onwards
 from .again import Outcome, or_as_cloud, predict_from_finer
-from .automatic import MOST_SUMMED
 from .predict import Prediction, predict
 from .remesh import Remeshing
 
 __all__ = ["Trajectory", "propagate"]
-
-#: Nodes of a lattice on which intervals are repeated, where moment-corrected SPH can go on instead: beyond,
-#: it follows the moments of a folding density at less cost.
-_MOST_NODES = 10_000
 
 
 @dataclass(frozen=True)
@@ -104,9 +99,8 @@ def propagate(
     """Solve the transient FPK equation without measurements.
 
     Where a lattice proves too coarse for the density to come, the interval before is repeated on 3 or 9 times
-    the particles; where ``scheme="auto"`` finds no lattice of up to 10,000 nodes that holds the density,
-    moment-corrected SPH goes on with the nodes as its particles. Particles are put on a new lattice on the
-    way where ``config.remesh`` asks for it. The infos say so.
+    the particles; where ``scheme="auto"`` finds no lattice that holds the density, a cloud goes on. Particles
+    are put on a new lattice on the way where ``config.remesh`` asks for it. The infos say so.
 
     Parameters
     ----------
@@ -193,20 +187,9 @@ def _carried(
     config: SolverConfig | FilterConfig,
 ) -> Outcome[PredictInfo]:
     """The `Outcome` of one interval, the one before made again where it left too coarse a density."""
-    corrects = config.scheme == "auto" and density.domain is None and density.dim <= MOST_SUMMED
     options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}
 
     def predicted(density: ParticleDensity) -> Outcome[PredictInfo]:
-        most = _MOST_NODES if corrects else None
-        return Outcome(
-            density, *predict(density, model, config=config, most_particles=most, **options), n_particles
-        )
+        return Outcome(density, *predict(density, model, config=config, **options), n_particles)
 
-    try:
-        return predict_from_finer(predicted, model, density, origin, config, n_particles)
-    except (LatticeError, UnresolvedError) as problem:
-        if not corrects:
-            raise
-        last = SolverConfig(scheme=CorrectedScheme())
-        moved, info = predict(density, model, config=last, **options)
-        return Outcome(density, moved, info.marked(Code.FALLBACK, f"not log_density: {problem}"), n_particles)
+    return predict_from_finer(predicted, model, density, origin, config, n_particles)

@@ -1,13 +1,12 @@
 """Particles on a new lattice while a density is carried: when, and how (002 section 5.3)."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..config import LogDensityScheme, PaperScheme, RemeshRule, Scheme
-from ..density.affine import with_moments
-from ..density.health import MIXED, health
+from ..density.health import health
 from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
 from ..errors import PropagationError
@@ -76,7 +75,8 @@ class Remeshing:
         if not reason:
             return density, "", False
         try:
-            new = _on_new_lattice(density, self.scheme, self.n_particles)
+            scheme = self.scheme if isinstance(self.scheme, PaperScheme) else SUMMED
+            new, _ = regrid(density, self.n_particles, scheme)
         except PropagationError as problem:
             return density, f"{reason}, but no new lattice: {problem}", False
         if self.when == "health" and health(new).severity >= health(density).severity:
@@ -86,9 +86,8 @@ class Remeshing:
     def _reason(self, density: ParticleDensity) -> str:
         if isinstance(self.when, str):
             return health(density).complaint
-        carried = density.read_out == "shrunk" or density.invariant is not None
         due = abs(math.remainder(density.t, self.when)) <= _ON_TIME * self.when
-        return f"every {self.when:g} s" if carried and due else ""
+        return f"every {self.when:g} s" if density.invariant is not None and due else ""
 
 
 def _strain(density: ParticleDensity, model: SDE) -> float:
@@ -99,31 +98,3 @@ def _strain(density: ParticleDensity, model: SDE) -> float:
         change = (model.drift(density.x + step, density.t) - drift) / (_NUDGE * std)
         total += density.mass @ (change**2).sum(axis=1)
     return math.sqrt(total / density.dim)
-
-
-def _on_new_lattice(density: ParticleDensity, scheme: Scheme, n_particles: int) -> ParticleDensity:
-    """The density on a lattice of its own: 002 4.7 for its scheme, else with mean and covariance kept."""
-    if density.read_out != "shrunk":
-        return regrid(density, n_particles, scheme if isinstance(scheme, PaperScheme) else SUMMED)[0]
-    # Kernels know more of a cloud in disorder than the log-densities that its particles carry.
-    enough = max(n_particles, density.n_particles)  # the nodes of a lattice that gave up may be more
-    new, _ = regrid(replace(density, log_density=None), enough, scheme)
-    _check_resolved(density, new)
-    # Moment-corrected SPH gets the moments of the points right: the new points have to have them too.
-    points = {name: getattr(new, name) for name in ("x", "mass", "h", "kernel", "log_density")}
-    return with_moments(replace(density, **points), density.mean(), density.cov("points"))
-
-
-def _check_resolved(density: ParticleDensity, new: ParticleDensity) -> None:
-    """Refuse a lattice that sees another density than the particles do: one of thin, folded sheets.
-
-    Lattices that resolve the density change its logarithm by .002 to .04 nat, those that do not by .5 to 80.
-    """
-    known, seen = density.logpdf(density.x), new.logpdf(density.x)
-    change = np.where(np.isfinite(known), seen - known, 0.0)
-    off = math.sqrt(density.mass @ change**2)
-    if not off < MIXED:
-        raise PropagationError(
-            f"one of {new.n_particles} particles would change the logarithm of the density by {off:.2g}; use "
-            f"more particles"
-        )

@@ -113,7 +113,7 @@ def test_models_are_written_as_their_text(model):
 def test_settings_and_own_sensors_are_written_too():
     sensor = sf.GaussianMeasurement.from_expressions(["x", "v"], ["atan2(v, x)"], [[0.1]], angles=[0])
     matrix = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
-    config = sf.FilterConfig(scheme="corrected", exact_linear=True)
+    config = sf.FilterConfig(scheme="cloud", exact_linear=True)
     X = np.array([[1.0, 2.0], [-1.0, 0.1]])
     for given in (sensor, matrix):
         again = _through_yaml(SPHUpdater(given, config=config))

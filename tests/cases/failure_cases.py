@@ -133,7 +133,7 @@ SAID_OF_FITS = [
     lambda: fitted(lambda a, b: -100 * (a**2 + b**2) if a + b < 0.06 else -np.inf, "a", "b"),
     lambda: fitted(refused, "a"),
     lambda: sf.compare_models({"a": fitted(lambda a: -(a**2), "a")}, [2.0], [[0.0]]),
-    lambda: sf.smooth(filtering(scheme="corrected"), [1.0], [[0.1]]),
+    lambda: sf.smooth(filtering(scheme="cloud"), [1.0], [[0.1]]),
     lambda: sf.smooth(sf.SPHFilter(line("-x", domain=WALLS), HEIGHT, [0.0], [[1.0]]), [1.0], [[0.1]]),
 ]
 
@@ -157,7 +157,6 @@ SAID = [
     lambda: sf.predict(laid(ROUND), wells(), 1.0, sf.SolverConfig(scheme="log_density"), n_particles=6),
     lambda: predicted(line("-x - x**3"), 400.0, STEEP),
     lambda: predicted(line("-x"), scheme=sf.PaperScheme(max_steps=1)),
-    lambda: predicted(line("-x", domain=[("periodic", -9.0, 9.0)]), scheme="corrected"),
     lambda: predicted(line("4*x", domain=WALLS), 2.0, "paper", domain=WALLS),
     lambda: predicted(line("-x"), -1.0),
     lambda: predicted(line("4*sin(3*x)", "0.5"), 3.0, "family"),
@@ -172,7 +171,6 @@ SAID = [
     lambda: filtering(40).predict(2.0).status,
     lambda: predicted(line("-x", domain=WALLS), domain=WALLS),
     lost,
-    lambda: predicted(FLAT, 2.0, scheme="corrected", start=ROUND, n_particles=200),
     lambda: sf.update(laid(), SPIKE, [0.5])[1].status,
     lambda: updated(HEIGHT, None),
     lambda: updated(HEIGHT, [9.0]),

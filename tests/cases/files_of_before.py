@@ -28,7 +28,6 @@ FILTERS = {
     "default": (DUFFING, {"n_particles": 80}, 2.0),
     "predicted": (DUFFING, {"n_particles": 80}, 1.5),
     "paper": (DUFFING, {"n_particles": 60, "config": sf.FilterConfig.paper()}, 2.0),
-    "corrected": (DUFFING, {"n_particles": 60, "config": sf.FilterConfig(scheme="corrected")}, 2.0),
     "auto": (DUFFING, {"n_particles": "auto", "dt": SECONDS}, 2.0),
     "periodic": (PENDULUM, {"n_particles": 80}, 2.0),
 }

@@ -131,7 +131,7 @@ def test_names_in_the_cache_change_with_any_file_of_the_core(tmp_path, edited):
     """Also with one in another folder of the core than the function's; files elsewhere do not matter."""
     core = copied("sphfilter/core", tmp_path / "package" / "core")
     other, edited = core.parent / "other.py", core / edited
-    function = "package.core.corrected.moment_correction", "correct"
+    function = "package.core.sph.summation", "sample_gradient"
     (core.parent / "__init__.py").write_text("")
     other.write_text("")
     name = name_in_the_cache(*function, tmp_path)

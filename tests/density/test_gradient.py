@@ -1,4 +1,4 @@
-"""`ParticleDensity.gradient`: the derivative of the pdf, of kernels, shrunk ones and log-densities."""
+"""`ParticleDensity.gradient`: the derivative of the pdf, of kernels and log-densities."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ def difference(density, X, step=1e-6):
     return np.transpose(ahead)
 
 
-@pytest.mark.parametrize("read_out", ["mixture", "shrunk", "log_density"])
+@pytest.mark.parametrize("read_out", ["mixture", "log_density"])
 def test_gradient_is_the_derivative_of_the_pdf(read_out):
     scheme = "auto" if read_out == "log_density" else "paper"
     density = sf.initialize(sf.Gaussian(MEAN, COV), 300, sf.SolverConfig(scheme=scheme))

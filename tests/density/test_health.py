@@ -102,7 +102,7 @@ def disorder(seed=3):
     return replace(before, x=x, mass=before.mass * np.exp(0.2 * rng.normal(size=len(x))))
 
 
-@pytest.mark.parametrize("read_out", ["points", "shrunk"])
+@pytest.mark.parametrize("read_out", ["points", "cloud"])
 def test_neither_units_nor_the_order_of_particles_matter(read_out):
     one = replace(disorder(), read_out=read_out)
     order = np.random.default_rng(4).permutation(one.n_particles)

@@ -28,7 +28,7 @@ def test_time_grows_with_the_interval():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--schemes", "corrected,papr"], "no scheme 'papr'; there are log_density, corrected, paper"),
+        (["--schemes", "log_density,papr"], "no scheme 'papr'; there are log_density, paper"),
         (["--counts", "many"], "--counts takes numbers such as 500,1000"),
         (["--interval", "0"], "--interval above 0"),
         (["epidemic"], "epidemic does not start from a Gaussian"),

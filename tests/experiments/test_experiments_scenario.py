@@ -91,15 +91,15 @@ def test_change_of_keys():
 
 def test_short_keys_of_the_sph_filters():
     """`scheme` names that of sph; what lies within scheme and acceptance are keys of sph_paper."""
-    filters = load_scenario("pendulum", **{"scheme": "corrected", "acceptance.f_edge": 0.5}).settings.filters
-    assert filters.sph.config == FilterConfig(scheme="corrected")
+    filters = load_scenario("pendulum", **{"scheme": "cloud", "acceptance.f_edge": 0.5}).settings.filters
+    assert filters.sph.config == FilterConfig(scheme="cloud")
     assert filters.sph_paper.config == FilterConfig.paper(f_edge=0.5)
 
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"scheme": "correct"}, "did you mean 'corrected'"),
+        ({"scheme": "clouds"}, "did you mean 'cloud'"),
         ({"times.intervall": 1.0}, "duffing with times.intervall changed: unknown key times.intervall"),
         ({"scheme.kernal": "lucy"}, "did you mean 'kernel'"),
         ({"scheme.kernel": "lucky"}, "'lucky' is not valid"),

@@ -1,22 +1,19 @@
-"""`converge` for transient densities: orders over particles and steps, calibration, CFL, refusals."""
+"""`converge` for transient densities: orders over particles and steps, refusals."""
 
 import csv
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, multivariate_normal
+from scipy.stats import multivariate_normal
 
 import sphfilter as sf
 from experiments.__main__ import main
-from experiments.converge.calibration import Plan, pairs_of
 from experiments.converge.cells import Setting, cut
-from experiments.converge.courant import PUBLISHED, compare
 from experiments.converge.errors import Truth, errors_of
 from experiments.converge.fits import fitted_order
 from experiments.converge.studies import by_scheme, by_step, default_steps, variants
 from experiments.converge.tables import orders_of
 from experiments.converge.truth import quadrature, truth_of
-from reference_filters.closed_forms import linear_moments
 
 QUIET = {"told": lambda label: None}
 
@@ -91,35 +88,14 @@ def test_truths_of_all_kinds_have_unit_mass_and_their_own_moments(name, end):
 
 
 def test_orders_over_particles_on_the_linear_oscillator():
-    """Kernel sums are of second order in the spacing; corrected moments have the error of the steps alone."""
+    """Kernel sums are of second order in the spacing."""
     study = setting("oscillator_underdamped", 1.0, start__reach=6.0)
     truth = truth_of(study.problem)
-    keys = {"kernel": "gaussian", "support_range": [3.6, 3.6], "integrator": "midpoint", "tol": 3e-5}
-    cells = by_scheme(study, truth, [100, 200, 400], variants(study, ["corrected", "paper"], keys), **QUIET)
-    corrected, paper = cells[:3], cells[3:]
-    assert max(cell.errors.mean for cell in corrected) < 1e-6
-    assert max(cell.errors.cov for cell in corrected) < 1e-4
-    found = orders_of([(cell.n_particles, cell.errors) for cell in paper], "particles", dim=2)
+    keys = {"kernel": "gaussian", "support_range": [3.6, 3.6], "integrator": "midpoint"}
+    cells = by_scheme(study, truth, [100, 200, 400], variants(study, ["paper"], keys), **QUIET)
+    found = orders_of([(cell.n_particles, cell.errors) for cell in cells], "particles", dim=2)
     assert found["cov"].slope == pytest.approx(2.0, abs=0.4)
     assert found["l2"].slope == pytest.approx(2.0, abs=0.4)
-
-
-def test_corrected_sph_finds_what_the_cut_of_a_lattice_takes():
-    """Particles of a Gaussian cut at Z have C F(Z²; n + 2) / F(Z²; n), F of chi square; lattices know C."""
-    study = setting("oscillator_underdamped", 1.0, start__reach=3.5, solver__n_particles=150)
-    truth, schemes = truth_of(study.problem), variants(study, ["corrected"], {})
-    cell = by_scheme(study, truth, [150], schemes, **QUIET)[0]
-    start, gaussian = study.problem.begin(), study.problem.distribution
-    kept = chi2.cdf(3.5**2, 4) / chi2.cdf(3.5**2, 2)
-    assert np.diag(start.cov("points") / gaussian.cov[0, 0]) == pytest.approx(kept, abs=0.3 * (1 - kept))
-    linear = study.problem.model.to_linear()
-
-    def carried(cov):
-        moments = linear_moments(linear.A, linear.b, np.diag([0.0, 0.2]), start.mean(), cov, 1.0)
-        return errors_of([Normal(*moments)], truth).cov
-
-    assert cell.errors.cov == pytest.approx(carried(start.cov()), abs=2e-4)
-    assert carried(start.cov()) < 0.4 * carried(start.cov("points"))
 
 
 def test_orders_over_the_time_step():
@@ -160,36 +136,6 @@ def test_default_steps_are_stable_parts_of_an_interval():
     assert not any(cell.failure for cell, _ in by_step(study, truth, "step", steps[:2], {}, **QUIET))
 
 
-def test_bypassing_the_search_changes_no_bit_and_saves_searches():
-    study = setting("van_der_pol", 1.0)  # two intervals: the second starts with lists that are known
-    plan = Plan(
-        counts=(200,), c_cfl=(0.5,), of_grid=(0.5,), c_nns=(0.5, 1.0), buffer_count=200, buffers=(4, 8),
-        repeats=1,
-    )  # fmt: skip
-    pairs = pairs_of(study, truth_of(study.problem), plan, {}, **QUIET)
-    assert [(p.label["c_nns"], p.label["buffer"]) for p in pairs] == [
-        (0.5, 12),
-        (1.0, 12),
-        (1.0, 4),
-        (1.0, 8),
-    ]
-    for pair in pairs:
-        assert pair.off.n_bypassed <= 1 < pair.on.n_bypassed
-        assert pair.off.n_steps == pair.on.n_steps
-        assert pair.difference.l2 < 1e-12 and pair.on.errors.l2 == pytest.approx(pair.off.errors.l2, rel=1e-9)
-        assert 1.0 < pair.on.bypass_ratio <= 15.0
-    assert pairs[0].on.bypass_ratio <= pairs[1].on.bypass_ratio
-
-
-def test_relative_cfl_takes_larger_steps_to_the_same_density():
-    study = setting("duffing_full", 2.0, solver__n_particles=150, reference__size=64)
-    absolute, relative = compare(study, truth_of(study.problem), {"dt_max": 0.02}, **QUIET)
-    assert (absolute.published, relative.published) == PUBLISHED["duffing_full"] == (np.inf, 325.0)
-    assert relative.cell.n_steps < 0.7 * absolute.cell.n_steps
-    assert relative.cell.errors.cov == pytest.approx(absolute.cell.errors.cov, abs=0.02)
-    assert all(0.0 < value < 1.0 for value in relative.steady)
-
-
 def test_a_cell_that_fails_is_a_sentence_and_the_others_go_on():
     study = setting("oscillator_underdamped", 2.0)
     truth = truth_of(study.problem)
@@ -210,13 +156,10 @@ def rows_of(path):
     ("arguments", "file", "n_rows"),
     [
         (["oscillator_critical", "--end", "2", "--counts", "100,200"], "convergence", 2),
-        (["cart_linear", "--over", "scheme", "--end", "1", "--counts", "100,200",
-          "--schemes", "corrected"], "convergence", 2),
+        (["cart_linear", "--over", "scheme", "--end", "1", "--counts", "200,400",
+          "--schemes", "log_density"], "convergence", 2),
         (["oscillator_critical", "--over", "step", "--end", "1", "--n-particles", "100",
           "--steps", ".1,.05"], "steps", 6),
-        (["--calibrate", "--quick", "--counts", "100", "--set", "reference.size=64"], "calibration", 9),
-        (["duffing_full", "--cfl", "--quick", "--n-particles", "100", "--end", "1",
-          "--set", "reference.size=64"], "cfl", 2),
     ],
 )  # fmt: skip
 def test_commands_write_table_and_picture(arguments, file, n_rows, tmp_path, capsys):
@@ -233,7 +176,7 @@ def test_commands_write_table_and_picture(arguments, file, n_rows, tmp_path, cap
     [
         (["oscillator", "--runs", "2"], "--runs has no meaning for --over particles, which takes --counts"),
         (["linear_underdamped", "--steps", ".1"], "--steps has no meaning for a filter scenario"),
-        (["--calibrate", "--cfl"], "are different studies"),
+        (["--sensors", "--over", "nodes"], "are different studies"),
         (["--over", "particles"], "name a transient scenario"),
         (["oscilator", "--over", "step"], "did you mean 'oscillator'"),
         (["oscillator", "--counts", "100"], "two different counts"),
@@ -242,13 +185,11 @@ def test_commands_write_table_and_picture(arguments, file, n_rows, tmp_path, cap
         (["oscillator", "--over", "step", "--steps", ".1"], "two different steps"),
         (["oscillator", "--over", "step", "--steps", ".1", "--c-cfl", ".2"], "two ways"),
         (["oscillator", "--over", "scheme", "--schemes", "papre"], "there is no scheme 'papre'"),
-        (["oscillator", "--over", "step", "--set", "solver.config.scheme=corrected"],
+        (["oscillator", "--over", "step", "--set", "solver.config.scheme=paper"],
          "sets solver.config.scheme itself"),
         (["oscillator", "--over", "scheme", "--set", "solver.config.scheme.kernle=lucy"], "kernle"),
         (["oscillator", "--end", "-1"], "above zero"),
         (["oscillator", "--set", "reference.kind=none"], "needs one"),
-        (["oscillator", "--cfl"], "--cfl takes one of duffing_linear"),
-        (["--calibrate", "--repeats", "0"], "one at least"),
     ],
 )  # fmt: skip
 def test_errors_are_sentences(arguments, message, tmp_path, capsys):

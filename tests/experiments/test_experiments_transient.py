@@ -128,7 +128,7 @@ def test_a_stopped_run_goes_on(tmp_path, monkeypatch, capsys, own, ctrl_c_after)
 
 
 def test_rules_for_new_lattices_side_by_side(tmp_path, capsys, own):
-    path = own(a=("n_particles = 60", 'n_particles = 60\nconfig = { scheme = "corrected" }'))
+    path = own(a=("n_particles = 60", 'n_particles = 60\nconfig = { scheme = "paper" }'))
     command = ["transient", "--config", str(path), "--out", str(tmp_path / "out"), "--remesh"]
     assert main([*command, "never,0.5"]) == 0
     told = capsys.readouterr().out
@@ -144,7 +144,7 @@ def test_rules_for_new_lattices_side_by_side(tmp_path, capsys, own):
 def test_a_rule_for_new_lattices_is_a_setting(tmp_path, capsys, own):
     out = tmp_path / "out"
     command = ["transient", "--config", str(own()), "--out", str(out)]
-    change = ["--set", "solver.config.scheme=corrected", "--set", "solver.config.remesh=0.2"]
+    change = ["--set", "solver.config.scheme=paper", "--set", "solver.config.remesh=0.2"]
     assert main([*command, *change]) == 0
     assert "4 new lattices on the way" in capsys.readouterr().out
     assert sum(info.n_regrids for info in sf.Trajectory.load(out / "trajectory.npz").infos) == 4

@@ -229,7 +229,7 @@ def test_other_schemes_go_on_from_a_family(bent):
     family, lattice = bent
     model = sf.LinearSDE([[0.0, 1.0], [-1.0, -0.5]], noise=[[0.0], [0.5]])
     sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[0.1]])
-    for scheme in ("auto", "corrected", "cloud"):
+    for scheme in ("auto", "cloud"):
         ends = []
         for density in (family, lattice):
             later, _ = sf.predict(density, model, 0.3, sf.FilterConfig(scheme=scheme), n_particles=400)

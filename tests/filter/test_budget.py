@@ -195,7 +195,7 @@ def test_nothing_is_compiled_after_a_rehearsal(monkeypatch, sensor):
     monkeypatch.setattr(Dispatcher, "compile", compiled)
     flt.predict(2.0)
     flt.update(2.0, POSITION if sensor is None else None)
-    fallback, _ = sf.predict(flt.density, model, 0.1, sf.FilterConfig(scheme="corrected"))
+    fallback, _ = sf.predict(flt.density, model, 0.1, sf.FilterConfig(scheme="cloud"))
     assert fallback.t == pytest.approx(2.1)
 
 

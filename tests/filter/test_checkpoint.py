@@ -44,7 +44,6 @@ def go_on(flt, steps):
         {"n_particles": 150},
         {"n_particles": "auto", "dt": 2.0},
         {"n_particles": 150, "config": sf.FilterConfig.paper()},
-        {"n_particles": 150, "config": sf.FilterConfig(scheme="corrected")},
     ],
 )
 @pytest.mark.parametrize("predicted", [False, True])

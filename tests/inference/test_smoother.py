@@ -160,7 +160,7 @@ def test_smoothing_says_what_it_does_not_support():
         sf.smooth(flt, [1.0], [[0.1], [0.2]])
     with pytest.raises(sf.ModelError, match="before the filter's own time"):
         sf.smooth(flt, [-1.0], [[0.1]])
-    for config in (sf.FilterConfig.paper(), sf.FilterConfig(scheme=sf.CorrectedScheme())):
+    for config in (sf.FilterConfig.paper(), sf.FilterConfig(scheme="cloud")):
         with pytest.raises(sf.ModelError, match="log_density"):
             sf.smooth(sf.SPHFilter(LINEAR, POSITION, *START, config=config), [1.0], [[0.1]])
     angle = sf.SDE.from_expressions(

@@ -33,7 +33,7 @@ QUESTIONS = {
     "Estimate, compare, smooth": "fit_parameters ParameterFit profile_evidence compare_models "
     "ModelComparison smooth SmoothedResult",
     "Switching modes": "JumpMarkovModel JumpMarkovFilter JumpMarkovResult simulate_modes",
-    "Settings": "FilterConfig SolverConfig LogDensityScheme CloudScheme FamilyScheme CorrectedScheme "
+    "Settings": "FilterConfig SolverConfig LogDensityScheme CloudScheme FamilyScheme "
     "PaperScheme AcceptanceTest __version__",
     "Errors": "SphfilterError ModelError ConfigError ExpressionError PropagationError EstimationError",
 }

@@ -79,6 +79,17 @@ def test_a_filter(tmp_path, name):
         same(found, told, room)
 
 
+def test_a_filter_whose_scheme_was_taken_out(caplog):
+    """Moment-corrected SPH: its particles are points of a cloud, and the default goes on."""
+    told = TOLD["corrected"]["read"]
+    flt = sf.SPHFilter.load(FOLDER / "filter_corrected.npz", DUFFING, POSITION)
+    assert flt.config.scheme == "auto" and "'corrected'" in caplog.text and '"auto"' in caplog.text
+    np.testing.assert_allclose(flt.density.mean(), told["mean"], atol=1e-12)
+    np.testing.assert_allclose(flt.log_evidence, told["log_evidence"])
+    for found, fine in zip(go_on(flt, [2, 3]), TOLD["auto"]["gone on"], strict=True):
+        np.testing.assert_allclose(found["x"], fine["x"], atol=ON_LATTICES)
+
+
 def test_a_trajectory():
     path, told = sf.Trajectory.load(FOLDER / "trajectory.npz"), TOLD["trajectory"]
     for density, numbers in zip(path.densities, told["densities"], strict=True):
@@ -98,7 +109,7 @@ def test_a_result_and_a_campaign_in_one_file():
 
 def test_settings():
     text = (FOLDER / "config.toml").read_text(encoding="utf-8")
-    assert sf.FilterConfig.from_toml(text) == sf.FilterConfig(**CONFIG)
+    assert sf.FilterConfig.from_toml(text) == sf.FilterConfig(**CONFIG | {"scheme": "auto"})
     before, now = read_settings(FOLDER / "command" / "scenario.toml"), read_settings("duffing", CHANGES)
     assert before.filters.default == (*now.filters.default, "sph_paper")  # which runs by default no longer
     assert replace(before, filters=replace(before.filters, default=now.filters.default)) == now

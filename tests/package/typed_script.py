@@ -59,7 +59,7 @@ def settings() -> sf.FilterConfig:
     assert_type(sf.FilterConfig.from_toml(config.to_toml()), sf.FilterConfig)
     assert_type(sf.FilterConfig.paper(kernel="gaussian").acceptance, sf.AcceptanceTest)
     assert_type(sf.FilterConfig(scheme="paper").time_budget, float | None)
-    assert_type(sf.SolverConfig(scheme="corrected", remesh=2.0).exact_linear, bool)
+    assert_type(sf.SolverConfig(scheme="paper", remesh=2.0).exact_linear, bool)
     return config
 
 

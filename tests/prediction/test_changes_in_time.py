@@ -82,11 +82,9 @@ def test_in_one_go_and_in_eight(case):
         assert density.cov()[0, 0] == pytest.approx(variance, rel=0.01)
 
 
-@pytest.mark.parametrize("scheme", ["auto", "corrected"])
-def test_steps_are_no_longer_than_allowed(scheme):
-    config = sf.SolverConfig(scheme=scheme)
+def test_steps_are_no_longer_than_allowed():
     model = sf.SDE(lambda x: (-x[0],), 1, [[1.0]], max_step=0.01)
-    _, info = sf.predict(sf.initialize(START, 60, config), model, 1.0, config)
+    _, info = sf.predict(sf.initialize(START, 60), model, 1.0)
     assert info.n_steps >= 100
 
 

@@ -101,7 +101,7 @@ def test_bypass_saves_searches_and_changes_nothing_that_matters():
     assert with_bypass.densities[0].x == pytest.approx(without.densities[0].x, abs=1e-6)
 
 
-@pytest.mark.parametrize("config", [sf.SolverConfig.paper(), sf.SolverConfig(scheme="corrected")])
+@pytest.mark.parametrize("config", [sf.SolverConfig.paper()])
 @pytest.mark.parametrize("n_particles", [200, 2500])
 def test_thread_count_changes_no_bit(n_particles, config):
     results, start = [], sf.initialize(START, n_particles, config)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from reference_filters.grid import GridFilter
 from sphfilter.errors import PropagationError
 from sphfilter.prediction import remesh
 
@@ -15,7 +14,7 @@ DUFFING = sf.SDE.from_expressions(
 )
 SPIRAL = sf.LinearSDE([[0.0, 1.0], [-1.0, -0.2]], noise=[[0.0], [0.5]])
 FAST = sf.Gaussian([0.0, 10.0], 0.25 * np.eye(2))
-SUMS = {"paper": sf.PaperScheme(kernel="gaussian"), "corrected": sf.CorrectedScheme()}
+SUMS = {"paper": sf.PaperScheme(kernel="gaussian")}
 
 
 def configuration(scheme, remesh):
@@ -43,10 +42,10 @@ def test_never_is_prediction_after_prediction_to_the_last_bit(scheme):
 
 
 def test_the_configuration_of_a_filter_never_asks_for_it():
-    config = sf.FilterConfig(scheme="corrected")
+    config = sf.FilterConfig(scheme=SUMS["paper"])
     start = sf.initialize(FAST, 150, config)
     way = sf.propagate(start, DUFFING, [0.5], config)
-    assert same(way.densities[0], carried("corrected", "never", [0.5], 150).densities[0])
+    assert same(way.densities[0], carried("paper", "never", [0.5], 150).densities[0])
 
 
 def test_log_densities_are_on_a_new_lattice_at_every_step_anyway():
@@ -66,57 +65,22 @@ def test_a_clock_strikes_the_same_however_the_way_is_cut(scheme, times):
 
 @pytest.mark.parametrize("remesh", ["health", 1.5])
 def test_a_solution_from_a_file_goes_on_to_the_last_bit(remesh, tmp_path):
-    config = configuration("corrected", remesh)
-    way = carried("corrected", remesh, [6.0, 9.0])
+    config = configuration("paper", remesh)
+    way = carried("paper", remesh, [6.0, 9.0])
     assert sum(info.n_regrids for info in way.infos) > 0
     way.save(tmp_path / "way.npz")
     again = sf.Trajectory.load(tmp_path / "way.npz")
     assert again.infos == way.infos
     (end,) = sf.propagate(again.densities[0], DUFFING, [9.0], config).densities
     assert same(end, way.densities[1])
-    assert same(carried("corrected", remesh, [6.0, 9.0]).densities[1], way.densities[1])
-
-
-def test_moment_corrected_particles_keep_mean_and_covariance():
-    before = carried("corrected", "never", [2.5]).densities[0]
-    after, told, changed = remesh.Remeshing(2.5, SUMS["corrected"], 200).renewed(before, DUFFING, 3.0)
-    assert changed and told == "re-gridded: every 2.5 s" and after.t == before.t
-    assert after.mean() == pytest.approx(before.mean(), abs=1e-12)
-    assert after.cov() == pytest.approx(before.cov(), abs=1e-12)
-    assert after.mass.sum() == pytest.approx(1.0, abs=1e-14) and after.read_out == before.read_out
-    X = before.x[before.mass > 0.1 * before.mass.max()]
-    assert after.pdf(X) == pytest.approx(before.pdf(X), rel=0.15)
-    off = after.log_density - np.log(after.pdf(after.x))
-    assert np.sqrt(after.mass @ off**2) < 0.05  # the log-density goes with the points
+    assert same(carried("paper", remesh, [6.0, 9.0]).densities[1], way.densities[1])
 
 
 def test_a_linear_model_stays_in_order_and_is_left_alone():
     start = sf.Gaussian([2.0, 0.0], 0.3 * np.eye(2))
-    ways = [carried("corrected", remesh, [4.0], 150, SPIRAL, start) for remesh in ("never", "health")]
+    ways = [carried("paper", remesh, [4.0], 150, SPIRAL, start) for remesh in ("never", "health")]
     assert ways[1].infos[0].n_regrids == 0
     assert ways[1].densities[0].cov() == pytest.approx(ways[0].densities[0].cov(), rel=1e-3)
-
-
-def test_on_health_a_cloud_that_mixes_stays_nearer_to_the_exact_answer():
-    """A Duffing oscillator winds up its particles (002 Fig 15a): once they have mixed no sum is good."""
-    times = [8.0, 10.0, 12.0]
-    exact = GridFilter(DUFFING, None, FAST.mean, FAST.cov, size=96)
-    covs = []
-    for t in times:
-        exact.predict(t=t)
-        covs.append(exact.P)
-    errors, ways = [], [carried("corrected", remesh, times, 320) for remesh in ("never", "health")]
-    for way in ways:
-        scale = [np.sqrt(np.outer(np.diag(P), np.diag(P))) for P in covs]
-        off = [(d.cov() - P) / s for d, P, s in zip(way.densities, covs, scale, strict=True)]
-        errors.append(np.sqrt(np.mean(np.square(off))))
-    assert errors[1] < 0.5 * errors[0] and errors[1] < 0.02
-    steps = [sum(info.n_steps for info in way.infos) for way in ways]
-    assert steps[1] < 0.5 * steps[0]
-    ends = [sf.health(way.densities[-1]) for way in ways]
-    assert ends[0].mixing > 0.3 and ends[1].mixing < 0.15
-    statuses = " ".join(info.status for info in ways[1].infos)
-    assert "re-gridded: particles have" in statuses
 
 
 def test_published_scheme_needs_fewer_steps_on_health():
@@ -130,47 +94,21 @@ def test_where_no_lattice_can_be_had_the_particles_go_on(monkeypatch):
         raise PropagationError("too few particles")
 
     monkeypatch.setattr(remesh, "regrid", no_lattice)
-    way, never = (carried("corrected", remesh, [1.0, 2.0]) for remesh in (1.0, "never"))
+    way, never = (carried("paper", remesh, [1.0, 2.0]) for remesh in (1.0, "never"))
     assert "no new lattice: too few particles" in way.infos[1].status and way.infos[1].n_regrids == 0
     assert same(way.densities[1], never.densities[1])
 
 
-def test_a_lattice_too_coarse_for_a_folded_sheet_is_not_taken():
-    """A sheet thinner than the lattice's spacing, as chaos makes them: the lattice would fill the folds."""
-    flat = sf.initialize(sf.Gaussian([0.0, 0.0], np.eye(2)), 200, configuration("corrected", "never"))
-    z = flat.x.copy()
-    sheet = np.column_stack([z[:, 0], 4.0 * np.sin(4.0 * z[:, 0]) + 0.03 * z[:, 1]])
-    log_p = flat.log_density - np.log(0.03)
-    parts = {"field": None, "moments": None, "volume": None, "gaussian": False, "read_out": "shrunk"}
-    folded = replace(flat, x=sheet, h=0.17 * flat.h, log_density=log_p, t=1.0, **parts)
-    rule = remesh.Remeshing(0.5, SUMS["corrected"], 200)
-    after, told, changed = rule.renewed(folded, SPIRAL, 2.0)
-    assert after is folded and not changed and "every 0.5 s, but no new lattice" in told
-    smooth = replace(flat, t=1.0, **parts)
-    assert rule.renewed(smooth, SPIRAL, 2.0)[2]
-
-
 def test_a_lattice_that_is_no_better_is_not_taken(monkeypatch):
     """Where particles are too few for the density a new lattice is as rough as the old one."""
-    before = carried("corrected", "never", [2.0]).densities[0]
+    before = carried("paper", "never", [2.0]).densities[0]
     rough = replace(before, mass=np.random.default_rng(1).permutation(before.mass))
-    rule = remesh.Remeshing("health", SUMS["corrected"], 200)
+    rule = remesh.Remeshing("health", SUMS["paper"], 200)
     after, told, changed = rule.renewed(rough, DUFFING, 3.0)
     assert changed and sf.health(after).severity < sf.health(rough).severity
-    monkeypatch.setattr(remesh, "_on_new_lattice", lambda density, *_: density)
+    monkeypatch.setattr(remesh, "regrid", lambda density, *_: (density, None))
     after, told, changed = rule.renewed(rough, DUFFING, 3.0)
     assert after is rough and not changed and told.endswith("of so few particles is no better")
-
-
-def test_sums_that_carry_what_a_lattice_cannot_are_renewed_too():
-    """Noise that depends on the state, carried by moment-corrected sums: E[x²] in closed form."""
-    noisy = sf.SDE.from_expressions(["x"], ["-x"], noise=[["0.5*x"]], spectral_density=[[1.0]])
-    start = sf.Gaussian([2.0], [[0.04]])
-    way = carried("corrected", 0.2, [0.5, 1.0], 80, noisy, start)
-    assert [info.scheme for info in way.infos] == ["corrected"] * 2
-    assert sum(info.n_regrids for info in way.infos) == 4
-    second = 4.04 * np.exp((-2.0 + 0.25) * way.times)
-    assert way.moment([2]) == pytest.approx(second, rel=1e-3)
 
 
 def test_particles_on_a_circle_are_renewed_across_its_seam():

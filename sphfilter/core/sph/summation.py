@@ -107,7 +107,7 @@ DENSITY = Entry(update_density, (CLOUD, NEAR, WORK, OPTIONS))
 
 @jit
 def own_density(i, m, h_i, lists, r, kernel, n):
-    """Density at particle i with the kernels of its own h, and its derivative in h (000 (117), corrected)."""
+    """Density at particle i with the kernels of its own h, and its derivative in h (000 (117), mended)."""
     start, neighbors = lists
     kind, C = kernel
     a = C / h_i**n
