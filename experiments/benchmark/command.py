@@ -22,7 +22,7 @@ from sphfilter.campaign.campaign import draw_case
 from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError, SphfilterError
 
-from . import expensive, plots, tables
+from . import expensive, frontier, plots, tables
 from .campaign import Plan, run_scenario
 from .families import FAMILIES
 from .methods import default_families, methods
@@ -124,7 +124,8 @@ def _write(args, plan, outcomes, machine, work):
     plan.folder.mkdir(parents=True, exist_ok=True)
     tables.write_csv(plan.folder / "benchmark.csv", outcomes)
     title = f"Filters side by side: {counted(plan.n_runs, 'run')}, seed {plan.seed}"
-    (plan.folder / "benchmark.md").write_text(tables.markdown(outcomes, title), encoding="utf-8")
+    told = tables.markdown(outcomes, title) + frontier.markdown(outcomes)
+    (plan.folder / "benchmark.md").write_text(told, encoding="utf-8")
     record = {
         "arguments": {key: str(value) for key, value in vars(args).items()},
         "plan": {key: str(value) for key, value in asdict(plan).items()},

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from experiments.scene.filters import Factory
 from experiments.scene.settings import Grid, MomentFilter, Particle, Sph
-from sphfilter.config import FilterConfig
+from sphfilter.config import CloudScheme, FamilyScheme, FilterConfig
 
 from . import boxed
 from .families import FAMILIES, check_families
@@ -20,6 +20,11 @@ _PF, _PF4 = (200, 1000, 10_000, 100_000), (1000, 10_000, 100_000)
 _REFEREE = (48, 96)
 #: Nodes an axis of the boxed grid, and its steps in an interval between measurements.
 _GRID = ((32, 12), (48, 25), (64, 50), (96, 100))
+#: Sizes of schemes that take no number of particles, and the schemes: points, or a degree.
+_FORCED = {
+    "cloud": ((256, 1024, 4096, 16_384, 65_536), lambda size: CloudScheme(n_points=size)),
+    "family": ((2, 3, 4, 6), lambda size: FamilyScheme(degree=size)),
+}
 #: Particles from which the better of the particle filters is tried with a second thread, too.
 _TWO_THREADS_FROM = 100_000
 
@@ -127,6 +132,9 @@ def _family(family, scenario, counts, full):
     elif family == "paper":
         config = FilterConfig.paper(kernel="lucy" if n <= 2 else "gaussian")
         name, made = "sph", _sized(counts or _PAPER[n] + (5204,) * (full and n == 3), config)
+    elif scheme in _FORCED and scheme != family:
+        sizes, forced = _FORCED[scheme]
+        name, made = "sph", {size: Sph(config=FilterConfig(scheme=forced(size))) for size in counts or sizes}
     elif family == "sph" or scheme != family:
         config = FilterConfig() if scheme == family else FilterConfig(scheme=scheme)
         name, made = "sph", _sized(counts or _SPH[n], config)

@@ -218,8 +218,11 @@ def chosen_steps(
     begin: Steps,
     bounds: tuple[int, int],
     allowed: float,
-) -> tuple[Steps, float]:
-    """Steps within bounds, and their bias, which is allowed; more than the most where that is not enough."""
+) -> tuple[Steps, float, float]:
+    """Steps within bounds, and their bias, which is allowed; more than the most where that is not enough.
+
+    The last number is the part of a few points that the model carries to infinity.
+    """
     x, w, key = points.x, points.w, key_at(span[0], 0)
     about = x, w, key, *places(model.dim), begin.number, begin.stiff, *bounds, allowed
     with surfacing():

@@ -276,7 +276,7 @@ def test_steps_that_throw_points_out_are_seen_to_be_too_long():
     drift = [f"-y*({turn})", f"x*({turn}) - 0.3*y"]
     model = sf.SDE.from_expressions(["x", "y"], drift, [["1", "0"], ["0", "1"]], np.diag([0.02, 0.05]))
     points = begun([1.5, 0.0], np.diag([1.0, 0.01]), 2048, 7)
-    steps, bias = chosen_steps(points, model, (0.0, 0.8), Steps(1), (1, 10_000), 0.005)
+    steps, bias, _ = chosen_steps(points, model, (0.0, 0.8), Steps(1), (1, 10_000), 0.005)
     assert 4 <= steps.number <= 200 and bias <= 0.005
     coarse, fine = (passed(points, model, 0.0, 0.8, Steps(k), 2048, 7) for k in (steps.number, 400))
     (mean, cov), (true, P) = (moments(ends.x, ends.w) for ends in (coarse, fine))
