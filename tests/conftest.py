@@ -13,6 +13,15 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 # The matrices are small: threads only wait for each other, the longer the busier the machine is.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+_SHORT = {"first_filter", "two_modes"}  # notebooks that run by default: each is a process that compiles anew
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if item.path.suffix == ".ipynb" and item.path.stem not in _SHORT:
+            item.add_marker("slow")
+
 
 @pytest.fixture
 def ctrl_c_after(monkeypatch):

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ..config import CloudScheme
 from ..density.distributions import Gaussian
 from ..density.initialize import initialize
 from ..density.needs import fewest
@@ -169,7 +170,8 @@ def _load_rest(filt: Any, dt: float) -> None:
         config = replace(filt.config, scheme=scheme)
         # as many particles as the filter has would take minutes, and compile nothing more
         about = {"t": filt.t, "domain": filt.model.domain}
-        few = initialize(Gaussian(filt.x, filt.P), fewest(filt.model.dim), config, **about)
+        begins = filt.config if isinstance(scheme, CloudScheme) else config  # points come from a lattice
+        few = initialize(Gaussian(filt.x, filt.P), fewest(filt.model.dim), begins, **about)
         moved, _ = predict(few, filt.model, _SHORT * dt, config)
         update(moved, *_expected(filt), filt.config)
 

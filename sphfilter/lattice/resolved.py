@@ -28,6 +28,7 @@ _MOST = 20_000  # particles
 _BESIDE = 10.0  # times what a Gaussian leaves out ...
 _LITTLE = 0.01  # ... and a probability, from which on what lies beside the nodes makes a lattice too small
 _PIECES = 3  # peaks that get a lattice of their own
+_FARTHER = 2.0  # times as far out as the prior's farthest node, from which on its tail is a guess
 _SHALLOWER = (1.0, 0.75, 0.5)  # depths of a lattice around a peak that stands on wide ground
 
 
@@ -198,7 +199,11 @@ def _overlooked(
         X, values = X[above], values[above]
     elif values.max() < -1e200:
         return []
-    return peaks(product, X, values, factor) if len(X) else []
+    if not len(X):
+        return []
+    farthest = _FARTHER * np.linalg.norm(np.linalg.solve(factor, (x - mean).T), axis=0).max()
+    found = peaks(product, X, values, factor)
+    return [p for p in found if np.linalg.norm(np.linalg.solve(factor, p.x - mean)) < farthest]
 
 
 def _tries(

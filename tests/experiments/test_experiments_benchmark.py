@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from experiments.benchmark.campaign import Outcome
 from experiments.benchmark.counting import drift_evaluations
 from experiments.benchmark.densities import Cloud, hellinger, normal, snapshot
 from experiments.benchmark.errors import errors, root_mean_square, truth_errors
+from experiments.benchmark.frontier import markdown, seconds_for
 from experiments.benchmark.measure import measure
 from experiments.benchmark.methods import Method, default_families, label, methods, size_text
 from experiments.benchmark.store import Rows
@@ -201,6 +203,7 @@ def test_a_watched_run_stops_at_its_limit():
         Watched(filt, limit=0.0).run(case.times, case.z)
 
 
+@pytest.mark.slow
 def test_evaluations_of_the_drift_are_counted():
     """Four for every Runge-Kutta step of every particle, or as many for each as the steps say."""
     scenario = load_scenario("van_der_pol", **{"times.end": 5.0})
@@ -235,6 +238,16 @@ def test_the_fastest_and_the_law():
     assert fastest_to_reach(lines, 0.05).family == "sph"
     assert fastest_to_reach(lines, 0.005) is None
     np.testing.assert_allclose(particle_law(lines), 1e-4)
+
+
+def test_the_frontier_lies_between_sizes():
+    lines = [_line("sph:cloud", 256, 0.01, 0.1), _line("sph:cloud", 1024, 0.04, 0.025)]
+    np.testing.assert_allclose(seconds_for(lines, 0.05), 0.02)
+    assert seconds_for(lines, 0.2) == 0.01 and np.isnan(seconds_for(lines, 0.01))
+    other = [_line("sph:family", 3, 0.001, 0.06), _line("auto", 33, 0.005, 0.02)]
+    told = markdown([SimpleNamespace(scenario="one", lines=lines + other)])
+    assert "| one | 0.1 | 10 | **1** | 5 |" in told and "| one | 0.03 | **33" in told
+    assert "0.01" not in told and markdown([SimpleNamespace(scenario="one", lines=other[1:])]) == ""
 
 
 def test_sizes_in_words():
