@@ -9,7 +9,7 @@ from .._jit import jit
 from ..small_matrices import cholesky, invert_lower
 from .weights import weighted_moments
 
-__all__ = ["along_curve", "fill_places", "places", "spread"]
+__all__ = ["along_curve", "fill_places", "ordered", "places", "spread"]
 
 #: Bits of a cell's number along each state, and standard deviations to either side that cells tell apart.
 _BITS, _REACH = {1: 12, 2: 8, 3: 6, 4: 4, 5: 4, 6: 3}, 2.5
@@ -44,13 +44,20 @@ def spread(step, shift, order, out):
 
 @jit
 def along_curve(x, w, table, bits):
-    """Numbers (N,) of points x (N, n) of weights w (N,) in their order on the curve, in whitened coordinates.
+    """Numbers (N,) of points x (N, n), of weights w (N,), in their order on the curve, whitened."""
+    n = x.shape[1]
+    mean, cov = np.empty(n), np.empty((n, n))
+    weighted_moments(x, w, mean, cov)
+    return ordered(x, mean, cov, table, bits)
+
+
+@jit
+def ordered(x, mean, cov, table, bits):
+    """As `along_curve`, of points of a mean (n,) and covariance (n, n).
 
     A counting sort, byte by byte: points of one cell stay in the order in which they came.
     """
-    N, n = x.shape
-    top, mean, cov, L = 1 << bits, np.empty(n), np.empty((n, n)), np.empty((n, n))
-    weighted_moments(x, w, mean, cov)
+    (N, n), top, cov, L = x.shape, 1 << bits, cov.copy(), np.empty(cov.shape)
     for a in range(n):  # a state without spread, or none that is a number, has one cell
         cov[a, a] = cov[a, a] if 1e-300 < cov[a, a] < np.inf else 1.0
     if not cholesky(cov, L):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .._jit import jit
-from .curve import along_curve
+from .curve import ordered
 from .linearise import (
     block_roots,
     block_size,
@@ -15,7 +15,7 @@ from .linearise import (
 )
 from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
-from .weights import effective, for_moments
+from .weights import effective, for_moments, weighted_moments
 
 __all__ = ["AGAIN", "FIRST", "KERNEL", "PILOT", "begin", "blocks_of", "carry", "carry_linear", "everywhere"]
 
@@ -64,10 +64,12 @@ def begin(x, w, family, count, key, net, table, bits):
         Of the blocks: centres, and lower roots of the Gaussians' covariances.
     """
     N, n = x.shape
-    order = along_curve(x, w, table, bits)
+    mean, cov = np.empty(n), np.empty((n, n))
+    weighted_moments(x, w, mean, cov)
+    order = ordered(x, mean, cov, table, bits)
     x, w = x[order], w[order]
     if count != N or effective(w) < _FEW * count:
-        chosen, w = for_moments(x, w, count, uniform(np.uint64(key), np.uint64(_CUT)))
+        chosen, w = for_moments(x, w, mean, cov, count, uniform(np.uint64(key), np.uint64(_CUT)))
         order, x = order[chosen], x[chosen]
     part = distances(x, family[order] if family.size > 0 else order)
     block, middle, lower = blocks_of(count), centres(x), block_roots(x)

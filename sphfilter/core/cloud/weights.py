@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from .._jit import jit
+from .._views import rows_at
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
 
 __all__ = [
@@ -25,6 +26,8 @@ __all__ = [
 ]
 
 
+#: Points at a time, and numbers from one row of theirs to the next: no power of two, for the cache.
+_AT_ONCE, _ROW = 128, 136
 _SEEN = 64  # rows that tell the extent of all
 AWAY = 1e6  # extents of points from which one has run away
 
@@ -33,20 +36,32 @@ AWAY = 1e6  # extents of points from which one has run away
 def weighted_moments(X, w, mean, cov):
     """Fill mean (n,) and covariance (n, n) of states X (N, n) with weights w (N,) that sum to one.
 
-    Sums may be taken in any order, as vector instructions want it.
+    Sums may be taken in any order, as vector instructions want it: of rows of a state's numbers, a few at a
+    time, which fit the first-level cache.
     """
-    N, n = X.shape
+    (N, n), room = X.shape, np.empty(2 * X.shape[1] * _ROW)
     for a in range(n):
         s = 0.0
         for i in range(N):
             s += w[i] * X[i, a]
         mean[a] = s
+        for b in range(n):
+            cov[a, b] = 0.0
+    for first in range(0, N, _AT_ONCE):
+        K = min(_AT_ONCE, N - first)
+        for a in range(n):
+            own, heavy = rows_at(room, a * _ROW, 1, K), rows_at(room, (n + a) * _ROW, 1, K)
+            for i in range(K):
+                own[0, i] = X[first + i, a] - mean[a]
+                heavy[0, i] = w[first + i] * own[0, i]
+            for b in range(a + 1):
+                other, s = rows_at(room, b * _ROW, 1, K), 0.0
+                for i in range(K):
+                    s += heavy[0, i] * other[0, i]
+                cov[a, b] += s
     for a in range(n):
-        for b in range(a + 1):
-            s = 0.0
-            for i in range(N):
-                s += w[i] * (X[i, a] - mean[a]) * (X[i, b] - mean[b])
-            cov[a, b] = cov[b, a] = s
+        for b in range(a):
+            cov[b, a] = cov[a, b]
 
 
 @jit
@@ -292,16 +307,17 @@ def systematic(w, count, shift):
 
 
 @jit
-def for_moments(x, w, count, shift):
+def for_moments(x, w, mean, cov, count, shift):
     """Numbers and weights (count,) of points drawn from weighted ones, x (N, n) and w (N,), all of sum one.
+
+    Their mean is (n,), their covariance (n, n).
 
     A point d standard deviations from the mean is drawn up to 1 + d²/n times as often as its weight says, and
     weighs as much less: mean and covariance hang on it so much more, and so may what is read next. That makes
     no more than one draw of any, as copies know no more than it does.
     """
     (N, n), by = x.shape, w.copy()
-    mean, cov, L, off = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty(n)
-    weighted_moments(x, w, mean, cov)
+    L, off = np.empty((n, n)), np.empty(n)
     if cholesky(cov, L):
         white = invert_lower(L)
         for i in range(N):
