@@ -174,8 +174,11 @@ def _on_more_points(
             posterior, info = update(prior, measurement, z, config, n_particles="auto")
         except PropagationError:  # what there is already is better than none
             break
+        helped = info.error < _HELPED * best[2].error
         if more or info.error < best[2].error:  # more points know better what they do not know
             best = prior, posterior, info
+        if not helped:  # what is wrong was wrong before, and no points here cure it
+            break
     prior, posterior, info = best
     cloud, needs = posterior.cloud, posterior.needs
     if best is not once and cloud is not None and needs is not None:
