@@ -104,7 +104,7 @@ def test_outlier_is_rejected_and_the_prior_kept():
     assert info.n_particles == before.n_particles
 
 
-@pytest.mark.parametrize("z", [pytest.param(-9999.0, marks=pytest.mark.slow), 1e4, 30.0])
+@pytest.mark.parametrize("z", [-9999.0, 1e4, 30.0])
 def test_a_wild_reading_is_not_used_and_the_filter_goes_on(z):
     flt = sf.SPHFilter(
         sf.SDE.from_expressions(["x", "v"], ["v", "-x - x**3"], noise=[[0], [1]]),

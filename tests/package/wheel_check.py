@@ -49,7 +49,7 @@ class Decay:
         return sf.Case(times, truth[1:], z[1:], x0, P0)
 
 def sph(case, rng):
-    return sf.SPHFilter(model, sensor, case.x0, case.P0, n_particles=60)
+    return sf.SPHFilter(model, sensor, case.x0, case.P0)
 
 for _ in range(2):  # the second time from the folder
     campaign = sf.run_campaign(Decay(), {{"sph": sph}}, n_runs=2, seed=1, folder="runs")
