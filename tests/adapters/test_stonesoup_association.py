@@ -120,7 +120,7 @@ def test_what_one_lattice_cannot_hold_is_flagged():
         track, {seen(2.6, seconds=3), seen(-3.1, seconds=3), seen(0.4, seconds=3)}, at(3)
     )
     info = updater.update(hypotheses).info
-    assert sf.Code.UNRESOLVED in info.code and info.flagged and info.residual > 0.05
+    assert info.flagged and sf.Code.FALLBACK in info.code and "too broad for one lattice" in info.status
 
 
 def test_stone_soups_pda_weights_are_taken_as_given(two_wells):
