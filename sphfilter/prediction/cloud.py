@@ -186,8 +186,8 @@ def steps_of(
     told = state.told.errors.mean
     told = _USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told
     allowed = _PART * max(min(math.hypot(told, state.inherited), DOUBTFUL), target) / legs
-    steps, bias, gone = chosen_steps(points, model, span, Steps(number, stiff), (least, most), allowed)
-    if gone > 2.0 * _MOST_LOST:  # of a few: all need not be asked, each of which takes long
+    steps, bias, lost = chosen_steps(points, model, span, Steps(number, stiff), (least, most), allowed)
+    if lost > 2.0 * _MOST_LOST:  # of a few: all need not be asked, each of which takes long
         raise PropagationError(_blow_up(model, points, *span))
     _enough(steps.number, most, span)
     over, longest = bias / allowed, float(steps.number)

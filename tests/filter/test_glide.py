@@ -38,7 +38,12 @@ def step_by_step(flt, times, z):
 
 @pytest.mark.parametrize(
     ("scene", "target", "least"),
-    [("van_der_pol", 0.03, 6), ("duffing_square", 0.03, 1), ("bearings_only", 0.05, 0)],
+    [
+        ("van_der_pol", 0.03, 6),
+        ("duffing_square", 0.03, 1),
+        ("fitzhugh_nagumo", 0.03, 3),
+        ("bearings_only", 0.05, 0),
+    ],
 )
 def test_a_record_has_the_bits_of_its_steps(monkeypatch, scene, target, least):
     made, times, z = record(scene, target, 12)

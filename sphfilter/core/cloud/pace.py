@@ -10,7 +10,7 @@ from .curve import along_curve
 from .noise import LANES, fill_noise, mixed
 from .steps import Leg, new_room, walk
 from .way import PILOT
-from .weights import AWAY, systematic
+from .weights import AWAY, finite_rows, systematic
 
 __all__ = ["FIRST_TRIED", "ORDER", "Steps", "chosen", "moved_twice", "over", "parted"]
 
@@ -72,7 +72,7 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     Steps
     bias : float
         Standard deviations.
-    gone : float
+    lost : float
         Part of the points that the model carries to infinity.
     """
     x = x[systematic(w, _PILOTS, 0.5)]
@@ -85,22 +85,13 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
         bias = _BEYOND * parted(coarse, fine, _GROUPS)
         too_much = bias / allowed
         if not too_much > 1.0 or (stiff and (2 * number > most or not bias < _HELPED * before)):
-            return Steps(number, stiff), bias, gone(fine)
+            return Steps(number, stiff), bias, 1.0 - finite_rows(fine)[0].mean()
         if not stiff and tried and not bias < before:  # shorter steps do not help: it takes too many of them
             number, stiff, before = max(least, FIRST_TRIED), True, np.inf
             continue
         before, tried = bias, True
         number = math.ceil(number * min(max(too_much ** (1.0 / ORDER), 1.2), 4.0))
     return Steps(number, stiff), np.inf, 0.0
-
-
-@jit
-def gone(x):
-    """Part of points x (K, n) that left the finite numbers."""
-    count = 0
-    for i in range(x.shape[0]):
-        count += not np.abs(x[i]).max() < np.inf
-    return count / x.shape[0]
 
 
 @jit

@@ -8,6 +8,7 @@ from numba import njit
 from .._jit import jit
 from .._views import rows_at
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
+from .noise import LANES
 
 __all__ = [
     "AWAY",
@@ -26,8 +27,7 @@ __all__ = [
 ]
 
 
-#: Points at a time, and numbers from one row of theirs to the next: no power of two, for the cache.
-_AT_ONCE, _ROW = 128, 136
+_ROW = LANES + 8  # numbers from one row of a chunk's points to the next: no power of two, for the cache
 _SEEN = 64  # rows that tell the extent of all
 AWAY = 1e6  # extents of points from which one has run away
 
@@ -47,8 +47,8 @@ def weighted_moments(X, w, mean, cov):
         mean[a] = s
         for b in range(n):
             cov[a, b] = 0.0
-    for first in range(0, N, _AT_ONCE):
-        K = min(_AT_ONCE, N - first)
+    for first in range(0, N, LANES):
+        K = min(LANES, N - first)
         for a in range(n):
             own, heavy = rows_at(room, a * _ROW, 1, K), rows_at(room, (n + a) * _ROW, 1, K)
             for i in range(K):
