@@ -5,8 +5,8 @@ from functools import cache
 from typing import NamedTuple
 
 from ..config import FilterConfig, LogDensityScheme, SolverConfig
+from ..core.cloud.control import MOST_POINTS, next_points, points_for, power_of_two
 from ..lattice.level_set import fewest_particles
-from .points import ORDER
 
 __all__ = [
     "AIMED",
@@ -22,17 +22,11 @@ __all__ = [
     "points_for",
 ]
 
-#: Points of a cloud, least and most: powers of two, for which nets are evenest.
-_FEWEST_POINTS, MOST_POINTS = 256, 2**17
 #: Error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it: what the first readings
 #: leave is forgotten slowly. With half of it thirteen scenes took 1.5 times the time for the same error.
 _TYPICAL = 0.6
 #: Power of the predictions since a reading, by which their allowances fall.
 SHARED = 1.5
-_PATIENCE = 2  # readings in a row that ask for fewer points before there are fewer
-_SETTLED = 3  # readings after there are more points, before there are more again
-#: Times the points at most, of a reading that is made again, and of the next one: estimates may be chance.
-_MORE, _MORE_NEXT = 4.0, 2
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
 AIMED = 0.25
@@ -81,31 +75,15 @@ class Needs(NamedTuple):
 
     def cloud(self, target: float) -> int:
         """Points that a cloud has for a target error."""
-        return self.points or _power_of_two((_TYPICAL / target) ** 2)
+        return self.points or power_of_two((_TYPICAL / target) ** 2)
 
     def told(self, error: float, target: float, count: int) -> "Needs":
         """What the next cloud needs after `count` points had an error: more at once, fewer after a while.
 
         What a single reading asks beyond that is its own: it is made again on more points.
         """
-        now, wanted = self.cloud(target), points_for(count, error, target)
-        if wanted > now and self.calm >= 0:
-            return self._replace(points=min(wanted, _MORE_NEXT * now), calm=-_SETTLED)
-        if wanted >= now:  # what there was before takes readings to be forgotten, whatever the points
-            return self._replace(points=now, calm=min(self.calm + 1, 0))
-        calm = max(self.calm, 0) + 1
-        return self._replace(points=wanted if calm >= _PATIENCE else now, calm=calm % _PATIENCE)
-
-
-def points_for(count: int, error: float, target: float) -> int:
-    """Points that have a target error where so many have an error: a power of two; as many if it is NaN."""
-    times = (error / target) ** (1.0 / ORDER) if error == error else 1.0
-    return _power_of_two(count * min(times, _MORE))
-
-
-def _power_of_two(count: float) -> int:
-    """The next power of two, within what clouds may have."""
-    return min(max(2 ** math.ceil(math.log2(max(count, 1.0))), _FEWEST_POINTS), MOST_POINTS)
+        points, calm = next_points(self.cloud(target), points_for(count, error, target), self.calm)
+        return self._replace(points=points, calm=calm)
 
 
 def doubt(dim: int) -> float:

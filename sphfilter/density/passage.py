@@ -1,7 +1,7 @@
 """A cloud of points over an interval: order, noise that is even along it, motion; and once more, guided."""
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,7 +9,8 @@ from .._types import Floats, Ints
 from ..core._addresses import address_of
 from ..core._views import as_compiled
 from ..core.cloud.curve import along_curve, places
-from ..core.cloud.cycle import PARTS, Cycled, Resting, cycle
+from ..core.cloud.cycle import PARTS, Bounds, Standing
+from ..core.cloud.cycle import put_through as through
 from ..core.cloud.linearise import LINEARISE, centres, linearise, lower_and_rows
 from ..core.cloud.move import MOVE, affine, move
 from ..core.cloud.noise import LANES, even_normals, mixed, stored
@@ -22,23 +23,24 @@ from ..model.discretization import linear_transition
 from ..model.sde import SDE
 from ..model.simulate import noise_root
 from .nets import net
-from .points import Passage, Path, Points
+from .points import CloudState, Pace, Passage, Path, Points, Told
 
 __all__ = [
     "LED",
     "READING",
     "Steps",
+    "Through",
     "along",
     "begun",
     "begun_from",
     "chosen_steps",
-    "cycled",
     "even",
     "gone",
     "gone_again",
     "key_at",
     "normals",
     "passed",
+    "put_through",
     "relinearised",
     "stored_key",
     "sub_key",
@@ -53,7 +55,7 @@ READING = 2  # of the key of a time: a reading of a cloud; and of its shadow the
 #: Least part of a start's spread that is noise. Up to a half, errors of nine scenes are the same or less.
 _SPREAD = 1.0 / 3.0
 _EACH_ITS_OWN, _NO_ROWS = np.empty(0, np.int64), np.empty((1, 0, 0))
-_NO_CHANGE = np.empty((0, 0)), np.empty(0), np.empty((0, 0))
+_NO_CHANGES = np.empty((0, 0, 0)), np.empty((0, 0)), np.empty((0, 0, 0))
 
 
 def begun(mean: Floats, cov: Floats, count: int, key: int, number: int = 0) -> Points:
@@ -76,8 +78,8 @@ def begun(mean: Floats, cov: Floats, count: int, key: int, number: int = 0) -> P
 
 def begun_from(points: Points, count: int, key: int) -> Points:
     """Weighted points of any density as the begin of a path of `count` points."""
-    n, family = points.x.shape[1], _EACH_ITS_OWN if points.family is None else points.family
-    about = family, count, key, net(count, n, 0), *places(n)
+    n = points.x.shape[1]
+    about = _family_of(points), count, key, net(count, n, 0), *places(n)
     start, y, u, w, block, middle, lower, flow = begin(as_compiled(points.x), as_compiled(points.w), *about)
     kernel = Passage(None, stored_key(key, KERNEL), middle, middle, flow, lower, _NO_ROWS)
     return Points(y, w, Path(start, block, (kernel,), (u,)))
@@ -121,30 +123,75 @@ def _most(count: int, dim: int) -> int:
     return min(_MOST, max(4, _NUMBERS // (count * dim)))
 
 
-def cycled(
-    clouds: tuple[Points, Points],
+class Through(NamedTuple):
+    """How a record ended that was put through a cloud, how many of its readings were, and what is left."""
+
+    end: int  # of `core.cloud.cycle`
+    done: int
+    state: CloudState  # after the last of them
+    points: int  # of the next cloud
+    calm: int  # as of `Needs`
+    before: Any  # the same without the last of them, if there is one
+    rows: tuple[Floats, ...]  # of each reading, as `core.cloud.cycle.put_through` returns them
+
+
+def put_through(
+    state: CloudState,
     model: SDE,
-    span: tuple[float, float],
-    steps: Steps,
+    times: Floats,
+    Z: Floats,
+    least: Ints,
     reader: Reader,
     counts: tuple[int, int],
-) -> tuple[Cycled, Cycled, tuple[float, float], tuple[float, float]]:
-    """A cloud of so many points and its shadow, as a reading left them, over an interval and a reading.
+    calm: int,
+    bounds: Bounds,
+) -> Through:
+    """Readings put through a cloud and its shadow of so many points, as far as each of them is usual.
 
-    After those come squared errors that the two show of mean and covariance, before the reading and after it.
+    Parameters
+    ----------
+    state : CloudState
+        As a reading has left it, with errors that are its own.
+    model : SDE
+    times, Z : ndarray, shapes (K + 1,), (K, k)
+        Seconds, first that of the cloud; what is read at the others.
+    least : ndarray of int, shape (K,)
+        Steps of each interval.
+    reader : Reader
+    counts, calm : tuple of int, int
+        As of `Needs`.
+    bounds : Bounds
     """
-    (t0, t1), n, resting = span, model.dim, []
-    for k, (points, count) in enumerate(zip(clouds, counts, strict=True)):
-        family = _EACH_ITS_OWN if points.family is None else points.family
-        nets = net(count, n, LED), net(count, n, 0), net(count, n, 1)
-        keys = key_at(t0, k), key_at(t1, READING + k)
-        resting.append(Resting(points.x, points.w, family, *keys, nets))
+    nets = tuple(tuple(net(count, model.dim, part) for part in (LED, 0, 1)) for count in counts)
+    leg, changes = NO_LEG, _NO_CHANGES
     if model.linear:
-        leg, change = NO_LEG, change_of(model, t1 - t0)
+        each = [change_of(model, dt) for dt in np.diff(times).tolist()]
+        flows, offsets, lowers = zip(*each, strict=True)
+        changes = np.array(flows), np.array(offsets), np.array(lowers)
     else:
-        leg, change = leg_of(model, t0, t1, *steps), _NO_CHANGE
+        leg = _leg(model, False)
+    standing: list[Any] = []
+    for points in (state.points, state.shadow):
+        standing += [points.x, points.w, _family_of(points)]
+    standing += [state.size, *state.told, state.pace.step, state.pace.stiff, counts[0], calm]
+    about = changes, reader, times, Z, least, Standing(*standing), nets, bounds, *places(model.dim)
     with surfacing():
-        return cycle(tuple(map(address_of, PARTS)), leg, change, reader, *resting, *places(n))
+        end, done, after, before, rows = through(
+            tuple(map(address_of, PARTS)), leg, address_of(STIFF_FLOW), *about
+        )
+    rest = Through(end, done - 1, _state_of(before), before.points, before.calm, None, rows)
+    return Through(end, done, _state_of(after), after.points, after.calm, rest, rows)
+
+
+def _state_of(standing: Standing) -> CloudState:
+    x, w, family, few_x, few_w, few_family, size, *told, step, stiff, _, _ = standing
+    points, shadow = Points(x, w, family=family), Points(few_x, few_w, family=few_family)
+    return CloudState(points, shadow, size, Told(*told), Pace(step, stiff))
+
+
+def _family_of(points: Points) -> Ints:
+    """Numbers (N,) of what points come from; none, where each is its own."""
+    return _EACH_ITS_OWN if points.family is None else points.family
 
 
 def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, Ints
+from ..core.cloud.control import error_by, expected_square, smoothed, square_of_more
 from ..core.cloud.steps import Leg
 from ..core.cloud.weights import weighted_moments
 
-__all__ = ["ORDER", "SHADOW", "CloudState", "Pace", "Passage", "Path", "Points", "Prior", "Told", "moments"]
+__all__ = ["CloudState", "Pace", "Passage", "Path", "Points", "Prior", "Told", "moments"]
 
 
 class Passage(NamedTuple):
@@ -68,38 +69,23 @@ class Told(NamedTuple):
     def after(self, mean: float, variance: float, log_evidence: float = math.nan) -> "Told":
         """With the squares of one more reading; those before count as long as a few readings."""
         pairs = zip(self, (mean, variance, log_evidence), strict=True)
-        # what is much worse than before is believed at once, to half of it
-        return Told(*[_smoothed(old, new) for old, new in pairs])
+        return Told(*[smoothed(old, new) for old, new in pairs])
 
     def or_expected(self, number: float, n: int) -> "Told":
         """These; before any, what a shadow of so many independent points of n states usually shows."""
         if not math.isnan(self.mean):
             return self
-        mean = _EXPECTED_SQUARE / max(number, 1.0)
+        mean = expected_square(number)
         return self._replace(mean=mean, variance=(n + 1.0) * mean)
 
     def of(self, times: float) -> "Told":
         """The same for so many times the points; fewer points leave what was wrong as it was."""
-        return Told(*[square * max(times, 1.0) ** (-2.0 * ORDER) for square in self])
+        return Told(*[square_of_more(square, times) for square in self])
 
     @property
     def errors(self) -> "Told":
         """The errors of the cloud itself, where its shadow's fall as they do with the number of points."""
-        return Told(*[math.sqrt(square) * SHADOW**-ORDER for square in self])
-
-
-def _smoothed(old: float, new: float) -> float:
-    if old != old or new != new:  # one of them is not known
-        return new if old != old else old
-    return max(0.25 * new, old + _NEW * (new - old))
-
-
-#: Points of a cloud over those of its shadow; an error falls with their number to about this power.
-SHADOW, ORDER = 8, 0.6
-_NEW = 0.4  # weight of the last squared difference among all
-#: Squared error of a mean over that of as many points drawn at random: .3 to .65 of the error after the first
-#: readings of 90 random models, whatever part of the points carries them.
-_EXPECTED_SQUARE = 0.25
+        return Told(*[error_by(square) for square in self])
 
 
 class Pace(NamedTuple):

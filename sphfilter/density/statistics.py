@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, Ints, OfStates
+from ..core.cloud.control import SHADOW
 from ..errors import ModelError
 from ..validate import state_rows
 from . import weighted
 from .cloud import smoothing_length
-from .points import SHADOW, moments
+from .points import moments
 from .weighted import WeightedStates
 
 if TYPE_CHECKING:

@@ -19,10 +19,10 @@ from ..model.measurements import GaussianSensor, Reading, Sensor, block, is_gaus
 from ..validate import state_rows
 from .solutions import solutions
 
-__all__ = ["Asked", "kept", "left_of", "predicted_reading", "reading_of", "said_of"]
+__all__ = ["OUTLYING", "Asked", "kept", "left_of", "predicted_reading", "reading_of", "said_of"]
 
 _LEFT = 0.25  # of the square of an error of a density that is no Gaussian
-_OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
+OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 
 
 class Asked(NamedTuple):
@@ -119,7 +119,7 @@ class Asked(NamedTuple):
         if self.innovation is None or self.S is None:
             return ""
         distance = np.sqrt(self.innovation @ np.linalg.solve(self.S, self.innovation))
-        if not distance > _OUTLYING:
+        if not distance > OUTLYING:
             return ""
         return f"outlying measurement: {distance:.1f} sigma from its prediction"
 
@@ -164,10 +164,10 @@ def reading_of(
     if measurement.H is not None and not measurement.angles:
         H, cov = measurement.H, summed[1]
         return reference, H @ cov @ H.T, cov @ H.T
-    around, n = measurement.residual(measurement.predict(x, t), reference), x.shape[1]
+    around = np.ascontiguousarray(measurement.residual(measurement.predict(x, t), reference))
     states = x if domain is None else domain.nearest(x - summed[0])
-    mean, cov = moments(np.hstack([states, around]), mass)
-    return reference + mean[n:], cov[n:, n:], cov[:n, n:]
+    mean, cov = moments(around, mass)
+    return reference + mean, cov, np.einsum("i,ia,ik->ak", mass, states, around - mean)
 
 
 def said_of(

@@ -7,6 +7,8 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
+from ..core.cloud.control import both, few_error, least_error
+from ..core.cloud.cycle import WRONG
 from ..core.cloud.pace import Steps
 from ..density.as_cloud import cloud_of
 from ..density.cloud import systematic
@@ -20,12 +22,8 @@ from .asked import Asked, kept
 from .guided import Weighed, weighed
 from .stacked import Stacked
 
-__all__ = ["WRONG", "Read", "by_cloud", "fresh", "read", "read_of", "told_after"]
+__all__ = ["Read", "by_cloud", "fresh", "read", "read_of", "told_after"]
 
-_FEW = 50.0  # independent points, below which a shadow that sees the same few cannot tell the error
-#: Of the error of as many points drawn at random, the least of few among many: rms .8 to .95 below a fifth.
-_UNEVEN = 0.5
-WRONG = 0.2  # of a variance, from which it is said
 _HIDDEN = 0.1  # of an error, below which another adds less than a hundredth
 
 
@@ -112,11 +110,11 @@ def told_after(told: Told, found: Any, beside: Any, off: tuple[float, float]) ->
 
 def read_of(state: CloudState, found: Weighed, shadow: Points, told: Told, t: float) -> Read:
     """A cloud after a reading of which this was found, and what a shadow beside it tells."""
-    least = max(_few(found.effective), _uneven(found.effective, state.size))
-    own = math.hypot(max(told.errors.mean, least), state.pace.bias)
+    least = least_error(found.effective, state.size)
+    own = both(max(told.errors.mean, least), state.pace.bias)
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
-    evidence_error = max(told.errors.log_evidence, _few(found.families))
+    evidence_error = max(told.errors.log_evidence, few_error(found.families))
     return Read(state, found.moments, t, found.log_evidence, evidence_error, own)
 
 
@@ -143,20 +141,6 @@ def fresh(
         return math.nan
     off = apart(after.points, beside.points, sensor.domain, (moments, beside.moments))
     return Told(*off).errors.mean
-
-
-def _few(number: float) -> float:
-    """Error of an average of so many independent points, where they are few."""
-    return 1.0 / math.sqrt(number) if number < _FEW else 0.0
-
-
-def _uneven(number: float, size: int) -> float:
-    """Error at least of an average of so many independent points among those of a cloud.
-
-    Where a small part of the points carries a posterior, it is no more even than if it were drawn at random;
-    and a shadow sees the same few.
-    """
-    return _UNEVEN * max(1.0 - number / size, 0.0) / math.sqrt(number)
 
 
 def _part_of(points: Points, count: int) -> Points:

@@ -11,28 +11,29 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
+from ..core.cloud.cycle import JUDGE, REFUSED, WRONG, Bounds
+from ..core.cloud.reading import Reader
 from ..density.as_cloud import cloud_of
-from ..density.carriers import Carried
 from ..density.needs import FLAGGED, MISSED, Needs
 from ..density.particle_density import ParticleDensity
-from ..density.passage import cycled
+from ..density.passage import Through, put_through
 from ..density.points import CloudState
 from ..density.resample import target_of
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL
 from ..model.measurements import GaussianMeasurement
 from ..model.sde import SDE
-from ..prediction.cloud import ahead, carried, fewer, pooled, steps_of
-from .asked import Asked, left_of, reading_of
-from .by_cloud import WRONG, Read, fresh, read, read_of, told_after
+from ..prediction.cloud import carried, fewer, least_steps
+from .asked import OUTLYING, Asked, left_of, reading_of
+from .by_cloud import fresh, read
 from .found import found as as_found
-from .guided import Weighed
 from .stacked import Stacked
 from .state import FilterState
 
 __all__ = ["Glide"]
 
 _LONGEST = 8  # readings at most that a filter takes itself, before the next are tried
+_AT_ONCE = 64  # readings at most of one call of compiled code, which nothing interrupts
 
 
 class Glide:
@@ -58,30 +59,104 @@ class Glide:
         return rows
 
     def _through(self, times: Floats, readings: Sequence[Any]) -> list[dict[str, Any]]:
-        filt, rows = self._filt, []
-        density, model, sensor, t = filt.density, filt.model, filt.measurement, filt.t
-        state, needs, target = density.cloud, density.needs, target_of(density, filt.config, "auto")
-        stacked, done, last = None, None, None
+        filt = self._filt
+        density, model, sensor = filt.density, filt.model, filt.measurement
+        Z, ends = _plain(model, sensor, filt.t, times, readings)
+        rows: list[dict[str, Any]] = []
+        if not len(Z):
+            return rows
+        stacked = Stacked.of((_asked(sensor, Z[0], ends[1]),), None)
+        run = _Run(density.cloud, density.needs, target_of(density, filt.config, "auto"), model, stacked)
         try:
-            for t1, then, z in zip(times[:-1].tolist(), times[1:].tolist(), readings[:-1], strict=True):
-                numbers = _all_of(sensor, z)
-                if numbers is None or not t < t1 < then or next(iter(model.breaks(t, t1)), None) is not None:
-                    break
-                asked = Asked(sensor, numbers, np.ones(len(numbers), dtype=bool), t1, None, None, None)
-                stacked = Stacked.of((asked,), None) if stacked is None else stacked.again(asked)
-                made = None
-                if stacked.reader is not None:
-                    made = _step(state, model, (t, t1), stacked, needs.gone_on(), target)
-                if made is None:
-                    break
-                row, done, needs = made
-                rows.append(row)
-                state, t, last = done.state, t1, asked
+            while len(rows) < len(Z) and not run.ended:
+                rows += run.on(ends[len(rows) :], Z[len(rows) :])
         finally:  # what is done stays done, whatever raises
-            if done is not None:
-                new = cloud_of(density, state, done.moments, t=t, capacity=0, error=done.error)
-                filt._state = _after(filt._state, new.noted(needs=needs), rows, last)
+            if rows:
+                moments, error, t = (rows[-1]["x"], rows[-1]["P"]), rows[-1]["error"], float(ends[len(rows)])
+                cloud = cloud_of(density, run.state, moments, t=t, capacity=0, error=error)
+                last = _asked(sensor, Z[len(rows) - 1], t)
+                filt._state = _after(filt._state, cloud.noted(needs=run.needs), rows, last)
         return rows
+
+
+class _Run:
+    """A cloud on its way through a record, and what its next step needs."""
+
+    def __init__(self, state: CloudState, needs: Needs, target: Any, model: SDE, stacked: Stacked) -> None:
+        self.state, self.needs, self.ended = state, needs, False
+        self._target, self._model, self._stacked = target, model, stacked
+        self._sensor: Any = stacked.asked[0].measurement
+        self._reader = stacked.reader
+        self._most = _AT_ONCE if model.autonomous or model.linear else 1  # steps follow how a model changes
+
+    def on(self, times: Floats, Z: Floats) -> list[dict[str, Any]]:
+        """What a result keeps of the next readings put through; `ended` where a filter would do more."""
+        rows: list[dict[str, Any]] = []
+        if self._reader is not None and self.state.points.path is None and self.state.inherited == 0.0:
+            try:
+                rows = self._at_once(self._reader, times[: self._most + 1], Z[: self._most])
+            except Exception:
+                if self._most == 1:
+                    raise
+                self._most = 1  # up to the reading at which a function raises
+        if rows or self.ended:
+            return rows
+        rows = self._in_turn(times[:2].tolist(), Z[0])
+        self.ended = not rows
+        return rows
+
+    def _at_once(self, reader: Reader, times: Floats, Z: Floats) -> list[dict[str, Any]]:
+        """The next readings by one call of compiled code, as far as each is usual."""
+        state, model, target = self.state, self._model, self._target
+        count = self.needs.cloud(target)
+        spans = zip(times[:-1].tolist(), times[1:].tolist(), strict=True)
+        least = np.array([1 if model.linear else least_steps(model, state.points.x, span) for span in spans])
+        bounds = target, MISSED * target, FLAGGED * target, DOUBTFUL, OUTLYING, CloudScheme().max_steps
+        about = least, reader, (count, fewer(count)), self.needs.calm, Bounds(*bounds)
+        found = put_through(state, model, times, Z, *about)
+        self.ended = found.end == REFUSED
+        if found.end == JUDGE and not self._added(found, times, Z) <= MISSED * target:
+            found, self.ended = found.before, True  # more points help where this cycle has added its error
+        if found.done:
+            self.state = found.state
+            self.needs = self.needs._replace(points=found.points, calm=found.calm, legs=0)
+        return _rows(self._sensor, Z[: found.done], found.rows)
+
+    def _added(self, found: Through, times: Floats, Z: Floats) -> float:
+        """Error of the mean that the last reading put through has added."""
+        k = found.done - 1
+        (t0, t1), (_, _, x, P, *_) = times[k : k + 2].tolist(), found.rows
+        seen = self._stacked.again(_asked(self._sensor, Z[k], t1))
+        return fresh(found.before.state, found.state, self._model, (t0, t1), seen, (x[k], P[k]))
+
+    def _in_turn(self, span: Sequence[float], z: Floats) -> list[dict[str, Any]]:
+        """The next reading step by step."""
+        target, model, sensor = self._target, self._model, self._sensor
+        stacked = self._stacked.again(_asked(sensor, z, span[1]))
+        scheme = CloudScheme(n_points=self.needs.gone_on().cloud(target))
+        try:
+            moved = carried(self.state, model, (span[0], span[1]), scheme, target)
+        except PropagationError:
+            return []
+        done = read(moved.state, stacked, span[1]) if moved.lost == 0.0 and moved.error < DOUBTFUL else None
+        if done is None:
+            return []
+        if done.state.inherited > 0.0:
+            done = done.left(left_of(moved.moments[1], done.moments[1]))
+        if not done.error <= FLAGGED * target or not done.error < DOUBTFUL or done.doubt > WRONG:
+            return []
+        if done.error > MISSED * target:
+            added = fresh(self.state, done.state, model, (span[0], span[1]), stacked, done.moments)
+            if not added <= MISSED * target:
+                return []
+        points = moved.state.points
+        expected, S, _ = reading_of(sensor, done.t, points.x, points.w, moved.moments)
+        y, S = sensor.residual(z, expected), S + sensor.noise_cov
+        if stacked.asked[0]._replace(innovation=y, S=S).outlying:
+            return []
+        self.needs = self.needs._replace(legs=0).told(done.state.told.errors.mean, target, done.state.size)
+        self.state = done.state
+        return [_row(*moved.moments, *done.moments, done.log_evidence, done.error, y, S)]
 
 
 def _after(state: FilterState, density: ParticleDensity, rows: Any, asked: Any) -> FilterState:
@@ -104,6 +179,29 @@ def _usual(filt: Any) -> bool:
     return bool(plain and filt.adapts and known and own and filt.model.domain.unbounded and not filt._steps)
 
 
+def _plain(
+    model: SDE, sensor: GaussianMeasurement, t: float, times: Floats, readings: Sequence[Any]
+) -> tuple[Floats, Floats]:
+    """The first readings (K, k) of which all numbers came, but for the last; t and their times (K + 1,)."""
+    Z, ends = [], [t]
+    for t1, then, z in zip(times[:-1].tolist(), times[1:].tolist(), readings[:-1], strict=True):
+        numbers = _all_of(sensor, z)
+        if (
+            numbers is None
+            or not ends[-1] < t1 < then
+            or next(iter(model.breaks(ends[-1], t1)), None) is not None
+        ):
+            break
+        Z.append(numbers)
+        ends.append(t1)
+    return np.array(Z, dtype=float), np.array(ends)
+
+
+def _asked(sensor: GaussianMeasurement, z: Floats, t: float) -> Asked:
+    """A reading of which all numbers came."""
+    return Asked(sensor, z, np.ones(len(z), dtype=bool), t, None, None, None)
+
+
 def _all_of(sensor: GaussianMeasurement, z: Any) -> Floats | None:
     """The numbers of a reading, if all of them came; a filter says what is wrong with others."""
     try:
@@ -113,66 +211,25 @@ def _all_of(sensor: GaussianMeasurement, z: Any) -> Floats | None:
     return numbers if seen.all() else None
 
 
-def _step(
-    state: CloudState, model: SDE, span: tuple[float, float], stacked: Stacked, needs: Needs, target: Any
-) -> tuple[Any, Any, Needs] | None:
-    """A prediction and a reading of a cloud, and what the next needs; None where a filter would do more."""
-    about = state, model, span, stacked, needs.cloud(target), target
-    try:
-        made = _at_once(*about) or _in_turn(*about)
-    except PropagationError:
-        return None
-    if made is None:
-        return None
-    prior, done = made
-    if done.state.inherited > 0.0:
-        done = done.left(left_of(prior[2][1], done.moments[1]))
-    if not done.error <= FLAGGED * target or not done.error < DOUBTFUL or done.doubt > WRONG:
-        return None
-    if done.error > MISSED * target:  # more points help where this cycle has added it
-        added = fresh(state, done.state, model, span, stacked, done.moments)
-        if not added <= MISSED * target:
-            return None
-    row, told = _row(stacked.asked[0].measurement, stacked.z, prior, done), done.state.told.errors.mean
-    asked = stacked.asked[0]._replace(innovation=row["innovation"], S=row["innovation_cov"])
-    return None if asked.outlying else (row, done, needs._replace(legs=0).told(told, target, done.state.size))
+def _rows(sensor: GaussianMeasurement, Z: Floats, columns: tuple[Floats, ...]) -> list[dict[str, Any]]:
+    """What a result keeps of readings (K, k), of columns that compiled code made."""
+    rows = [_row(*parts) for parts in zip(*(column[: len(Z)] for column in columns), strict=True)]
+    if sensor.H is not None and not sensor.angles:  # to the last bit as the sensor itself predicts
+        for row, z in zip(rows, Z, strict=True):
+            row["innovation"] = sensor.residual(z, sensor.predict(row["x_prior"])[0])
+    return rows
 
 
-def _at_once(
-    state: CloudState, model: SDE, span: tuple[float, float], stacked: Stacked, count: int, target: float
-) -> tuple[Any, Read] | None:
-    """The prior's points and moments, and what was read, by one call of compiled code; None if unusual."""
-    if stacked.reader is None or state.points.path is not None:
-        return None
-    steps, pace = steps_of(state, model, span, CloudScheme().max_steps, target)
-    about = model, span, steps, stacked.reader, (count, fewer(count))
-    cloud, beside, before, after = cycled((state.points, state.shadow), *about)
-    if not cloud.usual or not beside.usual:
-        return None
-    found, few, n = Carried(*cloud.found), Carried(*beside.found), model.dim
-    error, told = ahead(state, pace, count, *pooled(*before, n))
-    told = told_after(told, found, few, pooled(*after, n))
-    state = CloudState(state.points, state.shadow, count, told, pace, state.inherited)
-    done = read_of(state, Weighed.of(found, found.points), few.points, told, span[1])
-    return ((cloud.y, cloud.w, (cloud.mean, cloud.cov)), done) if error < DOUBTFUL else None
-
-
-def _in_turn(
-    state: CloudState, model: SDE, span: tuple[float, float], stacked: Stacked, count: int, target: float
-) -> tuple[Any, Read] | None:
-    """The same step by step."""
-    moved = carried(state, model, span, CloudScheme(n_points=count), target)
-    if moved.lost > 0.0 or not moved.error < DOUBTFUL:
-        return None
-    done = read(moved.state, stacked, span[1])
-    return done and ((moved.state.points.x, moved.state.points.w, moved.moments), done)
-
-
-def _row(sensor: Any, z: Floats, prior: tuple[Floats, Floats, tuple[Floats, Floats]], done: Read) -> Any:
-    """What a result keeps of a reading of points x (N, n), w (N,) with a mean and covariance."""
-    x, w, summed = prior
-    expected, S, _ = reading_of(sensor, done.t, x, w, summed)
-    row: dict[str, Any] = dict(zip(("x_prior", "P_prior", "x", "P"), (*summed, *done.moments), strict=True))
-    row |= {"log_evidence": done.log_evidence, "error": done.error, "flagged": False, "accepted": True}
-    y = sensor.residual(z, expected)
-    return row | {"innovation": y, "innovation_cov": S + sensor.noise_cov}
+def _row(
+    m: Floats, P: Floats, x: Floats, C: Floats, log_evidence: float, error: float, y: Floats, S: Floats
+) -> Any:
+    """What a result keeps of a reading that is usual."""
+    row = {
+        "x_prior": m,
+        "P_prior": P,
+        "x": x,
+        "P": C,
+        "log_evidence": float(log_evidence),
+        "error": float(error),
+    }
+    return row | {"flagged": False, "accepted": True, "innovation": y, "innovation_cov": S}

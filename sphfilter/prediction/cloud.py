@@ -7,6 +7,8 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
+from ..core.cloud.control import SHADOW, apart_by, bias_allowed, step_after
+from ..core.cloud.cycle import MOST_LOST
 from ..core.cloud.pace import FIRST_TRIED, ORDER, Steps
 from ..core.cloud.weights import AWAY, compared, together
 from ..density.as_cloud import cloud_of
@@ -14,7 +16,7 @@ from ..density.as_family import unrolled
 from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
 from ..density.passage import begun, begun_from, chosen_steps, key_at, passed
-from ..density.points import SHADOW, CloudState, Pace, Points, Told, moments
+from ..density.points import CloudState, Pace, Points, Told, moments
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
@@ -22,14 +24,20 @@ from ..model.sde import SDE
 from ..model.simulate import rate_of_time
 from ._shared import blow_up, carried_off, skip_notes
 
-__all__ = ["Carried", "ahead", "apart", "as_points", "carried", "fewer", "pooled", "propagate", "steps_of"]
+__all__ = [
+    "Carried",
+    "ahead",
+    "apart",
+    "as_points",
+    "carried",
+    "fewer",
+    "least_steps",
+    "pooled",
+    "propagate",
+    "steps_of",
+]
 
-#: Of the error that points have, up to which steps may be off: what they add, a cloud and its shadow share, and
-#: modes keep it for many readings. With a half nine scenes took 1.17 times the time for the same error at .01.
-_PART = 1.0 / 4.0
-_USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
-_CALMER = 0.1  # of the bias that is allowed, below which steps become longer
-_DOUBTED, _MOST_LOST = 0.01, 0.1  # probability of points that were given up
+_DOUBTED = 0.01  # probability of points that were given up, from which it is said
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
 _ASKED = 64  # states at which the model's change with time is looked at
 
@@ -101,7 +109,7 @@ def carried(
         moved = passed(_near_mean(points, domain), model, t0, t1, steps, many, key_at(t0, k))
         moved, gone = _kept(moved, domain)
         lost = gone if k == 0 else lost
-        if gone > _MOST_LOST:
+        if gone > MOST_LOST:
             raise PropagationError(_blow_up(model, moved, t0, t1))
         ends.append(moved)
         sums.append(moments(moved.x, moved.w))
@@ -153,12 +161,8 @@ def apart(points: Points, shadow: Points, domain: Domain | None, sums: Any) -> t
 
 
 def pooled(first: float, second: float, n: int) -> tuple[float, float]:
-    """Squared errors of a mean of n states and of a covariance, in units of the first's, from those seen.
-
-    The mean's in standard deviations, on average over the states, as errors are told. A sample's covariance
-    is off by n + 1 times as much (in squares): both are pooled, by how many numbers they are.
-    """
-    return (2.0 * first + second) / (n + 3.0), second
+    """Squared errors of a mean of n states and of a covariance, in units of the first's, from those seen."""
+    return apart_by(first, second, n), second
 
 
 def _near_mean(points: Points, domain: Domain | None) -> Points:
@@ -178,25 +182,27 @@ def steps_of(
         return Steps(1), pace
     dt, (step, stiff, legs, _), points = span[1] - span[0], pace, state.points
     shorter = legs ** (1.0 / ORDER)  # biases of predictions without a reading between add up
-    least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
-    if not model.autonomous:
-        least = max(least, math.ceil(dt * rate_of_time(model, points.x[:_ASKED], *span)))
+    least = least_steps(model, points.x, span)
     number = math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else FIRST_TRIED
     if model.domain.walled.any():
         number = max(least, number, math.ceil(dt / _beside_walls(model, points, span[0])))
         return Steps(_enough(number, most, span), stiff), pace
     told = state.told.errors.mean
-    told = _USUAL / math.sqrt(len(points.w)) if math.isnan(told) else told
-    allowed = _PART * max(min(math.hypot(told, state.inherited), DOUBTFUL), target) / legs
+    allowed = bias_allowed(told, len(points.w), state.inherited, DOUBTFUL, target, legs)
     steps, bias, lost = chosen_steps(points, model, span, Steps(number, stiff), (least, most), allowed)
-    if lost > 2.0 * _MOST_LOST:  # of a few: all need not be asked, each of which takes long
+    if lost > 2.0 * MOST_LOST:  # of a few: all need not be asked, each of which takes long
         raise PropagationError(_blow_up(model, points, *span))
     _enough(steps.number, most, span)
-    over, longest = bias / allowed, float(steps.number)
-    if over < _CALMER:
-        longest *= max(over, _CALMER) ** (1.0 / ORDER)
+    next_step = step_after(dt * shorter, steps.number, least, bias / allowed)
     bias = pace.bias + (bias if math.isfinite(bias) else 0.0)
-    return steps, Pace(dt * shorter / max(longest, least), steps.stiff, legs, bias)
+    return steps, Pace(next_step, steps.stiff, legs, bias)
+
+
+def least_steps(model: SDE, x: Floats, span: tuple[float, float]) -> int:
+    """Steps of a span that a model's own bound asks for, and how it changes with time at points x (N, n)."""
+    dt = span[1] - span[0]
+    least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
+    return least if model.autonomous else max(least, math.ceil(dt * rate_of_time(model, x[:_ASKED], *span)))
 
 
 def _beside_walls(model: SDE, points: Points, t: float) -> float:

@@ -1,52 +1,107 @@
-"""A prediction and a reading of a cloud and of the smaller one beside it, in one call.
+"""Predictions and readings of a cloud and of the smaller one beside it, one after the other, in one call.
 
-That is what `prediction.cloud` and `filter.by_cloud` do of any model and sensor, for a cycle of which nothing
-needs more: all other cycles are theirs.
+That is what `prediction.cloud` and `filter.by_cloud` do of any model and sensor, as long as nothing needs
+more: what does is theirs.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import types
 
-from .._addresses import NOWHERE_AT, Entry
+from .._addresses import ADDRESS, NOWHERE_AT, Entry
 from .._jit import MATRIX, VECTOR, jit
-from .reading import EVEN, READER, Part, weigh
+from ..small_matrices import cholesky, whiten
+from .control import (
+    apart_by,
+    bias_allowed,
+    both,
+    error_by,
+    expected_square,
+    least_error,
+    next_points,
+    points_for,
+    smoothed,
+    square_of_more,
+    step_after,
+)
+from .noise import stored
+from .pace import FIRST_TRIED, chosen, over
+from .reading import EVEN, READER, Part, Reader, foreseen, weigh
 from .steps import CUBE, LEG
 from .way import begin, carry, carry_linear
 from .weights import AWAY, carried, compared, effective, together, weighted_moments
 
-__all__ = ["FEW", "PARTS", "Cycled", "Resting", "cycle"]
+__all__ = [
+    "FEW",
+    "JUDGE",
+    "MOST_LOST",
+    "PARTS",
+    "REFUSED",
+    "UNUSUAL",
+    "WRONG",
+    "Bounds",
+    "Standing",
+    "put_through",
+]
 
 #: Part of points below which carriers are few: the way piece by piece, at six times the cost, divides errors
 #: by five.
 FEW = 0.25
+#: How a record ends: all is put through; the next cloud has another number of points; what the last reading
+#: left is to be judged; the next one is unusual, or something is to be said of it, and is not put through.
+ALL, MORE, JUDGE, UNUSUAL, REFUSED = range(5)
+MOST_LOST = 0.1  # probability of points that were given up
+WRONG = 0.2  # of a variance, from which it is said
 _INTS, _KEY = types.int64[::1], types.int64
 _NET = types.Array(types.float64, 2, "C", readonly=True)
+_TABLE = types.uint32[::1], types.int64
 _MOVED = types.NamedTuple([MATRIX, MATRIX, CUBE, CUBE, CUBE], Part)
 _WAY = LEG, types.boolean, _KEY, MATRIX, MATRIX, VECTOR, _INTS, _MOVED, _MOVED, MATRIX, MATRIX
-_BEGIN = Entry(begin, (MATRIX, VECTOR, _INTS, types.int64, _KEY, _NET, types.uint32[::1], types.int64))
+_BEGIN = Entry(begin, (MATRIX, VECTOR, _INTS, types.int64, _KEY, _NET, *_TABLE))
 _CARRY = Entry(carry, (LEG, MATRIX, _INTS, _NET, _KEY))
 _LINEAR = Entry(carry_linear, (types.Tuple([MATRIX, VECTOR, MATRIX]), MATRIX, _INTS, _NET, _KEY))
 _WEIGH = Entry(weigh, (READER, *_WAY, types.UniTuple(_NET, 3), _KEY))
 _CARRIED = Entry(carried, (MATRIX, VECTOR, _INTS))
-#: What a cycle is made of, each compiled by itself.
-PARTS = _BEGIN, _CARRY, _LINEAR, _WEIGH, _CARRIED
-_begin_at, _carry_at, _linear_at, _weigh_at, _carried_at = [entry.at for entry in PARTS]
+_SPAN, _STEPS = types.UniTuple(types.float64, 2), (types.int64, types.boolean, types.int64, types.int64)
+_CHOSEN = Entry(chosen, (LEG, ADDRESS, _SPAN, MATRIX, VECTOR, _KEY, *_TABLE, *_STEPS, types.float64))
+#: What a record is put through, each compiled by itself.
+PARTS = _BEGIN, _CARRY, _LINEAR, _WEIGH, _CARRIED, _CHOSEN
+_begin_at, _carry_at, _linear_at, _weigh_at, _carried_at, _chosen_at = [entry.at for entry in PARTS]
 
 
-class Resting(NamedTuple):
-    """A cloud as a reading left it; keys, and normals of what comes: the guide, the begin, the motion."""
+class Standing(NamedTuple):
+    """A cloud and its shadow as a reading left them, and what they have told."""
 
     x: np.ndarray  # (N, n)
     w: np.ndarray
     family: np.ndarray
-    moving: int
-    reading: int
-    nets: tuple  # of (count, n)
+    few_x: np.ndarray  # those of the shadow
+    few_w: np.ndarray
+    few_family: np.ndarray
+    size: int  # points that the errors told are of
+    mean: float  # squares of what the two are apart by
+    variance: float
+    log_evidence: float
+    step: float  # seconds
+    stiff: bool
+    points: int  # of the next cloud
+    calm: int
 
 
-class Cycled(NamedTuple):
+class Bounds(NamedTuple):
+    """Errors of a mean, in standard deviations, and what they are bounds of."""
+
+    target: float
+    missed: float  # from which a reading is looked at again
+    flagged: float  # from which it is said
+    doubtful: float  # in which nothing is right
+    outlying: float  # distance of a reading from its prediction
+    most: int  # steps
+
+
+class _Cycled(NamedTuple):
     """A cloud after a cycle: its prior's points, weights, mean and covariance, and what `carried` says."""
 
     usual: bool  # whether nothing was found that needs more; else the rest is of no worth
@@ -58,39 +113,132 @@ class Cycled(NamedTuple):
 
 
 @jit
-def cycle(parts, leg, change, reader, cloud, beside, table, bits):
-    """One prediction and one reading.
+def put_through(
+    parts, leg, stiff_flow, changes, reader, times, Z, least, standing, nets, bounds, table, bits
+):
+    """Put readings through a cloud that a reading has left, as far as each of them is usual.
 
     Parameters
     ----------
     parts : tuple of int
         Addresses of `PARTS`.
     leg : Leg
-        None that is called, of a linear model.
-    change : tuple of ndarray, shapes (n, n), (n,), (n, n)
-        Φ, offset and L of a linear model; of another, any.
+        Of the model; none that is called, of a linear one.
+    stiff_flow : int
+        What moves points along its drift where that is stiff.
+    changes : tuple of ndarray, shapes (K, n, n), (K, n), (K, n, n)
+        Φ, offset and L of a linear model over each interval; none, of another.
     reader : Reader
-    cloud, beside : Resting
+        The sensor.
+    times, Z : ndarray, shapes (K + 1,), (K, k)
+        Seconds, first that of the cloud; what is read at the others.
+    least : ndarray of int, shape (K,)
+        Steps of each interval.
+    standing : Standing
+    nets : tuple of tuple of ndarray
+        Normals of the guide, the begin and the motion, (count, n) each, of the cloud and of its shadow.
+    bounds : Bounds
     table, bits : ndarray, int
         Of the curve.
 
     Returns
     -------
-    cloud, beside : Cycled
-    before, after : tuple of float
-        Squared errors that the two show of mean and covariance, before and after the reading.
+    end, done : int
+        How the record ends, and how many readings have been put through.
+    standing, before : Standing
+        After the last of them, and before it.
+    rows : tuple of ndarray
+        Of each reading mean and covariance before it and after it, the log-evidence, the error of the mean,
+        and the innovation with its covariance.
     """
-    one = _cycled(parts, leg, change, reader, cloud, table, bits)
-    two = _cycled(parts, leg, change, reader, beside, table, bits)
-    before = compared(one.mean, one.cov, two.mean, two.cov)
-    return one, two, before, compared(one.found[4], one.found[5], two.found[4], two.found[5])
+    (K, k), n, count = Z.shape, standing.x.shape[1], nets[0][0].shape[0]
+    m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))
+    evidence, error, off, S = np.empty(K), np.empty(K), np.empty((K, k)), np.empty((K, k, k))
+    before, rows = standing, (m, P, x, C, evidence, error, off, S)
+    for j in range(K):
+        s, span = standing, (times[j], times[j + 1])
+        keys = _key_at(span[0], 0), _key_at(span[0], 1), _key_at(span[1], 2), _key_at(span[1], 3)
+        change = _change(changes, j, n)
+        own, step, bias = _paced(parts, leg, stiff_flow, span, s, keys[0], least[j], bounds, table, bits)
+        if not bias < np.inf:
+            return UNUSUAL, j, standing, before, rows
+        about = parts, own, change, _reads(reader, Z[j], span[1])
+        one = _cycled(about, (s.x, s.w, s.family), nets[0], (keys[0], keys[2]), table, bits)
+        if not one.usual:
+            return UNUSUAL, j, standing, before, rows
+        two = _cycled(about, (s.few_x, s.few_w, s.few_family), nets[1], (keys[1], keys[3]), table, bits)
+        if not two.usual:
+            return UNUSUAL, j, standing, before, rows
+        m[j], P[j], x[j], C[j], evidence[j] = one.mean, one.cov, one.found[4], one.found[5], one.found[3]
+        ahead, squares = _told(s, one, two, count)
+        if not both(ahead, bias) < bounds.doubtful:
+            return UNUSUAL, j, standing, before, rows
+        error[j] = both(max(error_by(squares[0]), least_error(one.found[6], count)), bias)
+        off[j], S[j] = foreseen(about[3], one.y, one.w, one.mean, one.cov)
+        if not _plain(error[j], squares, off[j], S[j], bounds):
+            return REFUSED, j, standing, before, rows
+        wanted = points_for(count, error_by(squares[0]), bounds.target)
+        points, calm = next_points(count, wanted, s.calm)
+        (a, b, c), (d, e, f) = one.found[:3], two.found[:3]
+        before, standing = (
+            s,
+            Standing(a, b, c, d, e, f, count, *squares, step, own.flow == stiff_flow, points, calm),
+        )
+        if error[j] > bounds.missed:
+            return JUDGE, j + 1, standing, before, rows
+        if points != count:
+            return MORE, j + 1, standing, before, rows
+    return ALL, K, standing, before, rows
 
 
 @jit
-def _cycled(parts, leg, change, reader, cloud, table, bits):
-    _, first, second = cloud.nets
-    (count, n), key = first.shape, cloud.moving
-    begun = _begin_at(parts[0])(cloud.x, cloud.w, cloud.family, count, key, first, table, bits)
+def _key_at(t, number):
+    """The key of what happens at a time; see `density.passage.key_at`."""
+    return stored(np.array([t + 0.0]).view(np.uint64)[0], number)
+
+
+@jit
+def _change(changes, j, n):
+    """Φ, offset and L of an interval; none has any, of a model that is not linear."""
+    flow, offset, lower = changes
+    if len(flow) == 0:
+        return np.empty((n, n)), np.empty(n), np.empty((n, n))
+    return flow[j], offset[j], lower[j]
+
+
+@jit
+def _reads(reader, z, t):
+    """A sensor that has read z (k,) at a time."""
+    return Reader(reader.h, reader.p, reader.H, z, reader.angle, reader.R, reader.root, t)
+
+
+@jit
+def _paced(parts, leg, stiff_flow, span, s, key, least, bounds, table, bits):
+    """The model over a span in steps of a bias that is allowed; the length of the next, and the bias.
+
+    Infinite where no steps will do.
+    """
+    if leg.drift == NOWHERE_AT:
+        return leg, s.step, 0.0
+    dt, told = span[1] - span[0], error_by(s.mean)
+    allowed = bias_allowed(told, s.w.size, 0.0, bounds.doubtful, bounds.target, 1)
+    number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED
+    about = s.x, s.w, key, table, bits, number, s.stiff, least, bounds.most, allowed
+    steps, bias, lost = _chosen_at(parts[5])(leg, stiff_flow, span, *about)
+    own = over(leg, stiff_flow if steps.stiff else leg.flow, span[0], span[1], steps.number)
+    if lost > 2.0 * MOST_LOST or steps.number > bounds.most:
+        return own, s.step, np.inf
+    step = step_after(dt, steps.number, least, bias / allowed)
+    return own, step, bias if bias < np.inf else 0.0
+
+
+@jit
+def _cycled(about, cloud, nets, keys, table, bits):
+    """A cloud x (N, n), w (N,) of families (N,) over an interval and a reading."""
+    parts, leg, change, reader = about
+    first, second = nets[1], nets[2]
+    (count, n), key = first.shape, keys[0]
+    begun = _begin_at(parts[0])(cloud[0], cloud[1], cloud[2], count, key, first, table, bits)
     start, x, u, w, block, middle, lower, flow = begun
     kernel = Part(middle, middle, flow, lower, np.empty((1, 0, 0)))
     linear = leg.drift == NOWHERE_AT
@@ -99,11 +247,41 @@ def _cycled(parts, leg, change, reader, cloud, table, bits):
     else:
         y, v, middle, end, flow, lower, rows = _carry_at(parts[1])(leg, x, block, second, key)
     moved = Part(middle, end, flow, lower, rows)
-    way = reader, leg, linear, key, start, y, w, block, kernel, moved, u, v, cloud.nets, cloud.reading
+    way = reader, leg, linear, key, start, y, w, block, kernel, moved, u, v, nets, keys[1]
     z, log_w, family, wrong = _weigh_at(parts[3])(*way)
     found = _carried_at(parts[4])(z, log_w, family)
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(y, w, mean, cov)
     enough = found[7] >= min(FEW * count, EVEN * effective(w))
     usual = enough and wrong == 0 and together(y, AWAY)[1] and found[3] > -np.inf
-    return Cycled(usual, y, w, mean, cov, found)
+    return _Cycled(usual, y, w, mean, cov, found)
+
+
+@jit
+def _told(s, one, two, count):
+    """Error that a cloud and its shadow tell of the prior's mean; and squares after the reading."""
+    n, times = one.mean.size, count / s.size
+    mean, variance = square_of_more(s.mean, times), square_of_more(s.variance, times)
+    first, second = compared(one.mean, one.cov, two.mean, two.cov)
+    ahead = error_by(smoothed(mean, apart_by(first, second, n)))
+    if mean != mean:
+        mean = expected_square(two.found[6])
+        variance = (n + 1.0) * mean
+    first, second = compared(one.found[4], one.found[5], two.found[4], two.found[5])
+    mean, variance = smoothed(mean, apart_by(first, second, n)), smoothed(variance, second)
+    evidence = square_of_more(s.log_evidence, times)
+    return ahead, (mean, variance, smoothed(evidence, (one.found[3] - two.found[3]) ** 2))
+
+
+@jit
+def _plain(error, squares, off, S, bounds):
+    """Whether nothing is to be said of a reading of this innovation (k,) and covariance (k, k)."""
+    if not error <= bounds.flagged or not error < bounds.doubtful or 2.0 * error_by(squares[1]) > WRONG:
+        return False
+    L, v, square = np.empty(S.shape), off.copy(), 0.0
+    if not cholesky(S, L):
+        return False
+    whiten(L, v)
+    for a in range(v.size):
+        square += v[a] * v[a]
+    return not square > bounds.outlying**2

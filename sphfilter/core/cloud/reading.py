@@ -26,9 +26,9 @@ from .linearise import lower_and_rows
 from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored
 from .way import AGAIN
-from .weights import effective, finite_rows, normalise, prior_times
+from .weights import effective, finite_rows, normalise, prior_times, weighted_moments
 
-__all__ = ["EVEN", "GUIDE", "OWN", "PARTS", "READER", "WIDER", "Part", "Reader", "weigh"]
+__all__ = ["EVEN", "GUIDE", "OWN", "PARTS", "READER", "WIDER", "Part", "Reader", "foreseen", "weigh"]
 
 #: Effective part of weights, from which they are good enough as they are.
 EVEN = 0.9
@@ -82,6 +82,41 @@ def _read(reader, x):
             for e in range(n):
                 s += reader.H[a, e] * x[i, e]
             out[i, a] = s
+    return out
+
+
+@jit
+def foreseen(reader, x, w, mean, cov):
+    """What was read less the reading predicted (k,), and the covariance (k, k) of that.
+
+    Of points x (N, n) of weights w (N,), a mean and a covariance. Angles are averaged around the reading of
+    the mean.
+    """
+    k = reader.z.size
+    expected = _read(reader, mean.reshape((1, mean.size)))[0]
+    if reader.h == NOWHERE_AT and not reader.angle.any():
+        S = _times(_times(reader.H, cov), reader.H.T)
+    else:
+        around, own, S = _read(reader, x), np.empty(k), np.empty((k, k))
+        for i in range(len(x)):
+            for a in range(k):
+                around[i, a] = wrapped(around[i, a] - expected[a], reader.angle[a])
+        weighted_moments(around, w, own, S)
+        expected = expected + own
+    off = np.empty(k)
+    for a in range(k):
+        off[a] = wrapped(reader.z[a] - expected[a], reader.angle[a])
+    return off, S + reader.R
+
+
+@jit
+def _times(A, B):
+    """A B."""
+    out = np.zeros((A.shape[0], B.shape[1]))
+    for a in range(out.shape[0]):
+        for b in range(out.shape[1]):
+            for c in range(A.shape[1]):
+                out[a, b] += A[a, c] * B[c, b]
     return out
 
 

@@ -1,0 +1,155 @@
+"""Errors that a cloud and its shadow tell, and what the next step takes by them: numbers, and no points."""
+
+import math
+
+from .._jit import jit
+from .pace import ORDER as STEPS_ORDER
+
+__all__ = [
+    "CALMER",
+    "MOST_POINTS",
+    "ORDER",
+    "SHADOW",
+    "apart_by",
+    "bias_allowed",
+    "both",
+    "error_by",
+    "expected_square",
+    "few_error",
+    "least_error",
+    "next_points",
+    "points_for",
+    "power_of_two",
+    "smoothed",
+    "square_of_more",
+    "step_after",
+]
+
+#: Points of a cloud over those of its shadow; an error falls with their number to about this power.
+SHADOW, ORDER = 8, 0.6
+_NEW = 0.4  # weight of the last squared difference among all
+#: Squared error of a mean over that of as many points drawn at random: .3 to .65 of the error after the first
+#: readings of 90 random models, whatever part of the points carries them.
+_EXPECTED_SQUARE = 0.25
+_FEW = 50.0  # independent points, below which a shadow that sees the same few cannot tell the error
+#: Of the error of as many points drawn at random, the least of few among many: rms .8 to .95 below a fifth.
+_UNEVEN = 0.5
+#: Of the error that points have, up to which steps may be off: what they add, a cloud and its shadow share,
+#: and modes keep it for many readings. With a half nine scenes took 1.17 times the time for the same error.
+_PART = 1.0 / 4.0
+_USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
+CALMER = 0.1  # of the bias that is allowed, below which steps become longer
+#: Points of a cloud, least and most: powers of two, for which nets are evenest.
+FEWEST_POINTS, MOST_POINTS = 256, 2**17
+_PATIENCE = 2  # readings in a row that ask for fewer points before there are fewer
+_SETTLED = 3  # readings after there are more points, before there are more again
+#: Times the points at most, of a reading that is made again, and of the next one: estimates may be chance.
+_MORE, _MORE_NEXT = 4.0, 2
+
+
+@jit
+def smoothed(old, new):
+    """Square of an error over the record, where one more of its readings has a new one; either may be NaN.
+
+    What is much worse than before is believed at once, to a quarter of its square.
+    """
+    if old != old or new != new:
+        return new if old != old else old
+    return max(0.25 * new, old + _NEW * (new - old))
+
+
+@jit
+def apart_by(first, second, n):
+    """Squared error of a mean of n states, from those that two clouds show of mean and covariance.
+
+    In standard deviations, on average over the states. A sample's covariance is off by n + 1 times as
+    much (in squares): both are pooled, by how many numbers they are.
+    """
+    return (2.0 * first + second) / (n + 3.0)
+
+
+@jit
+def expected_square(number):
+    """Square of what a shadow of so many independent points usually shows of a mean."""
+    return _EXPECTED_SQUARE / max(number, 1.0)
+
+
+@jit
+def square_of_more(square, times):
+    """Square of what so many times the points show; fewer points leave what was wrong as it was."""
+    return square * max(times, 1.0) ** (-2.0 * ORDER)
+
+
+@jit
+def error_by(square):
+    """Error of a cloud whose shadow shows this square, if both fall alike with the number of points."""
+    return math.sqrt(square) * SHADOW**-ORDER
+
+
+@jit
+def both(one, other):
+    """Error of two that are independent."""
+    return math.sqrt(one * one + other * other)
+
+
+@jit
+def few_error(number):
+    """Error of an average of so many independent points, where they are few."""
+    return 1.0 / math.sqrt(number) if number < _FEW else 0.0
+
+
+@jit
+def least_error(number, size):
+    """Error at least of an average of so many independent points among those of a cloud.
+
+    Where a small part of the points carries a posterior, it is no more even than if it were drawn at random;
+    and a shadow sees the same few.
+    """
+    return max(few_error(number), _UNEVEN * max(1.0 - number / size, 0.0) / math.sqrt(number))
+
+
+@jit
+def bias_allowed(error, count, inherited, most, target, legs):
+    """Bias that steps of one of several predictions may have, beside the error of the points, or NaN.
+
+    All in standard deviations; `most` is an error in which nothing is right.
+    """
+    error = _USUAL / math.sqrt(count) if error != error else error
+    return _PART * max(min(math.hypot(error, inherited), most), target) / legs
+
+
+@jit
+def step_after(dt, number, least, over):
+    """Length of the next step after so many over a time, whose bias was so much of what is allowed."""
+    longest = float(number)
+    if over < CALMER:
+        longest *= max(over, CALMER) ** (1.0 / STEPS_ORDER)
+    return dt / max(longest, float(least))
+
+
+@jit
+def power_of_two(count):
+    """The next power of two, within what clouds may have."""
+    return min(max(2 ** math.ceil(math.log2(max(count, 1.0))), FEWEST_POINTS), MOST_POINTS)
+
+
+@jit
+def points_for(count, error, target):
+    """Points that have a target error where so many have an error: a power of two; as many if it is NaN."""
+    times = (error / target) ** (1.0 / ORDER) if error == error else 1.0
+    return power_of_two(count * min(times, _MORE))
+
+
+@jit
+def next_points(now, wanted, calm):
+    """Points of the next cloud where this one of `now` would have wanted so many; and how calm it was then.
+
+    More at once, fewer after a while; `calm` counts readings in a row that asked for fewer, and below zero
+    those to wait before there are more.
+    """
+    if wanted > now and calm >= 0:
+        return min(wanted, _MORE_NEXT * now), -_SETTLED
+    if wanted >= now:  # what there was before takes readings to be forgotten, whatever the points
+        return now, min(calm + 1, 0)
+    calm = max(calm, 0) + 1
+    return wanted if calm >= _PATIENCE else now, calm % _PATIENCE
