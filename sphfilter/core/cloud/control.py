@@ -1,8 +1,12 @@
-"""Errors that a cloud and its shadow tell, and what the next step takes by them: numbers, and no points."""
+"""Errors that a cloud and its shadow tell, and what the next step takes by them: numbers, and no points.
+
+All are functions of Python, which compiled code takes in as well: a number costs less than a call.
+"""
 
 import math
 
-from .._jit import jit
+from numba.extending import register_jitable
+
 from .pace import ORDER as STEPS_ORDER
 
 __all__ = [
@@ -47,7 +51,7 @@ _SETTLED = 3  # readings after there are more points, before there are more agai
 _MORE, _MORE_NEXT = 4.0, 2
 
 
-@jit
+@register_jitable
 def smoothed(old, new):
     """Square of an error over the record, where one more of its readings has a new one; either may be NaN.
 
@@ -58,7 +62,7 @@ def smoothed(old, new):
     return max(0.25 * new, old + _NEW * (new - old))
 
 
-@jit
+@register_jitable
 def apart_by(first, second, n):
     """Squared error of a mean of n states, from those that two clouds show of mean and covariance.
 
@@ -68,37 +72,37 @@ def apart_by(first, second, n):
     return (2.0 * first + second) / (n + 3.0)
 
 
-@jit
+@register_jitable
 def expected_square(number):
     """Square of what a shadow of so many independent points usually shows of a mean."""
     return _EXPECTED_SQUARE / max(number, 1.0)
 
 
-@jit
+@register_jitable
 def square_of_more(square, times):
     """Square of what so many times the points show; fewer points leave what was wrong as it was."""
     return square * max(times, 1.0) ** (-2.0 * ORDER)
 
 
-@jit
+@register_jitable
 def error_by(square):
     """Error of a cloud whose shadow shows this square, if both fall alike with the number of points."""
     return math.sqrt(square) * SHADOW**-ORDER
 
 
-@jit
+@register_jitable
 def both(one, other):
     """Error of two that are independent."""
     return math.sqrt(one * one + other * other)
 
 
-@jit
+@register_jitable
 def few_error(number):
     """Error of an average of so many independent points, where they are few."""
     return 1.0 / math.sqrt(number) if number < _FEW else 0.0
 
 
-@jit
+@register_jitable
 def least_error(number, size):
     """Error at least of an average of so many independent points among those of a cloud.
 
@@ -108,17 +112,17 @@ def least_error(number, size):
     return max(few_error(number), _UNEVEN * max(1.0 - number / size, 0.0) / math.sqrt(number))
 
 
-@jit
+@register_jitable
 def bias_allowed(error, count, inherited, most, target, legs):
     """Bias that steps of one of several predictions may have, beside the error of the points, or NaN.
 
     All in standard deviations; `most` is an error in which nothing is right.
     """
     error = _USUAL / math.sqrt(count) if error != error else error
-    return _PART * max(min(math.hypot(error, inherited), most), target) / legs
+    return _PART * max(min(both(error, inherited), most), target) / legs
 
 
-@jit
+@register_jitable
 def step_after(dt, number, least, over):
     """Length of the next step after so many over a time, whose bias was so much of what is allowed."""
     longest = float(number)
@@ -127,20 +131,20 @@ def step_after(dt, number, least, over):
     return dt / max(longest, float(least))
 
 
-@jit
+@register_jitable
 def power_of_two(count):
     """The next power of two, within what clouds may have."""
     return min(max(2 ** math.ceil(math.log2(max(count, 1.0))), FEWEST_POINTS), MOST_POINTS)
 
 
-@jit
+@register_jitable
 def points_for(count, error, target):
     """Points that have a target error where so many have an error: a power of two; as many if it is NaN."""
     times = (error / target) ** (1.0 / ORDER) if error == error else 1.0
     return power_of_two(count * min(times, _MORE))
 
 
-@jit
+@register_jitable
 def next_points(now, wanted, calm):
     """Points of the next cloud where this one of `now` would have wanted so many; and how calm it was then.
 

@@ -12,7 +12,7 @@ from numba import types
 
 from .._addresses import ADDRESS, NOWHERE_AT, Entry
 from .._jit import MATRIX, VECTOR, jit
-from ..small_matrices import cholesky, whiten
+from ..small_matrices import cholesky, invert_lower, white_square
 from .control import (
     apart_by,
     bias_allowed,
@@ -154,41 +154,42 @@ def put_through(
     (K, k), n, count = Z.shape, standing.x.shape[1], nets[0][0].shape[0]
     m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))
     evidence, error, off, S = np.empty(K), np.empty(K), np.empty((K, k)), np.empty((K, k, k))
-    before, rows = standing, (m, P, x, C, evidence, error, off, S)
-    for j in range(K):
-        s, span = standing, (times[j], times[j + 1])
-        keys = _key_at(span[0], 0), _key_at(span[0], 1), _key_at(span[1], 2), _key_at(span[1], 3)
-        change = _change(changes, j, n)
-        own, step, bias = _paced(parts, leg, stiff_flow, span, s, keys[0], least[j], bounds, table, bits)
-        if not bias < np.inf:
-            return UNUSUAL, j, standing, before, rows
-        about = parts, own, change, _reads(reader, Z[j], span[1])
-        one = _cycled(about, (s.x, s.w, s.family), nets[0], (keys[0], keys[2]), table, bits)
-        if not one.usual:
-            return UNUSUAL, j, standing, before, rows
-        two = _cycled(about, (s.few_x, s.few_w, s.few_family), nets[1], (keys[1], keys[3]), table, bits)
-        if not two.usual:
-            return UNUSUAL, j, standing, before, rows
-        m[j], P[j], x[j], C[j], evidence[j] = one.mean, one.cov, one.found[4], one.found[5], one.found[3]
+    before, end, done = standing, ALL, 0
+    while done < K and end == ALL:
+        j, s, span = done, standing, (times[done], times[done + 1])
+        own, step, bias = _paced(parts, leg, stiff_flow, span, s, least[j], bounds, table, bits)
+        about = parts, own, _change(changes, j, n), _reads(reader, Z[j], span[1])
+        one, two = _both(about, span, s, nets, table, bits)
         ahead, squares = _told(s, one, two, count)
-        if not both(ahead, bias) < bounds.doubtful:
-            return UNUSUAL, j, standing, before, rows
+        if not (bias < np.inf and one.usual and two.usual and both(ahead, bias) < bounds.doubtful):
+            end = UNUSUAL
+            break
+        _keep(one.mean, one.cov, m, P, j)
+        _keep(one.found[4], one.found[5], x, C, j)
+        evidence[j] = one.found[3]
         error[j] = both(max(error_by(squares[0]), least_error(one.found[6], count)), bias)
-        off[j], S[j] = foreseen(about[3], one.y, one.w, one.mean, one.cov)
-        if not _plain(error[j], squares, off[j], S[j], bounds):
-            return REFUSED, j, standing, before, rows
+        away, spread = foreseen(about[3], one.y, one.w, one.mean, one.cov)
+        _keep(away, spread, off, S, j)
+        if not _plain(error[j], squares, away, spread, bounds):
+            end = REFUSED
+            break
         wanted = points_for(count, error_by(squares[0]), bounds.target)
         points, calm = next_points(count, wanted, s.calm)
         (a, b, c), (d, e, f) = one.found[:3], two.found[:3]
-        before, standing = (
-            s,
-            Standing(a, b, c, d, e, f, count, *squares, step, own.flow == stiff_flow, points, calm),
-        )
-        if error[j] > bounds.missed:
-            return JUDGE, j + 1, standing, before, rows
-        if points != count:
-            return MORE, j + 1, standing, before, rows
-    return ALL, K, standing, before, rows
+        stiff = own.flow == stiff_flow
+        before, standing = s, Standing(a, b, c, d, e, f, count, *squares, step, stiff, points, calm)
+        done += 1
+        end = JUDGE if error[j] > bounds.missed else MORE if points != count else ALL
+    return end, done, standing, before, (m, P, x, C, evidence, error, off, S)
+
+
+@jit
+def _keep(v, A, rows, matrices, j):
+    """Fill row j of vectors and of matrices."""
+    for a in range(v.size):
+        rows[j, a] = v[a]
+        for b in range(v.size):
+            matrices[j, a, b] = A[a, b]
 
 
 @jit
@@ -213,7 +214,7 @@ def _reads(reader, z, t):
 
 
 @jit
-def _paced(parts, leg, stiff_flow, span, s, key, least, bounds, table, bits):
+def _paced(parts, leg, stiff_flow, span, s, least, bounds, table, bits):
     """The model over a span in steps of a bias that is allowed; the length of the next, and the bias.
 
     Infinite where no steps will do.
@@ -223,13 +224,23 @@ def _paced(parts, leg, stiff_flow, span, s, key, least, bounds, table, bits):
     dt, told = span[1] - span[0], error_by(s.mean)
     allowed = bias_allowed(told, s.w.size, 0.0, bounds.doubtful, bounds.target, 1)
     number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED
-    about = s.x, s.w, key, table, bits, number, s.stiff, least, bounds.most, allowed
+    about = s.x, s.w, _key_at(span[0], 0), table, bits, number, s.stiff, least, bounds.most, allowed
     steps, bias, lost = _chosen_at(parts[5])(leg, stiff_flow, span, *about)
     own = over(leg, stiff_flow if steps.stiff else leg.flow, span[0], span[1], steps.number)
     if lost > 2.0 * MOST_LOST or steps.number > bounds.most:
         return own, s.step, np.inf
     step = step_after(dt, steps.number, least, bias / allowed)
     return own, step, bias if bias < np.inf else 0.0
+
+
+@jit
+def _both(about, span, s, nets, table, bits):
+    """A cloud and its shadow after a cycle; the shadow is of no worth where the cloud is not."""
+    moving, reading = (_key_at(span[0], 0), _key_at(span[0], 1)), (_key_at(span[1], 2), _key_at(span[1], 3))
+    one = _cycled(about, (s.x, s.w, s.family), nets[0], (moving[0], reading[0]), table, bits)
+    return one, _cycled(
+        about, (s.few_x, s.few_w, s.few_family), nets[1], (moving[1], reading[1]), table, bits
+    )
 
 
 @jit
@@ -278,10 +289,5 @@ def _plain(error, squares, off, S, bounds):
     """Whether nothing is to be said of a reading of this innovation (k,) and covariance (k, k)."""
     if not error <= bounds.flagged or not error < bounds.doubtful or 2.0 * error_by(squares[1]) > WRONG:
         return False
-    L, v, square = np.empty(S.shape), off.copy(), 0.0
-    if not cholesky(S, L):
-        return False
-    whiten(L, v)
-    for a in range(v.size):
-        square += v[a] * v[a]
-    return not square > bounds.outlying**2
+    L = np.empty(S.shape)
+    return cholesky(S, L) and not white_square(invert_lower(L), off) > bounds.outlying**2

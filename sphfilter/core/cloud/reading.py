@@ -92,32 +92,37 @@ def foreseen(reader, x, w, mean, cov):
     Of points x (N, n) of weights w (N,), a mean and a covariance. Angles are averaged around the reading of
     the mean.
     """
-    k = reader.z.size
-    expected = _read(reader, mean.reshape((1, mean.size)))[0]
+    k, n, X = reader.z.size, mean.size, np.empty((1, mean.size))
+    off, S, HP = np.zeros(k), np.empty((k, k)), np.empty((k, n))
+    for a in range(n):
+        X[0, a] = mean[a]
+    expected = _read(reader, X)
     if reader.h == NOWHERE_AT and not reader.angle.any():
-        S = _times(_times(reader.H, cov), reader.H.T)
+        for a in range(k):
+            for e in range(n):
+                HP[a, e] = _along(reader.H, a, cov, e)
+            for b in range(k):
+                S[a, b] = _along(HP, a, reader.H, b)
     else:
-        around, own, S = _read(reader, x), np.empty(k), np.empty((k, k))
+        h = _read(reader, x)
         for i in range(len(x)):
             for a in range(k):
-                around[i, a] = wrapped(around[i, a] - expected[a], reader.angle[a])
-        weighted_moments(around, w, own, S)
-        expected = expected + own
-    off = np.empty(k)
+                h[i, a] = wrapped(h[i, a] - expected[0, a], reader.angle[a])
+        weighted_moments(h, w, off, S)
     for a in range(k):
-        off[a] = wrapped(reader.z[a] - expected[a], reader.angle[a])
-    return off, S + reader.R
+        off[a] = wrapped(reader.z[a] - (expected[0, a] + off[a]), reader.angle[a])
+        for b in range(k):
+            S[a, b] += reader.R[a, b]
+    return off, S
 
 
 @jit
-def _times(A, B):
-    """A B."""
-    out = np.zeros((A.shape[0], B.shape[1]))
-    for a in range(out.shape[0]):
-        for b in range(out.shape[1]):
-            for c in range(A.shape[1]):
-                out[a, b] += A[a, c] * B[c, b]
-    return out
+def _along(A, a, B, b):
+    """Product of a row of A and a row of B."""
+    s = 0.0
+    for e in range(A.shape[1]):
+        s += A[a, e] * B[b, e]
+    return s
 
 
 @jit
