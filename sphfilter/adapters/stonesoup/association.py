@@ -37,7 +37,7 @@ _HOPELESS = 3.0  # times the nodes of the finest lattice that is tried, from whi
 class Alone(NamedTuple):
     """The log-evidence of a detection, and what an association takes of it; None where it would not be used.
 
-    Of a density that is the mean (n,) and covariance (n, n) of its posterior; of modes the whole `Step`.
+    One of densities takes mean (n,) and covariance (n, n) of the posterior, one of modes its whole `Step`.
     """
 
     log_evidence: float
