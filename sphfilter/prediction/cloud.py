@@ -24,8 +24,8 @@ from ._shared import blow_up, carried_off, skip_notes
 
 __all__ = ["Carried", "ahead", "apart", "as_points", "carried", "fewer", "pooled", "propagate", "steps_of"]
 
-#: Of the error that points have, up to which steps may be off: what they add, a cloud and its shadow share, and
-#: modes keep it for many readings. With a half nine scenes took 1.17 times the time for the same error at .01.
+#: Part of the points' error up to which steps may be off: what they add, a cloud and its shadow share, and
+#: modes keep it for many readings. With a half nine scenes took 1.17 times the time for one error at .01.
 _PART = 1.0 / 4.0
 _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
 _CALMER = 0.1  # of the bias that is allowed, below which steps become longer
