@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from stonesoup_cases import at, gaussian, position, seen
+from stonesoup_cases import at, failing, gaussian, position, seen
 
 import sphfilter as sf
 
@@ -76,10 +76,6 @@ def test_a_run_through_clutter_beside_the_sensor_goes_to_its_end():
         assert min(off) < 3.0, "a target was lost"
 
 
-def failing(*arguments, **options):
-    raise sf.PropagationError("no lattice holds it")
-
-
 LINE = sf.SDE.from_expressions(["x", "v"], ["v", "-sin(x)"], [["0"], ["1"]], [[0.1]])
 START = gaussian((0.4, 0.0), (0.1, 0.1))
 
@@ -88,7 +84,7 @@ def test_a_failed_prediction_goes_on_as_a_gaussian_or_stays(monkeypatch):
     reference = SPHPredictor(LINE).predict(START, at(0.5))
     monkeypatch.setattr(predictor_room, "predict", failing)
     stands = SPHPredictor(LINE).predict(START, at(0.5))
-    assert stands.info.flagged and "a Gaussian stands for the density: no lattice" in stands.info.status
+    assert stands.info.flagged and "a Gaussian stands for the density: nothing holds" in stands.info.status
     np.testing.assert_allclose(np.ravel(stands.mean), np.ravel(reference.mean), atol=0.02)
     np.testing.assert_allclose(stands.covar, reference.covar, atol=0.02)
     stays = SPHPredictor(LINE, on_failure="drop").predict(START, at(0.5))
@@ -105,13 +101,13 @@ def test_a_failed_update_goes_on_as_a_gaussian_or_is_a_miss(monkeypatch):
     reference = SPHUpdater(position()).update(hypothesis)
     monkeypatch.setattr(updater_room, "update_or_predict_again", failing)
     stands = SPHUpdater(position()).update(hypothesis)
-    assert stands.info.flagged and "a Gaussian stands for the posterior: no lattice" in stands.info.status
+    assert stands.info.flagged and "a Gaussian stands for the posterior: nothing holds" in stands.info.status
     assert stands.info.log_evidence == pytest.approx(reference.info.log_evidence)
     np.testing.assert_allclose(np.ravel(stands.mean), np.ravel(reference.mean), atol=0.02)
     np.testing.assert_allclose(stands.covar, reference.covar, atol=0.02)
     missed = SPHUpdater(position(), on_failure="drop").update(hypothesis)
     assert missed.density is prediction.density and not missed.info.accepted and missed.info.flagged
-    assert "not used: no lattice" in missed.info.reason
+    assert "not used: nothing holds" in missed.info.reason
     with pytest.raises(sf.PropagationError):
         SPHUpdater(position(), on_failure="raise").update(hypothesis)
 

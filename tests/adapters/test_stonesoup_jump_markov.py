@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from stonesoup_cases import Recorded, at, gaussian, seen
+from stonesoup_cases import Recorded, at, failing, gaussian, seen
 
 import sphfilter as sf
 from reference_filters.jump_grid import unsplit_jump_filter
@@ -286,15 +286,15 @@ def test_sensors_read_the_inputs_of_the_model():
     assert float(reading.mean[0]) == pytest.approx(5.5)
 
 
-def failing(*arguments, **options):
-    raise sf.PropagationError("nothing holds it")
-
-
 def test_a_step_that_fails_is_left_out_or_raised(monkeypatch):
     predictor, updater = parts(linear())
     prediction = predictor.predict(START, at(1))
     hypothesis = SingleHypothesis(prediction, seen(0.6, seconds=1))
     evidence = updater.log_evidence(prediction, hypothesis.measurement)
+    several = [SingleProbabilityHypothesis(prediction, d, 0.5) for d in (None, hypothesis.measurement)]
+    monkeypatch.setattr(updater_room, "mixture", failing)
+    missed = updater.update(MultipleHypothesis(several))
+    assert missed.modes is prediction.modes and not missed.info.accepted
     monkeypatch.setattr(updater_room, "update_or_predict_modes_again", failing)
     monkeypatch.setattr(predictor_room, "predict_modes", failing)
     predictor, updater = parts(linear())
@@ -311,15 +311,6 @@ def test_a_step_that_fails_is_left_out_or_raised(monkeypatch):
     for call in (lambda: updater.update(hypothesis), lambda: predictor.predict(START, at(1))):
         with pytest.raises(sf.PropagationError, match="nothing holds it"):
             call()
-
-
-def test_an_association_that_fails_is_left_out(monkeypatch):
-    predictor, updater = parts(linear())
-    prediction = predictor.predict(START, at(1))
-    several = [SingleProbabilityHypothesis(prediction, d, 0.5) for d in (None, seen(0.6, seconds=1))]
-    monkeypatch.setattr(updater_room, "mixture", failing)
-    missed = updater.update(MultipleHypothesis(several))
-    assert missed.modes is prediction.modes and not missed.info.accepted
 
 
 def test_states_show_their_density():

@@ -70,6 +70,11 @@ def on_grid(density, likelihood):
     return p.sum(), mean, (d * p[:, None]).T @ d / p.sum()
 
 
+def failing(*arguments, **options):
+    """What stands in a test for a step of the library that cannot be made."""
+    raise sf.PropagationError("nothing holds it")
+
+
 class Recorded(DetectionReader):
     """Detections that were recorded: scans of (time, detections), the same for every tracker."""
 

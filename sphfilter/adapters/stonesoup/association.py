@@ -23,8 +23,8 @@ from ...lattice.level_set import enough_particles, lattice_reach
 from ...model.measurements import Sensor
 from ...prediction.again import Ladder, Outcome
 
-__all__ = ["Alone", "Association", "alone", "check_sharpness", "mixed_mean", "one_prediction",
-           "predicted_apart", "probability_of", "resolved"]  # fmt: skip
+__all__ = ["Alone", "Association", "Part", "alone", "check_sharpness", "one_prediction", "predicted_apart",
+           "probability_of", "resolved"]  # fmt: skip
 
 _LADDER = Ladder(times=(1, 3, 9), most=math.inf)  # for products of density and likelihood
 _NEGLIGIBLE = 1e-6  # probability of a part
@@ -34,7 +34,40 @@ _RESOLVED, _LOST = 0.01, 0.1
 _HOPELESS = 3.0  # times the nodes of the finest lattice that is tried, from which none is
 
 
-class Association:
+class Alone(NamedTuple):
+    """The log-evidence of a detection, and what an association takes of it; None where it would not be used.
+
+    One of densities takes mean (n,) and covariance (n, n) of the posterior, one of modes its whole `Step`.
+    """
+
+    log_evidence: float
+    used: Any
+
+
+class Part(NamedTuple):
+    """A detection of several, the probability that it is the target's, and what it says `Alone`."""
+
+    weight: float
+    sensor: Sensor
+    z: Floats
+    log_evidence: float
+    used: Any
+
+
+class _Likelihood:
+    """A sensor with a likelihood only."""
+
+    H: None = None
+    directly_observed: None = None
+    noise_cov: None = None
+    angles: tuple[int, ...] = ()
+
+    def observed(self, z: Any) -> Bools:
+        """Something was."""
+        return np.ones(1, dtype=bool)
+
+
+class Association(_Likelihood):
     """The likelihood of detections of which one at most is the target's, whose probabilities are given.
 
     p(x | all) = p(x) (b_0 + sum_i b_i p(z_i | x) / p(z_i)): each detection's posterior, and the prior for a
@@ -44,22 +77,14 @@ class Association:
     ----------
     missed : float
         b_0, the probability that none is.
-    parts : sequence of (sensor, z, b_i, log p(z_i))
+    parts : sequence of Part
+        Sensors, z_i, b_i and log p(z_i).
     """
 
-    H: None = None
-    directly_observed: None = None
-    noise_cov: None = None
-    angles: tuple[int, ...] = ()
-
-    def __init__(self, missed: float, parts: Sequence[tuple[Sensor, Any, float, float]]) -> None:
-        total = missed + sum(weight for _, _, weight, _ in parts)
+    def __init__(self, missed: float, parts: Sequence[Part]) -> None:
+        total = missed + sum(part.weight for part in parts)
         self._missed = missed / total
-        self._parts = [(sensor, z, np.log(weight / total) - log_p) for sensor, z, weight, log_p in parts]
-
-    def observed(self, z: Any) -> Bools:
-        """Something was."""
-        return np.ones(1, dtype=bool)
+        self._parts = [(p.sensor, p.z, np.log(p.weight / total) - p.log_evidence) for p in parts]
 
     def log_likelihood(self, z: object, X: Floats, t: float = 0.0) -> Floats:
         """Logarithm of the sum above for each state X (N, n), shape (N,)."""
@@ -79,32 +104,15 @@ class Association:
         return [(weight, density) for weight, density in found if weight > _NEGLIGIBLE]
 
 
-class Total:
+class Total(_Likelihood):
     """The likelihood that makes a weighted sum of densities of one of them."""
-
-    H: None = None
-    directly_observed: None = None
-    noise_cov: None = None
-    angles: tuple[int, ...] = ()
 
     def __init__(self, first: ParticleDensity, parts: Sequence[tuple[float, ParticleDensity]]) -> None:
         self._first, self._parts = logarithm(first), [(np.log(w), logarithm(p)) for w, p in parts]
 
-    def observed(self, z: Any) -> Bools:
-        """Something is there."""
-        return np.ones(1, dtype=bool)
-
     def log_likelihood(self, z: object, X: Floats, t: float = 0.0) -> Floats:
         """Logarithm of the sum over the first density, for each state X (N, n), shape (N,)."""
         return logsumexp([scale + log_p(X) for scale, log_p in self._parts], axis=0) - self._first(X)
-
-
-class Alone(NamedTuple):
-    """The log-evidence of a detection, and the moments of its posterior; None where it would not be used."""
-
-    log_evidence: float
-    mean: Floats | None
-    cov: Floats | None = None
 
 
 def alone(
@@ -123,28 +131,23 @@ def alone(
         )
     except PropagationError:
         return Alone(float(logsumexp(log_likelihood, b=density.mass)), None)
-    return Alone(info.log_evidence, *((posterior.mean(), posterior.cov()) if info.accepted else (None, None)))
+    return Alone(info.log_evidence, (posterior.mean(), posterior.cov()) if info.accepted else None)
 
 
-def check_sharpness(parts: Sequence[tuple[float, Floats]], n_particles: int) -> None:
+def check_sharpness(weights: Sequence[float], covs: Sequence[Floats], n_particles: int) -> None:
     """Raise `PropagationError` for weights and covariances so different in width that no lattice will do.
 
     One that spans the widest with the spacing that the sharpest needs has as many times the nodes of a
     Gaussian as their volumes differ.
     """
+    parts = zip(weights, covs, strict=True)
     log_volume = [0.5 * np.linalg.slogdet(cov)[1] for weight, cov in parts if weight > _NEGLIGIBLE]
     ratio = math.exp(max(log_volume) - min(log_volume))
-    if ratio * enough_particles(len(parts[0][1])) > _HOPELESS * max(_LADDER.times) * n_particles:
+    if ratio * enough_particles(len(covs[0])) > _HOPELESS * max(_LADDER.times) * n_particles:
         raise PropagationError(
             f"detections much sharper than the prediction, {ratio:.2g} times, leave a density too sharp and "
             f"too broad for one lattice; use more particles"
         )
-
-
-def mixed_mean(parts: Sequence[tuple[float, Floats]]) -> Floats:
-    """Mean of a mixture of weights and means, shape (n,)."""
-    weights, means = zip(*parts, strict=True)
-    return np.average(means, axis=0, weights=weights)
 
 
 def resolved(
@@ -220,10 +223,10 @@ def _error(density: ParticleDensity, expected: Floats | None, log_mass: float) -
 
 def predicted_apart(
     origin: Update,
-    predicted: Callable[[ParticleDensity], tuple[ParticleDensity, PredictInfo]],
+    predicted: Callable[[ParticleDensity, FilterConfig], Outcome[PredictInfo]],
     config: FilterConfig,
     n_particles: int,
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Outcome[PredictInfo]:
     """Predict an association part by part: the equation is linear, and sums of solutions solve it.
 
     For posteriors that are sharp and broad at once, which no lattice carries on as few particles.
@@ -233,16 +236,17 @@ def predicted_apart(
     origin : Update
         The update with an `Association`.
     predicted : callable
-        A density to what `predict` returns.
+        A density and a configuration to an `Outcome`.
 
     Returns
     -------
-    ParticleDensity, PredictInfo
+    Outcome
+        It begins with the widest part.
     """
     association: Any = origin.measurement
     posteriors = association.posteriors(origin.before, config, n_particles)
-    moved = [(weight, *predicted(posterior)) for weight, posterior in posteriors]
-    parts = [(weight, density) for weight, density, _ in moved]
+    moved = [(weight, predicted(posterior, config)) for weight, posterior in posteriors]
+    parts = [(weight, found.density) for weight, found in moved]
     widest = max((density for _, density in parts), key=lambda density: np.linalg.det(density.cov()))
     total = Total(widest, parts)
 
@@ -251,12 +255,14 @@ def predicted_apart(
         posterior, info = update(widest, total, None, config, n_particles=more)
         return Outcome(widest, posterior, info, more)
 
-    mean = None if widest.domain is not None else mixed_mean([(w, p.mean()) for w, p in parts])
-    _, density, sum_info, _ = resolved(summed, config, widest.dim, mean)
-    info = max((info for _, _, info in moved), key=lambda info: info.mass_error)
+    mean = None
+    if widest.domain is None:
+        mean = np.average([p.mean() for _, p in parts], axis=0, weights=[w for w, _ in parts])
+    _, density, sum_info, bound = resolved(summed, config, widest.dim, mean)
+    info = max((found.info for _, found in moved), key=lambda info: info.mass_error)
     told = "" if sum_info.status == "ok" else f"; {sum_info.status}"
     told = f"{len(parts)} parts of the association predicted apart{told}"
-    return density, info.marked(Code.REPEATED, told)
+    return Outcome(widest, density, info.marked(Code.REPEATED, told), bound)
 
 
 def one_prediction(hypotheses: Iterable[Hypothesis]) -> State:

@@ -1,14 +1,12 @@
 """Stone Soup's predictor interface to models that switch between modes."""
 
 import datetime
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import replace
 from typing import Any, Literal
 
 from stonesoup.base import Property
-from stonesoup.predictor.base import Predictor
 from stonesoup.types.state import State
-from stonesoup.types.track import Track
 
 from ...config import FilterConfig, checked_filter_config
 from ...density.modes import ModeDensities
@@ -16,20 +14,16 @@ from ...errors import ConfigError, ModelError, PropagationError
 from ...model.jump_markov import JumpMarkovModel
 from ...model.jump_markov import mode_probabilities as checked_probabilities
 from ...prediction.switching import ModesInfo, ModesPrediction, predict_modes
-from ...validate import choice, count, short
+from ...validate import count, short
 from .failures import said
 from .jump_markov_states import JumpMarkovState, JumpMarkovStatePrediction
-from .predictor import check_control, interval
-from .recent import Recent
-from .states import current, density_of, origin_of, remember
+from .predictor import DensityPredictor
+from .states import Step, origin_of, started
 
 __all__ = ["JumpMarkovPredictor"]
 
-_KEPT = 64  # predictions of late, which hypothesisers ask for once a detection
-_ON_FAILURE = "drop", "raise"
 
-
-class JumpMarkovPredictor(Predictor):
+class JumpMarkovPredictor(DensityPredictor[JumpMarkovStatePrediction]):
     """Carries a density for every mode of a model that switches, as `JumpMarkovFilter` does.
 
     Parameters
@@ -57,6 +51,7 @@ class JumpMarkovPredictor(Predictor):
     The same start and detections give what `JumpMarkovFilter` gives of them.
     """
 
+    _words = "drop", "raise"
     transition_model: JumpMarkovModel = Property(doc="A model that switches between modes.")
     mode_probabilities: Any = Property(default=None, doc="Of the modes where a track begins.")
     n_particles: int | Literal["auto"] = Property(
@@ -69,7 +64,6 @@ class JumpMarkovPredictor(Predictor):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        check_control(self, control_model=self.control_model)
         model = self.transition_model
         if not isinstance(model, JumpMarkovModel):
             raise ModelError(
@@ -85,59 +79,7 @@ class JumpMarkovPredictor(Predictor):
             raise ConfigError("JumpMarkovPredictor keeps no time_budget; leave it out, or raise target_error")
         if self.n_particles != "auto":
             count("n_particles", self.n_particles)
-        choice("on_failure", self.on_failure, _ON_FAILURE)
         checked_probabilities(self.mode_probabilities, model)
-        self._kept = Recent(_KEPT)
-
-    def predict(
-        self,
-        prior: State | Track,
-        timestamp: datetime.datetime | None = None,
-        *,
-        control_input: None = None,
-        **kwargs: Any,
-    ) -> JumpMarkovStatePrediction:
-        """Predict to a timestamp.
-
-        Parameters
-        ----------
-        prior : JumpMarkovState, SPHState, GaussianState, or a Track that ends in one
-            That of another kind than the first begins a track: it is the density of all modes.
-        timestamp : datetime.datetime
-        **kwargs
-            Options of other predictors (such as measurement=); nothing here depends on them.
-
-        Returns
-        -------
-        JumpMarkovStatePrediction
-
-        Raises
-        ------
-        ModelError
-            Timestamps that are missing or run backwards, or a state of another model.
-        PropagationError
-            With ``on_failure="raise"``: a mode that is not unlikely cannot be carried. The prior is as it
-            was.
-        """
-        check_control(self, control_input=control_input)
-        prior = current(prior)
-        before, dt = self.modes_of(prior), interval(prior.timestamp, timestamp)
-        if dt < 0.0:
-            raise ModelError(f"cannot predict back in time: from {prior.timestamp} to {timestamp}")
-        modes, info = self._carried(before, dt)
-        prediction = JumpMarkovStatePrediction(
-            modes,
-            self.transition_model.names,
-            timestamp=timestamp,
-            transition_model=self.transition_model,
-            prior=prior,
-            info=info,
-        )
-        if modes is before:
-            return remember(prediction, origin_of(prior))
-        failed = info.scheme == ""
-        origin = None if failed else ModesPrediction(before, info.n_substeps, self.transition_model)
-        return remember(prediction, origin)
 
     def modes_of(self, state: State) -> ModeDensities:
         """The densities of a state: of all modes, or that of a start in each of them.
@@ -147,13 +89,16 @@ class JumpMarkovPredictor(Predictor):
         ModelError
             A state of other modes or another number of states, or one that has lost its modes.
         """
+        return self._started(state).modes
+
+    def _started(self, state: State) -> JumpMarkovState:
         model = self.transition_model
         if isinstance(state, JumpMarkovState):
             if tuple(state.names) != model.names:
                 raise ModelError(
                     f"the state has the modes {list(state.names)}, the model {list(model.names)}"
                 )
-            return state.modes
+            return state
         if any(isinstance(prediction, JumpMarkovState) for prediction in _predictions(state)):
             raise ModelError(
                 "the tracker has merged densities of modes into a Gaussian, which knows no mode; take one "
@@ -161,27 +106,30 @@ class JumpMarkovPredictor(Predictor):
             )
         if state.ndim != model.dim:
             raise ModelError(f"the state is of {state.ndim} numbers, those of the model of {model.dim}")
-        density = density_of(state, self.n_particles, checked_filter_config(self.config), model.domain)
+        config = checked_filter_config(self.config)
+        density = started(state, self.n_particles, config, model.domain).density
         w = checked_probabilities(self.mode_probabilities, model)
-        return self._kept.result((density, w.tobytes()), lambda: ModeDensities.alike(w, density))
+        modes = self._kept.result((density, w.tobytes()), lambda: ModeDensities.alike(w, density))
+        return JumpMarkovState(modes, model.names, state.timestamp)
 
-    def _carried(self, before: ModeDensities, dt: float) -> tuple[ModeDensities, ModesInfo]:
-        """The densities dt seconds later; kept a while."""
+    def _step(self, state: JumpMarkovState, before: ModeDensities, dt: float, *model: Hashable) -> Step:
+        if dt < 0.0:
+            end = state.timestamp + datetime.timedelta(seconds=dt)
+            raise ModelError(f"cannot predict back in time: from {state.timestamp} to {end}")
         if dt == 0.0:
-            return before, ModesInfo(error=before.error, skipped=("everything: the interval is empty",))
-        model, t, config = self.transition_model, before.heaviest.t + dt, checked_filter_config(self.config)
+            info = ModesInfo(error=before.error, skipped=("everything: the interval is empty",))
+            return Step(before, info, origin_of(state))
+        return super()._step(state, before, dt, self.transition_model)
 
-        def carried() -> tuple[ModeDensities, ModesInfo]:
-            try:
-                return predict_modes(before, model, t, config, self.n_particles)
-            except PropagationError as problem:
-                if self.on_failure == "raise":
-                    raise
-                known: dict[str, Any] = said(problem, "left out, the densities are those before")
-                return _left(before, t), ModesInfo(scheme="", error=before.error, **known)
+    def _moved(self, state: JumpMarkovState, before: ModeDensities, dt: float) -> Step:
+        model, config = self.transition_model, checked_filter_config(self.config)
+        modes, info = predict_modes(before, model, before.heaviest.t + dt, config, self.n_particles)
+        return Step(modes, info, ModesPrediction(before, info.n_substeps, model))
 
-        key = before, model, dt, config, self.n_particles, self.on_failure
-        return self._kept.result(key, carried)
+    def _stand_in(self, problem: PropagationError, before: ModeDensities, dt: float) -> Step:
+        told = said(problem, "left out, the densities are those before")
+        info = ModesInfo(scheme="", error=before.error, **told)
+        return Step(_left(before, before.heaviest.t + dt), info)
 
 
 def _left(modes: ModeDensities, t: float) -> ModeDensities:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 from stonesoup.base import Property, clearable_cached_property
-from stonesoup.types.array import CovarianceMatrix, StateVector
 from stonesoup.types.prediction import Prediction
 from stonesoup.types.update import Update
 
@@ -18,7 +17,7 @@ from ...filter.update_modes import ModesUpdateInfo
 from ...prediction.mixing_modes import whatever_the_mode
 from ...prediction.switching import ModesInfo
 from ...validate import short
-from .states import DensityState, frozen
+from .states import DensityState
 
 __all__ = ["JumpMarkovState", "JumpMarkovStatePrediction", "JumpMarkovStateUpdate"]
 
@@ -56,6 +55,7 @@ class JumpMarkovState(DensityState):
         The modes are no ModeDensities, or not as many as the names.
     """
 
+    _known_by = "modes"
     modes: ModeDensities = Property(doc="Densities of all modes, and their probabilities.")
     names: tuple[str, ...] = Property(doc="Names of the modes.")
     timestamp: datetime.datetime = Property(default=None, doc="Timestamp of the state. Default None.")
@@ -68,15 +68,10 @@ class JumpMarkovState(DensityState):
                 f"state are, got {short(self.modes)}"
             )
 
-    @clearable_cached_property("modes")
-    def state_vector(self) -> StateVector:
-        """The mean over all modes, shape (n, 1)."""
-        return frozen(self.modes.moments[0][:, None]).view(StateVector)
-
-    @clearable_cached_property("modes")
-    def covar(self) -> CovarianceMatrix:
-        """The covariance over all modes, shape (n, n)."""
-        return frozen(self.modes.moments[1]).view(CovarianceMatrix)
+    @property
+    def _moments(self) -> tuple[Floats, Floats]:
+        """Mean (n,) and covariance (n, n) over all modes."""
+        return self.modes.moments
 
     @clearable_cached_property("modes")
     def density(self) -> ParticleDensity:
@@ -97,15 +92,6 @@ class JumpMarkovState(DensityState):
     def densities(self) -> dict[str, ParticleDensity]:
         """Densities by mode, of those that have a probability."""
         return {self.names[i]: p for i, _, p in self.modes.some}
-
-    @property
-    def _carried(self) -> ModeDensities:
-        """The densities of all modes."""
-        return self.modes
-
-    def _alone(self) -> "JumpMarkovState":
-        """The densities and their timestamp, without what they came from."""
-        return JumpMarkovState(self.modes, self.names, timestamp=self.timestamp)
 
 
 class JumpMarkovStatePrediction(Prediction, JumpMarkovState):

@@ -1,10 +1,11 @@
 """Stone Soup's predictor interface to the solver."""
 
 import datetime
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, Generic, TypeVar
 
 from stonesoup.base import Property
 from stonesoup.models.transition.base import TransitionModel
@@ -25,15 +26,94 @@ from ...validate import choice, count
 from .association import Association, predicted_apart
 from .failures import ON_FAILURE, OnFailure, laid, linearised, said
 from .recent import Recent
-from .states import SPHState, SPHStatePrediction, current, density_of, origin_of, remember, retimed
+from .states import DensityState, SPHState, SPHStatePrediction, Step, current, origin_of, retimed, started
 from .transition import SDETransitionModel, transition_of
 
-__all__ = ["SPHPredictor", "check_control", "interval"]
+__all__ = ["DensityPredictor", "SPHPredictor"]
 
 _KEPT = 64  # predictions of late, which hypothesisers ask for once a detection
 
+Predicted = TypeVar("Predicted", bound=DensityState)
 
-class SPHPredictor(Predictor):
+
+class DensityPredictor(Predictor, Generic[Predicted]):
+    """Carries what states are known by: a density, or one for every mode of a model that switches.
+
+    Each kind has its own `_started(state)`, a state known by densities; `_moved(state, before, dt)`, the
+    `Step` that its model makes; and `_stand_in(problem, before, dt)`, the `Step` where that fails.
+    """
+
+    _words: tuple[str, ...] = ON_FAILURE
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._check_control(control_model=self.control_model)
+        choice("on_failure", self.on_failure, self._words)
+        self._kept = Recent(_KEPT)
+
+    def predict(
+        self,
+        prior: State | Track,
+        timestamp: datetime.datetime | None = None,
+        *,
+        control_input: None = None,
+        **kwargs: Any,
+    ) -> Predicted:
+        """Predict to a timestamp.
+
+        Parameters
+        ----------
+        prior : SPHState, GaussianState, or a Track that ends in one
+            Of a `JumpMarkovPredictor` a JumpMarkovState too; that of another kind begins a track: it is the
+            density of all modes.
+        timestamp : datetime.datetime
+        **kwargs
+            Options of other predictors (such as measurement=); nothing here depends on them.
+
+        Returns
+        -------
+        SPHStatePrediction
+            Of a `JumpMarkovPredictor` a JumpMarkovStatePrediction.
+
+        Raises
+        ------
+        ModelError
+            Timestamps that are missing or run backwards, or a state that is no density or of another model.
+        PropagationError
+            With ``on_failure="raise"``: the model blew up, or no lattice holds the density, or that of a mode
+            that is not unlikely; says what to change. The prior is as it was.
+        """
+        self._check_control(control_input=control_input)
+        prior = current(prior)
+        state, dt = self._started(prior), _interval(prior.timestamp, timestamp)
+        step = self._step(state, state._carried, dt)
+        model = self.transition_model
+        return step.state(Prediction, state, timestamp=timestamp, transition_model=model, prior=prior)
+
+    def _step(self, state: DensityState, before: Any, dt: float, *model: Hashable) -> Step:
+        """The `Step` of dt seconds by a model that is known by these values; kept a while."""
+
+        def made() -> Step:
+            try:
+                return self._moved(state, before, dt)
+            except PropagationError as problem:
+                if self.on_failure == "raise":
+                    raise
+                return self._stand_in(problem, before, dt)
+
+        config = checked_filter_config(self.config)
+        return self._kept.result((before, *model, dt, config, self.n_particles, self.on_failure), made)
+
+    def _check_control(self, **given: object) -> None:
+        """Raise `ModelError` for a control that is given by name."""
+        for name, value in given.items():
+            if value is not None:
+                raise ModelError(
+                    f"{type(self).__name__} takes no {name}: write the control into the drift of the SDE"
+                )
+
+
+class SPHPredictor(DensityPredictor[SPHStatePrediction]):
     """Carries the density of a state through the Fokker-Planck-Kolmogorov equation.
 
     Parameters
@@ -70,145 +150,69 @@ class SPHPredictor(Predictor):
     def transition_model(self, model: SDETransitionModel | SDE | TransitionModel) -> None:
         self._property_transition_model = transition_of(model)
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        check_control(self, control_model=self.control_model)
-        choice("on_failure", self.on_failure, ON_FAILURE)
-        self._kept = Recent(_KEPT)
+    @property
+    def _settings(self) -> tuple[FilterConfig, int]:
+        return checked_filter_config(self.config), count("n_particles", self.n_particles)
 
-    def predict(
-        self,
-        prior: State | Track,
-        timestamp: datetime.datetime | None = None,
-        *,
-        control_input: None = None,
-        **kwargs: Any,
-    ) -> SPHStatePrediction:
-        """Predict to a timestamp.
+    def _started(self, state: State) -> SPHState:
+        config, n_particles = self._settings
+        return started(state, n_particles, config, self.transition_model.sde.domain)
 
-        Parameters
-        ----------
-        prior : SPHState, GaussianState, or a Track that ends in one
-        timestamp : datetime.datetime
-        **kwargs
-            Options of other predictors (such as measurement=); nothing here depends on them.
+    def _step(self, state: SPHState, before: ParticleDensity, dt: float, *model: Hashable) -> Step:
+        sde, start = self.transition_model.sde, retimed(before, self.transition_model, state.timestamp)
+        return super()._step(state, start, dt, sde, sde.p.tobytes())
 
-        Returns
-        -------
-        SPHStatePrediction
+    def _moved(self, state: SPHState, before: ParticleDensity, dt: float) -> Step:
+        transition, n_particles = self.transition_model, self._settings[1]
 
-        Raises
-        ------
-        ModelError
-            Timestamps that are missing or run backwards, or a state that is no density.
-        PropagationError
-            With ``on_failure="raise"``: the model blew up, or no lattice holds the density; says what to
-            change. The prior is as it was.
-        """
-        check_control(self, control_input=control_input)
-        prior = current(prior)
-        sde, config = self.transition_model.sde, checked_filter_config(self.config)
-        n_particles = count("n_particles", self.n_particles)
-        density = density_of(prior, n_particles, config, sde.domain)
-        dt = interval(prior.timestamp, timestamp)
-        before, moved, info, _ = self._carried(prior, density, dt, config, n_particles)
-        failed = info.scheme == ""
-        prediction = Prediction.from_state(
-            prior if isinstance(prior, SPHState) else SPHState(density, prior.timestamp),
-            density=moved,
-            timestamp=timestamp,
-            transition_model=self.transition_model,
-            prior=prior,
-            info=info,
-        )
-        return remember(prediction, Origin(None if failed else before, info.mass_error, sde, moved.t))
-
-    def _carried(
-        self, prior: State, density: ParticleDensity, dt: float, config: FilterConfig, n_particles: int
-    ) -> Outcome[PredictInfo]:
-        """The `Outcome` of dt seconds; kept a while."""
-        transition = self.transition_model
-        sde, start = transition.sde, retimed(density, transition, prior.timestamp)
-        key = start, sde, sde.p.tobytes(), dt, config, n_particles, self.on_failure
-
-        def carried() -> Outcome[PredictInfo]:
-            try:
-                found = self._predicted(start, origin_of(prior), predicted, n_particles)
-            except PropagationError as problem:
-                if self.on_failure == "raise":
-                    raise
-                found = self._stand_in(problem, start, dt, config, n_particles)
-            before, moved = retimed(found.before, transition, prior.timestamp), found.density
-            if moved.capacity != n_particles:  # more particles for once are not more ever after
-                moved = replace(moved, capacity=n_particles)
-            return found._replace(before=before, density=moved)
-
-        def predicted(
-            density: ParticleDensity, most: int | None = None, config: Any = config
-        ) -> tuple[ParticleDensity, PredictInfo]:
-            density = retimed(density, transition, prior.timestamp)
+        def predicted(density: ParticleDensity, config: Any, most: int | None = None) -> Outcome[PredictInfo]:
+            density = retimed(density, transition, state.timestamp)
             options: dict[str, Any] = {"n_particles": n_particles, "most_particles": most, "goes_on": False}
-            return predict(density, sde, dt, config, **options)
+            return Outcome(density, *predict(density, transition.sde, dt, config, **options), n_particles)
 
-        return self._kept.result(key, carried)
-
-    def _stand_in(
-        self,
-        problem: PropagationError,
-        start: ParticleDensity,
-        dt: float,
-        config: FilterConfig,
-        n_particles: int,
-    ) -> Outcome[PredictInfo]:
-        """The `Outcome` of a prediction that failed; no scheme carried it."""
-        if self.on_failure == "gaussian":
-            with suppress(ModelError, PropagationError):
-                gaussian = linearised(start, self.transition_model.sde, dt)
-                moved = laid(gaussian, start, start.t + dt, n_particles, config)
-                info = PredictInfo(scheme="", **said(problem, "a Gaussian stands for the density"))
-                return Outcome(start, moved, info, n_particles)
-        info = PredictInfo(scheme="", **said(problem, "left out, the density is that before"))
-        return Outcome(start, replace(start, t=start.t + dt), info, n_particles)
+        before, moved, info, _ = self._predicted(before, origin_of(state), predicted)
+        moved = _bounded(moved, n_particles)
+        return Step(moved, info, Origin(before, info.mass_error, transition.sde, moved.t))
 
     def _predicted(
-        self,
-        start: ParticleDensity,
-        origin: Any,
-        predicted: Callable[..., tuple[ParticleDensity, PredictInfo]],
-        n_particles: int,
+        self, start: ParticleDensity, origin: Any, predicted: Callable[..., Outcome[PredictInfo]]
     ) -> Outcome[PredictInfo]:
-        """The `Outcome` of what `predicted` makes of a density.
+        """The `Outcome` of what `predicted` makes of a density and a configuration.
 
         Associations that are sharp and broad at once are predicted part by part.
         """
-        sde, config = self.transition_model.sde, checked_filter_config(self.config)
+        sde, (config, n_particles) = self.transition_model.sde, self._settings
         if isinstance(getattr(origin, "measurement", None), Association):
             try:
-                return Outcome(start, *predicted(start, most=0), n_particles)
+                return predicted(start, config, most=0)
             except PropagationError:
                 with suppress(PropagationError):
                     found = predicted_apart(origin, predicted, config, n_particles)
-                    return Outcome(start, *found, n_particles)
+                    return found._replace(before=start)
 
         def attempted(config: Any) -> Outcome[PredictInfo]:
-            def bounded(density: ParticleDensity) -> Outcome[PredictInfo]:
-                return Outcome(density, *predicted(density, config=config), n_particles)
-
-            return predict_from_finer(bounded, sde, start, origin, config, n_particles)
+            known = sde, start, origin, config, n_particles
+            return predict_from_finer(partial(predicted, config=config), *known)
 
         return or_as_cloud(attempted, config)
 
+    def _stand_in(self, problem: PropagationError, before: ParticleDensity, dt: float) -> Step:
+        sde, t, (config, n_particles) = self.transition_model.sde, before.t + dt, self._settings
+        moved, what = replace(before, t=t), "left out, the density is that before"
+        if self.on_failure == "gaussian":
+            with suppress(ModelError, PropagationError):
+                moved = laid(linearised(before, sde, dt), before, t, n_particles, config)
+                what = "a Gaussian stands for the density"
+        info = PredictInfo(scheme="", **said(problem, what))
+        return Step(_bounded(moved, n_particles), info, Origin(model=sde, t=t))
 
-def check_control(predictor: Predictor, **given: object) -> None:
-    """Raise `ModelError` for a control that is given by name."""
-    for name, value in given.items():
-        if value is not None:
-            raise ModelError(
-                f"{type(predictor).__name__} takes no {name}: write the control into the drift of the SDE"
-            )
+
+def _bounded(density: ParticleDensity, n_particles: int) -> ParticleDensity:
+    """The density with its bound, of which it may have had more particles for once."""
+    return density if density.capacity == n_particles else replace(density, capacity=n_particles)
 
 
-def interval(start: datetime.datetime | None, end: datetime.datetime | None) -> float:
+def _interval(start: datetime.datetime | None, end: datetime.datetime | None) -> float:
     """Seconds from one timestamp to another."""
     if start is None or end is None:
         raise ModelError(

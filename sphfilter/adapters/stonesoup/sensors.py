@@ -14,7 +14,7 @@ from stonesoup.types.state import State
 
 from ..._types import Bools, Floats
 from ...errors import ModelError
-from ...model.measurements import GaussianMeasurement, Sensor
+from ...model.measurements import GaussianMeasurement, Sensor, wrapped
 from ...validate import covariance, short
 
 __all__ = ["ModelMeasurement", "reading_of", "sensor_for", "typed"]
@@ -57,10 +57,7 @@ class ModelMeasurement:
 
     def residual(self, z: ArrayLike, zhat: ArrayLike) -> Floats:
         """z − zhat (..., k), angles wrapped."""
-        r = np.asarray(z, dtype=float) - np.asarray(zhat, dtype=float)
-        for a in self.angles:
-            r[..., a] -= 2 * np.pi * np.ceil((r[..., a] - np.pi) / (2 * np.pi))
-        return r
+        return wrapped(np.asarray(z, dtype=float) - np.asarray(zhat, dtype=float), self.angles)
 
     def observed(self, z: ArrayLike | None) -> Bools:
         """All components: detections are whole."""

@@ -3,7 +3,7 @@
 import datetime
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from stonesoup.base import Property, clearable_cached_property
@@ -22,25 +22,39 @@ from ...info import PredictInfo, UpdateInfo
 from ...model.domain import Domain
 from ...validate import count, covariance, generator, short
 
-__all__ = ["DensityState", "SPHState", "SPHStatePrediction", "SPHStateUpdate", "current", "density_of",
-           "frozen", "origin_of", "remember", "retimed"]  # fmt: skip
-
-Known = TypeVar("Known", bound="DensityState")
+__all__ = ["DensityState", "SPHState", "SPHStatePrediction", "SPHStateUpdate", "Step", "current", "origin_of",
+           "retimed", "started"]  # fmt: skip
 
 
 class DensityState(Type):
-    """What states have in common that are known by densities: they have a density and a state_vector."""
+    """What states have in common that are known by densities: they have a density and its moments."""
 
     from_state = staticmethod(State.from_state)
+    _known_by: str  # name of the property that filters carry on: one density, or those of all modes
 
     @property
     def _carried(self) -> Any:
-        """What filters carry on: the densities as they are kept."""
+        return getattr(self, self._known_by)
+
+    @property
+    def _moments(self) -> tuple[Floats, Floats]:
+        """Mean (n,) and covariance (n, n)."""
         raise NotImplementedError
 
-    def _alone(self) -> "DensityState":
+    def _alone(self) -> State:
         """The state without what it came from."""
-        raise NotImplementedError
+        plain = next(kind for kind in type(self).__mro__ if not issubclass(kind, Prediction | Update))
+        return State.from_state(self, target_type=plain)
+
+    @property
+    def state_vector(self) -> StateVector:
+        """The mean, over all modes if there are several, shape (n, 1)."""
+        return _frozen(self._moments[0][:, None]).view(StateVector)
+
+    @property
+    def covar(self) -> CovarianceMatrix:
+        """The covariance, over all modes if there are several, shape (n, n)."""
+        return _frozen(self._moments[1]).view(CovarianceMatrix)
 
     @property
     def mean(self) -> StateVector:
@@ -108,6 +122,7 @@ class SPHState(DensityState):
         The density is no ParticleDensity.
     """
 
+    _known_by = "density"
     density: ParticleDensity = Property(doc="Probability density of the state.")
     timestamp: datetime.datetime = Property(default=None, doc="Timestamp of the state. Default None.")
 
@@ -120,23 +135,9 @@ class SPHState(DensityState):
         self._property_density = value
 
     @clearable_cached_property("density")
-    def state_vector(self) -> StateVector:
-        """The mean, shape (n, 1)."""
-        return frozen(self.density.mean()[:, None]).view(StateVector)
-
-    @clearable_cached_property("density")
-    def covar(self) -> CovarianceMatrix:
-        """The covariance, shape (n, n)."""
-        return frozen(self.density.cov()).view(CovarianceMatrix)
-
-    @property
-    def _carried(self) -> ParticleDensity:
-        """The density."""
-        return self.density
-
-    def _alone(self) -> "SPHState":
-        """The density and its timestamp, without what they came from."""
-        return SPHState(self.density, timestamp=self.timestamp)
+    def _moments(self) -> tuple[Floats, Floats]:
+        """Mean (n,) and covariance (n, n)."""
+        return self.density.mean(), self.density.cov()
 
 
 class SPHStatePrediction(Prediction, SPHState):
@@ -163,12 +164,12 @@ def current(state: State | StateMutableSequence) -> State:
     return state
 
 
-def density_of(
+def started(
     state: State, n_particles: int | Literal["auto"], config: FilterConfig, domain: Domain | None = None
-) -> ParticleDensity:
-    """The density of a state; that of a Gaussian state is put on particles, always the same for the same."""
+) -> SPHState:
+    """The state by its density, that of a Gaussian on particles: a Gaussian always on the same ones."""
     if isinstance(state, SPHState):
-        return state.density
+        return state
     if isinstance(state, DensityState):
         raise ModelError(
             f"a {type(state).__name__} has a density for every mode, which JumpMarkovPredictor and "
@@ -181,7 +182,8 @@ def density_of(
         )
     mean = np.asarray(state.state_vector, dtype=float)
     cov = covariance("covar of the state", np.asarray(state.covar, dtype=float), dim=len(mean))
-    return _on_particles(mean.tobytes(), cov.tobytes(), len(mean), n_particles, config, domain)
+    density = _on_particles(mean.tobytes(), cov.tobytes(), len(mean), n_particles, config, domain)
+    return SPHState(density, timestamp=state.timestamp)
 
 
 @lru_cache(maxsize=64)  # by value: what a state is changed to later is another key
@@ -210,19 +212,28 @@ def retimed(
     return density if density.t == t else _at(density, t)
 
 
-def remember(state: Known, origin: object) -> Known:
-    """Note where the densities of a state come from, should they have to be made again more finely."""
-    state._origin = state._carried, origin
-    return state
+class Step(NamedTuple):
+    """What came of a prediction or an update."""
+
+    after: Any  # what it ended with: a density, or those of all modes
+    info: Any
+    origin: Any = None  # where that comes from, should it have to be made again more finely
+
+    def state(self, kind: Any, start: DensityState, **known: Any) -> Any:
+        """The prediction or update, as `kind` is, that a state becomes; it knows its origin."""
+        held = {start._known_by: self.after, "info": self.info}
+        state = kind.from_state(start, **held, **known)
+        state._origin = self.after, self.origin
+        return state
 
 
 def origin_of(state: State) -> Any:
-    """What `remember` noted, unless the densities are others by now; None if there is nothing."""
+    """Where the densities of a state come from, as its `Step` told; None if they are others by now."""
     carried, origin = getattr(state, "_origin", (None, None))
     return origin if carried is getattr(state, "_carried", None) else None
 
 
-def frozen(array: Floats) -> Floats:
+def _frozen(array: Floats) -> Floats:
     """An array that cannot be changed any more."""
     array.flags.writeable = False
     return array
