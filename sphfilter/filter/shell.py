@@ -26,8 +26,7 @@ __all__ = ["RANKED", "DensityFilter"]
 
 RANKED = 2**14  # points of a cloud that a truth is ranked among
 
-
-#: What a filter's densities obey, and what it reads.
+#: What a filter's densities obey, and the sensors that it is made with.
 Model = TypeVar("Model", SDE, JumpMarkovModel)
 Given = TypeVar("Given")
 
@@ -44,7 +43,8 @@ def _shown(name: str, what: str) -> Any:
 class DensityFilter(Remembering, Generic[Carried, Model, Given]):
     """A filter that carries a density; its subclasses have the step that carries it, and Bayes' rule.
 
-    A call makes a new state and puts it in the place of the old one as its last act.
+    A call makes a new state and puts it in the place of the old one as its last act: one that raises leaves
+    the filter as it was.
     """
 
     _base: ClassVar[type]  # the library's own class: users' subclasses may have what attributes they like
