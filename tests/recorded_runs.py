@@ -221,6 +221,108 @@ def filters_other():
     yield from flat("run", flt.run(times, z, truth=np.zeros((6, 2))))
 
 
+def switching():
+    """Three modes of one state, two of them not linear."""
+    import sphfilter as sf
+
+    double = text(["x"], ["x - x**3"], [["1"]], [[0.3]])
+    middle = text(["x"], ["-2*x"], [["1"]], [[0.6]])
+    right = text(["x"], ["1.5*x - x**3 + 0.5"], [["1"]], [[0.6]])
+    rates = [[-0.3, 0.2, 0.1], [0.5, -0.6, 0.1], [0.2, 0.2, -0.4]]
+    return sf.JumpMarkovModel({"double": double, "middle": middle, "right": right}, rates)
+
+
+def drifting():
+    """Two linear modes of two states with an input."""
+    import sphfilter as sf
+
+    def mode(v):
+        A, B = [[0.0, 1.0], [0.0, -0.5]], [[0.0], [1.0]]
+        return sf.LinearSDE(A, [0.0, v], noise=[[0.0], [0.4]], B=B)
+
+    return sf.JumpMarkovModel({"rest": mode(0.0), "moving": mode(1.0)}, [[-0.1, 0.1], [0.2, -0.2]])
+
+
+def shown(prefix, flt):
+    """What a filter of modes shows."""
+    kept = "t", "x", "P", "x_prior", "P_prior", "x_post", "P_post", "z", "y", "S", "SI", "mahalanobis"
+    more = "mode", "mode_probabilities", "log_likelihood", "likelihood", "log_evidence", "dim_x", "dim_z"
+    for key in kept + more:
+        yield from flat(f"{prefix}.{key}", getattr(flt, key))
+    yield f"{prefix}.repr", np.asarray(repr(flt))
+    yield from flat(f"{prefix}.inputs", dict(flt.inputs))
+
+
+@case
+def modes():
+    import sphfilter as sf
+
+    level, every = position(1, 0.04), np.arange(1.0, 7.0)
+    settings = {"default": {}, "particles": {"n_particles": 80}}
+    settings["window"] = {"window": 3, "config": sf.FilterConfig(target_error=0.02)}
+    for name, options in settings.items():
+        model = switching()
+        flt = sf.JumpMarkovFilter(model, level, [0.0], [[0.1]], dt=0.5, **options)
+        drawn = sf.simulate_modes(model, level, np.zeros(1), np.r_[0.0, every], rng=3)
+        for k, t in enumerate(every, start=1):
+            yield from flat(f"{name}.{k}.predict", flt.predict(t=t))
+            yield from flat(f"{name}.{k}.update", flt.update(None if k == 3 else drawn.z[k]))
+            yield from shown(f"{name}.{k}", flt)
+        yield from answers(f"{name}.density", flt.density)
+        if "window" in options:
+            yield from flat(f"{name}.late", flt.update_late(0.2, flt.t - 1.3))
+            yield from shown(f"{name}.late", flt)
+    yield from _steered(sf)
+    run = sf.JumpMarkovFilter(switching(), level, [0.0], [[0.1]]).run(
+        every, drawn.z[1:], truth=drawn.truth[1:]
+    )
+    yield from flat("run", run)
+
+
+def _steered(sf):
+    """Inputs, several sensors by mode, calls that fail, files."""
+
+    def several(noise):
+        one = {"g": position(2, noise), "h": sf.GaussianMeasurement([[0.0, 2.0]], [[noise]])}
+        return sf.Sensors(one)
+
+    sensors = {"rest": several(0.1), "moving": several(0.3)}
+    flt = sf.JumpMarkovFilter(drifting(), sensors, [0.0, 0.0], 0.1 * np.eye(2), dt=0.5, window=4)
+    calls = [
+        lambda flt: flt.update({"g": 0.1}),
+        lambda flt: flt.predict(u=[0.3]),
+        lambda flt: flt.update(0.2, "h"),
+        lambda flt: flt.predict(0.0, u={"u0": 0.1}),
+        lambda flt: flt.update([np.nan, 0.3], R=0.5),
+        lambda flt: flt.predict(-1.0),
+        lambda flt: flt.predict(1.0, t=3.0),
+        lambda flt: flt.predict(t=1.7),
+        lambda flt: flt.update(1.0, position(2, 0.5)),
+        lambda flt: setattr(flt, "log_evidence", -1.0),
+        lambda flt: flt.update(0.3, sf.LikelihoodMeasurement(lambda z, X, t: -((z[0] - X[:, 0]) ** 2))),
+        lambda flt: flt.update(1.0, "k"),
+        lambda flt: flt.update_late({"g": 0.4}, 1.1),
+        lambda flt: flt.update_late({"g": 0.4}, 9.0),
+        lambda flt: flt.predict(0.7),
+        lambda flt: flt.update([9.0, np.nan]),
+    ]
+    for k, call in enumerate(calls):
+        try:
+            yield from flat(f"steered.{k}.info", call(flt))
+        except (sf.SphfilterError, AttributeError) as problem:
+            yield f"steered.{k}.problem", np.asarray(str(problem))
+        yield from shown(f"steered.{k}", flt)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "modes.npz")
+        flt.save(path)
+        yield from numbers("steered.file.", path)
+        other = sf.JumpMarkovFilter.load(path, drifting(), sensors, window=2)
+    yield from shown("steered.loaded", other)
+    yield from flat("steered.loaded.predict", other.predict())
+    yield from shown("steered.loaded.end", other)
+    yield from flat("steered.spread", other.spread())
+
+
 @case
 def transients():
     import sphfilter as sf

@@ -7,44 +7,58 @@ from typing import Any
 import numpy as np
 
 from ..config import FilterConfig
+from ..density.modes import ModeDensities, Ripple
 from ..density.storage import Arrays, density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import ModelError
+from ..model.jump_markov import JumpMarkovModel
 from ..model.measurements import Sensor
 from ..model.named import driven
 from ..model.sde import SDE
 from ..prediction.predict import Prediction
+from ..prediction.switching import ModesPrediction
 from .found import found
 from .readings import parted
 from .state import FilterState
 from .update_again import Update
 
-__all__ = ["restored", "write"]
+__all__ = ["Restored", "restored", "restored_modes", "write"]
 
-#: What a file holds besides the density and where it comes from.
+#: Arguments that make a filter of a model and its measurement, attributes that it is given then, and what is
+#: to be replaced in its state.
+Restored = tuple[dict[str, Any], dict[str, Any], dict[str, Any]]
+
+#: What a file holds of any state besides the density and where it comes from.
 _MOMENTS = "x_prior", "P_prior", "x_post", "P_post"
-_STATE = ("n_particles", "z", "y", "S", "log_likelihood", "log_evidence", *_MOMENTS)
+_READING = "z", "y", "S"
+_NUMBERS = "log_likelihood", "log_evidence"
 
 
-def write(path: str | PathLike[str], state: FilterState, filt: Any) -> None:
+def write(path: str | PathLike[str], state: FilterState[Any], filt: Any) -> None:
     """Write the `FilterState` of a filter to an npz file, and how the filter was made."""
-    given = {name: getattr(state, name) for name in _STATE} | {"dt": filt.dt}
+    given = {name: getattr(state, name) for name in (*_MOMENTS, *_READING, *_NUMBERS)}
     arrays = {name: np.asarray(value) for name, value in given.items() if value is not None}
-    arrays |= {"config": np.array(filt.config.to_toml()), "adapts": np.array(filt.adapts)}
+    arrays |= {"config": np.array(filt.config.to_toml())}
+    own = _of_modes if isinstance(state.density, ModeDensities) else _of_particles
+    write_arrays(path, arrays | own(state, filt))
+
+
+def _state_of(arrays: Arrays) -> dict[str, Any]:
+    """What any filter's file holds of its state."""
+    state: dict[str, Any] = {name: found(arrays[name]) for name in _MOMENTS}
+    state |= {name: arrays.get(name) for name in _READING}
+    return state | {name: arrays[name].item() for name in _NUMBERS}
+
+
+def _of_particles(state: FilterState[Any], filt: Any) -> Arrays:
+    """What is written of an `SPHFilter` alone."""
+    arrays = {"n_particles": np.array(state.n_particles), "adapts": np.array(filt.adapts)}
+    arrays |= {} if filt.dt is None else {"dt": np.array(filt.dt)}
     arrays |= {"inputs": np.array(json.dumps(dict(state.inputs)))}
-    arrays |= under("density", stored(state.density))
-    write_arrays(path, arrays | under("origin", _stored_origin(state)))
+    return arrays | under("density", stored(state.density)) | under("origin", _stored_origin(state))
 
 
-def restored(
-    path: str | PathLike[str], model: SDE, measurement: Sensor | None
-) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-    """Read what `write` wrote.
-
-    Returns
-    -------
-    dict, dict, dict
-        Arguments that make a filter of the model and the measurement, attributes that it is given then, and
-        what is to be replaced in its state.
+def restored(path: str | PathLike[str], model: SDE, measurement: Sensor | None) -> Restored:
+    """Read what `write` wrote of an `SPHFilter`: arguments that make it, its attributes, parts of its state.
 
     Raises
     ------
@@ -54,24 +68,24 @@ def restored(
     arrays = load_arrays(path)
     if "adapts" not in arrays:
         raise ModelError(f"{path} holds no filter: SPHFilter.save writes such files")
-    options: dict[str, Any] = {
-        "n_particles": int(arrays["n_particles"]),
+    n_particles, inputs = int(arrays["n_particles"]), json.loads(str(arrays.get("inputs", "{}")))
+    if inputs:
+        model = model.with_inputs(inputs)
+    options = {
+        "n_particles": n_particles,
         "config": FilterConfig.from_toml(str(arrays["config"])),
+        "density": density_from(part("density", arrays), (model,)),
     }
-    state: dict[str, Any] = {name: arrays.get(name) for name in _STATE}
-    for name in _MOMENTS:
-        state[name] = found(state[name])
-    state = {k: v.item() if v is not None and v.ndim == 0 else v for k, v in state.items()}
-    state["inputs"] = json.loads(str(arrays.get("inputs", "{}")))
-    if state["inputs"]:
-        model = model.with_inputs(state["inputs"])
-    options["density"] = density_from(part("density", arrays), (model,))
-    state["origin"] = _origin(part("origin", arrays), model, measurement)
     about = {"_adapts": bool(arrays["adapts"]), "dt": float(arrays["dt"]) if "dt" in arrays else None}
-    return options, about, state
+    origin = _origin(part("origin", arrays), model, measurement)
+    return (
+        options,
+        about,
+        _state_of(arrays) | {"n_particles": n_particles, "inputs": inputs, "origin": origin},
+    )
 
 
-def _stored_origin(state: FilterState) -> Arrays:
+def _stored_origin(state: FilterState[Any]) -> Arrays:
     """The last prediction or update of a filter, which it may have to repeat, as arrays.
 
     An update with another sensor than the filter's own is left out: sensors are code, not data. So is one
@@ -97,3 +111,66 @@ def _origin(arrays: Arrays, model: SDE, measurement: Sensor | None) -> Predictio
             return None
         return Update(before, *parted(driven(measurement, model.inputs), arrays["z"]))
     return Prediction(before, float(arrays["lost"]), model, float(arrays["t"]))
+
+
+def _of_modes(state: FilterState[Any], filt: Any) -> Arrays:
+    """What is written of a `JumpMarkovFilter` alone."""
+    about = {"names": filt.model.names, "n_particles": filt.n_particles, "dt": filt.dt}
+    arrays = {"switching": np.array(json.dumps(about | {"inputs": dict(state.inputs)}))}
+    arrays |= under("modes", _stored_modes(state.density))
+    if state.origin is None:
+        return arrays
+    how = {"n_substeps": state.origin.n_substeps, "inputs": dict(state.origin.model.inputs)}
+    origin = {"how": np.array(json.dumps(how))} | under("before", _stored_modes(state.origin.before))
+    return arrays | under("prediction", origin)
+
+
+def restored_modes(path: str | PathLike[str], model: JumpMarkovModel, _measurement: object) -> Restored:
+    """Read what `write` wrote of a `JumpMarkovFilter`, as `restored` does.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read, holds no such filter, or one of other modes or states.
+    """
+    arrays = load_arrays(path)
+    if "switching" not in arrays:
+        raise ModelError(f"{path} holds no filter of modes: JumpMarkovFilter.save writes such files")
+    about = json.loads(str(arrays["switching"]))
+    if about["names"] != [*model.names]:
+        raise ModelError(f"{path} holds a filter of the modes {about['names']}, not of {[*model.names]}")
+    modes = _modes_from(part("modes", arrays))
+    mean, cov = modes.moments
+    if len(mean) != model.dim:
+        raise ModelError(f"{path} holds densities of {len(mean)} states, the model has {model.dim}")
+    state = _state_of(arrays) | {"density": modes, "x": found(mean), "P": found(cov)}
+    state |= {"inputs": about["inputs"], "origin": _prediction(part("prediction", arrays), model)}
+    made = {"n_particles": about["n_particles"], "config": FilterConfig.from_toml(str(arrays["config"]))}
+    return made | {"x0": mean, "P0": cov, "t0": modes.heaviest.t}, {"dt": about["dt"]}, state
+
+
+def _prediction(arrays: Arrays, model: JumpMarkovModel) -> ModesPrediction | None:
+    """The last prediction of a filter of modes; None if there are no arrays of one."""
+    if not arrays:
+        return None
+    how = json.loads(str(arrays["how"]))
+    driven_by = model.with_inputs(how["inputs"]) if how["inputs"] else model
+    return ModesPrediction(_modes_from(part("before", arrays)), how["n_substeps"], driven_by)
+
+
+def _stored_modes(modes: ModeDensities) -> Arrays:
+    """Densities by mode as arrays; `_modes_from` makes the same densities of them, to the last bit."""
+    arrays = {"log_w": modes.log_w, "splitting": modes.splitting}
+    for i, density in enumerate(modes.densities):
+        arrays |= {} if density is None else under(i, stored(density))
+    for i, ripple in enumerate(modes.ripples or ()):
+        arrays |= under(f"ripple {i}", ripple._asdict())
+    return arrays
+
+
+def _modes_from(arrays: Arrays) -> ModeDensities:
+    log_w = arrays["log_w"]
+    each = [part(str(i), arrays) for i in range(len(log_w))]
+    ripples = [Ripple(**part(f"ripple {i}", arrays)) for i in range(len(log_w)) if f"ripple {i}.X" in arrays]
+    densities = [density_from(some) if some else None for some in each]
+    return ModeDensities(log_w, densities, arrays["splitting"], ripples or None)

@@ -159,7 +159,9 @@ class _Run:
         return [_row(*moved.moments, *done.moments, done.log_evidence, done.error, y, S)]
 
 
-def _after(state: FilterState, density: ParticleDensity, rows: Any, asked: Any) -> FilterState:
+def _after(
+    state: FilterState[ParticleDensity], density: ParticleDensity, rows: Any, asked: Any
+) -> FilterState[ParticleDensity]:
     """The state of a filter that has put these rows through."""
     last, told = rows[-1], {name: as_found(rows[-1][name]) for name in ("x", "P", "x_prior", "P_prior")}
     log_evidence = sum((row["log_evidence"] for row in rows), start=state.log_evidence)

@@ -1,20 +1,17 @@
 """`JumpMarkovFilter`: a Bayes filter of a model that switches between modes, with a density for each."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from os import PathLike
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Floats, Interval, Readings, Reported
-from ..config import FilterConfig, checked_filter_config
+from ..config import FilterConfig
 from ..consistency.ranks import Ranker
 from ..density.as_cloud import thinned
-from ..density.distributions import Gaussian
-from ..density.initialize import initialize
 from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
 from ..density.weighted import WeightedStates
@@ -27,20 +24,20 @@ from ..model.named import InputRecord, InputValues, driven
 from ..model.sensors import Sensors
 from ..prediction.mixing_modes import whatever_the_mode
 from ..prediction.switching import ModesInfo, ModesPrediction, predict_modes
-from ..validate import array, choice, column, count, covariance, onwards, positive, real, row, seconds, short
-from .jump_markov_state import JumpMarkovState
-from .late import Remembering
-from .modes_checkpoint import restored_modes, write_modes
-from .names import check_assigned, check_read, in_own_words
+from ..validate import onwards, real, seconds, short
+from .checkpoint import restored_modes
+from .names import in_own_words
 from .readings import checked_sensor, numbers_of, rows_of, sensor_of
 from .results import FilterResult, run_filter
-from .state import Shown
+from .shell import RANKED, DensityFilter
+from .state import FilterState
 from .update_modes import ModesUpdateInfo
 from .update_modes_again import update_or_predict_modes_again
 
 __all__ = ["JumpMarkovFilter", "JumpMarkovResult", "ModesUpdateInfo"]
 
-_RANKED = 2**14  # points of a cloud that a truth is ranked among
+#: One for all modes, or one for each.
+_Sensors = Sensor | Mapping[str, Sensor] | None
 
 
 @dataclass(frozen=True, repr=False)
@@ -69,7 +66,7 @@ class JumpMarkovResult(FilterResult):
     names: tuple[str, ...] = ()
 
 
-class JumpMarkovFilter(Shown, Remembering):
+class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
     """A Bayes filter of a `JumpMarkovModel`: it carries a density for every mode, and their probabilities.
 
     The densities of modes mix as what they are, sums, and not as Gaussians with their moments.
@@ -134,7 +131,7 @@ class JumpMarkovFilter(Shown, Remembering):
      2.02 moving [0.05 0.95]
     """
 
-    _state: Any  # a JumpMarkovState, which has all that is shown
+    _restored = staticmethod(restored_modes)
 
     @in_own_words
     def __init__(
@@ -154,35 +151,26 @@ class JumpMarkovFilter(Shown, Remembering):
         if not isinstance(model, JumpMarkovModel):
             raise ModelError(f"model must be a JumpMarkovModel, got {short(model)}; SPHFilter takes an SDE")
         self.model = model
-        self._sensors = None if measurement is None else self._checked(measurement)
-        self.config = checked_filter_config(config)
+        self.measurement = measurement
+        self.n_particles = self._configure(config, n_particles, dt)
         if self.config.time_budget is not None:
             raise ConfigError("JumpMarkovFilter keeps no time_budget; leave it out, or raise target_error")
-        if isinstance(n_particles, str):
-            choice("n_particles", n_particles, ["auto"])
-        else:
-            count("n_particles", n_particles)
-        self.n_particles = n_particles
-        self.dt = None if dt is None else positive("dt", seconds("dt", dt))
-        x0 = array("x0", column(x0), (model.dim,), f"a value for each of the model's {model.dim} states")
-        start = Gaussian(x0, covariance("P0", P0, dim=model.dim))
-        about: dict[str, Any] = {"t": real("t0", t0), "domain": model.domain}
-        density = initialize(start, n_particles, self.config, **about)
+        density = self._start(x0, P0, t0, self.n_particles)
         modes = ModeDensities.alike(checked_probabilities(mode_probabilities, model), density)
-        self._state = JumpMarkovState.begun(modes, model.inputs)
+        self._state = FilterState.begun(modes, model.inputs)
         self._remember_from_here(window)
 
     def _checked(self, measurement: Any) -> dict[str, Sensor]:
         """The sensor of every mode."""
         if isinstance(measurement, Sensors) or not isinstance(measurement, Mapping):
-            sensor = checked_sensor(measurement, self._any_mode)
+            sensor = checked_sensor(measurement, self.model)
             return dict.fromkeys(self.model.names, sensor)
         if set(measurement) != set(self.model.names):
             raise ModelError(
                 f"a measurement by mode needs one for each of {list(self.model.names)}, "
                 f"got {list(measurement)}"
             )
-        sensors = {name: checked_sensor(measurement[name], self._any_mode) for name in self.model.names}
+        sensors = {name: checked_sensor(measurement[name], self.model) for name in self.model.names}
         if len({getattr(sensor, "dim_z", 0) for sensor in sensors.values()}) > 1:
             raise ModelError(
                 "the measurements of all modes must have as many components: they are of one reading"
@@ -204,35 +192,16 @@ class JumpMarkovFilter(Shown, Remembering):
         if self._sensors is None and given is None:
             raise ModelError("update needs a measurement, or a filter made with one")
         own = self._sensors or dict.fromkeys(self.model.names)
-        return {name: sensor_of(own[name], given, H, self._any_mode) for name in self.model.names}
+        return {name: sensor_of(own[name], given, H, self.model) for name in self.model.names}
 
     def _of_any_mode(self, sensors: Mapping[str, Sensor] | None) -> Sensor | None:
         """A sensor that takes readings by name, or says how many numbers they have, as those of all modes."""
         return None if sensors is None else sensors[self.model.names[0]]
 
-    @property
-    def _any_mode(self) -> Any:
-        return self.model.modes[self.model.names[0]]
-
     def __repr__(self) -> str:
         modes = zip(self.model.names, self.mode_probabilities, strict=True)
         told = ", ".join(f"{name}: {w:.3g}" for name, w in modes)
-        return (
-            f"JumpMarkovFilter(states={self.model.states}, t={self.t:g}, x={row(self.x)}, "
-            f"std={row(np.sqrt(np.diag(self.P)))}, modes={{{told}}})"
-        )
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        check_assigned(name, type(self), JumpMarkovFilter)
-        object.__setattr__(self, name, value)
-        if name == "log_evidence" and self._steps:  # a part of the state
-            self._did("__setattr__", name=name, value=value)
-
-    if not TYPE_CHECKING:  # a checker would take every name for one that is there
-
-        def __getattr__(self, name: str) -> Any:
-            check_read(name, type(self))
-            return object.__getattribute__(self, name)  # raises what Python says
+        return f"JumpMarkovFilter({self._told()}, modes={{{told}}})"
 
     @property
     def measurement(self) -> Sensor | None:
@@ -250,29 +219,24 @@ class JumpMarkovFilter(Shown, Remembering):
         return getattr(self._of_any_mode(self._sensors), "dim_z", None)
 
     @property
-    def t(self) -> float:
-        """Time of the densities, seconds."""
-        return self._state.modes.heaviest.t
-
-    @property
     def mode_probabilities(self) -> Floats:
         """Probabilities of the modes now, shape (M,), in the order of ``model.names``."""
-        return self._state.modes.w
+        return self._state.density.w
 
     @property
     def mode(self) -> str:
         """The most probable mode."""
-        return self.model.names[int(np.argmax(self._state.modes.log_w))]
+        return self.model.names[int(np.argmax(self._state.density.log_w))]
 
     @property
     def densities(self) -> Mapping[str, ParticleDensity]:
         """Densities by mode, of those that have a probability."""
-        return MappingProxyType({self.model.names[i]: p for i, _, p in self._state.modes.some})
+        return MappingProxyType({self.model.names[i]: p for i, _, p in self._state.density.some})
 
     @property
     def density(self) -> ParticleDensity:
         """The density of the states, whatever the mode: the sum of those of the modes."""
-        return whatever_the_mode(self._state.modes, self.config.target_error)
+        return whatever_the_mode(self._state.density, self.config.target_error)
 
     @in_own_words
     def predict(
@@ -292,15 +256,15 @@ class JumpMarkovFilter(Shown, Remembering):
             (end,) = onwards(np.array([real("t", t)]), self.t).tolist()
         if end < self.t:
             raise ModelError(f"cannot predict back in time: from t = {self.t:g} to {end:g}")
-        before, model = self._state, self.model if u is None else self.model.with_inputs(u)
+        state, model = self._state, self.model if u is None else self.model.with_inputs(u)
         if end == self.t:
-            self._state = replace(before, inputs=dict(model.inputs))  # that sensors read
-            info = ModesInfo(error=before.modes.error, skipped=("everything: the interval is empty",))
+            info = ModesInfo(error=state.density.error, skipped=("everything: the interval is empty",))
+            state = state.noted(inputs=dict(model.inputs))  # that sensors read
         else:
-            modes, info = predict_modes(before.modes, model, end, self.config, self.n_particles)
-            self._state = before.predicted(modes, ModesPrediction(before.modes, info.n_substeps, model))
-        driving = None if u is None else dict(model.inputs)
-        self._predicted_from(before, before.modes.heaviest.t, {"dt": dt, "t": t}, driving)
+            modes, info = predict_modes(state.density, model, end, self.config, self.n_particles)
+            origin = ModesPrediction(state.density, info.n_substeps, model)
+            state = state.predicted(modes, origin, model.inputs)
+        self._predicted(state, {"dt": dt, "t": t}, u)
         return info
 
     @in_own_words
@@ -317,50 +281,21 @@ class JumpMarkovFilter(Shown, Remembering):
         Of several `Sensors`, z maps their names to readings, or `measurement` is the name of the one read.
         R and H change the filter's own sensor for this reading, as those of `SPHFilter.update`.
         """
-        if R is not None and measurement is not None:
-            raise ModelError("give R= or another sensor, not both")
-        inputs = self._state.inputs
-        asked = self._asked(measurement if R is None else R, H)
-        sensors = {name: driven(sensor, inputs) for name, sensor in asked.items()}
+        return self._updated(z, measurement, H, R)
+
+    def _read(self, z: Reported, given: Any, H: Any) -> tuple[FilterState[ModeDensities], ModesUpdateInfo]:
+        state = self._state
+        sensors = {name: driven(sensor, state.inputs) for name, sensor in self._asked(given, H).items()}
         numbers = numbers_of(self._of_any_mode(sensors), z)
-        prior, modes, info = update_or_predict_modes_again(
-            self._state.prediction, self._state.modes, sensors, numbers, self.config, self.n_particles
+        step = update_or_predict_modes_again(
+            state.origin, state.density, sensors, numbers, self.config, self.n_particles
         )
-        self._state = self._state.updated(prior, modes, info, sensors[self.mode], numbers)
-        self._did("update", z=z, measurement=measurement, H=H, R=R)
-        return info
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the filter as it stands to an npz file; model and sensors, which are code, are not in it."""
-        write_modes(path, self._state, self)
-
-    @classmethod
-    def load(
-        cls,
-        path: str | PathLike[str],
-        model: JumpMarkovModel,
-        measurement: Sensor | Mapping[str, Sensor] | None,
-        window: int = 0,
-    ) -> Self:
-        """Read a filter that `save` wrote, with the model and sensors it had: it goes on to the same bits.
-
-        The steps of a `window` are not in the file: it begins anew.
-
-        Raises
-        ------
-        ModelError
-            The file cannot be read, holds no such filter, or one of other modes or states.
-        """
-        options, state = restored_modes(path, model)
-        filt = cls(model, measurement, **options)
-        filt._state = state
-        filt._remember_from_here(window)
-        return filt
+        return state.updated(step, None, sensors[self.mode], numbers), step[-1]
 
     def spread(self) -> WeightedStates:
         """The densities of all modes as states and weights, `WeightedStates`; of large clouds, of a part."""
-        modes = self._state.modes
-        few = [None if p is None else thinned(p, _RANKED) for p in modes.densities]
+        modes = self._state.density
+        few = [None if p is None else thinned(p, RANKED) for p in modes.densities]
         return ModeDensities(modes.log_w, few).spread()
 
     def run(
@@ -379,6 +314,5 @@ class JumpMarkovFilter(Shown, Remembering):
         measurements = rows_of(self._of_any_mode(self._sensors), measurements)
         looked = {"each": lambda flt: told.append(flt.mode_probabilities)}
         result = run_filter(self, times, measurements, truth, observer, inputs=inputs, **looked)
-        own = {f.name: getattr(result, f.name) for f in fields(result)}
         w = np.array(told).reshape(-1, len(self.model.names))
-        return JumpMarkovResult(**own, mode_probabilities=w, names=self.model.names)
+        return JumpMarkovResult(**vars(result), mode_probabilities=w, names=self.model.names)

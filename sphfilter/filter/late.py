@@ -24,7 +24,7 @@ class Step:
 
     Attributes
     ----------
-    before : FilterState or JumpMarkovState
+    before : FilterState
         What the prediction began with.
     start, end : float
         Seconds.
@@ -59,16 +59,14 @@ class Remembering:
         """Begin to keep so many steps."""
         self._window, self._steps = count("window", window, least=0), ()
         if self._window:
-            self._steps = (Step(self._state, self._now, self._now, {}),)
+            self._steps = (Step(self._state, self._state.t, self._state.t, {}),)
 
-    @property
-    def _now(self) -> float:
-        return float(self.t)  # type: ignore[attr-defined]
-
-    def _predicted_from(self, before: Any, start: float, interval: dict[str, Any], inputs: Any) -> None:
-        """Keep a prediction; one over no time belongs to the step before."""
-        if self._window and self._now > start:
-            step = Step(before, start, self._now, interval, inputs)
+    def _predicted(self, state: Any, interval: dict[str, Any], u: Any) -> None:
+        """Go on from the state after a prediction; one over no time belongs to the step before."""
+        before, self._state = self._state, state
+        inputs = None if u is None else dict(state.inputs)
+        if self._window and state.t > before.t:
+            step = Step(before, before.t, state.t, interval, inputs)
             self._steps = (*self._steps, step)[-self._window :]
         elif inputs is not None:
             self._did("predict", **interval, u=inputs)
@@ -110,11 +108,9 @@ class Remembering:
         Steps are taken again with the model, the sensor and the configuration that the filter has now.
         Readings of one time are taken in the order in which they came.
         """
-        at = self._time_of(real("t", t))
-        if at > self._now:
-            raise ModelError(
-                f"the filter is at t = {self._now:g} and has not come to {at:g} yet: predict first"
-            )
+        at, now = self._time_of(real("t", t)), self._state.t
+        if at > now:
+            raise ModelError(f"the filter is at t = {now:g} and has not come to {at:g} yet: predict first")
         if not self._window:
             raise ModelError(
                 "the filter keeps no steps to put a late reading into; make it with window=, the number of "
@@ -131,7 +127,7 @@ class Remembering:
 
     def _time_of(self, t: float) -> float:
         """A time, or that of a step from which it differs by rounding alone."""
-        ends = [*(step.end for step in self._steps), self._now]
+        ends = [*(step.end for step in self._steps), self._state.t]
         return next((end for end in ends if onwards(np.array([t]), end)[0] == end), t)
 
     def _refuse_older(self, t: float, start: float) -> NoReturn:

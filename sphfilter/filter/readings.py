@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from .._types import Floats, Interval, Readings, Reported, Rows
 from ..errors import ModelError
 from ..model.compile import StateFunction
+from ..model.jump_markov import JumpMarkovModel
 from ..model.measurements import GaussianMeasurement, Sensor
 from ..model.named import InputValues
 from ..model.sde import SDE
@@ -19,7 +20,10 @@ __all__ = ["checked_sensor", "interval_of", "numbers_of", "parted", "rows_of", "
 
 
 def sensor_of(
-    own: Any, given: Sensor | ArrayLike | str | None, H: ArrayLike | StateFunction | None, model: SDE
+    own: Any,
+    given: Sensor | ArrayLike | str | None,
+    H: ArrayLike | StateFunction | None,
+    model: SDE | JumpMarkovModel,
 ) -> Sensor:
     """The sensor of a reading: the filter's own, with another R or h, one of it by name, or one given."""
     if isinstance(given, str) and H is None and isinstance(own, Sensors):
@@ -42,7 +46,7 @@ def _numbers(given: Any) -> bool:
     return np.asarray(given).dtype.kind in "iuf"
 
 
-def checked_sensor(measurement: Any, model: SDE) -> Sensor:
+def checked_sensor(measurement: Any, model: SDE | JumpMarkovModel) -> Sensor:
     """Return a measurement that fits the model, or raise `ModelError`."""
     if not hasattr(measurement, "log_likelihood"):
         raise ModelError(

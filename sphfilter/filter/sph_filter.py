@@ -3,18 +3,14 @@
 import math
 from copy import copy, deepcopy
 from functools import partial
-from os import PathLike
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Floats, Interval, Readings, Reported
-from ..config import FilterConfig, checked_filter_config
+from ..config import FilterConfig
 from ..consistency.ranks import Ranker
 from ..density.as_cloud import thinned
-from ..density.distributions import Gaussian
-from ..density.initialize import initialize
 from ..density.needs import bound_of, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.resample import particle_bound
@@ -26,25 +22,23 @@ from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, driven
 from ..model.sde import SDE
 from ..prediction.again import MOST, Outcome, or_as_cloud, predict_from_finer
-from ..prediction.predict import predict
+from ..prediction.predict import Prediction, predict
 from ..prediction.to_target import Time
-from ..validate import array, choice, column, count, covariance, positive, real, row, seconds, short
+from ..validate import count, positive, real, seconds, short
 from .budget import Budget, rehearse
-from .checkpoint import restored, write
+from .checkpoint import restored
 from .glide import Glide
-from .late import Remembering
-from .names import check_assigned, check_read, in_own_words
+from .names import in_own_words
 from .readings import checked_sensor, interval_of, numbers_of, parted, sensor_of
 from .results import FilterResult, run_filter
-from .state import FilterState, Shown
-from .update_again import prediction_of, update_or_predict_again
+from .shell import RANKED, DensityFilter
+from .state import FilterState
+from .update_again import Update, prediction_of, update_or_predict_again
 
 __all__ = ["SPHFilter"]
 
-_RANKED = 2**14  # points of a cloud that a truth is ranked among
 
-
-class SPHFilter(Shown, Remembering):
+class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
     """A Bayes filter that carries the probability density on SPH particles (002).
 
     Parameters
@@ -117,6 +111,9 @@ class SPHFilter(Shown, Remembering):
     -3.562, 0.0007
     """
 
+    _of_state = "log_evidence", "n_particles"
+    _restored = staticmethod(restored)
+
     @in_own_words
     def __init__(
         self,
@@ -136,59 +133,38 @@ class SPHFilter(Shown, Remembering):
             raise ModelError(f"model must be an SDE or LinearSDE, got {short(model)}")
         self.model = model
         self.measurement = None if measurement is None else checked_sensor(measurement, model)
-        self.config = checked_filter_config(config)
-        if isinstance(n_particles, str):
-            choice("n_particles", n_particles, ["auto"])
-        known = bound_of(n_particles, self.config)
+        known = bound_of(self._configure(config, n_particles, dt), self.config)
         self._adapts = isinstance(known, str)
-        least = fewest(model.dim) if isinstance(known, str) else count("n_particles", known)
-        self.dt = None if dt is None else positive("dt", seconds("dt", dt))
+        least = fewest(model.dim) if isinstance(known, str) else int(known)
         self._budget = Budget(self.config.time_budget)
-        start = self._start(x0, P0, t0, density, known)
-        self._state = FilterState.begun(start, least, self.measurement, model.inputs)
+        given = self._given(density, x0, P0)
+        start = self._start(x0, P0, t0, known) if given is None else given
+        self._state = FilterState.begun(start, model.inputs, self.measurement, least)
         self._remember_from_here(window)
 
-    def _start(
-        self,
-        x0: ArrayLike | None,
-        P0: ArrayLike | None,
-        t0: float,
-        density: ParticleDensity | None,
-        n_particles: Any,
-    ) -> ParticleDensity:
-        if density is not None:
-            if x0 is not None or P0 is not None:
-                raise ModelError("give either x0 and P0, or density=, not both")
-            if not isinstance(density, ParticleDensity) or density.dim != self.model.dim:
-                raise ModelError(f"density must be a ParticleDensity of {self.model.dim} states")
-            return density
-        if x0 is None or P0 is None:
-            raise ModelError("the filter needs x0 and P0, or density=")
-        n = self.model.dim
-        x0 = array("x0", column(x0), (n,), f"a value for each of the model's {n} states")
-        P0 = covariance("P0", P0, dim=self.model.dim)
-        about: dict[str, Any] = {"t": real("t0", t0), "domain": self.model.domain}
-        return initialize(Gaussian(x0, P0), n_particles, self.config, **about)
+    def _given(self, density: Any, x0: Any, P0: Any) -> ParticleDensity | None:
+        """The density that the filter is to start with, if it is given, and not its mean and covariance."""
+        if density is None:
+            if x0 is None or P0 is None:
+                raise ModelError("the filter needs x0 and P0, or density=")
+            return None
+        if x0 is not None or P0 is not None:
+            raise ModelError("give either x0 and P0, or density=, not both")
+        if not isinstance(density, ParticleDensity) or density.dim != self.model.dim:
+            raise ModelError(f"density must be a ParticleDensity of {self.model.dim} states")
+        return density
 
     def __repr__(self) -> str:
         scheme = self.config.scheme
         return (
-            f"SPHFilter(states={self.model.states}, t={self.t:g}, x={row(self.x)}, "
-            f"std={row(np.sqrt(np.diag(self.P)))}, {self.density.n_particles} particles "
-            f"(at most {self.n_particles}), scheme={scheme if isinstance(scheme, str) else scheme.name!r})"
+            f"SPHFilter({self._told()}, {self.density.n_particles} particles (at most {self.n_particles}), "
+            f"scheme={scheme if isinstance(scheme, str) else scheme.name!r})"
         )
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        check_assigned(name, type(self), SPHFilter)
-        object.__setattr__(self, name, value)
-        if name in ("n_particles", "log_evidence") and self._steps:  # parts of the state
-            self._did("__setattr__", name=name, value=value)
-
-    if not TYPE_CHECKING:  # a checker would take every name for one that is there
-
-        def __getattr__(self, name: str) -> Any:
-            check_read(name, type(self))
-            return object.__getattribute__(self, name)  # raises what Python says
+    @property
+    def density(self) -> ParticleDensity:
+        """The density now."""
+        return self._state.density
 
     @property
     def dim_z(self) -> int | None:
@@ -244,13 +220,13 @@ class SPHFilter(Shown, Remembering):
             return predict_from_finer(partial(predicted, config=config), model, *known)
 
         outcome = or_as_cloud(attempted, self.config)
-        moved = "predict" if outcome.density.t > self.t and not rehearses else ""
+        density, info, advanced = outcome.density, outcome.info, outcome.density.t > state.t
         repeated = outcome.before is not state.density
-        before, state = state, state.predicted(outcome, model)
-        info = self._budget.end(moved, outcome.info, outcome.density.n_particles, repeated)
-        self._state = state
-        driving = None if u is None else dict(model.inputs)
-        self._predicted_from(before, before.density.t, {"dt": by, "t": t}, driving)
+        origin = Prediction(outcome.before, info.mass_error, model, density.t) if advanced else state.origin
+        state = state.predicted(density, origin, model.inputs, n_particles=outcome.bound)
+        what = "predict" if advanced and not rehearses else ""
+        info = self._budget.end(what, info, density.n_particles, repeated)
+        self._predicted(state, {"dt": by, "t": t}, u)
         return info
 
     def _most(self) -> int:
@@ -300,9 +276,10 @@ class SPHFilter(Shown, Remembering):
         reading, also given as R=, and H its matrix or function h; the rest stays that of the filter's own
         sensor.
         """
-        if R is not None and measurement is not None:
-            raise ModelError("give R= or another sensor, not both")
-        given, state = measurement if R is None else R, self._state
+        return self._updated(z, measurement, H, R)
+
+    def _read(self, z: Reported, given: Any, H: Any) -> tuple[FilterState[ParticleDensity], UpdateInfo]:
+        state = self._state
         sensor = driven(sensor_of(self.measurement, given, H, self.model), state.inputs)
         numbers = numbers_of(sensor, z)
         used, values = parted(sensor, deepcopy(numbers))  # they may be asked for again
@@ -316,39 +293,13 @@ class SPHFilter(Shown, Remembering):
         repeated = outcome.before is not state.density
         what = "" if outcome.info.reason == NOTHING_CAME else "update"
         own = H is None and (given is None or given is self.measurement)
-        state = state.updated(outcome, (used, values, own), sensor, numbers)
-        info = self._budget.end(what, outcome.info, outcome.density.n_particles, repeated)
-        self._state = state
-        self._did("update", z=z, measurement=measurement, H=H, R=R)
-        return info
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the filter as it stands to an npz file; model and sensor, which are code, are not in it."""
-        write(path, self._state, self)
-
-    @classmethod
-    def load(cls, path: str | PathLike[str], model: SDE, measurement: Sensor | None, window: int = 0) -> Self:
-        """Read a filter that `save` wrote, with the model and sensor it had: it goes on to the same bits.
-
-        One that was saved between two readings of one time does not: it knows the first as a density only.
-        The steps of a `window` are not in the file: it begins anew.
-
-        Raises
-        ------
-        ModelError
-            The file cannot be read or holds no filter, or the model has other states.
-        """
-        options, about, state = restored(path, model, measurement)
-        filt = cls(model, measurement, **options)
-        for name, value in about.items():
-            setattr(filt, name, value)
-        filt._state = filt._state.noted(**state)
-        filt._remember_from_here(window)
-        return filt
+        origin = Update.after(state.origin, outcome.before, used, values, own)
+        state = state.updated(outcome[:3], origin, sensor, numbers)
+        return state, self._budget.end(what, outcome.info, outcome.density.n_particles, repeated)
 
     def spread(self) -> WeightedStates:
         """The density now as states and weights, `WeightedStates`; of a large cloud, of a part of it."""
-        return thinned(self._state.density, _RANKED).spread()
+        return thinned(self._state.density, RANKED).spread()
 
     def _glide(self) -> Glide | None:
         """What puts a record through without coming up for each reading, where that is not the steps' own."""

@@ -385,7 +385,7 @@ def test_a_filter_from_a_file_goes_on_to_the_same_bits(tmp_path, build):
 
 def test_files_of_other_filters_are_refused(tmp_path):
     path = tmp_path / "filter.npz"
-    sf.JumpMarkovFilter(moving(), READING, [0.0], [[0.1]]).save(path)
+    sf.JumpMarkovFilter(moving(), READING, [0.0], [[0.1]], n_particles=np.int64(60)).save(path)
     with pytest.raises(sf.ModelError, match=r"of the modes \['rest', 'moving'\], not of"):
         sf.JumpMarkovFilter.load(path, wells(), READING)
     with pytest.raises(sf.ModelError, match="holds no filter: SPHFilter"):
@@ -467,6 +467,28 @@ def test_what_a_filter_has_found_is_read(change, sentence):
     flt.log_evidence, flt.measurement = 1.0, {"rest": READING, "moving": several(0.1)["h"]}
     assert flt.log_evidence == 1.0
     assert flt.measurement is None
+
+
+class Labelled(sf.JumpMarkovFilter):
+    """A filter of a user's, with a name that the library's own refuses."""
+
+    R: float
+
+
+class Further(Labelled):
+    """And one that is made of that."""
+
+
+@pytest.mark.parametrize("kind", [Labelled, Further])
+def test_subclasses_carry_what_they_like(tmp_path, kind):
+    flt = kind(moving(), READING, [0.0], [[0.1]], dt=0.5)
+    flt.R, flt.label = 3.0, "target 7"
+    assert (flt.R, flt.label) == (3.0, "target 7")
+    with pytest.raises(sf.ModelError, match="make a new JumpMarkovFilter"):
+        flt.x = [1.0]
+    flt.save(tmp_path / "filter.npz")
+    again = kind.load(tmp_path / "filter.npz", moving(), READING)
+    assert type(again) is kind and again.dt == 0.5
 
 
 def test_parameters_are_fitted_by_a_function_that_makes_filters():
