@@ -139,9 +139,8 @@ def put_through(
     state: CloudState,
     model: SDE,
     times: Floats,
-    Z: Floats,
+    readings: tuple[Reader, Floats],
     least: Ints,
-    reader: Reader,
     counts: tuple[int, int],
     calm: int,
     bounds: Bounds,
@@ -153,11 +152,12 @@ def put_through(
     state : CloudState
         As a reading has left it, with errors that are its own.
     model : SDE
-    times, Z : ndarray, shapes (K + 1,), (K, k)
-        Seconds, first that of the cloud; what is read at the others.
+    times : ndarray, shape (K + 1,)
+        Seconds, first that of the cloud.
+    readings : tuple of Reader, ndarray, shape (K, k)
+        A sensor, and what it reads at the other times.
     least : ndarray of int, shape (K,)
         Steps of each interval.
-    reader : Reader
     counts, calm : tuple of int, int
         As of `Needs`.
     bounds : Bounds
@@ -174,11 +174,10 @@ def put_through(
     for points in (state.points, state.shadow):
         standing += [points.x, points.w, _family_of(points)]
     standing += [state.size, *state.told, state.pace.step, state.pace.stiff, counts[0], calm]
-    about = changes, reader, times, Z, least, Standing(*standing), nets, bounds, *places(model.dim)
+    motion = leg, address_of(STIFF_FLOW), changes
+    about = motion, readings, (times, least), Standing(*standing), nets, bounds, places(model.dim)
     with surfacing():
-        end, done, after, before, rows = through(
-            tuple(map(address_of, PARTS)), leg, address_of(STIFF_FLOW), *about
-        )
+        end, done, after, before, rows = through(tuple(map(address_of, PARTS)), *about)
     rest = Through(end, done - 1, _state_of(before), before.points, before.calm, None, rows)
     return Through(end, done, _state_of(after), after.points, after.calm, rest, rows)
 

@@ -112,8 +112,8 @@ class _Run:
         spans = zip(times[:-1].tolist(), times[1:].tolist(), strict=True)
         least = np.array([1 if model.linear else least_steps(model, state.points.x, span) for span in spans])
         bounds = target, MISSED * target, FLAGGED * target, DOUBTFUL, OUTLYING, CloudScheme().max_steps
-        about = least, reader, (count, fewer(count)), self.needs.calm, Bounds(*bounds)
-        found = put_through(state, model, times, Z, *about)
+        about = least, (count, fewer(count)), self.needs.calm, Bounds(*bounds)
+        found = put_through(state, model, times, (reader, Z), *about)
         self.ended = found.end == REFUSED
         if found.end == JUDGE and not self._added(found, times, Z) <= MISSED * target:
             found, self.ended = found.before, True  # more points help where this cycle has added its error

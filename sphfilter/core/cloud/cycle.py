@@ -113,33 +113,26 @@ class _Cycled(NamedTuple):
 
 
 @jit
-def put_through(
-    parts, leg, stiff_flow, changes, reader, times, Z, least, standing, nets, bounds, table, bits
-):
+def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     """Put readings through a cloud that a reading has left, as far as each of them is usual.
 
     Parameters
     ----------
     parts : tuple of int
         Addresses of `PARTS`.
-    leg : Leg
-        Of the model; none that is called, of a linear one.
-    stiff_flow : int
-        What moves points along its drift where that is stiff.
-    changes : tuple of ndarray, shapes (K, n, n), (K, n), (K, n, n)
-        Φ, offset and L of a linear model over each interval; none, of another.
-    reader : Reader
-        The sensor.
-    times, Z : ndarray, shapes (K + 1,), (K, k)
-        Seconds, first that of the cloud; what is read at the others.
-    least : ndarray of int, shape (K,)
-        Steps of each interval.
+    motion : tuple of Leg, int, tuple of ndarray
+        A model; what moves points along its drift where that is stiff; and of a linear one, whose leg is not
+        called, Φ (K, n, n), offset (K, n) and L (K, n, n) over each interval.
+    sensor : tuple of Reader, ndarray, shape (K, k)
+        And what it reads.
+    spans : tuple of ndarray, shapes (K + 1,), (K,)
+        Seconds, first that of the cloud; and the least steps of each interval.
     standing : Standing
     nets : tuple of tuple of ndarray
         Normals of the guide, the begin and the motion, (count, n) each, of the cloud and of its shadow.
     bounds : Bounds
-    table, bits : ndarray, int
-        Of the curve.
+    curve : tuple of ndarray, int
+        Its table and bits.
 
     Returns
     -------
@@ -151,15 +144,16 @@ def put_through(
         Of each reading mean and covariance before it and after it, the log-evidence, the error of the mean,
         and the innovation with its covariance.
     """
+    (leg, stiff_flow, changes), (reader, Z), (times, least) = motion, sensor, spans
     (K, k), n, count = Z.shape, standing.x.shape[1], nets[0][0].shape[0]
     m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))
     evidence, error, off, S = np.empty(K), np.empty(K), np.empty((K, k)), np.empty((K, k, k))
     before, end, done = standing, ALL, 0
     while done < K and end == ALL:
         j, s, span = done, standing, (times[done], times[done + 1])
-        own, step, bias = _paced(parts, leg, stiff_flow, span, s, least[j], bounds, table, bits)
+        own, step, bias = _paced(parts, leg, stiff_flow, span, s, least[j], bounds, curve)
         about = parts, own, _change(changes, j, n), _reads(reader, Z[j], span[1])
-        one, two = _both(about, span, s, nets, table, bits)
+        one, two = _both(about, span, s, nets, curve)
         ahead, squares = _told(s, one, two, count)
         if not (bias < np.inf and one.usual and two.usual and both(ahead, bias) < bounds.doubtful):
             end = UNUSUAL
@@ -214,7 +208,7 @@ def _reads(reader, z, t):
 
 
 @jit
-def _paced(parts, leg, stiff_flow, span, s, least, bounds, table, bits):
+def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
     """The model over a span in steps of a bias that is allowed; the length of the next, and the bias.
 
     Infinite where no steps will do.
@@ -224,7 +218,7 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, table, bits):
     dt, told = span[1] - span[0], error_by(s.mean)
     allowed = bias_allowed(told, s.w.size, 0.0, bounds.doubtful, bounds.target, 1)
     number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED
-    about = s.x, s.w, _key_at(span[0], 0), table, bits, number, s.stiff, least, bounds.most, allowed
+    about = s.x, s.w, _key_at(span[0], 0), *curve, number, s.stiff, least, bounds.most, allowed
     steps, bias, lost = _chosen_at(parts[5])(leg, stiff_flow, span, *about)
     own = over(leg, stiff_flow if steps.stiff else leg.flow, span[0], span[1], steps.number)
     if lost > 2.0 * MOST_LOST or steps.number > bounds.most:
@@ -234,22 +228,21 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, table, bits):
 
 
 @jit
-def _both(about, span, s, nets, table, bits):
+def _both(about, span, s, nets, curve):
     """A cloud and its shadow after a cycle; the shadow is of no worth where the cloud is not."""
-    moving, reading = (_key_at(span[0], 0), _key_at(span[0], 1)), (_key_at(span[1], 2), _key_at(span[1], 3))
-    one = _cycled(about, (s.x, s.w, s.family), nets[0], (moving[0], reading[0]), table, bits)
-    return one, _cycled(
-        about, (s.few_x, s.few_w, s.few_family), nets[1], (moving[1], reading[1]), table, bits
-    )
+    keys = _key_at(span[0], 0), _key_at(span[1], 2)
+    one = _cycled(about, (s.x, s.w, s.family), nets[0], keys, curve)
+    keys = _key_at(span[0], 1), _key_at(span[1], 3)
+    return one, _cycled(about, (s.few_x, s.few_w, s.few_family), nets[1], keys, curve)
 
 
 @jit
-def _cycled(about, cloud, nets, keys, table, bits):
+def _cycled(about, cloud, nets, keys, curve):
     """A cloud x (N, n), w (N,) of families (N,) over an interval and a reading."""
     parts, leg, change, reader = about
     first, second = nets[1], nets[2]
     (count, n), key = first.shape, keys[0]
-    begun = _begin_at(parts[0])(cloud[0], cloud[1], cloud[2], count, key, first, table, bits)
+    begun = _begin_at(parts[0])(cloud[0], cloud[1], cloud[2], count, key, first, *curve)
     start, x, u, w, block, middle, lower, flow = begun
     kernel = Part(middle, middle, flow, lower, np.empty((1, 0, 0)))
     linear = leg.drift == NOWHERE_AT
