@@ -152,10 +152,13 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     while done < K and end == ALL:
         j, s, span = done, standing, (times[done], times[done + 1])
         own, step, bias = _paced(parts, leg, stiff_flow, span, s, least[j], bounds, curve)
+        if not bias < np.inf:
+            end = UNUSUAL
+            break
         about = parts, own, _change(changes, j, n), _reads(reader, Z[j], span[1])
         one, two = _both(about, span, s, nets, curve)
         ahead, squares = _told(s, one, two, count)
-        if not (bias < np.inf and one.usual and two.usual and both(ahead, bias) < bounds.doubtful):
+        if not (one.usual and two.usual and both(ahead, bias) < bounds.doubtful):
             end = UNUSUAL
             break
         _keep(one.mean, one.cov, m, P, j)
