@@ -81,7 +81,7 @@ def array(name: str, value: object, shape: tuple[int | None, ...], what: str = "
 def keywords(
     method: Callable[Given, Returned], others: Mapping[str, str] = MappingProxyType({})
 ) -> Callable[Given, Returned]:
-    """Let a method say what may have been meant by a keyword that it has not.
+    """Let a method say what may have been meant by a keyword that it has not; and end by Ctrl-C as such.
 
     Parameters
     ----------
@@ -99,7 +99,15 @@ def keywords(
             near = nearest(name, known)
             if near:
                 raise TypeError(f"{method.__qualname__} has no argument {name!r}{near}")
-        return method(*args, **kwargs)
+        try:
+            return method(*args, **kwargs)
+        except SystemError as problem:  # what Python makes of a Ctrl-C while compiled code hands out arrays
+            first: BaseException = problem
+            while first.__cause__ is not None:
+                first = first.__cause__
+            if isinstance(first, KeyboardInterrupt):
+                raise first from None
+            raise
 
     checked.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]  # else that of `checked`
     return checked

@@ -131,7 +131,7 @@ class Through(NamedTuple):
     state: CloudState  # after the last of them
     points: int  # of the next cloud
     calm: int  # as of `Needs`
-    before: Any  # the same without the last of them, if there is one
+    before: Any  # without the last of them, if any was; its rows are those of all
     rows: tuple[Floats, ...]  # of each reading, as `core.cloud.cycle.put_through` returns them
 
 
@@ -177,7 +177,8 @@ def put_through(
     motion = leg, address_of(STIFF_FLOW), changes
     about = motion, readings, (times, least), Standing(*standing), nets, bounds, places(model.dim)
     with surfacing():
-        end, done, after, before, rows = through(tuple(map(address_of, PARTS)), *about)
+        end, done, *sides, rows = through(tuple(map(address_of, PARTS)), *about)
+    after, before = (Standing(*side) for side in sides)
     rest = Through(end, done - 1, _state_of(before), before.points, before.calm, None, rows)
     return Through(end, done, _state_of(after), after.points, after.calm, rest, rows)
 
@@ -272,7 +273,8 @@ def chosen_steps(
     x, w, key = points.x, points.w, key_at(span[0], 0)
     about = x, w, key, *places(model.dim), begin.number, begin.stiff, *bounds, allowed
     with surfacing():
-        return chosen(_leg(model, False), address_of(STIFF_FLOW), span, *about)
+        number, stiff, bias, lost = chosen(_leg(model, False), address_of(STIFF_FLOW), span, *about)
+    return Steps(number, stiff), bias, lost
 
 
 def _passage(model: SDE, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:

@@ -5,24 +5,22 @@ filter takes that one itself.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
-from ..core.cloud.cycle import JUDGE, REFUSED, WRONG, Bounds
-from ..core.cloud.reading import Reader
+from ..core.cloud.cycle import JUDGE, REFUSED, UNUSUAL, WRONG, Bounds
 from ..density.as_cloud import cloud_of
 from ..density.needs import FLAGGED, MISSED, Needs
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Through, put_through
 from ..density.points import CloudState
-from ..density.resample import target_of
+from ..density.resample import particle_bound, target_of
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL
 from ..model.measurements import GaussianMeasurement
-from ..model.sde import SDE
 from ..prediction.cloud import carried, fewer, least_steps
 from .asked import OUTLYING, Asked, left_of, reading_of
 from .by_cloud import fresh, read
@@ -33,7 +31,10 @@ from .state import FilterState
 __all__ = ["Glide"]
 
 _LONGEST = 8  # readings at most that a filter takes itself, before the next are tried
-_AT_ONCE = 64  # readings at most of one call of compiled code, which nothing interrupts
+_AHEAD, _AT_ONCE = 4, 64  # readings that are looked at first, and at most
+#: Points of all readings of one call of compiled code, which nothing interrupts: some tenth of a second.
+_POINTS = 2**16
+_NONE = np.empty(0)
 
 
 class Glide:
@@ -42,7 +43,7 @@ class Glide:
     Parameters
     ----------
     filt : SPHFilter
-        Its density and log-evidence are those after the last reading that was put through.
+        Its density and log-evidence become those after the last reading that was put through.
     """
 
     def __init__(self, filt: Any) -> None:
@@ -59,114 +60,148 @@ class Glide:
         return rows
 
     def _through(self, times: Floats, readings: Sequence[Any]) -> list[dict[str, Any]]:
-        filt = self._filt
-        density, model, sensor = filt.density, filt.model, filt.measurement
-        Z, ends = _plain(model, sensor, filt.t, times, readings)
-        rows: list[dict[str, Any]] = []
-        if not len(Z):
-            return rows
-        stacked = Stacked.of((_asked(sensor, Z[0], ends[1]),), None)
-        run = _Run(density.cloud, density.needs, target_of(density, filt.config, "auto"), model, stacked)
+        run, ahead, going_on = _Run(self._filt), _AHEAD, True
         try:
-            while len(rows) < len(Z) and not run.ended:
-                rows += run.on(ends[len(rows) :], Z[len(rows) :])
+            while going_on:
+                first = len(run.reached.rows)
+                last = first + ahead + 1
+                Z, ends = _plain(self._filt, run.reached.t, times[first:last], readings[first:last])
+                going_on = run.through(ends, Z) and len(Z) == ahead  # else the next is the filter's
+                ahead = min(2 * ahead, _AT_ONCE)
         finally:  # what is done stays done, whatever raises
-            if rows:
-                moments, error, t = (rows[-1]["x"], rows[-1]["P"]), rows[-1]["error"], float(ends[len(rows)])
-                cloud = cloud_of(density, run.state, moments, t=t, capacity=0, error=error)
-                last = _asked(sensor, Z[len(rows) - 1], t)
-                filt._state = _after(filt._state, cloud.noted(needs=run.needs), rows, last)
-        return rows
+            if run.reached.rows:
+                z = readings[len(run.reached.rows) - 1]
+                self._filt._state = _after(self._filt, run.reached, z)
+        return run.reached.rows
+
+
+class _Reached(NamedTuple):
+    """How far a record has been put through a cloud: one value, which nothing interrupts halfway."""
+
+    state: CloudState
+    needs: Needs
+    rows: list[dict[str, Any]]
+    t: float
+
+    def and_on(self, state: CloudState, needs: Needs, rows: list[dict[str, Any]], t: float) -> "_Reached":
+        """The same with more readings put through, up to a time."""
+        return _Reached(state, needs, [*self.rows, *rows], t)
 
 
 class _Run:
-    """A cloud on its way through a record, and what its next step needs."""
+    """A cloud on its way through a record."""
 
-    def __init__(self, state: CloudState, needs: Needs, target: Any, model: SDE, stacked: Stacked) -> None:
-        self.state, self.needs, self.ended = state, needs, False
-        self._target, self._model, self._stacked = target, model, stacked
-        self._sensor: Any = stacked.asked[0].measurement
-        self._reader = stacked.reader
-        self._most = _AT_ONCE if model.autonomous or model.linear else 1  # steps follow how a model changes
+    def __init__(self, filt: Any) -> None:
+        density = filt.density
+        self.reached = _Reached(density.cloud, density.needs, [], filt.t)
+        self._sensor, self._model = filt.measurement, filt.model
+        self._target: Any = target_of(density, filt.config, "auto")
+        self._steady = filt.model.autonomous or filt.model.linear  # else steps follow how a model changes
+        self._known: Stacked | None = None
+        self._raised = False
 
-    def on(self, times: Floats, Z: Floats) -> list[dict[str, Any]]:
-        """What a result keeps of the next readings put through; `ended` where a filter would do more."""
-        rows: list[dict[str, Any]] = []
-        if self._reader is not None and self.state.points.path is None and self.state.inherited == 0.0:
-            try:
-                rows = self._at_once(self._reader, times[: self._most + 1], Z[: self._most])
-            except Exception:
-                if self._most == 1:
+    def through(self, times: Floats, Z: Floats) -> bool:
+        """Put readings (K, k) at times (K + 1,) through; false where one of them is the filter's."""
+        first, unusual = len(self.reached.rows), False
+        if not len(Z) or _mixed(self._sensor) or self._stacked(Z[0], times[1]).reader is None:
+            return False
+        while (k := len(self.reached.rows) - first) < len(Z):
+            before = self.reached
+            if not unusual and not self._raised and _simple(before.state):
+                try:
+                    unusual, over = self._at_once(times[k:], Z[k:])
+                except SystemError:  # a Ctrl-C
                     raise
-                self._most = 1  # up to the reading at which a function raises
-        if rows or self.ended:
-            return rows
-        rows = self._in_turn(times[:2].tolist(), Z[0])
-        self.ended = not rows
-        return rows
+                except Exception:  # step by step, up to the reading at which a function raises
+                    self._raised, over = True, False
+                if over:
+                    return False
+            if self.reached is before:
+                if not self._in_turn(times[k : k + 2].tolist(), Z[k]):
+                    return False
+                unusual = False
+        return True
 
-    def _at_once(self, reader: Reader, times: Floats, Z: Floats) -> list[dict[str, Any]]:
-        """The next readings by one call of compiled code, as far as each is usual."""
-        state, model, target = self.state, self._model, self._target
-        count = self.needs.cloud(target)
+    def _stacked(self, z: Floats, t: float) -> Stacked:
+        """The sensor that has read numbers z (k,) at a time."""
+        asked = _asked(self._sensor, z, float(t))
+        self._known = self._known or Stacked.of((asked,), None)
+        return self._known.again(asked)
+
+    def _at_once(self, times: Floats, Z: Floats) -> tuple[bool, bool]:
+        """Put readings through by one call of compiled code; is the next unusual, or the filter's?"""
+        (state, needs, *_), model, target = self.reached, self._model, self._target
+        count = needs.cloud(target)
+        K = min(len(Z), max(_POINTS // count, 1)) if self._steady else 1
+        times, Z = times[: K + 1], Z[:K]
         spans = zip(times[:-1].tolist(), times[1:].tolist(), strict=True)
         least = np.array([1 if model.linear else least_steps(model, state.points.x, span) for span in spans])
         bounds = target, MISSED * target, FLAGGED * target, DOUBTFUL, OUTLYING, CloudScheme().max_steps
-        about = least, (count, fewer(count)), self.needs.calm, Bounds(*bounds)
-        found = put_through(state, model, times, (reader, Z), *about)
-        self.ended = found.end == REFUSED
+        reader = self._stacked(Z[0], times[1]).reader
+        assert reader is not None
+        about = least, (count, fewer(count)), needs.calm, Bounds(*bounds)
+        found, refused = put_through(state, model, times, (reader, Z), *about), False
         if found.end == JUDGE and not self._added(found, times, Z) <= MISSED * target:
-            found, self.ended = found.before, True  # more points help where this cycle has added its error
+            found, refused = found.before, True  # more points help where this cycle has added its error
         if found.done:
-            self.state = found.state
-            self.needs = self.needs._replace(points=found.points, calm=found.calm, legs=0)
-        return _rows(self._sensor, Z[: found.done], found.rows)
+            rows = _rows(self._sensor, Z[: found.done], times[1:], found.rows)
+            needs = needs._replace(points=found.points, calm=found.calm, legs=0)
+            self.reached = self.reached.and_on(found.state, needs, rows, float(times[found.done]))
+        return found.end == UNUSUAL, refused or found.end == REFUSED
 
     def _added(self, found: Through, times: Floats, Z: Floats) -> float:
         """Error of the mean that the last reading put through has added."""
         k = found.done - 1
         (t0, t1), (_, _, x, P, *_) = times[k : k + 2].tolist(), found.rows
-        seen = self._stacked.again(_asked(self._sensor, Z[k], t1))
-        return fresh(found.before.state, found.state, self._model, (t0, t1), seen, (x[k], P[k]))
+        about = self._model, (t0, t1), self._stacked(Z[k], t1), (x[k], P[k])
+        return fresh(found.before.state, found.state, *about)
 
-    def _in_turn(self, span: Sequence[float], z: Floats) -> list[dict[str, Any]]:
-        """The next reading step by step."""
-        target, model, sensor = self._target, self._model, self._sensor
-        stacked = self._stacked.again(_asked(sensor, z, span[1]))
-        scheme = CloudScheme(n_points=self.needs.gone_on().cloud(target))
+    def _in_turn(self, span: Sequence[float], z: Floats) -> bool:
+        """Put the next reading through step by step; false where a filter would do more."""
+        (state, needs, *_), target, model, sensor = self.reached, self._target, self._model, self._sensor
+        stacked, about = self._stacked(z, span[1]), (model, (span[0], span[1]))
         try:
-            moved = carried(self.state, model, (span[0], span[1]), scheme, target)
+            moved = carried(state, *about, CloudScheme(n_points=needs.gone_on().cloud(target)), target)
         except PropagationError:
-            return []
-        done = read(moved.state, stacked, span[1]) if moved.lost == 0.0 and moved.error < DOUBTFUL else None
+            return False
+        points = moved.state.points
+        expected, S, _ = reading_of(sensor, span[1], points.x, points.w, moved.moments)
+        y, S = sensor.residual(z, expected), S + sensor.noise_cov
+        far = stacked.asked[0]._replace(innovation=y, S=S).outlying
+        usual = not far and moved.lost == 0.0 and moved.error < DOUBTFUL
+        done = read(moved.state, stacked, span[1]) if usual else None
         if done is None:
-            return []
+            return False
         if done.state.inherited > 0.0:
             done = done.left(left_of(moved.moments[1], done.moments[1]))
         if not done.error <= FLAGGED * target or not done.error < DOUBTFUL or done.doubt > WRONG:
-            return []
+            return False
         if done.error > MISSED * target:
-            added = fresh(self.state, done.state, model, (span[0], span[1]), stacked, done.moments)
+            added = fresh(state, done.state, *about, stacked, done.moments)
             if not added <= MISSED * target:
-                return []
-        points = moved.state.points
-        expected, S, _ = reading_of(sensor, done.t, points.x, points.w, moved.moments)
-        y, S = sensor.residual(z, expected), S + sensor.noise_cov
-        if stacked.asked[0]._replace(innovation=y, S=S).outlying:
-            return []
-        self.needs = self.needs._replace(legs=0).told(done.state.told.errors.mean, target, done.state.size)
-        self.state = done.state
-        return [_row(*moved.moments, *done.moments, done.log_evidence, done.error, y, S)]
+                return False
+        needs = needs._replace(legs=0).told(done.state.told.errors.mean, target, done.state.size)
+        row = _row(*moved.moments, *done.moments, done.log_evidence, done.error, y, S)
+        self.reached = self.reached.and_on(done.state, needs, [row], span[1])
+        return True
 
 
-def _after(
-    state: FilterState[ParticleDensity], density: ParticleDensity, rows: Any, asked: Any
-) -> FilterState[ParticleDensity]:
-    """The state of a filter that has put these rows through."""
-    last, told = rows[-1], {name: as_found(rows[-1][name]) for name in ("x", "P", "x_prior", "P_prior")}
-    log_evidence = sum((row["log_evidence"] for row in rows), start=state.log_evidence)
-    said = {"z": asked.z, "y": last["innovation"], "S": last["innovation_cov"]}
-    said |= {"log_likelihood": last["log_evidence"], "log_evidence": log_evidence, "origin": None}
+def _after(filt: Any, reached: _Reached, z: Any) -> FilterState[ParticleDensity]:
+    """The state of a filter that has put readings through, the last of them z."""
+    state, last = filt._state, reached.rows[-1]
+    moments = last["x"], last["P"]
+    cloud = cloud_of(filt.density, reached.state, moments, t=reached.t, capacity=0, error=last["error"])
+    density = cloud.noted(needs=reached.needs)
+    told = {name: as_found(last[name]) for name in ("x", "P", "x_prior", "P_prior")}
+    log_evidence = sum((row["log_evidence"] for row in reached.rows), start=state.log_evidence)
+    said = {
+        "z": _all_of(filt.measurement, z),
+        "y": last["innovation"],
+        "S": last["innovation_cov"],
+        "origin": None,
+    }
+    said |= {"log_likelihood": last["log_evidence"], "log_evidence": log_evidence}
+    said |= {"n_particles": particle_bound(density, "auto")}
     return state.noted(density=density, **told, x_post=told["x"], P_post=told["P"], **said)
 
 
@@ -181,18 +216,18 @@ def _usual(filt: Any) -> bool:
     return bool(plain and filt.adapts and known and own and filt.model.domain.unbounded and not filt._steps)
 
 
-def _plain(
-    model: SDE, sensor: GaussianMeasurement, t: float, times: Floats, readings: Sequence[Any]
-) -> tuple[Floats, Floats]:
+def _mixed(sensor: GaussianMeasurement) -> bool:
+    """Whether a sensor is linear but for angles, which it sums in an order of its own."""
+    return sensor.H is not None and bool(sensor.angles)
+
+
+def _plain(filt: Any, t: float, times: Floats, readings: Sequence[Any]) -> tuple[Floats, Floats]:
     """The first readings (K, k) of which all numbers came, but for the last; t and their times (K + 1,)."""
     Z, ends = [], [t]
     for t1, then, z in zip(times[:-1].tolist(), times[1:].tolist(), readings[:-1], strict=True):
-        numbers = _all_of(sensor, z)
-        if (
-            numbers is None
-            or not ends[-1] < t1 < then
-            or next(iter(model.breaks(ends[-1], t1)), None) is not None
-        ):
+        numbers = _all_of(filt.measurement, z)
+        jump = next(iter(filt.model.breaks(ends[-1], t1)), None)
+        if numbers is None or not ends[-1] < t1 < then or jump is not None:
             break
         Z.append(numbers)
         ends.append(t1)
@@ -200,8 +235,13 @@ def _plain(
 
 
 def _asked(sensor: GaussianMeasurement, z: Floats, t: float) -> Asked:
-    """A reading of which all numbers came."""
+    """A reading of numbers z (k,), all of which came."""
     return Asked(sensor, z, np.ones(len(z), dtype=bool), t, None, None, None)
+
+
+def _simple(state: CloudState) -> bool:
+    """Whether a cloud is such as a reading leaves it, with no error but its own."""
+    return state.points.path is None and state.inherited == 0.0
 
 
 def _all_of(sensor: GaussianMeasurement, z: Any) -> Floats | None:
@@ -213,12 +253,14 @@ def _all_of(sensor: GaussianMeasurement, z: Any) -> Floats | None:
     return numbers if seen.all() else None
 
 
-def _rows(sensor: GaussianMeasurement, Z: Floats, columns: tuple[Floats, ...]) -> list[dict[str, Any]]:
+def _rows(sensor: Any, Z: Floats, times: Floats, columns: tuple[Floats, ...]) -> list[dict[str, Any]]:
     """What a result keeps of readings (K, k), of columns that compiled code made."""
     rows = [_row(*parts) for parts in zip(*(column[: len(Z)] for column in columns), strict=True)]
-    if sensor.H is not None and not sensor.angles:  # to the last bit as the sensor itself predicts
-        for row, z in zip(rows, Z, strict=True):
-            row["innovation"] = sensor.residual(z, sensor.predict(row["x_prior"])[0])
+    if sensor.H is not None:  # to the last bit as the sensor itself predicts
+        for row, z, t in zip(rows, Z, times, strict=False):
+            summed = row["x_prior"], row["P_prior"]
+            expected, S, _ = reading_of(sensor, float(t), _NONE, _NONE, summed)
+            row |= {"innovation": sensor.residual(z, expected), "innovation_cov": S + sensor.noise_cov}
     return rows
 
 

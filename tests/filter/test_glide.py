@@ -21,17 +21,19 @@ def record(scene, target, n):
     return made, np.array(case.times[:n]), np.array(case.z[:n], dtype=float)
 
 
+NAMES = "x", "P", "x_prior", "P_prior", "log_evidence", "error", "flagged", "innovation", "innovation_cov"
+
+
 def step_by_step(flt, times, z):
-    found = {name: [] for name in ("x", "P", "x_prior", "log_evidence", "error", "flagged", "innovation")}
+    found = {name: [] for name in NAMES}
     for t, reading in zip(times, z, strict=True):
         predicted = flt.predict(t=t) if t > flt.t else None
-        found["x_prior"].append(flt.x)
+        prior = flt.x, flt.P
         updated = flt.update(reading)
         flagged = updated.flagged or (predicted is not None and predicted.flagged)
-        values = flt.x, flt.P, flt.log_likelihood, updated.error, flagged, flt.y
-        for name, value in zip(
-            ("x", "P", "log_evidence", "error", "flagged", "innovation"), values, strict=True
-        ):
+        said = flt.log_likelihood, updated.error, flagged, flt.y, flt.S
+        values = flt.x, flt.P, *prior, *said
+        for name, value in zip(NAMES, values, strict=True):
             found[name].append(value)
     return found
 
@@ -54,14 +56,56 @@ def test_a_record_has_the_bits_of_its_steps(monkeypatch, scene, target, least):
     monkeypatch.setattr(Glide, "_through", lambda self, *given: noted(own(self, *given), through))
     result = at_once.run(times, z)
     assert len(through) >= least
+    same(found, result, one_by_one, at_once)
+
+
+def same(found, result, one_by_one, at_once):
     for name, values in found.items():
-        np.testing.assert_array_equal(
-            np.array(values, dtype=float), np.asarray(getattr(result, name), dtype=float)
-        )
+        shown = getattr(result, name)
+        values = [np.full(shown.shape[1:], np.nan) if value is None else value for value in values]
+        np.testing.assert_array_equal(np.array(values, dtype=float), np.asarray(shown, dtype=float))
     np.testing.assert_array_equal(one_by_one.density.x, at_once.density.x)
     np.testing.assert_array_equal(one_by_one.x_prior, at_once.x_prior)
     assert one_by_one.density.needs == at_once.density.needs
     assert one_by_one.log_evidence == at_once.log_evidence
+
+
+SENSORS = {
+    "dense": sf.GaussianMeasurement([[1.0, 0.3], [-0.2, 0.7]], [[0.2, 0.05], [0.05, 0.3]]),
+    "angle": sf.GaussianMeasurement([[1.0, 0.3], [-0.2, 0.7]], 0.2 * np.eye(2), angles=[0]),
+    "noise of the state": sf.GaussianMeasurement(
+        [[1.0, 0.0], [0.0, 1.0]], lambda x: ((0.2 + 0.05 * x[0] ** 2, 0.0), (0.0, 0.3)), dim_z=2
+    ),
+}
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_a_long_record_of_any_sensor_has_the_bits_of_its_steps(sensor):
+    made, _, _ = record("van_der_pol", 0.1, 2)
+    plain, times = made(), 0.3 * np.arange(1, 81)
+    z = np.stack([2.0 * np.cos(times), -2.0 * np.sin(times)], axis=1)
+    z[[20, 50]] += 3.0  # far from where it is seen
+
+    def filt():
+        config = sf.FilterConfig(target_error=0.1)
+        return sf.SPHFilter(plain.model, SENSORS[sensor], [1.0, 0.0], 0.2 * np.eye(2), config=config)
+
+    one_by_one, at_once = filt(), filt()
+    found = step_by_step(one_by_one, times, z)
+    same(found, at_once.run(times, z), one_by_one, at_once)
+
+
+def test_a_sensor_is_not_asked_where_no_state_is():
+    def h(X, t):
+        if not np.isfinite(X).all():
+            raise ValueError("asked where no state is")
+        return X
+
+    model = sf.SDE.from_expressions(["x"], ["0.8*x**3 - x"], [["1"]], [[0.05]])
+    sensor = sf.GaussianMeasurement(h, [[0.1]], vectorized=True)
+    flt = sf.SPHFilter(model, sensor, [0.0], [[0.2]], config=sf.FilterConfig(target_error=0.05))
+    times = 0.4 * np.arange(1, 16)
+    assert np.isfinite(flt.run(times, 0.3 * np.sin(times)[:, None]).x).all()
 
 
 def noted(rows, through):
@@ -83,6 +127,19 @@ def test_a_drift_that_raises_surfaces_as_itself_from_the_middle_of_a_record():
     )
     with pytest.raises(KeyError, match="no such place"):
         flt.run(times, z)
+
+
+def test_a_ctrl_c_is_one_wherever_it_comes(monkeypatch):
+    made, times, z = record("van_der_pol", 0.03, 6)
+
+    def interrupted(self, *given):
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    flt = made()
+    monkeypatch.setattr(Glide, "_through", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        flt.run(times, z)
+    assert flt.t == times[0]
 
 
 def test_what_is_done_stays_done_where_a_reading_is_bad():

@@ -138,8 +138,8 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     -------
     end, done : int
         How the record ends, and how many readings have been put through.
-    standing, before : Standing
-        After the last of them, and before it.
+    standing, before : tuple
+        The values of a `Standing` after the last of them, and before it.
     rows : tuple of ndarray
         Of each reading mean and covariance before it and after it, the log-evidence, the error of the mean,
         and the innovation with its covariance.
@@ -177,7 +177,15 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         before, standing = s, Standing(a, b, c, d, e, f, count, *squares, step, stiff, points, calm)
         done += 1
         end = JUDGE if error[j] > bounds.missed else MORE if points != count else ALL
-    return end, done, standing, before, (m, P, x, C, evidence, error, off, S)
+    return end, done, _bare(standing), _bare(before), (m, P, x, C, evidence, error, off, S)
+
+
+@jit
+def _bare(s):
+    """The values of a cloud's standing: an interrupt in the making of a named tuple is none to Python."""
+    few = s.few_x, s.few_w, s.few_family
+    told = s.size, s.mean, s.variance, s.log_evidence
+    return (s.x, s.w, s.family, *few, *told, s.step, s.stiff, s.points, s.calm)
 
 
 @jit
@@ -222,11 +230,11 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
     allowed = bias_allowed(told, s.w.size, 0.0, bounds.doubtful, bounds.target, 1)
     number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED
     about = s.x, s.w, _key_at(span[0], 0), *curve, number, s.stiff, least, bounds.most, allowed
-    steps, bias, lost = _chosen_at(parts[5])(leg, stiff_flow, span, *about)
-    own = over(leg, stiff_flow if steps.stiff else leg.flow, span[0], span[1], steps.number)
-    if lost > 2.0 * MOST_LOST or steps.number > bounds.most:
+    steps, stiff, bias, lost = _chosen_at(parts[5])(leg, stiff_flow, span, *about)
+    own = over(leg, stiff_flow if stiff else leg.flow, span[0], span[1], steps)
+    if lost > 2.0 * MOST_LOST or steps > bounds.most:
         return own, s.step, np.inf
-    step = step_after(dt, steps.number, least, bias / allowed)
+    step = step_after(dt, steps, least, bias / allowed)
     return own, step, bias if bias < np.inf else 0.0
 
 
@@ -255,12 +263,14 @@ def _cycled(about, cloud, nets, keys, curve):
         y, v, middle, end, flow, lower, rows = _carry_at(parts[1])(leg, x, block, second, key)
     moved = Part(middle, end, flow, lower, rows)
     way = reader, leg, linear, key, start, y, w, block, kernel, moved, u, v, nets, keys[1]
-    z, log_w, family, wrong = _weigh_at(parts[3])(*way)
+    z, log_w, family, wrong = y, np.full(count, -np.inf), np.empty(0, np.int64), 1
+    if together(y, AWAY)[1]:  # else what reads may be asked where no state is
+        z, log_w, family, wrong = _weigh_at(parts[3])(*way)
     found = _carried_at(parts[4])(z, log_w, family)
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(y, w, mean, cov)
     enough = found[7] >= min(FEW * count, EVEN * effective(w))
-    usual = enough and wrong == 0 and together(y, AWAY)[1] and found[3] > -np.inf
+    usual = enough and wrong == 0 and found[3] > -np.inf
     return _Cycled(usual, y, w, mean, cov, found)
 
 

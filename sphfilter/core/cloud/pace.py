@@ -69,7 +69,8 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
 
     Returns
     -------
-    Steps
+    number, stiff : int, bool
+        As of `Steps`.
     bias : float
         Standard deviations.
     lost : float
@@ -85,13 +86,13 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
         bias = _BEYOND * parted(coarse, fine, _GROUPS)
         too_much = bias / allowed
         if not too_much > 1.0 or (stiff and (2 * number > most or not bias < _HELPED * before)):
-            return Steps(number, stiff), bias, 1.0 - finite_rows(fine)[0].mean()
+            return number, stiff, bias, 1.0 - finite_rows(fine)[0].mean()
         if not stiff and tried and not bias < before:  # shorter steps do not help: it takes too many of them
             number, stiff, before = max(least, FIRST_TRIED), True, np.inf
             continue
         before, tried = bias, True
         number = math.ceil(number * min(max(too_much ** (1.0 / ORDER), 1.2), 4.0))
-    return Steps(number, stiff), np.inf, 0.0
+    return number, stiff, np.inf, 0.0
 
 
 @jit
