@@ -78,6 +78,7 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     """
     x = x[systematic(w, _PILOTS, 0.5)]
     x, before, tried = x[along_curve(x, np.full(len(x), 1.0 / len(x)), table, bits)], np.inf, False
+    best = number
     number, own = max(least, number), mixed(np.uint64(key), np.uint64(PILOT))
     while number <= most:
         flow = stiff_flow if stiff else leg.flow
@@ -87,11 +88,16 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
         too_much = bias / allowed
         if not too_much > 1.0 or (stiff and (2 * number > most or not bias < _HELPED * before)):
             return number, stiff, bias, 1.0 - finite_rows(fine)[0].mean()
-        if not stiff and tried and not bias < before:  # shorter steps do not help: it takes too many of them
-            number, stiff, before = max(least, FIRST_TRIED), True, np.inf
+        helped = bias < before
+        if not stiff and tried and not helped and number >= 2 * best:  # nor steps half as long
+            number, stiff, before, tried = max(least, FIRST_TRIED), True, np.inf, False
             continue
-        before, tried = bias, True
-        number = math.ceil(number * min(max(too_much ** (1.0 / ORDER), 1.2), 4.0))
+        more = math.ceil(number * min(max(too_much ** (1.0 / ORDER), 1.2), 4.0))
+        if tried and not helped:  # by chance, perhaps
+            more = max(2 * best, number + 1)
+        else:
+            before, best = bias, number
+        number, tried = more, True
     return number, stiff, np.inf, 0.0
 
 
