@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 from .._types import Floats, Ints
 from ..core.cloud.weights import carried
-from .points import Points
 
 __all__ = ["Carried"]
 
@@ -25,8 +24,3 @@ class Carried(NamedTuple):
     def of(cls, x: Floats, log_w: Floats, family: Ints) -> "Carried":
         """States with log-weights (N,) whose sum is the evidence, and the ancestor (N,) of each."""
         return cls(*carried(x, log_w, family))
-
-    @property
-    def points(self) -> Points:
-        """The states as a cloud that comes from no prior."""
-        return Points(self.x, self.w, None, None, self.family)

@@ -19,10 +19,10 @@ from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.cloud import apart, as_points, fewer
 from .asked import Asked, kept
-from .guided import Weighed, weighed
+from .guided import weighed
 from .stacked import Stacked
 
-__all__ = ["Read", "by_cloud", "fresh", "read", "read_of", "told_after"]
+__all__ = ["Read", "by_cloud", "fresh", "read"]
 
 _HIDDEN = 0.1  # of an error, below which another adds less than a hundredth
 
@@ -95,21 +95,12 @@ def read(state: CloudState, sensor: Stacked, t: float) -> Read | None:
     shadow, told = beside.points, state.told
     if math.isfinite(beside.log_evidence):
         sums = found.moments, beside.moments
-        told = told_after(told, found, beside, apart(found.points, shadow, sensor.domain, sums))
+        off = apart(found.points, shadow, sensor.domain, sums)
+        told = told.or_expected(beside.effective, beside.points.x.shape[1])
+        told = told.after(*off, (found.log_evidence - beside.log_evidence) ** 2)
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
-    return read_of(state, found, shadow, told, t)
-
-
-def told_after(told: Told, found: Any, beside: Any, off: tuple[float, float]) -> Told:
-    """What is told after a reading of a cloud and its shadow, which are off by these squares."""
-    told = told.or_expected(beside.effective, beside.points.x.shape[1])
-    return told.after(*off, (found.log_evidence - beside.log_evidence) ** 2)
-
-
-def read_of(state: CloudState, found: Weighed, shadow: Points, told: Told, t: float) -> Read:
-    """A cloud after a reading of which this was found, and what a shadow beside it tells."""
     least = least_error(found.effective, state.size)
     own = both(max(told.errors.mean, least), state.pace.bias)
     pace = state.pace._replace(legs=0, bias=0.0)

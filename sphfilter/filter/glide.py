@@ -103,7 +103,7 @@ class _Run:
     def through(self, times: Floats, Z: Floats) -> bool:
         """Put readings (K, k) at times (K + 1,) through; false where one of them is the filter's."""
         first, unusual = len(self.reached.rows), False
-        if not len(Z) or _mixed(self._sensor) or self._stacked(Z[0], times[1]).reader is None:
+        if not len(Z) or self._stacked(Z[0], times[1]).reader is None:
             return False
         while (k := len(self.reached.rows) - first) < len(Z):
             before = self.reached
@@ -213,12 +213,8 @@ def _usual(filt: Any) -> bool:
     own = type(sensor) is GaussianMeasurement and not sensor.inputs and not filt.model.inputs
     if own:
         sensor.check_dim(filt.model.dim)
+        own = sensor.H is None or not sensor.angles  # else it sums in an order of its own
     return bool(plain and filt.adapts and known and own and filt.model.domain.unbounded and not filt._steps)
-
-
-def _mixed(sensor: GaussianMeasurement) -> bool:
-    """Whether a sensor is linear but for angles, which it sums in an order of its own."""
-    return sensor.H is not None and bool(sensor.angles)
 
 
 def _plain(filt: Any, t: float, times: Floats, readings: Sequence[Any]) -> tuple[Floats, Floats]:

@@ -16,7 +16,7 @@ from ..density.as_family import unrolled
 from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
 from ..density.passage import begun, begun_from, chosen_steps, key_at, passed
-from ..density.points import CloudState, Pace, Points, Told, moments
+from ..density.points import CloudState, Pace, Points, moments
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
@@ -26,15 +26,12 @@ from ._shared import blow_up, carried_off, skip_notes
 
 __all__ = [
     "Carried",
-    "ahead",
     "apart",
     "as_points",
     "carried",
     "fewer",
     "least_steps",
-    "pooled",
     "propagate",
-    "steps_of",
 ]
 
 _DOUBTED = 0.01  # probability of points that were given up, from which it is said
@@ -103,7 +100,7 @@ def carried(
 ) -> Carried:
     """Carry a cloud and its shadow over a span of time: what `propagate` does with densities."""
     (t0, t1), count = span, scheme.n_points
-    steps, pace = steps_of(state, model, span, scheme.max_steps, target)
+    steps, pace = _steps(state, model, span, scheme.max_steps, target)
     ends, sums, lost = [], [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, fewer(count)))):
         moved = passed(_near_mean(points, domain), model, t0, t1, steps, many, key_at(t0, k))
@@ -113,15 +110,11 @@ def carried(
             raise PropagationError(_blow_up(model, moved, t0, t1))
         ends.append(moved)
         sums.append(moments(moved.x, moved.w))
-    error, told = ahead(state, pace, count, *apart(ends[0], ends[1], domain, sums))
+    told = state.told.of(count / state.size)
+    off = apart(ends[0], ends[1], domain, sums)
+    error = math.hypot(told.after(*off).errors.mean, pace.bias, state.inherited)
     state = CloudState(ends[0], ends[1], count, told, pace, state.inherited)
     return Carried(state, sums[0], error, lost, steps.number)
-
-
-def ahead(state: CloudState, pace: Pace, count: int, *off: float) -> tuple[float, Told]:
-    """Error of the mean where a cloud of so many points and its shadow are off; and what was told before."""
-    before = state.told.of(count / state.size)
-    return math.hypot(before.after(*off).errors.mean, pace.bias, state.inherited), before
 
 
 def as_points(density: ParticleDensity, count: int) -> CloudState:
@@ -148,21 +141,16 @@ def fewer(count: int) -> int:
 
 
 def apart(points: Points, shadow: Points, domain: Domain | None, sums: Any) -> tuple[float, float]:
-    """Squared errors that two clouds show of a mean and of a covariance, as `pooled` gives them.
+    """Squared errors that two clouds show of a mean, on average over the states, and of a covariance.
 
-    The sums are mean (n,) and covariance (n, n) of each.
+    In standard deviations of the first; the sums are mean (n,) and covariance (n, n) of each.
     """
     (mean, cov), (other, own) = sums
     if domain is not None and domain.periodic.any():
         off = domain.mean(shadow.x, shadow.w) - domain.mean(points.x, points.w)
         other = mean + domain.nearest(off[None])[0]
     first, second = compared(mean, cov, other, own)
-    return pooled(first, second, len(mean))
-
-
-def pooled(first: float, second: float, n: int) -> tuple[float, float]:
-    """Squared errors of a mean of n states and of a covariance, in units of the first's, from those seen."""
-    return apart_by(first, second, n), second
+    return apart_by(first, second, len(mean)), second
 
 
 def _near_mean(points: Points, domain: Domain | None) -> Points:
@@ -173,7 +161,7 @@ def _near_mean(points: Points, domain: Domain | None) -> Points:
     return points._replace(x=np.ascontiguousarray(mean + domain.nearest(points.x - mean)))
 
 
-def steps_of(
+def _steps(
     state: CloudState, model: SDE, span: tuple[float, float], most: int, target: float
 ) -> tuple[Steps, Pace]:
     """Steps whose bias is small beside the points' error, and the pace of the next."""

@@ -107,6 +107,14 @@ def test_stiff_drifts_from_a_wide_start_come_in(drift, power, variance):
     np.testing.assert_allclose(density.cov()[0, 0], exact, rtol=0.05)
 
 
+@pytest.mark.parametrize("allowed", [1e-3, 1e-4])
+def test_a_mild_drift_is_not_taken_for_stiff_by_chance(allowed):
+    points = begun(np.array([1.0, 0.0]), np.diag([0.4, 1.0]), 512, 1)
+    for t in np.arange(40.0):  # by the time go the keys, and so what few points show
+        steps, bias, _ = chosen_steps(points, WELLS, (t, t + 2.0), Steps(4), (1, 20_000), allowed)
+        assert bias <= allowed and not steps.stiff
+
+
 @pytest.mark.parametrize("high", [np.inf, 1.5])
 def test_reflecting_walls_keep_the_stationary_density(high):
     model = line("-x - 0.5", domain=[("reflecting", 0.0, high)])

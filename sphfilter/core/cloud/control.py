@@ -10,9 +10,7 @@ from numba.extending import register_jitable
 from .pace import ORDER as STEPS_ORDER
 
 __all__ = [
-    "CALMER",
     "MOST_POINTS",
-    "ORDER",
     "SHADOW",
     "apart_by",
     "bias_allowed",
@@ -30,7 +28,7 @@ __all__ = [
 ]
 
 #: Points of a cloud over those of its shadow; an error falls with their number to about this power.
-SHADOW, ORDER = 8, 0.6
+SHADOW, _ORDER = 8, 0.6
 _NEW = 0.4  # weight of the last squared difference among all
 #: Squared error of a mean over that of as many points drawn at random: .3 to .65 of the error after the first
 #: readings of 90 random models, whatever part of the points carries them.
@@ -42,9 +40,9 @@ _UNEVEN = 0.5
 #: and modes keep it for many readings. With a half nine scenes took 1.17 times the time for the same error.
 _PART = 1.0 / 4.0
 _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
-CALMER = 0.1  # of the bias that is allowed, below which steps become longer
+_CALMER = 0.1  # of the bias that is allowed, below which steps become longer
 #: Points of a cloud, least and most: powers of two, for which nets are evenest.
-FEWEST_POINTS, MOST_POINTS = 256, 2**17
+_FEWEST_POINTS, MOST_POINTS = 256, 2**17
 _PATIENCE = 2  # readings in a row that ask for fewer points before there are fewer
 _SETTLED = 3  # readings after there are more points, before there are more again
 #: Times the points at most, of a reading that is made again, and of the next one: estimates may be chance.
@@ -81,13 +79,13 @@ def expected_square(number):
 @register_jitable
 def square_of_more(square, times):
     """Square of what so many times the points show; fewer points leave what was wrong as it was."""
-    return square * max(times, 1.0) ** (-2.0 * ORDER)
+    return square * max(times, 1.0) ** (-2.0 * _ORDER)
 
 
 @register_jitable
 def error_by(square):
     """Error of a cloud whose shadow shows this square, if both fall alike with the number of points."""
-    return math.sqrt(square) * SHADOW**-ORDER
+    return math.sqrt(square) * SHADOW**-_ORDER
 
 
 @register_jitable
@@ -126,21 +124,21 @@ def bias_allowed(error, count, inherited, most, target, legs):
 def step_after(dt, number, least, over):
     """Length of the next step after so many over a time, whose bias was so much of what is allowed."""
     longest = float(number)
-    if over < CALMER:
-        longest *= max(over, CALMER) ** (1.0 / STEPS_ORDER)
+    if over < _CALMER:
+        longest *= max(over, _CALMER) ** (1.0 / STEPS_ORDER)
     return dt / max(longest, float(least))
 
 
 @register_jitable
 def power_of_two(count):
     """The next power of two, within what clouds may have."""
-    return min(max(2 ** math.ceil(math.log2(max(count, 1.0))), FEWEST_POINTS), MOST_POINTS)
+    return min(max(2 ** math.ceil(math.log2(max(count, 1.0))), _FEWEST_POINTS), MOST_POINTS)
 
 
 @register_jitable
 def points_for(count, error, target):
     """Points that have a target error where so many have an error: a power of two; as many if it is NaN."""
-    times = (error / target) ** (1.0 / ORDER) if error == error else 1.0
+    times = (error / target) ** (1.0 / _ORDER) if error == error else 1.0
     return power_of_two(count * min(times, _MORE))
 
 

@@ -91,7 +91,7 @@ class Standing(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Errors of a mean, in standard deviations, and what they are bounds of."""
+    """Errors of a mean, in standard deviations, up to which a reading is usual; and the most steps."""
 
     target: float
     missed: float  # from which a reading is looked at again
@@ -167,7 +167,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         error[j] = both(max(error_by(squares[0]), least_error(one.found[6], count)), bias)
         away, spread = foreseen(about[3], one.y, one.w, one.mean, one.cov)
         _keep(away, spread, off, S, j)
-        if not _plain(error[j], squares, away, spread, bounds):
+        if not _unremarkable(error[j], squares, away, spread, bounds):
             end = REFUSED
             break
         wanted = points_for(count, error_by(squares[0]), bounds.target)
@@ -291,7 +291,7 @@ def _told(s, one, two, count):
 
 
 @jit
-def _plain(error, squares, off, S, bounds):
+def _unremarkable(error, squares, off, S, bounds):
     """Whether nothing is to be said of a reading of this innovation (k,) and covariance (k, k)."""
     if not error <= bounds.flagged or not error < bounds.doubtful or 2.0 * error_by(squares[1]) > WRONG:
         return False

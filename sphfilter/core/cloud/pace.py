@@ -89,7 +89,7 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
         if not too_much > 1.0 or (stiff and (2 * number > most or not bias < _HELPED * before)):
             return number, stiff, bias, 1.0 - finite_rows(fine)[0].mean()
         helped = bias < before
-        if not stiff and tried and not helped and number >= 2 * best:  # nor steps half as long
+        if not stiff and tried and not helped and number >= 2 * best:  # not even twice the steps help
             number, stiff, before, tried = max(least, FIRST_TRIED), True, np.inf, False
             continue
         more = math.ceil(number * min(max(too_much ** (1.0 / ORDER), 1.2), 4.0))
