@@ -22,7 +22,7 @@ from sphfilter.campaign.campaign import draw_case
 from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError, SphfilterError
 
-from . import expensive, frontier, plots, tables
+from . import expensive, frontier, overview, plots, tables
 from .campaign import Plan, run_scenario
 from .families import FAMILIES
 from .methods import default_families, methods
@@ -124,7 +124,7 @@ def _write(args, plan, outcomes, machine, work):
     plan.folder.mkdir(parents=True, exist_ok=True)
     tables.write_csv(plan.folder / "benchmark.csv", outcomes)
     title = f"Filters side by side: {counted(plan.n_runs, 'run')}, seed {plan.seed}"
-    told = tables.markdown(outcomes, title) + frontier.markdown(outcomes)
+    told = tables.markdown(outcomes, title) + overview.markdown(outcomes) + frontier.markdown(outcomes)
     (plan.folder / "benchmark.md").write_text(told, encoding="utf-8")
     record = {
         "arguments": {key: str(value) for key, value in vars(args).items()},

@@ -14,7 +14,7 @@ __all__ = ["Method", "default_families", "label", "methods", "short", "size_text
 #: Particles by number of states (three stands for all above two), quick or not.
 _SPH = {1: (25, 50, 100, 200), 2: (100, 200, 400, 800, 1600), 3: (200, 500, 1000, 2000, 4000)}
 #: Of n_particles="auto": one over the target error.
-_AUTO = (33, 100, 300, 1000)
+_AUTO = (10, 33, 100, 300, 1000)
 _PAPER = {1: (50, 200), 2: (200, 800), 3: (1000,)}
 _PF, _PF4 = (200, 1000, 10_000, 100_000), (1000, 10_000, 100_000)
 _REFEREE = (48, 96)

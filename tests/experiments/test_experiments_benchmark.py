@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from experiments import __main__ as commands
-from experiments.benchmark import expensive, reference, tables
+from experiments.benchmark import expensive, overview, reference, tables
 from experiments.benchmark.campaign import Outcome
 from experiments.benchmark.counting import drift_evaluations
 from experiments.benchmark.densities import Cloud, hellinger, normal, snapshot
@@ -248,6 +248,17 @@ def test_the_frontier_lies_between_sizes():
     told = markdown([SimpleNamespace(scenario="one", lines=lines + other)])
     assert "| one | 0.1 | 10 | **1** | 5 |" in told and "| one | 0.03 | **33" in told
     assert "0.01" not in told and markdown([SimpleNamespace(scenario="one", lines=other[1:])]) == ""
+
+
+def test_a_rival_is_asked_for_the_error_that_was_left():
+    sizes = (1000, 0.01, 0.1), (10_000, 0.16, 0.025)
+    rival = [replace(_line("pf4", *size), runs=1, certified=False) for size in sizes]
+    np.testing.assert_allclose([overview.seconds_at(rival, e) for e in (0.2, 0.05, 0.005)], [0.0025, 0.04, 4])
+    own = replace(_line("auto", 100, 0.02, 0.05), told=np.array([[0.1, 0.05]]), certified=True, runs=1)
+    told = overview.markdown([SimpleNamespace(scenario="one", lines=[own, *rival])])
+    assert "| one | 0.05, 0.02 s | 0.025 †, 0.16 s |" in told and "| 2 | 2 (2, 2) |" in told
+    assert "Asked 0.01: geometric mean of the ratios 2; PF ahead on 0 of 1" in told
+    assert overview.markdown([SimpleNamespace(scenario="one", lines=rival)]) == ""
 
 
 def test_sizes_in_words():
