@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
 
 from .. import validate
 from .._types import Floats
 from ..errors import ModelError
+from .discretization import exponential
 from .named import InputValues, input_values
 from .sde import SDE
 
@@ -115,7 +115,7 @@ class JumpMarkovModel:
 
 @lru_cache(maxsize=256)
 def _transition(rates: bytes, M: int, dt: float) -> Floats:
-    P = np.maximum(expm(np.frombuffer(rates).reshape(M, M) * dt), 0.0)
+    P = np.maximum(exponential(np.frombuffer(rates).reshape(M, M) * dt), 0.0)
     return np.asarray(P / P.sum(axis=1, keepdims=True), dtype=np.float64)
 
 

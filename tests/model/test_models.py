@@ -9,6 +9,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from sphfilter.errors import ModelError
+from sphfilter.model.discretization import exponential
 from sphfilter.model.measurements import GaussianMeasurement
 from sphfilter.model.sde import SDE, LinearSDE
 
@@ -387,3 +388,12 @@ def test_pickling():
 def test_a_mistyped_keyword_names_the_nearest(made, meant):
     with pytest.raises(TypeError, match=rf"has no argument '.*' \(did you mean {meant}\?\)"):
         made()
+
+
+@pytest.mark.parametrize("scale", [1e-9, 0.3, 5.0, 300.0])
+def test_exponentials_are_those_of_scipy(scale):
+    rng = np.random.default_rng(3)
+    for n in (1, 2, 4, 8):
+        stable = rng.normal(size=(n, n)) - 3.0 * np.sqrt(n) * np.eye(n)
+        for X in (stable * scale, np.diag(np.full(n - 1, scale), 1), np.zeros((n, n))):
+            np.testing.assert_allclose(exponential(X), expm(X), rtol=1e-10, atol=1e-13 * max(1.0, scale))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm, logm
+from scipy.linalg import logm
 from scipy.stats import multivariate_normal
 from stonesoup.base import Property
 from stonesoup.models.base import GaussianModel, LinearModel
@@ -17,6 +17,7 @@ from stonesoup.types.state import State
 
 from ..._types import Floats
 from ...errors import ModelError
+from ...model.discretization import exponential
 from ...model.jump_markov import JumpMarkovModel
 from ...model.sde import SDE, LinearSDE
 from ...model.simulate import advance
@@ -207,7 +208,7 @@ def _read(F: Floats, Q: Floats, tau: float) -> LinearSDE | None:
     A[np.abs(A) < 1e-12 * np.abs(A).max(initial=0.0)] = 0.0
     K = np.kron(A, np.eye(n)) + np.kron(np.eye(n), A)
     zero, one = np.zeros_like(K), np.eye(n * n)
-    integral = expm(np.block([[K, one], [zero, zero]]) * tau)[: n * n, n * n :]
+    integral = exponential(np.block([[K, one], [zero, zero]]) * tau)[: n * n, n * n :]
     q = np.linalg.solve(integral, Q.ravel()).reshape(n, n)
     q[np.abs(q) < 1e-12 * np.abs(q).max(initial=0.0)] = 0.0
     values, vectors = np.linalg.eigh(0.5 * (q + q.T))
