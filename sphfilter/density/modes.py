@@ -72,9 +72,9 @@ class ModeDensities:
         self.ripples = ripples
 
     @classmethod
-    def alike(cls, w: Floats, density: ParticleDensity) -> "ModeDensities":
-        """The same density in all modes, which have probabilities w (M,)."""
-        if density.needs is not None:  # those of modes are summed
+    def alike(cls, w: Floats, density: ParticleDensity, summed: bool) -> "ModeDensities":
+        """The same density in all modes, which have probabilities w (M,); are those of modes summed?"""
+        if summed and density.needs is not None:
             density = density.noted(needs=density.needs._replace(smooth=True))
         with np.errstate(divide="ignore"):
             return cls(np.log(w), [density] * len(w))

@@ -22,6 +22,7 @@ from ..model.jump_markov import mode_probabilities as checked_probabilities
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, driven
 from ..model.sensors import Sensors
+from ..prediction.jumping import suits
 from ..prediction.mixing_modes import whatever_the_mode
 from ..prediction.switching import ModesInfo, ModesPrediction, predict_modes
 from ..validate import onwards, real, seconds, short
@@ -156,7 +157,8 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
         if self.config.time_budget is not None:
             raise ConfigError("JumpMarkovFilter keeps no time_budget; leave it out, or raise target_error")
         density = self._start(x0, P0, t0, self.n_particles)
-        modes = ModeDensities.alike(checked_probabilities(mode_probabilities, model), density)
+        w = checked_probabilities(mode_probabilities, model)
+        modes = ModeDensities.alike(w, density, summed=not suits(model))
         self._state = FilterState.begun(modes, model.inputs)
         self._remember_from_here(window)
 

@@ -40,12 +40,12 @@ def linear_transition(model: "SDE", dt: float) -> tuple[Floats, Floats, Floats]:
 
 
 def exponential(X: Floats) -> Floats:
-    """The exponential of a small matrix (n, n), by a Taylor series and squaring.
+    """The exponential of small matrices (..., n, n), by a Taylor series and squaring.
 
     Scipy's shares some matrices of four rows out to threads: 8 ms each where another program has the core.
     """
-    squarings = max(0, math.frexp(float(np.linalg.norm(X, 1)))[1] + 1)
-    X, one = X / 2.0**squarings, np.eye(len(X))
+    squarings = max(0, math.frexp(float(np.abs(X).sum(axis=-2).max()))[1] + 1)
+    X, one = X / 2.0**squarings, np.eye(X.shape[-1])
     E = one
     for k in range(_TERMS, 0, -1):
         E = one + X @ E / k

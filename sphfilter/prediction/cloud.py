@@ -30,7 +30,10 @@ __all__ = [
     "as_points",
     "carried",
     "fewer",
+    "info_of",
+    "kept",
     "least_steps",
+    "near_mean",
     "propagate",
 ]
 
@@ -77,7 +80,7 @@ def propagate(
     moved = carried(state, model, span, scheme, target, density.domain)
     capacity = density.capacity if n_particles is None else n_particles
     new = cloud_of(density, moved.state, moved.moments, t=float(t1), capacity=capacity, error=moved.error)
-    return new, _info(model, scheme.n_points, moved.steps, moved.lost, moved.error)
+    return new, info_of(model, scheme.n_points, moved.steps, moved.lost, moved.error)
 
 
 class Carried(NamedTuple):
@@ -103,8 +106,8 @@ def carried(
     steps, pace = _steps(state, model, span, scheme.max_steps, target)
     ends, sums, lost = [], [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, fewer(count)))):
-        moved = passed(_near_mean(points, domain), model, t0, t1, steps, many, key_at(t0, k))
-        moved, gone = _kept(moved, domain)
+        moved = passed(near_mean(points, domain), model, t0, t1, steps, many, key_at(t0, k))
+        moved, gone = kept(moved, domain)
         lost = gone if k == 0 else lost
         if gone > MOST_LOST:
             raise PropagationError(_blow_up(model, moved, t0, t1))
@@ -153,7 +156,7 @@ def apart(points: Points, shadow: Points, domain: Domain | None, sums: Any) -> t
     return apart_by(first, second, len(mean)), second
 
 
-def _near_mean(points: Points, domain: Domain | None) -> Points:
+def near_mean(points: Points, domain: Domain | None) -> Points:
     """Points unrolled about their mean direction, where an axis is periodic, if their path begins here."""
     if domain is None or points.path is not None or not domain.periodic.any():
         return points
@@ -210,7 +213,7 @@ def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
     return steps
 
 
-def _kept(points: Points, domain: Domain | None) -> tuple[Points, float]:
+def kept(points: Points, domain: Domain | None) -> tuple[Points, float]:
     """The points without weight where they ran away or left a bounded axis; and what that was."""
     alive, every = together(points.x, AWAY)
     if every and domain is None:
@@ -231,7 +234,8 @@ def _blow_up(model: SDE, points: Points, t0: float, t1: float) -> str:
     return carried_off(model, x, t0, t1) or blow_up(model, x[-1], t0, t0, t1)
 
 
-def _info(model: SDE, count: int, steps: int, lost: float, error: float) -> PredictInfo:
+def info_of(model: SDE, count: int, steps: int, lost: float, error: float) -> PredictInfo:
+    """What a prediction of a cloud says."""
     status = f"on a cloud of {count} points: the mean is good to {error:.2g} standard deviations"
     code = Code.CLOUD
     if lost > _DOUBTED:

@@ -27,14 +27,22 @@ from . import automatic, cloud, families, family, pieces
 from .again import MOST_WORK
 from .to_target import Time, carried_to_target
 
-__all__ = ["best_family", "cloud_is_cheaper", "first_degree", "prefers_cloud", "propagate"]
+__all__ = [
+    "LATTICE",
+    "as_asked",
+    "best_family",
+    "cloud_is_cheaper",
+    "first_degree",
+    "prefers_cloud",
+    "propagate",
+]
 
 Found = TypeVar("Found")
 
 #: Points of a cloud that take as long as a lattice that makes the same error, by states; a lattice of more
 #: states never pays. And points that take as long as one family. (Of `experiments benchmark`.)
 _AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**13}, {5: 2**13, 6: 2**13}
-_LATTICE = 2  # states up to which families are not carried in parts
+LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _TOLERANCE = 0.1  # of a step of a family, over the target
 _WORK = 1000.0  # evaluations of the drift, that a lattice may take for each point of a usual cloud
@@ -52,7 +60,7 @@ def first_degree(dim: int, needs: Needs) -> int:
 
 def prefers_cloud(dim: int, needs: Needs, target: float) -> bool:
     """Whether a cloud comes after one family, and not a lattice."""
-    return dim > _LATTICE if needs.smooth else needs.cloud(target) <= _AS_LATTICES.get(dim, MOST_POINTS)
+    return dim > LATTICE if needs.smooth else needs.cloud(target) <= _AS_LATTICES.get(dim, MOST_POINTS)
 
 
 def cloud_is_cheaper(dim: int, needs: Needs, target: float) -> bool:
@@ -62,7 +70,7 @@ def cloud_is_cheaper(dim: int, needs: Needs, target: float) -> bool:
 
 def _in_parts(density: ParticleDensity) -> bool:
     """Whether a few families may stand for a density where one does not."""
-    return density.dim > _LATTICE and density.domain is None and density.family is not None
+    return density.dim > LATTICE and density.domain is None and density.family is not None
 
 
 def best_family(
@@ -230,7 +238,7 @@ def _by_cloud(
     """Carry as many points as the target asks for."""
     points = needs.cloud(target)
     moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points), target=target)
-    return moved.noted(needs=needs), _as_asked(info)
+    return moved.noted(needs=needs), as_asked(info)
 
 
 def _by_lattice(
@@ -258,10 +266,10 @@ def _by_lattice(
         return _by_cloud(density, model, t1, target, needs)
     if moved.field is not None:
         nodes = max(moved.n_particles, fewest(density.dim))
-    return moved.noted(needs=needs._replace(nodes=nodes), capacity=nodes), _as_asked(info)
+    return moved.noted(needs=needs._replace(nodes=nodes), capacity=nodes), as_asked(info)
 
 
-def _as_asked(info: PredictInfo) -> PredictInfo:
+def as_asked(info: PredictInfo) -> PredictInfo:
     """The info of a rung that the target asked for, and not of one that took another's place."""
     usual = Code.CLOUD | Code.FINER
     if info.code & ~usual or not info.error < DOUBTFUL:

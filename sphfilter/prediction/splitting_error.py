@@ -1,5 +1,7 @@
 """What steps of a splitting get wrong of densities between whose modes states jump."""
 
+import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -8,68 +10,96 @@ from .._types import Floats
 from ..density.as_family import unrolled
 from ..density.modes import ModeDensities, Ripple, no_ripple
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import Pieces, nodes, root_of
-from ..model.discretization import linear_transition, transition
+from ..density.nets import net
+from ..density.pieces import Pieces, root_of
+from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
 
-__all__ = ["splitting_error"]
+__all__ = ["jump_times", "splitting_error"]
 
 _ROUNDS, _NEAR = 4, 2.5  # in which a part of a density grows, and standard deviations by which
+_POINTS = 64  # of each Gaussian: readings of a thirtieth of its width find some
 _ENTRIES = 2**21  # of an array of states times Gaussians
 
 
-class _Flow(NamedTuple):
-    """X -> Phi X + offset + N(0, Q)."""
+def jump_times(steps: int, jumps: float) -> tuple[Floats, Floats]:
+    """Shares (steps,) of an interval after which states jump, and shares (steps,) of it that jumps last there.
 
-    Phi: Floats
-    offset: Floats
-    Q: Floats
-
-    def after(self, first: "_Flow") -> "_Flow":
-        """The flow of another one, and then of this."""
-        return _Flow(
-            self.Phi @ first.Phi,
-            self.Phi @ first.offset + self.offset,
-            self.Phi @ first.Q @ self.Phi.T + self.Q,
-        )
-
-    def of(self, mean: Floats, cov: Floats) -> tuple[Floats, Floats]:
-        return self.Phi @ mean + self.offset, self.Phi @ cov @ self.Phi.T + self.Q
+    They are the nodes and weights of Gauss's rule, in as many even pieces as a state may take `jumps`: those
+    that have jumped once are summed to degree 2 steps - 1; of several jumps in a piece the order is lost.
+    """
+    several = math.ceil(jumps)
+    pieces = steps if steps <= several else max(p for p in range(1, max(several, 1) + 1) if steps % p == 0)
+    nodes, weights = np.polynomial.legendre.leggauss(steps // pieces)
+    share = (np.arange(pieces)[:, None] + 0.5 * (1.0 + nodes)) / pieces
+    return share.ravel(), np.tile(0.5 * weights / pieces, pieces)
 
 
-def _powers(sde: SDE, x: Floats, t: float, h: float, count: int) -> list[_Flow]:
-    """The flows of a model, linearised about a state, over 0, h, ..., count h seconds."""
-    n = len(x)
-    if sde.linear:
-        one = _Flow(*linear_transition(sde, h))
-    else:
+@cache
+def _rules(steps: int, jumps: float) -> tuple[Floats, Floats, Floats]:
+    """Shares (K,) of an interval, alike from both ends, and what finer rules there add to weights (K,)."""
+    (few, w), (more, v) = jump_times(steps, jumps), jump_times(steps + 1, 0.0)
+    even = np.linspace(0.0, 1.0, 2 * steps + 1)
+    simpson = np.array([-1.0, *[2.0, -2.0] * (steps - 1), 2.0, -1.0]) / (3.0 * steps)
+    parts, where = np.unique(np.round(np.concatenate([few, more, even]), 12), return_inverse=True)
+    gauss, two = np.concatenate([-w, v, 0.0 * even]), np.concatenate([0.0 * w, 0.0 * v, simpson])
+    return parts, np.bincount(where, gauss).astype(float), np.bincount(where, two).astype(float)
+
+
+class _Flows(NamedTuple):
+    """X -> Phi X + offset + N(0, Q) over K times: a model linearised about a state."""
+
+    Phi: Floats  # (K, n, n)
+    offset: Floats  # (K, n)
+    Q: Floats  # (K, n, n)
+
+    @classmethod
+    def about(cls, sde: SDE, x: Floats, t: float, times: Floats) -> "_Flows":
+        """Over times (K,), from a state (n,) at time t; by Van Loan's exponential, and doubling."""
+        n, K = len(x), len(times)
         A = np.nan_to_num(sde.jacobian(x, t))
         b = np.nan_to_num(sde.drift(x[None], t)[0]) - A @ x
-        one = _Flow(*transition(A, b, 2.0 * np.nan_to_num(sde.diffusion(x[None], t)[0]), h))
-    flows = [_Flow(np.eye(n), np.zeros(n), np.zeros((n, n)))]
-    for _ in range(count):
-        flows.append(one.after(flows[-1]))
-    return flows
+        both, affine = np.zeros((2 * n, 2 * n)), np.zeros((n + 1, n + 1))
+        both[:n, :n], both[:n, n:], both[n:, n:] = -A, 2.0 * np.nan_to_num(sde.diffusion(x[None], t)[0]), A.T
+        affine[:n, :n], affine[:n, n] = A, b
+        doublings = max(0, math.frexp(float(np.linalg.norm(A, 1)) * times[-1])[1])
+        h = times[:, None, None] / 2.0**doublings
+        E, moved = exponential(both * h), exponential(affine * h)
+        Phi, offset = moved[:, :n, :n], moved[:, :n, n:]
+        Q = Phi @ E[:, :n, n:]
+        for _ in range(doublings):
+            offset, Q, Phi = Phi @ offset + offset, Phi @ Q @ Phi.transpose(0, 2, 1) + Q, Phi @ Phi
+        return cls(Phi, offset.reshape(K, n), Q)
+
+    def of(self, mean: Floats, cov: Floats) -> tuple[Floats, Floats]:
+        """Means (K, n) and covariances (K, n, n) of Gaussians, of one or of K."""
+        moved = (self.Phi @ mean[..., None])[..., 0] + self.offset
+        return moved, self.Phi @ cov @ self.Phi.transpose(0, 2, 1) + self.Q
+
+    def backwards(self) -> "_Flows":
+        """The last time first."""
+        return _Flows(*(part[::-1] for part in self))
 
 
 def splitting_error(modes: ModeDensities, model: JumpMarkovModel, dt: float, steps: int) -> list[Ripple]:
-    """What is wrong with each mode's density after dt seconds in so many steps.
+    """What is wrong with each mode's density after dt seconds in which states jump at so many times.
 
-    With jumps from mode j at the times s, the density of mode i has ∫ λ_ji U_i(dt - s) U_j(s) p_j ds. Of
-    that the steps make a trapezoidal rule; what Simpson's rule adds to it is taken for its error, over the
-    density, rms over the mass.
+    With one jump from mode j the density of mode i has ∫ λ_ji U_i(dt - s) U_j(s) p_j ds. Of that the times
+    make Gauss's rule; what the rule of one time more adds to it is an error. Two jumps in one part of the
+    interval are taken in one order: of the λ dt / 2 that jump once more a trapezoidal rule is made, less
+    Simpson's. Both are for Gaussians and the model linearised about them; over the density, averaged over the
+    mass.
     """
-    h, t = 0.5 * dt / steps, modes.heaviest.t
+    leaving = -np.diag(model.rates)
+    share, gauss, simpson = _rules(steps, float(-model.rates.min()) * dt)
     starts = {j: _narrow(p) for j, _, p in modes.some}
     flows = {
-        (i, j): _powers(model.modes[model.names[i]], mean, t, h, 2 * steps)
+        (i, j): _Flows.about(model.modes[model.names[i]], mean, modes.heaviest.t, dt * share)
         for j, (mean, _) in starts.items()
         for i in range(len(model.names))
         if i == j or model.rates[i, j] > 0.0 or model.rates[j, i] > 0.0
     }
-    simpson = np.array([1.0, *[4.0, 2.0] * (steps - 1), 4.0, 1.0]) * h / 3.0
-    trapezoid = np.array([1.0, *[0.0, 2.0] * (steps - 1), 0.0, 1.0]) * h
     P, off = model.transition(dt), [no_ripple(model.dim) for _ in model.names]
     for i in range(len(off)):
         means, covs, extra = [], [], []
@@ -77,14 +107,14 @@ def splitting_error(modes: ModeDensities, model: JumpMarkovModel, dt: float, ste
             rate = model.rates[j, i]
             if i == j or rate == 0.0:
                 continue
-            first, then = flows[j, j], flows[i, j]
-            ends = [then[2 * steps - m].of(*first[m].of(mean, cov)) for m in range(2 * steps + 1)]
-            extra += list(modes.w[j] * rate * (simpson - trapezoid))
-            means += [mean for mean, _ in ends]
-            covs += [cov for _, cov in ends]
+            ends = flows[i, j].backwards().of(*flows[j, j].of(mean, cov))
+            again = min(0.25 * float(leaving[i] + leaving[j]) * dt, 1.0)
+            extra += list(modes.w[j] * rate * dt * (gauss + again * simpson))
+            means.append(ends[0])
+            covs.append(ends[1])
         if np.any(extra):
             whole = float(modes.w @ P[:, i])
-            off[i] = _absolute(np.array(means), np.array(covs), np.array(extra) / whole)
+            off[i] = _absolute(np.concatenate(means), np.concatenate(covs), np.array(extra) / whole)
     return off
 
 
@@ -112,11 +142,11 @@ def _absolute(mean: Floats, cov: Floats, w: Floats) -> Ripple:
     """The size of a sum of Gaussians with weights w (K,) of either sign."""
     own = w != 0.0
     several, w = Pieces(np.zeros(own.sum()), mean[own], root_of(cov[own])), w[own]
-    xi, u = nodes(mean.shape[1])
+    xi = net(_POINTS, mean.shape[1])
     X = (several.mean[:, None] + np.einsum("kab,ib->kia", several.root, xi)).reshape(-1, mean.shape[1])
     step = max(1, _ENTRIES // several.mean.size)
     ratio = np.concatenate([_balance(several, w, X[i : i + step]) for i in range(0, len(X), step)])
-    return Ripple(X, np.outer(np.abs(w), u).ravel() * ratio)
+    return Ripple(X, np.repeat(np.abs(w) / _POINTS, _POINTS) * ratio)
 
 
 def _balance(several: Pieces, w: Floats, X: Floats) -> Floats:

@@ -1,9 +1,10 @@
-"""Modes carried together: each by its own equation, with jumps between (Strang splitting).
+"""Modes carried together: each by its own equation, with jumps between.
 
-∂p_i/∂t = L_i p_i + Σ_j λ_ji p_j is split: half a step of jumps alone, which mix the densities of the modes, a
-step of every mode's own equation, half a step of jumps. The error is that of the trapezoidal rule over the
-time of a jump, for a jump is taken at either end of a step and not on its way: it is estimated by Simpson's
-rule, for Gaussians and the model linearised about them. Steps are made shorter until it is allowed.
+∂p_i/∂t = L_i p_i + Σ_j λ_ji p_j is split: every mode goes by its own equation, but for some times at which
+states jump. These are the nodes of Gauss's rule, and states jump for as long there as the rule weighs them:
+for densities that have jumped once on the way that is as good as the rule (Strang's even steps are but a
+trapezoidal one). There are as many times as the estimated error asks for. Points take jumps each by
+itself (`jumping`); of other densities sums are made at every time (`mixing`).
 """
 
 import math
@@ -15,7 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..config import FilterConfig
+from .._types import Floats
+from ..config import CloudScheme, FilterConfig
 from ..density.modes import ModeDensities, Ripple, no_ripple
 from ..density.needs import allowance
 from ..density.particle_density import ParticleDensity
@@ -24,10 +26,12 @@ from ..info import Code, PredictInfo
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
 from .again import Outcome, or_as_cloud
+from .jumping import UNLIKELY, Way, carried_with_jumps, suits
+from .ladder import LATTICE, as_asked
 from .mixing_modes import summed
 from .pieces import carried_exactly
 from .predict import predict
-from .splitting_error import splitting_error
+from .splitting_error import jump_times, splitting_error
 
 __all__ = ["MOST_SUBSTEPS", "ModesInfo", "ModesPrediction", "predict_modes"]
 
@@ -35,7 +39,6 @@ MOST_SUBSTEPS = 256  # of an interval
 _SPLITTING = 0.25  # of the target, that the splitting of an interval may be off by
 _COARSE = "{} steps of the jumps between modes leave {:.2g} of the probability in doubt"
 _KINDS = "family", "log_density", "cloud"  # read-outs, and "family" for all others
-_UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,27 +105,56 @@ def predict_modes(
     PropagationError
         A mode that is not unlikely cannot be carried; the sentence says why.
     """
-    t0, target = modes.heaviest.t, config.target_error
-    allowed = allowance(modes.error, target)
-    jumps = model.rates.any()
+    t0, target, jumps = modes.heaviest.t, config.target_error, model.rates.any()
     steps, off = 1, [no_ripple(model.dim) for _ in model.names]
     if jumps:
         steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error / finer, n_substeps)
-    h, told = (t1 - t0) / steps, _Told(model.names)
+    told, times = _Told(model.names), jump_times(steps, _jumps(model, t1 - t0))
+    count = _points(modes, model, config, n_particles) if jumps else 0
+    if count:
+        way, forced = Way.of(model, (t0, t1), *times), isinstance(config.scheme, CloudScheme)
+        modes, infos = carried_with_jumps(modes, model, way, count, target)
+        for i, info in infos.items():
+            told.hear(i, info if forced else as_asked(info))
+    else:
+        modes = _in_turn(modes, model, t1, config, n_particles, times if jumps else None, apart, told)
+    whole = np.array([ripple.mass for ripple in off])
+    modes = modes.split(np.hypot(modes.splitting, whole), off)
+    return modes, told.info(modes, steps, float(modes.w @ whole), target)
+
+
+def _points(modes: ModeDensities, model: JumpMarkovModel, config: FilterConfig, n_particles: Any) -> int:
+    """Points of a cloud for each mode, where modes go as clouds; else zero."""
+    if isinstance(config.scheme, CloudScheme):
+        return config.scheme.n_points
+    needs = [density.needs for _, _, density in modes.some if density.needs is not None]
+    if config.scheme != "auto" or n_particles != "auto" or len(needs) < len(modes.some) or not suits(model):
+        return 0
+    most = max(needs, key=lambda own: own.points)
+    return 0 if most.smooth and model.dim <= LATTICE else most.cloud(config.target_error)
+
+
+def _in_turn(
+    modes: ModeDensities,
+    model: JumpMarkovModel,
+    t1: float,
+    config: FilterConfig,
+    n_particles: int | str,
+    times: tuple[Floats, Floats] | None,
+    apart: float,
+    told: "_Told",
+) -> ModeDensities:
+    """The densities of all modes at time t1, which are carried, and mixed at the times of jumps."""
+    t0, target, steps = modes.heaviest.t, config.target_error, 1 if times is None else len(times[0])
+    allowed = allowance(modes.error, target)
     # what steps add to polynomials and pieces is alike, and adds up; of lattices it comes as it may
     each = allowed / (steps + 1) / apart, allowed / math.sqrt(steps + 1)
     smaller = [config.target_error / part for part in (steps, math.sqrt(steps), 1.0)]
     configs = dict(zip(_KINDS, (replace(config, target_error=error) for error in smaller), strict=True))
-    if jumps:
-        modes = _switched(modes, model, 0.5 * h, target, each)
-    for step in range(1, steps + 1):
-        t = t1 if step == steps else t0 + step * h
-        modes = _carried(modes, model, t, configs, n_particles, told)
-        if jumps:
-            modes = _switched(modes, model, h if step < steps else 0.5 * h, target, each)
-    whole = np.array([ripple.mass for ripple in off])
-    modes = modes.split(np.hypot(modes.splitting, whole), off)
-    return modes, told.info(modes, steps, float(modes.w @ whole), target)
+    for share, part in zip(*times, strict=True) if times else ():
+        modes = _carried(modes, model, t0 + share * (t1 - t0), configs, n_particles, told)
+        modes = _switched(modes, model, part * (t1 - t0), target, each)
+    return _carried(modes, model, t1, configs, n_particles, told)
 
 
 class _Told:
@@ -204,7 +236,7 @@ def _carried(
             if _kind(outcome.density) != _kind(density):  # which needs no more than its own kind does
                 outcome = or_as_cloud(predicted, configs[_kind(outcome.density)])
         except PropagationError as problem:
-            if own > math.log(_UNLIKELY):
+            if own > math.log(UNLIKELY):
                 raise PropagationError(f"mode {model.names[i]!r}: {problem}") from problem
             log_w[i], densities[i] = -math.inf, None
             continue
@@ -227,4 +259,11 @@ def _steps(
         error = float(w @ [ripple.mass for ripple in off])
         if given is not None or error <= allowed or steps == MOST_SUBSTEPS:
             return steps, off
-        steps = min(max(math.ceil(steps * math.sqrt(error / allowed)), steps + 1), 2 * steps, MOST_SUBSTEPS)
+        more = math.ceil(steps * (error / allowed) ** 0.25)  # errors of Gauss fall faster
+        steps, pieces = min(max(more, steps + 1), 2 * steps), math.ceil(_jumps(model, dt))
+        steps = min(pieces * math.ceil(steps / pieces) if steps > pieces else steps, MOST_SUBSTEPS)
+
+
+def _jumps(model: JumpMarkovModel, dt: float) -> float:
+    """Jumps that a state takes in dt seconds, of the mode that it leaves the soonest."""
+    return float(-model.rates.min()) * dt

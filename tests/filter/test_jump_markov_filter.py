@@ -80,6 +80,7 @@ def test_a_target_that_turns_now_and_then_is_followed_as_by_a_grid_of_two_states
         for size, step in ((96, 0.125), (128, 0.0625))
     )
     flt = sf.JumpMarkovFilter(model, sensor, [0.0, 0.0], P0)
+    off = []
     assert len(set(drawn.modes)) > 1
     for t, z in zip(times, drawn.z[1:], strict=True):
         for each in (flt, grid, coarse):
@@ -87,16 +88,25 @@ def test_a_target_that_turns_now_and_then_is_followed_as_by_a_grid_of_two_states
             each.update(z)
         assert np.abs(coarse.mode_probabilities - grid.mode_probabilities).max() < 0.001
         assert np.abs(flt.mode_probabilities - grid.mode_probabilities).max() < 0.01
-        assert np.abs((flt.x - grid.x) / np.sqrt(np.diag(grid.P))).max() < 0.02
+        off.append((flt.x - grid.x) / np.sqrt(np.diag(grid.P)))
+    assert all(density.read_out == "cloud" for density in flt.densities.values())
+    assert np.sqrt(np.mean(np.square(off))) < 0.01  # as asked
+    assert np.abs(off).max() < 0.03
     assert flt.log_evidence == pytest.approx(grid.log_evidence, abs=0.02)
 
 
-def test_the_splitting_is_of_second_order_and_its_error_is_seen():
-    model = moving([[-0.6, 0.6], [0.9, -0.9]])
+@pytest.mark.parametrize(
+    ("rates", "velocity", "falls"),
+    [([[-0.6, 0.6], [0.9, -0.9]], 1.0, 3.0), ([[-0.01, 0.01], [0.02, -0.02]], 1.0, 3.0),
+     ([[-0.1, 0.1], [0.1, -0.1]], 6.0, 1.5)],
+    ids=["many jumps", "few", "far"],
+)  # fmt: skip
+def test_the_splitting_is_of_second_order_at_least_and_its_error_is_seen(rates, velocity, falls):
+    model = sf.JumpMarkovModel({"rest": drifting(0.0), "moving": drifting(velocity)}, rates)
     start = sf.initialize(sf.Gaussian([0.0], [[1.0]]))
     modes = ModeDensities(np.log([0.8, 0.2]), [start, start])
     config = sf.FilterConfig(target_error=1e-5)
-    X = np.linspace(-3.0, 4.0, 200)[:, None]
+    X = np.linspace(-3.0, 3.0 + velocity, 200)[:, None]
 
     def density(steps):
         moved, info = predict_modes(modes, model, 1.0, config, "auto", steps)
@@ -105,11 +115,11 @@ def test_the_splitting_is_of_second_order_and_its_error_is_seen():
     exact = density(32)[0]
     found = [density(steps) for steps in (1, 2, 4)]
     off = np.array([np.abs(p - exact).sum() * (X[1, 0] - X[0, 0]) for p, _ in found])
-    assert np.all(off[:-1] / off[1:] > 3.5)
-    assert np.all(off[:-1] / off[1:] < 4.6)
+    assert np.all(off[:-1] / off[1:] > falls)
     said = np.array([error for _, error in found])
-    assert np.all(said > 0.5 * off)
-    assert np.all(said < 6.0 * off)
+    counts = off > 1e-5
+    assert np.all(said[counts] > off[counts] / 3.0)
+    assert np.all(said[counts] < 3.0 * off[counts])
 
 
 def exactly(model, P0, w, t, X):
@@ -232,10 +242,11 @@ def test_equal_modes_are_one():
     model = sf.JumpMarkovModel({"one": well, "other": well}, [[-0.5, 0.5], [0.2, -0.2]])
     times, z, _ = record(model, 6)
     found = run(model, times, z)
-    alone = sf.SPHFilter(well, READING, [0.0], [[0.1]], config=SMOOTH).run(times, z)
-    np.testing.assert_allclose(found.x, alone.x, atol=1e-3)
-    np.testing.assert_allclose(found.P, alone.P, rtol=5e-3)
-    np.testing.assert_allclose(found.log_evidence, alone.log_evidence, atol=2e-3)
+    fine = sf.FilterConfig(target_error=1e-3, density_error=1e-3)
+    alone = sf.SPHFilter(well, READING, [0.0], [[0.1]], config=fine).run(times, z)
+    assert np.abs((found.x - alone.x) / np.sqrt(alone.P[:, 0])).max() < 0.01  # as asked
+    np.testing.assert_allclose(found.P, alone.P, rtol=0.02)
+    np.testing.assert_allclose(found.log_evidence, alone.log_evidence, atol=0.01)
     np.testing.assert_allclose(found.mode_probabilities, np.tile(model.stationary, (6, 1)), atol=1e-12)
 
 

@@ -3,6 +3,7 @@
 import datetime
 from collections.abc import Hashable, Iterable
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 from stonesoup.base import Property
@@ -13,6 +14,7 @@ from ...density.modes import ModeDensities
 from ...errors import ConfigError, ModelError, PropagationError
 from ...model.jump_markov import JumpMarkovModel
 from ...model.jump_markov import mode_probabilities as checked_probabilities
+from ...prediction.jumping import suits
 from ...prediction.switching import ModesInfo, ModesPrediction, predict_modes
 from ...validate import count, short
 from .failures import said
@@ -109,7 +111,8 @@ class JumpMarkovPredictor(DensityPredictor[JumpMarkovStatePrediction]):
         config = checked_filter_config(self.config)
         density = started(state, self.n_particles, config, model.domain).density
         w = checked_probabilities(self.mode_probabilities, model)
-        modes = self._kept.result((density, w.tobytes()), lambda: ModeDensities.alike(w, density))
+        made = partial(ModeDensities.alike, w, density, summed=not suits(model))
+        modes = self._kept.result((density, w.tobytes()), made)
         return JumpMarkovState(modes, model.names, state.timestamp)
 
     def _step(self, state: JumpMarkovState, before: ModeDensities, dt: float, *model: Hashable) -> Step:

@@ -1,0 +1,232 @@
+"""Clouds of points whose states jump between the modes of a model: every point takes jumps of its own.
+
+The points of a mode after an interval are those that were in it all the way, which one prediction carries,
+and those that came into it. Of these each draws the modes that it was in between the times of jumps, from the
+last to the first, begins at a point of the first, and goes from time to time by the equation of each.
+"""
+
+import math
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._types import Floats, Ints
+from ..config import CloudScheme
+from ..core.cloud.move import affine, move
+from ..core.cloud.noise import LANES
+from ..density.as_cloud import cloud_of
+from ..density.modes import ModeDensities
+from ..density.passage import along, change_of, key_at, leg_of, stored_key
+from ..density.points import CloudState, Points, moments
+from ..errors import PropagationError
+from ..info import PredictInfo
+from ..model.compile import surfacing
+from ..model.jump_markov import JumpMarkovModel
+from .cloud import Carried, apart, as_points, carried, fewer, info_of, kept, near_mean
+
+__all__ = ["UNLIKELY", "Way", "carried_with_jumps", "suits"]
+
+UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
+_KEY = 40  # of the key of a time: the jumps of a cloud, and of its shadow the next
+_FEWEST = 0.125  # of the points that stay in a mode: those that come into it, however unlikely they are
+#: Of a line, by which points in any run follow each other evenly: one over the golden ratio.
+_SECTION = 0.5 * (math.sqrt(5.0) - 1.0)
+
+
+def suits(model: JumpMarkovModel) -> bool:
+    """Whether clouds are cheaper than sums of densities: not where these are Gaussians, or of one state."""
+    modes = model.modes.values()
+    walled, linear = any(m.domain.walled.any() for m in modes), all(m.linear for m in modes)
+    return model.dim > 1 and not walled and not linear
+
+
+class Way(NamedTuple):
+    """An interval, and the times in it at which states jump between modes."""
+
+    times: Floats  # (Q + 2,) seconds: its begin, the times of jumps, its end
+    jumps: tuple[Floats, ...]  # Q matrices (M, M): probabilities of the mode of a column after that of a row
+
+    @classmethod
+    def of(cls, model: JumpMarkovModel, span: tuple[float, float], share: Floats, weight: Floats) -> "Way":
+        """With jumps after parts (Q,) of a span, for as long as other parts (Q,) of it."""
+        t0, dt = span[0], span[1] - span[0]
+        times = np.array([t0, *(t0 + share * dt), span[1]])
+        return cls(times, tuple(model.transition(part * dt) for part in weight.tolist()))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Begin and end, seconds."""
+        return float(self.times[0]), float(self.times[-1])
+
+    def forward(self, w: Floats) -> list[Floats]:
+        """Probabilities (M,) of the modes at the begin, and after each time of jumps."""
+        found = [w]
+        for P in self.jumps:
+            found.append(np.einsum("i,ij->j", found[-1], P))
+        return found
+
+    def staying(self, i: int) -> float:
+        """Probability that a state of mode number i does not jump."""
+        return math.prod(float(P[i, i]) for P in self.jumps)
+
+    def modes_before(self, forward: list[Floats], j: int, u: Floats) -> Ints:
+        """Modes (K, Q + 1) between the jumps of states that end in mode j, of numbers u (K,) below one.
+
+        The modes before an end are drawn one after the other by what is left of the number. Those that never
+        left mode j are the least numbers.
+        """
+        path, Q, M = np.full((len(u), len(self.jumps) + 1), j), len(self.jumps), len(forward[0])
+        order, u = np.array([j, *(i for i in range(M) if i != j)]), u.copy()
+        for q in range(Q, 0, -1):
+            for m in np.unique(path[:, q]):
+                own = path[:, q] == m
+                came = np.cumsum(forward[q - 1][order] * self.jumps[q - 1][order, m])
+                edges = np.concatenate([[0.0], came / came[-1]])
+                k = np.clip(np.searchsorted(edges, u[own], side="right") - 1, 0, M - 1)
+                u[own] = (u[own] - edges[k]) / np.maximum(edges[k + 1] - edges[k], 1e-300)
+                path[own, q - 1] = order[k]
+        return path
+
+
+def carried_with_jumps(
+    modes: ModeDensities,
+    model: JumpMarkovModel,
+    way: Way,
+    count: int,
+    target: float,
+) -> tuple[ModeDensities, dict[int, PredictInfo]]:
+    """Carry the densities of all modes over an interval as clouds; and what is said of each, by its number.
+
+    Parameters
+    ----------
+    modes : ModeDensities
+    model : JumpMarkovModel
+    way : Way
+    count : int
+        Points that stay in each mode.
+    target : float
+        Error of the mean that is asked for, in standard deviations.
+
+    Raises
+    ------
+    PropagationError
+        A mode that is not unlikely cannot be carried; the sentence says why.
+    """
+    sources = _Sources(modes, model, way, count, target)
+    forward, log_w = way.forward(sources.w), np.full(len(modes.w), -math.inf)
+    densities: list[Any] = [None] * len(log_w)
+    infos = {}
+    needs = [density.needs for _, _, density in modes.some]
+    for j, w in enumerate(forward[-1].tolist()):
+        stayed = sources.carried(j) if w > 0.0 else None
+        if stayed is None:
+            continue
+        state, sums, error = sources.together(forward, j, stayed)
+        log_w[j] = math.log(w)
+        about = modes.densities[j] or modes.heaviest
+        known: dict[str, Any] = {"t": way.span[1], "capacity": about.capacity, "error": error}
+        densities[j] = cloud_of(about, state, sums, **known)
+        if about.needs is not None:
+            points = max(own.points for own in needs if own is not None)
+            densities[j] = densities[j].noted(needs=about.needs.gone_on()._replace(points=points))
+        infos[j] = info_of(model.modes[model.names[j]], count, stayed.steps, stayed.lost, error)
+    return ModeDensities(log_w, densities, modes.splitting), infos
+
+
+class _Sources:
+    """Clouds of all modes, and where one prediction carries each."""
+
+    def __init__(
+        self, modes: ModeDensities, model: JumpMarkovModel, way: Way, count: int, target: float
+    ) -> None:
+        self.w = modes.w.copy()
+        self._models = [model.modes[name] for name in model.names]
+        self._way, self._count, self._target = way, count, target
+        self._domain, self._heaviest = modes.heaviest.domain, int(np.argmax(modes.w))
+        self._states = {i: as_points(density, count) for i, _, density in modes.some}
+        self._carried: dict[int, Carried | None] = {}
+        for i in self._states:
+            try:
+                self._carried[i] = self._alone(i, i)
+            except PropagationError as problem:
+                if self.w[i] > UNLIKELY:
+                    raise PropagationError(f"mode {model.names[i]!r}: {problem}") from problem
+                self._carried[i], self.w[i] = None, 0.0
+
+    def _alone(self, i: int, j: int) -> Carried:
+        """The cloud of mode i carried by the model of mode j."""
+        scheme = CloudScheme(n_points=self._count)
+        return carried(self._states[i], self._models[j], self._way.span, scheme, self._target, self._domain)
+
+    def carried(self, j: int) -> Carried | None:
+        """What stays in mode j; of one that has no state, what its model makes of another's; or None."""
+        if j not in self._carried:
+            self._carried[j] = self._alone(self._heaviest, j)
+        return self._carried[j]
+
+    def together(
+        self, forward: list[Floats], j: int, stayed: Carried
+    ) -> tuple[CloudState, tuple[Floats, Floats], float]:
+        """The cloud of mode j with those that came, its moments, and the error of its mean."""
+        state, share = stayed.state, self.w[j] * self._way.staying(j) / forward[-1][j]
+        clouds, sums, inherited = [], [], share * state.inherited**2
+        for k, points in enumerate((state.points, state.shadow)):
+            key = stored_key(key_at(self._way.span[0], _KEY + k), j)
+            if share < 1.0:
+                came, before = self._came(forward, j, share, k, key)
+                x, w = np.concatenate([points.x, came.x]), [share * points.w, (1.0 - share) * came.w]
+                points = near_mean(Points(x, np.concatenate(w)), self._domain)
+                inherited += (1.0 - share) * before**2 if k == 0 else 0.0
+            clouds.append(points)
+            sums.append(moments(points.x, points.w))
+        off = apart(clouds[0], clouds[1], self._domain, sums)
+        inherited = math.sqrt(inherited)
+        error = math.hypot(state.told.after(*off).errors.mean, state.pace.bias, inherited)
+        state = state._replace(points=clouds[0], shadow=clouds[1], inherited=inherited)
+        return state, sums[0], error
+
+    def _came(self, forward: list[Floats], j: int, share: float, k: int, key: int) -> tuple[Points, float]:
+        """Points that came into mode j, of the clouds (k = 0) or their shadows; the error they had before."""
+        many = self._count if k == 0 else fewer(self._count)
+        many = math.ceil(many * max(_FEWEST, 1.0 - share))
+        path = self._way.modes_before(forward, j, share + (1.0 - share) * (np.arange(many) + 0.5) / many)
+        x, square = np.empty((many, len(self._models[j].states))), 0.0
+        for i in np.unique(path[:, 0]).tolist():
+            own = np.flatnonzero(path[:, 0] == i)
+            x[own] = _evenly(
+                near_mean((self._states[i].points, self._states[i].shadow)[k], self._domain),
+                len(own),
+                stored_key(key, i),
+            )
+            square += len(own) / many * self._states[i].inherited ** 2
+        for gap, span in enumerate(pairwise(self._way.times.tolist())):
+            for i in np.unique(path[:, gap]).tolist():
+                own = path[:, gap] == i
+                x[own] = self._moved(i, x[own], span, stored_key(key, len(forward[0]) * (gap + 1) + i))
+        return kept(Points(x, np.full(many, 1.0 / many)), self._domain)[0], math.sqrt(square)
+
+    def _moved(self, i: int, x: Floats, span: tuple[float, float], key: int) -> Floats:
+        """Points (K, n) moved by the model of mode i, each along noise of its own."""
+        model, (N, n), block = self._models[i], x.shape, np.zeros(len(x), np.int64)
+        if model.linear:
+            flow, offset, lower = (part[None] for part in change_of(model, span[1] - span[0]))
+            u = np.random.Generator(np.random.Philox(key)).standard_normal((N, n))
+            return affine(x, u, block, np.zeros((1, n)), offset, flow, lower)
+        whole, stayed = self._way.span[1] - self._way.span[0], self.carried(i)
+        assert stayed is not None
+        steps = math.ceil(stayed.steps * (span[1] - span[0]) / whole - 1e-9)
+        leg, none = leg_of(model, *span, steps, stayed.state.pace.stiff), np.zeros((N, n))
+        given = none, np.zeros((1, n, steps * model.n_noise)), block  # ends are as their noise moves them
+        with surfacing():
+            move(leg, x, *given, np.uint64(key), 0, -(-N // LANES))
+        return x
+
+
+def _evenly(points: Points, count: int, key: int) -> Floats:
+    """Points (count, n) as often as they weigh; those of any run lie evenly along the curve through all."""
+    order = along(points.x, points.w)
+    edges = np.cumsum(points.w[order])
+    place = (np.arange(count) * _SECTION + key * 2.0**-63) % 1.0
+    at = np.searchsorted(edges / edges[-1], place, side="right")
+    return np.asarray(points.x[order[np.minimum(at, len(order) - 1)]])
