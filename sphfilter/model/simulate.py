@@ -32,6 +32,8 @@ __all__ = [
     "starting_states",
 ]
 
+_ROUNDING = 1e-9  # of an eigenvector's entry; eigh leaves some 1e-16
+
 #: dt times the fastest rate of the model; the scheme for additive noise has the higher order.
 _COURANT_ADDITIVE, _COURANT_GENERAL = 0.05, 0.01
 #: Steps taken before the rate is looked at again, states it is looked at, and normals drawn at a time.
@@ -295,9 +297,14 @@ def _parts(length: float, longest: float) -> int:
 
 
 def noise_root(Q: Floats) -> Floats:
-    """Return L with L Lᵀ = Q, for semidefinite Q too."""
+    """Return L with L Lᵀ = Q, for semidefinite Q too.
+
+    The last entry of a column that is not rounding is above zero: else a draw would hang on the last bit of Q.
+    """
     d = scales(Q)
     w, V = np.linalg.eigh(Q / np.outer(d, d))
+    for v in V.T:
+        v *= np.sign(v[np.flatnonzero(np.abs(v) > _ROUNDING)[-1]])
     return np.ascontiguousarray(d[:, None] * V * np.sqrt(np.maximum(w, 0.0)))
 
 

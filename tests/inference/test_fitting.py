@@ -116,7 +116,7 @@ def test_an_estimate_on_a_bound_says_so(z):
 
 def test_differences_stay_off_a_bound_where_the_filter_refuses():
     """Readings without noise: its estimate is within a standard error of zero, where there is no evidence."""
-    truth = sf.simulate(OSCILLATOR, POSITION, x0=START[0], times=np.r_[0.0, TIMES], rng=4)[0][1:, :1]
+    truth = sf.simulate(OSCILLATOR, POSITION, x0=START[0], times=np.r_[0.0, TIMES], rng=2)[0][1:, :1]
 
     def build(p):
         return KalmanFilter(OSCILLATOR.with_parameters(s=p["s"]), POSITION.changed(noise_cov=p["R"]), *START)
