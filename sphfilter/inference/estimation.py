@@ -4,6 +4,7 @@ The log-evidence of a filter that draws nothing is a smooth function of the para
 and its second derivatives at the maximum are the (observed) information.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -277,7 +278,8 @@ def _refuse_flat(local: Quadratic, rough: float, h: float, names: Sequence[str])
     if value < -max(ROUND, seen):
         return
     direction = direction / np.abs(direction).max()
-    terms = " ".join(f"{c:+.3g} {name}" for c, name in zip(direction, names, strict=True) if abs(c) > 1e-3)
+    shown = [(c, name) for c, name in zip(direction.tolist(), names, strict=True) if abs(c) > 1e-3]
+    terms = " ".join(f"{math.copysign(1.0, shown[0][0]) * c:+.3g} {name}" for c, name in shown)
     terms = terms.removeprefix("+")
     if seen > ROUND:
         raise EstimationError(

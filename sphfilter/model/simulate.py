@@ -299,7 +299,7 @@ def _parts(length: float, longest: float) -> int:
 def noise_root(Q: Floats) -> Floats:
     """Return L with L Lᵀ = Q, for semidefinite Q too.
 
-    The last entry of a column that is not rounding is above zero: else a draw would hang on the last bit of Q.
+    A column's last entry that is not rounding is above zero: else draws would hang on the last bit of Q.
     """
     d = scales(Q)
     w, V = np.linalg.eigh(Q / np.outer(d, d))

@@ -9,8 +9,8 @@ import numpy as np
 from .._types import Floats
 from ..density.as_family import unrolled
 from ..density.modes import ModeDensities, Ripple, no_ripple
-from ..density.particle_density import ParticleDensity
 from ..density.nets import net
+from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, root_of
 from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
@@ -24,7 +24,7 @@ _ENTRIES = 2**21  # of an array of states times Gaussians
 
 
 def jump_times(steps: int, jumps: float) -> tuple[Floats, Floats]:
-    """Shares (steps,) of an interval after which states jump, and shares (steps,) of it that jumps last there.
+    """Shares (steps,) of an interval after which states jump, and shares (steps,) for which they do there.
 
     They are the nodes and weights of Gauss's rule, in as many even pieces as a state may take `jumps`: those
     that have jumped once are summed to degree 2 steps - 1; of several jumps in a piece the order is lost.

@@ -15,7 +15,7 @@ from sphfilter.inference.quadratic import quadratic, roughness, step_for
 
 @pytest.fixture(scope="module")
 def z():
-    return readings(OSCILLATOR, TIMES, START[0], 2)
+    return readings(OSCILLATOR, TIMES, START[0], 3)
 
 
 def best(function, guess, h=1e-3):

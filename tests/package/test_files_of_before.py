@@ -105,7 +105,7 @@ def test_a_filter_of_modes(tmp_path):
     for told in json.loads((MODES / "numbers.json").read_text(encoding="utf-8")):
         exact = {name: told.pop(name) for name in ("inputs", "n_particles", "dt", "t")}
         assert exact == {name: getattr(flt, name) for name in exact}
-        # what was in the file is there; what comes of it is as good as was asked then, at other times of jumps
+        # what was in the file is there; what comes of it, with other times of jumps, is as good as was asked
         within = {"rtol": 0.02, "atol": 0.02} if said else {"rtol": 1e-9}
         for name, numbers in told.items():
             np.testing.assert_allclose(getattr(flt, name), numbers, **within, err_msg=name)
