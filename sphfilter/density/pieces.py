@@ -61,11 +61,10 @@ class Pieces(NamedTuple):
 
     def log_each(self, X: Floats) -> Floats:
         """Logarithm of each piece, with its weight, at states (M, n); shape (M, K)."""
-        back = np.linalg.inv(self.root)
-        z = np.einsum("kab,mkb->mka", back, X[:, None] - self.mean)
-        n = X.shape[1]
+        n, back = X.shape[1], np.linalg.inv(self.root)
+        z = (X - self.mean[:, None]) @ back.transpose(0, 2, 1)
         peak = self.log_w - np.linalg.slogdet(self.root)[1] - 0.5 * n * _LOG_2_PI
-        return peak - 0.5 * np.einsum("mka,mka->mk", z, z)
+        return peak - 0.5 * np.einsum("kma,kma->mk", z, z)
 
     def log_p(self, X: Floats) -> Floats:
         """Logarithm of the density at states (M, n), shape (M,)."""

@@ -19,7 +19,7 @@ from ..model.sde import SDE
 __all__ = ["jump_times", "splitting_error"]
 
 _ROUNDS, _NEAR = 4, 2.5  # in which a part of a density grows, and standard deviations by which
-_POINTS = 64  # of each Gaussian: readings of a thirtieth of its width find some
+_POINTS = 64  # of each Gaussian: readings of a thirtieth of its width find some; of all, its square
 _ENTRIES = 2**21  # of an array of states times Gaussians
 
 
@@ -142,11 +142,11 @@ def _absolute(mean: Floats, cov: Floats, w: Floats) -> Ripple:
     """The size of a sum of Gaussians with weights w (K,) of either sign."""
     own = w != 0.0
     several, w = Pieces(np.zeros(own.sum()), mean[own], root_of(cov[own])), w[own]
-    xi = net(_POINTS, mean.shape[1])
-    X = (several.mean[:, None] + np.einsum("kab,ib->kia", several.root, xi)).reshape(-1, mean.shape[1])
+    each, n = math.ceil(_POINTS**2 / max(len(w), _POINTS)), mean.shape[1]
+    X = (several.mean[:, None] + net(each, n) @ several.root.transpose(0, 2, 1)).reshape(-1, n)
     step = max(1, _ENTRIES // several.mean.size)
     ratio = np.concatenate([_balance(several, w, X[i : i + step]) for i in range(0, len(X), step)])
-    return Ripple(X, np.repeat(np.abs(w) / _POINTS, _POINTS) * ratio)
+    return Ripple(X, np.repeat(np.abs(w) / each, each) * ratio)
 
 
 def _balance(several: Pieces, w: Floats, X: Floats) -> Floats:

@@ -95,6 +95,36 @@ def test_a_target_that_turns_now_and_then_is_followed_as_by_a_grid_of_two_states
     assert flt.log_evidence == pytest.approx(grid.log_evidence, abs=0.02)
 
 
+def test_modes_that_go_as_clouds_hang_on_neither_their_order_nor_a_file_and_equal_ones_are_one(tmp_path):
+    sensor, P0, w = sf.GaussianMeasurement([[1.0, 0.0]], [[0.04]]), 0.04 * np.eye(2), {"left": 1.0}
+    filters = []
+    for names in (("straight", "left", "right"), ("right", "straight", "left")):
+        order = [("straight", "left", "right").index(name) for name in names]
+        modes = {name: course().modes[name] for name in names}
+        model = sf.JumpMarkovModel(modes, course().rates[np.ix_(order, order)])
+        filters.append(sf.JumpMarkovFilter(model, sensor, [0.0, 0.0], P0, mode_probabilities=w))
+    left = course().modes["left"]
+    model = sf.JumpMarkovModel({"one": left, "other": left}, [[-0.5, 0.5], [0.2, -0.2]])
+    filters.append(sf.JumpMarkovFilter(model, sensor, [0.0, 0.0], P0))
+    fine = sf.FilterConfig(target_error=1e-3)
+    filters.append(sf.SPHFilter(left, sensor, [0.0, 0.0], P0, config=fine))
+    first, turned, equal, alone = filters
+    for z in (0.1, 0.4, 1.0):
+        told = []
+        for flt in filters:
+            flt.predict(1.0)
+            told.append(flt.update([z]).error)
+        for found, right, error in ((turned, first, np.hypot(*told[:2])), (equal, alone, told[2])):
+            assert np.abs((found.x - right.x) / np.sqrt(np.diag(right.P))).max() < 3.0 * error
+        assert equal.mode_probabilities == pytest.approx(model.stationary, abs=0.01)
+    first.save(tmp_path / "modes.npz")
+    again = sf.JumpMarkovFilter.load(tmp_path / "modes.npz", first.model, sensor)
+    for flt in (first, again):
+        flt.predict(0.7)
+        flt.update([1.2])
+    assert first.x.tobytes() + first.P.tobytes() == again.x.tobytes() + again.P.tobytes()
+
+
 @pytest.mark.parametrize(
     ("rates", "velocity", "falls"),
     [([[-0.6, 0.6], [0.9, -0.9]], 1.0, 3.0), ([[-0.01, 0.01], [0.02, -0.02]], 1.0, 3.0),
