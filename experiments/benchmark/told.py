@@ -11,7 +11,7 @@ __all__ = ["NONE", "ratios", "sentence", "told_and_left", "told_figure"]
 #: Of a filter that tells nothing.
 NONE = np.empty((0, 2))
 _SHARES = (0.1, 0.5, 0.9)
-_COLOURS = (COLOURS["ekf"], COLOURS["sph"], COLOURS["pf"], COLOURS["ukf"])
+_COLOURS = [COLOURS[name] for name in ("sph_paper", "ekf", "sph", "pf", "ukf")]
 #: Times an error, within which it is that was told: what unflagged answers promise.
 _WITHIN = 3.0
 
