@@ -73,11 +73,11 @@ def test_times_in_a_mode_are_exponential_and_jumps_go_where_the_rates_say():
 
 def test_paths_have_the_moments_of_the_model():
     model = sf.JumpMarkovModel({"rest": drifting(0.0), "moving": drifting(1.0)}, [[-0.5, 0.5], [1.0, -1.0]])
-    paths = sf.simulate_modes(model, None, [0.0], [0.0, 2.0], rng=2, n_paths=20_000, mode="rest")
-    assert np.mean(paths.modes[:, 1]) == pytest.approx(model.transition(2.0)[0, 1], abs=0.015)
+    paths = sf.simulate_modes(model, None, [0.0], [0.0, 2.0], rng=2, n_paths=4000, mode="rest")
+    assert np.mean(paths.modes[:, 1]) == pytest.approx(model.transition(2.0)[0, 1], abs=0.033)
     times = np.linspace(0.0, 2.0, 2001)
     moved = np.trapezoid([model.transition(t)[0, 1] for t in times], times)  # time spent in motion
-    assert paths.truth[:, 1, 0].mean() == pytest.approx(moved, abs=0.02)
+    assert paths.truth[:, 1, 0].mean() == pytest.approx(moved, abs=0.045)
 
 
 def test_simulate_takes_them_too():
