@@ -14,11 +14,13 @@ from .weights import AWAY, finite_rows, systematic
 
 __all__ = ["FIRST_TRIED", "ORDER", "Steps", "chosen", "moved_twice", "over", "parted"]
 
-#: Points by which the bias of steps is told, of one chunk of lanes, and groups of them.
-_PILOTS, _GROUPS = 64, 4
+#: Points by which the bias of steps is told, part of a chunk of lanes, and groups of them; where what they
+#: show is chance, more are asked, up to a part of all points: an eighth of the work of moving all.
+_PILOTS, _GROUPS, _OF_ALL = 64, 4, 1.0 / 24.0
 #: Of what shorter steps show, beyond which the means of all points have been found to part (measured on six
 #: scenes: 1.2 to 1.6).
 _BEYOND = 1.5
+_CHANCE = 0.25  # of the square that means of so few are apart by chance: the least that counts
 ORDER = 3.0  # of the steps' bias
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _MOST_OF = 0.8  # of pilots, that the model must not carry to infinity
@@ -76,16 +78,19 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     lost : float
         Part of the points that the model carries to infinity.
     """
-    x = x[systematic(w, _PILOTS, 0.5)]
-    x, before, tried = x[along_curve(x, np.full(len(x), 1.0 / len(x)), table, bits)], np.inf, False
+    every, x, before, tried = x, few(x, w, _PILOTS, table, bits), np.inf, False
     best = number
     number, own = max(least, number), mixed(np.uint64(key), np.uint64(PILOT))
     while number <= most:
         flow = stiff_flow if stiff else leg.flow
         steps, half = over(leg, flow, *span, number), over(leg, flow, *span, 2 * number)
         coarse, fine = moved_twice(steps, half, x, own)
-        bias = _BEYOND * parted(coarse, fine, _GROUPS)
+        apart, chance = parted(coarse, fine, _GROUPS)
+        bias = _BEYOND * apart
         too_much = bias / allowed
+        if too_much > 1.0 and apart < chance and 4 * len(x) < _OF_ALL * len(every):
+            x = few(every, w, 4 * len(x), table, bits)
+            continue
         if not too_much > 1.0 or (stiff and (2 * number > most or not bias < _HELPED * before)):
             return number, stiff, bias, 1.0 - finite_rows(fine)[0].mean()
         helped = bias < before
@@ -102,15 +107,22 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
 
 
 @jit
-def parted(coarse, fine, groups):
-    """How far apart means of coarse and fine ends (K, n) are, in standard deviations, or infinite.
+def few(x, w, count, table, bits):
+    """A number of points of x (N, n) with weights w (N,), in order along the curve."""
+    x = x[systematic(w, count, 0.5)]
+    return x[along_curve(x, np.full(count, 1.0 / count), table, bits)]
 
-    The root of the mean square over groups of neighbours and states: what steps do to one branch of a density
+
+@jit
+def parted(coarse, fine, groups):
+    """How far apart means of coarse and fine ends (K, n) are, or infinite; and how far they are by chance.
+
+    Both are standard deviations, the root of the mean square over groups of neighbours and states: what steps do to one branch of a density
     is judged by the width of that branch, which a few that steps threw out do not make wider. Those that the
     model carries to infinity do not count, as long as they are few.
     """
     K, n = fine.shape
-    size, total = K // groups, 0.0
+    size, total, chance = K // groups, 0.0, 0.0
     ends = np.empty(size)
     for g in range(groups):
         for a in range(n):
@@ -124,48 +136,51 @@ def parted(coarse, fine, groups):
                     ends[at] = fine[i, a]
                     count += 1
             if count < _MOST_OF * size:
-                return np.inf
+                return np.inf, 0.0
             low, high = ends[count // 8], ends[count - 1 - count // 8]
             reach = AWAY * (high - low) + abs(low) + abs(high)
-            mean = square = off = 0.0
+            mean = square = off = scatter = 0.0
             count = 0
             for i in range(g * size, (g + 1) * size):
                 if low - reach <= fine[i, a] <= high + reach:
                     d = coarse[i, a] - fine[i, a]
                     if not abs(d) < np.inf:
-                        return np.inf
+                        return np.inf, 0.0
                     count += 1
                     mean, square = mean + fine[i, a], square + fine[i, a] ** 2
                     off += d
+                    scatter += d * d
             if count < _MOST_OF * size:
-                return np.inf
+                return np.inf, 0.0
             mean, square, off = mean / count, square / count, off / count
             variance = max(square - mean * mean, 1e-300 + 1e-24 * square)
             if high > low and count == size:  # of a Gaussian, 2.3 standard deviations
                 variance = min(variance, (high - low) ** 2)
             total += off * off / (variance * n * groups)
-    return math.sqrt(total) if total < np.inf else np.inf
+            chance += max(scatter / count - off * off, 0.0) / (count * variance * n * groups)
+    apart = math.sqrt(max(total - chance, _CHANCE * chance)) if total < np.inf else np.inf
+    return apart, math.sqrt(chance)
 
 
 @jit
 def moved_twice(leg, half, x, key):
     """Points x (K, n) at the end of a leg, and of one in steps of half the length along the same noise.
 
-    K is at most `LANES`. The noise of a step is that of the two that are its halves.
+    The noise of a step is that of the two that are its halves.
     """
     d, m = leg.steps * leg.root.shape[0], leg.root.shape[0]
     state, fine, Z = np.empty(LANES, np.uint64), np.empty((3, 2 * d, LANES)), np.empty((3, d, LANES))
-    fill_noise(key, np.uint64(0), leg.additive, state, fine)
-    for r in range(d):
-        one = 2 * (r // m) * m + r % m
-        for i in range(LANES):
-            first, second = fine[0, one, i], fine[0, one + m, i]
-            Z[0, r, i] = math.sqrt(0.5) * (first + second)
-            Z[1, r, i] = math.sqrt(0.125) * (fine[1, one, i] + fine[1, one + m, i])
-            Z[1, r, i] += math.sqrt(0.375) * (first - second)
-            Z[2, r, i] = fine[2, one, i]
-    coarse, room = x.copy(), new_room(m)
-    walk(leg, coarse, Z, False, room)
-    x = x.copy()
-    walk(half, x, fine, False, room)
-    return coarse, x
+    ends, middle, room = x.copy(), x.copy(), new_room(m)
+    for k in range(0, len(x), _PILOTS):
+        fill_noise(key, np.uint64(k // _PILOTS), leg.additive, state, fine)
+        for r in range(d):
+            one = 2 * (r // m) * m + r % m
+            for i in range(LANES):
+                first, second = fine[0, one, i], fine[0, one + m, i]
+                Z[0, r, i] = math.sqrt(0.5) * (first + second)
+                Z[1, r, i] = math.sqrt(0.125) * (fine[1, one, i] + fine[1, one + m, i])
+                Z[1, r, i] += math.sqrt(0.375) * (first - second)
+                Z[2, r, i] = fine[2, one, i]
+        walk(leg, middle[k : k + _PILOTS], Z, False, room)
+        walk(half, ends[k : k + _PILOTS], fine, False, room)
+    return middle, ends
