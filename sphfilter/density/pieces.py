@@ -14,10 +14,19 @@ from ..core.family.rules import rule as family_rule
 from ..errors import PropagationError
 from .quasi_random import spread_evenly
 
-__all__ = ["GaussianPieces", "Pieces", "light", "nodes", "particles_of_pieces", "pieces_of", "root_of"]
+__all__ = [
+    "ENTRIES",
+    "GaussianPieces",
+    "Pieces",
+    "light",
+    "nodes",
+    "particles_of_pieces",
+    "pieces_of",
+    "root_of",
+]
 
 _LOG_2_PI = math.log(2.0 * math.pi)
-_ENTRIES = 2**21  # of an array of states times pieces
+ENTRIES = 2**21  # of an array of states times pieces
 _STATES = 2**15  # that stand for the density
 _OF_ONE = 5  # nodes of one state
 
@@ -68,7 +77,7 @@ class Pieces(NamedTuple):
 
     def log_p(self, X: Floats) -> Floats:
         """Logarithm of the density at states (M, n), shape (M,)."""
-        step = max(1, _ENTRIES // self.mean.size)
+        step = max(1, ENTRIES // self.mean.size)
         parts = [logsumexp(self.log_each(X[i : i + step]), axis=1) for i in range(0, len(X), step)]
         return np.concatenate(parts) if parts else np.empty(0)
 

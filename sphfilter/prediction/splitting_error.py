@@ -11,7 +11,7 @@ from ..density.as_family import unrolled
 from ..density.modes import ModeDensities, Ripple, no_ripple
 from ..density.nets import net
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import Pieces, root_of
+from ..density.pieces import ENTRIES, Pieces, root_of
 from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
@@ -20,7 +20,6 @@ __all__ = ["jump_times", "splitting_error"]
 
 _ROUNDS, _NEAR = 4, 2.5  # in which a part of a density grows, and standard deviations by which
 _POINTS = 64  # of each Gaussian: readings of a thirtieth of its width find some; of all, its square
-_ENTRIES = 2**21  # of an array of states times Gaussians
 
 
 def jump_times(steps: int, jumps: float) -> tuple[Floats, Floats]:
@@ -144,7 +143,7 @@ def _absolute(mean: Floats, cov: Floats, w: Floats) -> Ripple:
     several, w = Pieces(np.zeros(own.sum()), mean[own], root_of(cov[own])), w[own]
     each, n = math.ceil(_POINTS**2 / max(len(w), _POINTS)), mean.shape[1]
     X = (several.mean[:, None] + net(each, n) @ several.root.transpose(0, 2, 1)).reshape(-1, n)
-    step = max(1, _ENTRIES // several.mean.size)
+    step = max(1, ENTRIES // several.mean.size)
     ratio = np.concatenate([_balance(several, w, X[i : i + step]) for i in range(0, len(X), step)])
     return Ripple(X, np.repeat(np.abs(w) / each, each) * ratio)
 

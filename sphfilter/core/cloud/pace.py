@@ -15,12 +15,12 @@ from .weights import AWAY, finite_rows, systematic
 __all__ = ["FIRST_TRIED", "ORDER", "Steps", "chosen", "moved_twice", "over", "parted"]
 
 #: Points by which the bias of steps is told, part of a chunk of lanes, and groups of them; where what they
-#: show is chance, more are asked, up to a part of all points: an eighth of the work of moving all.
+#: show is chance, more are asked, up to a part of all points (3 / 24 = an eighth of the work of moving all).
 _PILOTS, _GROUPS, _OF_ALL = 64, 4, 1.0 / 24.0
 #: Of what shorter steps show, beyond which the means of all points have been found to part (measured on six
 #: scenes: 1.2 to 1.6).
 _BEYOND = 1.5
-_CHANCE = 0.25  # of the square that means of so few are apart by chance: the least that counts
+_CHANCE = 0.25  # of the square by chance, the least that counts: χ² of four is below 1 in nine of a hundred
 ORDER = 3.0  # of the steps' bias
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _MOST_OF = 0.8  # of pilots, that the model must not carry to infinity
@@ -117,9 +117,9 @@ def few(x, w, count, table, bits):
 def parted(coarse, fine, groups):
     """How far apart means of coarse and fine ends (K, n) are, or infinite; and how far they are by chance.
 
-    Both are standard deviations, the root of the mean square over groups of neighbours and states: what steps do to one branch of a density
-    is judged by the width of that branch, which a few that steps threw out do not make wider. Those that the
-    model carries to infinity do not count, as long as they are few.
+    Both are standard deviations, the root of the mean square over groups of neighbours and states: what steps
+    do to one branch of a density is judged by the width of that branch, which a few that steps threw out do
+    not make wider. Those that the model carries to infinity do not count, as long as they are few.
     """
     K, n = fine.shape
     size, total, chance = K // groups, 0.0, 0.0
