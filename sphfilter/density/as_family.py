@@ -21,7 +21,14 @@ from .particle_density import ParticleDensity
 from .pieces import Pieces, particles_of_pieces
 from .resample import logarithm
 
-__all__ = ["families_density", "family_density", "family_of", "pieces_density", "settled", "unrolled"]
+__all__ = [
+    "as_polynomials",
+    "families_density",
+    "family_density",
+    "family_of",
+    "moments_on_line",
+    "pieces_density",
+]
 
 
 def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
@@ -38,7 +45,7 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     """
     if density.family is not None and density.family.degree == degree:
         return density.family, 0.0
-    mean, cov = unrolled(density)
+    mean, cov = moments_on_line(density)
     if density.gaussian:
         return gaussian_family(mean, cov, degree), 0.0
     family, misfit = fitted(logarithm(density), mean, cov, degree)
@@ -46,12 +53,12 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     return family, max(moments_apart(shift, own - np.eye(len(mean))) / OF_MISFIT, misfit)
 
 
-def unrolled(density: ParticleDensity) -> tuple[Floats, Floats]:
+def moments_on_line(density: ParticleDensity) -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) on the line: of a periodic axis it is not turned back."""
     return density.moments or (density.mass @ density.x, density.cov())
 
 
-def settled(density: ParticleDensity, degree: int, most: float) -> ParticleDensity | None:
+def as_polynomials(density: ParticleDensity, degree: int, most: float) -> ParticleDensity | None:
     """A density on a lattice or a cloud as one family; None where that adds an error above `most`."""
     try:
         found = _fitted(density, degree)
@@ -77,7 +84,7 @@ def _fitted(density: ParticleDensity, degree: int) -> tuple[Family, float] | Non
 
 def _agree(density: ParticleDensity, family: ParticleDensity, most: float) -> bool:
     """Are mean and covariance the same, as far as an error of `most` lets them differ?"""
-    (mean, cov), (own_mean, own_cov) = unrolled(density), unrolled(family)
+    (mean, cov), (own_mean, own_cov) = moments_on_line(density), moments_on_line(family)
     root = np.linalg.inv(np.linalg.cholesky(cov))
     return moments_apart(root @ (own_mean - mean), root @ own_cov @ root.T - np.eye(len(mean))) <= most
 

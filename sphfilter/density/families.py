@@ -12,7 +12,7 @@ from .family import Family, degree_of
 
 __all__ = [
     "Families",
-    "Look",
+    "QuadratureMoments",
     "at_nodes",
     "families_of",
     "log_total",
@@ -64,12 +64,12 @@ class Families(NamedTuple):
         found = self.some(np.argsort(-self.log_w, kind="stable"))
         return found._replace(log_w=found.log_w - log_total(found.log_w))
 
-    def looked_at(self) -> "Look":
+    def looked_at(self) -> "QuadratureMoments":
         """Their integrals and moments, by their own nodes."""
         return looked_at(self.basis, at_nodes(self.basis, self.c), self.mu, self.A)
 
 
-class Look(NamedTuple):
+class QuadratureMoments(NamedTuple):
     """Densities as the nodes of their frames see them."""
 
     total: Floats  # (K,) logarithms of the integrals
@@ -77,9 +77,9 @@ class Look(NamedTuple):
     cov: Floats  # (K, n, n)
     off: Floats  # (K,) of the moments in their frames
 
-    def some(self, which: Any) -> "Look":
+    def some(self, which: Any) -> "QuadratureMoments":
         """Those of a mask or of numbers."""
-        return Look(*(part[which] for part in self))
+        return QuadratureMoments(*(part[which] for part in self))
 
     def together(self, log_w: Floats) -> tuple[float, Floats, Floats]:
         """Logarithm of the integral of the sum with weights (K,), its mean (n,) and its covariance (n, n)."""
@@ -91,13 +91,15 @@ class Look(NamedTuple):
         return whole, mean, np.einsum("k,kab->ab", w, self.cov) + np.einsum("k,ka,kb->ab", w, off, off)
 
 
-def looked_at(rule: Basis, log_p: Floats, mu: Floats, A: Floats, settled: float = math.inf) -> Look:
+def looked_at(
+    rule: Basis, log_p: Floats, mu: Floats, A: Floats, settled: float = math.inf
+) -> QuadratureMoments:
     """Densities of logarithms (K, N) at the nodes of frames, which follow those that are not `settled`."""
     total, mean, cov, off = np.empty(len(mu)), np.empty_like(mu), np.empty_like(A), np.empty(len(mu))
     before = mu.copy(), A.copy()
     settled_round(rule, np.ascontiguousarray(log_p), settled, mu, A, total, mean, cov, off)
     mean = before[0] + np.einsum("kab,kb->ka", before[1], mean)
-    return Look(total, mean, np.einsum("kab,kbc,kdc->kad", before[1], cov, before[1]), off)
+    return QuadratureMoments(total, mean, np.einsum("kab,kbc,kdc->kad", before[1], cov, before[1]), off)
 
 
 def at_nodes(rule: Basis, c: Floats) -> Floats:

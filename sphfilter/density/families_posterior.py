@@ -10,7 +10,7 @@ from .._types import Floats, Ints, OfStates
 from ..core.family.basis import Basis, basis, bound, values_at
 from ..core.family.together import nodes_of, own_logs
 from ..errors import PropagationError
-from .families import Families, Look, at_nodes, log_total, looked_at, shares
+from .families import Families, QuadratureMoments, at_nodes, log_total, looked_at, shares
 from .family import ASTRAY, OF_MISFIT, Family, moments_apart
 from .family_posterior import turned
 from .splitting import Front, bent_along, children
@@ -39,7 +39,7 @@ class _Product(NamedTuple):
     """Families times something."""
 
     families: Families  # with their integrals as weights: none where a frame does not fit
-    seen: Look
+    seen: QuadratureMoments
     misfit: Floats  # (J,) rms over the mass of log p less its polynomial
 
 
@@ -149,7 +149,7 @@ def _logs(prior: Families, own: Ints, weight: OfNodes, x: Floats, far: float) ->
     return log_p
 
 
-def _second_opinion(prior: Families, found: _Product, weight: OfNodes) -> tuple[Look, Floats]:
+def _second_opinion(prior: Families, found: _Product, weight: OfNodes) -> tuple[QuadratureMoments, Floats]:
     """The same at nodes that nothing was fitted to, and the misfits there."""
     families = found.families
     rule, far = turned(families.mu.shape[1], families.degree), bound(families.mu.shape[1])

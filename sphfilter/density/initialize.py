@@ -16,14 +16,14 @@ from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
 from ..lattice.check import deep_enough, misfit, remote
-from ..lattice.field import held
+from ..lattice.field import inside_lattice
 from ..lattice.level_set import Laid, enough_particles, fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
 from ..validate import array, choice, count, real, row
 from .distributions import Gaussian, Uniform, checked_box, gaussian_log_pdf
 from .family import gaussian_family, particles_of
-from .needs import Needs, bound_of, fewest
+from .memory import Memory, max_particles, min_nodes
 from .particle_density import ParticleDensity
 from .particles import particles_on, particles_with
 
@@ -99,10 +99,10 @@ def initialize(
     if isinstance(n_particles, str):
         choice("n_particles", n_particles, ["auto"])
     if isinstance(scheme, CloudScheme) and spacing is None and (start := _as_family(distribution, t, domain)):
-        return start.noted(capacity=bound_of("auto" if n_particles is None else n_particles, config))
+        return start.noted(capacity=max_particles("auto" if n_particles is None else n_particles, config))
     if spacing is not None and not isinstance(n_particles, str):
         return _spaced(distribution, n_particles, scheme, box, spacing, t, domain)
-    bound = bound_of("auto" if n_particles is None else n_particles, config)
+    bound = max_particles("auto" if n_particles is None else n_particles, config)
     if isinstance(bound, str):
         return _to_target(distribution, box, config, t, domain)
     n_particles = count("n_particles", bound)
@@ -139,15 +139,15 @@ def _to_target(
         )
     smooth = isinstance(config, FilterConfig) and config.density_error is not None
     if ladder and (start := _as_family(distribution, t, known)):
-        return start.noted(needs=Needs(smooth=smooth))
+        return start.noted(needs=Memory(smooth=smooth))
     target = config.target_error if isinstance(config, FilterConfig) else FilterConfig().target_error
-    nodes = fewest(n)
+    nodes = min_nodes(n)
     for _ in range(_TRIES):
         density = initialize(distribution, nodes, config, box=box, t=t, domain=domain)
         if not density.error > 0.5 * target:
             break
         nodes *= 2
-    return replace(density, needs=Needs(nodes=nodes, smooth=smooth), capacity=nodes)
+    return replace(density, needs=Memory(nodes=nodes, smooth=smooth), capacity=nodes)
 
 
 def _as_family(distribution: Distribution, t: float, domain: DomainLike) -> ParticleDensity | None:
@@ -302,7 +302,7 @@ def _on_level_set(
         depth = deep_enough(log_p(coarse.x), coarse.mass, len(box), depth)
     seeds = coarse.x[coarse.mass > coarse.mass.max() * np.exp(-depth)]
     laid = _laid(log_p, coarse.mean(), factor, seeds, n_particles, depth)
-    off, beyond = misfit(laid, log_p), ~held(laid.field, coarse.x)
+    off, beyond = misfit(laid, log_p), ~inside_lattice(laid.field, coarse.x)
     far = remote(laid.mean, laid.cov, coarse.x[beyond], coarse.mass[beyond])
     error = math.hypot(off.mean, far.mean, 0.5 * far.variance)  # a part of the variance, as one of its root
     return ParticleDensity.on_lattice(laid, t, n_particles, residual=off.residual, error=error)

@@ -12,10 +12,10 @@ from ..errors import PropagationError
 from .particle_density import ParticleDensity
 from .weighted import WeightedStates
 
-__all__ = ["ModeDensities", "Ripple", "no_ripple"]
+__all__ = ["ModeDensities", "SplittingError", "no_ripple"]
 
 
-class Ripple(NamedTuple):
+class SplittingError(NamedTuple):
     """Where a density is wrong: states X (M, n), and probabilities (M,) that are too many or few there."""
 
     X: Floats
@@ -27,9 +27,9 @@ class Ripple(NamedTuple):
         return min(float(self.off.sum()), 1.0)
 
 
-def no_ripple(n: int) -> Ripple:
+def no_ripple(n: int) -> SplittingError:
     """Of a density that is right."""
-    return Ripple(np.empty((0, n)), np.empty(0))
+    return SplittingError(np.empty((0, n)), np.empty(0))
 
 
 class ModeDensities:
@@ -44,7 +44,7 @@ class ModeDensities:
     splitting : ndarray, shape (M,), optional
         Estimated errors of the densities that come from jumps between the modes, not those of the densities
         themselves.
-    ripples : sequence of Ripple, length M, optional
+    ripples : sequence of SplittingError, length M, optional
         The part of `splitting` that the last prediction has added.
 
     Raises
@@ -58,7 +58,7 @@ class ModeDensities:
         log_w: Floats,
         densities: Sequence[ParticleDensity | None],
         splitting: Floats | None = None,
-        ripples: Sequence[Ripple] | None = None,
+        ripples: Sequence[SplittingError] | None = None,
     ) -> None:
         total = logsumexp(log_w)
         if not np.isfinite(total):
@@ -79,7 +79,7 @@ class ModeDensities:
         with np.errstate(divide="ignore"):
             return cls(np.log(w), [density] * len(w))
 
-    def split(self, splitting: Floats, ripples: Sequence[Ripple]) -> "ModeDensities":
+    def split(self, splitting: Floats, ripples: Sequence[SplittingError]) -> "ModeDensities":
         """The same with other errors that come from jumps."""
         return ModeDensities(self.log_w, self.densities, splitting, ripples)
 

@@ -21,7 +21,7 @@ from .cloud import Cloud
 from .families import Families
 from .family import Exponential, Family
 from .marginal import around
-from .needs import Needs
+from .memory import Memory
 from .pieces import GaussianPieces, Pieces
 from .points import CloudState
 from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
@@ -91,7 +91,7 @@ class ParticleDensity(Noted):
         Gaussians that the density is the sum of.
     families : Families or None
         Exponential families that the density is the sum of.
-    needs : Needs or None
+    needs : Memory or None
         What its last steps needed, where a target error chooses how it is represented, as with
         ``n_particles="auto"``; None where a number of particles does.
     lost : float
@@ -134,7 +134,7 @@ class ParticleDensity(Noted):
     family: Family | None = None
     pieces: Pieces | None = None
     families: Families | None = None
-    needs: Needs | None = None
+    needs: Memory | None = None
 
     def __post_init__(self) -> None:
         x = array("x", self.x, (None, None))

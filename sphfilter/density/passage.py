@@ -130,7 +130,7 @@ class Through(NamedTuple):
     done: int
     state: CloudState  # after the last of them
     points: int  # of the next cloud
-    calm: int  # as of `Needs`
+    calm: int  # as of `Memory`
     before: Any  # without the last of them, if any was; its rows are those of all
     rows: tuple[Floats, ...]  # of each reading, as `core.cloud.cycle.put_through` returns them
 
@@ -159,7 +159,7 @@ def put_through(
     least : ndarray of int, shape (K,)
         Steps of each interval.
     counts, calm : tuple of int, int
-        As of `Needs`.
+        As of `Memory`.
     bounds : Bounds
     """
     nets = tuple(tuple(net(count, model.dim, part) for part in (LED, 0, 1)) for count in counts)

@@ -9,7 +9,16 @@ from scipy.special import logsumexp
 from .._types import Bools, Floats, Ints
 from .family import turn
 from .pieces import Pieces, nodes, root_of
-from .splitting import Asked, Front, White, at, children, look, quadratics, straightened
+from .splitting import (
+    Front,
+    ReadingAtNodes,
+    White,
+    at,
+    children,
+    quadratics,
+    quadrature_moments,
+    straightened,
+)
 
 __all__ = ["PiecesPosterior", "Settings", "pieces_posterior"]
 
@@ -68,7 +77,7 @@ def pieces_posterior(prior: Pieces, white: White, sees: Ints, settings: Settings
     PropagationError
         More nodes would have to be asked than the settings allow, or the reading is not finite there.
     """
-    ask = Asked(white, prior.mean.shape[1], sees, settings.most)
+    ask = ReadingAtNodes(white, prior.mean.shape[1], sees, settings.most)
     root = root_of(prior.cov[:, sees][:, :, sees])
     front = Front(prior.log_w, prior.mean[:, sees], root, np.arange(len(prior.log_w)))
     front, new = _checked(straightened(front, ask, settings.bend), ask, settings.off)
@@ -80,7 +89,7 @@ def pieces_posterior(prior: Pieces, white: White, sees: Ints, settings: Settings
     return PiecesPosterior(found.normalised(), log_evidence, error, evidence_error, ask.count)
 
 
-def _checked(todo: Front, ask: Asked, most: float) -> tuple[Front, "_Updated"]:
+def _checked(todo: Front, ask: ReadingAtNodes, most: float) -> tuple[Front, "_Updated"]:
     """Update pieces, and split once more those for which two opinions differ by more than `most`."""
     fronts: list[Front] = []
     updates: list[_Updated] = []
@@ -94,12 +103,12 @@ def _checked(todo: Front, ask: Asked, most: float) -> tuple[Front, "_Updated"]:
         if not bad.any():
             break
         todo = todo.some(bad)
-        todo = children(todo, look(todo, ask).v, np.full(len(todo.log_w), _AGAIN))
+        todo = children(todo, quadrature_moments(todo, ask).v, np.full(len(todo.log_w), _AGAIN))
     joined = (tuple(np.concatenate(p) for p in zip(*parts, strict=True)) for parts in (fronts, updates))
     return Front(*next(joined)), _Updated(*next(joined))
 
 
-def _updated(front: Front, ask: Asked) -> _Updated:
+def _updated(front: Front, ask: ReadingAtNodes) -> _Updated:
     """Each piece times the likelihood, as one Gaussian."""
     xi, u = nodes(front.mean.shape[1])
     b, root = _linearised(ask(at(front, xi)), xi, u)
@@ -151,7 +160,9 @@ class _Product(NamedTuple):
         return _Product(*parts)
 
 
-def _product(front: Front, ask: Asked, b: Floats, root: Floats, rule: tuple[Floats, Floats]) -> _Product:
+def _product(
+    front: Front, ask: ReadingAtNodes, b: Floats, root: Floats, rule: tuple[Floats, Floats]
+) -> _Product:
     """Pieces times the likelihood, at the nodes of frames b (K, q), root (K, q, q) in their coordinates."""
     xi, u = rule
     y = b[:, None] + np.einsum("kab,ib->kia", root, xi)

@@ -24,11 +24,19 @@ from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
 from .family import laid_family
-from .needs import fewest
+from .memory import min_nodes
 from .particle_density import ParticleDensity
 from .particles import particles_on
 
-__all__ = ["logarithm", "on_lattice", "particle_bound", "regrid", "resample", "target_of", "times_likelihood"]
+__all__ = [
+    "logarithm",
+    "max_particles_of",
+    "on_lattice",
+    "regrid",
+    "resample",
+    "target_of",
+    "times_likelihood",
+]
 
 _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
@@ -63,7 +71,7 @@ def resample(
     True
     """
     scheme = (config or SolverConfig()).scheme
-    bound = particle_bound(density, n_particles)
+    bound = max_particles_of(density, n_particles)
     return regrid(on_lattice(density, bound), bound, scheme)
 
 
@@ -128,17 +136,17 @@ def _folded(log_p: OfStates, domain: Domain, X: Floats) -> Floats:
     return log_p(domain.fold(X))
 
 
-def particle_bound(density: ParticleDensity, n_particles: int | str | None = None) -> int:
+def max_particles_of(density: ParticleDensity, n_particles: int | str | None = None) -> int:
     """Upper bound of the number of particles at the next re-gridding: as given, else the density's own."""
     if isinstance(n_particles, str):
         if n_particles != "auto":
             raise ModelError(f'n_particles must be a whole number or "auto", got {n_particles!r}')
         nodes = 0 if density.needs is None else density.needs.nodes
-        return nodes or fewest(density.dim)
+        return nodes or min_nodes(density.dim)
     if n_particles is not None:
         return count("n_particles", n_particles)
     no_lattice = density.read_out in ("family", "pieces")
-    return density.capacity or (4 * fewest(density.dim) if no_lattice else density.n_particles)
+    return density.capacity or (4 * min_nodes(density.dim) if no_lattice else density.n_particles)
 
 
 def target_of(

@@ -17,7 +17,17 @@ from .._types import Bools, Floats, Ints
 from ..errors import PropagationError
 from .pieces import nodes
 
-__all__ = ["Asked", "Front", "White", "at", "bent_along", "children", "look", "quadratics", "straightened"]
+__all__ = [
+    "Front",
+    "ReadingAtNodes",
+    "White",
+    "at",
+    "bent_along",
+    "children",
+    "quadratics",
+    "quadrature_moments",
+    "straightened",
+]
 
 _BENT = 1.5  # times the bend that is allowed, from which a piece is split
 _NARROWEST, _WIDEST = 0.15, 0.7  # of a piece along the split, over its own width
@@ -42,7 +52,7 @@ class Front(NamedTuple):
         return Front(self.log_w[which], self.mean[which], self.root[which], self.parent[which])
 
 
-class Asked:
+class ReadingAtNodes:
     """The reading at nodes of pieces, and how many were asked."""
 
     def __init__(self, white: White, n: int, sees: Ints, most: int) -> None:
@@ -69,11 +79,11 @@ def at(front: Front, xi: Floats) -> Floats:
     )
 
 
-def straightened(front: Front, ask: Asked, bend: float) -> Front:
+def straightened(front: Front, ask: ReadingAtNodes, bend: float) -> Front:
     """Split pieces until the reading bends little over each; those that explain it too badly are dropped."""
     done, top = [], -np.inf
     for left in range(_LEVELS, -1, -1):
-        seen = look(front, ask)
+        seen = quadrature_moments(front, ask)
         top = max(top, float(seen.bound.max()))
         keep = seen.bound > top - _NEGLIGIBLE
         bent = keep & (seen.bend > _BENT * bend) & (left > 0)
@@ -94,7 +104,7 @@ class _Look(NamedTuple):
     bound: Floats  # (K,) most evidence that a piece may have
 
 
-def look(front: Front, ask: Asked) -> _Look:
+def quadrature_moments(front: Front, ask: ReadingAtNodes) -> _Look:
     xi, u = nodes(front.mean.shape[1])
     r = ask(at(front, xi))
     v, bend = bent_along(r, xi, u)

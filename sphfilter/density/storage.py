@@ -21,7 +21,7 @@ from ..model.sde import SDE
 from .as_cloud import cloud_density, cloud_of
 from .families import Families
 from .family import Family
-from .needs import Needs
+from .memory import Memory
 from .particle_density import ParticleDensity
 from .passage import gone_again
 from .pieces import Pieces
@@ -111,9 +111,9 @@ def density_from(arrays: Arrays, models: Sequence[SDE] = ()) -> ParticleDensity:
     return ParticleDensity(**about)
 
 
-def _needs_from(known: list[Any]) -> Needs:
+def _needs_from(known: list[Any]) -> Memory:
     """The needs of a list; of files of before the first five, which mean the same."""
-    return Needs(*(known if len(known) == len(Needs._fields) else known[:5]))
+    return Memory(*(known if len(known) == len(Memory._fields) else known[:5]))
 
 
 def models_of(density: ParticleDensity) -> tuple[SDE, ...]:

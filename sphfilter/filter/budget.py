@@ -12,7 +12,7 @@ import numpy as np
 from ..config import CloudScheme
 from ..density.distributions import Gaussian
 from ..density.initialize import initialize
-from ..density.needs import fewest
+from ..density.memory import min_nodes
 from ..errors import PropagationError
 from ..info import Code, PredictInfo, UpdateInfo
 from ..model.likelihood import LikelihoodMeasurement
@@ -171,7 +171,7 @@ def _load_rest(filt: Any, dt: float) -> None:
         # as many particles as the filter has would take minutes, and compile nothing more
         about = {"t": filt.t, "domain": filt.model.domain}
         begins = filt.config if isinstance(scheme, CloudScheme) else config  # points come from a lattice
-        few = initialize(Gaussian(filt.x, filt.P), fewest(filt.model.dim), begins, **about)
+        few = initialize(Gaussian(filt.x, filt.P), min_nodes(filt.model.dim), begins, **about)
         moved, _ = predict(few, filt.model, _SHORT * dt, config)
         update(moved, *_expected(filt), filt.config)
 

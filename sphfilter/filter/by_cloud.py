@@ -18,8 +18,8 @@ from ..density.points import CloudState, Points, Told
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.cloud import apart, as_points, fewer
-from .asked import Asked, kept
 from .guided import weighed
+from .reading_at_prior import ReadingAtPrior, error_left_by_update
 from .stacked import Stacked
 
 __all__ = ["Read", "by_cloud", "fresh", "read"]
@@ -28,7 +28,7 @@ _HIDDEN = 0.1  # of an error, below which another adds less than a hundredth
 
 
 def by_cloud(
-    density: ParticleDensity, asked: Asked, n_particles: int, config: FilterConfig, why: str = ""
+    density: ParticleDensity, asked: ReadingAtPrior, n_particles: int, config: FilterConfig, why: str = ""
 ) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood as a cloud of weighted points, and what the update says."""
     scheme = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
@@ -41,7 +41,7 @@ def by_cloud(
         )
     new = cloud_of(density, found.state, found.moments, capacity=n_particles, lost=density.lost)
     if found.state.inherited > 0.0:
-        found = found.left(kept(density, new))
+        found = found.left(error_left_by_update(density, new))
     error, doubt, code = found.error, found.doubt, Code.CLOUD
     new = new.noted(cloud=found.state, error=error)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"

@@ -3,12 +3,12 @@
 import math
 from typing import Any
 
-from ..density.as_family import families_density, settled, unrolled
+from ..density.as_family import as_polynomials, families_density, moments_on_line
 from ..density.families_posterior import families_posterior
-from ..density.gathering import gathered
+from ..density.gathering import merged_families
 from ..density.particle_density import ParticleDensity
-from .asked import Asked, kept, said_of
-from .by_family import elsewhere
+from .by_family import error_beyond_nodes
+from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
 
 _LIGHT = 0.03  # of the error that may be added, over the share of a family that is dropped
 _HEAVY = 0.1  # share of families, below which one in their place may be off by more
@@ -17,7 +17,7 @@ __all__ = ["by_families"]
 
 
 def by_families(
-    density: ParticleDensity, asked: Asked, degree: int, allowed: float
+    density: ParticleDensity, asked: ReadingAtPrior, degree: int, allowed: float
 ) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood as families, as few as add no more than `allowed`; one of a degree if that does.
 
@@ -32,12 +32,12 @@ def by_families(
     new = families_density(density, found.families)
     missed = 0.0
     if not asked.linear:
-        both = (prior.log_p, unrolled(density)), (found.families.log_p, unrolled(new))
-        missed = elsewhere(density, asked, *both, found.log_evidence)
-    error = math.hypot(kept(density, new) * density.error, found.error, missed)
+        both = (prior.log_p, moments_on_line(density)), (found.families.log_p, moments_on_line(new))
+        missed = error_beyond_nodes(density, asked, *both, found.log_evidence)
+    error = math.hypot(error_left_by_update(density, new) * density.error, found.error, missed)
     new = new.noted(error=error)
-    one = settled(new, degree, allowed)
+    one = as_polynomials(new, degree, allowed)
     if one is None:
-        few, change = gathered(found.families, allowed, _HEAVY)
+        few, change = merged_families(found.families, allowed, _HEAVY)
         one = families_density(new, few, error=math.hypot(error, change))
-    return one, said_of(asked, "pieces", found.log_evidence, one.error, found.evidence_error)
+    return one, info_fields(asked, "pieces", found.log_evidence, one.error, found.evidence_error)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats, OfStates
-from ..density.as_family import family_density, family_of, unrolled
+from ..density.as_family import family_density, family_of, moments_on_line
 from ..density.cloud import points_of
 from ..density.family import OF_MISFIT, Family, gaussian_family, moments_apart, node_moments
 from ..density.family_posterior import FamilyPosterior, family_posterior
@@ -15,9 +15,9 @@ from ..density.particle_density import ParticleDensity
 from ..density.passage import key_at
 from ..errors import PropagationError
 from ..model.measurements import block, is_gaussian
-from .asked import Asked, kept, said_of
+from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
 
-__all__ = ["by_family", "elsewhere", "family_update"]
+__all__ = ["by_family", "error_beyond_nodes", "family_update"]
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
@@ -30,14 +30,14 @@ Shape = tuple[OfStates, tuple[Floats, Floats]]
 
 
 def by_family(
-    density: ParticleDensity, asked: Asked, degree: int, n_particles: int
+    density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int
 ) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood as a family of a degree; it raises as `family_update` does."""
     return family_update(density, asked, degree, n_particles)[:2]
 
 
 def family_update(
-    density: ParticleDensity, asked: Asked, degree: int, n_particles: int, most: float = math.inf
+    density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int, most: float = math.inf
 ) -> tuple[ParticleDensity, dict[str, Any], float]:
     """The same, and the error in standard deviations that it adds to what is left of the prior's.
 
@@ -57,21 +57,21 @@ def family_update(
         found = family_posterior(prior, asked.weight_on(density.domain), _linearised(density, asked))
     if not asked.linear:
         both = (prior.log_p, _moments(prior)), (found.family.log_p, _moments(found.family))
-        missed = elsewhere(density, asked, *both, found.log_evidence)
+        missed = error_beyond_nodes(density, asked, *both, found.log_evidence)
     added = math.hypot(found.error, missed)
     if not added <= most:
         raise PropagationError(f"one family of degree {degree} is off by {added:.2g} after the reading")
     new = family_density(
         density, found.family, capacity=n_particles, gaussian=density.gaussian and asked.linear
     )
-    left = kept(density, new) if density.error or misfit else 0.0  # of nothing
+    left = error_left_by_update(density, new) if density.error or misfit else 0.0  # of nothing
     added = math.hypot(left * OF_MISFIT * misfit, added)
     error = math.hypot(left * density.error, added)
-    said = said_of(asked, "family", found.log_evidence, error, found.evidence_error)
+    said = info_fields(asked, "family", found.log_evidence, error, found.evidence_error)
     return new.noted(error=error), said | {"residual": found.misfit}, added
 
 
-def _kalman(density: ParticleDensity, asked: Asked, degree: int) -> FamilyPosterior | None:
+def _kalman(density: ParticleDensity, asked: ReadingAtPrior, degree: int) -> FamilyPosterior | None:
     """A Gaussian times the likelihood of a linear sensor, in closed form; None where there is none."""
     if not (density.gaussian and density.domain is None and asked.linear and is_gaussian(asked.measurement)):
         return None
@@ -79,7 +79,7 @@ def _kalman(density: ParticleDensity, asked: Asked, degree: int) -> FamilyPoster
     assert asked.measurement.H is not None and asked.innovation is not None
     assert asked.S is not None and asked.cross is not None
     H, R = asked.measurement.H[asked.seen], block(asked.measurement.noise_cov, asked.seen)
-    mean, cov = unrolled(density)
+    mean, cov = moments_on_line(density)
     gain = np.linalg.solve(asked.S, asked.cross.T).T
     rest = np.eye(len(mean)) - gain @ H
     cov = rest @ cov @ rest.T + gain @ R @ gain.T  # Joseph's, which stays definite however sharp the sensor
@@ -90,8 +90,8 @@ def _kalman(density: ParticleDensity, asked: Asked, degree: int) -> FamilyPoster
     return FamilyPosterior(found, evidence, 0.0, 0.0, 0.0) if math.isfinite(evidence) else None
 
 
-def elsewhere(
-    density: ParticleDensity, asked: Asked, prior: Shape, posterior: Shape, log_evidence: float
+def error_beyond_nodes(
+    density: ParticleDensity, asked: ReadingAtPrior, prior: Shape, posterior: Shape, log_evidence: float
 ) -> float:
     """Error of the posterior's family, standard deviations, as points of the prior see it.
 
@@ -139,12 +139,12 @@ def _moments(family: Family) -> tuple[Floats, Floats]:
     return mean, cov
 
 
-def _linearised(density: ParticleDensity, asked: Asked) -> tuple[Floats, Floats] | None:
+def _linearised(density: ParticleDensity, asked: ReadingAtPrior) -> tuple[Floats, Floats] | None:
     """Mean and a factor of the covariance by statistical linearisation; None without a Gaussian sensor."""
     if asked.innovation is None or asked.S is None or asked.cross is None:
         return None
     gain = np.linalg.solve(asked.S, asked.cross.T).T
-    mean, cov = unrolled(density)
+    mean, cov = moments_on_line(density)
     cov = cov - gain @ asked.cross.T
     cov = 0.5 * (cov + cov.T)
     try:

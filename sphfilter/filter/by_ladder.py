@@ -7,20 +7,20 @@ from typing import Any
 import numpy as np
 
 from ..config import CloudScheme, FilterConfig
-from ..density.as_family import settled
-from ..density.needs import FLAGGED, Needs, allowance, doubt, fewest
+from ..density.as_family import as_polynomials
+from ..density.memory import FLAGGED, Memory, error_budget, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.family import fits_density
 from ..prediction.ladder import best_family, first_degree, prefers_cloud
-from .asked import Asked
 from .by_cloud import by_cloud
 from .by_families import by_families
 from .by_family import family_update
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
+from .reading_at_prior import ReadingAtPrior
 
 __all__ = ["by_ladder"]
 
@@ -32,18 +32,20 @@ _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
 Posterior = tuple[ParticleDensity, dict[str, Any]]
 
 
-def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: FilterConfig) -> Posterior:
+def by_ladder(
+    density: ParticleDensity, asked: ReadingAtPrior, target: float, config: FilterConfig
+) -> Posterior:
     """Prior times likelihood on the cheapest rung whose own error leaves the target.
 
     Where a lattice had to be taken, the posterior comes down to one family again if that holds it.
     """
-    needs = (density.needs or Needs())._replace(legs=0)
+    needs = (density.needs or Memory())._replace(legs=0)
     walled = density.domain is not None and density.domain.walled.any()
     by_cloud = density.field is None and not walled and prefers_cloud(density.dim, needs, target)
     if density.read_out == "cloud":
         return _on_cloud(density, asked, target, config, needs)
     found = _on_families(density, asked, target, needs) or _on_family(density, asked, target, needs)
-    if found is not None and by_cloud and found[1]["error"] > doubt(density.dim) * target:
+    if found is not None and by_cloud and found[1]["error"] > tolerated_excess(density.dim) * target:
         found = None  # what the reading made of the prior's error, no family tells
     missed = found is None or found[1]["error"] > target
     if missed and density.families is None:
@@ -55,12 +57,14 @@ def by_ladder(density: ParticleDensity, asked: Asked, target: float, config: Fil
     (new, said), needs = _on_lattice(density, asked, target, config, needs)
     new = new.noted(needs=needs)
     if needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
-        one = settled(new, first_degree(new.dim, needs), allowance(new.error, target))
+        one = as_polynomials(new, first_degree(new.dim, needs), error_budget(new.error, target))
         new, needs = (new, needs.refused()) if one is None else (one, needs)
-    return new.noted(needs=needs), _told(said | {"error": new.error}, target)
+    return new.noted(needs=needs), _flagged_if_missed(said | {"error": new.error}, target)
 
 
-def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
+def _on_family(
+    density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory
+) -> Posterior | None:
     """The posterior as one family, of as high a degree as the error asks; None where none will do."""
     if density.family is None or fits_density(density):
         return None
@@ -74,54 +78,58 @@ def _on_family(density: ParticleDensity, asked: Asked, target: float, needs: Nee
     if best is None:
         return None
     (new, said), degree, _ = best
-    return new.noted(needs=needs.followed(degree)), _told(said, target)
+    return new.noted(needs=needs.followed(degree)), _flagged_if_missed(said, target)
 
 
-def _on_families(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
+def _on_families(
+    density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory
+) -> Posterior | None:
     """The posterior as a few families, or one if that holds it; None where they will not do."""
     if density.families is None:
         return None
     try:
-        degree, allowed = first_degree(density.dim, needs), allowance(density.error, target)
+        degree, allowed = first_degree(density.dim, needs), error_budget(density.error, target)
         new, said = by_families(density, asked, degree, allowed)
     except (PropagationError, np.linalg.LinAlgError):
         return None
-    if not said["error"] <= doubt(density.dim) * target:
+    if not said["error"] <= tolerated_excess(density.dim) * target:
         return None
-    return new.noted(needs=needs), _told(said, target)
+    return new.noted(needs=needs), _flagged_if_missed(said, target)
 
 
-def _on_pieces(density: ParticleDensity, asked: Asked, target: float, needs: Needs) -> Posterior | None:
+def _on_pieces(
+    density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory
+) -> Posterior | None:
     """The posterior as Gaussians; None where those would be too many. One family follows where it will do."""
     most = int(_NODES.get(density.dim, _NODES_MORE) * needs.cloud(target))
     try:
         new, said = by_pieces(density, asked, target, max(most, _FEW_NODES))
     except PropagationError:
         return None
-    if said["error"] > doubt(density.dim) * target:
+    if said["error"] > tolerated_excess(density.dim) * target:
         return None
     if new.pieces is not None:
-        one = settled(new, first_degree(new.dim, needs), allowance(new.error, target))
+        one = as_polynomials(new, first_degree(new.dim, needs), error_budget(new.error, target))
         new = new if one is None else one
-    return replace(new, needs=needs), _told(said | {"error": new.error}, target)
+    return replace(new, needs=needs), _flagged_if_missed(said | {"error": new.error}, target)
 
 
 def _on_cloud(
-    density: ParticleDensity, asked: Asked, target: float, config: FilterConfig, needs: Needs
+    density: ParticleDensity, asked: ReadingAtPrior, target: float, config: FilterConfig, needs: Memory
 ) -> Posterior:
     """The posterior as a cloud; of how many points the next one has, what its points told tells."""
     scheme = CloudScheme(n_points=needs.cloud(target))
     new, said = by_cloud(density, asked, 0, replace(config, scheme=scheme))
     assert new.cloud is not None
     needs = needs.told(new.cloud.told.errors.mean, target, new.cloud.size)
-    return new.noted(needs=needs), _told(said, target)
+    return new.noted(needs=needs), _flagged_if_missed(said, target)
 
 
 def _on_lattice(
-    density: ParticleDensity, asked: Asked, target: float, config: FilterConfig, needs: Needs
-) -> tuple[Posterior, Needs]:
+    density: ParticleDensity, asked: ReadingAtPrior, target: float, config: FilterConfig, needs: Memory
+) -> tuple[Posterior, Memory]:
     """The posterior on a lattice, of more nodes where the error asks for it."""
-    nodes, before = needs.nodes or fewest(density.dim), math.inf
+    nodes, before = needs.nodes or min_nodes(density.dim), math.inf
     for left in range(1 if config.time_budget else _TRIES, 0, -1):
         laid = on_lattice(density, nodes)
         new, said = by_lattice(laid, asked, nodes, config)
@@ -132,7 +140,7 @@ def _on_lattice(
     return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes)
 
 
-def _told(said: dict[str, Any], target: float) -> dict[str, Any]:
+def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
     """What a rung said, less what the target asked for: that there are more nodes, or points."""
     usual = Code.CLOUD | Code.FINER
     if said["code"] & ~usual or not said["error"] < DOUBTFUL:

@@ -12,11 +12,11 @@ from ..density.resample import times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code
 from ..lattice.check import Remote, beside, remote
-from ..lattice.field import extrapolated_mass, held
+from ..lattice.field import extrapolated_mass, inside_lattice
 from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
-from .asked import Asked, kept
 from .by_cloud import by_cloud
+from .reading_at_prior import ReadingAtPrior, error_left_by_update
 
 __all__ = ["by_lattice"]
 
@@ -26,7 +26,7 @@ _TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
 
 
 def by_lattice(
-    density: ParticleDensity, asked: Asked, n_particles: int, config: FilterConfig
+    density: ParticleDensity, asked: ReadingAtPrior, n_particles: int, config: FilterConfig
 ) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
     gaussian, flag = density.gaussian and asked.linear, asked.outlying
@@ -45,7 +45,7 @@ def by_lattice(
             summed, log_evidence = log_evidence, asked.gaussian_evidence
             evidence_error = abs(summed - log_evidence)
         unsure = 0.0 if density.gaussian else _extrapolated(density, new)
-        left = kept(density, new)
+        left = error_left_by_update(density, new)
         error = math.hypot(left * density.error, found.off.mean, unsure)
         unknown = _beyond(density, new)
     except PropagationError as problem:
@@ -78,11 +78,13 @@ def by_lattice(
     } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out, far.variance))
 
 
-def _remote(prior: ParticleDensity, posterior: ParticleDensity, asked: Asked, log_evidence: float) -> Remote:
+def _remote(
+    prior: ParticleDensity, posterior: ParticleDensity, asked: ReadingAtPrior, log_evidence: float
+) -> Remote:
     """What the prior's nodes beyond a posterior's lattice would add to it."""
     if posterior.field is None:
         return Remote()
-    beyond = ~held(posterior.field, moved_in(posterior.walls, posterior.field.A, prior.x))
+    beyond = ~inside_lattice(posterior.field, moved_in(posterior.walls, posterior.field.A, prior.x))
     if not beyond.any():
         return Remote()
     X = prior.x[beyond]

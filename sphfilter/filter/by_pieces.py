@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats, Ints
-from ..density.as_family import family_of, pieces_density, unrolled
+from ..density.as_family import family_of, moments_on_line, pieces_density
 from ..density.family import OF_MISFIT
+from ..density.memory import error_budget
 from ..density.merging import merged
-from ..density.needs import allowance
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, nodes, pieces_of
 from ..density.pieces_posterior import Settings, pieces_posterior
 from ..density.splitting import White
 from ..errors import PropagationError
-from .asked import Asked, kept, said_of
-from .by_family import elsewhere
+from .by_family import error_beyond_nodes
+from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
 
 __all__ = ["by_pieces"]
 
@@ -26,7 +26,7 @@ _OF_OFF, _OF_CHANGE = 0.5, 0.2  # parts of the difference and of the change that
 
 
 def by_pieces(
-    density: ParticleDensity, asked: Asked, target: float, most: int
+    density: ParticleDensity, asked: ReadingAtPrior, target: float, most: int
 ) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood as Gaussians, as fine as a target error asks for.
 
@@ -46,7 +46,7 @@ def by_pieces(
     PropagationError
         More nodes would be needed, or there is no reason to split a density of another shape.
     """
-    prior, misfit = _prior(density, allowance(density.error, target))
+    prior, misfit = _prior(density, error_budget(density.error, target))
     white, log_scale = asked.whitened()
     aim = _FINE * target  # of every reading: what is wrong with pieces fades, as they are split anew
     found = pieces_posterior(prior, white, _sees(white, prior), Settings(_BEND * aim, _OFF * aim, most))
@@ -56,10 +56,12 @@ def by_pieces(
     log_evidence = found.log_evidence + log_scale
     missed = 0.0
     if not asked.linear:  # splitting cuts tails off
-        both = (prior.log_p, unrolled(density)), (pieces.log_p, unrolled(new))
-        missed = elsewhere(density, asked, *both, log_evidence)
-    error = math.hypot(kept(density, new) * before, _OF_OFF * found.error, _OF_CHANGE * change, missed)
-    said = said_of(asked, "pieces", log_evidence, error, found.evidence_error)
+        both = (prior.log_p, moments_on_line(density)), (pieces.log_p, moments_on_line(new))
+        missed = error_beyond_nodes(density, asked, *both, log_evidence)
+    error = math.hypot(
+        error_left_by_update(density, new) * before, _OF_OFF * found.error, _OF_CHANGE * change, missed
+    )
+    said = info_fields(asked, "pieces", log_evidence, error, found.evidence_error)
     return new.noted(error=error), said
 
 

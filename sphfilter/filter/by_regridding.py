@@ -9,13 +9,13 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
 from ..model.measurements import Reading, is_gaussian
 from .acceptance import Acceptance, test_measurement
-from .asked import Asked
+from .reading_at_prior import ReadingAtPrior
 
 __all__ = ["by_regridding"]
 
 
 def by_regridding(
-    density: ParticleDensity, asked: Asked, n_particles: int, config: FilterConfig
+    density: ParticleDensity, asked: ReadingAtPrior, n_particles: int, config: FilterConfig
 ) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood on a regular lattice, if the acceptance test lets it (002 6.1-6.3)."""
     accepted, reason = _verdict(density, asked, config.acceptance)
@@ -43,7 +43,7 @@ def _kernel_ratio(density: ParticleDensity) -> float:
     return float(density.kernel_variance * (density.mass @ density.h**2) / smallest)
 
 
-def _verdict(density: ParticleDensity, asked: Asked, settings: AcceptanceTest) -> Acceptance:
+def _verdict(density: ParticleDensity, asked: ReadingAtPrior, settings: AcceptanceTest) -> Acceptance:
     """The `Acceptance` of a reading; the test of 002 is defined for directly observed states only."""
     measurement, seen = asked.measurement, asked.seen
     if not settings.enabled:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..config import FilterConfig
-from ..density.modes import ModeDensities, Ripple
+from ..density.modes import ModeDensities, SplittingError
 from ..density.storage import Arrays, density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import ModelError
 from ..model.jump_markov import JumpMarkovModel
@@ -171,6 +171,8 @@ def _stored_modes(modes: ModeDensities) -> Arrays:
 def _modes_from(arrays: Arrays) -> ModeDensities:
     log_w = arrays["log_w"]
     each = [part(str(i), arrays) for i in range(len(log_w))]
-    ripples = [Ripple(**part(f"ripple {i}", arrays)) for i in range(len(log_w)) if f"ripple {i}.X" in arrays]
+    ripples = [
+        SplittingError(**part(f"ripple {i}", arrays)) for i in range(len(log_w)) if f"ripple {i}.X" in arrays
+    ]
     densities = [density_from(some) if some else None for some in each]
     return ModeDensities(log_w, densities, arrays["splitting"], ripples or None)

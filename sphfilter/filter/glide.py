@@ -13,18 +13,18 @@ from .._types import Floats
 from ..config import CloudScheme
 from ..core.cloud.cycle import JUDGE, REFUSED, UNUSUAL, WRONG, Bounds
 from ..density.as_cloud import cloud_of
-from ..density.needs import FLAGGED, MISSED, Needs
+from ..density.memory import FLAGGED, MISSED, Memory
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Through, put_through
 from ..density.points import CloudState
-from ..density.resample import particle_bound, target_of
+from ..density.resample import max_particles_of, target_of
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL
 from ..model.measurements import GaussianMeasurement
 from ..prediction.cloud import carried, fewer, least_steps
-from .asked import OUTLYING, Asked, left_of, reading_of
 from .by_cloud import fresh, read
 from .found import found as as_found
+from .reading_at_prior import OUTLYING, ReadingAtPrior, reading_of, shift_left_by_update
 from .stacked import Stacked
 from .state import FilterState
 
@@ -79,11 +79,11 @@ class _Reached(NamedTuple):
     """How far a record has been put through a cloud: one value, which nothing interrupts halfway."""
 
     state: CloudState
-    needs: Needs
+    needs: Memory
     rows: list[dict[str, Any]]
     t: float
 
-    def and_on(self, state: CloudState, needs: Needs, rows: list[dict[str, Any]], t: float) -> "_Reached":
+    def and_on(self, state: CloudState, needs: Memory, rows: list[dict[str, Any]], t: float) -> "_Reached":
         """The same with more readings put through, up to a time."""
         return _Reached(state, needs, [*self.rows, *rows], t)
 
@@ -173,7 +173,7 @@ class _Run:
         if done is None:
             return False
         if done.state.inherited > 0.0:
-            done = done.left(left_of(moved.moments[1], done.moments[1]))
+            done = done.left(shift_left_by_update(moved.moments[1], done.moments[1]))
         if not done.error <= FLAGGED * target or not done.error < DOUBTFUL or done.doubt > WRONG:
             return False
         if done.error > MISSED * target:
@@ -201,7 +201,7 @@ def _after(filt: Any, reached: _Reached, z: Any) -> FilterState[ParticleDensity]
         "origin": None,
     }
     said |= {"log_likelihood": last["log_evidence"], "log_evidence": log_evidence}
-    said |= {"n_particles": particle_bound(density, "auto")}
+    said |= {"n_particles": max_particles_of(density, "auto")}
     return state.noted(density=density, **told, x_post=told["x"], P_post=told["P"], **said)
 
 
@@ -230,9 +230,9 @@ def _plain(filt: Any, t: float, times: Floats, readings: Sequence[Any]) -> tuple
     return np.array(Z, dtype=float), np.array(ends)
 
 
-def _asked(sensor: GaussianMeasurement, z: Floats, t: float) -> Asked:
+def _asked(sensor: GaussianMeasurement, z: Floats, t: float) -> ReadingAtPrior:
     """A reading of numbers z (k,), all of which came."""
-    return Asked(sensor, z, np.ones(len(z), dtype=bool), t, None, None, None)
+    return ReadingAtPrior(sensor, z, np.ones(len(z), dtype=bool), t, None, None, None)
 
 
 def _simple(state: CloudState) -> bool:

@@ -27,7 +27,7 @@ from ..prediction.mixing_modes import whatever_the_mode
 from ..prediction.switching import ModesInfo, ModesPrediction, predict_modes
 from ..validate import onwards, real, seconds, short
 from .checkpoint import restored_modes
-from .names import in_own_words
+from .names import suggest_keyword
 from .readings import checked_sensor, numbers_of, rows_of, sensor_of
 from .results import FilterResult, run_filter
 from .shell import RANKED, DensityFilter
@@ -134,7 +134,7 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
 
     _restored = staticmethod(restored_modes)
 
-    @in_own_words
+    @suggest_keyword
     def __init__(
         self,
         model: JumpMarkovModel,
@@ -240,7 +240,7 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
         """The density of the states, whatever the mode: the sum of those of the modes."""
         return whatever_the_mode(self._state.density, self.config.target_error)
 
-    @in_own_words
+    @suggest_keyword
     def predict(
         self, dt: Interval | None = None, *, t: float | None = None, u: InputValues | None = None
     ) -> ModesInfo:
@@ -269,7 +269,7 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
         self._predicted(state, {"dt": dt, "t": t}, u)
         return info
 
-    @in_own_words
+    @suggest_keyword
     def update(
         self,
         z: Reported,

@@ -15,7 +15,7 @@ from ..info import UpdateInfo
 from ..model.measurements import Sensor
 from ..validate import count, onwards, real
 
-__all__ = ["Remembering", "Step"]
+__all__ = ["Step", "StepHistory"]
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Step:
     actions: tuple[tuple[str, Mapping[str, Any]], ...] = ()
 
 
-class Remembering:
+class StepHistory:
     """A filter that keeps its last steps; states never change, so that keeping them is all it takes.
 
     Steps are taken again by the filter's own predict and update: the densities have the bits that they would

@@ -7,7 +7,7 @@ from .. import validate
 from ..errors import MissingNameError, ModelError
 from ..validate import Given, Returned
 
-__all__ = ["check_assigned", "check_read", "in_own_words"]
+__all__ = ["check_assigned", "check_read", "suggest_keyword"]
 
 
 _IN_MODEL = "dynamics belong to the model: SDE(drift=...) or LinearSDE(A), in continuous time"
@@ -109,7 +109,7 @@ def check_read(name: str, cls: type) -> None:
         raise MissingNameError(f"{cls.__name__} has no {name}: {_FILTERPY[name]}")
 
 
-def in_own_words(method: Callable[Given, Returned]) -> Callable[Given, Returned]:
+def suggest_keyword(method: Callable[Given, Returned]) -> Callable[Given, Returned]:
     """Let a method say what to give instead of a keyword that it has not: one of filterpy's, or a typo."""
     return validate.keywords(method, _FILTERPY)
 

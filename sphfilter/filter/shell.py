@@ -18,7 +18,7 @@ from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
 from ..validate import array, choice, column, count, covariance, positive, real, row, seconds
 from .checkpoint import Restored, write
-from .late import Remembering
+from .late import StepHistory
 from .names import check_assigned, check_read
 from .state import Carried, FilterState
 
@@ -40,7 +40,7 @@ def _shown(name: str, what: str) -> Any:
     return property(part, doc=what)
 
 
-class DensityFilter(Remembering, Generic[Carried, Model, Given]):
+class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
     """A filter that carries a density; its subclasses have the step that carries it, and Bayes' rule.
 
     A call makes a new state and puts it in the place of the old one as its last act: one that raises leaves

@@ -11,9 +11,9 @@ from .._types import Floats, Interval, Readings, Reported
 from ..config import FilterConfig
 from ..consistency.ranks import Ranker
 from ..density.as_cloud import thinned
-from ..density.needs import bound_of, fewest
+from ..density.memory import max_particles, min_nodes
 from ..density.particle_density import ParticleDensity
-from ..density.resample import particle_bound
+from ..density.resample import max_particles_of
 from ..density.weighted import WeightedStates
 from ..errors import ModelError
 from ..info import NOTHING_CAME, PredictInfo, UpdateInfo
@@ -28,7 +28,7 @@ from ..validate import count, positive, real, seconds, short
 from .budget import Budget, rehearse
 from .checkpoint import restored
 from .glide import Glide
-from .names import in_own_words
+from .names import suggest_keyword
 from .readings import checked_sensor, interval_of, numbers_of, parted, sensor_of
 from .results import FilterResult, run_filter
 from .shell import RANKED, DensityFilter
@@ -114,7 +114,7 @@ class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
     _of_state = "log_evidence", "n_particles"
     _restored = staticmethod(restored)
 
-    @in_own_words
+    @suggest_keyword
     def __init__(
         self,
         model: SDE,
@@ -133,9 +133,9 @@ class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
             raise ModelError(f"model must be an SDE or LinearSDE, got {short(model)}")
         self.model = model
         self.measurement = None if measurement is None else checked_sensor(measurement, model)
-        known = bound_of(self._configure(config, n_particles, dt), self.config)
+        known = max_particles(self._configure(config, n_particles, dt), self.config)
         self._adapts = isinstance(known, str)
-        least = fewest(model.dim) if isinstance(known, str) else int(known)
+        least = min_nodes(model.dim) if isinstance(known, str) else int(known)
         self._budget = Budget(self.config.time_budget)
         given = self._given(density, x0, P0)
         start = self._start(x0, P0, t0, known) if given is None else given
@@ -188,7 +188,7 @@ class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
             self._state = self._state.noted(n_particles=value)
             self._adapts = False
 
-    @in_own_words
+    @suggest_keyword
     def predict(
         self, dt: Interval | Floats | None = None, *, t: float | None = None, u: InputValues | None = None
     ) -> PredictInfo:
@@ -213,7 +213,9 @@ class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
             if self._adapts:
                 options |= {"n_particles": "auto", "time": Time(most, self._budget.fits)}
             moved, info = predict(density, model, by, config, goes_on=False, **options)
-            return Outcome(density, moved, info, particle_bound(moved) if self._adapts else state.n_particles)
+            return Outcome(
+                density, moved, info, max_particles_of(moved) if self._adapts else state.n_particles
+            )
 
         def attempted(config: Any) -> Outcome[PredictInfo]:
             known = state.density, state.origin, config, most
@@ -231,7 +233,7 @@ class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
 
     def _most(self) -> int:
         """Particles that a call may have."""
-        return self._budget.bound(MOST if self._adapts else self.n_particles, fewest(self.model.dim))
+        return self._budget.bound(MOST if self._adapts else self.n_particles, min_nodes(self.model.dim))
 
     def prepare(self, dt: Interval | None = None) -> float:
         """Compile all that predictions and updates call, before a loop in real time.
@@ -258,7 +260,7 @@ class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
         self._budget.adopt(budget)
         return taken
 
-    @in_own_words
+    @suggest_keyword
     def update(
         self,
         z: Reported,
@@ -307,7 +309,7 @@ class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
         own = kind.predict is SPHFilter.predict and kind.update is SPHFilter.update
         return Glide(self) if own and not changed else None
 
-    @in_own_words
+    @suggest_keyword
     def run(
         self,
         times: ArrayLike,

@@ -7,16 +7,16 @@ from numpy.typing import ArrayLike
 
 from ..config import CloudScheme, FamilyScheme, FilterConfig, PaperScheme, checked_filter_config
 from ..density.particle_density import ParticleDensity
-from ..density.resample import on_lattice, particle_bound, target_of
+from ..density.resample import max_particles_of, on_lattice, target_of
 from ..info import NOTHING_CAME, UpdateInfo
 from ..model.measurements import Sensor
 from ..prediction.family import degree_of
-from .asked import Asked
 from .by_cloud import by_cloud
 from .by_family import by_family
 from .by_ladder import by_ladder
 from .by_lattice import by_lattice
 from .by_regridding import by_regridding
+from .reading_at_prior import ReadingAtPrior
 
 __all__ = ["update"]
 
@@ -65,8 +65,8 @@ def update(
     1.0000 0.5000 -2.2655
     """
     began, config = perf_counter(), checked_filter_config(config)
-    target, bound = target_of(density, config, n_particles), particle_bound(density, n_particles)
-    asked = Asked.of(density, measurement, z)
+    target, bound = target_of(density, config, n_particles), max_particles_of(density, n_particles)
+    asked = ReadingAtPrior.of(density, measurement, z)
     if not asked.seen.any():
         said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
         return density, UpdateInfo(n_particles=density.n_particles, seconds=perf_counter() - began, **said)

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
 from ..density.cloud import moments_of
-from ..density.needs import MISSED, points_for
+from ..density.memory import MISSED, points_for
 from ..density.particle_density import ParticleDensity
-from ..density.resample import particle_bound, target_of
+from ..density.resample import max_particles_of, target_of
 from ..errors import PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
 from ..lattice.level_set import lattice_reach
@@ -101,7 +101,7 @@ def update_or_predict_again(
     """
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
-    bound = particle_bound(prior, n_particles)
+    bound = max_particles_of(prior, n_particles)
     if posterior.read_out == "cloud" and (before is not None or prior.read_out != "cloud"):
         once = prior, posterior, info
         return Outcome(*_on_more_points(prediction, once, model, measurement, z, config), bound)

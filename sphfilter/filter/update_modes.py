@@ -17,7 +17,7 @@ from ..density.modes import ModeDensities
 from ..errors import PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
 from ..model.measurements import Sensor
-from .asked import kept
+from .reading_at_prior import error_left_by_update
 from .update import update
 
 __all__ = ["ModesUpdateInfo", "update_modes"]
@@ -85,7 +85,7 @@ def update_modes(
         log_w[i], densities[i] = own + infos[i].log_evidence, new
         fresh, brought_out = _off(modes, i, sensors[names[i]], z, infos[i].log_evidence)
         before = math.sqrt(max(splitting[i] ** 2 - fresh**2, 0.0))
-        splitting[i] = math.hypot(kept(density, new) * before, brought_out)
+        splitting[i] = math.hypot(error_left_by_update(density, new) * before, brought_out)
     if problem is not None and not infos:
         raise problem
     log_evidence = float(logsumexp(log_w))

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from .._types import Floats
 from ..config import FilterConfig
+from ..density.memory import MISSED
 from ..density.modes import ModeDensities
-from ..density.needs import MISSED
 from ..info import Code, UpdateInfo
 from ..model.measurements import Sensor
 from ..prediction.switching import MOST_SUBSTEPS, ModesPrediction, predict_modes

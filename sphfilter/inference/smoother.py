@@ -26,7 +26,7 @@ from ..lattice.level_set import lattice_reach
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, driven, each_input
 from ..prediction.backward import carried_back, likelihood_field
-from ..prediction.log_density import fits
+from ..prediction.log_density import why_not
 from ..validate import short
 from ..validate import times as checked_times
 
@@ -189,7 +189,7 @@ def _checked(
     if not filt.model.domain.unbounded:
         raise ModelError("smooth takes no model with a domain: states have to be on the whole line")
     scheme = filt.config.scheme
-    reason = fits(filt.model, filt.density, filt.n_particles)
+    reason = why_not(filt.model, filt.density, filt.n_particles)
     if not isinstance(scheme, str | LogDensityScheme):
         reason = f"the filter's scheme is {scheme.name!r}; leave it to the default"
     if reason:

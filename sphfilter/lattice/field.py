@@ -10,7 +10,7 @@ from ..core.field.stencils import stencils
 from ..core.field.walls import NO_WALLS, Walls
 from .walls import moved_in
 
-__all__ = ["at", "extrapolated_mass", "gradient", "held", "nodes"]
+__all__ = ["at", "extrapolated_mass", "gradient", "inside_lattice", "nodes"]
 
 
 def at(field: Field, X: ArrayLike) -> Floats:
@@ -33,7 +33,7 @@ def nodes(field: Field) -> Floats:
     return np.asarray(field.mu + field.node @ field.A.T)
 
 
-def held(field: Field, x: Floats) -> Bools:
+def inside_lattice(field: Field, x: Floats) -> Bools:
     """Which states (N, n) lie in cells where a field keeps a node."""
     cell = np.floor((x - field.mu) @ field.inverse.T + 0.5) - field.low
     boxed = ((cell >= 0) & (cell < field.dims)).all(axis=1)
@@ -45,4 +45,4 @@ def held(field: Field, x: Floats) -> Bools:
 
 def extrapolated_mass(field: Field, x: Floats, mass: Floats, walls: Walls = NO_WALLS) -> float:
     """Probability of weighted states x (N, n) where a field keeps no node: its values there are a guess."""
-    return max(0.0, 1.0 - float(mass[held(field, moved_in(walls, field.A, x))].sum()))
+    return max(0.0, 1.0 - float(mass[inside_lattice(field, moved_in(walls, field.A, x))].sum()))

@@ -186,7 +186,7 @@ def _overlooked(
     X = np.concatenate(states)
     X = X[inside(search.walls, X)]
     if field is not None:  # elsewhere the prior is a guess
-        X = X[lattice_field.held(field, X)]
+        X = X[lattice_field.inside_lattice(field, X)]
     if not len(X):
         return []
     values = product(X)

@@ -65,7 +65,7 @@ def propagate(
         if laid is None:
             return cloud.propagate(density, model, t1, CloudScheme(), n_particles)
         density = laid
-    reason = log_density.fits(model, density, n_particles)
+    reason = log_density.why_not(model, density, n_particles)
     if not reason:
         try:
             return log_density.propagate(

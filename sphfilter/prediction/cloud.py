@@ -12,7 +12,7 @@ from ..core.cloud.cycle import MOST_LOST
 from ..core.cloud.pace import FIRST_TRIED, ORDER, Steps
 from ..core.cloud.weights import AWAY, compared, together
 from ..density.as_cloud import cloud_of
-from ..density.as_family import unrolled
+from ..density.as_family import moments_on_line
 from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
 from ..density.passage import begun, begun_from, chosen_steps, key_at, passed
@@ -131,7 +131,7 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         return CloudState(points, Points(density.x[few], shadow), density.n_particles)
     clouds = [(n, key_at(density.t, k)) for k, n in enumerate((count, fewer(count)))]
     if density.family is not None and density.family.degree == 2:
-        mean, cov = unrolled(density)
+        mean, cov = moments_on_line(density)
         points, shadow = (begun(mean, cov, n, key, k) for k, (n, key) in enumerate(clouds))
     else:
         points, shadow = (begun_from(Points(*points_of(density, n, key)), n, key) for n, key in clouds)

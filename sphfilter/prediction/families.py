@@ -12,7 +12,7 @@ from ..density.as_family import families_density
 from ..density.families import Families, families_of
 from ..density.families_posterior import AWAY, split, strongest_bend
 from ..density.family import ASTRAY, OF_MISFIT, Family, gaussian_family
-from ..density.gathering import gathered
+from ..density.gathering import merged_families
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import PredictInfo
@@ -67,7 +67,7 @@ def carried(
         families, level = marches.split(families, heavy), level + 1
     moved, change = marches.together(), 0.0
     if density.families is not None:  # noise makes alike what was split before
-        moved, change = gathered(moved, allowed, _HEAVY)
+        moved, change = merged_families(moved, allowed, _HEAVY)
     error = math.hypot(density.error, marches.error, change)
     info = PredictInfo(
         scheme="pieces",

@@ -28,11 +28,11 @@ __all__ = [
     "OF_RESIDUAL",
     "carried",
     "degree_of",
-    "fits",
     "fits_density",
     "flow_of",
     "longest_step",
     "propagate",
+    "why_not",
 ]
 
 HIGHEST = 6  # degree that is taken unless another is asked for
@@ -53,7 +53,7 @@ def degree_of(scheme: FamilyScheme, n: int) -> int:
     return degree
 
 
-def fits(model: SDE, density: ParticleDensity) -> str:
+def why_not(model: SDE, density: ParticleDensity) -> str:
     """Can one family carry the density? Returns a reason why not, empty if it can."""
     if model.domain.walled.any():
         return "an axis ends, and polynomials do not"
@@ -84,7 +84,7 @@ def propagate(
         No polynomial follows the density, the drift is not finite where it is, or more steps are needed than
         allowed: says when, where, and what to change.
     """
-    reason = fits(model, density)
+    reason = why_not(model, density)
     if reason:
         raise PropagationError(f"one family does not carry this density: {reason}; use another scheme")
     settled = replace(scheme, degree=degree_of(scheme, density.dim))

@@ -14,9 +14,9 @@ import numpy as np
 
 from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
-from ..density.as_family import family_density, settled, unrolled
+from ..density.as_family import as_polynomials, family_density, moments_on_line
 from ..density.family import gaussian_family
-from ..density.needs import MOST_POINTS, Needs, allowance, doubt, fewest
+from ..density.memory import MOST_POINTS, Memory, error_budget, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
@@ -51,19 +51,19 @@ _FINER = 3  # times the nodes of a first lattice that loses probability
 _IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
 
 
-def first_degree(dim: int, needs: Needs) -> int:
+def first_degree(dim: int, needs: Memory) -> int:
     """Degree that is tried first."""
     known = degrees(dim)
     lowest = min((d for d in known if d >= _LOWEST.get(dim, 3)), default=0)
     return max(needs.degree, lowest) if lowest else 0
 
 
-def prefers_cloud(dim: int, needs: Needs, target: float) -> bool:
+def prefers_cloud(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud comes after one family, and not a lattice."""
     return dim > LATTICE if needs.smooth else needs.cloud(target) <= _AS_LATTICES.get(dim, MOST_POINTS)
 
 
-def cloud_is_cheaper(dim: int, needs: Needs, target: float) -> bool:
+def cloud_is_cheaper(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud costs less than one family."""
     return needs.cloud(target) < _AS_FAMILIES.get(dim, 0)
 
@@ -76,7 +76,7 @@ def _in_parts(density: ParticleDensity) -> bool:
 def best_family(
     density: ParticleDensity,
     target: float,
-    needs: Needs,
+    needs: Memory,
     first: int,
     attempt: Callable[[int, float], tuple[Found, float]],
 ) -> tuple[Found, int, float] | None:
@@ -90,7 +90,7 @@ def best_family(
         That the step begins with.
     target : float
         Standard deviations.
-    needs : Needs
+    needs : Memory
     first : int
         Degree that is tried first.
     attempt : callable
@@ -99,10 +99,10 @@ def best_family(
 
     Returns
     -------
-    What came of the step, its degree, and the error over the allowance; or None
+    What came of the step, its degree, and the error over its budget; or None
     """
-    allowed = allowance(density.error, target) * needs.shared
-    best, most = None, doubt(density.dim) * allowed
+    allowed = error_budget(density.error, target) * needs.shared
+    best, most = None, tolerated_excess(density.dim) * allowed
     for degree in (d for d in degrees(density.dim) if 0 < first <= d <= family.HIGHEST):
         try:
             found, added = attempt(degree, most)
@@ -141,7 +141,7 @@ def propagate(
     PropagationError
         The model carries the density to infinity.
     """
-    needs = (density.needs or Needs()).gone_on()
+    needs = (density.needs or Memory()).gone_on()
     if density.gaussian and model.linear and model.domain.unbounded:
         return _closed_form(density, model, t1, needs)
     by_cloud = not model.domain.walled.any() and prefers_cloud(density.dim, needs, target)
@@ -156,7 +156,9 @@ def propagate(
             return found
     elif needs.waits > 0:
         needs = needs.waited()
-    elif not family.fits(model, density) and not (by_cloud and cloud_is_cheaper(density.dim, needs, target)):
+    elif not family.why_not(model, density) and not (
+        by_cloud and cloud_is_cheaper(density.dim, needs, target)
+    ):
         found = _by_family(density, model, t1, target, needs)
         if found is not None:
             return found
@@ -167,10 +169,10 @@ def propagate(
 
 
 def _closed_form(
-    density: ParticleDensity, model: SDE, t1: float, needs: Needs
+    density: ParticleDensity, model: SDE, t1: float, needs: Memory
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Move a Gaussian by a linear model."""
-    mean, cov = unrolled(density)
+    mean, cov = moments_on_line(density)
     transition, offset, Q = linear_transition(model, t1 - density.t)
     moved = gaussian_family(transition @ mean + offset, transition @ cov @ transition.T + Q, 2)
     skipped = ("everything: a Gaussian through a linear model",)
@@ -179,7 +181,7 @@ def _closed_form(
 
 
 def _by_family(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory
 ) -> tuple[ParticleDensity, PredictInfo] | None:
     """Carry one family, of as high a degree as the error asks for, or parts of it; None where none do."""
 
@@ -202,38 +204,38 @@ def _by_family(
 
 
 def _by_families(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs, levels: int
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory, levels: int
 ) -> tuple[ParticleDensity, PredictInfo] | None:
     """Carry a few families, or one in parts; None where a cloud would be cheaper."""
     most = _NODES * needs.cloud(target)
     try:
-        allowed = allowance(density.error, target)
+        allowed = error_budget(density.error, target)
         moved, info = families.carried(density, model, t1, allowed, most, levels)
     except (PropagationError, np.linalg.LinAlgError):
         return None
-    if not info.error <= doubt(density.dim) * target:
+    if not info.error <= tolerated_excess(density.dim) * target:
         return None
     degree = max(d for d in degrees(density.dim) if d <= family.HIGHEST)
     return moved.noted(needs=needs.followed(degree)), info
 
 
 def _by_pieces(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory
 ) -> tuple[ParticleDensity, PredictInfo] | None:
     """Carry Gaussians each by itself; one family takes their place where it holds what they become."""
-    allowed = allowance(density.error, target)
+    allowed = error_budget(density.error, target)
     try:
         moved, info = pieces.carried(density, model, t1, allowed)
     except PropagationError:
         return None
     if moved.pieces is not None:
-        one = settled(moved, first_degree(moved.dim, needs), allowed)
+        one = as_polynomials(moved, first_degree(moved.dim, needs), allowed)
         moved = moved if one is None else one
     return moved.noted(needs=needs), info
 
 
 def _by_cloud(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry as many points as the target asks for."""
     points = needs.cloud(target)
@@ -242,7 +244,7 @@ def _by_cloud(
 
 
 def _by_lattice(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Needs, time: Time
+    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory, time: Time
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
     allowed = time.for_lattices(density, target)
@@ -256,7 +258,7 @@ def _by_lattice(
     def tried(nodes: int) -> tuple[ParticleDensity, PredictInfo, int]:
         return carried_to_target(density, predicted, target, nodes, time, work)
 
-    nodes = needs.nodes or fewest(density.dim)
+    nodes = needs.nodes or min_nodes(density.dim)
     try:
         try:
             moved, info, nodes = tried(nodes)
@@ -265,7 +267,7 @@ def _by_lattice(
     except PropagationError:
         return _by_cloud(density, model, t1, target, needs)
     if moved.field is not None:
-        nodes = max(moved.n_particles, fewest(density.dim))
+        nodes = max(moved.n_particles, min_nodes(density.dim))
     return moved.noted(needs=needs._replace(nodes=nodes), capacity=nodes), as_asked(info)
 
 

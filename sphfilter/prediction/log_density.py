@@ -37,7 +37,7 @@ from ..core.characteristics.noise_paths import ALONG, Noise, Paths
 from ..core.characteristics.step_choice import CHOOSE
 from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
-from ..density.needs import fewest
+from ..density.memory import min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
@@ -50,7 +50,7 @@ from ._shared import blow_up, skip_notes
 from .again import FINEST, MOST
 from .time_slices import drift_slices, noise_samples
 
-__all__ = ["fits", "load", "noise_between", "paths", "propagate"]
+__all__ = ["load", "noise_between", "paths", "propagate", "why_not"]
 
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _PART = 0.6  # of what steps get wrong with a density, that is wrong with its mean
@@ -70,7 +70,7 @@ _THREADS_FROM = 20_000
 _CONSTANT: WeakKeyDictionary[SDE, tuple[Floats, int]] = WeakKeyDictionary()
 
 
-def fits(model: SDE, density: ParticleDensity, n_particles: int) -> str:
+def why_not(model: SDE, density: ParticleDensity, n_particles: int) -> str:
     """Can this scheme carry the density? Returns a reason why not, empty if it can."""
     if model.domain.walled.any():
         reason = _held_by_walls(model, density)
@@ -144,7 +144,7 @@ def propagate(
         most_work=most_work,
         most_lost=max(scheme.most_lost, allowed / _PART),
         doubtful=DOUBTFUL / _PART,
-        fewest=fewest(n),
+        fewest=min_nodes(n),
         steps=_STEPS_SHARE * allowed / _PART,
         lattices=_LATTICES_SHARE * allowed / _LATTICES_PART.get(n, _PART),
     )

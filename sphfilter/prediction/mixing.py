@@ -19,26 +19,26 @@ from ..core.family.rules import degrees
 from ..core.field.walls import NO_WALLS
 from ..density.as_cloud import cloud_density
 from ..density.as_family import (
+    as_polynomials,
     families_density,
     family_density,
+    moments_on_line,
     pieces_density,
-    settled,
-    unrolled,
 )
 from ..density.cloud import points_of
 from ..density.families import Families
 from ..density.families_posterior import AWAY
 from ..density.family import OF_MISFIT, fitted, gaussian_family, moments_apart, node_moments
-from ..density.gathering import gathered
+from ..density.gathering import merged_families
+from ..density.memory import MOST_POINTS, Memory, min_nodes
 from ..density.merging import merged
-from ..density.needs import MOST_POINTS, Needs, fewest
 from ..density.particle_density import ParticleDensity
 from ..density.passage import key_at
 from ..density.pieces import Pieces, light, root_of
 from ..density.resample import logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
-from ..lattice.field import held
+from ..lattice.field import inside_lattice
 from ..lattice.level_set import lattice_reach, lay
 from ..model.domain import Domain
 from . import family
@@ -139,7 +139,7 @@ def _heavy(parts: list[Part], allowed: float) -> tuple[list[Part], float]:
     return left, float(w[~heavy].sum())
 
 
-def _needs(parts: Sequence[Part]) -> Needs | None:
+def _needs(parts: Sequence[Part]) -> Memory | None:
     """The most that any of the parts needs: a sum is no simpler."""
     own = [part.density.needs for part in parts]
     known = [needs for needs in own if needs is not None]
@@ -183,7 +183,7 @@ def _gaussian(density: ParticleDensity) -> bool:
 def _pieces_of(part: Part) -> Pieces:
     pieces = part.density.pieces
     if pieces is None:
-        mean, cov = unrolled(part.density)
+        mean, cov = moments_on_line(part.density)
         pieces = Pieces(np.zeros(1), mean[None], root_of(cov)[None])
     return pieces._replace(log_w=pieces.log_w + part.log_w)
 
@@ -217,7 +217,7 @@ def _as_families(parts: Sequence[Part], about: ParticleDensity, allowed: float) 
     union = Families(*(np.concatenate(part) for part in zip(*several, strict=True)))
     off = OF_MISFIT * float(np.exp([part.log_w for part in parts]) @ misfits)
     try:
-        families, change = gathered(union, allowed, _HEAVY)
+        families, change = merged_families(union, allowed, _HEAVY)
     except np.linalg.LinAlgError:
         return None
     error = math.hypot(about.error, change, off)
@@ -233,7 +233,7 @@ def _families_of(part: Part, degree: int) -> tuple[Families, float]:
     elif density.family is not None:
         one = density.family
         if one.degree > degree:
-            one, misfit = fitted(one.log_p, *unrolled(density), degree)
+            one, misfit = fitted(one.log_p, *moments_on_line(density), degree)
         mu, A, c = (np.array([value]) for value in one)
         log_w = np.zeros(1)
     else:
@@ -251,15 +251,17 @@ def _turned(parts: Sequence[Part]) -> list[Floats]:
     if domain is None or not domain.periodic.any():
         return [np.zeros(n) for _ in parts]
     period = domain.period
-    middle = unrolled(parts[0].density)[0]
-    off = [(middle - unrolled(part.density)[0]) / np.where(period > 0.0, period, 1.0) for part in parts]
+    middle = moments_on_line(parts[0].density)[0]
+    off = [
+        (middle - moments_on_line(part.density)[0]) / np.where(period > 0.0, period, 1.0) for part in parts
+    ]
     return [np.rint(turns) * period for turns in off]
 
 
 def _moments(parts: Sequence[Part]) -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) of the sum, on the line."""
     w = np.exp([part.log_w for part in parts])
-    own = [unrolled(part.density) for part in parts]
+    own = [moments_on_line(part.density) for part in parts]
     means = np.array([mean + turn for (mean, _), turn in zip(own, _turned(parts), strict=True)])
     mean = w @ means
     off = means - mean
@@ -299,7 +301,7 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
     for _ in range(_TRIES):
         walls = NO_WALLS if about.domain is None else about.domain.walls
         laid = lay(log_p, mean, root_of(cov), seeds, nodes, depth, walls=walls)
-        off, beyond = misfit(laid, log_p), ~held(laid.field, x)
+        off, beyond = misfit(laid, log_p), ~inside_lattice(laid.field, x)
         far = remote(laid.mean, laid.cov, x[beyond], mass[beyond])
         added = math.hypot(off.mean, far.mean, 0.5 * far.variance)
         before = best[0]
@@ -322,14 +324,14 @@ def _settled(density: ParticleDensity, allowed: float) -> ParticleDensity:
     needs = density.needs
     if needs is None or needs.waits > 0:
         return density
-    one = settled(density, first_degree(density.dim, needs), allowed)
+    one = as_polynomials(density, first_degree(density.dim, needs), allowed)
     return density if one is None else one.noted(needs=needs)
 
 
 def _first_nodes(parts: Sequence[Part], about: ParticleDensity) -> int:
     if about.needs is None:
         return max(part.density.capacity or part.density.n_particles for part in parts)
-    return about.needs.nodes or fewest(about.dim)
+    return about.needs.nodes or min_nodes(about.dim)
 
 
 def _nodes(parts: Sequence[Part]) -> list[tuple[Floats, Floats]]:
@@ -343,7 +345,7 @@ def _nodes(parts: Sequence[Part]) -> list[tuple[Floats, Floats]]:
 
 def _as_cloud(parts: Sequence[Part], about: ParticleDensity, target: float) -> ParticleDensity:
     """The points of all; of what is no cloud, as many as its share says."""
-    count = min((about.needs or Needs()).cloud(target), MOST_POINTS)
+    count = min((about.needs or Memory()).cloud(target), MOST_POINTS)
     x, mass = [], []
     for k, part in enumerate(parts):
         density, w = part.density, math.exp(part.log_w)

@@ -8,8 +8,8 @@ from scipy.special import logsumexp
 
 from .._types import Floats
 from ..config import FilterConfig
+from ..density.memory import error_budget
 from ..density.modes import ModeDensities
-from ..density.needs import allowance
 from ..density.particle_density import ParticleDensity
 from .mixing import Part, mixed
 
@@ -71,7 +71,7 @@ def mixture(parts: Sequence[tuple[float, ModeDensities]], config: FilterConfig) 
     splitting = np.array([modes.splitting for _, modes in parts])
     error = math.sqrt(float(b @ [modes.error**2 for _, modes in parts]))
     target = config.target_error
-    allowed = allowance(error, target)
+    allowed = error_budget(error, target)
     return summed(log_w, [modes.densities for _, modes in parts], splitting, target, (allowed, allowed))
 
 

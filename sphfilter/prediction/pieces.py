@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ..config import FamilyScheme
-from ..density.as_family import family_density, pieces_density, unrolled
+from ..density.as_family import family_density, moments_on_line, pieces_density
 from ..density.family import gaussian_family
 from ..density.merging import merged
 from ..density.particle_density import ParticleDensity
@@ -53,7 +53,7 @@ def carried(
 
 def carried_exactly(density: ParticleDensity, model: SDE, t1: float) -> ParticleDensity:
     """Carry a Gaussian or pieces to time t1 by a linear model, and merge none."""
-    pieces = density.pieces or pieces_of(*unrolled(density))
+    pieces = density.pieces or pieces_of(*moments_on_line(density))
     return pieces_density(density, _linearly(pieces, model, t1 - density.t), t=float(t1)).noted(
         needs=density.needs
     )

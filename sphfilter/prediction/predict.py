@@ -15,9 +15,9 @@ from ..config import (
     PaperScheme,
     SolverConfig,
 )
-from ..density.needs import Needs
+from ..density.memory import Memory
 from ..density.particle_density import ParticleDensity
-from ..density.resample import on_lattice, particle_bound, target_of
+from ..density.resample import max_particles_of, on_lattice, target_of
 from ..errors import LatticeError, ModelError, UnresolvedError
 from ..info import PredictInfo
 from ..model.asking import asked_before, tell_of
@@ -108,7 +108,7 @@ def predict(
         return density, PredictInfo(scheme=name, skipped=("everything: the interval is empty",))
     if most_particles is not None:
         most_particles = count("most_particles", most_particles, least=0)
-    target, bound = target_of(density, config, n_particles), particle_bound(density, n_particles)
+    target, bound = target_of(density, config, n_particles), max_particles_of(density, n_particles)
     infos, start = [], density.t
 
     def carried(density: ParticleDensity, t1: float) -> ParticleDensity:
@@ -156,9 +156,9 @@ def _to_target(
         except (LatticeError, UnresolvedError) as problem:
             return Ladder().within(model.dim).climbed(nodes, lambda rung: on(rung.n_particles), problem)[1]
 
-    first = particle_bound(density, "auto")
+    first = max_particles_of(density, "auto")
     moved, info, nodes = carried_to_target(density, predicted, target, first, time)
-    return moved.noted(needs=(density.needs or Needs())._replace(nodes=nodes), capacity=nodes), info
+    return moved.noted(needs=(density.needs or Memory())._replace(nodes=nodes), capacity=nodes), info
 
 
 def _on_particles(
@@ -212,7 +212,7 @@ def load(
     """Compile what predictions call only now and then; returns the scheme they may fall back on, or None."""
     if isinstance(config.scheme, PaperScheme | CloudScheme | FamilyScheme):
         return None
-    if not log_density.fits(model, density, density.n_particles):
+    if not log_density.why_not(model, density, density.n_particles):
         log_density.load(model)
     if config.scheme != "auto":
         return None

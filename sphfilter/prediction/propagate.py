@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._types import Floats, ReadOut
 from ..config import FilterConfig, RemeshRule, SolverConfig
 from ..density.particle_density import ParticleDensity
-from ..density.resample import particle_bound
+from ..density.resample import max_particles_of
 from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import ModelError
 from ..info import Code, PredictInfo
@@ -140,7 +140,7 @@ def propagate(
     times = onwards(times, density.t)
     if np.any(np.diff(times, prepend=density.t) < 0):
         raise ModelError(f"times must not decrease, nor begin before t = {density.t:g}, that of the density")
-    n_particles = particle_bound(density, n_particles)
+    n_particles = max_particles_of(density, n_particles)
     # filters have a new lattice at every measurement, and no rule
     rule: RemeshRule = getattr(config, "remesh", "never")
     remeshing = Remeshing(rule, config.scheme, n_particles)

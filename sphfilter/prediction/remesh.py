@@ -12,7 +12,7 @@ from ..density.resample import regrid
 from ..errors import PropagationError
 from ..model.sde import SDE
 from .automatic import SUMMED
-from .log_density import fits
+from .log_density import why_not
 
 __all__ = ["Remeshing"]
 
@@ -44,7 +44,7 @@ class Remeshing:
         """Do sums over kernels carry the density from here? A log-density is on a lattice at every step."""
         if self.when == "never" or isinstance(self.scheme, LogDensityScheme) or density.read_out == "cloud":
             return False
-        return self.scheme != "auto" or bool(fits(model, density, self.n_particles))
+        return self.scheme != "auto" or bool(why_not(model, density, self.n_particles))
 
     def stop(self, density: ParticleDensity, model: SDE, t: float) -> float:
         """Time at which to look again, at most t, seconds.

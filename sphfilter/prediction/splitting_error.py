@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .._types import Floats
-from ..density.as_family import unrolled
-from ..density.modes import ModeDensities, Ripple, no_ripple
+from ..density.as_family import moments_on_line
+from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.nets import net
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import ENTRIES, Pieces, root_of
@@ -81,7 +81,9 @@ class _Flows(NamedTuple):
         return _Flows(*(part[::-1] for part in self))
 
 
-def splitting_error(modes: ModeDensities, model: JumpMarkovModel, dt: float, steps: int) -> list[Ripple]:
+def splitting_error(
+    modes: ModeDensities, model: JumpMarkovModel, dt: float, steps: int
+) -> list[SplittingError]:
     """What is wrong with each mode's density after dt seconds in which states jump at so many times.
 
     With one jump from mode j the density of mode i has ∫ λ_ji U_i(dt - s) U_j(s) p_j ds. Of that the times
@@ -125,7 +127,7 @@ def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
         A = density.families.A
         w, middle, own = density.families.w, density.families.mu, np.einsum("kab,kcb->kac", A, A)
     else:
-        return unrolled(density)
+        return moments_on_line(density)
     mean, cov = middle[0], own[0]
     for _ in range(_ROUNDS):
         z = np.linalg.solve(np.linalg.cholesky(cov), (middle - mean).T)
@@ -137,7 +139,7 @@ def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
     return mean, cov
 
 
-def _absolute(mean: Floats, cov: Floats, w: Floats) -> Ripple:
+def _absolute(mean: Floats, cov: Floats, w: Floats) -> SplittingError:
     """The size of a sum of Gaussians with weights w (K,) of either sign."""
     own = w != 0.0
     several, w = Pieces(np.zeros(own.sum()), mean[own], root_of(cov[own])), w[own]
@@ -145,7 +147,7 @@ def _absolute(mean: Floats, cov: Floats, w: Floats) -> Ripple:
     X = (several.mean[:, None] + net(each, n) @ several.root.transpose(0, 2, 1)).reshape(-1, n)
     step = max(1, ENTRIES // several.mean.size)
     ratio = np.concatenate([_balance(several, w, X[i : i + step]) for i in range(0, len(X), step)])
-    return Ripple(X, np.repeat(np.abs(w) / each, each) * ratio)
+    return SplittingError(X, np.repeat(np.abs(w) / each, each) * ratio)
 
 
 def _balance(several: Pieces, w: Floats, X: Floats) -> Floats:

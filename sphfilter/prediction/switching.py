@@ -18,8 +18,8 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..density.modes import ModeDensities, Ripple, no_ripple
-from ..density.needs import allowance
+from ..density.memory import error_budget
+from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import Code, PredictInfo
@@ -146,7 +146,7 @@ def _in_turn(
 ) -> ModeDensities:
     """The densities of all modes at time t1, which are carried, and mixed at the times of jumps."""
     t0, target, steps = modes.heaviest.t, config.target_error, 1 if times is None else len(times[0])
-    allowed = allowance(modes.error, target)
+    allowed = error_budget(modes.error, target)
     # what steps add to polynomials and pieces is alike, and adds up; of lattices it comes as it may
     each = allowed / (steps + 1) / apart, allowed / math.sqrt(steps + 1)
     smaller = [config.target_error / part for part in (steps, math.sqrt(steps), 1.0)]
@@ -251,7 +251,7 @@ def _kind(density: ParticleDensity) -> str:
 
 def _steps(
     modes: ModeDensities, model: JumpMarkovModel, dt: float, allowed: float, given: int | None
-) -> tuple[int, list[Ripple]]:
+) -> tuple[int, list[SplittingError]]:
     """Steps of the splitting that an error needs, and what it is then in each mode."""
     steps, w = 1 if given is None else given, modes.w @ model.transition(dt)
     while True:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from ..density.needs import AIMED, allowance, fewest
+from ..density.memory import AIMED, error_budget, min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
@@ -26,7 +26,7 @@ class Time(NamedTuple):
 
     def for_lattices(self, density: ParticleDensity, target: float) -> float:
         """Error by which the lattices of a prediction choose their nodes; zero where time chooses them."""
-        return allowance(density.error, target, AIMED) if self.most >= MOST else 0.0
+        return error_budget(density.error, target, AIMED) if self.most >= MOST else 0.0
 
 
 #: No time budget.
@@ -75,7 +75,7 @@ def carried_to_target(
         The first try could not be made, or the one that the target asks for next is too much work.
     """
     best: tuple[ParticleDensity, PredictInfo, int] | None = None
-    ratio, allowed, work = math.inf, allowance(density.error, target), 0.0
+    ratio, allowed, work = math.inf, error_budget(density.error, target), 0.0
     n_particles = min(n_particles, time.most)
     for _ in range(_TRIES):
         try:
@@ -105,5 +105,5 @@ def carried_to_target(
     assert best is not None  # the first try raises or is one
     moved, info, bound = best
     if ratio < 1.0 / _SLACK:
-        bound = max(fewest(density.dim), int(0.8 * bound))
+        bound = max(min_nodes(density.dim), int(0.8 * bound))
     return moved, info, bound

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from sphfilter.density.as_family import settled
+from sphfilter.density.as_family import as_polynomials
 from sphfilter.density.cloud import points_of
 from sphfilter.density.max_entropy import max_entropy
 
@@ -45,17 +45,17 @@ def test_a_ring_is_no_family():
     rng = np.random.default_rng(2)
     angle, radius = rng.uniform(0, 2 * np.pi, 6000), rng.normal(5.0, 0.1, 6000)
     ring = cloud_of(np.transpose([radius * np.cos(angle), radius * np.sin(angle)]))
-    assert settled(ring, 4, 0.05) is None
+    assert as_polynomials(ring, 4, 0.05) is None
 
 
 def test_points_on_a_line_are_no_family():
     flat = np.random.default_rng(2).normal(size=(500, 1)) @ np.ones((1, 2))
-    assert settled(cloud_of(flat), 4, 0.05) is None
+    assert as_polynomials(cloud_of(flat), 4, 0.05) is None
 
 
 def test_normal_points_are_one_and_keep_their_moments():
     x = np.random.default_rng(1).normal(size=(4000, 3)) @ np.diag([1.0, 2.0, 0.1])
-    one = settled(cloud_of(x), 4, 0.05)
+    one = as_polynomials(cloud_of(x), 4, 0.05)
     assert one is not None and one.read_out == "family"
     np.testing.assert_allclose(one.mean(), x.mean(axis=0), atol=1e-6)
     np.testing.assert_allclose(one.cov(), np.cov(x.T, bias=True), rtol=1e-5, atol=1e-6)

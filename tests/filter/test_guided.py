@@ -10,8 +10,8 @@ from sphfilter.core.cloud.weights import carried
 from sphfilter.density.carriers import Carried
 from sphfilter.density.passage import Steps, begun, passed
 from sphfilter.density.points import moments
-from sphfilter.filter.asked import Asked
 from sphfilter.filter.guided import weighed
+from sphfilter.filter.reading_at_prior import ReadingAtPrior
 from sphfilter.filter.stacked import Stacked
 from sphfilter.model.discretization import linear_transition
 
@@ -23,7 +23,7 @@ SWING = sf.SDE.from_expressions(["x", "v"], ["v", "-x - 0.2*v"], [["0"], ["1"]],
 
 
 def asked(sensor, z, t):
-    return Asked(sensor, z, sensor.observed(z), t, None, None, None)
+    return ReadingAtPrior(sensor, z, sensor.observed(z), t, None, None, None)
 
 
 def run(model, sensor, start, readings, dt, key=0):

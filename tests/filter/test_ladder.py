@@ -6,7 +6,7 @@ import pytest
 import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
-from sphfilter.density.needs import MOST_POINTS, Needs, allowance
+from sphfilter.density.memory import MOST_POINTS, Memory, error_budget
 from sphfilter.density.storage import from_bytes, to_bytes
 from sphfilter.filter import update_again
 
@@ -78,7 +78,7 @@ def test_pure_verbs_and_files_go_on_to_the_same_bits(tmp_path, scene, target, en
     flt.save(tmp_path / "filter.npz")
     again = sf.SPHFilter.load(tmp_path / "filter.npz", flt.model, flt.measurement)
     density, config = from_bytes(to_bytes(flt.density)), flt.config
-    assert density.needs == flt.density.needs != Needs()
+    assert density.needs == flt.density.needs != Memory()
     for t, z in zip(case.times[end : end + 2], case.z[end : end + 2], strict=True):
         for each in (flt, again):
             each.predict(t=t)
@@ -95,7 +95,7 @@ def test_pure_verbs_and_files_go_on_to_the_same_bits(tmp_path, scene, target, en
 def test_verbs_alone_begin_with_auto():
     well = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])
     start = sf.initialize(sf.Gaussian([1.0], [[0.02]]), "auto")
-    assert start.read_out == "family" and start.needs == Needs()
+    assert start.read_out == "family" and start.needs == Memory()
     later, info = sf.predict(start, well, 0.3)
     assert later.needs is not None and info.status == "ok"
     fine = sf.predict(sf.initialize(sf.Gaussian([1.0], [[0.02]]), 400), well, 0.3)[0]
@@ -208,26 +208,26 @@ def test_a_failed_call_leaves_the_filter_as_it_was():
 
 
 def test_waits_double_and_an_allowance_is_never_nothing():
-    needs, waits = Needs(), []
+    needs, waits = Memory(), []
     for _ in range(7):
         needs = needs.refused()
         waits.append(needs.waits)
     assert waits == [0, 1, 3, 7, 15, 15, 15]
     assert needs.followed(4).waits == 0 and needs.followed(4).failed == 0
-    assert allowance(0.0, 0.01) == 0.01 and allowance(0.5, 0.01) == 0.005
-    assert Needs().cloud(1e-9) == MOST_POINTS and Needs(points=512).cloud(1e-9) == 512
-    shares = [Needs(legs=k).shared for k in range(1, 2000)]
+    assert error_budget(0.0, 0.01) == 0.01 and error_budget(0.5, 0.01) == 0.005
+    assert Memory().cloud(1e-9) == MOST_POINTS and Memory(points=512).cloud(1e-9) == 512
+    shares = [Memory(legs=k).shared for k in range(1, 2000)]
     assert shares[0] == 1.0 and sum(shares) < 2.62
 
 
 def test_points_grow_at_once_and_shrink_after_readings_that_ask_for_fewer():
-    needs = Needs(points=1024)
+    needs = Memory(points=1024)
     assert needs.told(0.009, 0.01, 1024).points == 1024
     assert needs.told(0.011, 0.01, 1024).points == 2048
     assert needs.told(0.03, 0.01, 1024).points == 2048 == needs.told(9.0, 0.01, 1024).points
-    assert Needs(points=MOST_POINTS).told(9.0, 0.01, MOST_POINTS).points == MOST_POINTS
-    assert Needs(points=8192).told(0.009, 0.01, 1024).points == 8192  # once may be chance
-    assert Needs(points=8192, calm=1).told(0.009, 0.01, 1024).points == 1024
+    assert Memory(points=MOST_POINTS).told(9.0, 0.01, MOST_POINTS).points == MOST_POINTS
+    assert Memory(points=8192).told(0.009, 0.01, 1024).points == 8192  # once may be chance
+    assert Memory(points=8192, calm=1).told(0.009, 0.01, 1024).points == 1024
 
 
 def test_a_cloud_is_drawn_again_where_a_reading_leaves_too_few_points(tmp_path):

@@ -8,8 +8,8 @@ from sphfilter.density.as_family import family_density, family_of
 from sphfilter.density.family import gaussian_family, particles_of
 from sphfilter.density.family_posterior import family_posterior
 from sphfilter.density.particle_density import ParticleDensity
-from sphfilter.filter.asked import Asked
 from sphfilter.filter.by_family import _kalman, _linearised
+from sphfilter.filter.reading_at_prior import ReadingAtPrior
 from sphfilter.model.measurements import block
 
 MEAN, COV = np.array([1.0, -0.5]), np.array([[1.0, 0.6], [0.6, 2.0]])
@@ -38,7 +38,7 @@ def test_arrays_that_are_not_sound_are_checked():
 @pytest.mark.parametrize("seen", [[True, True], [False, True]])
 def test_a_gaussian_is_updated_in_closed_form_as_a_family_would_be(seen):
     sensor = sf.GaussianMeasurement([[1.0, 0.0], [0.3, 1.0]], [[0.1, 0.02], [0.02, 0.3]])
-    asked = Asked.of(START, sensor, np.where(seen, [0.4, 0.9], np.nan))
+    asked = ReadingAtPrior.of(START, sensor, np.where(seen, [0.4, 0.9], np.nan))
     exact = _kalman(START, asked, 4)
     found = family_posterior(family_of(START, 4)[0], asked.log_weight, _linearised(START, asked))
     np.testing.assert_allclose(exact.log_evidence, found.log_evidence, rtol=1e-12)
@@ -51,14 +51,14 @@ def test_only_a_gaussian_and_a_linear_sensor_have_a_closed_form():
     bent = sf.GaussianMeasurement(lambda x: (x[0] ** 2,), [[0.1]])
     angle = sf.GaussianMeasurement([[1.0, 0.0]], [[0.1]], angles=[0])
     for sensor in (bent, angle, sf.LikelihoodMeasurement(lambda z, X, t: -((z[0] - X[:, 0]) ** 2))):
-        assert _kalman(START, Asked.of(START, sensor, [0.5]), 4) is None
+        assert _kalman(START, ReadingAtPrior.of(START, sensor, [0.5]), 4) is None
     linear = sf.GaussianMeasurement([[1.0, 0.0]], [[0.1]])
     other = START.noted(gaussian=False)
-    assert _kalman(other, Asked.of(other, linear, [0.5]), 4) is None
+    assert _kalman(other, ReadingAtPrior.of(other, linear, [0.5]), 4) is None
 
 
 def test_a_sharp_reading_leaves_a_covariance_that_is_one():
-    asked = Asked.of(START, sf.GaussianMeasurement([[1.0, 0.0]], [[1e-14]]), [0.3])
+    asked = ReadingAtPrior.of(START, sf.GaussianMeasurement([[1.0, 0.0]], [[1e-14]]), [0.3])
     new = family_density(START, _kalman(START, asked, 4).family)
     np.testing.assert_allclose(new.cov(), [[1e-14, 6e-15], [6e-15, 1.64]], rtol=1e-6)
 

@@ -31,7 +31,7 @@ import sphfilter as sf
 from experiments.commands import main
 from experiments.scene.scenario import read_settings
 from sphfilter.campaign import store
-from sphfilter.density.needs import Needs
+from sphfilter.density.memory import Memory
 from sphfilter.density.storage import density_from, stored
 
 FOLDER = Path(__file__).parents[1] / "data" / "before_the_rooms"
@@ -207,13 +207,13 @@ def test_a_command_goes_on_from_its_folder(tmp_path, monkeypatch):
 
 def test_needs_of_seven_numbers():
     density = sf.initialize(sf.Gaussian(np.zeros(2), np.eye(2)), 80)
-    arrays = stored(replace(density, needs=Needs(4, 1, 2, 90, 512, 3, 5, True)))
+    arrays = stored(replace(density, needs=Memory(4, 1, 2, 90, 512, 3, 5, True)))
     about = json.loads(str(arrays["about"]))
-    assert density_from(arrays).needs == Needs(*about["needs"])
+    assert density_from(arrays).needs == Memory(*about["needs"])
     about["needs"] = [4, 1, 2, 90, 512, None, 0.25]  # clouds kept whether noise parts copies
     arrays["about"] = np.array(json.dumps(about))
     needs = density_from(arrays).needs
-    assert needs == Needs(4, 1, 2, 90, 512)
+    assert needs == Memory(4, 1, 2, 90, 512)
     assert needs.told(1e-3, 1e-2, 512).calm == 1
 
 

@@ -10,7 +10,7 @@ from sphfilter.density.as_family import families_density, family_density
 from sphfilter.density.families import Families, families_of
 from sphfilter.density.families_posterior import families_posterior, split
 from sphfilter.density.family import gaussian_family
-from sphfilter.density.gathering import gathered
+from sphfilter.density.gathering import merged_families
 from sphfilter.density.storage import from_bytes, to_bytes
 from sphfilter.prediction.families import carried
 
@@ -48,14 +48,14 @@ def test_windows_split_a_family_into_narrower_ones_whose_sum_it_is():
 
 def test_what_a_window_split_is_gathered_again():
     found, _ = parts()
-    again, off = gathered(found, 0.02, 0.1)
+    again, off = merged_families(found, 0.02, 0.1)
     assert len(again.log_w) == 1 and off < 0.01
     off = again.one(0).log_p(some_states()) - ONE.log_p(some_states())
     assert np.sqrt(np.mean(off**2)) < 0.04
     far = Families(
         np.log([0.5, 0.5]), np.array([[0.0] * 3, [9.0] * 3]), np.array([ONE.A] * 2), np.array([ONE.c] * 2)
     )
-    assert len(gathered(far, 0.02, 0.1)[0].log_w) == 2
+    assert len(merged_families(far, 0.02, 0.1)[0].log_w) == 2
 
 
 def test_a_linear_reading_of_gaussians_is_exact():

@@ -11,8 +11,8 @@ from sphfilter.density.pieces import Pieces, light, nodes, pieces_of
 from sphfilter.density.pieces_posterior import Settings, pieces_posterior
 from sphfilter.density.splitting import Front, children
 from sphfilter.density.storage import from_bytes, to_bytes
-from sphfilter.filter.asked import Asked
 from sphfilter.filter.by_pieces import by_pieces
+from sphfilter.filter.reading_at_prior import ReadingAtPrior
 from sphfilter.prediction.mixing import _few
 
 WEIGHTS = np.array([0.5, 0.3, 0.2])
@@ -157,7 +157,7 @@ class TestPosterior:
     @pytest.mark.parametrize("target", [0.05, 0.01])
     def test_bent_readings_against_a_fine_grid(self, h, z, R, target):
         sensor = sf.GaussianMeasurement.from_expressions(["x", "y"], h, R)
-        new, said = by_pieces(START, Asked.of(START, sensor, z), target, 10**7)
+        new, said = by_pieces(START, ReadingAtPrior.of(START, sensor, z), target, 10**7)
         axis = np.linspace(-6.0, 6.0, 2401)
         X = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
         X = X[np.abs(X).max(axis=1) < 5.5]
@@ -182,7 +182,7 @@ class TestPosterior:
         )
         start = sf.initialize(sf.Gaussian(mean, root @ root.T), "auto")
         z = [3.4, 0.1]
-        new, said = by_pieces(start, Asked.of(start, sensor, z), 0.01, 10**7)
+        new, said = by_pieces(start, ReadingAtPrior.of(start, sensor, z), 0.01, 10**7)
         X = mean + rng.normal(size=(2_000_000, 4)) @ root.T
         w = np.exp(sensor.log_likelihood(z, X))
         true, cov = moments(X, w / w.sum())
@@ -194,7 +194,7 @@ class TestPosterior:
     def test_too_many_nodes_are_refused(self):
         sensor = sf.GaussianMeasurement.from_expressions(["x", "y"], ["sqrt(x**2 + y**2)"], [[1e-4]])
         with pytest.raises(sf.PropagationError, match="more than 500 nodes"):
-            by_pieces(START, Asked.of(START, sensor, [1.0]), 0.01, 500)
+            by_pieces(START, ReadingAtPrior.of(START, sensor, [1.0]), 0.01, 500)
 
 
 class TestOnTheLadder:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from sphfilter.density.as_family import family_of, settled
+from sphfilter.density.as_family import as_polynomials, family_of
 from sphfilter.density.family import OF_MISFIT
 
 X = np.linspace(-16.0, 10.0, 20_001)
@@ -39,5 +39,5 @@ def test_a_family_does_not_stand_for_a_density_with_a_part_far_away():
     flt.update([1.44])
     far = flt.density.mass[flt.density.x[:, 0] > 0.0].sum()
     assert 1e-4 < far < 1e-2
-    assert settled(flt.density, 4, 0.01) is None
+    assert as_polynomials(flt.density, 4, 0.01) is None
     assert OF_MISFIT * family_of(flt.density, 4)[1] > 0.01

@@ -14,7 +14,7 @@ from stonesoup.types.state import State
 from ..._types import Bools, Floats
 from ...config import FilterConfig, LogDensityScheme
 from ...density.particle_density import ParticleDensity
-from ...density.resample import logarithm, particle_bound
+from ...density.resample import logarithm, max_particles_of
 from ...errors import ModelError, PropagationError
 from ...filter.update import update
 from ...filter.update_again import Update
@@ -126,7 +126,7 @@ def alone(
     """What a detection says alone, given its log-likelihood at the particles (N,)."""
     try:
         _, (posterior, info) = _LADDER.climbed(
-            particle_bound(density, n_particles),
+            max_particles_of(density, n_particles),
             lambda rung: update(density, sensor, z, config, n_particles=rung.n_particles),
         )
     except PropagationError:

@@ -10,7 +10,7 @@ from ...config import FilterConfig
 from ...density.initialize import Gaussian, initialize
 from ...density.particle_density import ParticleDensity
 from ...errors import ModelError, PropagationError
-from ...filter.asked import predicted_reading
+from ...filter.reading_at_prior import predicted_reading
 from ...info import Code
 from ...model.measurements import Sensor, is_gaussian
 from ...model.sde import SDE

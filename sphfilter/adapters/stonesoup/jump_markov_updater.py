@@ -16,7 +16,7 @@ from ..._types import Floats
 from ...config import checked_filter_config
 from ...density.modes import ModeDensities
 from ...errors import ModelError, PropagationError
-from ...filter.asked import predicted_reading
+from ...filter.reading_at_prior import predicted_reading
 from ...filter.update_modes import ModesUpdateInfo
 from ...filter.update_modes_again import update_or_predict_modes_again
 from ...info import Code

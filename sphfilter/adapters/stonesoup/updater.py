@@ -12,8 +12,8 @@ from ..._types import Floats
 from ...config import FilterConfig, checked_filter_config
 from ...density.initialize import Gaussian
 from ...density.particle_density import ParticleDensity
-from ...density.resample import particle_bound
-from ...filter.asked import predicted_reading
+from ...density.resample import max_particles_of
+from ...filter.reading_at_prior import predicted_reading
 from ...filter.update_again import Update as UpdateOrigin
 from ...filter.update_again import prediction_of, update_or_predict_again
 from ...info import UpdateInfo
@@ -84,7 +84,10 @@ class SPHUpdater(DensityUpdater[SPHStateUpdate]):
     def _product(
         self, state: SPHState, sensor: Sensor, z: Any, config: FilterConfig, times: int = 1
     ) -> Outcome[UpdateInfo]:
-        origin, n_particles = prediction_of(origin_of(state)), particle_bound(state.density, self.n_particles)
+        origin, n_particles = (
+            prediction_of(origin_of(state)),
+            max_particles_of(state.density, self.n_particles),
+        )
         model: Any = origin.model  # unknown where nothing was predicted, and not asked for then
         more = times * n_particles
         found = update_or_predict_again(origin, state.density, model, sensor, z, config, more)
@@ -102,14 +105,14 @@ class SPHUpdater(DensityUpdater[SPHStateUpdate]):
         def multiplied(times: int, config: FilterConfig) -> Outcome[UpdateInfo]:
             return self._product(state, association, z, config, times)
 
-        check_sharpness(weights, covs, particle_bound(density, self.n_particles))
+        check_sharpness(weights, covs, max_particles_of(density, self.n_particles))
         found = resolved(multiplied, checked_filter_config(self.config), density.dim, mean)
         return _step(state, found, association, z)
 
     def _gaussian(self, density: ParticleDensity, missed: float, parts: Sequence[Part]) -> ParticleDensity:
         each = [(missed, Gaussian(density.mean(), density.cov()))] if missed > 0.0 else []
         each += [(part.weight, multiplied(density, part.sensor, part.z)) for part in parts]
-        bound, config = particle_bound(density, self.n_particles), checked_filter_config(self.config)
+        bound, config = max_particles_of(density, self.n_particles), checked_filter_config(self.config)
         return laid(merged(each), density, density.t, bound, config)
 
     def _reading(self, state: SPHState, sensor: GaussianSensor) -> tuple[Floats, Floats, Floats, Floats]:

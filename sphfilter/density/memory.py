@@ -14,12 +14,12 @@ __all__ = [
     "MISSED",
     "MOST_POINTS",
     "SHARED",
-    "Needs",
-    "allowance",
-    "bound_of",
-    "doubt",
-    "fewest",
+    "Memory",
+    "error_budget",
+    "max_particles",
+    "min_nodes",
     "points_for",
+    "tolerated_excess",
 ]
 
 #: Error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it: what the first readings
@@ -36,8 +36,8 @@ _USUAL = 200  # particles of a scheme that estimates no error
 _LONGEST = 4  # doublings of the wait for a family that will not do
 
 
-class Needs(NamedTuple):
-    """What the last steps of a density under a target error needed: where the next one begins."""
+class Memory(NamedTuple):
+    """Memory of what a density's last steps under a target error needed: where the next one begins."""
 
     degree: int = 0  # of a family; zero before the first
     waits: int = 0  # predictions before one is tried again
@@ -48,36 +48,36 @@ class Needs(NamedTuple):
     legs: int = 0  # predictions since the last reading
     smooth: bool = False  # densities are asked for, or summed: lattices, where states are few
 
-    def gone_on(self) -> "Needs":
-        """One prediction more without a reading."""
+    def gone_on(self) -> "Memory":
+        """Memory after one more prediction without a reading."""
         return self._replace(legs=self.legs + 1)
 
     @property
     def shared(self) -> float:
-        """Part of an allowance that a prediction has, where others without a reading come before it.
+        """Part of an error budget that a prediction has, where others without a reading come before it.
 
         What they add is often of one sign, and adds up: to 2.6 times the first one's at most.
         """
         return max(self.legs, 1) ** -SHARED
 
-    def followed(self, degree: int) -> "Needs":
-        """A family of a degree did."""
+    def followed(self, degree: int) -> "Memory":
+        """Memory after a family of this degree held the density."""
         return self._replace(degree=degree, waits=0, failed=0)
 
-    def refused(self) -> "Needs":
-        """No family did: the next is tried after a wait that doubles."""
+    def refused(self) -> "Memory":
+        """Memory after no family held the density: the next is tried after a wait that doubles."""
         failed = self.failed + 1
         return self._replace(failed=failed, waits=2 ** min(failed - 1, _LONGEST) - 1)
 
-    def waited(self) -> "Needs":
-        """One prediction less to wait."""
+    def waited(self) -> "Memory":
+        """Memory with one prediction less to wait."""
         return self._replace(waits=self.waits - 1)
 
     def cloud(self, target: float) -> int:
         """Points that a cloud has for a target error."""
         return self.points or power_of_two((_TYPICAL / target) ** 2)
 
-    def told(self, error: float, target: float, count: int) -> "Needs":
+    def told(self, error: float, target: float, count: int) -> "Memory":
         """What the next cloud needs after `count` points had an error: more at once, fewer after a while.
 
         What a single reading asks beyond that is its own: it is made again on more points.
@@ -86,8 +86,8 @@ class Needs(NamedTuple):
         return self._replace(points=points, calm=calm)
 
 
-def doubt(dim: int) -> float:
-    """Times the allowance, up to which a family is taken all the same.
+def tolerated_excess(dim: int) -> float:
+    """Factor of its error budget, up to which a family is taken all the same.
 
     Its estimates scatter by a factor of two, and the truth is less more often than not; what comes next costs
     ten times as much in two dimensions, and fifty times in more.
@@ -95,18 +95,18 @@ def doubt(dim: int) -> float:
     return 2.0 if dim <= 2 else 4.0
 
 
-def allowance(error: float, target: float, least: float = 0.5) -> float:
+def error_budget(error: float, target: float, least: float = 0.5) -> float:
     """Error that a step may add to one that is there: a part of the target where that is used up."""
     return max(math.sqrt(max(target**2 - error**2, 0.0)), least * target)
 
 
 @cache
-def fewest(dim: int) -> int:
+def min_nodes(dim: int) -> int:
     """Number of nodes that a lattice begins with, and never has less of."""
     return max(60, 3 * fewest_particles(dim))
 
 
-def bound_of(n_particles: int | str, config: SolverConfig | FilterConfig | None) -> int | str:
+def max_particles(n_particles: int | str, config: SolverConfig | FilterConfig | None) -> int | str:
     """A number of particles as given; of "auto" a number where nothing estimates an error to choose by.
 
     The acceptance test asks where particles lie, and needs some.

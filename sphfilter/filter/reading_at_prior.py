@@ -1,4 +1,4 @@
-"""What a reading asks of a density: its likelihood, and how far it is from what was predicted."""
+"""A reading beside a prior: its likelihood, and how far it is from what was predicted."""
 
 import math
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
-from ..density.as_family import unrolled
+from ..density.as_family import moments_on_line
 from ..density.particle_density import ParticleDensity
 from ..density.points import moments
 from ..errors import ModelError, PropagationError
@@ -19,14 +19,22 @@ from ..model.measurements import GaussianSensor, Reading, Sensor, block, is_gaus
 from ..validate import state_rows
 from .solutions import solutions
 
-__all__ = ["OUTLYING", "Asked", "kept", "left_of", "predicted_reading", "reading_of", "said_of"]
+__all__ = [
+    "OUTLYING",
+    "ReadingAtPrior",
+    "error_left_by_update",
+    "info_fields",
+    "predicted_reading",
+    "reading_of",
+    "shift_left_by_update",
+]
 
 _LEFT = 0.25  # of the square of an error of a density that is no Gaussian
 OUTLYING = 5.0  # standard deviations of the prediction, from which a measurement is called so
 
 
-class Asked(NamedTuple):
-    """What a reading asks of a prior: its likelihood there, and how far it is from what was predicted."""
+class ReadingAtPrior(NamedTuple):
+    """A reading beside a prior: its likelihood there, and how far it is from what was predicted."""
 
     measurement: Sensor
     z: Any  # as given
@@ -37,8 +45,8 @@ class Asked(NamedTuple):
     cross: Floats | None  # covariance of the state with the reading predicted, (n, k)
 
     @classmethod
-    def of(cls, density: ParticleDensity, measurement: Sensor, z: ArrayLike | None) -> "Asked":
-        """A measurement z asked of a density."""
+    def of(cls, density: ParticleDensity, measurement: Sensor, z: ArrayLike | None) -> "ReadingAtPrior":
+        """The reading z of a measurement beside a density."""
         seen = measurement.observed(z)
         off = _innovation(density, measurement, z, seen) if seen.any() else (None, None, None)
         return cls(measurement, z, seen, density.t, *off)
@@ -86,7 +94,7 @@ class Asked(NamedTuple):
 
     @property
     def linear(self) -> bool:
-        """Is the reading linear in the state?"""
+        """Whether the reading is linear in the state."""
         return getattr(self.measurement, "H", None) is not None and not self.measurement.angles
 
     def search(self, density: ParticleDensity, config: FilterConfig) -> Search:
@@ -159,7 +167,7 @@ def reading_of(
     summed: tuple[Floats, Floats],
     domain: Domain | None = None,
 ) -> tuple[Floats, Floats, Floats]:
-    """The same of states x (N, n), mass (N,) with a mean and covariance."""
+    """Mean, covariance and cross-covariance of the noise-free reading of states x (N, n), mass (N,)."""
     reference = measurement.predict(summed[0], t)[0]
     if measurement.H is not None and not measurement.angles:
         H, cov = measurement.H, summed[1]
@@ -170,10 +178,10 @@ def reading_of(
     return reference + mean, cov, np.einsum("i,ia,ik->ak", mass, states, around - mean)
 
 
-def said_of(
-    asked: Asked, scheme: str, log_evidence: float, error: float, evidence_error: float
+def info_fields(
+    asked: ReadingAtPrior, scheme: str, log_evidence: float, error: float, evidence_error: float
 ) -> dict[str, Any]:
-    """What an update by families or Gaussians says; with a flag where its error leaves the mean in doubt."""
+    """Fields of the info of an update by families or Gaussians; a flag where its error leaves the mean in doubt."""
     code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
     return {
         "accepted": True,
@@ -187,25 +195,25 @@ def said_of(
     }
 
 
-def kept(prior: ParticleDensity, posterior: ParticleDensity) -> float:
+def error_left_by_update(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     """Part of an error of the mean, in standard deviations, that an update leaves of it.
 
     What is wrong with the weights of a density's pieces, or its shape, no reading forgets as fast as a shift.
     """
-    left = left_of(prior.cov(), posterior.cov(), posterior.gaussian)
+    left = shift_left_by_update(prior.cov(), posterior.cov(), posterior.gaussian)
     if prior.family is None or prior.gaussian:
         return left
-    out, n = max(left, _brought_out(prior, posterior)), prior.dim  # along one direction of n
+    out, n = max(left, _error_amplified_in_tail(prior, posterior)), prior.dim  # along one direction of n
     return math.sqrt(((n - 1) * left**2 + out**2) / n)
 
 
-def left_of(prior: Floats, posterior: Floats, gaussian: bool = False) -> float:
+def shift_left_by_update(prior: Floats, posterior: Floats, gaussian: bool = False) -> float:
     """Part of a shift of the mean that a reading leaves, by covariances (n, n) before and after it."""
     ratio = float(np.linalg.solve(prior, posterior).trace()) / len(prior)
     return math.sqrt(min(max(ratio, 0.0 if gaussian else _LEFT), 1.0))
 
 
-def _brought_out(prior: ParticleDensity, posterior: ParticleDensity) -> float:
+def _error_amplified_in_tail(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     """Part of an error that a reading makes of what the prior's family does not hold, along the mean's way.
 
     That is taken for the next polynomials: where a reading leads far out, they are steep, and what was wrong
@@ -213,7 +221,7 @@ def _brought_out(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     """
     assert prior.family is not None
     degree = prior.family.degree
-    (mean, cov), (own_mean, own_cov) = unrolled(prior), unrolled(posterior)
+    (mean, cov), (own_mean, own_cov) = moments_on_line(prior), moments_on_line(posterior)
     way = np.linalg.solve(np.linalg.cholesky(cov), (posterior.x - mean).T)
     shift = posterior.mass @ way.T
     along = (shift / max(float(np.linalg.norm(shift)), 1e-300)) @ way
