@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from .._types import Floats, Ints
-from ..core.cloud.weights import carried
+from ..core.cloud.weights import carriers
 
 __all__ = ["Carried"]
 
@@ -23,4 +23,4 @@ class Carried(NamedTuple):
     @classmethod
     def of(cls, x: Floats, log_w: Floats, family: Ints) -> "Carried":
         """States with log-weights (N,) whose sum is the evidence, and the ancestor (N,) of each."""
-        return cls(*carried(x, log_w, family))
+        return cls(*carriers(x, log_w, family))

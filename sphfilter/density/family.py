@@ -11,7 +11,7 @@ import numpy as np
 from .._types import Floats, Ints, OfStates
 from ..core.family.basis import Basis, basis, bound, size, values_at
 from ..core.family.frame import inverse, moments_of, moved, weigh
-from ..lattice.level_set import Laid, fewest_particles, lattice_reach, lay
+from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach, lay
 from .quasi_random import weighted_points
 from .shapes import Polynomials
 
@@ -21,9 +21,9 @@ __all__ = [
     "Exponential",
     "Family",
     "degree_of",
+    "family_on_lattice",
     "fitted",
     "gaussian_family",
-    "laid_family",
     "moments_apart",
     "node_moments",
     "node_weights",
@@ -167,7 +167,9 @@ def particles_of(family: Family) -> dict[str, Any]:
     }
 
 
-def laid_family(log_p: OfStates, moments: Any, n_particles: int, middles: Floats | None = None) -> Laid:
+def family_on_lattice(
+    log_p: OfStates, moments: Any, n_particles: int, middles: Floats | None = None
+) -> LatticeDensity:
     """A density of given moments on a lattice of at most so many nodes, from its `middles` (K, n)."""
     mean, cov = moments
     n_particles = max(n_particles, fewest_particles(len(mean)))
@@ -191,7 +193,9 @@ class Exponential:
     @cached_property
     def laid(self) -> Polynomials:
         """The same density on a lattice."""
-        laid = laid_family(self.log_p, self.moments, _NODES.get(self.x.shape[1], _MOST_NODES), self.middles)
+        laid = family_on_lattice(
+            self.log_p, self.moments, _NODES.get(self.x.shape[1], _MOST_NODES), self.middles
+        )
         return Polynomials(laid.field, laid.x, laid.mass, self.moments)
 
     def pdf(self, X: Floats) -> Floats:

@@ -17,7 +17,7 @@ from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
 from ..lattice.check import deep_enough, misfit, remote
 from ..lattice.field import inside_lattice
-from ..lattice.level_set import Laid, enough_particles, fewest_particles, lattice_reach, lay
+from ..lattice.level_set import LatticeDensity, enough_particles, fewest_particles, lattice_reach, lay
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
 from ..validate import array, choice, count, real, row
@@ -330,7 +330,7 @@ def _laid(
     n_particles: int,
     depth: float,
     walls: Walls = NO_WALLS,
-) -> Laid:
+) -> LatticeDensity:
     n = len(mean)
     try:
         return lay(log_p, mean, factor, seeds, n_particles, depth, walls=walls)

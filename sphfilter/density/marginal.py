@@ -14,10 +14,10 @@ from ..core.field.stencils import stencils
 from ..core.field.walls import NO_WALLS, Walls
 from ..lattice import field as lattice_field
 from ..lattice.flood import flood
-from ..lattice.level_set import Laid, lay
-from ..lattice.walls import near_walls, parts
+from ..lattice.level_set import LatticeDensity, lay
+from ..lattice.walls import near_walls, node_weights
 
-__all__ = ["around", "laid_marginal"]
+__all__ = ["around", "marginal_on_lattice"]
 
 _FURTHER = 11.0  # nats below the cut of a lattice to which its tails are summed
 _RINGS = 2  # of cells beyond its nodes that a density has in planes through it
@@ -36,16 +36,19 @@ def around(field: Field, walls: Walls = NO_WALLS) -> Floats:
     depth, highest, n = np.ptp(field.log_p[: field.kept]) + _FURTHER, field.log_p.max(), len(field.mu)
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     cells.box_of(field.node, cells.MARGIN, low, dims)
-    ask, start = near_walls(partial(lattice_field.at, field), walls, field.A, 1), (field.node, low, dims)
+    ask, start = (
+        near_walls(partial(lattice_field.log_p_at, field), walls, field.A, 1),
+        (field.node, low, dims),
+    )
     ball = stencils(n).offsets[: stencils(n).size[0]]
     found = flood(ask, field.mu, field.A, start, ball, depth, highest=highest)
     kept = np.sort(found.asked[found.value[found.asked] > found.highest - depth])
     return cells.states_of(kept, field.mu, field.A, found.low, found.dims)[1]
 
 
-def laid_marginal(
+def marginal_on_lattice(
     field: Field, x: Floats, mass: Floats, axes: Sequence[int], walls: Walls = NO_WALLS
-) -> Laid:
+) -> LatticeDensity:
     """The density of some axes of a field, on a lattice.
 
     In coordinates that whiten the field's lattice, those axes first, the states with given values there fill
@@ -100,8 +103,8 @@ def _summed(field: Field, order: Ints, factor: Floats, others: Floats, walls: Wa
             X = np.empty((len(rows[0]), len(order)))
             X[:, order] = np.concatenate(rows, axis=1) @ factor.T
             X += field.mu
-            weight = parts(walls, spacing * factor[k:, k:], X[:, order[k:]]).reshape(len(some), -1)
-            log_p = lattice_field.at(field, X).reshape(len(some), -1)
+            weight = node_weights(walls, spacing * factor[k:, k:], X[:, order[k:]]).reshape(len(some), -1)
+            log_p = lattice_field.log_p_at(field, X).reshape(len(some), -1)
             out[first : first + step] = logsumexp(log_p, axis=1, b=weight)
         return out + log_cell
 

@@ -13,7 +13,7 @@ from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph import kernels
 from ..errors import ModelError
-from ..lattice.level_set import Laid
+from ..lattice.level_set import LatticeDensity
 from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
 from . import statistics
@@ -162,7 +162,7 @@ class ParticleDensity(Noted):
     @classmethod
     def on_lattice(
         cls,
-        laid: Laid,
+        laid: LatticeDensity,
         t: float,
         capacity: int | None = None,
         gaussian: bool = False,

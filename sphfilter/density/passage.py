@@ -31,15 +31,15 @@ __all__ = [
     "Steps",
     "Through",
     "along",
-    "begun",
-    "begun_from",
     "chosen_steps",
     "even",
     "gone",
     "gone_again",
     "key_at",
+    "moved_points",
     "normals",
-    "passed",
+    "points_of_gaussian",
+    "points_of_sample",
     "put_through",
     "relinearised",
     "stored_key",
@@ -58,7 +58,7 @@ _EACH_ITS_OWN, _NO_ROWS = np.empty(0, np.int64), np.empty((1, 0, 0))
 _NO_CHANGES = np.empty((0, 0, 0)), np.empty((0, 0)), np.empty((0, 0, 0))
 
 
-def begun(mean: Floats, cov: Floats, count: int, key: int, number: int = 0) -> Points:
+def points_of_gaussian(mean: Floats, cov: Floats, count: int, key: int, number: int = 0) -> Points:
     """A Gaussian of mean (n,) and covariance (n, n) as points, each with noise as wide as their distance.
 
     Clouds of other numbers have starts of their own: those of one net are parts of each other.
@@ -76,7 +76,7 @@ def begun(mean: Floats, cov: Floats, count: int, key: int, number: int = 0) -> P
     return Points(gone(noise, x, u, block, False), w, Path(x, block, (noise,), (u,)))
 
 
-def begun_from(points: Points, count: int, key: int) -> Points:
+def points_of_sample(points: Points, count: int, key: int) -> Points:
     """Weighted points of any density as the begin of a path of `count` points."""
     n = points.x.shape[1]
     about = _family_of(points), count, key, net(count, n, 0), *places(n)
@@ -85,11 +85,13 @@ def begun_from(points: Points, count: int, key: int) -> Points:
     return Points(y, w, Path(start, block, (kernel,), (u,)))
 
 
-def passed(points: Points, model: SDE, t0: float, t1: float, steps: Steps, count: int, key: int) -> Points:
+def moved_points(
+    points: Points, model: SDE, t0: float, t1: float, steps: Steps, count: int, key: int
+) -> Points:
     """Points carried over an interval in steps; those of a new path are `count`."""
     path = points.path
     if path is None or len(path.passages) >= _most(count, model.dim) or len(points.w) != count:
-        points = begun_from(points, count, key)
+        points = points_of_sample(points, count, key)
         path = points.path
         assert path is not None
     (start, block, passages, U), leg = path, None

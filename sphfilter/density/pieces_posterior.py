@@ -13,10 +13,10 @@ from .splitting import (
     Front,
     ReadingAtNodes,
     White,
-    at,
     children,
     quadratics,
     quadrature_moments,
+    states_at,
     straightened,
 )
 
@@ -111,7 +111,7 @@ def _checked(todo: Front, ask: ReadingAtNodes, most: float) -> tuple[Front, "_Up
 def _updated(front: Front, ask: ReadingAtNodes) -> _Updated:
     """Each piece times the likelihood, as one Gaussian."""
     xi, u = nodes(front.mean.shape[1])
-    b, root = _linearised(ask(at(front, xi)), xi, u)
+    b, root = _linearised(ask(states_at(front, xi)), xi, u)
     active, seen = np.arange(len(b)), None
     for _ in range(_ROUNDS):
         found = _product(front.some(active), ask, b[active], root[active], (xi, u))
@@ -166,7 +166,7 @@ def _product(
     """Pieces times the likelihood, at the nodes of frames b (K, q), root (K, q, q) in their coordinates."""
     xi, u = rule
     y = b[:, None] + np.einsum("kab,ib->kia", root, xi)
-    r = ask(at(front, y))
+    r = ask(states_at(front, y))
     T = -0.5 * (np.einsum("kia,kia->ki", y, y) + np.einsum("kim,kim->ki", r, r))
     log_v = T + np.log(u) + 0.5 * np.sum(xi**2, axis=1)
     total = logsumexp(log_v, axis=1)

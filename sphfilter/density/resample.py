@@ -23,7 +23,7 @@ from ..lattice.walls import continued
 from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
-from .family import laid_family
+from .family import family_on_lattice
 from .memory import min_nodes
 from .particle_density import ParticleDensity
 from .particles import particles_on
@@ -78,7 +78,7 @@ def resample(
 def logarithm(density: ParticleDensity) -> OfStates:
     """Return log p as a function of states (M, n), defined far outside of the particles too."""
     if density.field is not None:
-        return partial(field.at, density.field)
+        return partial(field.log_p_at, density.field)
     whole = density.family or density.pieces or density.families
     if whole is not None:
         return whole.log_p
@@ -167,7 +167,7 @@ def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
     if whole is None:
         return density
     middles = density.pieces.mean if density.pieces else density.families.mu if density.families else None
-    laid = laid_family(whole.log_p, density.moments, n_particles, middles)
+    laid = family_on_lattice(whole.log_p, density.moments, n_particles, middles)
     about = density.t, density.capacity, density.gaussian, density.domain
     return ParticleDensity.on_lattice(laid, *about, error=density.error, lost=density.lost)
 

@@ -19,7 +19,7 @@ from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.sph.kernels import Kernel, kernel_variance
 from ..lattice import field as lattice_field
-from ..lattice.level_set import Laid
+from ..lattice.level_set import LatticeDensity
 from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import marginal, mixture
@@ -177,7 +177,7 @@ class Polynomials:
 
     def logpdf(self, X: Floats) -> Floats:
         """Logarithm of the density, shape (M,)."""
-        return lattice_field.at(self.field, X)
+        return lattice_field.log_p_at(self.field, X)
 
     def gradient(self, X: Floats) -> Floats:
         """Gradient of the density, shape (M, n)."""
@@ -216,7 +216,7 @@ class Polynomials:
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: summed over the others, on a lattice of its own."""
-        laid = marginal.laid_marginal(self.field, self.x, self.mass, axes, self.walls)
+        laid = marginal.marginal_on_lattice(self.field, self.x, self.mass, axes, self.walls)
         if self.moments is not None:
             mean, cov = self.moments  # beyond the cut too
             laid = laid._replace(mean=mean[axes], cov=cov[np.ix_(axes, axes)])
@@ -337,7 +337,7 @@ def _cell_points(n: int, cells: int, smooth: bool) -> Floats:
     return uniform if smooth else uniform + spread_evenly(cells, n)[:, None]
 
 
-def lattice_particles(laid: Laid) -> dict[str, Any]:
+def lattice_particles(laid: LatticeDensity) -> dict[str, Any]:
     """What a density on a lattice is made of, by name.
 
     Parameters

@@ -21,11 +21,11 @@ __all__ = [
     "Front",
     "ReadingAtNodes",
     "White",
-    "at",
     "bent_along",
     "children",
     "quadratics",
     "quadrature_moments",
+    "states_at",
     "straightened",
 ]
 
@@ -72,7 +72,7 @@ class ReadingAtNodes:
         return r.reshape(K, N, -1)
 
 
-def at(front: Front, xi: Floats) -> Floats:
+def states_at(front: Front, xi: Floats) -> Floats:
     """States (K, N, q) at coordinates (N, q), or (K, N, q), of pieces."""
     return front.mean[:, None] + np.einsum(
         "kab,...ib->kia" if xi.ndim == 2 else "kab,kib->kia", front.root, xi
@@ -106,7 +106,7 @@ class _Look(NamedTuple):
 
 def quadrature_moments(front: Front, ask: ReadingAtNodes) -> _Look:
     xi, u = nodes(front.mean.shape[1])
-    r = ask(at(front, xi))
+    r = ask(states_at(front, xi))
     v, bend = bent_along(r, xi, u)
     w, ripple = _rippled_along(r, xi, u)
     v, bend = np.where((ripple > bend)[:, None], w, v), np.maximum(bend, ripple)

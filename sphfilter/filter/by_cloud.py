@@ -13,16 +13,16 @@ from ..core.cloud.pace import Steps
 from ..density.as_cloud import cloud_of
 from ..density.cloud import systematic
 from ..density.particle_density import ParticleDensity
-from ..density.passage import READING, key_at, passed
+from ..density.passage import READING, key_at, moved_points
 from ..density.points import CloudState, Points, Told
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
-from ..prediction.cloud import apart, as_points, fewer
+from ..prediction.cloud import as_points, shadow_size, squared_differences
 from .guided import weighed
 from .reading_at_prior import ReadingAtPrior, error_left_by_update
 from .stacked import Stacked
 
-__all__ = ["Read", "by_cloud", "fresh", "read"]
+__all__ = ["CloudReading", "by_cloud", "cloud_times_likelihood", "error_added"]
 
 _HIDDEN = 0.1  # of an error, below which another adds less than a hundredth
 
@@ -33,7 +33,7 @@ def by_cloud(
     """Prior times likelihood as a cloud of weighted points, and what the update says."""
     scheme = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
     state = as_points(density, scheme.n_points)
-    found = read(state, Stacked.of((asked,), density.domain), density.t)
+    found = cloud_times_likelihood(state, Stacked.of((asked,), density.domain), density.t)
     if found is None:
         raise PropagationError(
             "prior times likelihood is zero wherever the prior has particles: check the measurement, its "
@@ -59,7 +59,7 @@ def by_cloud(
     }
 
 
-class Read(NamedTuple):
+class CloudReading(NamedTuple):
     """A cloud after a reading; mean and covariance of its points, the evidence, and errors."""
 
     state: CloudState
@@ -79,14 +79,14 @@ class Read(NamedTuple):
         """By how much of itself the variance may be off."""
         return 2.0 * self.state.told.errors.variance
 
-    def left(self, part: float) -> "Read":
+    def left(self, part: float) -> "CloudReading":
         """With that part of the inherited error; without what its own hides."""
         inherited = self.state.inherited * part
         inherited = inherited if inherited > _HIDDEN * self.own else 0.0
         return self._replace(state=self.state._replace(inherited=inherited))
 
 
-def read(state: CloudState, sensor: Stacked, t: float) -> Read | None:
+def cloud_times_likelihood(state: CloudState, sensor: Stacked, t: float) -> CloudReading | None:
     """A cloud and its shadow times a likelihood; None where that is zero at all points."""
     found = weighed(state.points, sensor, key_at(t, READING))
     if not math.isfinite(found.log_evidence):
@@ -95,7 +95,7 @@ def read(state: CloudState, sensor: Stacked, t: float) -> Read | None:
     shadow, told = beside.points, state.told
     if math.isfinite(beside.log_evidence):
         sums = found.moments, beside.moments
-        off = apart(found.points, shadow, sensor.domain, sums)
+        off = squared_differences(found.points, shadow, sensor.domain, sums)
         told = told.or_expected(beside.effective, beside.points.x.shape[1])
         told = told.after(*off, (found.log_evidence - beside.log_evidence) ** 2)
     else:  # none of the few sees the reading: a part of the many goes on beside them
@@ -106,10 +106,10 @@ def read(state: CloudState, sensor: Stacked, t: float) -> Read | None:
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
     evidence_error = max(told.errors.log_evidence, few_error(found.families))
-    return Read(state, found.moments, t, found.log_evidence, evidence_error, own)
+    return CloudReading(state, found.moments, t, found.log_evidence, evidence_error, own)
 
 
-def fresh(
+def error_added(
     before: CloudState,
     after: CloudState,
     model: Any,
@@ -122,15 +122,15 @@ def fresh(
     A part of the points of before goes beside the cloud: unlike its shadow it has what was wrong then, too.
     NaN where it cannot be told.
     """
-    points, (step, stiff, *_), many = before.points, after.pace, fewer(after.size)
+    points, (step, stiff, *_), many = before.points, after.pace, shadow_size(after.size)
     if points.path is not None or not (model.linear or step > 0.0):
         return math.nan
     steps = Steps(1) if model.linear else Steps(max(math.ceil((span[1] - span[0]) / step), 1), stiff)
-    moved = passed(_part_of(points, many), model, *span, steps, many, key_at(span[0], 1))
+    moved = moved_points(_part_of(points, many), model, *span, steps, many, key_at(span[0], 1))
     beside = weighed(moved, sensor, key_at(span[1], READING + 1))
     if not math.isfinite(beside.log_evidence):
         return math.nan
-    off = apart(after.points, beside.points, sensor.domain, (moments, beside.moments))
+    off = squared_differences(after.points, beside.points, sensor.domain, (moments, beside.moments))
     return Told(*off).errors.mean
 
 

@@ -16,7 +16,7 @@ from ..model.named import driven
 from ..model.sde import SDE
 from ..prediction.predict import Prediction
 from ..prediction.switching import ModesPrediction
-from .found import found
+from .read_only import read_only
 from .readings import parted
 from .state import FilterState
 from .update_again import Update
@@ -44,7 +44,7 @@ def write(path: str | PathLike[str], state: FilterState[Any], filt: Any) -> None
 
 def _state_of(arrays: Arrays) -> dict[str, Any]:
     """What any filter's file holds of its state."""
-    state: dict[str, Any] = {name: found(arrays[name]) for name in _MOMENTS}
+    state: dict[str, Any] = {name: read_only(arrays[name]) for name in _MOMENTS}
     state |= {name: arrays.get(name) for name in _READING}
     return state | {name: arrays[name].item() for name in _NUMBERS}
 
@@ -143,7 +143,7 @@ def restored_modes(path: str | PathLike[str], model: JumpMarkovModel, _measureme
     mean, cov = modes.moments
     if len(mean) != model.dim:
         raise ModelError(f"{path} holds densities of {len(mean)} states, the model has {model.dim}")
-    state = _state_of(arrays) | {"density": modes, "x": found(mean), "P": found(cov)}
+    state = _state_of(arrays) | {"density": modes, "x": read_only(mean), "P": read_only(cov)}
     state |= {"inputs": about["inputs"], "origin": _prediction(part("prediction", arrays), model)}
     made = {"n_particles": about["n_particles"], "config": FilterConfig.from_toml(str(arrays["config"]))}
     return made | {"x0": mean, "P0": cov, "t0": modes.heaviest.t}, {"dt": about["dt"]}, state

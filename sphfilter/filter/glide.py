@@ -21,9 +21,9 @@ from ..density.resample import max_particles_of, target_of
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL
 from ..model.measurements import GaussianMeasurement
-from ..prediction.cloud import carried, fewer, least_steps
-from .by_cloud import fresh, read
-from .found import found as as_found
+from ..prediction.cloud import carried_cloud, least_steps, shadow_size
+from .by_cloud import cloud_times_likelihood, error_added
+from .read_only import read_only as as_found
 from .reading_at_prior import OUTLYING, ReadingAtPrior, reading_of, shift_left_by_update
 from .stacked import Stacked
 from .state import FilterState
@@ -139,7 +139,7 @@ class _Run:
         bounds = target, MISSED * target, FLAGGED * target, DOUBTFUL, OUTLYING, CloudScheme().max_steps
         reader = self._stacked(Z[0], times[1]).reader
         assert reader is not None
-        about = least, (count, fewer(count)), needs.calm, Bounds(*bounds)
+        about = least, (count, shadow_size(count)), needs.calm, Bounds(*bounds)
         found, refused = put_through(state, model, times, (reader, Z), *about), False
         if found.end == JUDGE and not self._added(found, times, Z) <= MISSED * target:
             found, refused = found.before, True  # more points help where this cycle has added its error
@@ -154,14 +154,14 @@ class _Run:
         k = found.done - 1
         (t0, t1), (_, _, x, P, *_) = times[k : k + 2].tolist(), found.rows
         about = self._model, (t0, t1), self._stacked(Z[k], t1), (x[k], P[k])
-        return fresh(found.before.state, found.state, *about)
+        return error_added(found.before.state, found.state, *about)
 
     def _in_turn(self, span: Sequence[float], z: Floats) -> bool:
         """Put the next reading through step by step; false where a filter would do more."""
         (state, needs, *_), target, model, sensor = self.reached, self._target, self._model, self._sensor
         stacked, about = self._stacked(z, span[1]), (model, (span[0], span[1]))
         try:
-            moved = carried(state, *about, CloudScheme(n_points=needs.gone_on().cloud(target)), target)
+            moved = carried_cloud(state, *about, CloudScheme(n_points=needs.gone_on().cloud(target)), target)
         except PropagationError:
             return False
         points = moved.state.points
@@ -169,7 +169,7 @@ class _Run:
         y, S = sensor.residual(z, expected), S + sensor.noise_cov
         far = stacked.asked[0]._replace(innovation=y, S=S).outlying
         usual = not far and moved.lost == 0.0 and moved.error < DOUBTFUL
-        done = read(moved.state, stacked, span[1]) if usual else None
+        done = cloud_times_likelihood(moved.state, stacked, span[1]) if usual else None
         if done is None:
             return False
         if done.state.inherited > 0.0:
@@ -177,7 +177,7 @@ class _Run:
         if not done.error <= FLAGGED * target or not done.error < DOUBTFUL or done.doubt > WRONG:
             return False
         if done.error > MISSED * target:
-            added = fresh(state, done.state, *about, stacked, done.moments)
+            added = error_added(state, done.state, *about, stacked, done.moments)
             if not added <= MISSED * target:
                 return False
         needs = needs._replace(legs=0).told(done.state.told.errors.mean, target, done.state.size)

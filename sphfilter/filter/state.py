@@ -13,7 +13,7 @@ from ..density.particle_density import ParticleDensity
 from ..info import UpdateInfo, innovation_of
 from ..model.measurements import Sensor, has_gaussian_noise
 from ..validate import unmasked
-from .found import found
+from .read_only import read_only
 
 __all__ = ["Carried", "FilterState", "said_of_reading"]
 
@@ -116,7 +116,7 @@ class FilterState(Noted, Generic[Carried]):
 def _moments(density: ParticleDensity | ModeDensities) -> tuple[Floats, Floats]:
     """Mean and covariance of a density, over all modes if it has such."""
     mean, cov = density.moments if isinstance(density, ModeDensities) else (density.mean(), density.cov())
-    return found(mean), found(cov)
+    return read_only(mean), read_only(cov)
 
 
 def said_of_reading(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo | None) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from ..model.measurements import Sensor
 from ..model.sde import SDE
 from ..prediction.again import Ladder, Outcome
 from ..prediction.predict import Prediction, predict
-from .by_cloud import fresh
+from .by_cloud import error_added
 from .stacked import Stacked
 from .update import update
 
@@ -157,7 +157,7 @@ def _on_more_points(
             assert cloud.points.prior is not None
             seen = Stacked.of(cloud.points.prior.readings, prior.domain)
             about = model, (before.t, prior.t), seen, moments_of(posterior)
-            added = fresh(before.cloud, cloud, *about)
+            added = error_added(before.cloud, cloud, *about)
             error = added if added < error else error  # what was there before, no points cure
         more = points_for(cloud.size, error, target) if error > MISSED * target else 0
         led = before is None or prior.read_out == "cloud"

@@ -10,8 +10,8 @@ from .._types import Floats, OfStates
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
 from . import field as lattice_field
-from .level_set import Laid
-from .walls import inside, parts
+from .level_set import LatticeDensity
+from .walls import inside, node_weights
 
 __all__ = ["Beside", "Misfit", "Remote", "beside", "deep_enough", "left_out", "misfit", "remote"]
 
@@ -27,7 +27,7 @@ class Misfit(NamedTuple):
     log_mass: float  # error of the logarithm of the integral
 
 
-def misfit(laid: Laid, log_p: OfStates) -> Misfit:
+def misfit(laid: LatticeDensity, log_p: OfStates) -> Misfit:
     """Compare a lattice's polynomials with what was laid, in the middles of its cells.
 
     Parameters
@@ -49,9 +49,9 @@ def misfit(laid: Laid, log_p: OfStates) -> Misfit:
     flat = np.ravel_multi_index(tuple((cells - low).T), tuple(dims))
     cells = low + np.transpose(np.unravel_index(np.unique(flat), tuple(dims)))
     X = laid.field.mu + (cells - 0.5) @ laid.field.A.T
-    part, within = parts(laid.walls, laid.field.A, X), inside(laid.walls, X)
+    part, within = node_weights(laid.walls, laid.field.A, X), inside(laid.walls, X)
     X, part, within = X[part != 0.0], part[part != 0.0], within[part != 0.0]
-    asked, fitted = log_p(X) - laid.log_mass, lattice_field.at(laid.field, X)
+    asked, fitted = log_p(X) - laid.log_mass, lattice_field.log_p_at(laid.field, X)
     highest = max(asked.max(), fitted.max())
     p, q = np.exp(asked - highest), np.exp(np.maximum(fitted - highest, -_FARTHEST))
     off = np.abs(q - p)[within].sum() / max(p[within].sum(), 1e-300)
@@ -115,7 +115,7 @@ def left_out(field: Field, walls: Walls = NO_WALLS) -> float:
     p = np.exp(field.log_p[: field.kept])
     if walls[0].size:
         x = lattice_field.nodes(field)
-        p = np.exp(field.log_p) * parts(walls, field.A, x)
+        p = np.exp(field.log_p) * node_weights(walls, field.A, x)
         p[field.kept :][inside(walls, x[field.kept :])] = 0.0
     return max(0.0, 1.0 - float(p.sum() * abs(np.linalg.det(field.A))))
 

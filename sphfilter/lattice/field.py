@@ -10,10 +10,10 @@ from ..core.field.stencils import stencils
 from ..core.field.walls import NO_WALLS, Walls
 from .walls import moved_in
 
-__all__ = ["at", "extrapolated_mass", "gradient", "inside_lattice", "nodes"]
+__all__ = ["extrapolated_mass", "gradient", "inside_lattice", "log_p_at", "nodes"]
 
 
-def at(field: Field, X: ArrayLike) -> Floats:
+def log_p_at(field: Field, X: ArrayLike) -> Floats:
     """log p of a field at the states X (M, n)."""
     states = np.ascontiguousarray(X, dtype=float)
     out = np.empty(len(states))

@@ -22,7 +22,14 @@ from ..errors import PropagationError
 from .flood import flood
 from .walls import near_walls
 
-__all__ = ["Laid", "enough_particles", "fewest_particles", "gaussian_volume", "lattice_reach", "lay"]
+__all__ = [
+    "LatticeDensity",
+    "enough_particles",
+    "fewest_particles",
+    "gaussian_volume",
+    "lattice_reach",
+    "lay",
+]
 
 _TRIES = 24
 _SMALL_BOX = 4  # cells, over the number of particles wanted
@@ -32,7 +39,7 @@ _WIDE = 1.6
 _ROUNDED = 20.0  # roundings a standard deviation must be wide
 
 
-class Laid(NamedTuple):
+class LatticeDensity(NamedTuple):
     """A density on a lattice of its own."""
 
     x: Floats  # (N, n)
@@ -76,7 +83,7 @@ def lay(
     depth: float,
     volume: float | None = None,
     walls: Walls = NO_WALLS,
-) -> Laid:
+) -> LatticeDensity:
     """Put a density on a lattice of at most `n_particles` nodes, and at least about half of that.
 
     Parameters
@@ -147,6 +154,6 @@ def lay(
             f"{enough_particles(n)}"
         )
     A, volume, node, x, log_density, mass, log_mass, new_mean, cov = best
-    return Laid(
+    return LatticeDensity(
         x, mass, build_field(mean, A, node, len(x), log_density, sten), log_mass, volume, new_mean, cov, walls
     )

@@ -9,7 +9,7 @@ from .._types import Floats, OfStates
 from ..core.field.shape import LOCAL, local_shape
 from ..core.field.walls import NO_WALLS, Walls
 from ..errors import ModelError, PropagationError
-from .level_set import Laid, gaussian_volume, lay
+from .level_set import LatticeDensity, gaussian_volume, lay
 
 __all__ = ["posterior", "within_pieces"]
 
@@ -31,7 +31,7 @@ def posterior(
     depth: float,
     cell: Floats | None = None,
     walls: Walls = NO_WALLS,
-) -> Laid:
+) -> LatticeDensity:
     """Lay prior times likelihood, however sharp the likelihood or far out its peak.
 
     The likelihood is raised to a power under which it is wide enough for the points at hand, the product is
@@ -61,7 +61,7 @@ def posterior(
     enough = min(2.0 * 3.0**n, _ENOUGH * counting * n_particles)
     log_mass = np.log(np.maximum(mass, _LOW_DENSITY))
     power: float = 0.0
-    laid: Laid | None = None
+    laid: LatticeDensity | None = None
     closed_in = False
     for _ in range(_ROUNDS):
         weight = log_weight(x)
@@ -130,7 +130,7 @@ def _power(log_mass: Floats, weight: Floats, reached: float, enough: float, y: F
     return min(1.0, max(low, 1.05 * reached))
 
 
-def within_pieces(laid: Laid) -> Floats:
+def within_pieces(laid: LatticeDensity) -> Floats:
     """Lower factor of the covariance within the pieces of a density: see `local_shape`."""
     L: Any = np.linalg.cholesky(laid.cov)
     shape = np.empty_like(L)

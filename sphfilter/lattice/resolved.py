@@ -13,7 +13,7 @@ from ..core.field.walls import NO_WALLS, Walls
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, left_out, misfit
-from .level_set import Laid, lay
+from .level_set import LatticeDensity, lay
 from .peaks import Peak, along_axes, peaks
 from .posterior import within_pieces
 from .walls import between, inside
@@ -45,7 +45,7 @@ class Search(NamedTuple):
 class Resolved(NamedTuple):
     """A posterior, what its lattice gets wrong, and the probability of what was found beyond it."""
 
-    laid: Laid
+    laid: LatticeDensity
     off: Misfit
     left_out: float = 0.0
     times: int = 1  # the particles it may have
@@ -70,7 +70,7 @@ Prior: TypeAlias = tuple[Floats, Floats, Field | None]
 
 
 def resolved(
-    laid: Laid | PropagationError,
+    laid: LatticeDensity | PropagationError,
     prior: Prior,
     product: OfStates,
     log_weight: OfStates,
@@ -105,7 +105,7 @@ def resolved(
     tail = float(gammaincc(0.5 * x.shape[1], bounds[1]))  # beyond the cut of a Gaussian
     found = _overlooked(laid, prior, product, log_weight, search)
     parts, tried = [], []
-    if isinstance(laid, Laid):
+    if isinstance(laid, LatticeDensity):
         least = laid.log_mass + math.log(_COUNTS * search.most_left_out)
         found = [peak for peak in found if peak.log_mass > least]
         parts.append(_part_of(laid))
@@ -122,7 +122,7 @@ def resolved(
         if best is not None and _good(best, search, tail):
             return best
     if best is None:
-        assert not isinstance(laid, Laid)  # which would have been the best
+        assert not isinstance(laid, LatticeDensity)  # which would have been the best
         raise laid
     return best
 
@@ -132,7 +132,7 @@ def _good(tried: Resolved, search: Search, tail: float) -> bool:
     return resolved and tried.left_out < search.most_left_out + tail
 
 
-def _part_of(laid: Laid) -> _Part:
+def _part_of(laid: LatticeDensity) -> _Part:
     return _Part(laid.x, laid.mass, laid.log_mass, laid.log_mass + laid.field.log_p[: laid.field.kept])
 
 
@@ -149,7 +149,7 @@ def _best(tried: list[Resolved], parts: list[_Part], tail: float) -> Resolved | 
     return min(judged, key=lambda each: each.wrong, default=None)
 
 
-def _left_out(laid: Laid, parts: list[_Part], tail: float) -> float:
+def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> float:
     """Probability that a lattice leaves out: of the part of which it misses most, or beside its nodes."""
     left = left_out(laid.field, laid.walls)
     left = left if left > _LITTLE + _BESIDE * tail else 0.0
@@ -161,17 +161,21 @@ def _left_out(laid: Laid, parts: list[_Part], tail: float) -> float:
     return max(left, most / (1.0 + most))
 
 
-def _missing(laid: Laid, part: _Part) -> float:
+def _missing(laid: LatticeDensity, part: _Part) -> float:
     """Share of a part in cells where a lattice has no node, or of which its polynomials know nothing."""
     if part.log_p is None:
         return lattice_field.extrapolated_mass(laid.field, part.x, part.w, laid.walls)
-    below = part.log_p - laid.log_mass - lattice_field.at(laid.field, part.x)
+    below = part.log_p - laid.log_mass - lattice_field.log_p_at(laid.field, part.x)
     beside = lattice_field.extrapolated_mass(laid.field, part.x, part.w, laid.walls)
     return max(float(part.w @ (below > _HIGHER)), beside)
 
 
 def _overlooked(
-    laid: Laid | PropagationError, prior: Prior, product: OfStates, log_weight: OfStates, search: Search
+    laid: LatticeDensity | PropagationError,
+    prior: Prior,
+    product: OfStates,
+    log_weight: OfStates,
+    search: Search,
 ) -> list[Peak]:
     """Peaks of which the polynomials of a lattice know nothing."""
     x, mass, field = prior
@@ -191,11 +195,11 @@ def _overlooked(
         return []
     values = product(X)
     factor: Any = np.linalg.cholesky(cov)
-    if isinstance(laid, Laid):
+    if isinstance(laid, LatticeDensity):
         widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
         high = widest > laid.log_mass + math.log(_COUNTS * search.most_left_out)
         X, values = X[high], values[high]
-        above = values - laid.log_mass - lattice_field.at(laid.field, X) > _HIGHER
+        above = values - laid.log_mass - lattice_field.log_p_at(laid.field, X) > _HIGHER
         X, values = X[above], values[above]
     elif values.max() < -1e200:
         return []
@@ -207,7 +211,7 @@ def _overlooked(
 
 
 def _tries(
-    laid: Laid | PropagationError,
+    laid: LatticeDensity | PropagationError,
     found: list[Peak],
     parts: list[_Part],
     product: OfStates,
@@ -217,7 +221,7 @@ def _tries(
     """Other lattices, the cheapest first; what pieces of their own hold joins the parts that are known."""
     n_particles, depth = bounds
     walls = search.walls
-    shape = within_pieces(laid) if isinstance(laid, Laid) else found[0].factor if found else None
+    shape = within_pieces(laid) if isinstance(laid, LatticeDensity) else found[0].factor if found else None
     tops = [_Part(peak.x[None], np.ones(1), peak.log_mass, product(peak.x[None])) for peak in found]
     parts += tops
     heaviest = sorted(zip(found, tops, strict=True), key=lambda pair: -pair[0].log_mass)[:_PIECES]
@@ -259,7 +263,9 @@ def _level(values: Floats, X: Floats, parts: list[_Part]) -> float:
     return float(min(tops)) - 5.0
 
 
-def _around(product: OfStates, peak: Peak, n_particles: int, depth: float, walls: Walls) -> Laid | None:
+def _around(
+    product: OfStates, peak: Peak, n_particles: int, depth: float, walls: Walls
+) -> LatticeDensity | None:
     """A lattice around a peak, in the shape of what it holds; None if there is none."""
     try:
         laid = lay(product, peak.x, peak.factor, peak.x[None], n_particles, depth, walls=walls)

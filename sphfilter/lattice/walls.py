@@ -6,7 +6,7 @@ from .._types import Bools, Floats, OfStates
 from ..core.field.cells import LOWEST
 from ..core.field.walls import Walls, parts_inside
 
-__all__ = ["between", "continued", "inside", "moved_in", "near_walls", "parts"]
+__all__ = ["between", "continued", "inside", "moved_in", "near_walls", "node_weights"]
 
 #: Values at a wall and one, two and three times the depth before it, to that beyond: exact for cubics.
 _CUBIC = np.array([4.0, -6.0, 4.0, -1.0])
@@ -18,7 +18,7 @@ def inside(walls: Walls, X: Floats) -> Bools:
     return np.all((low <= X) & (high >= X), axis=1) if low.size else np.ones(len(X), dtype=bool)
 
 
-def parts(walls: Walls, A: Floats, X: Floats) -> Floats:
+def node_weights(walls: Walls, A: Floats, X: Floats) -> Floats:
     """Weights (M,) of the nodes X (M, n) of a lattice in integrals that end at the walls."""
     return parts_inside(*walls, A, np.ascontiguousarray(X)) if walls[0].size else np.ones(len(X))
 

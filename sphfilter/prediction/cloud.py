@@ -10,12 +10,12 @@ from ..config import CloudScheme
 from ..core.cloud.control import SHADOW, apart_by, bias_allowed, step_after
 from ..core.cloud.cycle import MOST_LOST
 from ..core.cloud.pace import FIRST_TRIED, ORDER, Steps
-from ..core.cloud.weights import AWAY, compared, together
+from ..core.cloud.weights import AWAY, compared, near_others
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
 from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
-from ..density.passage import begun, begun_from, chosen_steps, key_at, passed
+from ..density.passage import chosen_steps, key_at, moved_points, points_of_gaussian, points_of_sample
 from ..density.points import CloudState, Pace, Points, moments
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
@@ -26,15 +26,15 @@ from ._shared import blow_up, carried_off, skip_notes
 
 __all__ = [
     "Carried",
-    "apart",
     "as_points",
-    "carried",
-    "fewer",
+    "carried_cloud",
     "info_of",
-    "kept",
     "least_steps",
-    "near_mean",
     "propagate",
+    "shadow_size",
+    "squared_differences",
+    "unrolled_about_mean",
+    "without_runaways",
 ]
 
 _DOUBTED = 0.01  # probability of points that were given up, from which it is said
@@ -77,7 +77,7 @@ def propagate(
         The model carries a tenth of the probability to infinity, or needs more steps than allowed.
     """
     state, span = as_points(density, scheme.n_points), (density.t, t1)
-    moved = carried(state, model, span, scheme, target, density.domain)
+    moved = carried_cloud(state, model, span, scheme, target, density.domain)
     capacity = density.capacity if n_particles is None else n_particles
     new = cloud_of(density, moved.state, moved.moments, t=float(t1), capacity=capacity, error=moved.error)
     return new, info_of(model, scheme.n_points, moved.steps, moved.lost, moved.error)
@@ -93,7 +93,7 @@ class Carried(NamedTuple):
     steps: int
 
 
-def carried(
+def carried_cloud(
     state: CloudState,
     model: SDE,
     span: tuple[float, float],
@@ -105,16 +105,16 @@ def carried(
     (t0, t1), count = span, scheme.n_points
     steps, pace = _steps(state, model, span, scheme.max_steps, target)
     ends, sums, lost = [], [], 0.0
-    for k, (points, many) in enumerate(((state.points, count), (state.shadow, fewer(count)))):
-        moved = passed(near_mean(points, domain), model, t0, t1, steps, many, key_at(t0, k))
-        moved, gone = kept(moved, domain)
+    for k, (points, many) in enumerate(((state.points, count), (state.shadow, shadow_size(count)))):
+        moved = moved_points(unrolled_about_mean(points, domain), model, t0, t1, steps, many, key_at(t0, k))
+        moved, gone = without_runaways(moved, domain)
         lost = gone if k == 0 else lost
         if gone > MOST_LOST:
             raise PropagationError(_blow_up(model, moved, t0, t1))
         ends.append(moved)
         sums.append(moments(moved.x, moved.w))
     told = state.told.of(count / state.size)
-    off = apart(ends[0], ends[1], domain, sums)
+    off = squared_differences(ends[0], ends[1], domain, sums)
     error = math.hypot(told.after(*off).errors.mean, pace.bias, state.inherited)
     state = CloudState(ends[0], ends[1], count, told, pace, state.inherited)
     return Carried(state, sums[0], error, lost, steps.number)
@@ -125,25 +125,29 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
     if density.cloud is not None:
         return density.cloud
     if density.read_out == "cloud":
-        few = np.linspace(0.0, density.n_particles - 1, min(fewer(count), density.n_particles)).astype(int)
+        few = np.linspace(0.0, density.n_particles - 1, min(shadow_size(count), density.n_particles)).astype(
+            int
+        )
         shadow = density.mass[few] / density.mass[few].sum()
         points = Points(density.x, density.mass)
         return CloudState(points, Points(density.x[few], shadow), density.n_particles)
-    clouds = [(n, key_at(density.t, k)) for k, n in enumerate((count, fewer(count)))]
+    clouds = [(n, key_at(density.t, k)) for k, n in enumerate((count, shadow_size(count)))]
     if density.family is not None and density.family.degree == 2:
         mean, cov = moments_on_line(density)
-        points, shadow = (begun(mean, cov, n, key, k) for k, (n, key) in enumerate(clouds))
+        points, shadow = (points_of_gaussian(mean, cov, n, key, k) for k, (n, key) in enumerate(clouds))
     else:
-        points, shadow = (begun_from(Points(*points_of(density, n, key)), n, key) for n, key in clouds)
+        points, shadow = (points_of_sample(Points(*points_of(density, n, key)), n, key) for n, key in clouds)
     return CloudState(points, shadow, count, inherited=density.error)
 
 
-def fewer(count: int) -> int:
+def shadow_size(count: int) -> int:
     """Points of a shadow."""
     return max(count // SHADOW, 32)
 
 
-def apart(points: Points, shadow: Points, domain: Domain | None, sums: Any) -> tuple[float, float]:
+def squared_differences(
+    points: Points, shadow: Points, domain: Domain | None, sums: Any
+) -> tuple[float, float]:
     """Squared errors that two clouds show of a mean, on average over the states, and of a covariance.
 
     In standard deviations of the first; the sums are mean (n,) and covariance (n, n) of each.
@@ -156,7 +160,7 @@ def apart(points: Points, shadow: Points, domain: Domain | None, sums: Any) -> t
     return apart_by(first, second, len(mean)), second
 
 
-def near_mean(points: Points, domain: Domain | None) -> Points:
+def unrolled_about_mean(points: Points, domain: Domain | None) -> Points:
     """Points unrolled about their mean direction, where an axis is periodic, if their path begins here."""
     if domain is None or points.path is not None or not domain.periodic.any():
         return points
@@ -213,9 +217,9 @@ def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
     return steps
 
 
-def kept(points: Points, domain: Domain | None) -> tuple[Points, float]:
+def without_runaways(points: Points, domain: Domain | None) -> tuple[Points, float]:
     """The points without weight where they ran away or left a bounded axis; and what that was."""
-    alive, every = together(points.x, AWAY)
+    alive, every = near_others(points.x, AWAY)
     if every and domain is None:
         return points, 0.0
     if domain is not None:

@@ -20,7 +20,7 @@ from ..model.compile import surfacing
 from ..model.sde import SDE
 from .family import OF_RESIDUAL, flow_of, longest_step
 
-__all__ = ["LEVELS", "bent", "carried", "degree_of_parts"]
+__all__ = ["LEVELS", "bent", "carried_families", "degree_of_parts"]
 
 _HIGHEST = 5  # degree of parts: higher ones stall more often than they follow better
 LEVELS = 2  # of splits
@@ -30,7 +30,7 @@ _HEAVY = 0.1  # share of a part, below which it may be off by more
 _LIGHT = 0.03  # of the error that may be added, over the share of a part that is not worth another split
 
 
-def carried(
+def carried_families(
     density: ParticleDensity, model: SDE, t1: float, allowed: float, most: float, levels: int = LEVELS
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry several families to time t1, or one that does not follow, by its parts.

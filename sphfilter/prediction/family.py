@@ -26,7 +26,7 @@ from .time_slices import drift_slices, noise_samples
 __all__ = [
     "HIGHEST",
     "OF_RESIDUAL",
-    "carried",
+    "carried_family",
     "degree_of",
     "fits_density",
     "flow_of",
@@ -88,10 +88,10 @@ def propagate(
     if reason:
         raise PropagationError(f"one family does not carry this density: {reason}; use another scheme")
     settled = replace(scheme, degree=degree_of(scheme, density.dim))
-    return carried(density, model, t1, settled, n_particles)
+    return carried_family(density, model, t1, settled, n_particles)
 
 
-def carried(
+def carried_family(
     density: ParticleDensity,
     model: SDE,
     t1: float,

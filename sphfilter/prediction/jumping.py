@@ -23,7 +23,16 @@ from ..errors import PropagationError
 from ..info import PredictInfo
 from ..model.compile import surfacing
 from ..model.jump_markov import JumpMarkovModel
-from .cloud import Carried, apart, as_points, carried, fewer, info_of, kept, near_mean
+from .cloud import (
+    Carried,
+    as_points,
+    carried_cloud,
+    info_of,
+    shadow_size,
+    squared_differences,
+    unrolled_about_mean,
+    without_runaways,
+)
 
 __all__ = ["UNLIKELY", "Way", "carried_with_jumps", "suits"]
 
@@ -157,7 +166,9 @@ class _Sources:
     def _alone(self, i: int, j: int) -> Carried:
         """The cloud of mode i carried by the model of mode j."""
         scheme = CloudScheme(n_points=self._count)
-        return carried(self._states[i], self._models[j], self._way.span, scheme, self._target, self._domain)
+        return carried_cloud(
+            self._states[i], self._models[j], self._way.span, scheme, self._target, self._domain
+        )
 
     def carried(self, j: int) -> Carried | None:
         """What stays in mode j; of one that has no state, what its model makes of another's; or None."""
@@ -176,11 +187,11 @@ class _Sources:
             if share < 1.0:
                 came, before = self._came(forward, j, share, k, key)
                 x, w = np.concatenate([points.x, came.x]), [share * points.w, (1.0 - share) * came.w]
-                points = near_mean(Points(x, np.concatenate(w)), self._domain)
+                points = unrolled_about_mean(Points(x, np.concatenate(w)), self._domain)
                 inherited += (1.0 - share) * before**2 if k == 0 else 0.0
             clouds.append(points)
             sums.append(moments(points.x, points.w))
-        off = apart(clouds[0], clouds[1], self._domain, sums)
+        off = squared_differences(clouds[0], clouds[1], self._domain, sums)
         inherited = math.sqrt(inherited)
         error = math.hypot(state.told.after(*off).errors.mean, state.pace.bias, inherited)
         state = state._replace(points=clouds[0], shadow=clouds[1], inherited=inherited)
@@ -188,14 +199,14 @@ class _Sources:
 
     def _came(self, forward: list[Floats], j: int, share: float, k: int, key: int) -> tuple[Points, float]:
         """Points that came into mode j, of the clouds (k = 0) or their shadows; the error they had before."""
-        many = self._count if k == 0 else fewer(self._count)
+        many = self._count if k == 0 else shadow_size(self._count)
         many = math.ceil(many * max(_FEWEST, 1.0 - share))
         path = self._way.modes_before(forward, j, share + (1.0 - share) * (np.arange(many) + 0.5) / many)
         x, square = np.empty((many, len(self._models[j].states))), 0.0
         for i in np.unique(path[:, 0]).tolist():
             own = np.flatnonzero(path[:, 0] == i)
             x[own] = _evenly(
-                near_mean((self._states[i].points, self._states[i].shadow)[k], self._domain),
+                unrolled_about_mean((self._states[i].points, self._states[i].shadow)[k], self._domain),
                 len(own),
                 stored_key(key, i),
             )
@@ -204,7 +215,7 @@ class _Sources:
             for i in np.unique(path[:, gap]).tolist():
                 own = path[:, gap] == i
                 x[own] = self._moved(i, x[own], span, stored_key(key, len(forward[0]) * (gap + 1) + i))
-        return kept(Points(x, np.full(many, 1.0 / many)), self._domain)[0], math.sqrt(square)
+        return without_runaways(Points(x, np.full(many, 1.0 / many)), self._domain)[0], math.sqrt(square)
 
     def _moved(self, i: int, x: Floats, span: tuple[float, float], key: int) -> Floats:
         """Points (K, n) moved by the model of mode i, each along noise of its own."""

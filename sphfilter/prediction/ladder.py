@@ -187,7 +187,7 @@ def _by_family(
 
     def carried(degree: int, most: float) -> tuple[tuple[ParticleDensity, PredictInfo], float]:
         scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE * target)
-        moved, info = family.carried(density, model, t1, scheme, density.capacity or 0, most)
+        moved, info = family.carried_family(density, model, t1, scheme, density.capacity or 0, most)
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
 
     best = best_family(density, target, needs, first_degree(density.dim, needs), carried)
@@ -210,7 +210,7 @@ def _by_families(
     most = _NODES * needs.cloud(target)
     try:
         allowed = error_budget(density.error, target)
-        moved, info = families.carried(density, model, t1, allowed, most, levels)
+        moved, info = families.carried_families(density, model, t1, allowed, most, levels)
     except (PropagationError, np.linalg.LinAlgError):
         return None
     if not info.error <= tolerated_excess(density.dim) * target:
@@ -225,7 +225,7 @@ def _by_pieces(
     """Carry Gaussians each by itself; one family takes their place where it holds what they become."""
     allowed = error_budget(density.error, target)
     try:
-        moved, info = pieces.carried(density, model, t1, allowed)
+        moved, info = pieces.carried_pieces(density, model, t1, allowed)
     except PropagationError:
         return None
     if moved.pieces is not None:

@@ -42,7 +42,13 @@ from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
 from ..lattice.check import beside, deep_enough, left_out
-from ..lattice.level_set import Laid, enough_particles, fewest_particles, gaussian_volume, lattice_reach
+from ..lattice.level_set import (
+    LatticeDensity,
+    enough_particles,
+    fewest_particles,
+    gaussian_volume,
+    lattice_reach,
+)
 from ..model.compile import surfacing
 from ..model.derived import scales
 from ..model.sde import SDE
@@ -179,7 +185,7 @@ def propagate(
         about = {"lost": 100 * state[LOST_MASS], "nodes": n_particles, "steps": scheme.max_steps}
         about |= {"dim": model.dim, "enough": enough_particles(model.dim)}
         raise _given_up(kind(reason.format(**about)), (start, times[0], t1), counters)
-    laid = Laid(x, mass, field, 0.0, float(state[VOLUME]), mean, cov, model.domain.walls)
+    laid = LatticeDensity(x, mass, field, 0.0, float(state[VOLUME]), mean, cov, model.domain.walls)
     gaussian = density.gaussian and model.linear
     error, lost = _carried(density, _kept(noise.G, t1 - start, cov), state)
     known = {"residual": 0.0 if gaussian else float(state[RESIDUAL]), "error": error, "lost": lost}

@@ -16,14 +16,14 @@ from ..model.discretization import linear_transition
 from ..model.sde import SDE
 from . import family
 
-__all__ = ["carried", "carried_exactly"]
+__all__ = ["carried_exactly", "carried_pieces"]
 
 _CHANGE, _OF_CHANGE = 5.0, 0.2  # of log p by mergers: times the aim, and part of it that is an error
 _LIGHT = 0.1  # share of a piece, below which it may be off by more
 _TOLERANCE = 0.1  # of a step, over what a prediction may add
 
 
-def carried(
+def carried_pieces(
     density: ParticleDensity, model: SDE, t1: float, allowed: float
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry pieces to time t1, and merge those that noise has made alike.
@@ -75,7 +75,7 @@ def _one_by_one(
         own = family_density(density, gaussian_family(mean, cov, 2), error=0.0, gaussian=True)
         scheme = FamilyScheme(degree=2, tolerance=_TOLERANCE * allowed)
         most = allowed * max(1.0, _LIGHT / share)
-        new, info = family.carried(own, model, t1, scheme, 0, most)
+        new, info = family.carried_family(own, model, t1, scheme, 0, most)
         moved.append(new.moments)
         infos.append(info)
         off += share * info.error

@@ -6,9 +6,9 @@ from scipy.stats import norm
 
 import sphfilter as sf
 from sphfilter.core.cloud.guide import look_ahead
-from sphfilter.core.cloud.weights import carried
+from sphfilter.core.cloud.weights import carriers
 from sphfilter.density.carriers import Carried
-from sphfilter.density.passage import Steps, begun, passed
+from sphfilter.density.passage import Steps, moved_points, points_of_gaussian
 from sphfilter.density.points import moments
 from sphfilter.filter.guided import weighed
 from sphfilter.filter.reading_at_prior import ReadingAtPrior
@@ -28,9 +28,9 @@ def asked(sensor, z, t):
 
 def run(model, sensor, start, readings, dt, key=0):
     """The last posterior, after readings dt seconds apart."""
-    points, t = begun(*start, N, key), 0.0
+    points, t = points_of_gaussian(*start, N, key), 0.0
     for i, z in enumerate(readings):
-        points = passed(points, model, t, t + dt, Steps(10), N, 100 * key + i)
+        points = moved_points(points, model, t, t + dt, Steps(10), N, 100 * key + i)
         t += dt
         found = weighed(points, Stacked.of((asked(sensor, z, t),), None), 100 * key + i + 50)
         points = found.points
@@ -130,7 +130,9 @@ def test_a_likelihood_beside_a_sensor_that_guides(order):
     """Of two wells that a square leaves, an edge leaves one: what guides is the square and the edge."""
     square = sf.GaussianMeasurement.from_expressions(["x", "v"], ["x**2"], [[0.005]])
     edge = sf.LikelihoodMeasurement(lambda z, X, t: np.where(X[:, 0] > z[0], 0.0, -np.inf), dim_z=1)
-    points = passed(begun(np.zeros(2), np.diag([2.0, 2.0]), N, 0), SWING, 0.0, 0.6, Steps(10), N, 1)
+    points = moved_points(
+        points_of_gaussian(np.zeros(2), np.diag([2.0, 2.0]), N, 0), SWING, 0.0, 0.6, Steps(10), N, 1
+    )
     readings = [asked(square, [0.1], 0.6), asked(edge, [0.0], 0.6)][::order]
     for k, reading in enumerate(readings):
         found = weighed(points, Stacked.of((reading,), None), 50 + k)
@@ -147,7 +149,9 @@ def test_a_likelihood_beside_a_sensor_that_guides(order):
 def test_sensors_of_which_one_is_a_likelihood_are_guided_as_their_parts():
     square = sf.GaussianMeasurement.from_expressions(["x", "v"], ["x**2"], [[0.005]])
     weak = sf.LikelihoodMeasurement(lambda z, X, t: -((X[:, 1] - z[0]) ** 2) / 20.0, dim_z=1)
-    points = passed(begun(np.zeros(2), np.diag([2.0, 2.0]), N, 0), SWING, 0.0, 0.6, Steps(10), N, 1)
+    points = moved_points(
+        points_of_gaussian(np.zeros(2), np.diag([2.0, 2.0]), N, 0), SWING, 0.0, 0.6, Steps(10), N, 1
+    )
     both = asked(sf.Sensors({"square": square, "weak": weak}), np.array([0.1, 0.3]), 0.6)
     one = weighed(points, Stacked.of((both,), None), 50)
     other = weighed(points, Stacked.of((asked(square, [0.1], 0.6), asked(weak, [0.3], 0.6)), None), 50)
@@ -197,7 +201,7 @@ def test_a_sharp_likelihood_after_noise_that_depends_on_the_state():
 
 def test_nothing_can_have_been_read():
     sensor = sf.LikelihoodMeasurement(lambda z, X, t: np.full(len(X), -np.inf))
-    points = passed(begun(*START, 128, 0), DUFFING, 0.0, 1.0, Steps(4), 128, 0)
+    points = moved_points(points_of_gaussian(*START, 128, 0), DUFFING, 0.0, 1.0, Steps(4), 128, 0)
     found = weighed(points, Stacked.of((asked(sensor, [0.0], 1.0),), None), 1)
     assert found.log_evidence == -np.inf
     assert found.effective == found.families == 0.0
@@ -206,7 +210,7 @@ def test_nothing_can_have_been_read():
 
 
 def test_points_that_are_no_numbers_weigh_nothing():
-    points = passed(begun(*START, 128, 0), DUFFING, 0.0, 1.0, Steps(4), 128, 0)
+    points = moved_points(points_of_gaussian(*START, 128, 0), DUFFING, 0.0, 1.0, Steps(4), 128, 0)
     x = points.x.copy()
     x[::7] = np.nan, np.inf
     sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
@@ -240,14 +244,14 @@ def test_a_key_gives_the_same_bits(sharp):
 def test_copies_carry_no_more_than_what_they_are_copies_of():
     x = np.random.default_rng(0).standard_normal((400, 2))
     log_w = np.log(np.full(400, 1.0 / 400.0))
-    mean, evidence = carried(x, log_w, np.arange(400))[-2:]
+    mean, evidence = carriers(x, log_w, np.arange(400))[-2:]
     assert evidence == pytest.approx(400.0)
     assert mean == pytest.approx(400.0, rel=0.02)
     copied = np.repeat(x[:20], 20, axis=0)
-    mean, evidence = carried(copied, log_w, np.repeat(np.arange(20), 20))[-2:]
+    mean, evidence = carriers(copied, log_w, np.repeat(np.arange(20), 20))[-2:]
     assert evidence == pytest.approx(20.0)
     assert mean == pytest.approx(20.0, rel=0.1)
-    mean, evidence = carried(x, log_w, np.zeros(400, np.int64))[-2:]
+    mean, evidence = carriers(x, log_w, np.zeros(400, np.int64))[-2:]
     assert (mean, evidence) == (pytest.approx(1.0), pytest.approx(1.0))
 
 

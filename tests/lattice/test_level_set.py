@@ -10,7 +10,7 @@ import sphfilter as sf
 from sphfilter import consistency
 from sphfilter.density.distributions import gaussian_log_pdf
 from sphfilter.errors import PropagationError
-from sphfilter.lattice.field import at
+from sphfilter.lattice.field import log_p_at
 from sphfilter.lattice.level_set import fewest_particles, gaussian_volume, lay
 
 COV = {
@@ -82,7 +82,7 @@ def test_pieces_without_a_bridge():
     assert np.allclose(laid.mean, mean, atol=1e-3)
     assert np.allclose(laid.cov, cov, atol=5e-3)
     X = laid.x[::7] + 0.1
-    assert np.allclose(at(laid.field, X), bimodal(X), atol=0.05)
+    assert np.allclose(log_p_at(laid.field, X), bimodal(X), atol=0.05)
 
 
 def test_what_the_lattice_spares():

@@ -12,7 +12,7 @@ from sphfilter.density.families_posterior import families_posterior, split
 from sphfilter.density.family import gaussian_family
 from sphfilter.density.gathering import merged_families
 from sphfilter.density.storage import from_bytes, to_bytes
-from sphfilter.prediction.families import carried
+from sphfilter.prediction.families import carried_families
 
 COV = np.array([[0.5, 0.1, 0.05], [0.1, 0.4, 0.1], [0.05, 0.1, 0.3]])
 START = sf.initialize(sf.Gaussian(np.array([0.0, 0.0, 0.5]), COV), "auto")
@@ -87,7 +87,7 @@ def test_a_flow_that_bends_is_followed():
     """Means and variances of x and y in closed form: the heading is a Gaussian at all times."""
     density = family_density(START, ONE, gaussian=False)
     t1, m, P, q = 2.0, 0.5, COV[2, 2], 0.1
-    moved, info = carried(density, TURNS, t1, 0.02, 1e7)
+    moved, info = carried_families(density, TURNS, t1, 0.02, 1e7)
     damp = quad(lambda s: np.exp(-0.5 * (P + q * s)), 0.0, t1)[0]
     mean, std = moved.mean(), np.sqrt(np.diag(moved.cov()))
     exact = np.array([np.cos(m) * damp, np.sin(m) * damp, m])
@@ -98,11 +98,11 @@ def test_a_flow_that_bends_is_followed():
     assert moved.cov()[2, 2] == pytest.approx(P + q * t1, rel=0.02)
     assert info.rung == "pieces" and info.error < 0.06 and info.n_steps > 0
     with pytest.raises(sf.PropagationError, match="more families"):
-        carried(density, TURNS, t1, 0.02, 1e4)
+        carried_families(density, TURNS, t1, 0.02, 1e4)
 
 
 def test_questions_and_files():
-    moved, _ = carried(family_density(START, ONE, gaussian=False), TURNS, 2.0, 0.02, 1e7)
+    moved, _ = carried_families(family_density(START, ONE, gaussian=False), TURNS, 2.0, 0.02, 1e7)
     X = some_states(50)
     each = [np.exp(w) * np.exp(moved.families.one(k).log_p(X)) for k, w in enumerate(moved.families.log_w)]
     np.testing.assert_allclose(moved.pdf(X), np.sum(each, axis=0), rtol=1e-10)

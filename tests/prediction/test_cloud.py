@@ -9,7 +9,7 @@ from scipy import integrate, stats
 import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
-from sphfilter.density.passage import Steps, begun, chosen_steps, passed
+from sphfilter.density.passage import Steps, chosen_steps, moved_points, points_of_gaussian
 from sphfilter.density.points import moments
 from sphfilter.density.storage import from_bytes, to_bytes
 
@@ -109,7 +109,7 @@ def test_stiff_drifts_from_a_wide_start_come_in(drift, power, variance):
 
 @pytest.mark.parametrize("allowed", [1e-3, 1e-4])
 def test_a_mild_drift_is_not_taken_for_stiff_by_chance(allowed):
-    points = begun(np.array([1.0, 0.0]), np.diag([0.4, 1.0]), 512, 1)
+    points = points_of_gaussian(np.array([1.0, 0.0]), np.diag([0.4, 1.0]), 512, 1)
     for t in np.arange(40.0):  # by the time go the keys, and so what few points show
         steps, bias, _ = chosen_steps(points, WELLS, (t, t + 2.0), Steps(4), (1, 20_000), allowed)
         assert bias <= allowed and not steps.stiff
@@ -283,10 +283,10 @@ def test_steps_that_throw_points_out_are_seen_to_be_too_long():
     turn = "1 + 0.4*(x**2 + y**2)"
     drift = [f"-y*({turn})", f"x*({turn}) - 0.3*y"]
     model = sf.SDE.from_expressions(["x", "y"], drift, [["1", "0"], ["0", "1"]], np.diag([0.02, 0.05]))
-    points = begun([1.5, 0.0], np.diag([1.0, 0.01]), 2048, 7)
+    points = points_of_gaussian([1.5, 0.0], np.diag([1.0, 0.01]), 2048, 7)
     steps, bias, _ = chosen_steps(points, model, (0.0, 0.8), Steps(1), (1, 10_000), 0.005)
     assert 4 <= steps.number <= 200 and bias <= 0.005
-    coarse, fine = (passed(points, model, 0.0, 0.8, Steps(k), 2048, 7) for k in (steps.number, 400))
+    coarse, fine = (moved_points(points, model, 0.0, 0.8, Steps(k), 2048, 7) for k in (steps.number, 400))
     (mean, cov), (true, P) = (moments(ends.x, ends.w) for ends in (coarse, fine))
     np.testing.assert_allclose(mean, true, atol=0.03)
     np.testing.assert_allclose(cov, P, atol=0.03)

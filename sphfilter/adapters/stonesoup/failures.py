@@ -15,7 +15,7 @@ from ...info import Code
 from ...model.measurements import Sensor, is_gaussian
 from ...model.sde import SDE
 
-__all__ = ["ON_FAILURE", "OnFailure", "laid", "linearised", "merged", "multiplied", "said"]
+__all__ = ["ON_FAILURE", "OnFailure", "gaussian_on_particles", "linearised", "merged", "multiplied", "said"]
 
 OnFailure: TypeAlias = Literal["gaussian", "drop", "raise"]
 ON_FAILURE = "gaussian", "drop", "raise"
@@ -92,7 +92,7 @@ def merged(parts: Sequence[tuple[float, Gaussian]]) -> Gaussian:
     return _gaussian(mean, cov + (d * w[:, None]).T @ d)
 
 
-def laid(
+def gaussian_on_particles(
     gaussian: Gaussian, density: ParticleDensity, t: float, n_particles: int, config: FilterConfig
 ) -> ParticleDensity:
     """A Gaussian on particles, at time t, where a density lived."""

@@ -24,7 +24,7 @@ from ...prediction.predict import Prediction as Origin
 from ...prediction.predict import predict
 from ...validate import choice, count
 from .association import Association, predicted_apart
-from .failures import ON_FAILURE, OnFailure, laid, linearised, said
+from .failures import ON_FAILURE, OnFailure, gaussian_on_particles, linearised, said
 from .recent import Recent
 from .states import DensityState, SPHState, SPHStatePrediction, Step, current, origin_of, retimed, started
 from .transition import SDETransitionModel, transition_of
@@ -201,7 +201,7 @@ class SPHPredictor(DensityPredictor[SPHStatePrediction]):
         moved, what = replace(before, t=t), "left out, the density is that before"
         if self.on_failure == "gaussian":
             with suppress(ModelError, PropagationError):
-                moved = laid(linearised(before, sde, dt), before, t, n_particles, config)
+                moved = gaussian_on_particles(linearised(before, sde, dt), before, t, n_particles, config)
                 what = "a Gaussian stands for the density"
         info = PredictInfo(scheme="", **said(problem, what))
         return Step(_bounded(moved, n_particles), info, Origin(model=sde, t=t))

@@ -22,7 +22,7 @@ from ...prediction.again import Outcome
 from ...validate import choice, count
 from .association import Alone, Association, Part, alone, check_sharpness, resolved
 from .density_updater import DensityUpdater
-from .failures import ON_FAILURE, OnFailure, laid, merged, multiplied
+from .failures import ON_FAILURE, OnFailure, gaussian_on_particles, merged, multiplied
 from .states import SPHState, SPHStateUpdate, Step, origin_of, started
 
 __all__ = ["SPHUpdater"]
@@ -113,7 +113,7 @@ class SPHUpdater(DensityUpdater[SPHStateUpdate]):
         each = [(missed, Gaussian(density.mean(), density.cov()))] if missed > 0.0 else []
         each += [(part.weight, multiplied(density, part.sensor, part.z)) for part in parts]
         bound, config = max_particles_of(density, self.n_particles), checked_filter_config(self.config)
-        return laid(merged(each), density, density.t, bound, config)
+        return gaussian_on_particles(merged(each), density, density.t, bound, config)
 
     def _reading(self, state: SPHState, sensor: GaussianSensor) -> tuple[Floats, Floats, Floats, Floats]:
         return state.density.mean(), *predicted_reading(state.density, sensor)

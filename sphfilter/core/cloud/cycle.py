@@ -31,7 +31,7 @@ from .pace import FIRST_TRIED, chosen, over
 from .reading import EVEN, READER, Part, Reader, foreseen, weigh
 from .steps import CUBE, LEG
 from .way import begin, carry, carry_linear
-from .weights import AWAY, carried, compared, effective, together, weighted_moments
+from .weights import AWAY, carriers, compared, effective, near_others, weighted_moments
 
 __all__ = [
     "FEW",
@@ -63,7 +63,7 @@ _BEGIN = Entry(begin, (MATRIX, VECTOR, _INTS, types.int64, _KEY, _NET, *_TABLE))
 _CARRY = Entry(carry, (LEG, MATRIX, _INTS, _NET, _KEY))
 _LINEAR = Entry(carry_linear, (types.Tuple([MATRIX, VECTOR, MATRIX]), MATRIX, _INTS, _NET, _KEY))
 _WEIGH = Entry(weigh, (READER, *_WAY, types.UniTuple(_NET, 3), _KEY))
-_CARRIED = Entry(carried, (MATRIX, VECTOR, _INTS))
+_CARRIED = Entry(carriers, (MATRIX, VECTOR, _INTS))
 _SPAN, _STEPS = types.UniTuple(types.float64, 2), (types.int64, types.boolean, types.int64, types.int64)
 _CHOSEN = Entry(chosen, (LEG, ADDRESS, _SPAN, MATRIX, VECTOR, _KEY, *_TABLE, *_STEPS, types.float64))
 #: What a record is put through, each compiled by itself.
@@ -264,7 +264,7 @@ def _cycled(about, cloud, nets, keys, curve):
     moved = Part(middle, end, flow, lower, rows)
     way = reader, leg, linear, key, start, y, w, block, kernel, moved, u, v, nets, keys[1]
     z, log_w, family, wrong = y, np.full(count, -np.inf), np.empty(0, np.int64), 1
-    if together(y, AWAY)[1]:  # else what reads may be asked where no state is
+    if near_others(y, AWAY)[1]:  # else what reads may be asked where no state is
         z, log_w, family, wrong = _weigh_at(parts[3])(*way)
     found = _carried_at(parts[4])(z, log_w, family)
     mean, cov = np.empty(n), np.empty((n, n))

@@ -12,17 +12,17 @@ from .noise import LANES
 
 __all__ = [
     "AWAY",
-    "carried",
+    "carriers",
     "compared",
     "effective",
     "extent",
     "finite_rows",
     "floored",
     "for_moments",
+    "near_others",
     "normalise",
     "prior_times",
     "systematic",
-    "together",
     "weighted_moments",
 ]
 
@@ -127,7 +127,7 @@ def finite_rows(x):
 
 
 @jit
-def together(x, away):
+def near_others(x, away):
     """Which rows of x (N, n) lie no farther off than `away` times the extent of all; and whether all do.
 
     The extent is that between an eighth and seven of the values of a few dozen rows.
@@ -162,7 +162,7 @@ def prior_times(w, log_l):
 
 
 @jit
-def carried(x, log_w, family):
+def carriers(x, log_w, family):
     """Points that weigh something, and of how many independent ones they are an average.
 
     Families are independent of each other, so that the variance of the mean is the sum of the squares of what

@@ -7,7 +7,7 @@ import numpy as np
 from .._types import Floats
 from ..errors import ModelError
 
-__all__ = ["found"]
+__all__ = ["read_only"]
 
 _READ = "what a density filter has found is read-only; make a new filter with x0 and P0"
 
@@ -41,7 +41,7 @@ def _plain(array: Any) -> Any:
     return array.view(np.ndarray) if isinstance(array, _Found) else array
 
 
-def found(array: Floats) -> Floats:
+def read_only(array: Floats) -> Floats:
     """A new array of the same numbers, to be read."""
     array = np.array(array).view(_Found)
     array.flags.writeable = False
