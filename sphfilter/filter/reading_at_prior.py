@@ -181,7 +181,7 @@ def reading_of(
 def info_fields(
     asked: ReadingAtPrior, scheme: str, log_evidence: float, error: float, evidence_error: float
 ) -> dict[str, Any]:
-    """Fields of the info of an update by families or Gaussians; a flag where its error leaves the mean in doubt."""
+    """Fields of the info of an update by families or Gaussians, with a flag where the mean is in doubt."""
     code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
     return {
         "accepted": True,

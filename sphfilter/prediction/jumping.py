@@ -13,6 +13,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..config import CloudScheme
+from ..core.cloud.control import SHADOW
 from ..core.cloud.move import affine, move
 from ..core.cloud.noise import LANES
 from ..density.as_cloud import cloud_of
@@ -38,7 +39,6 @@ __all__ = ["UNLIKELY", "Way", "carried_with_jumps", "suits"]
 
 UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
 _KEY = 40  # of the key of a time: the jumps of a cloud, and of its shadow the next
-_FEWEST = 0.125  # of the points that stay in a mode: those that come into it, however unlikely they are
 #: Of a line, by which points in any run follow each other evenly: one over the golden ratio.
 _SECTION = 0.5 * (math.sqrt(5.0) - 1.0)
 
@@ -200,7 +200,7 @@ class _Sources:
     def _came(self, forward: list[Floats], j: int, share: float, k: int, key: int) -> tuple[Points, float]:
         """Points that came into mode j, of the clouds (k = 0) or their shadows; the error they had before."""
         many = self._count if k == 0 else shadow_size(self._count)
-        many = math.ceil(many * max(_FEWEST, 1.0 - share))
+        many = math.ceil(many * max(1.0 / SHADOW, 1.0 - share))
         path = self._way.modes_before(forward, j, share + (1.0 - share) * (np.arange(many) + 0.5) / many)
         x, square = np.empty((many, len(self._models[j].states))), 0.0
         for i in np.unique(path[:, 0]).tolist():

@@ -21,6 +21,9 @@ _PILOTS, _GROUPS, _OF_ALL = 64, 4, 1.0 / 24.0
 #: scenes: 1.2 to 1.6).
 _BEYOND = 1.5
 _CHANCE = 0.25  # of the square by chance, the least that counts: χ² of four is below 1 in nine of a hundred
+#: Standard deviations: rms distance of paths that have parted (√2 where nothing hangs together), and
+#: parts of an interval, of which the first is looked at then.
+_ASTRAY, _PARTS = 0.5, 64
 ORDER = 3.0  # of the steps' bias
 _HELPED = 0.7  # of a bias that shorter steps leave, if it comes from them
 _MOST_OF = 0.8  # of pilots, that the model must not carry to infinity
@@ -47,7 +50,9 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     """How many steps points need for a bias that is allowed: tried with more and more of them.
 
     Their bias is how far apart the means of a few points are after steps and after half as long ones, along
-    the same noise: so much steps of that length are off, or a little more.
+    the same noise: so much steps of that length are off, or a little more. Over long intervals paths of both
+    part whatever their steps, and means are apart by chance: those that have parted forget their bias, and it
+    is looked at over the first part of the interval, in which they do not.
 
     Parameters
     ----------
@@ -78,7 +83,25 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     lost : float
         Part of the points that the model carries to infinity.
     """
-    every, x, before, tried = x, few(x, w, _PILOTS, table, bits), np.inf, False
+    parts, about = 1, (x, w, key, table, bits)
+    number = max(least, number)
+    steps, own_flow, bias, lost, astray = tried(
+        leg, stiff_flow, span, *about, number, stiff, least, most, allowed
+    )
+    while astray and parts < _PARTS:
+        parts *= 4
+        part, first = (span[0], span[0] + (span[1] - span[0]) / parts), max(number // parts, 1)
+        bounds = max(least // parts, 1), most // parts
+        steps, own_flow, bias, lost, astray = tried(
+            leg, stiff_flow, part, *about, first, stiff, *bounds, allowed
+        )
+    return parts * steps, own_flow, bias, lost
+
+
+@jit
+def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, most, allowed):
+    """What `chosen` says, over one span; and whether no steps do because paths part."""
+    every, x, before, again, astray = x, few(x, w, _PILOTS, table, bits), np.inf, False, False
     best = number
     number, own = max(least, number), mixed(np.uint64(key), np.uint64(PILOT))
     while number <= most:
@@ -91,19 +114,20 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
         if too_much > 1.0 and apart < chance and 4 * len(x) < _OF_ALL * len(every):
             x = few(every, w, 4 * len(x), table, bits)
             continue
+        astray = too_much > 1.0 and chance * math.sqrt(len(x) / _GROUPS) > _ASTRAY
         if not too_much > 1.0 or (stiff and (2 * number > most or not bias < _HELPED * before)):
-            return number, stiff, bias, 1.0 - finite_rows(fine)[0].mean()
+            return number, stiff, bias, 1.0 - finite_rows(fine)[0].mean(), astray
         helped = bias < before
-        if not stiff and tried and not helped and number >= 2 * best:  # not even twice the steps help
-            number, stiff, before, tried = max(least, FIRST_TRIED), True, np.inf, False
+        if not stiff and again and not helped and number >= 2 * best:  # not even twice the steps help
+            number, stiff, before, again = max(least, FIRST_TRIED), True, np.inf, False
             continue
         more = math.ceil(number * min(max(too_much ** (1.0 / ORDER), 1.2), 4.0))
-        if tried and not helped:  # by chance, perhaps
+        if again and not helped:  # by chance, perhaps
             more = max(2 * best, number + 1)
         else:
             before, best = bias, number
-        number, tried = more, True
-    return number, stiff, np.inf, 0.0
+        number, again = more, True
+    return number, stiff, np.inf, 0.0, astray
 
 
 @jit
