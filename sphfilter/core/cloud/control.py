@@ -40,7 +40,7 @@ _UNEVEN = 0.5
 #: and modes keep it for many readings. With a half nine scenes took 1.17 times the time for the same error.
 _PART = 1.0 / 4.0
 _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
-#: Of the bias that is allowed, that steps become longer for (measured: with a tenth 1 to 1.9 times the steps).
+#: Of the bias that is allowed, that steps get longer for (measured: with a tenth 1 to 1.9 times the steps).
 _AIMED = 0.5
 #: Points of a cloud, least and most: powers of two, for which nets are evenest.
 _FEWEST_POINTS, MOST_POINTS = 256, 2**17
