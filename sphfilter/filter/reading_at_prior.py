@@ -22,6 +22,7 @@ from .solutions import solutions
 __all__ = [
     "OUTLYING",
     "ReadingAtPrior",
+    "amplified_in_tail",
     "error_left_by_update",
     "info_fields",
     "predicted_reading",
@@ -203,7 +204,8 @@ def error_left_by_update(prior: ParticleDensity, posterior: ParticleDensity) -> 
     left = shift_left_by_update(prior.cov(), posterior.cov(), posterior.gaussian)
     if prior.family is None or prior.gaussian:
         return left
-    out, n = max(left, _error_amplified_in_tail(prior, posterior)), prior.dim  # along one direction of n
+    out = max(left, amplified_in_tail(prior, posterior, prior.family.degree + 1))
+    n = prior.dim  # and it is along one direction
     return math.sqrt(((n - 1) * left**2 + out**2) / n)
 
 
@@ -213,23 +215,20 @@ def shift_left_by_update(prior: Floats, posterior: Floats, gaussian: bool = Fals
     return math.sqrt(min(max(ratio, 0.0 if gaussian else _LEFT), 1.0))
 
 
-def _error_amplified_in_tail(prior: ParticleDensity, posterior: ParticleDensity) -> float:
-    """Part of an error that a reading makes of what the prior's family does not hold, along the mean's way.
+def amplified_in_tail(prior: ParticleDensity, posterior: ParticleDensity, degree: int) -> float:
+    """Part of an error of the mean that a reading makes of what is wrong with a prior's shape, along its way.
 
-    That is taken for the next polynomials: where a reading leads far out, they are steep, and what was wrong
-    with a tail is wrong with the mean.
+    That is taken for Hermite's polynomials of a degree and the next: where a reading leads far out, they are
+    steep, and what was wrong with a tail is wrong with the mean.
     """
-    assert prior.family is not None
-    degree = prior.family.degree
     (mean, cov), (own_mean, own_cov) = moments_on_line(prior), moments_on_line(posterior)
     way = np.linalg.solve(np.linalg.cholesky(cov), (posterior.x - mean).T)
     shift = posterior.mass @ way.T
     along = (shift / max(float(np.linalg.norm(shift)), 1e-300)) @ way
     y = np.linalg.solve(np.linalg.cholesky(own_cov), (posterior.x - own_mean).T)
-    below, last = np.ones_like(along), along  # Hermite polynomials of degrees zero and one, and then higher
-    for k in range(1, degree + 2):
+    below, last = np.ones_like(along), along  # of degrees zero and one
+    for k in range(1, degree + 1):
         below, last = last, last * along - below * k
-    size = [math.sqrt(math.factorial(k)) for k in (degree + 1, degree + 2)]
-    following = np.array([below, last]).T / size
-    out = (y * posterior.mass) @ following
+    size = [math.sqrt(math.factorial(k)) for k in (degree, degree + 1)]
+    out = (y * posterior.mass) @ (np.array([below, last]).T / size)
     return math.sqrt(float((out * out).sum(axis=0).max()))

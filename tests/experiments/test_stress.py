@@ -153,6 +153,7 @@ def test_pool_survives_hangs_and_deaths():
     assert not got[3].timeout and "died" in got[3].sentence
 
 
+@pytest.mark.slow  # the random harness has its own, by default
 def test_command_writes_its_files_and_resumes(tmp_path, capsys):
     command = ["stress", "--only", "repeated_times/linear/1", "--methods", "pf1e4", "--out", str(tmp_path)]
     assert main(command) == 0

@@ -136,11 +136,11 @@ def test_finer_predictions_need_time(clock):
 def test_the_target_error_waits_for_time(clock):
     late = made(BUDGET, n_particles="auto", target_error=1e-4)
     late.prepare(2.0)
-    told = steps(late, 6)
+    told = steps(late, 3)
     assert any("no time for it" in note for predicted, _ in told for note in predicted.skipped)
     assert max(predicted.seconds + updated.seconds for predicted, updated in told) <= BUDGET
     ample = made(10.0, n_particles="auto", target_error=1e-4)
-    steps(ample, 6)
+    steps(ample, 3)
     assert ample.n_particles > 3 * late.n_particles
 
 

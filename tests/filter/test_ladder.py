@@ -145,6 +145,24 @@ def test_a_target_that_is_missed_is_said():
     assert scenario.model.dim == 3
 
 
+def test_a_lattice_made_of_a_family_knows_what_that_got_wrong_in_the_tail_that_a_reading_asks_for():
+    scenario, fine = (
+        load_scenario("duffing"),
+        {"n_particles": 1500, "config": sf.FilterConfig(scheme="log_density")},
+    )
+    start = scenario.settings.start
+    for z in (-3.4, -3.2, 5.0, 5.2):
+        found = []
+        for options in ({"config": sf.FilterConfig(target_error=0.0033)}, fine):
+            flt = sf.SPHFilter(scenario.model, scenario.measurement, start.mean, start.cov, **options)
+            found.append((flt, flt.predict(2.0), flt.update([z])))
+        (auto, predicted, updated), (exact, _, _) = found
+        assert (predicted.rung, updated.rung) == ("family", "lattice")
+        assert updated.flagged
+        off = np.sqrt(np.mean((auto.x - exact.x) ** 2 / np.diag(exact.P)))
+        assert off / 3.0 < updated.error < 3.0 * off  # .2 to .7: families end before
+
+
 def test_a_reading_of_two_modes_climbs_and_one_of_none_comes_down():
     well = sf.SDE.from_expressions(["x"], ["-x - 0.3*x**3"], [["1"]], [[0.5]])
     size = sf.GaussianMeasurement.from_expressions(["x"], ["abs(x)"], [[0.01]])

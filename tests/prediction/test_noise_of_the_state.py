@@ -99,6 +99,7 @@ def test_oscillator_that_is_shaken_where_it_is_bent(pieces):
     assert np.abs(p.cov() - cov).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_oscillator_whose_noise_is_no_polynomial():
     """Against a cloud of many points, good to 3e-4 there."""
     model = text(["x", "v"], ["v", "x - x**3 - 0.3*v"], TURNING)
