@@ -285,7 +285,7 @@ class TestFilms:
         assert "--live needs a display" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 
-    @pytest.mark.parametrize("closed", [False, True])
+    @pytest.mark.parametrize("closed", [pytest.param(False, marks=pytest.mark.slow), True])
     def test_the_window_shows_every_density_until_it_is_closed(self, own, tmp_path, monkeypatch, closed):
         """Windows without a screen: what is drawn into them is there to be looked at."""
         shown, waited = [], []

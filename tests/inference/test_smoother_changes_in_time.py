@@ -74,7 +74,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("parts", [1, 2])
+@pytest.mark.parametrize("parts", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_in_one_go_or_in_two(name, parts):
     """Measured: 5.5e-5, the evidence 1.2e-4; with steps over the jumps .1 and .3."""
     make, drift, variance, jumps = CASES[name]

@@ -58,6 +58,7 @@ def small(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow  # CI runs the command itself
 def test_the_house_is_within_its_bounds(capsys):
     passed = house.main(["--limit"])
     told = capsys.readouterr().out
