@@ -95,7 +95,7 @@ def family_density(density: ParticleDensity, family: Family, **changes: Any) -> 
 
 
 def pieces_density(density: ParticleDensity, pieces: Pieces, **changes: Any) -> ParticleDensity:
-    """The same as Gaussians that it is the sum of; one alone is a family, which is known to be Gaussian."""
+    """A density as the sum of Gaussians; one alone is a family, which is known to be Gaussian."""
     if len(pieces.log_w) == 1:
         one = gaussian_family(pieces.mean[0], pieces.cov[0], 2)
         return family_density(density, one, **{"gaussian": True} | changes)
@@ -103,7 +103,7 @@ def pieces_density(density: ParticleDensity, pieces: Pieces, **changes: Any) -> 
 
 
 def families_density(density: ParticleDensity, families: Families, **changes: Any) -> ParticleDensity:
-    """The same as families that it is the sum of; one alone is a family."""
+    """A density as the sum of families; one alone is a family."""
     if len(families.log_w) == 1:
         return family_density(density, families.one(0), **{"gaussian": False} | changes)
     about = _about(density) | {"gaussian": False} | changes

@@ -77,12 +77,12 @@ class Cloud(Kernels):
         return X, np.full(total, 1.0 / total)
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
-        """The same points along some axes, by name."""
+        """Fields of the points along some axes, by name."""
         h = smoothing_length(self.mass, self.summed[1][np.ix_(axes, axes)])
         return {"x": self.x[:, axes], "mass": self.mass, "h": h, "read_out": "cloud"}
 
     def around(self, domain: Domain) -> "Cloud":
-        """The same points with images beyond the ends of a domain; kernels are as wide as each axis asks."""
+        """Points with images beyond the ends of a domain; kernels are as wide as each axis asks."""
         n = self.x.shape[1]
         off = domain.nearest(self.x - domain.mean(self.x, self.mass))
         std = np.sqrt(np.maximum((off**2 * self.mass[:, None]).sum(axis=0), 1e-300))

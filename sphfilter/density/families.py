@@ -31,12 +31,12 @@ class Families(NamedTuple):
     c: Floats  # (K, M)
 
     def some(self, which: Any) -> "Families":
-        """Those of a mask or of numbers."""
+        """The families of a mask or of numbers."""
         return Families(*(np.ascontiguousarray(part[which]) for part in self))
 
     @property
     def degree(self) -> int:
-        """Of the polynomials."""
+        """Degree of the polynomials."""
         return degree_of(self.mu.shape[1], self.c.shape[1])
 
     @property
@@ -60,7 +60,7 @@ class Families(NamedTuple):
         return out
 
     def normalised(self) -> "Families":
-        """The same with shares of sum one, the heaviest first."""
+        """The families with shares of sum one, the heaviest first."""
         found = self.some(np.argsort(-self.log_w, kind="stable"))
         return found._replace(log_w=found.log_w - log_total(found.log_w))
 
@@ -78,7 +78,7 @@ class QuadratureMoments(NamedTuple):
     off: Floats  # (K,) of the moments in their frames
 
     def some(self, which: Any) -> "QuadratureMoments":
-        """Those of a mask or of numbers."""
+        """The moments of a mask or of numbers."""
         return QuadratureMoments(*(part[which] for part in self))
 
     def together(self, log_w: Floats) -> tuple[float, Floats, Floats]:

@@ -150,7 +150,7 @@ def _logs(prior: Families, own: Ints, weight: OfNodes, x: Floats, far: float) ->
 
 
 def _second_opinion(prior: Families, found: _Product, weight: OfNodes) -> tuple[QuadratureMoments, Floats]:
-    """The same at nodes that nothing was fitted to, and the misfits there."""
+    """Moments of a product at nodes that nothing was fitted to, and the misfits there."""
     families = found.families
     rule, far = turned(families.mu.shape[1], families.degree), bound(families.mu.shape[1])
     x = np.empty((len(families.mu), *rule.xi.shape))

@@ -82,7 +82,7 @@ class Family(NamedTuple):
         return not off < ASTRAY
 
     def normalised(self) -> "Family":
-        """The same with an integral of one."""
+        """The family with an integral of one."""
         c = self.c.copy()
         c[0] -= self.weighted()[1]
         return Family(self.mu, self.A, c)
@@ -192,7 +192,7 @@ class Exponential:
 
     @cached_property
     def laid(self) -> Polynomials:
-        """The same density on a lattice."""
+        """The family's density on a lattice."""
         laid = family_on_lattice(
             self.log_p, self.moments, _NODES.get(self.x.shape[1], _MOST_NODES), self.middles
         )

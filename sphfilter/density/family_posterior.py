@@ -93,7 +93,7 @@ def _product(prior: Family, log_weight: OfStates, X: Floats) -> Floats:
 
 
 def _second_opinion(prior: Family, log_weight: OfStates, found: Family) -> _Seen:
-    """The same posterior at nodes that it was not fitted to."""
+    """Density and moments of a posterior at nodes that it was not fitted to."""
     rule = turned(len(found.mu), found.degree)
     log_p = _product(prior, log_weight, found.mu + rule.xi @ found.A.T)
     w, log_evidence = node_weights(rule, found.A, log_p)

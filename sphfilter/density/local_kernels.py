@@ -63,7 +63,7 @@ class LocalKernels:
 
     @cached_property
     def _terms(self) -> tuple[Floats, Floats, Floats]:
-        """Of every kernel what compiled sums take: made once, for questions of one state after the other."""
+        """Terms of every kernel that compiled sums take: made once, for questions of one state after the other."""
         P = np.linalg.inv(self.root)
         size = np.linalg.slogdet(P)[1] - np.linalg.slogdet(np.sqrt(2.0 * np.pi) * self.factor)[1]
         middle = np.einsum("kab,kb->ak", P, self.z)

@@ -28,7 +28,7 @@ class SplittingError(NamedTuple):
 
 
 def no_ripple(n: int) -> SplittingError:
-    """Of a density that is right."""
+    """The splitting error of a density that has none."""
     return SplittingError(np.empty((0, n)), np.empty(0))
 
 
@@ -73,14 +73,14 @@ class ModeDensities:
 
     @classmethod
     def alike(cls, w: Floats, density: ParticleDensity, summed: bool) -> "ModeDensities":
-        """The same density in all modes, which have probabilities w (M,); are those of modes summed?"""
+        """One density for all modes, which have probabilities w (M,); `summed` says whether modes mix."""
         if summed and density.needs is not None:
             density = density.noted(needs=density.needs._replace(smooth=True))
         with np.errstate(divide="ignore"):
             return cls(np.log(w), [density] * len(w))
 
     def split(self, splitting: Floats, ripples: Sequence[SplittingError]) -> "ModeDensities":
-        """The same with other errors that come from jumps."""
+        """Densities of the modes with other errors that come from jumps."""
         return ModeDensities(self.log_w, self.densities, splitting, ripples)
 
     @property

@@ -117,7 +117,7 @@ def sub_key(key: Any, number: int) -> Any:
 
 
 def stored_key(key: Any, number: int) -> int:
-    """The same as a number that signed integers hold."""
+    """A sub-key as a number that signed integers hold."""
     return int(stored(key, number))
 
 

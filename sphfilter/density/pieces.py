@@ -39,7 +39,7 @@ class Pieces(NamedTuple):
     root: Floats  # (K, n, n)
 
     def some(self, which: Any) -> "Pieces":
-        """Those of a mask or of numbers."""
+        """The pieces of a mask or of numbers."""
         return Pieces(*(part[which] for part in self))
 
     @property
@@ -54,7 +54,7 @@ class Pieces(NamedTuple):
         return np.einsum("kac,kbc->kab", self.root, self.root)
 
     def normalised(self) -> "Pieces":
-        """The same with shares of sum one, the heaviest first."""
+        """The pieces with shares of sum one, the heaviest first."""
         order = np.argsort(-self.log_w, kind="stable")
         return Pieces(self.log_w[order] - logsumexp(self.log_w), self.mean[order], self.root[order])
 
@@ -130,7 +130,7 @@ def root_of(cov: Floats) -> Floats:
 
 
 def pieces_of(mean: Floats, cov: Floats) -> Pieces:
-    """One Gaussian."""
+    """One Gaussian as pieces."""
     return Pieces(np.zeros(1), np.array([mean]), root_of(cov)[None])
 
 

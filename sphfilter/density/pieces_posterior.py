@@ -153,7 +153,7 @@ class _Product(NamedTuple):
     misfit: Floats  # (K,) rms of the logarithm less a quadratic
 
     def put(self, where: Ints, new: "_Product") -> "_Product":
-        """The same with some pieces seen anew."""
+        """The product with some pieces seen anew."""
         parts = [part.copy() for part in self]
         for part, values in zip(parts, new, strict=True):
             part[where] = values

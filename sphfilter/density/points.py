@@ -79,7 +79,7 @@ class Told(NamedTuple):
         return self._replace(mean=mean, variance=(n + 1.0) * mean)
 
     def of(self, times: float) -> "Told":
-        """The same for so many times the points; fewer points leave what was wrong as it was."""
+        """Errors of so many times the points; fewer points leave what was wrong as it was."""
         return Told(*[square_of_more(square, times) for square in self])
 
     @property

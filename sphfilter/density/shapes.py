@@ -144,7 +144,7 @@ class Kernels:
         return self.mixture.ends()
 
     def around(self, domain: Domain) -> "Kernels":
-        """The same kernels with their images beyond the ends of a domain."""
+        """The kernels with their images beyond the ends of a domain."""
         reach = self.kernel.radius * self.h.max()
         seen = domain.seen(domain.fold(self.x), self.mass, self.h, reach)
         return replace(self, images=mixture.mixture(*seen, self.kernel))
@@ -228,7 +228,7 @@ class Polynomials:
         return self.cells.min() - width, self.cells.max() + width, width
 
     def around(self, domain: Domain) -> "Polynomials":
-        """The same between the walls of a domain; of angles it may lie several times round."""
+        """The polynomials between the walls of a domain; along angles they may lie several times round."""
         return replace(self, walls=domain.walls)
 
     def turns(self, domain: Domain, X: Floats) -> list[Floats]:
@@ -242,7 +242,7 @@ class Polynomials:
         return turns
 
     def _cut(self, X: Floats) -> Floats:
-        """Those of the states X (M, n) between the walls."""
+        """The states of X (M, n) that lie between the walls."""
         return X[inside(self.walls, X)] if self.walls[0].size else X
 
     def in_cells(self, uniform: Floats) -> Floats:

@@ -39,7 +39,7 @@ def by_family(
 def family_update(
     density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int, most: float = math.inf
 ) -> tuple[ParticleDensity, dict[str, Any], float]:
-    """The same, and the error in standard deviations that it adds to what is left of the prior's.
+    """Posterior and what is said of it, and the error in standard deviations that it adds to the prior's.
 
     Raises
     ------

@@ -84,7 +84,7 @@ class _Reached(NamedTuple):
     t: float
 
     def and_on(self, state: CloudState, needs: Memory, rows: list[dict[str, Any]], t: float) -> "_Reached":
-        """The same with more readings put through, up to a time."""
+        """The state after more readings were put through, up to a time."""
         return _Reached(state, needs, [*self.rows, *rows], t)
 
 

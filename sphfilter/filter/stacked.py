@@ -61,7 +61,7 @@ class Stacked(NamedTuple):
         return len(self.guides) < len(self.asked)
 
     def with_pilot(self, rows: Floats, z: Floats) -> "Stacked":
-        """The same, and for a guide linear readings z (j,) of unit noise, rows (j, n), beside it."""
+        """The sensor with linear readings z (j,) of unit noise, rows (j, n), beside it for a guide."""
         known = bool(self.guides)
         H = rows[None] if not known else None if self.H is None else np.concatenate([self.H[0], rows])[None]
         one = np.eye(len(z))[None]
@@ -70,7 +70,7 @@ class Stacked(NamedTuple):
         return self._replace(z=np.append(self.z, z), angle=angle, H=H, R=R, pilot=rows)
 
     def again(self, asked: Any) -> "Stacked":
-        """The same sensor, that has read other numbers, all of them, at another time."""
+        """The sensor with other numbers read, all of them, at another time."""
         z = np.asarray(asked.numbers)
         reader = None if self.reader is None else self.reader._replace(z=z, t=float(asked.t))
         return self._replace(asked=(asked,), guides=(asked,), z=z, reader=reader)

@@ -42,7 +42,7 @@ class _Ways(NamedTuple):
     family: Ints  # (M,)
 
     def chosen(self, i: Ints) -> "_Ways":
-        """Those of numbers i."""
+        """The ways of numbers i."""
         u, noise = [v[i] for v in self.u], [None if z is None else z[:, :, i] for z in self.noise]
         return _Ways(
             self.start[i], self.block[i], tuple(u), tuple(noise), self.end[i], self.log_l[i], self.family[i]

@@ -208,7 +208,7 @@ class _Epoch:
     rows: int  # measurements at that time, used or not
 
     def log_likelihood(self, X: Floats) -> Floats:
-        """Of the measurements used, at states X (N, n)."""
+        """Log-likelihood of the measurements used, at states X (N, n)."""
         t = self.filt.t
         return sum((sensor.log_likelihood(z, X, t) for sensor, z in self.seen), np.zeros(len(X)))
 

@@ -166,7 +166,7 @@ class _Marches:
 
     @property
     def error(self) -> float:
-        """That was added, standard deviations."""
+        """Error of the mean that was added, standard deviations."""
         return math.hypot(self.residual + self._plain, math.sqrt(self._odd), AWAY * self._lost)
 
 

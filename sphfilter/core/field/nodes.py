@@ -85,7 +85,7 @@ def relaid(value, low, dims, highest, cells, mu, A, sten, depth, walls):
 
 @jit
 def _inside(found, mu, A, low, dims, walls):
-    """Those of some cells whose nodes lie between the walls."""
+    """Cells of some whose nodes lie between the walls."""
     _, x = states_of(found, mu, A, low, dims)
     mark = np.empty(found.size, np.bool_)
     for k in range(found.size):
