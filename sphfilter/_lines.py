@@ -1,4 +1,4 @@
-"""What a result says of itself on one line."""
+"""Results told on one line."""
 
 from dataclasses import fields, is_dataclass
 from typing import Any

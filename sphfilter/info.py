@@ -99,7 +99,7 @@ class _Marked(Noted):
 
 @dataclass(frozen=True, kw_only=True)
 class PredictInfo(_Marked):
-    """What one prediction did: steps, what carried the density, how wrong it may be.
+    """Info of one prediction: steps, what carried the density, how wrong it may be.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ class ResampleInfo:
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateInfo(_Marked):
-    """What one measurement update did: was the reading used, its evidence, how wrong it may be.
+    """Info of one measurement update: was the reading used, its evidence, how wrong it may be.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ class Failure(NamedTuple):
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """What all filters made of all runs.
+    """Results of all filters in all runs.
 
     Attributes
     ----------

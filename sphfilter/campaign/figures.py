@@ -78,7 +78,7 @@ class Ranks:
 
 @dataclass(frozen=True, kw_only=True)
 class FilterReport:
-    """What one filter did in all runs; errors are errors of the updated mean at the measurement times.
+    """Figures of one filter over all runs; errors are errors of the updated mean at the measurement times.
 
     Runs in which the filter failed (raised, or gave something that is not finite) count in `n_failed` and
     nowhere else.

@@ -105,7 +105,7 @@ def _columns(inputs: ArrayLike, count: int) -> Floats:
 
 
 class Scenario(Protocol):
-    """What a campaign draws its cases from."""
+    """A source of cases for a campaign."""
 
     @property
     def name(self) -> str:
@@ -116,7 +116,7 @@ class Scenario(Protocol):
 
 
 def arrays_of(case: Case) -> dict[str, Floats]:
-    """What a case consists of, by name; inputs only if there are any."""
+    """Parts of a case by name; inputs only if there are any."""
     found = {f.name: getattr(case, f.name) for f in fields(case)}
     return {name: np.asarray(value, dtype=float) for name, value in found.items() if value is not None}
 
@@ -206,7 +206,7 @@ def _outcome(
 
 
 def _blank(case: Case) -> dict[str, NDArray[Any]]:
-    """What a result of this case would hold, not known yet."""
+    """An empty result of this case: nothing is known yet."""
     T, n = np.shape(case.truth)
     empty = {name: np.full((T, *shape), np.nan) for name, shape in shapes(n, np.size(case.z[0])).items()}
     return empty | {name: np.zeros(T, bool) for name in TRUTHS}

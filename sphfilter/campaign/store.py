@@ -107,7 +107,7 @@ def claim(folder: str | PathLike[str], wanted: dict[str, Any]) -> None:
 
 
 def _sides(key: str, was: Any, now: Any) -> tuple[Any, Any]:
-    """What a folder says and what is wanted, as far as they are compared.
+    """Settings of a folder and those that are wanted, as far as they are compared.
 
     A package that was not there, or is no more, had or has no part in the filters: their texts are the same.
     Which filters a scenario runs by default is no part of it: the manifest names those that were run.

@@ -92,7 +92,7 @@ def _faults(numbers: FilterReport, labels: Sequence[str]) -> list[str]:
 
 
 def _how(word: str, numbers: FilterReport, p: float) -> str:
-    """What shows it: the NEES, or only the finer test of the ranks."""
+    """The evidence for a verdict: the NEES, or only the finer test of the ranks."""
     if word == "lopsided":
         return f"the truth lies on one side of its density too often (p = {p:.0e})"
     sure = word == "optimistic"

@@ -23,7 +23,7 @@ __all__ = ["Ranker", "gaussian_ranks", "ranked_reading"]
 
 
 class Ranked(Protocol):
-    """What a `Ranker` asks of a filter."""
+    """The part of a filter that a `Ranker` asks."""
 
     @property
     def measurement(self) -> Sensor | None:

@@ -42,7 +42,7 @@ def _fingerprint(package):
 
 
 def _copy(function, suffix):
-    """A function of the same code under another name; numba's cache knows functions by `__qualname__` and line."""
+    """A copy of a function under another name; numba's cache knows functions by `__qualname__` and line."""
     copy = FunctionType(function.__code__, function.__globals__, function.__name__ + suffix)
     copy.__qualname__, copy.__doc__ = copy.__name__, function.__doc__  # or it keeps the original's
     return copy

@@ -126,7 +126,7 @@ def families_of(family: Family) -> Families:
 
 
 def particles_of_families(families: Families) -> dict[str, Any]:
-    """What a density of families is made of, by name: their nodes are its particles."""
+    """Fields of a density of families, by name: their nodes are its particles."""
     rule, (K, n) = families.basis, families.mu.shape
     x = np.empty((K, len(rule.xi), n))
     nodes_of(rule.xi, families.mu, families.A, x)

@@ -153,7 +153,7 @@ def _standard(n: int, degree: int) -> Floats:
 
 
 def particles_of(family: Family) -> dict[str, Any]:
-    """What a density that is one family is made of, by name: its nodes are its particles."""
+    """Fields of a density that is one family, by name: its nodes are its particles."""
     w, n = family.weighted()[0], len(family.mu)
     b, C = node_moments(family.basis.xi, w)
     width = abs(np.linalg.det(family.A)) ** (1.0 / n)

@@ -58,12 +58,12 @@ class LocalKernels:
         return middle - _REACH * width, middle + _REACH * width, width
 
     def _asked(self, X: Floats) -> tuple[Floats, ...]:
-        """What compiled sums take."""
+        """Arguments of compiled sums."""
         return np.ascontiguousarray(np.linalg.solve(self.factor, (X - self.centre).T).T), *self._terms
 
     @cached_property
     def _terms(self) -> tuple[Floats, Floats, Floats]:
-        """Terms of every kernel that compiled sums take: made once, for questions of one state after the other."""
+        """Terms of every kernel for compiled sums: made once, for questions of one state after the other."""
         P = np.linalg.inv(self.root)
         size = np.linalg.slogdet(P)[1] - np.linalg.slogdet(np.sqrt(2.0 * np.pi) * self.factor)[1]
         middle = np.einsum("kab,kb->ak", P, self.z)

@@ -1,4 +1,4 @@
-"""What a density under a target error has needed so far: the memory of the ladder."""
+"""The memory of the ladder: representations and sizes that a density has needed so far."""
 
 import math
 from functools import cache
@@ -78,7 +78,7 @@ class Memory(NamedTuple):
         return self.points or power_of_two((_TYPICAL / target) ** 2)
 
     def told(self, error: float, target: float, count: int) -> "Memory":
-        """What the next cloud needs after `count` points had an error: more at once, fewer after a while.
+        """Memory after `count` points had an error: the next cloud has more at once, fewer after a while.
 
         What a single reading asks beyond that is its own: it is made again on more points.
         """

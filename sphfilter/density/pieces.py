@@ -135,7 +135,7 @@ def pieces_of(mean: Floats, cov: Floats) -> Pieces:
 
 
 def particles_of_pieces(pieces: Pieces) -> dict[str, Any]:
-    """What a density of pieces is made of, by name: their nodes are its particles."""
+    """Fields of a density of pieces, by name: their nodes are its particles."""
     xi, u = nodes(pieces.mean.shape[1])
     x = pieces.mean[:, None] + np.einsum("kab,ib->kia", pieces.root, xi)
     width = np.exp(np.linalg.slogdet(pieces.root)[1] / x.shape[2])

@@ -41,7 +41,7 @@ class Path(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """What the readings of one time were asked of, so that one more is asked of the same."""
+    """The prior of the readings of one time, so that one more is asked of the same."""
 
     points: "Points"
     readings: tuple[Any, ...]
@@ -98,7 +98,7 @@ class Pace(NamedTuple):
 
 
 class CloudState(NamedTuple):
-    """What a cloud is besides its points: how they came, a smaller cloud beside it, and what that tells."""
+    """State of a cloud: points, a smaller cloud beside them, the errors that it tells, the pace of steps."""
 
     points: Points
     shadow: Points

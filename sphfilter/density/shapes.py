@@ -338,7 +338,7 @@ def _cell_points(n: int, cells: int, smooth: bool) -> Floats:
 
 
 def lattice_particles(laid: LatticeDensity) -> dict[str, Any]:
-    """What a density on a lattice is made of, by name.
+    """Fields of a density on a lattice, by name.
 
     Parameters
     ----------

@@ -172,7 +172,7 @@ def _points_from(arrays: Arrays, models: Sequence[SDE]) -> Points:
 
 
 def _passage_from(arrays: Arrays) -> Passage:
-    """What is known of a passage: the noise that begins a path, or span and steps of a prediction."""
+    """Facts of a passage: the noise that begins a path, or span and steps of a prediction."""
     key, none = arrays["key"].item(), np.empty((1, 0, 0))
     if "span" in arrays:
         number, stiff = arrays["steps"].tolist()

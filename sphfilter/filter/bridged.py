@@ -79,7 +79,7 @@ def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried 
 
 
 def _anew(passages: Any, x: Floats, block: Any, key: Any) -> tuple[Any, Any, Floats]:
-    """What remains of the way from points x (N, n), noise for each part of it, and where that takes them."""
+    """The rest of the way from points x (N, n), noise for each part of it, and where that takes them."""
     count, n = x.shape
     passages = _halved(passages, x, key)
     u = normals(count, n, key, len(passages))

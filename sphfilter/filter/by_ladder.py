@@ -158,7 +158,7 @@ def _with_tail(density: ParticleDensity, new: ParticleDensity, said: dict[str, A
 
 
 def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
-    """What a rung said, less what the target asked for: that there are more nodes, or points."""
+    """Fields of a rung's info, without the news that the target asked for more nodes or points."""
     usual = Code.CLOUD | Code.FINER
     if said["code"] & ~usual or not said["error"] < DOUBTFUL:
         return said

@@ -81,7 +81,7 @@ def by_lattice(
 def _remote(
     prior: ParticleDensity, posterior: ParticleDensity, asked: ReadingAtPrior, log_evidence: float
 ) -> Remote:
-    """What the prior's nodes beyond a posterior's lattice would add to it."""
+    """Moments that the prior's nodes beyond a posterior's lattice would add to it."""
     if posterior.field is None:
         return Remote()
     beyond = ~inside_lattice(posterior.field, moved_in(posterior.walls, posterior.field.A, prior.x))

@@ -43,14 +43,14 @@ def write(path: str | PathLike[str], state: FilterState[Any], filt: Any) -> None
 
 
 def _state_of(arrays: Arrays) -> dict[str, Any]:
-    """What any filter's file holds of its state."""
+    """Fields of any filter's file."""
     state: dict[str, Any] = {name: read_only(arrays[name]) for name in _MOMENTS}
     state |= {name: arrays.get(name) for name in _READING}
     return state | {name: arrays[name].item() for name in _NUMBERS}
 
 
 def _of_particles(state: FilterState[Any], filt: Any) -> Arrays:
-    """What is written of an `SPHFilter` alone."""
+    """Fields of an `SPHFilter`'s file alone."""
     arrays = {"n_particles": np.array(state.n_particles), "adapts": np.array(filt.adapts)}
     arrays |= {} if filt.dt is None else {"dt": np.array(filt.dt)}
     arrays |= {"inputs": np.array(json.dumps(dict(state.inputs)))}
@@ -114,7 +114,7 @@ def _origin(arrays: Arrays, model: SDE, measurement: Sensor | None) -> Predictio
 
 
 def _of_modes(state: FilterState[Any], filt: Any) -> Arrays:
-    """What is written of a `JumpMarkovFilter` alone."""
+    """Fields of a `JumpMarkovFilter`'s file alone."""
     about = {"names": filt.model.names, "n_particles": filt.n_particles, "dt": filt.dt}
     arrays = {"switching": np.array(json.dumps(about | {"inputs": dict(state.inputs)}))}
     arrays |= under("modes", _stored_modes(state.density))

@@ -50,7 +50,7 @@ class Glide:
         self._filt, self._wait, self._next = filt, 0, 0
 
     def through(self, times: Floats, readings: Sequence[Any]) -> list[dict[str, Any]]:
-        """What a result keeps of each of the first readings; the last is always left to the filter."""
+        """Rows of a result for the first readings; the last is always left to the filter."""
         if self._next > 0 or not _usual(self._filt):
             self._next -= 1
             return []
@@ -250,7 +250,7 @@ def _all_of(sensor: GaussianMeasurement, z: Any) -> Floats | None:
 
 
 def _rows(sensor: Any, Z: Floats, times: Floats, columns: tuple[Floats, ...]) -> list[dict[str, Any]]:
-    """What a result keeps of readings (K, k), of columns that compiled code made."""
+    """Rows of a result for readings (K, k), of columns that compiled code made."""
     rows = [_row(*parts) for parts in zip(*(column[: len(Z)] for column in columns), strict=True)]
     if sensor.H is not None:  # to the last bit as the sensor itself predicts
         for row, z, t in zip(rows, Z, times, strict=False):
@@ -263,7 +263,7 @@ def _rows(sensor: Any, Z: Floats, times: Floats, columns: tuple[Floats, ...]) ->
 def _row(
     m: Floats, P: Floats, x: Floats, C: Floats, log_evidence: float, error: float, y: Floats, S: Floats
 ) -> Any:
-    """What a result keeps of a reading that is usual."""
+    """Row of a result for a reading that is usual."""
     row = {
         "x_prior": m,
         "P_prior": P,

@@ -1,4 +1,4 @@
-"""What a run of a filter leaves behind, and the one loop that every filter's ``run`` calls."""
+"""Results of a filter's run, and the one loop that every filter's ``run`` calls."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields

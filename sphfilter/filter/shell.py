@@ -1,4 +1,4 @@
-"""What all filters are around the density they carry: settings, names, what they show, calls and files."""
+"""The shell of all filters around their density: settings, names, what they show, calls and files."""
 
 import math
 from collections.abc import Callable, Mapping

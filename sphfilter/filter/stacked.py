@@ -125,7 +125,7 @@ class Stacked(NamedTuple):
         return h
 
     def residual(self, h: Floats) -> Floats:
-        """What was read less readings (N, k), angles wrapped."""
+        """Residuals of what was read and readings (N, k), angles wrapped."""
         return _wrapped(self.z - h, self.angle)
 
     def jacobian(self, c: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""What a filter is between two calls: one value, which predict and update replace as their last act."""
+"""State of a filter between two calls: one value, which predict and update replace as their last act."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -99,7 +99,7 @@ class Evidence:
         return value if np.isfinite(value) else -np.inf
 
     def result(self, theta: Floats) -> FilterResult:
-        """What the filter leaves behind."""
+        """Result that the filter leaves behind."""
         given: dict[str, Any] = {} if self.inputs is None else {"inputs": self.inputs}
         return self.build(self.named(theta)).run(self.times, self.measurements, **given)
 

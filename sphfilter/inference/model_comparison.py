@@ -93,7 +93,7 @@ class ModelComparison:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What Kass and Raftery call the evidence against each model, beside the best."""
+        """Words of Kass and Raftery for the evidence against each model, beside the best."""
         return tuple(
             "the best" if k == 0 else next((w for top, w in _WORDS if -2.0 * b <= top), "very strong")
             for k, b in enumerate(self.log_bayes_factor)

@@ -200,7 +200,7 @@ def _checked(
 
 @dataclass
 class _Epoch:
-    """What the filter did up to one of the distinct times, those at which the model jumps included."""
+    """State of the filter at one of the distinct times, those at which the model jumps included."""
 
     filt: SPHFilter  # after the updates
     n_steps: int  # of the prediction

@@ -34,7 +34,7 @@ class Product(NamedTuple):
 
 
 class Sought(NamedTuple):
-    """What a lattice is wanted for.
+    """Demands on a lattice.
 
     `x` (N, n) are the prior's particles, `mass` (N,) their masses, `raw` (N,) a first estimate of the
     posterior's, `support` the mean reach of their kernels; `product` lays prior times weight on a lattice.

@@ -20,7 +20,7 @@ _FARTHEST = 50.0  # nats by which a value may be too low before it counts as los
 
 
 class Misfit(NamedTuple):
-    """What the polynomials of a lattice get wrong between its nodes."""
+    """Errors of a lattice's polynomials between its nodes."""
 
     residual: float  # mean over the mass of |p / p' - 1|
     mean: float  # error of the mean, in standard deviations
@@ -69,14 +69,14 @@ def misfit(laid: LatticeDensity, log_p: OfStates) -> Misfit:
 
 
 class Beside(NamedTuple):
-    """What the cells beyond the cut of a density hold."""
+    """Probability in the cells beyond the cut of a density."""
 
     mass: float = 0.0  # probability
     mean: float = 0.0  # what they would add to its mean, in standard deviations
 
 
 def beside(field: Field | None, mean: Floats, cov: Floats, walls: Walls = NO_WALLS) -> Beside:
-    """What the cells that were asked beyond the cut of a density hold; nothing where there is no lattice."""
+    """Probability in the cells that were asked beyond the cut; none where there is no lattice."""
     if field is None:
         return Beside()
     X = field.mu + field.node[field.kept :] @ field.A.T
@@ -86,7 +86,7 @@ def beside(field: Field | None, mean: Floats, cov: Floats, walls: Walls = NO_WAL
 
 
 class Remote(NamedTuple):
-    """What states beyond a lattice would add to its density."""
+    """Moments that states beyond a lattice would add to its density."""
 
     mean: float = 0.0  # standard deviations
     variance: float = 0.0  # as a part of it, in the direction of most

@@ -52,12 +52,12 @@ class Resolved(NamedTuple):
 
     @property
     def wrong(self) -> float:
-        """What is wrong with it, as a probability."""
+        """Probability that is wrong with it."""
         return self.off.residual + self.left_out + min(self.off.log_mass, 1.0)
 
 
 class _Part(NamedTuple):
-    """What is known of a posterior: weighted states, and the logarithm of their mass."""
+    """Knowledge of a posterior: weighted states, and the logarithm of their mass."""
 
     x: Floats
     w: Floats
@@ -137,7 +137,7 @@ def _part_of(laid: LatticeDensity) -> _Part:
 
 
 def _survey(x: Floats, mass: Floats, log_weight: OfStates) -> _Part:
-    """What the prior's nodes know of the posterior."""
+    """Knowledge that the prior's nodes have of the posterior."""
     weight = np.log(np.maximum(mass, 1e-300)) + np.maximum(log_weight(x), -1e250)
     w = np.exp(weight - weight.max())
     return _Part(x, w / w.sum(), float(weight.max() + np.log(w.sum())), None)

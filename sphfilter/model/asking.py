@@ -37,7 +37,7 @@ def noted(index: int, name: str, rows: int) -> Iterator[None]:
 
 
 def asked_before() -> dict[int, tuple[int, int, float]]:
-    """What functions have cost before a prediction: their calls, rows and seconds by number."""
+    """Costs of functions before a prediction: their calls, rows and seconds by number."""
     return {index: (cost.calls, cost.rows, cost.seconds) for index, cost in _COSTS.items()}
 
 

@@ -35,7 +35,7 @@ Maker: TypeAlias = Callable[[Any], BatchFunction]
 
 
 class Data(NamedTuple):
-    """What a user's functions see beside state and time: values of parameters, then of inputs."""
+    """Arguments of a user's functions beside state and time: values of parameters, then of inputs."""
 
     p: Floats = np.empty(0)
     u: Floats = np.empty(0)

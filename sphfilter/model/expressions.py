@@ -82,7 +82,7 @@ class Names:
         self._starts = dict(zip(self.tables, map(int, starts), strict=True))
 
     def table(self, name: str, argument: sp.Expr) -> sp.Expr:
-        """What stands for the value of a table."""
+        """The symbol that stands for the value of a table."""
         self.used.add(name)
         known, start = self.tables[name], self._starts[name]
         return (Linear if known.kind == "linear" else Previous)(start, len(known.at), argument)

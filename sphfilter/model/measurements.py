@@ -27,7 +27,7 @@ _DIFFERENT = (
 
 
 class Reading(NamedTuple):
-    """What a sensor said: its numbers z (k,), NaN where none came, and which did, bool (k,)."""
+    """A reading of a sensor: its numbers z (k,), NaN where none came, and which did, bool (k,)."""
 
     z: Floats
     seen: Bools
@@ -58,7 +58,7 @@ class Reading(NamedTuple):
 
 
 class Sensor(Protocol):
-    """What the update of a density asks of any sensor, the two classes here or one of a user's own."""
+    """The interface of a sensor that an update asks: of the two classes here, or of a user's own."""
 
     @property
     def noise_cov(self) -> Floats | None:

@@ -24,7 +24,7 @@ MOST_WORK = 1e7
 
 
 class Outcome(NamedTuple, Generic[Info]):
-    """What came of a step."""
+    """Outcome of a step."""
 
     before: ParticleDensity  # that the step began with: a finer one, where it had to be made anew
     density: ParticleDensity  # that it ended with

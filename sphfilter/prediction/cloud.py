@@ -239,7 +239,7 @@ def _blow_up(model: SDE, points: Points, t0: float, t1: float) -> str:
 
 
 def info_of(model: SDE, count: int, steps: int, lost: float, error: float) -> PredictInfo:
-    """What a prediction of a cloud says."""
+    """Info of a prediction of a cloud."""
     status = f"on a cloud of {count} points: the mean is good to {error:.2g} standard deviations"
     code = Code.CLOUD
     if lost > _DOUBTED:

@@ -93,7 +93,7 @@ def degree_of_parts(n: int) -> int:
 
 
 class _Marches:
-    """What is carried, part by part, and what that took."""
+    """Parts that are carried one by one, and the work that took."""
 
     def __init__(self, density: ParticleDensity, model: SDE, t1: float, allowed: float, most: float) -> None:
         self._model, self._flow, self._span = model, flow_of(model), (density.t, t1)
@@ -152,7 +152,7 @@ class _Marches:
         return math.exp(families.log_w[k]) * _plain(families, k)[1] > _HEAVY * self._allowed
 
     def together(self) -> Families:
-        """What has been carried, as one density."""
+        """The parts that have been carried, as one density."""
         if not self._done:
             raise PropagationError("families do not follow the density")
         log_w, families, _ = zip(*self._done, strict=True)
@@ -161,7 +161,7 @@ class _Marches:
 
     @property
     def residual(self) -> float:
-        """What families could not follow, averaged over the mass, as an error."""
+        """Error of what families could not follow, averaged over the mass."""
         return sum(math.exp(log_w) * off for log_w, _, off in self._done)
 
     @property

@@ -171,7 +171,7 @@ class _Sources:
         )
 
     def carried(self, j: int) -> Carried | None:
-        """What stays in mode j; of one that has no state, what its model makes of another's; or None."""
+        """The cloud that stays in mode j; of a mode without one, another's carried by its model; or None."""
         if j not in self._carried:
             self._carried[j] = self._alone(self._heaviest, j)
         return self._carried[j]

@@ -1,4 +1,4 @@
-"""What steps of a splitting get wrong of densities between whose modes states jump."""
+"""Errors of densities between whose modes states jump at a few times of an interval only."""
 
 import math
 from functools import cache
@@ -84,7 +84,7 @@ class _Flows(NamedTuple):
 def splitting_error(
     modes: ModeDensities, model: JumpMarkovModel, dt: float, steps: int
 ) -> list[SplittingError]:
-    """What is wrong with each mode's density after dt seconds in which states jump at so many times.
+    """Error of each mode's density after dt seconds in which states jump at so many times.
 
     With one jump from mode j the density of mode i has ∫ λ_ji U_i(dt - s) U_j(s) p_j ds. Of that the times
     make Gauss's rule; what the rule of one time more adds to it is an error. Two jumps in one part of the
@@ -151,7 +151,7 @@ def _absolute(mean: Floats, cov: Floats, w: Floats) -> SplittingError:
 
 
 def _balance(several: Pieces, w: Floats, X: Floats) -> Floats:
-    """What Gaussians with weights of either sign are at states, over the same with weights above zero."""
+    """Ratio at states of a sum of Gaussians with weights of either sign to the sum of their sizes."""
     each = several.log_each(X)
     p = np.exp(each - each.max(axis=1, keepdims=True))
     return np.asarray(np.abs(p @ w) / (p @ np.abs(w)))

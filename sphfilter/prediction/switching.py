@@ -158,7 +158,7 @@ def _in_turn(
 
 
 class _Told:
-    """What predictions of the modes have said."""
+    """Infos of the modes' predictions, and the one that is made of them."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self._names = names

@@ -19,7 +19,7 @@ def _always(n_particles: int) -> bool:
 
 
 class Time(NamedTuple):
-    """What a time budget leaves of particles: for the first try, and for one more on a number of them."""
+    """Numbers of particles that a time budget leaves for the first try, and for one more on a number."""
 
     most: int = MOST
     fits: Callable[[int], bool] = _always

@@ -142,7 +142,7 @@ def _left(modes: ModeDensities, t: float) -> ModeDensities:
 
 
 def _predictions(state: State) -> Iterable[State]:
-    """What a state is an update of."""
+    """The prediction that a state is an update of."""
     hypothesis = getattr(state, "hypothesis", None)
     several = hypothesis if isinstance(hypothesis, Iterable) else [hypothesis]
     return [getattr(each, "prediction", None) for each in several]

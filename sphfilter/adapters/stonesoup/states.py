@@ -213,7 +213,7 @@ def retimed(
 
 
 class Step(NamedTuple):
-    """What came of a prediction or an update."""
+    """Outcome of a prediction or an update."""
 
     after: Any  # what it ended with: a density, or those of all modes
     info: Any

@@ -49,7 +49,7 @@ FLOOR, NET_MASS, STATE_SIZE = 9, 10, 11
 
 
 class Control(NamedTuple):
-    """What the march aims at."""
+    """Aims of the march."""
 
     n_particles: int
     depth: float  # Z^2 / 2: log p of the lightest nodes below that of the heaviest

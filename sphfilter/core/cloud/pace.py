@@ -100,7 +100,7 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
 
 @jit
 def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, most, allowed):
-    """What `chosen` says, over one span; and whether no steps do because paths part."""
+    """The result of `chosen` over one span, and whether no steps do because paths part."""
     every, x, before, again, astray = x, few(x, w, _PILOTS, table, bits), np.inf, False, False
     best = number
     number, own = max(least, number), mixed(np.uint64(key), np.uint64(PILOT))

@@ -40,7 +40,7 @@ GUIDE, PARTS = 11, 20
 
 
 class Reader(NamedTuple):
-    """What was read, z (k,), and the sensor: h by address and data, or nowhere and H; angles; R and root."""
+    """A reading z (k,) and its sensor: h by address and data, or nowhere and H; angles; R and root."""
 
     h: int
     p: np.ndarray
@@ -87,7 +87,7 @@ def _read(reader, x):
 
 @jit
 def foreseen(reader, x, w, mean, cov):
-    """What was read less the reading predicted (k,), and the covariance (k, k) of that.
+    """Innovation (k,) of a reading, and its covariance (k, k).
 
     Of points x (N, n) of weights w (N,), a mean and a covariance. Angles are averaged around the reading of
     the mean.

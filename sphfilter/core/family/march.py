@@ -36,7 +36,7 @@ class Control(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What a march did."""
+    """Report of a march."""
 
     code: int
     t: float  # where it ended
