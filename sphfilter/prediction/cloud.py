@@ -125,9 +125,8 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
     if density.cloud is not None:
         return density.cloud
     if density.read_out == "cloud":
-        few = np.linspace(0.0, density.n_particles - 1, min(shadow_size(count), density.n_particles)).astype(
-            int
-        )
+        many = min(shadow_size(count), density.n_particles)
+        few = np.linspace(0.0, density.n_particles - 1, many).astype(int)
         shadow = density.mass[few] / density.mass[few].sum()
         points = Points(density.x, density.mass)
         return CloudState(points, Points(density.x[few], shadow), density.n_particles)

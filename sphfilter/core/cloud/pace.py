@@ -83,19 +83,16 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     lost : float
         Part of the points that the model carries to infinity.
     """
-    parts, about = 1, (x, w, key, table, bits)
-    number = max(least, number)
-    steps, own_flow, bias, lost, astray = tried(
-        leg, stiff_flow, span, *about, number, stiff, least, most, allowed
-    )
-    while astray and parts < _PARTS:
-        parts *= 4
-        part, first = (span[0], span[0] + (span[1] - span[0]) / parts), max(number // parts, 1)
-        bounds = max(least // parts, 1), most // parts
+    parts, part = 1, span
+    while True:
+        first, bounds = max(number // parts, 1), (-(-least // parts), most // parts)
         steps, own_flow, bias, lost, astray = tried(
-            leg, stiff_flow, part, *about, first, stiff, *bounds, allowed
+            leg, stiff_flow, part, x, w, key, table, bits, first, stiff, *bounds, allowed
         )
-    return parts * steps, own_flow, bias, lost
+        if not astray or parts >= _PARTS:
+            return parts * steps, own_flow, bias, lost
+        parts *= 4
+        part = span[0], span[0] + (span[1] - span[0]) / parts
 
 
 @jit
