@@ -58,6 +58,8 @@ are models that switch and their states. Where the package is not installed but 
 teaches a YAML object their classes.
 """
 
+import sys
+
 try:
     import stonesoup.base  # noqa: F401
 except ImportError as missing:
@@ -66,14 +68,18 @@ except ImportError as missing:
     ) from missing
 
 from .hypothesiser import EvidenceHypothesiser
-from .jump_markov_predictor import JumpMarkovPredictor
-from .jump_markov_states import JumpMarkovState, JumpMarkovStatePrediction, JumpMarkovStateUpdate
-from .jump_markov_updater import JumpMarkovUpdater
-from .predictor import SPHPredictor
+from .predictor import JumpMarkovPredictor, SPHPredictor
 from .serialise import extend
-from .states import SPHState, SPHStatePrediction, SPHStateUpdate
+from .states import (
+    JumpMarkovState,
+    JumpMarkovStatePrediction,
+    JumpMarkovStateUpdate,
+    SPHState,
+    SPHStatePrediction,
+    SPHStateUpdate,
+)
 from .transition import SDETransitionModel, linear_sde
-from .updater import SPHUpdater
+from .updater import JumpMarkovUpdater, SPHUpdater
 
 __all__ = [
     "EvidenceHypothesiser",
@@ -91,3 +97,10 @@ __all__ = [
     "extend",
     "linear_sde",
 ]
+
+for _part in (
+    "predictor",
+    "states",
+    "updater",
+):  # pickles of before have models that switch in rooms of their own
+    sys.modules[f"{__name__}.jump_markov_{_part}"] = sys.modules[f"{__name__}.{_part}"]

@@ -22,15 +22,18 @@ from ...info import Code, PredictInfo, UpdateInfo
 from ...lattice.level_set import enough_particles, lattice_reach
 from ...model.measurements import Sensor
 from ...prediction.again import Ladder, Outcome
+from .states import DensityState
 
-__all__ = ["Alone", "Association", "Part", "alone", "check_sharpness", "one_prediction", "predicted_apart",
-           "probability_of", "resolved"]  # fmt: skip
+__all__ = ["Alone", "Association", "Part", "alone", "check_sharpness", "evidence_of_points", "one_prediction",
+           "predicted_apart", "probability_of", "resolved"]  # fmt: skip
 
-_LADDER = Ladder(times=(1, 3, 9), most=math.inf)  # for products of density and likelihood
-_NEGLIGIBLE = 1e-6  # probability of a part
-_DEEPER = 0.7  # standard deviations that lattices reach further, each time
-#: Standard deviations that a mean may be off, and part of the mass: not tried again, and refused above.
-_RESOLVED, _LOST = 0.01, 0.1
+_LADDER = Ladder(times=(1, 3, 9), deeper=0.7, most=math.inf)  # for products of density and likelihood
+#: Standard deviations that a mean may be off, and part of the mass, and is not tried again: a filter's aim.
+_RESOLVED = FilterConfig.target_error
+_LOST = 0.1  # the same, refused above: such an error adds 0.1² = 1 % to the variance
+#: Probability of a part that is left out: it moves a mean by less than `_RESOLVED`, unless it lies further
+#: than `_RESOLVED` / 1e-6 = 10,000 standard deviations away.
+_NEGLIGIBLE = 1e-6
 _HOPELESS = 3.0  # times the nodes of the finest lattice that is tried, from which none is
 
 
@@ -71,14 +74,7 @@ class Association(_Likelihood):
     """The likelihood of detections of which one at most is the target's, whose probabilities are given.
 
     p(x | all) = p(x) (b_0 + sum_i b_i p(z_i | x) / p(z_i)): each detection's posterior, and the prior for a
-    miss, weighted as data association has weighted them. No mixture is merged.
-
-    Parameters
-    ----------
-    missed : float
-        b_0, the probability that none is.
-    parts : sequence of Part
-        Sensors, z_i, b_i and log p(z_i).
+    miss, of probability b_0, weighted as data association has weighted them. No mixture is merged.
     """
 
     def __init__(self, missed: float, parts: Sequence[Part]) -> None:
@@ -116,22 +112,24 @@ class Total(_Likelihood):
 
 
 def alone(
-    density: ParticleDensity,
-    sensor: Sensor,
-    z: ArrayLike,
-    config: FilterConfig,
-    n_particles: int | None,
-    log_likelihood: Floats,
+    state: DensityState, sensor: Sensor, z: ArrayLike, config: FilterConfig, n_particles: int | None
 ) -> Alone:
-    """What a detection says alone, given its log-likelihood at the particles (N,)."""
+    """What a detection says alone of a state known by one density."""
+    density = state.density
     try:
         _, (posterior, info) = _LADDER.climbed(
             max_particles_of(density, n_particles),
             lambda rung: update(density, sensor, z, config, n_particles=rung.n_particles),
         )
     except PropagationError:
-        return Alone(float(logsumexp(log_likelihood, b=density.mass)), None)
+        return Alone(evidence_of_points(state, sensor, z), None)
     return Alone(info.log_evidence, (posterior.mean(), posterior.cov()) if info.accepted else None)
+
+
+def evidence_of_points(state: DensityState, sensor: Sensor, z: ArrayLike) -> float:
+    """Log-evidence where no posterior can be made: a sum over the points of all densities of a state."""
+    each = [(log_w, p.mass, sensor.log_likelihood(z, p.x, p.t)) for log_w, p in state._some]
+    return float(logsumexp([log_w + logsumexp(log_l, b=mass) for log_w, mass, log_l in each]))
 
 
 def check_sharpness(weights: Sequence[float], covs: Sequence[Floats], n_particles: int) -> None:
@@ -156,32 +154,16 @@ def resolved(
     dim: int,
     expected: Floats | None,
 ) -> Outcome[UpdateInfo]:
-    """A product, finer and further out until it has its mass and the mean of its parts.
+    """The `Outcome` of a product, finer and further out until it has its mass and the mean (n,) of its parts.
 
     A part of little weight may be wide and flat beside the others, and lie below where a lattice ends.
-
-    Parameters
-    ----------
-    multiplied : callable
-        (times the particles, configuration) to an `Outcome`.
-    config : FilterConfig
-    dim : int
-    expected : ndarray, shape (n,), or None
-        Its mean; None where means are those of angles.
-
-    Returns
-    -------
-    Outcome
-
-    Raises
-    ------
-    PropagationError
-        No number of particles that is tried holds it.
+    `multiplied` makes an `Outcome` of times the particles and a configuration; no mean is expected where it
+    is that of angles. Raises `PropagationError` where no number of particles that is tried holds it.
     """
     best = None
     for level, times in enumerate(_LADDER.times):
         try:
-            found = multiplied(times, _reaching(config, dim, level * _DEEPER))
+            found = multiplied(times, _reaching(config, dim, level * _LADDER.deeper))
         except PropagationError as problem:
             refused = problem  # more particles may hold it
             continue
@@ -227,21 +209,10 @@ def predicted_apart(
     config: FilterConfig,
     n_particles: int,
 ) -> Outcome[PredictInfo]:
-    """Predict an association part by part: the equation is linear, and sums of solutions solve it.
+    """The prediction of an association, part by part: sums of solutions solve a linear equation.
 
-    For posteriors that are sharp and broad at once, which no lattice carries on as few particles.
-
-    Parameters
-    ----------
-    origin : Update
-        The update with an `Association`.
-    predicted : callable
-        A density and a configuration to an `Outcome`.
-
-    Returns
-    -------
-    Outcome
-        It begins with the widest part.
+    For posteriors that are sharp and broad at once, which no lattice carries on as few particles. `predicted`
+    makes an `Outcome` of a density and a configuration; that of the sum begins with the widest part.
     """
     association: Any = origin.measurement
     posteriors = association.posteriors(origin.before, config, n_particles)

@@ -6,8 +6,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from ..._types import Floats
-from ...config import FilterConfig
-from ...density.initialize import Gaussian, initialize
+from ...density.initialize import Gaussian
 from ...density.particle_density import ParticleDensity
 from ...errors import ModelError, PropagationError
 from ...filter.reading_at_prior import predicted_reading
@@ -15,11 +14,13 @@ from ...info import Code
 from ...model.measurements import Sensor, is_gaussian
 from ...model.sde import SDE
 
-__all__ = ["ON_FAILURE", "OnFailure", "gaussian_on_particles", "linearised", "merged", "multiplied", "said"]
+__all__ = ["ON_FAILURE", "OnFailure", "linearised", "merged", "multiplied", "said"]
 
 OnFailure: TypeAlias = Literal["gaussian", "drop", "raise"]
 ON_FAILURE = "gaussian", "drop", "raise"
-_TOLERANCE = 1e-6  # of moments, relative
+_TOLERANCE = (
+    1e-6  # of moments, relative: = 1e-4 of the error that a filter aims at; linearising adds far more
+)
 
 
 def said(problem: PropagationError, what: str) -> dict[str, Any]:
@@ -29,12 +30,7 @@ def said(problem: PropagationError, what: str) -> dict[str, Any]:
 
 def linearised(density: ParticleDensity, model: SDE, dt: float) -> Gaussian:
     """The Gaussian that the model, linearised along its mean, makes of a density, as an extended Kalman
-    filter predicts: dm/dt = f(m), dP/dt = F P + P F' + 2 D(m).
-
-    Raises
-    ------
-    ModelError
-        That is infinite, or no Gaussian.
+    filter predicts: dm/dt = f(m), dP/dt = F P + P F' + 2 D(m). Refused if that is infinite, or no Gaussian.
     """
     from scipy.integrate import solve_ivp  # on use: import time
 
@@ -59,12 +55,7 @@ def multiplied(density: ParticleDensity, sensor: Sensor, z: Floats) -> Gaussian:
     """The Gaussian that a reading makes of a density, by the covariance of the two.
 
     With a Gaussian sensor as an unscented Kalman filter does it, with the density's particles as its points;
-    with another one the moments of the particles, weighted by their likelihood.
-
-    Raises
-    ------
-    ModelError
-        There is no such Gaussian: too few particles, or none, are likely.
+    with another one the moments of the particles, weighted by likelihood. Refused if too few are likely.
     """
     mean, cov = density.mean(), density.cov()
     if is_gaussian(sensor):
@@ -90,13 +81,6 @@ def merged(parts: Sequence[tuple[float, Gaussian]]) -> Gaussian:
     d = means - mean
     cov = np.einsum("k,kij->ij", w, np.array([part.cov for _, part in parts]))
     return _gaussian(mean, cov + (d * w[:, None]).T @ d)
-
-
-def gaussian_on_particles(
-    gaussian: Gaussian, density: ParticleDensity, t: float, n_particles: int, config: FilterConfig
-) -> ParticleDensity:
-    """A Gaussian on particles, at time t, where a density lived."""
-    return initialize(gaussian, n_particles, config, t=t, domain=density.domain)
 
 
 def _gaussian(mean: Floats, cov: Floats) -> Gaussian:

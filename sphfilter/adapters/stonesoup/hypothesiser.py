@@ -17,16 +17,14 @@ from stonesoup.types.track import Track
 
 from ...errors import ModelError
 from ...validate import positive, real
-from .jump_markov_predictor import JumpMarkovPredictor
-from .jump_markov_updater import JumpMarkovUpdater
-from .predictor import SPHPredictor
-from .updater import SPHUpdater
+from .predictor import DensityPredictor
+from .updater import DensityUpdater
 
 __all__ = ["EvidenceHypothesiser"]
 
 
 class EvidenceHypothesiser(Hypothesiser):
-    """Scores detections by their evidence, the integral of predicted density times likelihood.
+    """A hypothesiser by the evidence of detections, the integral of predicted density times likelihood.
 
     It works as Stone Soup's PDAHypothesiser, with the predicted density of the detection in the place of a
     Gaussian with its mean and covariance: P_D p(z_i) / lambda for a detection, 1 - P_D P_G for a miss. For
@@ -47,8 +45,8 @@ class EvidenceHypothesiser(Hypothesiser):
         Probabilities add up to one.
     """
 
-    predictor: SPHPredictor | JumpMarkovPredictor = Property(doc="Predicts tracks to detection times.")
-    updater: SPHUpdater | JumpMarkovUpdater = Property(doc="Knows the evidence of detections.")
+    predictor: DensityPredictor = Property(doc="Predicts tracks to detection times.")
+    updater: DensityUpdater = Property(doc="Knows the evidence of detections.")
     clutter_spatial_density: float = Property(doc="False detections in a unit of the measurement space.")
     prob_detect: Probability = Property(default=Probability(0.85), doc="Probability that the target is seen.")
     prob_gate: Probability = Property(
@@ -67,19 +65,7 @@ class EvidenceHypothesiser(Hypothesiser):
     def hypothesise(
         self, track: Track, detections: Set[Detection], timestamp: datetime.datetime, **kwargs: Any
     ) -> MultipleHypothesis:
-        """Score a miss and every detection inside the gate.
-
-        Parameters
-        ----------
-        track : Track
-        detections : set of Detection
-        timestamp : datetime.datetime
-
-        Returns
-        -------
-        MultipleHypothesis
-            Of `SingleProbabilityHypothesis`, the miss first.
-        """
+        """Scored hypotheses: that of a miss, and of every detection inside the gate."""
         prediction = self.predictor.predict(track, timestamp=timestamp, **kwargs)
         missed = Probability(1.0 - float(self.prob_detect) * float(self.prob_gate))
         hypotheses = [SingleProbabilityHypothesis(prediction, MissedDetection(timestamp=timestamp), missed)]
@@ -106,4 +92,5 @@ class EvidenceHypothesiser(Hypothesiser):
 
 
 def _place(detection: Detection) -> tuple[float, ...]:
+    """The numbers of a detection, which say where it stands among others."""
     return tuple(float(value) for value in detection.state_vector)

@@ -1,11 +1,11 @@
-"""Stone Soup's predictor interface to the solver."""
+"""Stone Soup's predictor interface to densities of either kind: one, or one for every mode."""
 
 import datetime
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Any, Literal
 
 from stonesoup.base import Property
 from stonesoup.models.transition.base import TransitionModel
@@ -15,41 +15,45 @@ from stonesoup.types.state import State
 from stonesoup.types.track import Track
 
 from ...config import FilterConfig, checked_filter_config
+from ...density.initialize import initialize
+from ...density.modes import ModeDensities
 from ...density.particle_density import ParticleDensity
-from ...errors import ModelError, PropagationError
+from ...errors import ConfigError, ModelError, PropagationError
 from ...info import PredictInfo
+from ...model.jump_markov import JumpMarkovModel
+from ...model.jump_markov import mode_probabilities as checked_probabilities
 from ...model.sde import SDE
 from ...prediction.again import Outcome, or_as_cloud, predict_from_finer
+from ...prediction.jumping import suits
 from ...prediction.predict import Prediction as Origin
 from ...prediction.predict import predict
+from ...prediction.switching import ModesInfo, ModesPrediction, predict_modes
 from ...validate import choice, count
 from .association import Association, predicted_apart
-from .failures import ON_FAILURE, OnFailure, gaussian_on_particles, linearised, said
+from .failures import ON_FAILURE, OnFailure, linearised, said
 from .recent import Recent
-from .states import DensityState, SPHState, SPHStatePrediction, Step, current, origin_of, retimed, started
-from .transition import SDETransitionModel, transition_of
+from .starts import current, retimed, started
+from .states import DensityState, JumpMarkovState, SPHState, Step, origin_of
+from .transition import SDETransitionModel, switching, transition_of
 
-__all__ = ["DensityPredictor", "SPHPredictor"]
-
-_KEPT = 64  # predictions of late, which hypothesisers ask for once a detection
-
-Predicted = TypeVar("Predicted", bound=DensityState)
+__all__ = ["DensityPredictor", "JumpMarkovPredictor", "SPHPredictor"]
 
 
-class DensityPredictor(Predictor, Generic[Predicted]):
+class DensityPredictor(Predictor):
     """Carries what states are known by: a density, or one for every mode of a model that switches.
 
     Each kind has its own `_started(state)`, a state known by densities; `_moved(state, before, dt)`, the
     `Step` that its model makes; and `_stand_in(problem, before, dt)`, the `Step` where that fails.
     """
 
+    _most_kept = 64  # predictions of late, which hypothesisers ask for once a detection
     _words: tuple[str, ...] = ON_FAILURE
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._check_control(control_model=self.control_model)
         choice("on_failure", self.on_failure, self._words)
-        self._kept = Recent(_KEPT)
+        self._kept = Recent(self._most_kept)
 
     def predict(
         self,
@@ -58,8 +62,8 @@ class DensityPredictor(Predictor, Generic[Predicted]):
         *,
         control_input: None = None,
         **kwargs: Any,
-    ) -> Predicted:
-        """Predict to a timestamp.
+    ) -> DensityState:
+        """The prediction of a state, or of the last one of a track, to a timestamp.
 
         Parameters
         ----------
@@ -113,8 +117,8 @@ class DensityPredictor(Predictor, Generic[Predicted]):
                 )
 
 
-class SPHPredictor(DensityPredictor[SPHStatePrediction]):
-    """Carries the density of a state through the Fokker-Planck-Kolmogorov equation.
+class SPHPredictor(DensityPredictor):
+    """A predictor that carries the density of a state through the Fokker-Planck-Kolmogorov equation.
 
     Parameters
     ----------
@@ -201,10 +205,108 @@ class SPHPredictor(DensityPredictor[SPHStatePrediction]):
         moved, what = replace(before, t=t), "left out, the density is that before"
         if self.on_failure == "gaussian":
             with suppress(ModelError, PropagationError):
-                moved = gaussian_on_particles(linearised(before, sde, dt), before, t, n_particles, config)
+                moved = initialize(
+                    linearised(before, sde, dt), n_particles, config, t=t, domain=before.domain
+                )
                 what = "a Gaussian stands for the density"
         info = PredictInfo(scheme="", **said(problem, what))
         return Step(_bounded(moved, n_particles), info, Origin(model=sde, t=t))
+
+
+class JumpMarkovPredictor(DensityPredictor):
+    """A predictor that carries a density for every mode of a model that switches, as `JumpMarkovFilter` does.
+
+    The same start and detections give what `JumpMarkovFilter` gives of them.
+
+    Parameters
+    ----------
+    transition_model : JumpMarkovModel
+        Of modes that do not depend on time.
+    mode_probabilities : array_like, shape (M,), or mapping of str to float, optional
+        Of the modes where a track begins; ``model.stationary`` if not given.
+    n_particles : int or "auto"
+        As of `SPHFilter`, of each mode.
+    config : FilterConfig, optional
+        Without `time_budget`.
+    on_failure : "drop" or "raise"
+        What comes of densities that could not be carried (`PropagationError`), and of a detection that the
+        updater can make no posterior of. With "drop" they stay what they were, and `info.status` says why;
+        with "raise" the error is raised, and ends a run of a tracker.
+
+    Raises
+    ------
+    ModelError
+        A model of another kind, or one that depends on time.
+    """
+
+    _words = "drop", "raise"
+    transition_model: JumpMarkovModel = Property(doc="A model that switches between modes.")
+    mode_probabilities: Any = Property(default=None, doc="Of the modes where a track begins.")
+    n_particles: int | Literal["auto"] = Property(
+        default="auto", doc='Bound of the particles of each mode, or "auto".'
+    )
+    config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
+    on_failure: Literal["drop", "raise"] = Property(
+        default="drop", doc='What a step that fails becomes: "drop" or "raise".'
+    )
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        model = switching(self.transition_model)
+        if checked_filter_config(self.config).time_budget is not None:
+            raise ConfigError("JumpMarkovPredictor keeps no time_budget; leave it out, or raise target_error")
+        if self.n_particles != "auto":
+            count("n_particles", self.n_particles)
+        checked_probabilities(self.mode_probabilities, model)
+
+    def modes_of(self, state: State) -> ModeDensities:
+        """The densities of a state: of all modes, or that of a start in each; refuses what `predict` does."""
+        return self._started(state).modes
+
+    def _started(self, state: State) -> JumpMarkovState:
+        model = self.transition_model
+        if isinstance(state, JumpMarkovState):
+            if tuple(state.names) != model.names:
+                raise ModelError(
+                    f"the state has the modes {list(state.names)}, the model {list(model.names)}"
+                )
+            return state
+        if any(isinstance(prediction, JumpMarkovState) for prediction in _predictions(state)):
+            raise ModelError(
+                "the tracker has merged densities of modes into a Gaussian, which knows no mode; take one "
+                "that keeps what the updater makes (SingleTargetTracker, MultiTargetTracker)"
+            )
+        if state.ndim != model.dim:
+            raise ModelError(f"the state is of {state.ndim} numbers, those of the model of {model.dim}")
+        density = started(state, self.n_particles, checked_filter_config(self.config), model.domain).density
+        w = checked_probabilities(self.mode_probabilities, model)
+        alike = partial(ModeDensities.alike, w, density, summed=not suits(model))
+        modes = self._kept.result((density, w.tobytes()), alike)
+        return JumpMarkovState(modes, model.names, state.timestamp)
+
+    def _step(self, state: JumpMarkovState, before: ModeDensities, dt: float, *model: Hashable) -> Step:
+        if dt == 0.0:
+            info = ModesInfo(error=before.error, skipped=("everything: the interval is empty",))
+            return Step(before, info, origin_of(state))
+        return super()._step(state, before, dt, self.transition_model)
+
+    def _moved(self, state: JumpMarkovState, before: ModeDensities, dt: float) -> Step:
+        model, config = self.transition_model, checked_filter_config(self.config)
+        modes, info = predict_modes(before, model, before.heaviest.t + dt, config, self.n_particles)
+        return Step(modes, info, ModesPrediction(before, info.n_substeps, model))
+
+    def _stand_in(self, problem: PropagationError, before: ModeDensities, dt: float) -> Step:
+        t, told = before.heaviest.t + dt, said(problem, "left out, the densities are those before")
+        left = [None if p is None else replace(p, t=t) for p in before.densities]
+        info = ModesInfo(scheme="", error=before.error, **told)
+        return Step(ModeDensities(before.log_w, left, before.splitting), info)
+
+
+def _predictions(state: State) -> Iterable[State]:
+    """The predictions that a state is an update of."""
+    hypothesis = getattr(state, "hypothesis", None)
+    several = hypothesis if isinstance(hypothesis, Iterable) else [hypothesis]
+    return [getattr(each, "prediction", None) for each in several]
 
 
 def _bounded(density: ParticleDensity, n_particles: int) -> ParticleDensity:
@@ -213,9 +315,11 @@ def _bounded(density: ParticleDensity, n_particles: int) -> ParticleDensity:
 
 
 def _interval(start: datetime.datetime | None, end: datetime.datetime | None) -> float:
-    """Seconds from one timestamp to another."""
+    """Seconds from one timestamp to a later one."""
     if start is None or end is None:
         raise ModelError(
             f"a prediction needs the timestamp of the state and one to predict to, got {start} and {end}"
         )
+    if end < start:
+        raise ModelError(f"cannot predict back in time: from {start} to {end}")
     return (end - start).total_seconds()

@@ -14,30 +14,23 @@ from stonesoup.types.state import State
 
 from ..._types import Bools, Floats
 from ...errors import ModelError
-from ...model.measurements import GaussianMeasurement, Sensor, wrapped
+from ...filter.reading_at_prior import predicted_reading
+from ...model.measurements import GaussianMeasurement, GaussianSensor, Sensor, wrapped
 from ...validate import covariance, short
+from .states import DensityState
 
-__all__ = ["ModelMeasurement", "reading_of", "sensor_for", "typed"]
+__all__ = ["ModelMeasurement", "predicted", "reading_of", "sensor_for", "typed"]
 
-_PROBED = 2.0, 4.0  # radians: a type that keeps both but for whole turns is an angle of the whole circle
+#: Radians beyond pi / 2, where elevations fold, and beyond pi, where bearings turn: a type that keeps both
+#: but for whole turns is an angle of the whole circle.
+_PROBED = 0.6 * np.pi, 1.3 * np.pi
 
 
 class ModelMeasurement:
     """A Stone Soup measurement model as a sensor: its `function` and `covar`, and its own `logpdf`.
 
-    Parameters
-    ----------
-    model : stonesoup.models.measurement.MeasurementModel
-    timestamp : datetime.datetime or None
-        The timestamp of the states that the sensor is asked about.
-
-    Attributes
-    ----------
-    dim_z : int
-    noise_cov : ndarray, shape (k, k), or None
-        None for models that are not Gaussian.
-    angles : tuple of int
-        Components that are angles of the whole circle; their differences are wrapped to (−π, π].
+    It is asked about states of one timestamp. Models that are not Gaussian have no `noise_cov`; `angles` are
+    components that are angles of the whole circle, whose differences are wrapped to (−π, π].
     """
 
     H: None = None
@@ -78,13 +71,7 @@ class ModelMeasurement:
 
 
 def sensor_for(model: MeasurementModel | Sensor, timestamp: datetime.datetime | None) -> Sensor:
-    """The sensor of a measurement model: Stone Soup's, or one of the filter's own.
-
-    Raises
-    ------
-    ModelError
-        The model is no measurement model, or has no noise covariance.
-    """
+    """The sensor of a measurement model: Stone Soup's, or one of the filter's own; others are refused."""
     if hasattr(model, "log_likelihood"):
         return model
     if not isinstance(model, MeasurementModel):
@@ -99,19 +86,26 @@ def sensor_for(model: MeasurementModel | Sensor, timestamp: datetime.datetime | 
 
 
 def reading_of(detection: Detection, sensor: Any) -> Floats:
-    """The numbers of a detection, shape (k,).
-
-    Raises
-    ------
-    ModelError
-        The numbers are not finite, or not as many as the sensor gives.
-    """
+    """The numbers of a detection, shape (k,): finite, and as many as the sensor gives."""
     z = np.asarray(detection.state_vector, dtype=float).ravel()
     if not np.isfinite(z).all() or len(z) != (sensor.dim_z or len(z)):
         raise ModelError(
             f"a detection must hold {sensor.dim_z} finite numbers, got {z}; take a MissedDetection for none"
         )
     return z
+
+
+def predicted(state: DensityState, sensor: GaussianSensor) -> tuple[Floats, Floats, Floats]:
+    """Mean (k,) and covariance (k, k) of the noise-free reading of a state, and their covariance (n, k)."""
+    each = [(np.exp(log_w), p.mean(), *predicted_reading(p, sensor)) for log_w, p in state._some]
+    w, means, readings, S, cross = (np.array(part) for part in zip(*each, strict=True))
+    about, domain = readings[w.argmax()], state._some[0][1].domain
+    off = sensor.residual(readings, about)  # angles are averaged around that of the likeliest mode
+    middle, apart = w @ off, means - state._moments[0]
+    off, apart = off - middle, apart if domain is None else domain.nearest(apart)
+    S = np.einsum("k,kab->ab", w, S) + np.einsum("k,ka,kb->ab", w, off, off)
+    cross = np.einsum("k,kab->ab", w, cross) + np.einsum("k,ka,kb->ab", w, apart, off)
+    return about + middle, S, cross
 
 
 def typed(reading: Floats, sensor: Sensor, x: Floats) -> StateVector:
@@ -124,7 +118,7 @@ def typed(reading: Floats, sensor: Sensor, x: Floats) -> StateVector:
 
 
 def _turns(value: object) -> bool:
-    """Is it an angle of the whole circle? Elevations and the like are not: their differences do not wrap."""
+    """Whether it is an angle of the whole circle; differences of elevations and the like do not wrap."""
     mod = getattr(type(value), "mod_angle", None)
     return mod is not None and all(np.isclose(np.exp(1j * mod(a)), np.exp(1j * a)) for a in _PROBED)
 

@@ -1,33 +1,37 @@
-"""States of a Stone Soup track that carry a density."""
+"""States of a Stone Soup track that carry a density, or one for every mode of a model that switches."""
 
 import datetime
-from dataclasses import replace
-from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from stonesoup.base import Property, clearable_cached_property
 from stonesoup.types.array import CovarianceMatrix, StateVector, StateVectors
 from stonesoup.types.base import Type
 from stonesoup.types.prediction import Prediction
-from stonesoup.types.state import ParticleState, State, StateMutableSequence
+from stonesoup.types.state import ParticleState, State
 from stonesoup.types.update import Update
 
 from ..._types import Floats, Seed
 from ...config import FilterConfig
-from ...density.initialize import Gaussian, initialize
+from ...density.modes import ModeDensities
 from ...density.particle_density import ParticleDensity
 from ...errors import ModelError
+from ...filter.read_only import read_only
+from ...filter.update_modes import ModesUpdateInfo
 from ...info import PredictInfo, UpdateInfo
-from ...model.domain import Domain
-from ...validate import count, covariance, generator, short
+from ...prediction.mixing_modes import whatever_the_mode
+from ...prediction.switching import ModesInfo
+from ...validate import count, generator, short
 
-__all__ = ["DensityState", "SPHState", "SPHStatePrediction", "SPHStateUpdate", "Step", "current", "origin_of",
-           "retimed", "started"]  # fmt: skip
+__all__ = ["DensityState", "JumpMarkovState", "JumpMarkovStatePrediction", "JumpMarkovStateUpdate",
+           "SPHState", "SPHStatePrediction", "SPHStateUpdate", "Step", "origin_of"]  # fmt: skip
 
 
 class DensityState(Type):
-    """What states have in common that are known by densities: they have a density and its moments."""
+    """A state known by densities, which its kind says.
+
+    `_some` are logarithms of weights and densities, `_moments` mean (n,) and covariance (n, n), read-only.
+    """
 
     from_state = staticmethod(State.from_state)
     _known_by: str  # name of the property that filters carry on: one density, or those of all modes
@@ -37,29 +41,16 @@ class DensityState(Type):
         return getattr(self, self._known_by)
 
     @property
-    def _moments(self) -> tuple[Floats, Floats]:
-        """Mean (n,) and covariance (n, n)."""
-        raise NotImplementedError
-
-    def _alone(self) -> State:
-        """The state without what it came from."""
-        plain = next(kind for kind in type(self).__mro__ if not issubclass(kind, Prediction | Update))
-        return State.from_state(self, target_type=plain)
-
-    @property
     def state_vector(self) -> StateVector:
-        """The mean, over all modes if there are several, shape (n, 1)."""
-        return _frozen(self._moments[0][:, None]).view(StateVector)
+        """The mean, over all modes if there are several, shape (n, 1); read-only."""
+        return self._moments[0][:, None].view(StateVector)
+
+    mean = state_vector
 
     @property
     def covar(self) -> CovarianceMatrix:
-        """The covariance, over all modes if there are several, shape (n, n)."""
-        return _frozen(self._moments[1]).view(CovarianceMatrix)
-
-    @property
-    def mean(self) -> StateVector:
-        """The mean, shape (n, 1)."""
-        return self.state_vector
+        """The covariance, over all modes if there are several, shape (n, n); read-only."""
+        return self._moments[1].view(CovarianceMatrix)
 
     @property
     def ndim(self) -> int:
@@ -67,17 +58,7 @@ class DensityState(Type):
         return len(self.state_vector)
 
     def to_particle_state(self, n_particles: int, rng: Seed = None) -> ParticleState:
-        """Draw equally weighted particles from the density.
-
-        Parameters
-        ----------
-        n_particles : int
-        rng : numpy Generator or seed, optional
-
-        Returns
-        -------
-        stonesoup.types.state.ParticleState
-        """
+        """A `ParticleState` of equally weighted particles, drawn from the density by a generator or seed."""
         n_particles = count("n_particles", n_particles)
         X = self.density.sample(n_particles, generator(rng))
         log_weight = np.full(n_particles, -np.log(n_particles))
@@ -88,7 +69,8 @@ class DensityState(Type):
         made, arguments, values, *rest = super().__reduce_ex__(protocol)
         prior = getattr(self, "prior", None)
         if isinstance(prior, DensityState) and isinstance(prior, Update):
-            values = values | {"_property_prior": prior._alone()}
+            plain = next(kind for kind in type(prior).__mro__ if not issubclass(kind, Prediction | Update))
+            values = values | {"_property_prior": State.from_state(prior, target_type=plain)}
         return (made, arguments, values, *rest)
 
     def __copy__(self) -> "DensityState":
@@ -108,18 +90,6 @@ class SPHState(DensityState):
     density : ParticleDensity
     timestamp : datetime.datetime, optional
         What counts is the timestamp: `density.t` is set from it where a model depends on time.
-
-    Attributes
-    ----------
-    state_vector, mean : StateVector, shape (n, 1)
-        The mean; read-only.
-    covar : CovarianceMatrix, shape (n, n)
-    ndim : int
-
-    Raises
-    ------
-    ModelError
-        The density is no ParticleDensity.
     """
 
     _known_by = "density"
@@ -134,10 +104,14 @@ class SPHState(DensityState):
             )
         self._property_density = value
 
+    @property
+    def _some(self) -> list[tuple[float, ParticleDensity]]:
+        return [(0.0, self.density)]
+
     @clearable_cached_property("density")
     def _moments(self) -> tuple[Floats, Floats]:
         """Mean (n,) and covariance (n, n)."""
-        return self.density.mean(), self.density.cov()
+        return read_only(self.density.mean()), read_only(self.density.cov())
 
 
 class SPHStatePrediction(Prediction, SPHState):
@@ -157,59 +131,76 @@ class SPHStateUpdate(Update, SPHState):
     info: UpdateInfo = Property(default=None, doc="What the update did.")
 
 
-def current(state: State | StateMutableSequence) -> State:
-    """The last state of a track, or the state itself."""
-    if isinstance(state, StateMutableSequence) and not isinstance(state, State):
-        return state.state
-    return state
+class JumpMarkovState(DensityState):
+    """A state known by a density for every mode of a model that switches, and their probabilities.
+
+    Predictions and updates make it; a track starts from a GaussianState, or an SPHState.
+
+    Parameters
+    ----------
+    modes : ModeDensities
+    names : tuple of str, length M
+        Of the modes.
+    timestamp : datetime.datetime, optional
+    """
+
+    _known_by = "modes"
+    modes: ModeDensities = Property(doc="Densities of all modes, and their probabilities.")
+    names: tuple[str, ...] = Property(doc="Names of the modes.")
+    timestamp: datetime.datetime = Property(default=None, doc="Timestamp of the state. Default None.")
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        if not isinstance(self.modes, ModeDensities) or len(self.modes.densities) != len(self.names):
+            raise ModelError(
+                f"a JumpMarkovState takes ModeDensities of the modes {list(self.names)}, as those of another "
+                f"state are, got {short(self.modes)}"
+            )
+
+    @property
+    def _some(self) -> list[tuple[float, ParticleDensity]]:
+        return [(log_w, p) for _, log_w, p in self.modes.some]
+
+    @property
+    def _moments(self) -> tuple[Floats, Floats]:
+        """Mean (n,) and covariance (n, n) over all modes."""
+        return self.modes.moments
+
+    @clearable_cached_property("modes")
+    def density(self) -> ParticleDensity:
+        """The density of the states, whatever the mode: the sum of all modes, made when it is asked for."""
+        return whatever_the_mode(self.modes, FilterConfig().target_error)
+
+    @property
+    def mode_probabilities(self) -> Floats:
+        """Probabilities of the modes, shape (M,), in the order of `names`."""
+        return self.modes.w
+
+    @property
+    def mode(self) -> str:
+        """Name of the most probable mode."""
+        return self.names[int(np.argmax(self.modes.log_w))]
+
+    @property
+    def densities(self) -> dict[str, ParticleDensity]:
+        """Densities by mode, of those that have a probability."""
+        return {self.names[i]: p for i, _, p in self.modes.some}
 
 
-def started(
-    state: State, n_particles: int | Literal["auto"], config: FilterConfig, domain: Domain | None = None
-) -> SPHState:
-    """The state by its density, that of a Gaussian on particles: a Gaussian always on the same ones."""
-    if isinstance(state, SPHState):
-        return state
-    if isinstance(state, DensityState):
-        raise ModelError(
-            f"a {type(state).__name__} has a density for every mode, which JumpMarkovPredictor and "
-            f"JumpMarkovUpdater carry; take these, or SPHState(state.density, state.timestamp) for one model"
-        )
-    if isinstance(state, ParticleState) or not hasattr(state, "covar"):
-        raise ModelError(
-            f"a density starts from an SPHState or a GaussianState, got a {type(state).__name__}; of others "
-            f"take GaussianState(state.mean, state.covar, timestamp=state.timestamp)"
-        )
-    mean = np.asarray(state.state_vector, dtype=float)
-    cov = covariance("covar of the state", np.asarray(state.covar, dtype=float), dim=len(mean))
-    density = _on_particles(mean.tobytes(), cov.tobytes(), len(mean), n_particles, config, domain)
-    return SPHState(density, timestamp=state.timestamp)
+class JumpMarkovStatePrediction(Prediction, JumpMarkovState):
+    """Predicted densities of all modes; `info` says how they were carried (`ModesInfo`)."""
+
+    info: ModesInfo = Property(default=None, doc="What the prediction did.")
 
 
-@lru_cache(maxsize=64)  # by value: what a state is changed to later is another key
-def _on_particles(
-    mean: bytes,
-    cov: bytes,
-    n: int,
-    n_particles: int | Literal["auto"],
-    config: FilterConfig,
-    domain: Domain | None,
-) -> ParticleDensity:
-    start = Gaussian(np.frombuffer(mean), np.frombuffer(cov).reshape(n, n))
-    return initialize(start, n_particles, config, domain=domain)
+class JumpMarkovStateUpdate(Update, JumpMarkovState):
+    """Posterior densities of all modes; `info` says what was done with the detection (`ModesUpdateInfo`).
 
+    After one detection `info.log_evidence` is the logarithm of its predicted density; after an association of
+    several, whose weights were given, zero.
+    """
 
-@lru_cache(maxsize=64)  # the same density once more is the same object once more
-def _at(density: ParticleDensity, t: float) -> ParticleDensity:
-    return replace(density, t=t)
-
-
-def retimed(
-    density: ParticleDensity, transition: Any, timestamp: datetime.datetime | None
-) -> ParticleDensity:
-    """The density with the time that a timestamp is for the model."""
-    t = density.t if transition.epoch is None else transition.time_of(timestamp)
-    return density if density.t == t else _at(density, t)
+    info: ModesUpdateInfo = Property(default=None, doc="What the update did.")
 
 
 class Step(NamedTuple):
@@ -231,9 +222,3 @@ def origin_of(state: State) -> Any:
     """Where the densities of a state come from, as its `Step` told; None if they are others by now."""
     carried, origin = getattr(state, "_origin", (None, None))
     return origin if carried is getattr(state, "_carried", None) else None
-
-
-def _frozen(array: Floats) -> Floats:
-    """An array that cannot be changed any more."""
-    array.flags.writeable = False
-    return array

@@ -23,14 +23,16 @@ from ...model.sde import SDE, LinearSDE
 from ...model.simulate import advance
 from ...validate import generator, short
 
-__all__ = ["SDETransitionModel", "linear_sde", "transition_of"]
+__all__ = ["SDETransitionModel", "linear_sde", "switching", "transition_of"]
 
-#: Intervals, seconds, that a linear model is read at, and those at which the equation has to agree: none so
-#: short that Stone Soup's covariances, integrated numerically, are mostly rounding.
+_SAME = 1e-8  # error of a transition: Stone Soup's integrals, by scipy's `quad`, have sqrt(eps) = 1.5e-8
+_FLOW_TOLERANCE = _SAME / 100  # = 1e-10, of an integrator, whose errors add up over its steps
+#: Intervals τ, seconds, that a linear model is read at: exp(-rate τ) has to be above `_SAME`, so that modes
+#: of a rate of 18, 180 and 1800 a second are read. None shorter: Q of a chain of k integrals is like τ^(2k+1).
 _READ_AT = 1.0, 0.1, 0.01
+#: Those at which the equation has to agree: no ratio of two is a whole number, as 0.7 / 0.3 = 2.33, so that a
+#: model of steps or turns does not agree at all of them; and one longer than those read at.
 _CHECKED_AT = 0.3, 0.7, 5.0
-_SAME = 1e-8
-_FLOW_TOLERANCE = 1e-10
 
 
 class SDETransitionModel(TransitionModel):
@@ -88,7 +90,7 @@ class SDETransitionModel(TransitionModel):
         time_interval: datetime.timedelta,
         **kwargs: Any,
     ) -> StateVector | StateVectors:
-        """Move states (n, N) over `time_interval`, with noise of their own if `noise`."""
+        """States (n, N) moved over `time_interval`, with noise of their own if `noise`."""
         X = np.asarray(state.state_vector, dtype=float).T
         t, dt = self.time_of(state.timestamp), time_interval.total_seconds()
         if noise is None or isinstance(noise, bool | np.bool_):
@@ -125,13 +127,13 @@ class SDETransitionModel(TransitionModel):
         return super().jacobian(state, time_interval=time_interval, **kwargs)
 
     def covar(self, *, time_interval: datetime.timedelta, **kwargs: Any) -> CovarianceMatrix:
-        """Covariance (n, n) of the noise over an interval, of linear models."""
+        """Covariance (n, n) of the noise over an interval, of a linear model."""
         return self._gaussian(time_interval.total_seconds())[2].view(CovarianceMatrix)
 
     def rvs(
         self, num_samples: int = 1, *, time_interval: datetime.timedelta, **kwargs: Any
     ) -> StateVector | StateVectors:
-        """Draw noise (n, num_samples) of an interval, of linear models."""
+        """Noise (n, num_samples) of an interval, drawn of a linear model."""
         Q = self._gaussian(time_interval.total_seconds())[2]
         drawn = self._rng.multivariate_normal(np.zeros(len(Q)), Q, num_samples, method="eigh").T
         return drawn.view(StateVector if num_samples == 1 else StateVectors)
@@ -139,7 +141,7 @@ class SDETransitionModel(TransitionModel):
     def pdf(
         self, state1: State, state2: State, *, time_interval: datetime.timedelta, **kwargs: Any
     ) -> Probability | NDArray[Any]:
-        """Density of state1 where state2 goes, of linear models."""
+        """Density of state1 where state2 goes, of a linear model."""
         expected = self.function(state2, time_interval=time_interval)
         off = np.asarray(state1.state_vector - expected, dtype=float)
         Q = self._gaussian(time_interval.total_seconds())[2]
@@ -155,6 +157,21 @@ def transition_of(model: SDETransitionModel | SDE | TransitionModel) -> SDETrans
     if isinstance(model, JumpMarkovModel):
         raise ModelError("a JumpMarkovModel switches between modes: JumpMarkovPredictor carries them")
     return SDETransitionModel(model if isinstance(model, SDE) else linear_sde(model))
+
+
+def switching(model: JumpMarkovModel) -> JumpMarkovModel:
+    """A model that switches between modes as it is, if none of them depends on time."""
+    if not isinstance(model, JumpMarkovModel):
+        raise ModelError(
+            f"transition_model must be a JumpMarkovModel, got {short(model)}; SPHPredictor takes others"
+        )
+    timed = [name for name, mode in model.modes.items() if not mode.autonomous]
+    if timed:
+        raise ModelError(
+            f"the modes {timed} may depend on time, which JumpMarkovPredictor does not count; write them "
+            f"without it, or take JumpMarkovFilter"
+        )
+    return model
 
 
 def linear_sde(model: LinearModel) -> LinearSDE:
@@ -219,7 +236,7 @@ def _read(F: Floats, Q: Floats, tau: float) -> LinearSDE | None:
 
 
 def _same(sde: LinearSDE, model: LinearModel, dt: float) -> bool:
-    """Do the transitions over dt agree, in the units of their own noise?"""
+    """Whether the transitions over dt agree, in the units of their own noise."""
     F, Q = _transition(model, dt)
     Phi, _, Qd = sde.discretize(dt)
     scale = np.sqrt(np.diag(Q))
