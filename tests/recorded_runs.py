@@ -451,17 +451,29 @@ def adapters():
     from stonesoup.types.state import GaussianState
     from stonesoup.types.track import Track
 
-    from sphfilter.adapters.stonesoup import EvidenceHypothesiser, SPHPredictor, SPHUpdater
+    from sphfilter.adapters.stonesoup import (
+        EvidenceHypothesiser,
+        JumpMarkovPredictor,
+        JumpMarkovUpdater,
+        SPHPredictor,
+        SPHUpdater,
+    )
 
     began = datetime.datetime(2026, 1, 1)
 
     def at(seconds):
         return began + datetime.timedelta(seconds=seconds)
 
-    for name, model in (("duffing", duffing()), ("line", ConstantVelocity(0.4))):
-        sensor = LinearGaussian(ndim_state=2, mapping=[0], noise_covar=np.array([[0.2]]))
-        predictor, updater = SPHPredictor(model, n_particles=150), SPHUpdater(sensor)
-        state = GaussianState([3.0, 0.0], np.diag([0.2, 1.0]), timestamp=began)
+    switches = JumpMarkovPredictor(switching())
+    kinds = {
+        "duffing": (2, SPHPredictor(duffing(), n_particles=150), SPHUpdater()),
+        "line": (2, SPHPredictor(ConstantVelocity(0.4), n_particles=150), SPHUpdater()),
+        "switching": (1, switches, JumpMarkovUpdater(switches)),
+    }
+    for name, (n, predictor, updater) in kinds.items():
+        sensor = LinearGaussian(ndim_state=n, mapping=[0], noise_covar=np.array([[0.2]]))
+        updater.measurement_model = sensor
+        state = GaussianState([3.0, 0.0][:n], np.diag([0.2, 1.0][:n]), timestamp=began)
         for k in range(1, 5):
             predicted = predictor.predict(state, at(k))
             seen = Detection([2.5 - k], timestamp=at(k), measurement_model=sensor)

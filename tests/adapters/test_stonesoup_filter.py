@@ -13,6 +13,7 @@ from sphfilter.filter import sph_filter
 pytest.importorskip("stonesoup")
 
 from scipy.stats import multivariate_normal
+from stonesoup.models.control.linear import LinearControlModel
 from stonesoup.models.measurement.nonlinear import CartesianToBearingRange
 from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
 from stonesoup.predictor.kalman import KalmanPredictor
@@ -212,7 +213,8 @@ def test_failures_are_sentences_and_change_nothing():
     for call, sentence in (
         (lambda: predictor.predict(prior, at(-1)), "back in time"),
         (lambda: predictor.predict(prior), "timestamp"),
-        (lambda: predictor.predict(prior, at(1), control_input=1.0), "drift of the SDE"),
+        (lambda: predictor.predict(prior, at(1), control_input=1.0), "no control_input: .* drift of the SDE"),
+        (lambda: SPHPredictor(duffing(), LinearControlModel(np.eye(2))), "no control_model"),
         (lambda: predictor.predict(prior.to_particle_state(10, 0), at(1)), "GaussianState"),
         (lambda: updater.update(SingleHypothesis(prior, seen(np.nan, seconds=0))), "MissedDetection"),
         (lambda: updater.update(SingleHypothesis(prior, seen(1.0, 2.0, seconds=0))), "1 finite numbers"),

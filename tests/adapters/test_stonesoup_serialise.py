@@ -18,6 +18,7 @@ from stonesoup.serialise import YAML
 from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.track import Track
 
+from sphfilter.adapters import stonesoup
 from sphfilter.adapters.stonesoup import (
     EvidenceHypothesiser,
     SDETransitionModel,
@@ -66,6 +67,7 @@ def test_a_filter_goes_on_to_the_same_bits(through):
     predictor2, updater2, track = through([predictor, updater, Track([gaussian(), state])])
     assert type(track.state) is SPHStateUpdate and track.state.timestamp == at(2)
     _same(track.state.density, state.density)
+    assert not (track.state.mean.flags.writeable or track.state.covar.flags.writeable)
     info = track.state.info
     assert (info.log_evidence, info.accepted, info.status) == (state.info.log_evidence, True, "ok")
     np.testing.assert_array_equal(info.innovation_cov, state.info.innovation_cov)
@@ -154,6 +156,20 @@ def test_what_is_code_is_refused_with_a_sentence():
 def test_files_that_are_wrong_are_refused(text):
     with pytest.raises(ConstructorError, match="while reading"):
         YAML().load(text)
+
+
+@pytest.mark.parametrize(
+    ("room", "name"),
+    [
+        ("jump_markov_predictor", "JumpMarkovPredictor"),
+        ("jump_markov_updater", "JumpMarkovUpdater"),
+        ("jump_markov_states", "JumpMarkovStateUpdate"),
+    ],
+)
+def test_pickles_of_before_find_what_has_moved(room, name):
+    """By the opcode that pickles name a class with."""
+    pickled = f"csphfilter.adapters.stonesoup.{room}\n{name}\n.".encode()
+    assert pickle.loads(pickled) is getattr(stonesoup, name)
 
 
 def test_without_the_entry_point_yaml_is_taught():

@@ -12,6 +12,9 @@ pytest.importorskip("stonesoup")
 
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
+from stonesoup.base import Property
+from stonesoup.models.base import GaussianModel, LinearModel
+from stonesoup.models.transition.base import TransitionModel
 from stonesoup.models.transition.linear import (
     CombinedLinearGaussianTransitionModel,
     ConstantAcceleration,
@@ -54,6 +57,28 @@ def test_linear_models_become_their_equation(model):
     scale = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(Q / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-8)
     assert not offset.any()
+
+
+class Turning(LinearModel, GaussianModel, TransitionModel):
+    """The transitions of a linear equation, as a model of Stone Soup's."""
+
+    sde: sf.LinearSDE = Property()
+    ndim_state = 2
+
+    def matrix(self, time_interval, **kwargs):
+        return self.sde.discretize(time_interval.total_seconds())[0]
+
+    def covar(self, time_interval, **kwargs):
+        return self.sde.discretize(time_interval.total_seconds())[2]
+
+
+def test_turns_are_read_the_right_way_round():
+    """More than half a turn in an interval looks like a slower one, which agrees at all of its multiples."""
+    for rate in (2.0, 20.0, 32.0, 300.0):
+        sde = sf.LinearSDE([[0.0, 1.0], [-(rate**2), -0.4]], noise=[[0.0], [1.0]])
+        np.testing.assert_allclose(linear_sde(Turning(sde)).A, sde.A, rtol=1e-6, atol=1e-6 * rate)
+    with pytest.raises(sf.ModelError, match="no linear equation"):
+        linear_sde(Turning(sf.LinearSDE([[0.0, 1.0], [-(320.0**2), -0.4]], noise=[[0.0], [1.0]])))
 
 
 def test_models_that_no_equation_has_are_refused():

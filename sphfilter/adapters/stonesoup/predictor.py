@@ -40,7 +40,10 @@ __all__ = ["DensityPredictor", "JumpMarkovPredictor", "SPHPredictor"]
 
 
 class DensityPredictor(Predictor):
-    """Carries what states are known by: a density, or one for every mode of a model that switches.
+    """A predictor of states known by densities: one, or one for every mode of a model that switches.
+
+    Predictions are deterministic. The last ones are kept under the values that went into them (density,
+    model, parameters, interval), never under state objects, so that a changed state is predicted anew.
 
     Each kind has its own `_started(state)`, a state known by densities; `_moved(state, before, dt)`, the
     `Step` that its model makes; and `_stand_in(problem, before, dt)`, the `Step` where that fails.
@@ -134,11 +137,6 @@ class SPHPredictor(DensityPredictor):
         filter; where there is none, as with "drop". With "drop" the prediction is left out: the density
         stays what it was, at the new time. `info.status` says so, and why; `info.flagged` is True. With
         "raise" the error is raised, and ends a run of a tracker.
-
-    Notes
-    -----
-    Predictions are deterministic. The last ones are kept under the values that went into them (density,
-    model, parameters, interval), never under state objects, so that a changed state is predicted anew.
     """
 
     transition_model: TransitionModel = Property(

@@ -16,7 +16,6 @@ from ...config import FilterConfig
 from ...density.modes import ModeDensities
 from ...density.particle_density import ParticleDensity
 from ...errors import ModelError
-from ...filter.read_only import read_only
 from ...filter.update_modes import ModesUpdateInfo
 from ...info import PredictInfo, UpdateInfo
 from ...prediction.mixing_modes import whatever_the_mode
@@ -30,7 +29,7 @@ __all__ = ["DensityState", "JumpMarkovState", "JumpMarkovStatePrediction", "Jump
 class DensityState(Type):
     """A state known by densities, which its kind says.
 
-    `_some` are logarithms of weights and densities, `_moments` mean (n,) and covariance (n, n), read-only.
+    `_some` are logarithms of weights and densities, `_moments` mean (n,) and covariance (n, n).
     """
 
     from_state = staticmethod(State.from_state)
@@ -43,14 +42,14 @@ class DensityState(Type):
     @property
     def state_vector(self) -> StateVector:
         """The mean, over all modes if there are several, shape (n, 1); read-only."""
-        return self._moments[0][:, None].view(StateVector)
+        return _frozen(self._moments[0][:, None]).view(StateVector)
 
     mean = state_vector
 
     @property
     def covar(self) -> CovarianceMatrix:
         """The covariance, over all modes if there are several, shape (n, n); read-only."""
-        return self._moments[1].view(CovarianceMatrix)
+        return _frozen(self._moments[1]).view(CovarianceMatrix)
 
     @property
     def ndim(self) -> int:
@@ -111,7 +110,7 @@ class SPHState(DensityState):
     @clearable_cached_property("density")
     def _moments(self) -> tuple[Floats, Floats]:
         """Mean (n,) and covariance (n, n)."""
-        return read_only(self.density.mean()), read_only(self.density.cov())
+        return self.density.mean(), self.density.cov()
 
 
 class SPHStatePrediction(Prediction, SPHState):
@@ -222,3 +221,9 @@ def origin_of(state: State) -> Any:
     """Where the densities of a state come from, as its `Step` told; None if they are others by now."""
     carried, origin = getattr(state, "_origin", (None, None))
     return origin if carried is getattr(state, "_carried", None) else None
+
+
+def _frozen(array: Floats) -> Floats:
+    """The array, read-only; what comes out of a file is not."""
+    array.flags.writeable = False
+    return array

@@ -27,12 +27,12 @@ __all__ = ["SDETransitionModel", "linear_sde", "switching", "transition_of"]
 
 _SAME = 1e-8  # error of a transition: Stone Soup's integrals, by scipy's `quad`, have sqrt(eps) = 1.5e-8
 _FLOW_TOLERANCE = _SAME / 100  # = 1e-10, of an integrator, whose errors add up over its steps
-#: Intervals τ, seconds, that a linear model is read at: exp(-rate τ) has to be above `_SAME`, so that modes
-#: of a rate of 18, 180 and 1800 a second are read. None shorter: Q of a chain of k integrals is like τ^(2k+1).
+#: Intervals τ, seconds, that a linear model is read at: its turns there have to be less than π, so that those
+#: of up to π / τ = 3, 31 and 314 rad/s are read.
 _READ_AT = 1.0, 0.1, 0.01
-#: Those at which the equation has to agree: no ratio of two is a whole number, as 0.7 / 0.3 = 2.33, so that a
-#: model of steps or turns does not agree at all of them; and one longer than those read at.
-_CHECKED_AT = 0.3, 0.7, 5.0
+#: Those at which the equation has to agree, none a multiple of those: 0.3137 / 0.01 = 31.37. At multiples
+#: that of a turn the other way round, less than π, agrees as well. Whole microseconds, as of timestamps.
+_CHECKED_AT = 0.3137, 0.7071, 5.0333
 
 
 class SDETransitionModel(TransitionModel):

@@ -88,13 +88,7 @@ class DensityUpdater(Updater):
         measurement_noise: bool = True,
         **kwargs: Any,
     ) -> GaussianMeasurementPrediction:
-        """Mean and covariance of the next detection, and its covariance with the state.
-
-        Raises
-        ------
-        ModelError
-            The sensor is not Gaussian.
-        """
+        """Mean and covariance of the next detection, of a Gaussian sensor, and covariance with the state."""
         state = self._started(current(predicted_state))
         sensor = self._sensor(measurement_model, state.timestamp)
         if not is_gaussian(sensor):
@@ -234,14 +228,11 @@ class SPHUpdater(DensityUpdater):
         Upper bound of the number of particles; by default the bound of the prediction.
     config : FilterConfig, optional
     on_failure : "gaussian", "drop" or "raise"
-        What comes of a detection, or an association of several, whose posterior could not be made
-        (`PropagationError`). With "gaussian" the posterior is a Gaussian: of a detection that which an
-        unscented Kalman filter makes, with the density's particles as its points (of a sensor that is not
-        Gaussian, that of the particles weighted by their likelihood); of an association that with the mean
-        and covariance of the mixture of these. Where there is none, as with "drop". With "drop" the
-        detections are left out, as if they had been missed: the posterior is the prediction, and
-        `info.accepted` is False. `info.status` says so, and why; `info.flagged` is True. With "raise" the
-        error is raised, and ends a run of a tracker.
+        As of `SPHPredictor`, of detections whose posterior could not be made. The Gaussian is that which an
+        unscented Kalman filter makes of a detection, with the density's particles as its points (of a sensor
+        that is not Gaussian, that of the particles weighted by their likelihood); of an association that
+        with the moments of the mixture of these. Detections that are dropped count as missed: the posterior
+        is the prediction, and `info.accepted` is False.
     """
 
     _most_kept = 256
