@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 from stonesoup.types.hypothesis import Hypothesis
 from stonesoup.types.state import State
@@ -24,7 +23,7 @@ from ...model.measurements import Sensor
 from ...prediction.again import Ladder, Outcome
 from .states import DensityState
 
-__all__ = ["Alone", "Association", "Part", "alone", "check_sharpness", "evidence_of_points", "one_prediction",
+__all__ = ["Association", "Part", "alone", "check_sharpness", "evidence_of_points", "one_prediction",
            "predicted_apart", "probability_of", "resolved"]  # fmt: skip
 
 _LADDER = Ladder(times=(1, 3, 9), deeper=0.7, most=math.inf)  # for products of density and likelihood
@@ -37,24 +36,18 @@ _NEGLIGIBLE = 1e-6
 _HOPELESS = 3.0  # times the nodes of the finest lattice that is tried, from which none is
 
 
-class Alone(NamedTuple):
-    """The log-evidence of a detection, and what an association takes of it; None where it would not be used.
+class Part(NamedTuple):
+    """A detection: what it says alone, and the probability that it is the target's.
 
-    One of densities takes mean (n,) and covariance (n, n) of the posterior, one of modes its whole `Step`.
+    `used` is what an association takes of it, None where it would not be used alone: of one density mean (n,)
+    and covariance (n, n) of the posterior, of modes the whole `Step`.
     """
 
-    log_evidence: float
-    used: Any
-
-
-class Part(NamedTuple):
-    """A detection of several, the probability that it is the target's, and what it says `Alone`."""
-
-    weight: float
     sensor: Sensor
     z: Floats
     log_evidence: float
     used: Any
+    weight: float = 1.0
 
 
 class _Likelihood:
@@ -112,8 +105,8 @@ class Total(_Likelihood):
 
 
 def alone(
-    state: DensityState, sensor: Sensor, z: ArrayLike, config: FilterConfig, n_particles: int | None
-) -> Alone:
+    state: DensityState, sensor: Sensor, z: Floats, config: FilterConfig, n_particles: int | None
+) -> Part:
     """What a detection says alone of a state known by one density."""
     density = state.density
     try:
@@ -122,11 +115,12 @@ def alone(
             lambda rung: update(density, sensor, z, config, n_particles=rung.n_particles),
         )
     except PropagationError:
-        return Alone(evidence_of_points(state, sensor, z), None)
-    return Alone(info.log_evidence, (posterior.mean(), posterior.cov()) if info.accepted else None)
+        return Part(sensor, z, evidence_of_points(state, sensor, z), None)
+    moments = (posterior.mean(), posterior.cov()) if info.accepted else None
+    return Part(sensor, z, info.log_evidence, moments)
 
 
-def evidence_of_points(state: DensityState, sensor: Sensor, z: ArrayLike) -> float:
+def evidence_of_points(state: DensityState, sensor: Sensor, z: Floats) -> float:
     """Log-evidence where no posterior can be made: a sum over the points of all densities of a state."""
     each = [(log_w, p.mass, sensor.log_likelihood(z, p.x, p.t)) for log_w, p in state._some]
     return float(logsumexp([log_w + logsumexp(log_l, b=mass) for log_w, mass, log_l in each]))

@@ -54,7 +54,7 @@ class DensityPredictor(Predictor):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self._check_control(control_model=self.control_model)
+        self._check_control("control_model", self.control_model)
         choice("on_failure", self.on_failure, self._words)
         self._kept = Recent(self._most_kept)
 
@@ -90,7 +90,7 @@ class DensityPredictor(Predictor):
             With ``on_failure="raise"``: the model blew up, or no lattice holds the density, or that of a mode
             that is not unlikely; says what to change. The prior is as it was.
         """
-        self._check_control(control_input=control_input)
+        self._check_control("control_input", control_input)
         prior = current(prior)
         state, dt = self._started(prior), _interval(prior.timestamp, timestamp)
         step = self._step(state, state._carried, dt)
@@ -111,13 +111,12 @@ class DensityPredictor(Predictor):
         config = checked_filter_config(self.config)
         return self._kept.result((before, *model, dt, config, self.n_particles, self.on_failure), made)
 
-    def _check_control(self, **given: object) -> None:
-        """Raise `ModelError` for a control that is given by name."""
-        for name, value in given.items():
-            if value is not None:
-                raise ModelError(
-                    f"{type(self).__name__} takes no {name}: write the control into the drift of the SDE"
-                )
+    def _check_control(self, name: str, value: object) -> None:
+        """Raise `ModelError` for a control that is given."""
+        if value is not None:
+            raise ModelError(
+                f"{type(self).__name__} takes no {name}: write the control into the drift of the SDE"
+            )
 
 
 class SPHPredictor(DensityPredictor):

@@ -38,7 +38,6 @@ from ...prediction.again import Outcome
 from ...prediction.mixing_modes import mixture
 from ...validate import choice, count, short
 from .association import (
-    Alone,
     Association,
     Part,
     alone,
@@ -63,8 +62,8 @@ class DensityUpdater(Updater):
 
     Each kind has its own `_by`, whose `n_particles`, `config` and `on_failure` count; `_info`, the class of
     its infos; `_started(state)`, a state known by densities; `_multiplied(state, sensor, z)`, the `Step` of a
-    detection; `_alone(state, sensor, z)`, what that says `Alone`; `_associated(state, missed, parts)`, the
-    `Step` of several; and `_gaussian(density, missed, parts)` if a Gaussian may stand for a posterior.
+    detection; `_alone(state, sensor, z)`, the `Part` that it is of several; `_associated(state, missed,
+    parts)`, the `Step` of these; and `_gaussian(density, missed, parts)` if one may stand for a posterior.
     """
 
     _most_kept: int  # detections of late, which hypothesisers score first and updates use then
@@ -154,7 +153,7 @@ class DensityUpdater(Updater):
         try:
             return self._multiplied(state, sensor, z)
         except PropagationError as problem:
-            part = Part(1.0, sensor, z, *self._alone(state, sensor, z))
+            part = self._alone(state, sensor, z)
             return self._stand_in(problem, state, 0.0, [part], part.log_evidence)
 
     def _of_several(self, state: DensityState, hypotheses: MultipleHypothesis) -> Step:
@@ -163,12 +162,11 @@ class DensityUpdater(Updater):
         for hypothesis in hypotheses:
             weight, part = probability_of(hypothesis), None
             if hypothesis and weight > 0.0:
-                asked = self._asked(state, hypothesis.measurement)
-                part = Part(weight, *asked, *self._alone(state, *asked))
+                part = self._alone(state, *self._asked(state, hypothesis.measurement))
             if part is None or part.used is None:
                 missed += weight
             else:
-                parts.append(part)
+                parts.append(part._replace(weight=weight))
         try:
             return self._associated(state, missed, parts) if parts else self._unused(state)
         except PropagationError as problem:
@@ -252,15 +250,12 @@ class SPHUpdater(DensityUpdater):
         return self
 
     def _started(self, state: State) -> SPHState:
-        n_particles = (
-            SPHPredictor.n_particles.default
-            if self.n_particles is None
-            else count("n_particles", self.n_particles)
-        )
+        usual = SPHPredictor.n_particles.default  # type: ignore[attr-defined]  # a Property of Stone Soup
+        n_particles = usual if self.n_particles is None else count("n_particles", self.n_particles)
         return started(state, n_particles, self._config)
 
-    def _alone(self, state: SPHState, sensor: Sensor, z: Floats) -> Alone:
-        def made() -> Alone:
+    def _alone(self, state: SPHState, sensor: Sensor, z: Floats) -> Part:
+        def made() -> Part:
             return alone(state, sensor, z, self._config, self.n_particles)
 
         return self._once(state, sensor, z, made)
@@ -342,12 +337,12 @@ class JumpMarkovUpdater(DensityUpdater):
     def _sensor(self, measurement_model: Any, timestamp: datetime.datetime | None) -> Sensor:
         return driven(super()._sensor(measurement_model, timestamp), self.predictor.transition_model.inputs)
 
-    def _alone(self, state: JumpMarkovState, sensor: Sensor, z: Floats) -> Alone:
+    def _alone(self, state: JumpMarkovState, sensor: Sensor, z: Floats) -> Part:
         try:
             step = self._multiplied(state, sensor, z)
         except PropagationError:
-            return Alone(evidence_of_points(state, sensor, z), None)
-        return Alone(step.info.log_evidence, step if step.info.accepted else None)
+            return Part(sensor, z, evidence_of_points(state, sensor, z), None)
+        return Part(sensor, z, step.info.log_evidence, step if step.info.accepted else None)
 
     def _multiplied(self, state: JumpMarkovState, sensor: Sensor, z: Floats) -> Step:
         def made() -> Step:
