@@ -17,10 +17,17 @@ from stonesoup.models.measurement.nonlinear import CartesianToBearingRange
 from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, RandomWalk
 from stonesoup.types.angle import Bearing
 from stonesoup.types.detection import Detection
-from stonesoup.types.hypothesis import SingleHypothesis
+from stonesoup.types.hypothesis import SingleHypothesis, SingleProbabilityHypothesis
+from stonesoup.types.multihypothesis import MultipleHypothesis
 from stonesoup.types.state import GaussianState
 
-from sphfilter.adapters.stonesoup import EvidenceHypothesiser, SPHPredictor, SPHUpdater
+from sphfilter.adapters.stonesoup import (
+    EvidenceHypothesiser,
+    JumpMarkovPredictor,
+    JumpMarkovUpdater,
+    SPHPredictor,
+    SPHUpdater,
+)
 from sphfilter.adapters.stonesoup import predictor as predictor_room
 from sphfilter.adapters.stonesoup import updater as updater_room
 
@@ -80,22 +87,16 @@ LINE = sf.SDE.from_expressions(["x", "v"], ["v", "-sin(x)"], [["0"], ["1"]], [[0
 START = gaussian((0.4, 0.0), (0.1, 0.1))
 
 
-def test_a_failed_prediction_goes_on_as_a_gaussian_or_stays(monkeypatch):
+def test_a_failed_prediction_goes_on_as_a_gaussian(monkeypatch):
     reference = SPHPredictor(LINE).predict(START, at(0.5))
     monkeypatch.setattr(predictor_room, "predict", failing)
     stands = SPHPredictor(LINE).predict(START, at(0.5))
     assert stands.info.flagged and "a Gaussian stands for the density: nothing holds" in stands.info.status
     np.testing.assert_allclose(np.ravel(stands.mean), np.ravel(reference.mean), atol=0.02)
     np.testing.assert_allclose(stands.covar, reference.covar, atol=0.02)
-    stays = SPHPredictor(LINE, on_failure="drop").predict(START, at(0.5))
-    assert stays.info.flagged and stays.info.status.startswith("left out")
-    assert stays.timestamp == at(0.5) and stays.density.t == 0.5
-    np.testing.assert_allclose(np.ravel(stays.mean), [0.4, 0.0], atol=1e-12)
-    with pytest.raises(sf.PropagationError):
-        SPHPredictor(LINE, on_failure="raise").predict(START, at(0.5))
 
 
-def test_a_failed_update_goes_on_as_a_gaussian_or_is_a_miss(monkeypatch):
+def test_a_failed_update_goes_on_as_a_gaussian(monkeypatch):
     prediction = SPHPredictor(LINE).predict(START, at(0.5))
     hypothesis = SingleHypothesis(prediction, seen(0.6, seconds=0.5))
     reference = SPHUpdater(position()).update(hypothesis)
@@ -105,11 +106,56 @@ def test_a_failed_update_goes_on_as_a_gaussian_or_is_a_miss(monkeypatch):
     assert stands.info.log_evidence == pytest.approx(reference.info.log_evidence)
     np.testing.assert_allclose(np.ravel(stands.mean), np.ravel(reference.mean), atol=0.02)
     np.testing.assert_allclose(stands.covar, reference.covar, atol=0.02)
-    missed = SPHUpdater(position(), on_failure="drop").update(hypothesis)
-    assert missed.density is prediction.density and not missed.info.accepted and missed.info.flagged
-    assert "not used: nothing holds" in missed.info.reason
-    with pytest.raises(sf.PropagationError):
-        SPHUpdater(position(), on_failure="raise").update(hypothesis)
+
+
+def one(word):
+    """Predictor and updater of one density."""
+    return SPHPredictor(LINE, on_failure=word), SPHUpdater(position(), on_failure=word)
+
+
+def switching(word):
+    """Predictor and updater of a density for every mode."""
+    modes = {
+        name: sf.LinearSDE([[0.0, 1.0], [-k, 0.0]], noise=0.3 * np.eye(2))
+        for name, k in (("a", 0.0), ("b", 1.0))
+    }
+    predictor = JumpMarkovPredictor(sf.JumpMarkovModel(modes, [[-0.1, 0.1], [0.2, -0.2]]), on_failure=word)
+    return predictor, JumpMarkovUpdater(predictor, position())
+
+
+@pytest.mark.parametrize(
+    ("kind", "predicts", "updates", "sums"),
+    [
+        (one, "predict", "update_or_predict_again", "resolved"),
+        (switching, "predict_modes", "update_or_predict_modes_again", "mixture"),
+    ],
+)
+def test_a_step_that_fails_is_left_out_or_raised(kind, predicts, updates, sums, monkeypatch):
+    predictor, updater = kind("drop")
+    prediction, detection = predictor.predict(START, at(0.5)), seen(0.6, seconds=0.5)
+    hypothesis = SingleHypothesis(prediction, detection)
+    evidence = updater.log_evidence(prediction, detection)
+    several = [SingleProbabilityHypothesis(prediction, each, 0.5) for each in (None, detection)]
+    monkeypatch.setattr(updater_room, sums, failing)
+    missed = [updater.update(MultipleHypothesis(several))]
+    monkeypatch.setattr(updater_room, updates, failing)
+    monkeypatch.setattr(predictor_room, predicts, failing)
+    predictor, updater = kind("drop")
+    missed.append(updater.update(hypothesis))
+    for state in missed:
+        assert state._carried is prediction._carried and not state.info.accepted and state.info.flagged
+        assert "not used: nothing holds it" in state.info.reason
+    assert missed[1].info.log_evidence == pytest.approx(evidence, abs=0.05)
+    assert updater.log_evidence(prediction, detection) == pytest.approx(evidence, abs=0.05)
+    stays = predictor.predict(START, at(0.5))
+    assert stays.info.flagged and stays.info.status.startswith("left out")
+    assert stays.timestamp == at(0.5) and stays.density.t == 0.5
+    np.testing.assert_allclose(np.ravel(stays.mean), [0.4, 0.0], atol=1e-12)
+    np.testing.assert_allclose(stays.covar, START.covar, atol=1e-4)
+    predictor, updater = kind("raise")
+    for call in (lambda: updater.update(hypothesis), lambda: predictor.predict(START, at(0.5))):
+        with pytest.raises(sf.PropagationError, match="nothing holds it"):
+            call()
 
 
 @pytest.mark.parametrize("kind", [lambda **o: SPHPredictor(LINE, **o), SPHUpdater])

@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from stonesoup_cases import Recorded, at, failing, gaussian, seen
+from stonesoup_cases import Recorded, at, gaussian, seen
 
 import sphfilter as sf
 from reference_filters.jump_grid import unsplit_jump_filter
@@ -38,8 +38,6 @@ from sphfilter.adapters.stonesoup import (
     SPHUpdater,
     extend,
 )
-from sphfilter.adapters.stonesoup import predictor as predictor_room
-from sphfilter.adapters.stonesoup import updater as updater_room
 
 RATES = [[-0.1, 0.1], [0.2, -0.2]]
 SENSOR = LinearGaussian(1, [0], np.array([[0.04]]))
@@ -286,33 +284,6 @@ def test_sensors_read_the_inputs_of_the_model():
     predictor, updater = parts(model, sensor)
     reading = updater.predict_measurement(predictor.predict(START, at(1)))
     assert float(reading.mean[0]) == pytest.approx(5.5)
-
-
-def test_a_step_that_fails_is_left_out_or_raised(monkeypatch):
-    predictor, updater = parts(linear())
-    prediction = predictor.predict(START, at(1))
-    hypothesis = SingleHypothesis(prediction, seen(0.6, seconds=1))
-    evidence = updater.log_evidence(prediction, hypothesis.measurement)
-    several = [SingleProbabilityHypothesis(prediction, d, 0.5) for d in (None, hypothesis.measurement)]
-    monkeypatch.setattr(updater_room, "mixture", failing)
-    missed = updater.update(MultipleHypothesis(several))
-    assert missed.modes is prediction.modes and not missed.info.accepted
-    monkeypatch.setattr(updater_room, "update_or_predict_modes_again", failing)
-    monkeypatch.setattr(predictor_room, "predict_modes", failing)
-    predictor, updater = parts(linear())
-    missed = updater.update(hypothesis)
-    assert missed.modes is prediction.modes and not missed.info.accepted
-    assert missed.info.flagged and "not used: nothing holds it" in missed.info.reason
-    assert missed.info.log_evidence == pytest.approx(evidence, abs=0.05)
-    assert updater.log_evidence(prediction, hypothesis.measurement) == pytest.approx(evidence, abs=0.05)
-    stays = predictor.predict(START, at(1))
-    assert stays.info.flagged and "nothing holds it" in stays.info.status
-    assert stays.timestamp == at(1) and stays.density.t == 1.0
-    np.testing.assert_allclose(stays.covar, [[0.1]], atol=1e-12)
-    predictor, updater = parts(linear(), on_failure="raise")
-    for call in (lambda: updater.update(hypothesis), lambda: predictor.predict(START, at(1))):
-        with pytest.raises(sf.PropagationError, match="nothing holds it"):
-            call()
 
 
 def test_states_show_their_density():
