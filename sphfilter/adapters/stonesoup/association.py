@@ -33,9 +33,9 @@ _LOST = 0.1  # the same, refused above: such an error adds 0.1² = 1 % to the va
 #: Probability of a part that is left out: it moves a mean by less than `_RESOLVED`, unless it lies further
 #: than `_RESOLVED` / 1e-6 = 10,000 standard deviations away.
 _NEGLIGIBLE = 1e-6
-#: Times the nodes of the finest lattice that is tried, beyond which none is: a bound of work, 3 · 9 = 27 times
-#: the particles. Some of what lies beyond could be held: two wells on 60 particles up to 21, their mean within
-#: .02 standard deviations, as tried with no bound.
+#: Times the nodes of the finest lattice that is tried, beyond which none is: a bound of work, 3 · 9 = 27
+#: times the particles. Some of what lies beyond could be held, as tried with no bound: two wells on 60
+#: particles up to 21, their mean within .02 standard deviations.
 _HOPELESS = 3.0
 
 
