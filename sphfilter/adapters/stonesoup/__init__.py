@@ -98,9 +98,6 @@ __all__ = [
     "linear_sde",
 ]
 
-for _part in (
-    "predictor",
-    "states",
-    "updater",
-):  # pickles of before have models that switch in rooms of their own
+# where pickles of before look for the classes of models that switch
+for _part in ("predictor", "states", "updater"):
     sys.modules[f"{__name__}.jump_markov_{_part}"] = sys.modules[f"{__name__}.{_part}"]
