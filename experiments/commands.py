@@ -12,12 +12,12 @@ from tempfile import NamedTemporaryFile
 
 from . import guide
 
-__all__ = ["COMMANDS", "load", "main", "module", "parser"]
+__all__ = ["COMMANDS", "end_of_help", "load", "main", "module", "parser"]
 
 #: Modules with a one-line docstring and ``main(args)``, which returns an exit code or None. They are imported
 #: when the command line has been checked: what is wrong with it is answered at once. That is up to the module
-#: of the command's name in `arguments`, which has ``add_arguments(parser)``, ``check(args)`` where there is
-#: something to check that raises, and ``EPILOG``, the end of the help, if there is one.
+#: of the command's name in `arguments`, which has ``add_arguments(add)`` and, where something may be wrong,
+#: ``check(args)``, which raises it. A text of that name beside it is the end of the command's help.
 COMMANDS = {
     "list": "listing",
     "run": "run",
@@ -153,17 +153,24 @@ def parser(argv):
     for name in COMMANDS:
         own = commands.add_parser(name, description=summaries[name])
         if argv[:1] == [name]:
-            more = getattr(arguments(name), "EPILOG", "")
-            own.epilog = "\n\n".join(filter(None, [guide.examples(name), more])) or None
+            own.epilog = "\n\n".join(filter(None, [guide.examples(name), end_of_help(name)])) or None
             top.of_command = _filled(own, name)
     return top
 
 
 def _filled(parser, name):
     """A command's parser with its options."""
+    from .terminal.options import adder  # which reads scenarios
+
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    arguments(name).add_arguments(parser)
+    arguments(name).add_arguments(adder(parser))
     return parser
+
+
+def end_of_help(name):
+    """A text that the help of a command ends with; empty if there is none."""
+    text = Path(__file__).parent / "arguments" / f"{name}.txt"
+    return text.read_text(encoding="utf-8") if text.exists() else ""
 
 
 class _Parser(argparse.ArgumentParser):

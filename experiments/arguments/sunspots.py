@@ -1,4 +1,4 @@
-"""What `sunspots` takes."""
+"""What `run sunspots` takes."""
 
 from pathlib import Path
 
@@ -11,21 +11,14 @@ __all__ = ["DATA", "add_arguments", "check"]
 DATA = Path(__file__).parents[1] / "data"
 
 
-def add_arguments(parser):
+def add_arguments(add):
     """Add the options of `run sunspots`."""
     names = ", ".join(name for name in FILTERS if name not in ("kf", "benes"))
-    parser.add_argument("--filters", type=names_of, help=f"comma-separated, of {names}")
-    parser.add_argument("--model", type=Path, default=DATA / "sunspots.toml", help="another model file")
-    parser.add_argument("--fit", action="store_true", help="fit the model again first (about ten minutes)")
-    parser.add_argument(
-        "--seed", type=int, default=1, help="seed of the particle filter (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("results/sunspots"),
-        help="folder for results (default: %(default)s)",
-    )
+    add("--filters", f"comma-separated, of {names}", names_of)
+    add("--model", "another model file", Path, DATA / "sunspots.toml")
+    add("--fit", "fit the model again first (about ten minutes)", bool)
+    add("--seed", "seed of the particle filter", int, 1)
+    add("--out", "folder for results", Path, Path("results/sunspots"))
 
 
 def check(args):

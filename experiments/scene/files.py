@@ -6,7 +6,6 @@ from pathlib import Path
 from sphfilter.errors import ConfigError, nearest
 
 __all__ = [
-    "add_change_option",
     "change",
     "changes_of",
     "file_names",
@@ -59,17 +58,6 @@ def read_toml(path):
         raise ConfigError(f"cannot read {path}: {problem.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
         raise ConfigError(f"{path} is not valid TOML: {problem}") from None
-
-
-_HELP = (
-    "change a key of the scenario, e.g. times.interval=3, the scheme of the SPH filter, e.g. "
-    "scheme=cloud, or a key of the published one, e.g. scheme.kernel=gaussian; may be repeated"
-)
-
-
-def add_change_option(parser, help=_HELP):
-    """Add the option --set, whose values `changes_of` reads, to a command."""
-    parser.add_argument("--set", dest="changes", action="append", default=[], metavar="KEY=VALUE", help=help)
 
 
 def changes_of(args):
