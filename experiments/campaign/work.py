@@ -31,13 +31,13 @@ class Work:
     seed: int
     out: Path
 
-    def prepare(self, console, folder, second):
-        """Say what is going to be run, and compile, some of it in a `second` process."""
+    def prepare(self, console, folder):
+        """Say what is going to be run, and compile."""
         settings = self.scenario.settings
         console.print(f"[bold]{self.scenario.name}[/]: {settings.description}")
         console.print(f"{settings.source}\n", style="dim")
         if len(list(folder.glob("run_*.npz"))) < self.n_runs:
-            warm_up(console, self.scenario, self.filters, second)
+            warm_up(console, self.scenario, self.filters)
 
     def run(self, console, n_jobs, folder):
         """Run all with a progress bar; finished runs are kept in `folder`."""

@@ -1,24 +1,19 @@
 """What `estimate` fits: measurements, a filter of given parameters, where the search begins, a rival."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 import sphfilter as sf
 from experiments.arguments.estimate import MEASURED, SENSOR
 from experiments.own_data.command import case_of
-from experiments.own_data.csv_data import read_measurements
-from experiments.own_data.model_file import load_model
 from experiments.scene.scenario import Scenario, load_scenario
-from experiments.sunspots.command import roots, split
-from experiments.sunspots.forecast import fold
+from experiments.sunspots import fold, load, split
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import ConfigError, nearest
 
 __all__ = ["Build", "Problem", "guess_of", "problem_of", "rival_of"]
 
-_DATA = Path(__file__).parents[1] / "data"
 #: Parameters that are fitted unless others are asked for, where not all can be: a common factor of others.
 _DUFFING = ("xi", "gamma", "epsilon")
 _FITTED = {
@@ -147,8 +142,8 @@ def problem_of(name, names, changes, seed, n_particles=None):
     if name == MEASURED:
         if changes:
             raise ConfigError("the sunspots' model takes no --set; change a copy of its file with `filter`")
-        scenario = load_model(_DATA / "sunspots.toml")
-        learnt, _ = split(roots(read_measurements(_DATA / "sunspots.csv", 1)))
+        scenario, data = load()
+        learnt, _ = split(data)
         build = Build(scenario, case_of(scenario, learnt), n_particles or _PARTICLES, folded=True)
     else:
         scenario = _longer(load_scenario(name, **changes), changes)

@@ -11,7 +11,7 @@ import numpy as np
 
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["LEVELS", "Measurements", "columns_of", "read_columns", "read_measurements"]
+__all__ = ["Measurements", "columns_of", "read_columns", "read_measurements"]
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,3 @@ def _full_column(path, rows, index, name, what):
     for i in np.flatnonzero(np.isnan(values)):
         raise ConfigError(f"{path}, line {rows[i][0]}, column {name!r}: {what} needs a number in every line")
     return values
-
-
-#: Probabilities of the central intervals that are scored and drawn.
-LEVELS = (0.5, 0.9, 0.95)

@@ -2,7 +2,7 @@
 
 import inspect
 
-from experiments.commands import end_of_help
+from experiments.guide import end_of_help
 
 _TEXT = end_of_help("transient")
 EXAMPLE = inspect.cleandoc("\n" + _TEXT[_TEXT.index("  [model]") : _TEXT.index("Results are in")]) + "\n"

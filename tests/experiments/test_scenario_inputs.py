@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from experiments.commands import end_of_help, main
+from experiments.commands import main
 from experiments.estimate.problems import problem_of
+from experiments.guide import end_of_help
 from experiments.scene.filters import factories
 from experiments.scene.scenario import load_scenario
 from experiments.show import histories
