@@ -5,7 +5,7 @@ from pathlib import Path
 from experiments.scene.files import changes_of
 from experiments.scene.reading import read_settings, scenario_names
 from experiments.terminal.options import add_changes, names_of, numbers
-from experiments.transient.reading import problem_names, read_problem
+from experiments.transient.settings import problem_names, read_problem
 from sphfilter.errors import ConfigError
 
 __all__ = ["FILTER", "add_arguments", "check", "counts_of", "sizes_of", "study_of"]

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from experiments.terminal.options import counted, names_of, numbers
-from experiments.transient.reading import read_problem
+from experiments.transient.settings import read_problem
 from sphfilter.errors import ConfigError
 
 __all__ = ["add_arguments", "check", "counts_of"]

@@ -5,7 +5,7 @@ from shutil import which
 
 from experiments.scene.files import changes_of
 from experiments.terminal.options import add_changes
-from experiments.transient.reading import read_problem
+from experiments.transient.settings import read_problem
 from sphfilter.errors import ConfigError
 
 __all__ = ["add_arguments", "check"]

@@ -8,6 +8,7 @@ import numpy as np
 
 import sphfilter as sf
 from experiments.transient.problem import Problem, load_problem
+from experiments.transient.solution import warm_up
 from sphfilter.errors import SphfilterError
 
 from .errors import Errors, errors_of
@@ -124,8 +125,7 @@ class Setting:
         return Cell(label, size, errors, seconds, cpu_seconds, **counts, densities=way.densities)
 
     def _propagated(self, problem):
-        start, solver = problem.begin(), problem.settings.solver
-        _compile(start, problem, solver.config)
+        start, solver = warm_up(problem), problem.settings.solver
         began, cpu_began = time.perf_counter(), time.process_time()
 
         def late(density, info):
@@ -138,11 +138,6 @@ class Setting:
 
 
 _COUNTED = "n_steps", "n_searches", "n_bypassed"
-
-
-def _compile(start, problem, config):
-    """Load or compile what the cell needs, before its clock runs."""
-    sf.predict(start, problem.model, 1e-6 * (problem.times[-1] - start.t), config)
 
 
 def cut(name, changes, end):

@@ -17,6 +17,7 @@ from experiments.terminal.running import tell
 from sphfilter.campaign.campaign import run_campaign
 from sphfilter.errors import ConfigError
 
+from .fits import fitted_order
 from .plots import draw_filter
 
 __all__ = ["convergence", "orders", "study"]
@@ -77,9 +78,9 @@ def convergence(name, counts, n_runs, seed, which="sph", progress=lambda *number
 
 def orders(rows, dim):
     """Order of each error in the particle spacing, dx ~ N^(-1/n): slope of a line through all rows."""
-    counts = np.array([count for count, *_ in rows], dtype=float)
+    spacing = np.array([count for count, *_ in rows]) ** (-1.0 / dim)
     errors = {measure: [getattr(distance, measure) for _, distance, *_ in rows] for measure in MEASURES}
-    return {m: float(-dim * np.polyfit(np.log(counts), np.log(e), 1)[0]) for m, e in errors.items()}
+    return {measure: fitted_order(spacing, e).slope for measure, e in errors.items()}
 
 
 def study(args, console, name, counts):

@@ -10,8 +10,7 @@ import sphfilter as sf
 from experiments.scene.scenario import Scene
 
 from .checks import check, named
-from .reading import problem_names, read_problem
-from .settings import TransientSettings
+from .settings import TransientSettings, problem_names, read_problem
 from .texts import Pdf, condition, expression, reads_time
 
 __all__ = ["Problem", "Quantity", "load_problem", "problem_names"]

@@ -1,17 +1,23 @@
-"""What a transient scenario file may say; those of the project and a user's own have one form."""
+"""What a transient scenario file may say, read without its model; all files have one form."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from experiments.scene.files import change, file_names, find_file, read_toml
 from experiments.scene.settings import Count, Matrix, ModelText, Positive, Row
+from experiments.scene.tables import with_tables
 from sphfilter.config import SolverConfig
-from sphfilter.settings import settings
+from sphfilter.settings import from_table, settings
 
 from .grids import Lattice, Probe, Written
 
-__all__ = ["Begin", "Output", "Reference", "Solver", "Statistics", "Steady", "TransientSettings"]
+__all__ = ["Begin", "Output", "Reference", "Solver", "Statistics", "Steady", "TransientSettings",
+           "problem_names", "read_problem"]  # fmt: skip
+
+_FOLDER = Path(__file__).parents[1] / "scenarios" / "transient"
 
 
 @settings
@@ -164,3 +170,27 @@ class TransientSettings:
     steady: tuple[Steady, ...] = ()
     published: tuple[str, ...] = ()
     axes: tuple[int, ...] = ()
+
+
+def problem_names():
+    """Names of the transient scenarios that come with the project."""
+    return file_names(_FOLDER)
+
+
+def read_problem(name, changes=None):
+    """Read a transient scenario by name, or from the path of a TOML file; `changes` by dotted key.
+
+    Returns
+    -------
+    path : Path
+    settings : TransientSettings
+
+    Raises
+    ------
+    ConfigError
+    """
+    path = find_file(name, _FOLDER, "transient scenario")
+    tree = read_toml(path)
+    for key, value in (changes or {}).items():
+        change(tree, key, value)
+    return path, from_table(TransientSettings, with_tables(tree, path), path)

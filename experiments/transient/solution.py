@@ -10,7 +10,7 @@ import numpy as np
 import sphfilter as sf
 from sphfilter.density.storage import load_arrays, write_arrays
 
-__all__ = ["Solution", "folder_of", "solve"]
+__all__ = ["Solution", "folder_of", "solve", "warm_up"]
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,13 @@ class Solution:
     trajectory: object
     values: np.ndarray
     seconds: np.ndarray
+
+
+def warm_up(problem):
+    """Compile, or load, what a solution needs, before a clock runs; returns the start."""
+    start = problem.begin()
+    sf.predict(start, problem.model, 1e-6 * (problem.times[-1] - start.t), problem.settings.solver.config)
+    return start
 
 
 def solve(problem, folder, progress=None, watch=None):
