@@ -18,16 +18,9 @@ _PROMISING = 1e-6  # of least squares, for Newton's steps to go on from
 def solved(n, degree, orbits, tries, seed, within):
     """Weights (K,) of each point and generators (K, n) of a positive rule; None if none is found.
 
-    Parameters
-    ----------
-    n, degree : int
-        The rule is to be exact to degree 2 `degree` + 1.
-    orbits : list of str, length K
-        Patterns of generators, a letter for each equal number and 0 for zero, such as 000, a00 and aab.
-    tries, seed : int
-        Random starts of the least squares.
-    within : float
-        No node is further out: families are the steadier, the nearer their nodes are.
+    The rule is to be exact to degree 2 `degree` + 1. Its K orbits are patterns of generators, a letter for
+    each equal number and 0 for zero, such as 000, a00 and aab. Least squares start at random, `tries` times.
+    No node is further out than `within`: families are the steadier, the nearer their nodes are.
     """
     problem, rng = _Moments(n, degree, orbits, within), np.random.default_rng(seed)
     for _ in range(tries):

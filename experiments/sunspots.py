@@ -115,12 +115,7 @@ def _points(filt):
 
 
 def fold(variance):
-    """Sensor y = |x₀ + v|, v ~ N(0, variance): p(y | x) = N(y; x₀, R) + N(−y; x₀, R).
-
-    Returns
-    -------
-    LikelihoodMeasurement
-    """
+    """Sensor y = |x₀ + v|, v ~ N(0, variance): p(y | x) = N(y; x₀, R) + N(−y; x₀, R)."""
 
     def log_likelihood(y, X, t):
         """Both signs of y[0] for the states X (N, n)."""
@@ -187,24 +182,11 @@ class Score:
 
 
 def score_forecasts(filt, years, y, sensor, horizons, first):
-    """Run a filter over yearly measurements and score its forecasts of the years from `first` on.
+    """Run a filter over yearly measurements; scores of its forecasts from `first` on, by horizon.
 
-    Parameters
-    ----------
-    filt : SPHFilter or reference filter
-        At the time of the first measurement or before.
-    years, y : ndarray, shape (T,)
-        Consecutive years and measurements; NaN is missing and no target.
-    sensor : GaussianMeasurement
-        Of the signed value.
-    horizons : sequence of int
-        Years ahead.
-    first : float
-        First target, the same for all horizons.
-
-    Returns
-    -------
-    dict of int to Score
+    The filter is at the time of the first measurement or before. Years and measurements y have shape (T,);
+    NaN is missing and no target. The `sensor` is that of the signed value, `horizons` are years ahead, all
+    with the same first target.
     """
     variance = sensor.noise_cov[0, 0]
     folded, made = fold(variance), {h: {} for h in horizons}

@@ -52,20 +52,10 @@ class Outcome:
 
 
 def run_scenario(scenario, competitors, plan, say):
-    """Measure what is not on disk yet, and put everything together.
+    """Measure what is not on disk yet, and put everything together, as an `Outcome`.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    competitors : list of Method
-        Smaller sizes of a family first.
-    plan : Plan
-    say : callable
-        say(text, done) → None, for each piece of work begun, and how many are done.
-
-    Returns
-    -------
-    Outcome
+    Of the competitors smaller sizes of a family come first. `say(text, done)` is called for each piece of
+    work begun, with how many are done.
     """
     cases = [draw_case(scenario, plan.seed, run) for run in range(plan.n_runs)]
     references, done = [], count()

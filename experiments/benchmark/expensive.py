@@ -25,15 +25,10 @@ def seconds_at(line, cost):
 
 
 def winners(lines):
-    """The fastest competitor at each cost and error.
+    """The fastest competitor by cost and error: its line, its seconds, and a factor on its particles.
 
     A particle filter that is not good enough is taken with as many particles as its law asks for: the error
-    falls with the root of their number.
-
-    Returns
-    -------
-    dict of float to dict of float to (Line, float, float) or None
-        {cost: {error: (line, seconds, factor on its particles)}}.
+    falls with the root of their number. None where nobody is good enough.
     """
     usable = [i for i in lines if not i.failed and np.isfinite(i.drift) and i.threads == 1]
     return {cost: {error: fastest(usable, cost, error) for error in _LEVELS} for cost in (0.0, *COSTS)}

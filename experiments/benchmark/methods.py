@@ -91,25 +91,11 @@ def default_families(scenario):
 
 
 def methods(families, scenario, counts=None, full=False):
-    """All competitors of some families on a scenario, smallest first within a family.
+    """All competitors of some families on a scenario, a list of `Method`, smallest first within a family.
 
-    Parameters
-    ----------
-    families : sequence of str
-    scenario : Scenario
-    counts : sequence of int, optional
-        Particles of the SPH and particle filters, instead of the usual ones.
-    full : bool
-        The expensive sizes too.
-
-    Returns
-    -------
-    list of Method
-
-    Raises
-    ------
-    ConfigError
-        Unknown family or scheme, or one that does not fit the scenario.
+    `counts` are particles of the SPH and particle filters instead of the usual ones; `full` adds the
+    expensive sizes. Raises `ConfigError` for an unknown family or scheme, or one that does not fit the
+    scenario.
     """
     check_families(families)
     return [m for family in families for m in _family(family, scenario, counts, full)]

@@ -82,10 +82,7 @@ def epochs_of_densities(n_epochs):
 def find(scenario, case, effort, folder):
     """Read the reference of a case from `folder`, or compute it and keep it there.
 
-    Raises
-    ------
-    PropagationError
-        The grid is too coarse at its last rung.
+    Raises `PropagationError` if the grid is too coarse at its last rung.
     """
     path = folder / f"{scenario.name}-{_digest(scenario, case, effort)}.npz"
     if path.exists():

@@ -112,21 +112,9 @@ class Line:
 
 
 def summarise(scenario, method, rows, drift, reference):
-    """Put the rows of all runs of a competitor together.
+    """Put the rows of all runs of a competitor, from `measure`, together in a `Line`.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    method : Method
-    rows : list of dict
-        What `measure` returned.
-    drift : float
-        Evaluations of the drift in the first run.
-    reference : ReferenceError
-
-    Returns
-    -------
-    Line
+    `drift` are evaluations of the drift in the first run; `reference` is a `ReferenceError`.
     """
     done = [row for row in rows if "failure" not in row]
     times = np.array([t for row in done for t in row["seconds"]])

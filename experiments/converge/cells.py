@@ -89,22 +89,9 @@ class Setting:
         return replace(self, changes=self.changes | changes)
 
     def run(self, label, changes, truth):
-        """Run a cell; a failure of the solver becomes its sentence.
+        """Run a cell with some keys changed and a label; a failure of the solver becomes its sentence.
 
-        Parameters
-        ----------
-        label, changes : dict
-            What to call the cell, and what keys to change.
-        truth : Truth
-
-        Returns
-        -------
-        Cell
-
-        Raises
-        ------
-        ConfigError
-            A key is wrong: that is wrong in all cells.
+        Raises `ConfigError` if a key is wrong: that is wrong in all cells.
         """
         problem = self.with_changes(changes).problem
         try:
@@ -141,12 +128,7 @@ _COUNTED = "n_steps", "n_searches", "n_bypassed"
 
 
 def cut(name, changes, end):
-    """Changes that end a problem at `end`, or leave it alone if it ends before; nothing is drawn.
-
-    Returns
-    -------
-    dict
-    """
+    """Changes that end a problem at `end`, or leave it alone if it ends before; nothing is drawn."""
     problem = load_problem(name, changes)
     changes = changes | {"times.drawn": []}
     if problem.times[-1] <= end:

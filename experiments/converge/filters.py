@@ -37,23 +37,9 @@ _FLAT = (
 def convergence(name, counts, n_runs, seed, which="sph", progress=lambda *numbers: None, **changes):
     """Distance of the SPH filter from the scenario's exact filter, for each number of particles.
 
-    Parameters
-    ----------
-    name : str
-        A scenario whose exact filter is known.
-    counts : sequence of int
-    n_runs, seed : int
-    which : str
-        "sph" or "sph_paper".
-    progress : callable
-        Called with (particles, runs done, runs in all).
-    **changes
-        Keys of the scenario, as `load_scenario` takes them.
-
-    Returns
-    -------
-    list of (int, Distance, float, int)
-        Particles at most, distance from the exact filter, median seconds of a run, refused measurements.
+    Rows are particles at most, `Distance` from the exact filter, median seconds of a run, and refused
+    measurements. The filter is "sph" or "sph_paper"; `progress` is called with particles, runs done and runs
+    in all; `changes` are keys of the scenario.
     """
     rows = []
     for count in counts:
@@ -84,17 +70,7 @@ def orders(rows, dim):
 
 
 def study(args, console, name, counts):
-    """Run the study of a filter scenario and print it.
-
-    Parameters
-    ----------
-    args : Namespace
-        With filter, runs, seed, changes, out.
-    console : rich.console.Console
-    name : str
-        Of the scenario.
-    counts : list of int
-    """
+    """Run the study of a filter scenario and print it; `args` has filter, runs, seed, changes and out."""
     rows = _shown(console, args, name, counts)
     slopes = orders(rows, load_scenario(name).model.dim)
     print_table(console, _table(name, name_of(args.filter), rows, slopes))

@@ -115,21 +115,10 @@ def _run(problem, case, truth, count, said):
 
 
 def scenes(names, n_runs, seed, changes, folder):
-    """What builds the `Problem` of each scenario of one or two states.
+    """What builds the `Problem` of each scenario of one or two states: functions without arguments.
 
-    Parameters
-    ----------
-    names : list of str
-        None of them: all that come with the project.
-    n_runs, seed : int
-    changes : dict
-        Keys of the scenarios, as `load_scenario` takes them.
-    folder : Path
-        Of references, which are kept.
-
-    Returns
-    -------
-    list of callable
+    Without names these are all that come with the project. `changes` are keys of the scenarios, `folder`
+    keeps references.
     """
     names = names or [name for name in scenario_names() if len(read_settings(name).model.states) <= 2]
     return [partial(_scene, name, n_runs, seed, changes, folder) for name in names]
@@ -155,17 +144,9 @@ def _scene(name, n_runs, seed, changes, folder):
 
 
 def study(args, console, builders, counts, stem):
-    """Measure every problem, print the table, and write it as markdown and CSV.
+    """Measure every problem, print the table, and write it as markdown and CSV in files called `stem`.
 
-    Parameters
-    ----------
-    args : Namespace
-        With runs and out.
-    console : rich.console.Console
-    builders : list of callable() → Problem
-    counts : list of int
-    stem : str
-        Of the files.
+    The `builders` return a `Problem` each; `args` has runs and out.
     """
     rows = []
     with progress(console, len(builders) * (args.runs + len(counts))) as told:

@@ -26,12 +26,7 @@ _LABELS = {
 def draw_filter(path, rows, slopes):
     """Draw a filter's errors against the number of particles, both logarithmic; returns the path.
 
-    Parameters
-    ----------
-    path : Path
-    rows : list of (int, Distance, ...)
-    slopes : dict of str to float
-        Order of each error in the particle spacing.
+    Rows begin with particles and `Distance`; `slopes` are the orders of each error in the particle spacing.
     """
     labels = {
         "mean": "mean (posterior std)",

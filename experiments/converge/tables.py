@@ -16,16 +16,10 @@ __all__ = ["end", "groups", "orders_of", "scheme_table", "step_table"]
 
 
 def orders_of(group, size, dim=None):
-    """`Order` of each measure over the cells of a group.
+    """`Order` of each measure over the cells of a group, a list of (size, `Errors`).
 
-    Parameters
-    ----------
-    group : list of (size, Errors)
-        Number of particles, or time step.
-    size : str
-        "particles" (orders in the spacing, N^(-1/n)) or "step".
-    dim : int
-        Number of states n, for particles.
+    Sizes are numbers of "particles", whose orders are those in the spacing, N^(-1/n) of n = `dim` states, or
+    time steps, "step".
     """
     sizes = np.array([size for size, _ in group], dtype=float)
     sizes = sizes ** (-1.0 / dim) if size == "particles" else sizes
@@ -77,19 +71,8 @@ def _cost(cell):
 def end(console, args, name, stem, cells, rows, draw):
     """Tell which cells failed, write the rows, draw, and say where both are.
 
-    Parameters
-    ----------
-    console : rich.console.Console
-    args : Namespace
-        With out.
-    name : str
-        Of the folder in results, if no other is asked for.
-    stem : str
-        Of the table's and the picture's file.
-    cells : iterable of Cell
-    rows : list of dict
-    draw : callable(path)
-        Draws the picture.
+    Files are called `stem`, in the folder that `args.out` asks for, or in `name` of the results; `draw(path)`
+    draws the picture.
     """
     for cell in cells:
         if cell.failure:

@@ -122,22 +122,9 @@ class Problem:
 
 
 def problem_of(name, names, changes, seed, n_particles=None):
-    """The problem of a scenario, or of the sunspots.
+    """The `Problem` of a scenario with some keys changed, or of the sunspots; `names` are parameters to fit.
 
-    Parameters
-    ----------
-    name : str
-    names : sequence of str, or None
-        Parameters to fit.
-    changes : dict of str
-        Values by dotted key, as for `load_scenario`.
-    seed : int
-    n_particles : int, optional
-
-    Raises
-    ------
-    ConfigError
-        Unknown scenario, key or parameter; nothing to fit.
+    Raises `ConfigError` for an unknown scenario, key or parameter, or if there is nothing to fit.
     """
     if name == MEASURED:
         if changes:

@@ -55,10 +55,7 @@ def columns_of(path):
 def read_columns(path, names):
     """Read columns of numbers from a CSV file, each shape (K,); None is the first column.
 
-    Raises
-    ------
-    ConfigError
-        As of `read_measurements`; a cell that is empty, too.
+    Raises `ConfigError` as `read_measurements` does; of a cell that is empty, too.
     """
     heading, rows = _read(path)
     names = [heading[0] if name is None else name for name in names]
@@ -72,30 +69,14 @@ def read_measurements(path, n_columns, time=None, columns=(), unit="", inputs=No
     A file of semicolons or tabs may have decimal commas. Without a line of names its columns are called
     "column 1" and so on.
 
-    Parameters
-    ----------
-    path : Path
-    n_columns : int, or dict of str to int
-        k, what the sensor gives; of several sensors by name, what each of them gives.
-    time : str, optional
-        Column of times; the first if not given.
-    columns : sequence of str, length k, or dict of str to these, optional
-        Columns of measurements; if not given, all others in their order. Of several sensors, by name; a
-        sensor "gps" has the column "gps" if none is given, or "gps.0", "gps.1" ... of several readings.
-    unit : str, optional
-        Unit in which ISO dates such as 2024-05-01 or 2024-05-01T12:30 are counted from the first one.
-    inputs : dict of str to str, optional
-        Columns of inputs, by the inputs' names.
+    The sensor gives `n_columns` numbers; of several sensors these are a dict by name. `time` is the column of
+    times, the first if None; ISO dates such as 2024-05-01 or 2024-05-01T12:30 are counted in `unit` from the
+    first one. `columns` are those of the measurements, all others in their order if empty; of several
+    sensors, by name: a sensor "gps" has the column "gps" if none is given, or "gps.0", "gps.1" ... of several
+    readings. `inputs` are columns by the names of the model's inputs.
 
-    Returns
-    -------
-    Measurements
-
-    Raises
-    ------
-    ConfigError
-        A file that cannot be read, a column that is not there, a cell that is no number, times that are
-        missing or decrease; the sentence names file, line and column.
+    Raises `ConfigError` for a file that cannot be read, a column that is not there, a cell that is no number,
+    times that are missing or decrease; the sentence names file, line and column.
     """
     heading, rows = _read(path)
     time, inputs = time or heading[0], inputs or {}

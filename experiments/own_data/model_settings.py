@@ -64,23 +64,14 @@ class ModelFile(Reads):
 
 
 def read_model(path):
-    """The `ModelFile` settings of a TOML file.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """The `ModelFile` settings of a TOML file; raises `ConfigError`."""
     return from_table(ModelFile, with_tables(read_toml(path), path), path)
 
 
 def read_data(settings, path):
-    """The `Measurements` of a CSV file, with the columns that `ModelFile` settings name.
+    """The `Measurements` of a CSV file, with the columns that settings name; raises `ConfigError`.
 
     An input that the model gives no value of needs a column.
-
-    Raises
-    ------
-    ConfigError
     """
     columns, model = settings.data, settings.model
     _check_known("data.inputs", columns.inputs, model.inputs, "input of the model")

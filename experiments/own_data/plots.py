@@ -11,14 +11,8 @@ __all__ = ["draw"]
 def draw(path, scenario, data, results):
     """Draw a row for each filter and a column for each state: mean, ±2σ, and what the sensor read of it.
 
-    Inputs are in a last row, each over the intervals in which it was held.
-
-    Parameters
-    ----------
-    path : Path
-    scenario : Scenario
-    data : Measurements
-    results : dict of str to FilterResult
+    Inputs are in a last row, each over the intervals in which it was held. `data` are `Measurements`, results
+    `FilterResult` by name.
     """
     n, rows = scenario.model.dim, len(results) + bool(data.inputs)
     figure, axes = panels(rows, n, (max(4.8 * n, 7.0), 1.9 * rows + 1.2), sharex=True)

@@ -23,17 +23,8 @@ def file_names(folder):
 def find_file(name, folder, kind):
     """Path of a TOML file: a name in the project's folder, or a path that ends in .toml.
 
-    Parameters
-    ----------
-    name : str or Path
-    folder : Path
-    kind : str
-        What the files are, for errors: "scenario".
-
-    Raises
-    ------
-    ConfigError
-        There is no such file; the nearest name is told.
+    `kind` is what the files are, for errors: "scenario". Raises `ConfigError` if there is no such file; the
+    nearest name is told.
     """
     own = str(name).endswith(".toml")
     path = Path(name) if own else folder / f"{name}.toml"
@@ -46,12 +37,7 @@ def find_file(name, folder, kind):
 
 
 def read_toml(path):
-    """The tree of a TOML file.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """The tree of a TOML file; raises `ConfigError`."""
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as problem:
@@ -66,12 +52,7 @@ def changes_of(args):
 
 
 def parse_change(text):
-    """Split "key=value", the value in TOML's syntax or a bare word.
-
-    Returns
-    -------
-    key, value
-    """
+    """Key and value of a text "key=value", the value in TOML's syntax or a bare word."""
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise ConfigError(f"a change is key=value, not {text!r}; for instance scheme.kernel=gaussian")

@@ -147,16 +147,7 @@ def _tables(texts):
 
 
 def load_scenario(name, **changes):
-    """Read a scenario and build its model and sensor; see `read_settings` for name and changes.
-
-    Returns
-    -------
-    Scenario
-
-    Raises
-    ------
-    ConfigError, ExpressionError, ModelError
-    """
+    """Read a `Scenario` and build its model and sensor; see `read_settings` for name, changes and errors."""
     scenario = Scenario(Path(name).stem, read_settings(name, changes))
     check_parts(scenario, name)
     return scenario
@@ -165,15 +156,7 @@ def load_scenario(name, **changes):
 def check_parts(scenario, source):
     """Build model and sensor, and check that they and the start fit each other.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    source : str or Path
-        What errors start with: name or file of the scenario.
-
-    Raises
-    ------
-    ExpressionError, ModelError
+    Raises `ExpressionError` or `ModelError`, which start with the `source`, name or file of the scenario.
     """
     try:
         n, H, begin = scenario.model.dim, scenario.measurement.H, scenario.settings.start

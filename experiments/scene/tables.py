@@ -31,17 +31,8 @@ class TableFile:
 def with_tables(tree, path):
     """A TOML tree in which the numbers of tables stand in the place of the files that have them.
 
-    Parameters
-    ----------
-    tree : dict
-        Not changed.
-    path : Path
-        File of the tree.
-
-    Raises
-    ------
-    ConfigError
-        A CSV file that cannot be read, or a column that is not there; the nearest is named.
+    Files are looked for beside `path`, that of the tree, which is not changed. Raises `ConfigError` for a CSV
+    file that cannot be read, or a column that is not there; the nearest is named.
     """
     for place in _places(tree):
         found = _at(tree, place).items()

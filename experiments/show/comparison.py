@@ -34,17 +34,7 @@ def reference_name(scenario, names):
 
 
 def distances(results, reference):
-    """Distance of every other filter from `reference`.
-
-    Parameters
-    ----------
-    results : dict of str to FilterResult, runs first
-    reference : str
-
-    Returns
-    -------
-    dict of str to Distance
-    """
+    """`Distance` of every other filter from the `reference`, by name; results have runs first."""
     return {name: distance(r, results[reference]) for name, r in results.items() if name != reference}
 
 

@@ -42,12 +42,9 @@ def example_runs(campaign):
 
 
 def losses(campaign, run):
-    """When each filter that lost the truth in a run was farthest off: the time of its largest NEES.
+    """When each filter that lost the truth in a run was farthest off: times of its largest NEES, seconds.
 
-    Returns
-    -------
-    dict of str to float
-        Times in seconds, of the filters that `consistency.diverged` finds, alone.
+    By the names of those filters that `consistency.diverged` finds.
     """
     found, n = {}, campaign.truth.shape[-1]
     for name, result in campaign.results.items():

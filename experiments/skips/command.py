@@ -109,17 +109,9 @@ def _difference(on, off):
 
 
 def lattice_against_box(n, n_particles):
-    """Particles of a Gaussian's level-set lattice, and the nodes of the box around it.
+    """Particles of a Gaussian's level-set lattice, and nodes of boxes around it: whitened, along its axes.
 
-    Parameters
-    ----------
-    n : int
-        States, correlated by one half.
-    n_particles : int
-
-    Returns
-    -------
-    kept, whitened box, box along the states' own axes : int
+    Its n states are correlated by one half.
     """
     cov = 0.5 * np.eye(n) + 0.5
     p = initialize(Gaussian(np.zeros(n), cov), n_particles)

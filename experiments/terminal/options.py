@@ -52,18 +52,8 @@ def add_changes(add, help=_CHANGE):
 def add_run(add, folder, runs=None, filters="the scenario's", counted_at=""):
     """Add what commands take that run filters on a scenario; `check_run` checks it.
 
-    Parameters
-    ----------
-    add : callable
-        From `adder`.
-    folder : str
-        The default of --out, in words.
-    runs : int, optional
-        The default of --runs; the scenario's if None.
-    filters : str or list of str
-        The default of --filters, in words or as it is.
-    counted_at : str
-        Where so many runs are made, if not once.
+    The `folder` is the default of --out, in words, `runs` that of --runs, the scenario's if None, and
+    `filters` that of --filters, in words or as it is. Runs are made `counted_at` something, if not once.
     """
     own = "the scenario's, {} unless its file says otherwise"
     chosen = filters if isinstance(filters, list) else None

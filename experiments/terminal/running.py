@@ -88,12 +88,7 @@ def status(console):
 
 
 def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):
-    """Run a campaign with a progress bar, as `run_campaign`; stopped, it says how to go on.
-
-    Raises
-    ------
-    Interrupted
-    """
+    """Run a campaign with a progress bar; stopped, it raises `Interrupted`, which says how to go on."""
     if any(folder.glob("run_*.npz")):
         console.print(f"going on from the runs that are in {folder}", soft_wrap=True)
     with bar(console, "runs", left=True) as move:

@@ -178,16 +178,9 @@ def problem_names():
 
 
 def read_problem(name, changes=None):
-    """Read a transient scenario by name, or from the path of a TOML file; `changes` by dotted key.
+    """Path and `TransientSettings` of a scenario by name, or of a TOML file's path; `changes` by dotted key.
 
-    Returns
-    -------
-    path : Path
-    settings : TransientSettings
-
-    Raises
-    ------
-    ConfigError
+    Raises `ConfigError`.
     """
     path = find_file(name, _FOLDER, "transient scenario")
     tree = read_toml(path)

@@ -41,21 +41,11 @@ def warm_up(problem):
 
 
 def solve(problem, folder, progress=None, watch=None):
-    """Carry a problem's start through its times, going on from what a stopped run left in `folder`.
+    """Carry a problem's start through its times, from where a stopped run left it in `folder`.
 
-    Parameters
-    ----------
-    problem : Problem
-    folder : Path
-        Of this problem with these settings only, see `folder_of`.
-    progress : callable(n_done, n_times), optional
-    watch : callable(number, density), optional
-        Called with 0 and the start, and with the number of every density that is kept; also with those of a
-        stopped run.
-
-    Returns
-    -------
-    Solution
+    The folder is that of this problem with these settings only, see `folder_of`. `progress(n_done, n_times)`
+    is told of every time; `watch(number, density)` of 0 and the start, and of every density that is kept with
+    its number; also of those of a stopped run.
     """
     start, config = problem.begin(), problem.settings.solver.config
     n_particles = problem.n_particles
