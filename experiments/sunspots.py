@@ -61,14 +61,9 @@ def split(data):
 
 @dataclass(frozen=True)
 class FoldedMixture:
-    """Density of y = |z| ≥ 0, where z is a mixture of Gaussians: both signs of z are counted.
+    """Density of y = |z| ≥ 0, where z is a mixture of Gaussians: both signs of z are counted."""
 
-    Attributes
-    ----------
-    weights, means, std : ndarray, shape (K,)
-        Weights sum to one.
-    """
-
+    # shape (K,): weights sum to one
     weights: np.ndarray
     means: np.ndarray
     std: np.ndarray
@@ -138,26 +133,17 @@ def learn(filt, y, signed, folded):
 
 @dataclass(frozen=True)
 class Score:
-    """How forecasts at one horizon fit T targets; sunspot numbers s = y².
+    """How forecasts at one horizon fit T targets; sunspot numbers s = y²."""
 
-    Attributes
-    ----------
-    year, observed : ndarray, shape (T,)
-    log_score : ndarray, shape (T,)
-        Log-density of the observed s, nats.
-    pit : ndarray, shape (T,)
-        Probability the forecast gave to numbers below the observed: uniform if forecasts are calibrated.
-    median : ndarray, shape (T,)
-    intervals : ndarray, shape (T, 3, 2)
-        Central intervals of `LEVELS`.
-    """
-
+    # shape (T,)
     year: np.ndarray
     observed: np.ndarray
-    log_score: np.ndarray
+    log_score: np.ndarray  # shape (T,): log-density of the observed s, nats
+    # shape (T,): probability the forecast gave to numbers below the observed: uniform if forecasts are
+    # calibrated
     pit: np.ndarray
-    median: np.ndarray
-    intervals: np.ndarray
+    median: np.ndarray  # shape (T,)
+    intervals: np.ndarray  # shape (T, 3, 2): central intervals of `LEVELS`
 
     @classmethod
     def of(cls, years, y, forecasts):

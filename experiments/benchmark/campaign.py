@@ -19,26 +19,14 @@ __all__ = ["Outcome", "Plan", "run_scenario"]
 
 @dataclass(frozen=True)
 class Plan:
-    """What is asked of a benchmark.
+    """What is asked of a benchmark."""
 
-    Attributes
-    ----------
-    folder : Path
-        Of rows and references.
-    n_runs, seed : int
-    limit : float
-        Seconds of a run; sizes that would take longer are left out, runs that do are given up.
-    effort : reference.Effort
-    counted : tuple of str
-        Scenarios whose drift evaluations are counted, which takes minutes each.
-    """
-
-    folder: Path
+    folder: Path  # of rows and references
     n_runs: int
     seed: int
-    limit: float
+    limit: float  # seconds of a run; sizes that would take longer are left out, runs that do are given up
     effort: reference.Effort
-    counted: tuple = ()
+    counted: tuple = ()  # scenarios whose drift evaluations are counted, which takes minutes each
 
 
 @dataclass(frozen=True)

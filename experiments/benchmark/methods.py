@@ -31,22 +31,13 @@ _TWO_THREADS_FROM = 100_000
 
 @dataclass(frozen=True)
 class Method:
-    """One competitor at one size.
+    """One competitor at one size."""
 
-    Attributes
-    ----------
-    family : str
-        A name of `FAMILIES`, or "sph:SCHEME".
-    size : int
-        Particles at most, nodes an axis, or one over the error aimed at; zero for filters that have none.
-    threads : int
-    factory : Factory or BoxedFactory
-    """
-
-    family: str
+    family: str  # a name of `FAMILIES`, or "sph:SCHEME"
+    # particles at most, nodes an axis, or one over the error aimed at; zero for filters that have none
     size: int
     threads: int
-    factory: object
+    factory: object  # Factory or BoxedFactory
 
     @property
     def key(self):

@@ -31,47 +31,29 @@ _LADDER = ((48, 3e-3), (72, 1e-3), (96, 1e-3), (144, 3e-4), (216, 1e-4), (324, 3
 
 @dataclass(frozen=True)
 class Effort:
-    """How good a reference has to be.
+    """How good a reference has to be."""
 
-    Attributes
-    ----------
-    error : float
-        Change of the grid's mean, in posterior standard deviations, at which refining ends.
-    first, last : int
-        First and last rung of the grid's ladder.
-    n_paths, n_runs : int
-        Particles of each of the large runs, and their number.
-    """
-
-    error: float = 2e-4
+    error: float = 2e-4  # change of the grid's mean, in posterior standard deviations, at which refining ends
+    # first and last rung of the grid's ladder
     first: int = 2
     last: int = 4
+    # particles of each of the large runs, and their number
     n_paths: int = 400_000
     n_runs: int = 8
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Converged posterior of one case.
+    """Converged posterior of one case."""
 
-    Attributes
-    ----------
-    kind : str
-        What it is, and how its error was bounded.
-    result : FilterResult
-    mean, cov, evidence, total : float
-        Its own error, in the measures of `errors.Errors`; zero where it is exact.
-    densities : dict of int to GridDensity
-        Posterior densities by epoch, for one and two states.
-    """
-
-    kind: str
+    kind: str  # what it is, and how its error was bounded
     result: FilterResult
+    # its own error, in the measures of `errors.Errors`; zero where it is exact
     mean: float
     cov: float
     evidence: float
     total: float
-    densities: dict
+    densities: dict  # posterior densities by epoch, for one and two states
 
 
 def epochs_of_densities(n_epochs):

@@ -14,22 +14,13 @@ __all__ = ["Work", "exit_code", "tell_failures", "work_of"]
 
 @dataclass(frozen=True)
 class Work:
-    """What is to be run.
-
-    Attributes
-    ----------
-    scenario : Scenario
-    filters : dict of str to Factory
-    n_runs, seed : int
-    out : Path
-        Folder for results.
-    """
+    """What is to be run."""
 
     scenario: Scenario
-    filters: dict
+    filters: dict  # dict of str to Factory
     n_runs: int
     seed: int
-    out: Path
+    out: Path  # folder for results
 
     def prepare(self, console, folder):
         """Say what is going to be run, and compile."""

@@ -21,35 +21,19 @@ UNKNOWN = Errors(*4 * (np.nan,))
 
 @dataclass(frozen=True)
 class Cell:
-    """A run of a study.
+    """A run of a study."""
 
-    Attributes
-    ----------
-    label : dict
-        What was varied.
-    n_particles : float
-        Average over the output times; NaN where it failed.
-    errors : Errors
-        Against the truth.
-    seconds, cpu_seconds : float
-        Wall time of the propagation, and processor time, which knows nothing of other programs.
-    n_steps, n_searches, n_bypassed : int
-    failure : str
-        Why there is no result; empty if there is.
-    densities : tuple of ParticleDensity
-        At the output times; empty where it failed.
-    """
-
-    label: dict
-    n_particles: float = np.nan
-    errors: Errors = UNKNOWN
+    label: dict  # what was varied
+    n_particles: float = np.nan  # average over the output times; NaN where it failed
+    errors: Errors = UNKNOWN  # against the truth
+    # wall time of the propagation, and processor time, which knows nothing of other programs
     seconds: float = np.nan
     cpu_seconds: float = np.nan
     n_steps: int = 0
     n_searches: int = 0
     n_bypassed: int = 0
-    failure: str = ""
-    densities: tuple = field(default=(), repr=False)
+    failure: str = ""  # why there is no result; empty if there is
+    densities: tuple = field(default=(), repr=False)  # at the output times; empty where it failed
 
     @property
     def bypass_ratio(self):
@@ -59,21 +43,11 @@ class Cell:
 
 @dataclass(frozen=True)
 class Setting:
-    """A problem that cells change keys of.
+    """A problem that cells change keys of."""
 
-    Attributes
-    ----------
-    name : str or Path
-        Of the transient scenario.
-    changes : dict
-        Keys changed in all cells, by dotted key.
-    limit : float
-        Seconds a cell may take; it is given up at the next output time.
-    """
-
-    name: object
-    changes: dict
-    limit: float = np.inf
+    name: object  # of the transient scenario
+    changes: dict  # keys changed in all cells, by dotted key
+    limit: float = np.inf  # seconds a cell may take; it is given up at the next output time
 
     @cached_property
     def problem(self) -> Problem:

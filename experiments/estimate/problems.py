@@ -38,21 +38,12 @@ _RIVALS = {
 
 @dataclass(frozen=True)
 class Build:
-    """The SPH filter of given parameters; picklable.
-
-    Attributes
-    ----------
-    scenario : Scenario
-    case : Case
-    n_particles : int
-    folded : bool
-        The sensor does not see the sign (sunspots).
-    """
+    """The SPH filter of given parameters; picklable."""
 
     scenario: Scenario
     case: Case
     n_particles: int
-    folded: bool = False
+    folded: bool = False  # the sensor does not see the sign (sunspots)
 
     def __call__(self, parameters):
         """Return the filter at the start of the measurements."""
@@ -78,27 +69,14 @@ def _positive(variance):
 
 @dataclass(frozen=True)
 class Problem:
-    """Measurements and the family of filters that is fitted to them.
-
-    Attributes
-    ----------
-    name : str
-    build : Build
-    names : tuple of str
-        Parameters that are fitted.
-    values : dict of str to float
-        All values of the scenario, by which measurements were simulated.
-    simulated : bool
-    positive : tuple of str
-        Parameters that are.
-    """
+    """Measurements and the family of filters that is fitted to them."""
 
     name: str
     build: Build
-    names: tuple
-    values: dict
+    names: tuple  # parameters that are fitted
+    values: dict  # all values of the scenario, by which measurements were simulated
     simulated: bool
-    positive: tuple
+    positive: tuple  # parameters that are
 
     @property
     def times(self):

@@ -16,28 +16,16 @@ __all__ = ["Measurements", "columns_of", "read_columns", "read_measurements"]
 
 @dataclass(frozen=True)
 class Measurements:
-    """Columns of a file.
-
-    Attributes
-    ----------
-    time_name : str
-    names : tuple of str, length k
-    times : ndarray, shape (T,)
-        Not decreasing. Dates are counted from the first, and `time_name` says so.
-    z : ndarray, shape (T, k)
-        NaN where nothing was measured.
-    inputs : dict of str to ndarray, shape (T,)
-        Values of inputs over the intervals that end at the times.
-    dated : bool
-        Whether the times were dates.
-    """
+    """Columns of a file."""
 
     time_name: str
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # length k
+    # shape (T,): Not decreasing. Dates are counted from the first, and `time_name` says so.
     times: np.ndarray
-    z: np.ndarray
+    z: np.ndarray  # shape (T, k): NaN where nothing was measured
+    # shape (T,): values of inputs over the intervals that end at the times
     inputs: dict[str, np.ndarray] = field(default_factory=dict)
-    dated: bool = False
+    dated: bool = False  # whether the times were dates
 
 
 #: What stands in a cell where nothing was measured, in small letters.

@@ -17,20 +17,12 @@ __all__ = ["Belief", "Columns", "ModelFile", "read_data", "read_model"]
 
 @settings
 class Belief:
-    """What is believed before the first measurement: N(mean, cov) at `time`.
-
-    Attributes
-    ----------
-    mean : tuple, length n
-    cov : nested tuple, shape (n, n)
-    time : float or None
-        The time of the first measurement if None.
-    """
+    """What is believed before the first measurement: N(mean, cov) at `time`."""
 
     kind: Literal["gaussian"] = "gaussian"
-    mean: tuple[float, ...]
-    cov: tuple[tuple[float, ...], ...]
-    time: float | None = None
+    mean: tuple[float, ...]  # length n
+    cov: tuple[tuple[float, ...], ...]  # shape (n, n)
+    time: float | None = None  # the time of the first measurement if None
 
 
 @settings

@@ -58,17 +58,11 @@ class Scenario(Scene):
     """A model, a sensor, measurement times and a start: what a campaign draws its runs from.
 
     Only the settings travel to worker processes; each compiles the model once.
-
-    Attributes
-    ----------
-    name : str
-    settings : ScenarioSettings
-    between : bool
-        Cases hold times between the measurements too, without measurement: the same runs, for pictures.
     """
 
     name: str
     settings: ScenarioSettings
+    # cases hold times between the measurements too, without measurement: the same runs, for pictures
     between: bool = False
 
     @property

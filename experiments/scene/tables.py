@@ -11,18 +11,10 @@ __all__ = ["with_tables"]
 
 @settings
 class TableFile:
-    """Where a table's columns are.
+    """Where a table's columns are."""
 
-    Attributes
-    ----------
-    file : str
-        Relative to the folder of the file that names it.
-    values, at : str
-        Columns; the arguments are the first one if `at` is None.
-    kind : str
-    """
-
-    file: str
+    file: str  # relative to the folder of the file that names it
+    # columns; the arguments are the first one if `at` is None
     values: str
     at: str | None = None
     kind: Literal["linear", "previous"] = "linear"

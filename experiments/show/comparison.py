@@ -11,21 +11,11 @@ __all__ = ["Distance", "distance", "distances", "least_eigenvalue", "moment_erro
 
 @dataclass(frozen=True)
 class Distance:
-    """Root mean squares over runs and epochs of the distance from a reference filter.
+    """Root mean squares over runs and epochs of the distance from a reference filter."""
 
-    Attributes
-    ----------
-    mean : float
-        |L⁻¹ (m − m_ref)| with L Lᵀ = C_ref: reference standard deviations.
-    cov : float
-        ‖L⁻¹ (C − C_ref) L⁻ᵀ‖ (Frobenius) over √n.
-    evidence : float
-        Difference of the log-evidence of a measurement, nats.
-    """
-
-    mean: float
-    cov: float
-    evidence: float
+    mean: float  # |L⁻¹ (m − m_ref)| with L Lᵀ = C_ref: reference standard deviations
+    cov: float  # ‖L⁻¹ (C − C_ref) L⁻ᵀ‖ (Frobenius) over √n
+    evidence: float  # difference of the log-evidence of a measurement, nats
 
 
 def reference_name(scenario, names):

@@ -56,21 +56,14 @@ def _cells(row):
 
 @dataclass(frozen=True)
 class Measured:
-    """One row of the table.
-
-    Attributes
-    ----------
-    name, scene : str
-    on, off : float
-        Median seconds of processor time a call.
-    difference : float
-        Largest difference of mean and covariance, in standard deviations of the result without the shortcut.
-    """
+    """One row of the table."""
 
     name: str
     scene: str
+    # median seconds of processor time a call
     on: float
     off: float
+    # largest difference of mean and covariance, in standard deviations of the result without the shortcut
     difference: float
 
     @property

@@ -41,13 +41,7 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem(Scene):
-    """A transient scenario.
-
-    Attributes
-    ----------
-    name : str
-    settings : TransientSettings
-    """
+    """A transient scenario."""
 
     name: str
     settings: TransientSettings

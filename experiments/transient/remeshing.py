@@ -22,19 +22,11 @@ _KEY = "solver.config.remesh"
 
 @dataclass(frozen=True)
 class Rule:
-    """A problem solved with one rule.
+    """A problem solved with one rule."""
 
-    Attributes
-    ----------
-    name : str
-        "never", "health", or "every 2 s".
-    problem : Problem
-    solution : Solution
-    """
-
-    name: str
-    problem: object
-    solution: object
+    name: str  # "never", "health", or "every 2 s"
+    problem: object  # Problem
+    solution: object  # Solution
 
 
 def rules_of(text):

@@ -15,22 +15,12 @@ __all__ = ["Solution", "folder_of", "solve", "warm_up"]
 
 @dataclass(frozen=True)
 class Solution:
-    """A solved problem.
+    """A solved problem."""
 
-    Attributes
-    ----------
-    start : ParticleDensity
-    trajectory : Trajectory
-    values : ndarray, shape (T, S)
-        The problem's quantities at its times.
-    seconds : ndarray, shape (T,)
-        Wall time of each interval.
-    """
-
-    start: object
-    trajectory: object
-    values: np.ndarray
-    seconds: np.ndarray
+    start: object  # ParticleDensity
+    trajectory: object  # Trajectory
+    values: np.ndarray  # shape (T, S): the problem's quantities at its times
+    seconds: np.ndarray  # shape (T,): wall time of each interval
 
 
 def warm_up(problem):
