@@ -71,12 +71,7 @@ def _told(text):
 
 
 def asked(argv):
-    """Name of the command, and its arguments, checked.
-
-    Raises
-    ------
-    Refused
-    """
+    """Name of the command, and its arguments, checked; raises `Refused`."""
     with unopened("sphfilter"):
         from sphfilter.errors import SphfilterError
 

@@ -26,10 +26,7 @@ def end_of_help(command):
 def overview(summaries):
     """The end of the help: what to try first, and all commands in groups.
 
-    Parameters
-    ----------
-    summaries : dict of str to str
-        A line on each command, by name. Those that no group has come last.
+    The summaries are a line on each command, by name. Those that no group has come last.
     """
     known = {name for group in _GROUPS.values() for name in group}
     rest = [name for name in summaries if name not in known]

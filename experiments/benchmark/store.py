@@ -28,12 +28,7 @@ def digest(*things):
 
 
 class Rows:
-    """Measured rows by scenario, competitor and run.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """Measured rows by scenario, competitor and run, in a folder."""
 
     def __init__(self, folder):
         self._folder = folder

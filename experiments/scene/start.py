@@ -20,11 +20,8 @@ _MAX_REDRAWS = 1000
 def gaussian(model, measurement, start, t0, times, rng, inputs=None):
     """Draw the truth from N(mean, cov), which is what the filters start from.
 
-    `inputs` (T, m) are held over the intervals that end at the times.
-
-    Returns
-    -------
-    truth (T, n), z (T, k), x0 (n,), P0 (n, n)
+    `inputs` (T, m) are held over the intervals that end at the times. Returns truth (T, n), z (T, k), x0 (n,)
+    and P0 (n, n).
     """
     x0, P0 = np.array(start.mean), np.array(start.cov)
     first, held = rng.multivariate_normal(x0, P0), _from_before(model, inputs, 1)

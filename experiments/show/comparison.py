@@ -38,12 +38,9 @@ def distance(result, reference):
 
 
 def moment_errors(x, P, x_ref, P_ref):
-    """Errors of means (..., n) and covariances (..., n, n) in the reference's standard deviations.
+    """Errors of means (..., n) and covariances (..., n, n) in the reference's standard deviations, shapes (...).
 
-    Returns
-    -------
-    mean, cov : ndarray, shape (...)
-        |L⁻¹ (x − x_ref)| and ‖L⁻¹ (P − P_ref) L⁻ᵀ‖ (Frobenius) over √n, with P_ref = L Lᵀ.
+    They are |L⁻¹ (x − x_ref)| and ‖L⁻¹ (P − P_ref) L⁻ᵀ‖ (Frobenius) over √n, with P_ref = L Lᵀ.
     """
     # in units of the standard deviations, so that metres and radians may share a state
     pairs = _scale_of(P_ref)

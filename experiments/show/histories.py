@@ -20,14 +20,10 @@ _ROOM, _FAR = 0.4, 4.0
 
 
 def example_runs(campaign):
-    """Choose the runs to draw, by what became of the EKF (002 Figs 25, 26).
+    """Numbers of the runs to draw, by what became of the EKF (002 Figs 25, 26).
 
     "consistent" is the run of median NEES among those in which it kept the truth, "diverged" the one in which
     it lost it worst, if there is any. Without an EKF the filter of the largest NEES takes its place.
-
-    Returns
-    -------
-    dict of str to int
     """
     nees = {
         name: np.nan_to_num(consistency.nees(campaign.truth, r.x, r.P))

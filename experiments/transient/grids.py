@@ -48,21 +48,14 @@ class Lattice:
 class Probe(Lattice):
     """Points at which densities are looked at, the same at all times (000 5.2.7).
 
-    Attributes
-    ----------
-    size : tuple of float, length n
-        Zero along a state that is held at its origin: a slice.
-    data : tuple of str
-        "density", "log_density", "smoothing_length" (mean over the kernels there), "density_gradient" and
-        "velocity" (of the probability, drift and diffusion together).
-    fps : float
-        Times a second of --animate.
+    Its size is zero along a state that is held at its origin: a slice. A smoothing length is the mean over the
+    kernels at a point, a velocity that of the probability, by drift and diffusion together.
     """
 
     data: tuple[
         Literal["density", "log_density", "smoothing_length", "density_gradient", "velocity"], ...
     ] = ("density",)
-    fps: Annotated[float, Field(gt=0, le=100)] = 10.0
+    fps: Annotated[float, Field(gt=0, le=100)] = 10.0  # times a second of --animate
 
     def _check(self, size, spacing):
         sides = size > 0

@@ -56,14 +56,7 @@ _QUANTITIES = {
 
 
 class Probing:
-    """Writes what a problem's probe sees of every density it is shown.
-
-    Parameters
-    ----------
-    problem : Problem
-        With a probe.
-    folder : Path
-    """
+    """Writes what a problem's probe sees of every density it is shown, into a folder."""
 
     def __init__(self, problem, folder):
         self.problem, self.folder = problem, folder

@@ -118,10 +118,7 @@ def _moment_name(powers, states):
 def load_problem(name, changes=None):
     """Read a transient scenario by name, or from the path of a TOML file; `changes` by dotted key.
 
-    Raises
-    ------
-    ConfigError, ExpressionError, ModelError
-        Each names the key.
+    Raises `ConfigError`, `ExpressionError` or `ModelError`; each names the key.
     """
     path, settings = read_problem(name, changes)
     problem = Problem(path.stem, settings)
