@@ -38,7 +38,7 @@ def distance(result, reference):
 
 
 def moment_errors(x, P, x_ref, P_ref):
-    """Errors of means (..., n) and covariances (..., n, n) in the reference's standard deviations, shapes (...).
+    """Errors (...) of means (..., n) and covariances (..., n, n) in the reference's standard deviations.
 
     They are |L⁻¹ (x − x_ref)| and ‖L⁻¹ (P − P_ref) L⁻ᵀ‖ (Frobenius) over √n, with P_ref = L Lᵀ.
     """

@@ -48,8 +48,8 @@ class Lattice:
 class Probe(Lattice):
     """Points at which densities are looked at, the same at all times (000 5.2.7).
 
-    Its size is zero along a state that is held at its origin: a slice. A smoothing length is the mean over the
-    kernels at a point, a velocity that of the probability, by drift and diffusion together.
+    Its size is zero along a state that is held at its origin: a slice. A smoothing length is the mean over
+    the kernels at a point, a velocity that of the probability, by drift and diffusion together.
     """
 
     data: tuple[
