@@ -1,6 +1,5 @@
 """`python -m experiments run NAME`: simulate a scenario, run filters on it, tell and draw the results."""
 
-import hashlib
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from .scene.scenario import load_scenario
 from .show import plots
 from .show.campaign_tables import distance_table, result_table, sentences
 from .show.comparison import distances, reference_name
+from .show.files import unfinished
 from .show.tables import print_table
 from .terminal.running import new_console, status, tell
 
@@ -46,8 +46,7 @@ def main(args):
 
 def _campaign(console, work, n_jobs):
     """Run the campaign. Finished runs wait in a folder of its own until all are done."""
-    which = hashlib.sha256(f"{work.scenario} {work.filters} {work.seed}".encode()).hexdigest()[:8]
-    folder = work.out / f"unfinished-{which}"
+    folder = unfinished(work.out, f"{work.scenario} {work.filters} {work.seed}")
     work.prepare(console, folder)
     campaign = work.run(console, n_jobs, folder)
     shutil.rmtree(folder)

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments.show.files import digest
 from sphfilter.campaign.campaign import draw_case
 
 from . import reference
 from .counting import drift_evaluations
 from .measure import measure, warm_up
-from .store import Rows, code_digest, digest
+from .store import Rows, code_digest
 from .summary import ReferenceError, summarise
 
 __all__ = ["Outcome", "Plan", "run_scenario"]
@@ -120,9 +121,8 @@ class _Work:
         """A row in memory or on disk; else a new one."""
         if (method.key, run) not in self._known:
             plan, name = self._plan, self._scenario.name
-            made_of = digest(
-                self._scenario.settings, method, plan.seed, plan.limit, plan.effort, code_digest()
-            )
+            asked = self._scenario.settings, method, plan.seed, plan.limit, plan.effort, code_digest()
+            made_of = digest(repr(asked))
             row = self._rows.read(name, method.key, run, made_of)
             if row is None:
                 row = make()

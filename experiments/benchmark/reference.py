@@ -4,7 +4,6 @@ Linear models have the Kalman filter and the Beneš problem its closed form; oth
 states a grid, refined until it stands still; the rest many large particle runs.
 """
 
-import hashlib
 import json
 from dataclasses import asdict, dataclass, fields
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from experiments.scene.filters import Factory
 from experiments.scene.settings import Grid
-from experiments.show.files import whole
+from experiments.show.files import digest, whole
 from reference_filters.big_particle import converged
 from reference_filters.grid_density import Box, GridDensity, fitted_box
 from sphfilter.campaign.one_run import put_through
@@ -84,7 +83,7 @@ def _digest(scenario, case, effort):
     s = scenario.settings
     parts = (s.model, *([s.sensor] if s.sensor else s.sensors.values()), s.start, effort)
     text = repr([_as_before(part) for part in parts] + [s.exact])
-    return hashlib.sha256((text + case_digest(case)).encode()).hexdigest()[:16]
+    return digest(text + case_digest(case))
 
 
 def _as_before(part):

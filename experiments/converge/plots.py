@@ -9,11 +9,7 @@ from .tables import groups, orders_of
 
 __all__ = ["draw_filter", "draw_schemes", "draw_steps"]
 
-_SCHEMES = {
-    "auto": COLOURS["sph"],
-    "log_density": COLOURS["sph"],
-    "paper": COLOURS["sph_paper"],
-}
+_SCHEMES = {"auto": COLOURS["sph"], "log_density": COLOURS["sph"], "paper": COLOURS["sph_paper"]}
 _STEPPERS = {"euler": COLOURS["ekf"], "midpoint": COLOURS["pf"], "rk4": COLOURS["sph"]}
 _DRAWN = "mean", "cov", "l2"
 _LABELS = {

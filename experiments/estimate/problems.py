@@ -16,11 +16,7 @@ __all__ = ["Build", "Problem", "guess_of", "problem_of", "rival_of"]
 
 #: Parameters that are fitted unless others are asked for, where not all can be: a common factor of others.
 _DUFFING = ("xi", "gamma", "epsilon")
-_FITTED = {
-    "duffing": _DUFFING,
-    "duffing_square": _DUFFING,
-    "sunspots": ("w", "mu", "b", "g", SENSOR),
-}
+_FITTED = {"duffing": _DUFFING, "duffing_square": _DUFFING, "sunspots": ("w", "mu", "b", "g", SENSOR)}
 #: Measurements that are simulated at least: fewer say little about a parameter.
 _MEASUREMENTS = 60
 _PARTICLES = 400

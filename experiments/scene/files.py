@@ -5,14 +5,7 @@ from pathlib import Path
 
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = [
-    "change",
-    "changes_of",
-    "file_names",
-    "find_file",
-    "parse_change",
-    "read_toml",
-]
+__all__ = ["change", "changes_of", "file_names", "find_file", "parse_change", "read_toml"]
 
 
 def file_names(folder):

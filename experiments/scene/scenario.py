@@ -16,14 +16,7 @@ from .inputs import check_inputs, sampled
 from .reading import read_settings, scenario_names
 from .settings import ScenarioSettings, Sensor, TableText
 
-__all__ = [
-    "Scenario",
-    "Scene",
-    "check_parts",
-    "load_scenario",
-    "read_settings",
-    "scenario_names",
-]
+__all__ = ["Scenario", "Scene", "check_parts", "load_scenario", "read_settings", "scenario_names"]
 
 #: Times in an interval between measurements at which the truth is drawn.
 _PARTS = 20

@@ -87,7 +87,7 @@ def plain_numbers(axis):
 
 
 def legend_below(figure, *axes, columns=None, **look):
-    """One legend under all panels, of what `axes` show, each label once; in as few rows as there is room."""
+    """One legend under all panels, of what `axes` show, each label once, in as few rows as can be."""
     entries = {}
     for ax in axes:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):

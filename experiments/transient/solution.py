@@ -1,6 +1,5 @@
 """Solving a transient problem step by step, every density kept on disk until all are there."""
 
-import hashlib
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import sphfilter as sf
+from experiments.show.files import unfinished
 from sphfilter.density.storage import load_arrays, write_arrays
 
 __all__ = ["Solution", "folder_of", "solve", "warm_up"]
@@ -74,8 +74,7 @@ def _only(numbers, watch):
 
 def folder_of(out, problem):
     """Where densities wait until all are there: another folder for other settings."""
-    which = hashlib.sha256(repr(sorted(asdict(problem.settings).items())).encode()).hexdigest()[:8]
-    return Path(out) / f"unfinished-{which}"
+    return unfinished(Path(out), repr(sorted(asdict(problem.settings).items())))
 
 
 def _file(folder, k):
