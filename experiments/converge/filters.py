@@ -2,7 +2,6 @@
 
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -10,15 +9,14 @@ from experiments.scene.files import changes_of
 from experiments.scene.filters import factories, name_of
 from experiments.scene.scenario import load_scenario
 from experiments.show.comparison import distances
-from experiments.show.files import write_csv
 from experiments.show.tables import print_table, table
 from experiments.terminal.progress import bar
 from experiments.terminal.running import tell
 from sphfilter.campaign.campaign import run_campaign
 from sphfilter.errors import ConfigError
 
-from .fits import fitted_order
 from .plots import draw_filter
+from .tables import end, fitted_order
 
 __all__ = ["convergence", "orders", "study"]
 
@@ -76,12 +74,12 @@ def study(args, console, name, counts):
     print_table(console, _table(name, name_of(args.filter), rows, slopes))
     if min(slopes.values()) < _NO_ORDER:
         tell(console, [_FLAT])
-    path = (args.out or Path("results") / name) / "convergence.csv"
-    lines = ([count, *asdict(distance).values(), *rest] for count, distance, *rest in rows)
-    write_csv(path, ["particles", *MEASURES, "seconds", "refused"], lines)
-    console.print(
-        f"Table and picture: {path}, {draw_filter(path.with_suffix('.png'), rows, slopes)}", soft_wrap=True
-    )
+    lines = [
+        {"particles": count} | asdict(distance) | {"seconds": seconds, "refused": refused}
+        for count, distance, seconds, refused in rows
+    ]
+    draw = partial(draw_filter, rows=rows, slopes=slopes)
+    end(console, args, name, "convergence", (), lines, draw)
 
 
 def _shown(console, args, name, counts):

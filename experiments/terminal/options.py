@@ -39,9 +39,9 @@ def adder(parser):
 
 def _text(default):
     """A default for people; empty for none."""
-    return (
-        "" if default in (None, [], "") else ",".join(default) if isinstance(default, list) else str(default)
-    )
+    if isinstance(default, list):
+        return ",".join(default)
+    return "" if default is None else str(default)
 
 
 def add_changes(add, help=_CHANGE):
