@@ -16,8 +16,8 @@ __all__ = ["COMMANDS", "load", "main", "module", "parser"]
 
 #: Modules with a one-line docstring and ``main(args)``, which returns an exit code or None. They are imported
 #: when the command line has been checked: what is wrong with it is answered at once. That is up to the module
-#: of the command's name in `arguments`, which has ``add_arguments(parser)``, ``check(args)`` where there is
-#: something to check that raises, and ``EPILOG``, the end of the help, if there is one.
+#: of the command's name in `arguments`, which has ``add_arguments(add)`` and, where something may be wrong,
+#: ``check(args)``, which raises it. A text of that name beside it is the end of the command's help.
 COMMANDS = {
     "list": "listing",
     "run": "run",
@@ -34,17 +34,15 @@ COMMANDS = {
     "realtime": "realtime",
     "switching": "switching.command",
 }
-#: Names that `run` takes and that are no scenarios: measured data, with options of their own.
-MEASURED = {"sunspots": "sunspots.command"}
 
 
 def module(name):
-    """The module of a command, or of measured data."""
-    return import_module(f"{__package__}.{(COMMANDS | MEASURED)[name]}")
+    """The module of a command."""
+    return import_module(f"{__package__}.{COMMANDS[name]}")
 
 
 def arguments(name):
-    """The module of a command's arguments, or of those of measured data."""
+    """The module of a command's arguments."""
     return import_module(f"{__package__}.arguments.{name}")
 
 
@@ -73,19 +71,12 @@ def _told(text):
 
 
 def asked(argv):
-    """Name of the command, or of measured data, and its arguments, checked.
-
-    Raises
-    ------
-    Refused
-    """
+    """Name of the command, and its arguments, checked; raises `Refused`."""
     with unopened("sphfilter"):
         from sphfilter.errors import SphfilterError
 
         argv = argv or ["--help"]
-        measured = _is_measured(argv)
-        name = argv[1] if measured else argv[0] if argv else ""
-        args = _measured_parser(name).parse_args(argv[2:]) if measured else parser(argv).parse_args(argv)
+        name, args = argv[0], parser(argv).parse_args(argv)
         try:
             getattr(arguments(name), "check", lambda args: None)(args)
             if "out" in args:
@@ -133,10 +124,6 @@ def check_folder(folder):
                 path.rmdir()
 
 
-def _is_measured(argv):
-    return argv[:1] == ["run"] and len(argv) > 1 and argv[1] in MEASURED
-
-
 def parser(argv):
     """The command line, with the options of the command that argv begins with."""
     summaries = {name: _summary(name) for name in COMMANDS}
@@ -153,16 +140,17 @@ def parser(argv):
     for name in COMMANDS:
         own = commands.add_parser(name, description=summaries[name])
         if argv[:1] == [name]:
-            more = getattr(arguments(name), "EPILOG", "")
-            own.epilog = "\n\n".join(filter(None, [guide.examples(name), more])) or None
+            own.epilog = guide.end_of_help(name)
             top.of_command = _filled(own, name)
     return top
 
 
 def _filled(parser, name):
     """A command's parser with its options."""
+    from .terminal.options import adder  # which reads scenarios
+
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    arguments(name).add_arguments(parser)
+    arguments(name).add_arguments(adder(parser))
     return parser
 
 
@@ -185,16 +173,9 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"error: {message} ({self.prog} --help tells more)\n")
 
 
-def _measured_parser(name):
-    """The command line of `run` with a name of `MEASURED`."""
-    prog = f"python -m experiments run {name}"
-    example = f"Example:\n  {prog} --out results/{name}"
-    return _filled(_Parser(prog, description=_summary(name), epilog=example), name)
-
-
 def _summary(name):
     """What the docstring of a command's module begins with, read without importing the module."""
-    source = find_spec(f"{__package__}.{(COMMANDS | MEASURED)[name]}").loader.get_source(None)
+    source = find_spec(f"{__package__}.{COMMANDS[name]}").loader.get_source(None)
     return ast.get_docstring(ast.parse(source)).partition("`: ")[2].splitlines()[0]
 
 

@@ -1,64 +1,26 @@
-"""Solve for fully symmetric cubature rules: nodes and positive weights for the standard normal law."""
+"""Solve for fully symmetric cubature rules: nodes and positive weights for the standard normal law.
+
+`sphfilter/core/family/rules.json` has what `solved` found, by number of states and degree.
+"""
 
 import itertools
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
 
-__all__ = ["add_arguments", "main", "solved"]
+__all__ = ["solved"]
 
 _EXACT = 1e-13  # largest error of a scaled moment
 _PROMISING = 1e-6  # of least squares, for Newton's steps to go on from
 
 
-def add_arguments(parser):
-    """Options of the command."""
-    parser.add_argument("--dimension", type=int, required=True, help="states n")
-    parser.add_argument("--degree", type=int, required=True, help="d: the rule is exact to degree 2 d + 1")
-    parser.add_argument(
-        "--orbits",
-        nargs="+",
-        required=True,
-        help="patterns of generators, a letter for each equal number and 0 for zero, such as 000 a00 aab",
-    )
-    parser.add_argument("--within", type=float, default=6.0, help="radius of the nodes at most (default: 6)")
-    parser.add_argument("--tries", type=int, default=200, help="random starts (default: 200)")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--write", type=Path, help="file of rules that takes a rule that is found")
-
-
-def main(args):
-    """Search, tell what was found, and store it."""
-    found = solved(args.dimension, args.degree, args.orbits, args.tries, args.seed, args.within)
-    if found is None:
-        print("no positive rule of these orbits was found")
-        return 1
-    weights, generators = found
-    rule = {"generators": generators.tolist(), "weights": weights.tolist()}
-    print(f"{sum(map(_size, args.orbits))} nodes, exact to degree {2 * args.degree + 1}")
-    if args.write:
-        table = json.loads(args.write.read_text()) if args.write.exists() else {}
-        table[f"{args.dimension} {args.degree}"] = rule
-        table = dict(sorted(table.items()))
-        args.write.write_text(json.dumps(table, indent=1) + "\n")
-    return 0
-
-
 def solved(n, degree, orbits, tries, seed, within):
     """Weights (K,) of each point and generators (K, n) of a positive rule; None if none is found.
 
-    Parameters
-    ----------
-    n, degree : int
-        The rule is to be exact to degree 2 `degree` + 1.
-    orbits : list of str, length K
-    tries, seed : int
-        Random starts of the least squares.
-    within : float
-        No node is further out: families are the steadier, the nearer their nodes are.
+    The rule is to be exact to degree 2 `degree` + 1. Its K orbits are patterns of generators, a letter for
+    each equal number and 0 for zero, such as 000, a00 and aab. Least squares start at random, `tries` times.
+    No node is further out than `within`: families are the steadier, the nearer their nodes are.
     """
     problem, rng = _Moments(n, degree, orbits, within), np.random.default_rng(seed)
     for _ in range(tries):

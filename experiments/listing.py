@@ -4,7 +4,6 @@ from rich.console import Console
 from rich.table import Table
 
 from .scene.scenario import read_settings, scenario_names
-from .sunspots import command as sunspots
 from .transient.problem import load_problem, problem_names
 
 __all__ = ["main"]
@@ -14,7 +13,7 @@ def main(args):
     """Print name and description of every scenario."""
     scenarios = [(name, read_settings(name).description) for name in scenario_names()]
     console = Console(highlight=False)
-    console.print(_listed([*scenarios, ("sunspots", sunspots.SUMMARY)]))
+    console.print(_listed(scenarios))
     console.print("\nRun one with: python -m experiments run NAME\n", style="dim")
     console.print(_listed([(name, load_problem(name).settings.description) for name in problem_names()]))
     console.print("\nSolve one without measurements with: python -m experiments transient NAME", style="dim")

@@ -37,27 +37,14 @@ _HEADINGS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """Runs of a scenario under one budget.
+    """Runs of a scenario under one budget."""
 
-    Attributes
-    ----------
-    seconds : ndarray, shape (K,)
-        Of each step: a prediction and the update after it.
-    n_particles : ndarray, shape (K,)
-        After each update.
-    error : float
-        Of the posterior mean against the reference, posterior standard deviations, rms over the runs.
-    repeated : int
-        Steps that had to be repeated on more particles.
-    failures : list of str
-        Sentences of the runs that ended early.
-    """
-
-    seconds: np.ndarray
-    n_particles: np.ndarray
+    seconds: np.ndarray  # shape (K,): of each step: a prediction and the update after it
+    n_particles: np.ndarray  # shape (K,): after each update
+    # of the posterior mean against the reference, posterior standard deviations, rms over the runs
     error: float
-    repeated: int
-    failures: list
+    repeated: int  # steps that had to be repeated on more particles
+    failures: list  # sentences of the runs that ended early
 
     def within(self, budget):
         """Share of the steps that ended within a budget, seconds."""

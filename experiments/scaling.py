@@ -21,23 +21,15 @@ __all__ = ["main"]
 
 @dataclass(frozen=True)
 class Cell:
-    """What one scheme costs on one number of particles.
-
-    Attributes
-    ----------
-    scheme : str
-    n_particles, n_steps : int
-    seconds, threaded : float
-        Median wall time of the prediction on one thread and on two.
-    memory, own : float
-        Peak of the process, MB, and what the prediction added to it; NaN where the system does not tell.
-    """
+    """What one scheme costs on one number of particles."""
 
     scheme: str
     n_particles: int
     n_steps: int
+    # median wall time of the prediction on one thread and on two
     seconds: float
     threaded: float
+    # peak of the process, MB, and what the prediction added to it; NaN where the system does not tell
     memory: float
     own: float
 

@@ -1,1 +1,1 @@
-"""What each command takes: options and their checks, before anything is imported that takes long."""
+"""What each command takes, and what its help ends with: read and checked before anything that takes long."""

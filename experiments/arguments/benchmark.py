@@ -3,9 +3,10 @@
 from pathlib import Path
 
 from experiments.benchmark.families import FAMILIES, check_families
-from experiments.scene.files import add_change_option, changes_of
+from experiments.scene.files import changes_of
 from experiments.scene.reading import read_settings
-from experiments.terminal.options import counted, names_of
+from experiments.terminal.options import add_changes, counted, names_of
+from sphfilter.errors import ConfigError
 
 __all__ = ["EXPENSIVE", "SCENARIOS", "add_arguments", "check"]
 
@@ -21,32 +22,22 @@ SCENARIOS = (
 EXPENSIVE = "expensive"
 
 
-def add_arguments(parser):
+def add_arguments(add):
     """Add the options of `benchmark`."""
-    names = f"names from `list` or paths of TOML files, or {EXPENSIVE} (default: all of them)"
-    parser.add_argument("scenarios", nargs="*", metavar="NAME", help=names)
-    families = f"comma-separated, of {', '.join(FAMILIES)}, sph:SCHEME (default: all that fit)"
-    parser.add_argument("--filters", type=names_of, help=families)
+    names = f"names from `list` or paths of TOML files, or {EXPENSIVE}"
+    add("scenarios", names, otherwise="all of them", nargs="*", metavar="NAME")
+    add("--filters", f"comma-separated, of {', '.join(FAMILIES)}, sph:SCHEME", names_of, None, "all that fit")
     counts = "particles of the SPH and particle filters, comma-separated, instead of the usual ones"
-    parser.add_argument("--counts", type=_counts, metavar="N,N", help=counts)
-    parser.add_argument("--runs", type=counted, help="simulated runs (default: 5; 2 with --quick)")
-    parser.add_argument(
-        "--seed", type=int, default=1, help="seed of everything random (default: %(default)s)"
-    )
-    limit = "seconds a run may take; larger sizes are left out (default: 10)"
-    parser.add_argument("--limit", type=float, help=limit)
+    add("--counts", counts, _counts, metavar="N,N")
+    add("--runs", "simulated runs", counted, None, "5; 2 with --quick")
+    add("--seed", "seed of everything random", int, 1)
+    add("--limit", "seconds a run may take; larger sizes are left out", float, None, "10")
     paths = "particles in all of a reference above two states; more of them later add to those on disk"
-    parser.add_argument("--reference-paths", type=float, metavar="N", help=paths)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("results/benchmark"),
-        help="folder for results (default: %(default)s)",
-    )
-    size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="two runs, coarse references: does it work?")
-    size.add_argument("--full", action="store_true", help="larger sizes and finer references: takes hours")
-    add_change_option(parser)
+    add("--reference-paths", paths, float, metavar="N")
+    add("--out", "folder for results", Path, Path("results/benchmark"))
+    add("--quick", "two runs, coarse references: does it work?", bool)
+    add("--full", "larger sizes and finer references: takes hours", bool)
+    add_changes(add)
 
 
 def _counts(text):
@@ -54,7 +45,9 @@ def _counts(text):
 
 
 def check(args):
-    """Raise what is wrong with scenarios or competitors."""
+    """Raise what is wrong with sizes, scenarios or competitors."""
+    if args.quick and args.full:
+        raise ConfigError("--quick and --full are two sizes of a benchmark: give one of them")
     for name in args.scenarios:
         if name != EXPENSIVE:
             read_settings(name, changes_of(args))

@@ -2,23 +2,14 @@
 
 from pathlib import Path
 
-from experiments.scene.files import add_change_option, changes_of
+from experiments.scene.files import changes_of
 from experiments.scene.reading import read_settings, scenario_names
-from experiments.terminal.options import names_of, numbers
-from experiments.transient.reading import problem_names, read_problem
+from experiments.terminal.options import add_changes, names_of, numbers
+from experiments.transient.settings import problem_names, read_problem
 from sphfilter.errors import ConfigError
 
-__all__ = ["EPILOG", "FILTER", "add_arguments", "check", "counts_of", "sizes_of", "study_of"]
+__all__ = ["FILTER", "add_arguments", "check", "counts_of", "sizes_of", "study_of"]
 
-EPILOG = """\
-What is studied:
-  NAME of a filter scenario       the SPH filter against its exact filter, over particles
-  [NAME,...] --over nodes         whether more nodes make the SPH filter worse: scenarios of one or two states
-  [NAME,...] --sensors            ... on sensors of one state, such as cubic,Laplace
-  NAME --over particles           a density without measurements (`list`), over particles, as its file says
-  NAME --over scheme              ... of every scheme, with run times
-  NAME --over step                ... of the published scheme, over time steps (or C_CFL) and integrators
-"""
 FILTER = "a filter scenario"
 _DEFAULTS = {"filter": "sph", "runs": 3, "seed": 0, "limit": 300.0}
 #: Options that each study takes besides NAME, --out and --set; the others are refused.
@@ -35,43 +26,36 @@ _COUNTS["--over scheme"] = _COUNTS["--over particles"]
 _COUNTS["--over nodes"] = _COUNTS["--sensors"] = "50,100,200,400,800,1600"
 
 
-def add_arguments(parser):
+def add_arguments(add):
     """Add the options of `converge`."""
-    parser.add_argument(
-        "scenario", nargs="?", metavar="NAME", help="default: linear_underdamped, or see below"
+    add(
+        "scenario", "what is studied", otherwise="linear_underdamped, or see below", nargs="?", metavar="NAME"
     )
-    parser.add_argument("--over", choices=("particles", "scheme", "step", "nodes"), help="see below")
-    parser.add_argument("--sensors", action="store_true", help="nodes doubled on sensors of one state")
-    parser.add_argument("--counts", help="particles at most, comma-separated")
-    parser.add_argument("--n-particles", type=int, help="particles of --over step, at most")
-    parser.add_argument("--schemes", help="comma-separated (default: log_density,paper)")
-    parser.add_argument("--steps", help="fixed time steps in seconds, comma-separated")
-    parser.add_argument("--c-cfl", help="or values of C_CFL, comma-separated")
-    parser.add_argument("--end", type=float, help="time at which a density is left alone, seconds")
-    parser.add_argument("--limit", type=float, help="seconds one solution may take (default: 300)")
-    parser.add_argument("--filter", choices=("sph", "sph_paper"), help="of a filter scenario (default: sph)")
-    parser.add_argument("--runs", type=int, help="simulated runs of a filter for each count (default: 3)")
-    parser.add_argument("--seed", type=int, help="seed of everything random, of a filter scenario")
-    parser.add_argument("--out", type=Path, help="folder for table and picture (default: in results)")
-    example = (
-        "e.g. times.interval=3; scheme.kernel=gaussian of a filter, solver.config.scheme.kernel=gaussian"
-    )
-    add_change_option(parser, f"change a key of the scenario, {example} of a density; may be repeated")
+    add("--over", "see below", choices=("particles", "scheme", "step", "nodes"))
+    add("--sensors", "nodes doubled on sensors of one state", bool)
+    add("--counts", "particles at most, comma-separated")
+    add("--n-particles", "particles of --over step, at most", int)
+    add("--schemes", "comma-separated", otherwise="log_density,paper")
+    add("--steps", "fixed time steps in seconds, comma-separated")
+    add("--c-cfl", "or values of C_CFL, comma-separated")
+    add("--end", "time at which a density is left alone, seconds", float)
+    add("--limit", "seconds one solution may take", float, None, "300")
+    add("--filter", "of a filter scenario", otherwise="sph", choices=("sph", "sph_paper"))
+    add("--runs", "simulated runs of a filter for each count", int, None, "3")
+    add("--seed", "seed of everything random, of a filter scenario", int)
+    add("--out", "folder for table and picture", Path, None, "in results")
+    example = "times.interval=3; scheme.kernel=gaussian of a filter, solver.config.scheme.kernel=gaussian"
+    add_changes(add, f"change a key of the scenario, e.g. {example} of a density; may be repeated")
 
 
 def study_of(args):
     """Which of `_TAKES` is asked for; a name that filters do not know may be one of a density."""
-    asked = [f"--{name}" for name in ("sensors",) if getattr(args, name)]
-    asked += [f"--over {args.over}"] if args.over else []
-    if len(asked) > 1:
-        raise ConfigError(f"{' and '.join(asked)} are different studies: ask for one of them")
-    if asked:
-        return asked[0]
-    return "--over particles" if args.scenario in _densities_only() else FILTER
-
-
-def _densities_only():
-    return set(problem_names()) - set(scenario_names())
+    if args.sensors and args.over:
+        raise ConfigError(f"--sensors and --over {args.over} are different studies: ask for one of them")
+    if args.sensors or args.over:
+        return "--sensors" if args.sensors else f"--over {args.over}"
+    alone = set(problem_names()) - set(scenario_names())
+    return "--over particles" if args.scenario in alone else FILTER
 
 
 def _refuse_others(args, study):

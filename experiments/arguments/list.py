@@ -3,5 +3,5 @@
 __all__ = ["add_arguments"]
 
 
-def add_arguments(parser):
+def add_arguments(add):
     """Add no options."""

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from experiments.terminal.options import counted, names_of, numbers
-from experiments.transient.reading import read_problem
+from experiments.transient.settings import read_problem
 from sphfilter.errors import ConfigError
 
 __all__ = ["add_arguments", "check", "counts_of"]
@@ -12,23 +12,14 @@ SCHEMES = ("log_density", "paper")
 _COUNTS = "500,1000,2000,5000,10000,20000"
 
 
-def add_arguments(parser):
+def add_arguments(add):
     """Add the options of `scaling`."""
-    transient = "a transient scenario with a Gaussian start (default: van_der_pol)"
-    parser.add_argument("scenario", nargs="?", default="van_der_pol", help=transient)
-    schemes = "comma-separated (default: all)"
-    parser.add_argument("--schemes", type=names_of, default=list(SCHEMES), help=schemes)
-    parser.add_argument("--counts", default=_COUNTS, help=f"particles, comma-separated (default: {_COUNTS})")
-    parser.add_argument("--interval", type=float, default=0.2, help="seconds to predict (default: 0.2)")
-    parser.add_argument(
-        "--samples", type=counted, default=3, help="samples a median is taken of (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("results/scaling"),
-        help="folder for the table (default: %(default)s)",
-    )
+    add("scenario", "a transient scenario with a Gaussian start", default="van_der_pol", nargs="?")
+    add("--schemes", "comma-separated", names_of, list(SCHEMES), "all")
+    add("--counts", "particles, comma-separated", default=_COUNTS)
+    add("--interval", "seconds to predict", float, 0.2)
+    add("--samples", "samples a median is taken of", counted, 3)
+    add("--out", "folder for the table", Path, Path("results/scaling"))
 
 
 def check(args):

@@ -7,19 +7,11 @@ from sphfilter.errors import ConfigError
 __all__ = ["add_arguments", "check"]
 
 
-def add_arguments(parser):
+def add_arguments(add):
     """Add the options of `skips`."""
-    parser.add_argument(
-        "--samples", type=int, default=7, help="samples a median is taken of (default: %(default)s)"
-    )
-    only = "shortcuts with this text in their name or scene"
-    parser.add_argument("--only", default="", metavar="TEXT", help=only)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("results/skips"),
-        help="folder for the tables (default: %(default)s)",
-    )
+    add("--samples", "samples a median is taken of", int, 7)
+    add("--only", "shortcuts with this text in their name or scene", default="", metavar="TEXT")
+    add("--out", "folder for the tables", Path, Path("results/skips"))
 
 
 def check(args):

@@ -12,32 +12,22 @@ __all__ = ["METHODS", "add_arguments", "check"]
 METHODS = ("default", "paper", "pf1e3", "pf1e4")
 
 
-def add_arguments(parser):
+def add_arguments(add):
     """Add the options of `stress`."""
-    parser.add_argument("--quick", action="store_true", help="a reduced grid, that the tests walk too")
+    add("--quick", "a reduced grid, that the tests walk too", bool)
     only = "cells to run: a family, or FAMILY/SYSTEM/LEVEL with * and ?; may be repeated"
-    parser.add_argument("--only", action="append", default=[], metavar="CELL", help=only)
-    names = f"comma-separated, of {', '.join(METHODS)} (default: all)"
-    parser.add_argument("--filters", "--methods", type=names_of, default=list(METHODS), help=names)
-    parser.add_argument(
-        "--seed", type=int, default=1, help="seed of everything random (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--limit", type=_seconds, default=60.0, help="seconds a run may take (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("results/stress"),
-        help="folder for results (default: %(default)s)",
-    )
-    parser.add_argument("--jobs", type=counted, default=1, help="processes (default: %(default)s)")
-    parser.add_argument("--random", type=counted, metavar="N", help="N random problems instead of the grid")
+    add("--only", only, action="append", default=[], metavar="CELL")
+    add("--filters --methods", f"comma-separated, of {', '.join(METHODS)}", names_of, list(METHODS), "all")
+    add("--seed", "seed of everything random", int, 1)
+    add("--limit", "seconds a run may take", _seconds, 60.0)
+    add("--out", "folder for results", Path, Path("results/stress"))
+    add("--jobs", "processes", counted, 1)
+    add("--random", "N random problems instead of the grid", counted, metavar="N")
     again = "random problem number K of seed S alone, as S:K; may be repeated"
-    parser.add_argument("--random-case", type=_pair, action="append", default=[], metavar="S:K", help=again)
+    add("--random-case", again, _pair, [], action="append", metavar="S:K")
     auto = "random problems: judge the default filter, which chooses by its error, not 100 to 800 particles"
-    parser.add_argument("--auto", action="store_true", help=auto)
-    parser.add_argument("--list", action="store_true", help="print the names of the cells and stop")
+    add("--auto", auto, bool)
+    add("--list", "print the names of the cells and stop", bool)
 
 
 def _seconds(text):

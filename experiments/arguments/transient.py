@@ -3,37 +3,32 @@
 from pathlib import Path
 from shutil import which
 
-from experiments.scene.files import add_change_option, changes_of
-from experiments.transient.help import EPILOG
-from experiments.transient.reading import read_problem
+from experiments.scene.files import changes_of
+from experiments.terminal.options import add_changes
+from experiments.transient.settings import read_problem
 from sphfilter.errors import ConfigError
 
-__all__ = ["EPILOG", "add_arguments", "check"]
+__all__ = ["add_arguments", "check"]
 
 
-def add_arguments(parser):
+def add_arguments(add):
     """Add the options of `transient`."""
-    parser.add_argument("name", nargs="?", help="a name from `list`")
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="a TOML file of your own instead of a name"
-    )
-    parser.add_argument("--out", type=Path, help="folder for results (default: results/transient/NAME)")
-    parser.add_argument("--n-particles", type=int, help="particles, at most")
-    parser.add_argument(
-        "--remesh",
-        metavar="RULES",
-        help="solve with each rule for new lattices on the way, e.g. never,health,2 (seconds), and compare",
-    )
+    add("name", "a name from `list`", nargs="?")
+    add("--config", "a TOML file of your own instead of a name", Path, metavar="FILE")
+    add("--out", "folder for results", Path, None, "results/transient/NAME")
+    add("--n-particles", "particles, at most", int)
+    rules = "solve with each rule for new lattices on the way, e.g. never,health,2 (seconds), and compare"
+    add("--remesh", rules, metavar="RULES")
     columns = (
         "of the printed table: means and standard deviations of six states at most, and what the file asks "
-        "for; or all moments, as in statistics.csv (default: %(default)s)"
+        "for; or all moments, as in statistics.csv"
     )
-    parser.add_argument("--columns", choices=("states", "all"), default="states", help=columns)
-    parser.add_argument("--no-reference", action="store_true", help="do not compute the reference")
-    parser.add_argument("--animate", metavar="FILE", help="write the densities as a film, .gif or .mp4")
-    parser.add_argument("--live", action="store_true", help="show the densities in a window as they come")
+    add("--columns", columns, default="states", choices=("states", "all"))
+    add("--no-reference", "do not compute the reference", bool)
+    add("--animate", "write the densities as a film, .gif or .mp4", metavar="FILE")
+    add("--live", "show the densities in a window as they come", bool)
     example = "e.g. solver.config.scheme=paper or times.end=10"
-    add_change_option(parser, f"change a key of the file, {example}; may be repeated")
+    add_changes(add, f"change a key of the file, {example}; may be repeated")
 
 
 def check(args):

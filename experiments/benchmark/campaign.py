@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments.show.files import digest
 from sphfilter.campaign.campaign import draw_case
 
 from . import reference
 from .counting import drift_evaluations
 from .measure import measure, warm_up
-from .store import Rows, code_digest, digest
+from .store import Rows, code_digest
 from .summary import ReferenceError, summarise
 
 __all__ = ["Outcome", "Plan", "run_scenario"]
@@ -19,26 +20,14 @@ __all__ = ["Outcome", "Plan", "run_scenario"]
 
 @dataclass(frozen=True)
 class Plan:
-    """What is asked of a benchmark.
+    """What is asked of a benchmark."""
 
-    Attributes
-    ----------
-    folder : Path
-        Of rows and references.
-    n_runs, seed : int
-    limit : float
-        Seconds of a run; sizes that would take longer are left out, runs that do are given up.
-    effort : reference.Effort
-    counted : tuple of str
-        Scenarios whose drift evaluations are counted, which takes minutes each.
-    """
-
-    folder: Path
+    folder: Path  # of rows and references
     n_runs: int
     seed: int
-    limit: float
+    limit: float  # seconds of a run; sizes that would take longer are left out, runs that do are given up
     effort: reference.Effort
-    counted: tuple = ()
+    counted: tuple = ()  # scenarios whose drift evaluations are counted, which takes minutes each
 
 
 @dataclass(frozen=True)
@@ -52,20 +41,10 @@ class Outcome:
 
 
 def run_scenario(scenario, competitors, plan, say):
-    """Measure what is not on disk yet, and put everything together.
+    """Measure what is not on disk yet, and put everything together, as an `Outcome`.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    competitors : list of Method
-        Smaller sizes of a family first.
-    plan : Plan
-    say : callable
-        say(text, done) → None, for each piece of work begun, and how many are done.
-
-    Returns
-    -------
-    Outcome
+    Of the competitors smaller sizes of a family come first. `say(text, done)` is called for each piece of
+    work begun, with how many are done.
     """
     cases = [draw_case(scenario, plan.seed, run) for run in range(plan.n_runs)]
     references, done = [], count()
@@ -142,9 +121,8 @@ class _Work:
         """A row in memory or on disk; else a new one."""
         if (method.key, run) not in self._known:
             plan, name = self._plan, self._scenario.name
-            made_of = digest(
-                self._scenario.settings, method, plan.seed, plan.limit, plan.effort, code_digest()
-            )
+            asked = self._scenario.settings, method, plan.seed, plan.limit, plan.effort, code_digest()
+            made_of = digest(repr(asked))
             row = self._rows.read(name, method.key, run, made_of)
             if row is None:
                 row = make()

@@ -5,7 +5,6 @@ Every competitor is compared with a converged reference whose own error is bound
 
 import os
 import platform
-from contextlib import nullcontext
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 
@@ -18,7 +17,6 @@ from experiments.show.files import write_json
 from experiments.show.tables import counted, print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
-from sphfilter.campaign.campaign import draw_case
 from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError, SphfilterError
 
@@ -58,8 +56,7 @@ def main(args):
     if not outcomes:
         raise ConfigError("nothing was measured: no scenario has a reference")
     if EXPENSIVE in names:
-        base, competitors = next(pair for pair in work if pair[0].name == expensive.BASE)
-        drawn.append(_expensive(console, base, competitors, outcomes, plan))
+        drawn.append(_expensive(console, expensive.BASE, outcomes, plan))
     console.print(
         f"Numbers are in {args.out}/benchmark.csv and .md, all settings in benchmark.json.", soft_wrap=True
     )
@@ -100,23 +97,13 @@ def _tell(console, outcome):
     console.print()
 
 
-def _expensive(console, scenario, competitors, outcomes, plan):
+def _expensive(console, scenario, outcomes, plan):
     """Tell and draw who wins where the drift is expensive."""
-    lines = next(o.lines for o in outcomes if o.scenario == scenario.name)
-    with console.status("real runs with an expensive drift") if console.is_terminal else nullcontext():
-        checked = expensive.checks(
-            scenario, draw_case(scenario, plan.seed, 0), competitors, lines, plan.limit
-        )
-    title = f"{scenario.name} with an expensive drift: the fastest to reach an error of the mean"
+    lines = next(o.lines for o in outcomes if o.scenario == scenario)
+    title = f"{scenario} with an expensive drift: the fastest to reach an error of the mean"
     print_table(console, expensive.table(lines, title))
-    if checked:
-        ratio = [c.measured / c.predicted for c in checked]
-        console.print(
-            f"• {len(checked)} real runs took {min(ratio):.2f} to {max(ratio):.2f} times (median "
-            f"{sorted(ratio)[len(ratio) // 2]:.2f}) what run time and counted evaluations predict."
-        )
-    expensive.write(plan.folder, lines, checked)
-    return plots.draw_expensive(plan.folder, lines, checked, scenario.name)
+    expensive.write(plan.folder, lines)
+    return plots.draw_expensive(plan.folder, lines, scenario)
 
 
 def _write(args, plan, outcomes, machine, work):

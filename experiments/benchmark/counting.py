@@ -31,23 +31,9 @@ class OtherModel(Scenario):
 def drift_evaluations(method, scenario, case, n_steps, limit=np.inf):
     """Number of states at which a run evaluates the drift of a model that offers nothing else.
 
-    Jacobian and divergence are differences of the drift, as for any black box: 2 n evaluations each.
-
-    Parameters
-    ----------
-    method : Method
-        Any but the exact filters, which use no drift.
-    scenario : Scenario
-    case : Case
-    n_steps : int
-        Time steps that the run took, as measured.
-    limit : float
-        Seconds after which counting is given up.
-
-    Returns
-    -------
-    float
-        NaN if the filter raised something.
+    Jacobian and divergence are differences of the drift, as for any black box: 2 n evaluations each. The
+    exact filters use no drift. `n_steps` are the time steps that the run took, as measured; counting is given
+    up after `limit` seconds. NaN if the filter raised something.
     """
     count = np.zeros(1, dtype=np.int64)
     counted = OtherModel(scenario.name, scenario.settings, scenario.between, _counting(scenario.model, count))

@@ -12,18 +12,10 @@ __all__ = ["Errors", "errors", "left_by_epoch", "root_mean_square", "truth_error
 
 @dataclass(frozen=True)
 class Errors(Distance):
-    """Distance of a run from the reference, root mean squares over its epochs.
+    """Distance of a run from the reference, root mean squares over its epochs."""
 
-    Attributes
-    ----------
-    worst : float
-        The largest |L⁻¹ (m − m_ref)|, whose root mean square is `mean`.
-    total : float
-        |Log-evidence of the whole run|, nats.
-    """
-
-    worst: float
-    total: float
+    worst: float  # the largest |L⁻¹ (m − m_ref)|, whose root mean square is `mean`
+    total: float  # |log-evidence of the whole run|, nats
 
 
 def errors(result, reference):

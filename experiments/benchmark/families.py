@@ -21,13 +21,7 @@ FAMILIES = {
 
 
 def check_families(names):
-    """Are these names of families?
-
-    Raises
-    ------
-    ConfigError
-        The nearest name is told.
-    """
+    """Raise `ConfigError` unless these are names of families; the nearest name is told."""
     for name in names:
         if name not in FAMILIES and not name.startswith("sph:"):
             known = [*FAMILIES, "sph:SCHEME"]

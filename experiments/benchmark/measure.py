@@ -20,22 +20,10 @@ _REPEATS, _SECONDS = 5, 1.0
 
 
 def measure(method, case, reference, seed, limit):
-    """Run a competitor and return a row of plain numbers and texts.
+    """Run a competitor on a case and return a row of plain numbers and texts.
 
-    Parameters
-    ----------
-    method : Method
-    case : Case
-    reference : Reference
-    seed : sequence of int
-        Of what the filter draws.
-    limit : float
-        Seconds after which a run is given up.
-
-    Returns
-    -------
-    dict
-        With the key "failure" alone if the filter raised something.
+    It is held against a `Reference`, draws from `seed`, and is given up after `limit` seconds. If the filter
+    raised something, the row has the key "failure" alone.
     """
     try:
         return _measured(method, case, reference, seed, limit)

@@ -31,22 +31,13 @@ _TWO_THREADS_FROM = 100_000
 
 @dataclass(frozen=True)
 class Method:
-    """One competitor at one size.
+    """One competitor at one size."""
 
-    Attributes
-    ----------
-    family : str
-        A name of `FAMILIES`, or "sph:SCHEME".
-    size : int
-        Particles at most, nodes an axis, or one over the error aimed at; zero for filters that have none.
-    threads : int
-    factory : Factory or BoxedFactory
-    """
-
-    family: str
+    family: str  # a name of `FAMILIES`, or "sph:SCHEME"
+    # particles at most, nodes an axis, or one over the error aimed at; zero for filters that have none
     size: int
     threads: int
-    factory: object
+    factory: object  # Factory or BoxedFactory
 
     @property
     def key(self):
@@ -91,25 +82,11 @@ def default_families(scenario):
 
 
 def methods(families, scenario, counts=None, full=False):
-    """All competitors of some families on a scenario, smallest first within a family.
+    """All competitors of some families on a scenario, a list of `Method`, smallest first within a family.
 
-    Parameters
-    ----------
-    families : sequence of str
-    scenario : Scenario
-    counts : sequence of int, optional
-        Particles of the SPH and particle filters, instead of the usual ones.
-    full : bool
-        The expensive sizes too.
-
-    Returns
-    -------
-    list of Method
-
-    Raises
-    ------
-    ConfigError
-        Unknown family or scheme, or one that does not fit the scenario.
+    `counts` are particles of the SPH and particle filters instead of the usual ones; `full` adds the
+    expensive sizes. Raises `ConfigError` for an unknown family or scheme, or one that does not fit the
+    scenario.
     """
     check_families(families)
     return [m for family in families for m in _family(family, scenario, counts, full)]

@@ -18,16 +18,7 @@ _TOLD_AT = 100  # one over the target error for which told is held against left
 def seconds_at(lines, error):
     """Run time at which a filter of some sizes makes an error: by powers between them, by its square beyond.
 
-    Parameters
-    ----------
-    lines : sequence of Line
-        Those of one particle filter, smallest first.
-    error : float
-
-    Returns
-    -------
-    float
-        NaN without lines.
+    Lines are those of one particle filter, smallest first; NaN without any.
     """
     known = [i for i in lines if not i.failed and np.isfinite(i.mean)]
     if not known:

@@ -149,42 +149,37 @@ def _legend(figure, axes):
     legend_below(figure, *axes, columns=max(2, int(figure.get_figwidth() / 3.2)), fontsize=8.5)
 
 
-def expensive_figure(lines, checked, scenario):
+def expensive_figure(lines, scenario):
     """Run time against the cost of one evaluation of the drift, a panel an error that is to be reached."""
     n = len(_EXPENSIVE_LEVELS)
     figure, (axes,) = panels(1, n, (3.4 * n, 4.3), sharey=True)
     for ax, error in zip(axes, _EXPENSIVE_LEVELS, strict=True):
         for series in _series(lines):
-            _expensive_series(ax, [i for i in lines if i.series == series], checked, error)
+            _expensive_series(ax, [i for i in lines if i.series == series], error)
         frame(ax, f"error of the mean ≤ {error:g}", "seconds an evaluation of the drift", "")
     axes[0].set_ylabel("run time (s)")
     figure.suptitle(
         f"{scenario.replace('_', ' ')} with an expensive drift, each filter at its best size\n"
-        "(markers: real runs; dotted: more particles by the particle filter's law)",
+        "(dotted: more particles by the particle filter's law)",
         fontsize=10.5,
     )
     _legend(figure, axes)
     return figure
 
 
-def _expensive_series(ax, lines, checked, error):
-    """One series: what its best size takes at each cost, and real runs of that size."""
+def _expensive_series(ax, lines, error):
+    """One series: what its best size takes at each cost."""
     usable = [i for i in lines if i.threads == 1 and np.isfinite(i.drift)]
-    costs = np.geomspace(1e-8, COSTS[-1], 60)
-    best = {c: found for c in (*costs, *COSTS) if (found := fastest(usable, c, error))}
+    best = {c: found for c in np.geomspace(1e-8, COSTS[-1], 60) if (found := fastest(usable, c, error))}
     if not best:
         return
     series = lines[0].series
-    colour, marker, width, _ = style(series)
+    colour, _, width, _ = style(series)
     by_law = any(more > 1 for _, _, more in best.values())
     look = {"color": colour, "lw": width or 1.2, "ls": ":" if by_law else "-"}
-    ax.loglog(costs, [best[c][1] for c in costs], label=label(series), **look)
-    sizes = {c: line.size * more for c, (line, _, more) in best.items()}
-    real = [c for c in checked if c.series == series and c.size == sizes[c.cost]]
-    marks = {"marker": marker, "color": colour, "ms": 6, "mec": "w", "mew": 0.6, "zorder": 4}
-    ax.plot([c.cost for c in real], [c.measured for c in real], ls="", **marks)
+    ax.loglog([*best], [seconds for _, seconds, _ in best.values()], label=label(series), **look)
 
 
-def draw_expensive(folder, lines, checked, scenario):
+def draw_expensive(folder, lines, scenario):
     """Draw the picture of an expensive drift; returns its path."""
-    return save(expensive_figure(lines, checked, scenario), folder / "expensive.png")
+    return save(expensive_figure(lines, scenario), folder / "expensive.png")

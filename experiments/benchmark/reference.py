@@ -4,7 +4,6 @@ Linear models have the Kalman filter and the Beneš problem its closed form; oth
 states a grid, refined until it stands still; the rest many large particle runs.
 """
 
-import hashlib
 import json
 from dataclasses import asdict, dataclass, fields
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from experiments.scene.filters import Factory
 from experiments.scene.settings import Grid
-from experiments.show.files import whole
+from experiments.show.files import digest, whole
 from reference_filters.big_particle import converged
 from reference_filters.grid_density import Box, GridDensity, fitted_box
 from sphfilter.campaign.one_run import put_through
@@ -31,47 +30,29 @@ _LADDER = ((48, 3e-3), (72, 1e-3), (96, 1e-3), (144, 3e-4), (216, 1e-4), (324, 3
 
 @dataclass(frozen=True)
 class Effort:
-    """How good a reference has to be.
+    """How good a reference has to be."""
 
-    Attributes
-    ----------
-    error : float
-        Change of the grid's mean, in posterior standard deviations, at which refining ends.
-    first, last : int
-        First and last rung of the grid's ladder.
-    n_paths, n_runs : int
-        Particles of each of the large runs, and their number.
-    """
-
-    error: float = 2e-4
+    error: float = 2e-4  # change of the grid's mean, in posterior standard deviations, at which refining ends
+    # first and last rung of the grid's ladder
     first: int = 2
     last: int = 4
+    # particles of each of the large runs, and their number
     n_paths: int = 400_000
     n_runs: int = 8
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Converged posterior of one case.
+    """Converged posterior of one case."""
 
-    Attributes
-    ----------
-    kind : str
-        What it is, and how its error was bounded.
-    result : FilterResult
-    mean, cov, evidence, total : float
-        Its own error, in the measures of `errors.Errors`; zero where it is exact.
-    densities : dict of int to GridDensity
-        Posterior densities by epoch, for one and two states.
-    """
-
-    kind: str
+    kind: str  # what it is, and how its error was bounded
     result: FilterResult
+    # its own error, in the measures of `errors.Errors`; zero where it is exact
     mean: float
     cov: float
     evidence: float
     total: float
-    densities: dict
+    densities: dict  # posterior densities by epoch, for one and two states
 
 
 def epochs_of_densities(n_epochs):
@@ -82,10 +63,7 @@ def epochs_of_densities(n_epochs):
 def find(scenario, case, effort, folder):
     """Read the reference of a case from `folder`, or compute it and keep it there.
 
-    Raises
-    ------
-    PropagationError
-        The grid is too coarse at its last rung.
+    Raises `PropagationError` if the grid is too coarse at its last rung.
     """
     path = folder / f"{scenario.name}-{_digest(scenario, case, effort)}.npz"
     if path.exists():
@@ -105,7 +83,7 @@ def _digest(scenario, case, effort):
     s = scenario.settings
     parts = (s.model, *([s.sensor] if s.sensor else s.sensors.values()), s.start, effort)
     text = repr([_as_before(part) for part in parts] + [s.exact])
-    return hashlib.sha256((text + case_digest(case)).encode()).hexdigest()[:16]
+    return digest(text + case_digest(case))
 
 
 def _as_before(part):

@@ -9,7 +9,7 @@ import reference_filters
 import sphfilter
 from experiments.show.files import whole
 
-__all__ = ["Rows", "code_digest", "digest"]
+__all__ = ["Rows", "code_digest"]
 
 
 @cache
@@ -22,24 +22,14 @@ def code_digest():
     return found.hexdigest()[:16]
 
 
-def digest(*things):
-    """A digest of the texts of things."""
-    return hashlib.sha256(repr(things).encode()).hexdigest()[:16]
-
-
 class Rows:
-    """Measured rows by scenario, competitor and run.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """Measured rows by scenario, competitor and run, in a folder."""
 
     def __init__(self, folder):
         self._folder = folder
 
     def read(self, scenario, key, run, made_of):
-        """The row, or None if it is not there or was made of something else (`digest`)."""
+        """The row, or None if it is not there or was made of something else."""
         path = self._path(scenario, key, run)
         if not path.exists():
             return None

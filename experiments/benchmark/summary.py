@@ -42,91 +42,47 @@ class ReferenceError:
 
 @dataclass(frozen=True)
 class Line:
-    """One competitor on one scenario, over all runs.
-
-    Attributes
-    ----------
-    scenario, family, series : str
-    size, threads : int
-    n_used : float
-        Particles at most, as the filter reports them; median of the runs.
-    runs, failed : int
-        Runs in all, and those in which the filter raised something (the numbers are of the others).
-    mean, worst, cov, evidence, total : float
-        As in `errors.Errors`: root mean squares over the runs; `worst` is the largest.
-    hellinger : float
-        Root mean square over runs and epochs; NaN above two states.
-    rmse : ndarray, shape (n,)
-        Root-mean-square distance from the truth.
-    nees : float
-    seconds, cpu_seconds : float
-        Median over runs and repeats.
-    spread : float
-        Interquartile range of the seconds over their median.
-    evaluations, drift : float
-        Evaluations of the velocity at all particles, and of the drift at a state; medians of the runs.
-    schemes : dict of str to int
-        Predictions by scheme.
-    fallbacks : float
-        Part of the predictions that did not use the scheme most used, or reported trouble.
-    refused : int
-        Measurements refused.
-    memory : float
-        Growth of the process, MB; the largest of the runs.
-    certified : bool
-        The reference's own error of the mean is at most a fifth of this one.
-    told : ndarray, shape (K, 2)
-        At every epoch the error of the mean that the filter told, and the one that it left.
-    failure : str
-        One of the messages.
-    """
+    """One competitor on one scenario, over all runs."""
 
     scenario: str
     family: str
     series: str
     size: int
     threads: int
-    n_used: float
+    n_used: float  # particles at most, as the filter reports them; median of the runs
+    # runs in all, and those in which the filter raised something (the numbers are of the others)
     runs: int
     failed: int
+    # as in `errors.Errors`: root mean squares over the runs; `worst` is the largest
     mean: float
     worst: float
     cov: float
     evidence: float
     total: float
-    hellinger: float
-    rmse: np.ndarray
+    hellinger: float  # root mean square over runs and epochs; NaN above two states
+    rmse: np.ndarray  # shape (n,): root-mean-square distance from the truth
     nees: float
+    # median over runs and repeats
     seconds: float
     cpu_seconds: float
-    spread: float
+    spread: float  # interquartile range of the seconds over their median
+    # evaluations of the velocity at all particles, and of the drift at a state; medians of the runs
     evaluations: float
     drift: float
-    schemes: dict
-    fallbacks: float
-    refused: int
-    memory: float
-    certified: bool
+    schemes: dict  # predictions by scheme
+    fallbacks: float  # part of the predictions that did not use the scheme most used, or reported trouble
+    refused: int  # measurements refused
+    memory: float  # growth of the process, MB; the largest of the runs
+    certified: bool  # the reference's own error of the mean is at most a fifth of this one
+    # shape (K, 2): at every epoch the error of the mean that the filter told, and the one that it left
     told: np.ndarray
-    failure: str
+    failure: str  # one of the messages
 
 
 def summarise(scenario, method, rows, drift, reference):
-    """Put the rows of all runs of a competitor together.
+    """Put the rows of all runs of a competitor, from `measure`, together in a `Line`.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    method : Method
-    rows : list of dict
-        What `measure` returned.
-    drift : float
-        Evaluations of the drift in the first run.
-    reference : ReferenceError
-
-    Returns
-    -------
-    Line
+    `drift` are evaluations of the drift in the first run; `reference` is a `ReferenceError`.
     """
     done = [row for row in rows if "failure" not in row]
     times = np.array([t for row in done for t in row["seconds"]])

@@ -19,15 +19,8 @@ class TooSlow(SphfilterError):
 class Watched:
     """Stands for a filter in `run_filter` and notes what its predictions and updates report.
 
-    Parameters
-    ----------
-    filt : filter
-    epochs : collection of int
-        Epochs whose posterior density is kept, in `densities`.
-    limit : float
-        Seconds after which the next prediction raises `TooSlow`.
-    take : callable
-        take(filter) → what is kept of its density.
+    What take(filter) returns of its density is kept in `densities` at the `epochs` asked for; `limit` seconds
+    after its start the next prediction raises `TooSlow`.
     """
 
     def __init__(self, filt, epochs=(), limit=np.inf, take=snapshot):

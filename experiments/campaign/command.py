@@ -11,7 +11,6 @@ from experiments.scene.files import changes_of
 from experiments.scene.filters import name_of, takes_grid
 from experiments.scene.reading import read_settings
 from experiments.scene.scenario import load_scenario
-from experiments.terminal.beside import Second
 from experiments.terminal.running import new_console, status, tell
 from sphfilter.campaign.report import report
 from sphfilter.errors import ConfigError
@@ -34,8 +33,7 @@ def main(args):
     referee, out = _referee(args.referee, scenario, work.filters), work.out
 
     with _workers(args.dask):
-        with Second() as second:
-            work.prepare(console, out / "runs", second)
+        work.prepare(console, out / "runs")
         campaign = work.run(console, None if args.dask else args.jobs, out / "runs")
     numbers = report(campaign, referee=referee, labels=scenario.labels)
     facts = {"runs": numbers.n_runs, "referee": referee}

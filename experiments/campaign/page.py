@@ -71,16 +71,8 @@ img{max-width:100%}code{background:#f4f4f4;padding:.1rem .3rem}h1,h2{line-height
 def write(out, scenario, numbers, facts, failures, pictures):
     """Write report.md and report.html into the folder `out`; returns the path of the latter.
 
-    Parameters
-    ----------
-    out : Path
-    scenario : Scenario
-    numbers : sphfilter.report.Report
-    facts : dict
-        Seed, filters, referee, command and versions.
-    failures : list of Failure
-    pictures : dict of str to Path
-        By what they show; they lie in `out`.
+    `numbers` are a `sphfilter.report.Report`; `facts` have seed, filters, referee, command and versions. The
+    pictures, by what they show, lie in `out`.
     """
     text = _markdown(scenario, numbers, facts, failures, pictures)
     (out / "report.md").write_text(text, encoding="utf-8")

@@ -13,13 +13,7 @@ _BINS = 10
 
 
 def draw(out, scenario, campaign, numbers):
-    """Draw all pictures into the folder `out`.
-
-    Returns
-    -------
-    dict of str to Path
-        By what they show.
-    """
+    """Draw all pictures into the folder `out`; their paths by what they show."""
     figures = {
         "NEES and NMEE averaged over the runs, and RMS errors": (
             "consistency",

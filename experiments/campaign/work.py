@@ -14,30 +14,21 @@ __all__ = ["Work", "exit_code", "tell_failures", "work_of"]
 
 @dataclass(frozen=True)
 class Work:
-    """What is to be run.
-
-    Attributes
-    ----------
-    scenario : Scenario
-    filters : dict of str to Factory
-    n_runs, seed : int
-    out : Path
-        Folder for results.
-    """
+    """What is to be run."""
 
     scenario: Scenario
-    filters: dict
+    filters: dict  # dict of str to Factory
     n_runs: int
     seed: int
-    out: Path
+    out: Path  # folder for results
 
-    def prepare(self, console, folder, second):
-        """Say what is going to be run, and compile, some of it in a `second` process."""
+    def prepare(self, console, folder):
+        """Say what is going to be run, and compile."""
         settings = self.scenario.settings
         console.print(f"[bold]{self.scenario.name}[/]: {settings.description}")
         console.print(f"{settings.source}\n", style="dim")
         if len(list(folder.glob("run_*.npz"))) < self.n_runs:
-            warm_up(console, self.scenario, self.filters, second)
+            warm_up(console, self.scenario, self.filters)
 
     def run(self, console, n_jobs, folder):
         """Run all with a progress bar; finished runs are kept in `folder`."""

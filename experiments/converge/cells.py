@@ -8,6 +8,7 @@ import numpy as np
 
 import sphfilter as sf
 from experiments.transient.problem import Problem, load_problem
+from experiments.transient.solution import warm_up
 from sphfilter.errors import SphfilterError
 
 from .errors import Errors, errors_of
@@ -20,35 +21,19 @@ UNKNOWN = Errors(*4 * (np.nan,))
 
 @dataclass(frozen=True)
 class Cell:
-    """A run of a study.
+    """A run of a study."""
 
-    Attributes
-    ----------
-    label : dict
-        What was varied.
-    n_particles : float
-        Average over the output times; NaN where it failed.
-    errors : Errors
-        Against the truth.
-    seconds, cpu_seconds : float
-        Wall time of the propagation, and processor time, which knows nothing of other programs.
-    n_steps, n_searches, n_bypassed : int
-    failure : str
-        Why there is no result; empty if there is.
-    densities : tuple of ParticleDensity
-        At the output times; empty where it failed.
-    """
-
-    label: dict
-    n_particles: float = np.nan
-    errors: Errors = UNKNOWN
+    label: dict  # what was varied
+    n_particles: float = np.nan  # average over the output times; NaN where it failed
+    errors: Errors = UNKNOWN  # against the truth
+    # wall time of the propagation, and processor time, which knows nothing of other programs
     seconds: float = np.nan
     cpu_seconds: float = np.nan
     n_steps: int = 0
     n_searches: int = 0
     n_bypassed: int = 0
-    failure: str = ""
-    densities: tuple = field(default=(), repr=False)
+    failure: str = ""  # why there is no result; empty if there is
+    densities: tuple = field(default=(), repr=False)  # at the output times; empty where it failed
 
     @property
     def bypass_ratio(self):
@@ -58,21 +43,11 @@ class Cell:
 
 @dataclass(frozen=True)
 class Setting:
-    """A problem that cells change keys of.
+    """A problem that cells change keys of."""
 
-    Attributes
-    ----------
-    name : str or Path
-        Of the transient scenario.
-    changes : dict
-        Keys changed in all cells, by dotted key.
-    limit : float
-        Seconds a cell may take; it is given up at the next output time.
-    """
-
-    name: object
-    changes: dict
-    limit: float = np.inf
+    name: object  # of the transient scenario
+    changes: dict  # keys changed in all cells, by dotted key
+    limit: float = np.inf  # seconds a cell may take; it is given up at the next output time
 
     @cached_property
     def problem(self) -> Problem:
@@ -88,22 +63,9 @@ class Setting:
         return replace(self, changes=self.changes | changes)
 
     def run(self, label, changes, truth):
-        """Run a cell; a failure of the solver becomes its sentence.
+        """Run a cell with some keys changed and a label; a failure of the solver becomes its sentence.
 
-        Parameters
-        ----------
-        label, changes : dict
-            What to call the cell, and what keys to change.
-        truth : Truth
-
-        Returns
-        -------
-        Cell
-
-        Raises
-        ------
-        ConfigError
-            A key is wrong: that is wrong in all cells.
+        Raises `ConfigError` if a key is wrong: that is wrong in all cells.
         """
         problem = self.with_changes(changes).problem
         try:
@@ -124,8 +86,7 @@ class Setting:
         return Cell(label, size, errors, seconds, cpu_seconds, **counts, densities=way.densities)
 
     def _propagated(self, problem):
-        start, solver = problem.begin(), problem.settings.solver
-        _compile(start, problem, solver.config)
+        start, solver = warm_up(problem), problem.settings.solver
         began, cpu_began = time.perf_counter(), time.process_time()
 
         def late(density, info):
@@ -140,18 +101,8 @@ class Setting:
 _COUNTED = "n_steps", "n_searches", "n_bypassed"
 
 
-def _compile(start, problem, config):
-    """Load or compile what the cell needs, before its clock runs."""
-    sf.predict(start, problem.model, 1e-6 * (problem.times[-1] - start.t), config)
-
-
 def cut(name, changes, end):
-    """Changes that end a problem at `end`, or leave it alone if it ends before; nothing is drawn.
-
-    Returns
-    -------
-    dict
-    """
+    """Changes that end a problem at `end`, or leave it alone if it ends before; nothing is drawn."""
     problem = load_problem(name, changes)
     changes = changes | {"times.drawn": []}
     if problem.times[-1] <= end:

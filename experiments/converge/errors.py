@@ -11,24 +11,13 @@ __all__ = ["MEASURES", "Errors", "Truth", "errors_of", "moments_of"]
 
 @dataclass(frozen=True)
 class Errors:
-    """Root mean squares over the output times of the distance of a density p from the exact p*.
+    """Root mean squares over the output times of the distance of a density p from the exact p*."""
 
-    Attributes
-    ----------
-    mean : float
-        |L⁻¹ (m - m*)| with L Lᵀ = C*: standard deviations.
-    cov : float
-        ‖L⁻¹ (C - C*) L⁻ᵀ‖ (Frobenius) over √n.
-    l2 : float
-        ‖p - p*‖ / ‖p*‖, as 001 (34) but over the states and not over the particles; NaN if p* is not known.
-    hellinger : float
-        (½ ∫ (√p - √p*)²)^½, between zero and one; NaN if p* is not known.
-    """
-
-    mean: float
-    cov: float
+    mean: float  # |L⁻¹ (m - m*)| with L Lᵀ = C*: standard deviations
+    cov: float  # ‖L⁻¹ (C - C*) L⁻ᵀ‖ (Frobenius) over √n
+    # ‖p - p*‖ / ‖p*‖, as 001 (34) but over the states and not over the particles; NaN if p* is not known
     l2: float
-    hellinger: float
+    hellinger: float  # (½ ∫ (√p - √p*)²)^½, between zero and one; NaN if p* is not known
 
 
 #: Names of the measures, and what they are for people.
@@ -43,26 +32,18 @@ MEASURES = dict(
 
 @dataclass(frozen=True)
 class Truth:
-    """What densities at T times are compared with.
+    """What densities at T times are compared with."""
 
-    Attributes
-    ----------
-    name : str
-        What it is, for people.
-    mean, cov : ndarray, shapes (T, n), (T, n, n)
-    nodes, values, weights : tuple of T ndarrays, shapes (M, n), (M,), (M,), or empty
-        A quadrature of integrals over the states, and the density at its nodes; empty if not known.
-    doubt : Errors or None
-        Bound of its own errors, where it is not exact.
-    """
-
-    name: str
+    name: str  # what it is, for people
+    # shapes (T, n), (T, n, n)
     mean: np.ndarray
     cov: np.ndarray
+    # shapes (M, n), (M,), (M,), or empty: a quadrature of integrals over the states, and the density at its
+    # nodes; empty if not known
     nodes: tuple = ()
     values: tuple = ()
     weights: tuple = ()
-    doubt: Errors | None = None
+    doubt: Errors | None = None  # bound of its own errors, where it is not exact
 
     def seen_by(self, densities):
         """The `Truth` that other densities at the same times would be, at the same nodes."""

@@ -2,7 +2,6 @@
 
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -10,7 +9,6 @@ from experiments.scene.files import changes_of
 from experiments.scene.filters import factories, name_of
 from experiments.scene.scenario import load_scenario
 from experiments.show.comparison import distances
-from experiments.show.files import write_csv
 from experiments.show.tables import print_table, table
 from experiments.terminal.progress import bar
 from experiments.terminal.running import tell
@@ -18,6 +16,7 @@ from sphfilter.campaign.campaign import run_campaign
 from sphfilter.errors import ConfigError
 
 from .plots import draw_filter
+from .tables import end, fitted_order
 
 __all__ = ["convergence", "orders", "study"]
 
@@ -36,23 +35,9 @@ _FLAT = (
 def convergence(name, counts, n_runs, seed, which="sph", progress=lambda *numbers: None, **changes):
     """Distance of the SPH filter from the scenario's exact filter, for each number of particles.
 
-    Parameters
-    ----------
-    name : str
-        A scenario whose exact filter is known.
-    counts : sequence of int
-    n_runs, seed : int
-    which : str
-        "sph" or "sph_paper".
-    progress : callable
-        Called with (particles, runs done, runs in all).
-    **changes
-        Keys of the scenario, as `load_scenario` takes them.
-
-    Returns
-    -------
-    list of (int, Distance, float, int)
-        Particles at most, distance from the exact filter, median seconds of a run, refused measurements.
+    Rows are particles at most, `Distance` from the exact filter, median seconds of a run, and refused
+    measurements. The filter is "sph" or "sph_paper"; `progress` is called with particles, runs done and runs
+    in all; `changes` are keys of the scenario.
     """
     rows = []
     for count in counts:
@@ -77,34 +62,24 @@ def convergence(name, counts, n_runs, seed, which="sph", progress=lambda *number
 
 def orders(rows, dim):
     """Order of each error in the particle spacing, dx ~ N^(-1/n): slope of a line through all rows."""
-    counts = np.array([count for count, *_ in rows], dtype=float)
+    spacing = np.array([count for count, *_ in rows]) ** (-1.0 / dim)
     errors = {measure: [getattr(distance, measure) for _, distance, *_ in rows] for measure in MEASURES}
-    return {m: float(-dim * np.polyfit(np.log(counts), np.log(e), 1)[0]) for m, e in errors.items()}
+    return {measure: fitted_order(spacing, e).slope for measure, e in errors.items()}
 
 
 def study(args, console, name, counts):
-    """Run the study of a filter scenario and print it.
-
-    Parameters
-    ----------
-    args : Namespace
-        With filter, runs, seed, changes, out.
-    console : rich.console.Console
-    name : str
-        Of the scenario.
-    counts : list of int
-    """
+    """Run the study of a filter scenario and print it; `args` has filter, runs, seed, changes and out."""
     rows = _shown(console, args, name, counts)
     slopes = orders(rows, load_scenario(name).model.dim)
     print_table(console, _table(name, name_of(args.filter), rows, slopes))
     if min(slopes.values()) < _NO_ORDER:
         tell(console, [_FLAT])
-    path = (args.out or Path("results") / name) / "convergence.csv"
-    lines = ([count, *asdict(distance).values(), *rest] for count, distance, *rest in rows)
-    write_csv(path, ["particles", *MEASURES, "seconds", "refused"], lines)
-    console.print(
-        f"Table and picture: {path}, {draw_filter(path.with_suffix('.png'), rows, slopes)}", soft_wrap=True
-    )
+    lines = [
+        {"particles": count} | asdict(distance) | {"seconds": seconds, "refused": refused}
+        for count, distance, seconds, refused in rows
+    ]
+    draw = partial(draw_filter, rows=rows, slopes=slopes)
+    end(console, args, name, "convergence", (), lines, draw)
 
 
 def _shown(console, args, name, counts):

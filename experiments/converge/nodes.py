@@ -29,53 +29,33 @@ _LIMIT = 1.5  # times that an error may grow from a count to the next
 
 @dataclass(frozen=True)
 class Problem:
-    """Simulated runs of a sensor or a scenario, and how they are filtered.
-
-    Attributes
-    ----------
-    name, note : str
-    cases : list of Case
-    reference : callable(case)
-        Mean (T, n), covariance (T, n, n), and a bound of the mean's own error in standard deviations.
-    make : callable(case, n_particles)
-        The filter.
-    """
+    """Simulated runs of a sensor or a scenario, and how they are filtered."""
 
     name: str
     note: str
-    cases: list
+    cases: list  # list of Case
+    # reference(case) → mean (T, n), covariance (T, n, n), a bound of the mean's error in standard deviations
     reference: object
-    make: object
+    make: object  # make(case, n_particles) → the filter
 
 
 @dataclass(frozen=True)
 class Row:
-    """What was found of a problem on K numbers of nodes.
-
-    Attributes
-    ----------
-    name, note : str
-    floor : float
-        Errors below it do not count: 1e-5 for one state, 1e-4 for two, or what the reference is good for.
-    counts : list of int
-    errors, told : ndarray, shape (K,)
-        Root mean squares over runs and readings of the error of the mean in posterior standard deviations,
-        and of what the filter said it was.
-    refused, flagged : ndarray of int, shape (K,)
-        Readings without an answer, and answers with a flag.
-    said : list of str
-        Sentences of what was refused.
-    """
+    """What was found of a problem on K numbers of nodes."""
 
     name: str
     note: str
+    # errors below it do not count: 1e-5 for one state, 1e-4 for two, or what the reference is good for
     floor: float
     counts: list
+    # shape (K,): root mean squares over runs and readings of the error of the mean in posterior standard
+    # deviations, and of what the filter said it was
     errors: np.ndarray
     told: np.ndarray
+    # shape (K,): readings without an answer, and answers with a flag
     refused: np.ndarray
     flagged: np.ndarray
-    said: list
+    said: list  # sentences of what was refused
 
     @property
     def worst(self):
@@ -115,21 +95,10 @@ def _run(problem, case, truth, count, said):
 
 
 def scenes(names, n_runs, seed, changes, folder):
-    """What builds the `Problem` of each scenario of one or two states.
+    """What builds the `Problem` of each scenario of one or two states: functions without arguments.
 
-    Parameters
-    ----------
-    names : list of str
-        None of them: all that come with the project.
-    n_runs, seed : int
-    changes : dict
-        Keys of the scenarios, as `load_scenario` takes them.
-    folder : Path
-        Of references, which are kept.
-
-    Returns
-    -------
-    list of callable
+    Without names these are all that come with the project. `changes` are keys of the scenarios, `folder`
+    keeps references.
     """
     names = names or [name for name in scenario_names() if len(read_settings(name).model.states) <= 2]
     return [partial(_scene, name, n_runs, seed, changes, folder) for name in names]
@@ -155,17 +124,9 @@ def _scene(name, n_runs, seed, changes, folder):
 
 
 def study(args, console, builders, counts, stem):
-    """Measure every problem, print the table, and write it as markdown and CSV.
+    """Measure every problem, print the table, and write it as markdown and CSV in files called `stem`.
 
-    Parameters
-    ----------
-    args : Namespace
-        With runs and out.
-    console : rich.console.Console
-    builders : list of callable() → Problem
-    counts : list of int
-    stem : str
-        Of the files.
+    The `builders` return a `Problem` each; `args` has runs and out.
     """
     rows = []
     with progress(console, len(builders) * (args.runs + len(counts))) as told:

@@ -9,11 +9,7 @@ from .tables import groups, orders_of
 
 __all__ = ["draw_filter", "draw_schemes", "draw_steps"]
 
-_SCHEMES = {
-    "auto": COLOURS["sph"],
-    "log_density": COLOURS["sph"],
-    "paper": COLOURS["sph_paper"],
-}
+_SCHEMES = {"auto": COLOURS["sph"], "log_density": COLOURS["sph"], "paper": COLOURS["sph_paper"]}
 _STEPPERS = {"euler": COLOURS["ekf"], "midpoint": COLOURS["pf"], "rk4": COLOURS["sph"]}
 _DRAWN = "mean", "cov", "l2"
 _LABELS = {
@@ -26,12 +22,7 @@ _LABELS = {
 def draw_filter(path, rows, slopes):
     """Draw a filter's errors against the number of particles, both logarithmic; returns the path.
 
-    Parameters
-    ----------
-    path : Path
-    rows : list of (int, Distance, ...)
-    slopes : dict of str to float
-        Order of each error in the particle spacing.
+    Rows begin with particles and `Distance`; `slopes` are the orders of each error in the particle spacing.
     """
     labels = {
         "mean": "mean (posterior std)",

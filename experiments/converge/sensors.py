@@ -60,15 +60,7 @@ SENSORS = {
 def problems(names, n_runs, seed):
     """What builds the `Problem` of each sensor and drift: runs of eight readings, a second apart.
 
-    Parameters
-    ----------
-    names : list of str
-        Of sensors; none of them: all.
-    n_runs, seed : int
-
-    Returns
-    -------
-    list of callable
+    Without names these are all sensors.
     """
     for name in names:
         if name not in SENSORS:

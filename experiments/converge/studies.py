@@ -40,24 +40,10 @@ def _owner(key):
 
 
 def variants(setting, schemes, keys):
-    """What is changed for every scheme, by its name.
+    """What is changed for every scheme, by its name; what the problem's file says if `schemes` is None.
 
-    Parameters
-    ----------
-    setting : Setting
-    schemes : list of str, or None
-        None: what the problem's file says.
-    keys : dict
-        Settings of schemes, as `scheme_change` takes them.
-
-    Returns
-    -------
-    dict of str to dict
-
-    Raises
-    ------
-    ConfigError
-        There is no such scheme, or it has no such setting.
+    The `keys` are settings of schemes, as `scheme_change` takes them. Raises `ConfigError` if there is no
+    such scheme, or it has no such setting.
     """
     if schemes is None:
         config = setting.problem.settings.solver.config.scheme
@@ -72,23 +58,9 @@ def variants(setting, schemes, keys):
 
 
 def by_scheme(setting, truth, counts, schemes, told):
-    """Run schemes on every number of particles.
+    """Run schemes on every number of particles at most; a list of `Cell` whose labels have both.
 
-    Parameters
-    ----------
-    setting : Setting
-    truth : Truth
-    counts : list of int
-        Particles at most.
-    schemes : dict of str to dict
-        Changes by name, from `variants`.
-    told : callable(label)
-        Called before every cell.
-
-    Returns
-    -------
-    list of Cell
-        Labels have scheme and particles.
+    The `schemes` are changes by name, from `variants`. `told(label)` is called before every cell.
     """
     cells = []
     for name, changes in schemes.items():
@@ -103,10 +75,6 @@ def default_steps(setting, keys):
     """Time steps that halve from the largest one that is stable at the start, parts of an output interval.
 
     Explicit steps are stable up to about 2.7 c_K h² / tr D; the scheme's own limit is one c_K h² / tr D.
-
-    Returns
-    -------
-    list of float
     """
     problem = setting.with_changes(scheme_change("paper", keys)).problem
     density = problem.begin()
@@ -124,32 +92,15 @@ def _stepping(keys, integrator, rule, value):
 
 
 def by_step(setting, truth, rule, values, keys, told):
-    """Run the published scheme with every integrator and size of the time step.
+    """Run the published scheme with every integrator and size of the time step; a list of (`Cell`, `Errors`).
 
     Its error against the truth has a floor, that of the particles. Against the same particles carried with
-    much smaller steps it has none: this is the error of the time step alone.
+    much smaller steps it has none: this is the error of the time step alone, the `Errors` of each pair.
+    Labels have integrator and the rule.
 
-    Parameters
-    ----------
-    setting : Setting
-    truth : Truth
-    rule : str
-        What sizes are, of `RULES`.
-    values : list of float
-    keys : dict
-        Settings of the published scheme; the limit of diffusion is off unless they say so.
-    told : callable(label)
-        Called before every cell.
-
-    Returns
-    -------
-    list of (Cell, Errors)
-        Labels have integrator and the rule; the errors are those of the time step alone.
-
-    Raises
-    ------
-    ConfigError
-        The particles cannot be carried with the small steps.
+    The `values` are sizes by a `rule` of `RULES`; `keys` are settings of the published scheme, whose limit of
+    diffusion is off unless they say so. `told(label)` is called before every cell. Raises `ConfigError` if
+    the particles cannot be carried with the small steps.
     """
     finest = min(values) / _FINER
     told({"integrator": "rk4", rule: finest})

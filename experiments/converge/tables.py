@@ -1,6 +1,7 @@
-"""Tables and files of the studies of transient solutions."""
+"""Orders of convergence, and tables and files of the studies of transient solutions."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,23 +10,49 @@ from experiments.show.tables import number, table
 from experiments.terminal.running import tell
 
 from .errors import MEASURES
-from .fits import fitted_order
 from .studies import RULES
 
-__all__ = ["end", "groups", "orders_of", "scheme_table", "step_table"]
+__all__ = ["Order", "end", "fitted_order", "groups", "orders_of", "scheme_table", "step_table"]
+
+_ROUNDING = 1e-12  # errors of which nothing can be said
+
+
+class Order(NamedTuple):
+    """Slope of log(error) over log(size) and its standard error; NaN where too few errors are known."""
+
+    slope: float
+    spread: float
+
+    def __str__(self):
+        if not np.isfinite(self.slope):
+            return "-"
+        return f"{self.slope:.2f}" + (f" ± {self.spread:.2f}" if np.isfinite(self.spread) else "")
+
+
+def fitted_order(sizes, errors):
+    """Fit errors (K,) ~ sizes (K,) ** order by least squares of the logarithms.
+
+    The spread is the standard error of the slope from the residuals; it takes three errors, and is large
+    where the errors bend, for instance towards a floor. Rounding errors are left out.
+    """
+    sizes, errors = np.asarray(sizes, dtype=float), np.asarray(errors, dtype=float)
+    known = np.isfinite(errors) & (errors > _ROUNDING) & (sizes > 0)
+    x, y = np.log(sizes[known]), np.log(errors[known])
+    if len(np.unique(x)) < 2:
+        return Order(np.nan, np.nan)
+    off = x - x.mean()
+    slope = float(off @ y / (off @ off))
+    if len(x) < 3:
+        return Order(slope, np.nan)
+    residuals = y - y.mean() - slope * off
+    return Order(slope, float(np.sqrt(residuals @ residuals / (len(x) - 2) / (off @ off))))
 
 
 def orders_of(group, size, dim=None):
-    """`Order` of each measure over the cells of a group.
+    """`Order` of each measure over the cells of a group, a list of (size, `Errors`).
 
-    Parameters
-    ----------
-    group : list of (size, Errors)
-        Number of particles, or time step.
-    size : str
-        "particles" (orders in the spacing, N^(-1/n)) or "step".
-    dim : int
-        Number of states n, for particles.
+    Sizes are numbers of "particles", whose orders are those in the spacing, N^(-1/n) of n = `dim` states, or
+    time steps, "step".
     """
     sizes = np.array([size for size, _ in group], dtype=float)
     sizes = sizes ** (-1.0 / dim) if size == "particles" else sizes
@@ -77,19 +104,8 @@ def _cost(cell):
 def end(console, args, name, stem, cells, rows, draw):
     """Tell which cells failed, write the rows, draw, and say where both are.
 
-    Parameters
-    ----------
-    console : rich.console.Console
-    args : Namespace
-        With out.
-    name : str
-        Of the folder in results, if no other is asked for.
-    stem : str
-        Of the table's and the picture's file.
-    cells : iterable of Cell
-    rows : list of dict
-    draw : callable(path)
-        Draws the picture.
+    Files are called `stem`, in the folder that `args.out` asks for, or in `name` of the results; `draw(path)`
+    draws the picture.
     """
     for cell in cells:
         if cell.failure:

@@ -72,10 +72,7 @@ def setting_of(name, changes, end, limit):
 def scheme_keys(changes):
     """Changes without those of the scheme, and these as settings of schemes.
 
-    Raises
-    ------
-    ConfigError
-        A scheme is asked for: the study sets it itself.
+    Raises `ConfigError` if a scheme is asked for: the study sets it itself.
     """
     if SCHEME in changes or f"{SCHEME}.name" in changes:
         raise ConfigError(

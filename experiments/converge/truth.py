@@ -19,22 +19,10 @@ _WIDER = 1.3  # times the exact density's width: the density compared may be wid
 
 
 def truth_of(problem, progress=None):
-    """What a problem's solution is compared with, as its file asks for.
+    """The `Truth` that a problem's solution is compared with, as its file asks for.
 
-    Parameters
-    ----------
-    problem : Problem
-    progress : callable(n_done, n_all), optional
-        For references that take long.
-
-    Returns
-    -------
-    Truth
-
-    Raises
-    ------
-    ConfigError
-        The problem has no reference.
+    `progress(n_done, n_all)` is told of references that take long. Raises `ConfigError` if the problem has no
+    reference.
     """
     kind = problem.settings.reference.kind
     if kind == "none":

@@ -115,6 +115,7 @@ def _title(args, fit):
 
 def _record(args, fit, truth):
     """What goes into fit.json."""
+    told = ("log_evidence", "aic", "bic", "n_readings", "n_evaluations", "roughness", "status")
     return {
         "scenario": args.scenario,
         "seed": args.seed if truth else None,
@@ -122,14 +123,7 @@ def _record(args, fit, truth):
         "standard_error": dict(fit.standard_error),
         "covariance": fit.covariance.tolist(),
         "truth": truth or None,
-        "log_evidence": fit.log_evidence,
-        "aic": fit.aic,
-        "bic": fit.bic,
-        "n_readings": fit.n_readings,
-        "n_evaluations": fit.n_evaluations,
-        "roughness": fit.roughness,
-        "status": fit.status,
-    }
+    } | {key: getattr(fit, key) for key in told}
 
 
 def _compared(console, problem, fit, name, rival):

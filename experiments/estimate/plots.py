@@ -13,14 +13,7 @@ _OURS = COLOURS["sph"]
 def draw_profiles(path, fit, profiles, truth, title):
     """Draw the profile of each parameter with the parabola of its standard error.
 
-    Parameters
-    ----------
-    path : Path
-    fit : ParameterFit
-    profiles : dict of str to (values (K,), log-evidence (K,))
-    truth : dict of str to float
-        Marked where known.
-    title : str
+    Profiles are values (K,) and log-evidences (K,) by name; the `truth` is marked where known.
     """
     columns = min(3, len(profiles))
     rows = -(-len(profiles) // columns)

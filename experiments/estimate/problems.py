@@ -1,31 +1,22 @@
 """What `estimate` fits: measurements, a filter of given parameters, where the search begins, a rival."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 import sphfilter as sf
 from experiments.arguments.estimate import MEASURED, SENSOR
 from experiments.own_data.command import case_of
-from experiments.own_data.csv_data import read_measurements
-from experiments.own_data.model_file import load_model
 from experiments.scene.scenario import Scenario, load_scenario
-from experiments.sunspots.command import roots, split
-from experiments.sunspots.forecast import fold
+from experiments.sunspots import fold, load, split
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import ConfigError, nearest
 
 __all__ = ["Build", "Problem", "guess_of", "problem_of", "rival_of"]
 
-_DATA = Path(__file__).parents[1] / "data"
 #: Parameters that are fitted unless others are asked for, where not all can be: a common factor of others.
 _DUFFING = ("xi", "gamma", "epsilon")
-_FITTED = {
-    "duffing": _DUFFING,
-    "duffing_square": _DUFFING,
-    "sunspots": ("w", "mu", "b", "g", SENSOR),
-}
+_FITTED = {"duffing": _DUFFING, "duffing_square": _DUFFING, "sunspots": ("w", "mu", "b", "g", SENSOR)}
 #: Measurements that are simulated at least: fewer say little about a parameter.
 _MEASUREMENTS = 60
 _PARTICLES = 400
@@ -43,21 +34,12 @@ _RIVALS = {
 
 @dataclass(frozen=True)
 class Build:
-    """The SPH filter of given parameters; picklable.
-
-    Attributes
-    ----------
-    scenario : Scenario
-    case : Case
-    n_particles : int
-    folded : bool
-        The sensor does not see the sign (sunspots).
-    """
+    """The SPH filter of given parameters; picklable."""
 
     scenario: Scenario
     case: Case
     n_particles: int
-    folded: bool = False
+    folded: bool = False  # the sensor does not see the sign (sunspots)
 
     def __call__(self, parameters):
         """Return the filter at the start of the measurements."""
@@ -83,27 +65,14 @@ def _positive(variance):
 
 @dataclass(frozen=True)
 class Problem:
-    """Measurements and the family of filters that is fitted to them.
-
-    Attributes
-    ----------
-    name : str
-    build : Build
-    names : tuple of str
-        Parameters that are fitted.
-    values : dict of str to float
-        All values of the scenario, by which measurements were simulated.
-    simulated : bool
-    positive : tuple of str
-        Parameters that are.
-    """
+    """Measurements and the family of filters that is fitted to them."""
 
     name: str
     build: Build
-    names: tuple
-    values: dict
+    names: tuple  # parameters that are fitted
+    values: dict  # all values of the scenario, by which measurements were simulated
     simulated: bool
-    positive: tuple
+    positive: tuple  # parameters that are
 
     @property
     def times(self):
@@ -127,28 +96,15 @@ class Problem:
 
 
 def problem_of(name, names, changes, seed, n_particles=None):
-    """The problem of a scenario, or of the sunspots.
+    """The `Problem` of a scenario with some keys changed, or of the sunspots; `names` are parameters to fit.
 
-    Parameters
-    ----------
-    name : str
-    names : sequence of str, or None
-        Parameters to fit.
-    changes : dict of str
-        Values by dotted key, as for `load_scenario`.
-    seed : int
-    n_particles : int, optional
-
-    Raises
-    ------
-    ConfigError
-        Unknown scenario, key or parameter; nothing to fit.
+    Raises `ConfigError` for an unknown scenario, key or parameter, or if there is nothing to fit.
     """
     if name == MEASURED:
         if changes:
             raise ConfigError("the sunspots' model takes no --set; change a copy of its file with `filter`")
-        scenario = load_model(_DATA / "sunspots.toml")
-        learnt, _ = split(roots(read_measurements(_DATA / "sunspots.csv", 1)))
+        scenario, data = load()
+        learnt, _ = split(data)
         build = Build(scenario, case_of(scenario, learnt), n_particles or _PARTICLES, folded=True)
     else:
         scenario = _longer(load_scenario(name, **changes), changes)

@@ -108,13 +108,7 @@ def _tell(console, results, seconds):
 def write_result(path, result, states, time_name="t"):
     """Write a line for every time: mean and standard deviation of each state after the update, and more.
 
-    Parameters
-    ----------
-    path : Path
-    result : FilterResult
-    states : sequence of str, length n
-    time_name : str
-        Heading of the first column.
+    States are names, length n; `time_name` is the heading of the first column.
     """
     std = np.sqrt(np.diagonal(result.P, axis1=1, axis2=2))
     heading = [time_name]

@@ -11,33 +11,21 @@ import numpy as np
 
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["LEVELS", "Measurements", "columns_of", "read_columns", "read_measurements"]
+__all__ = ["Measurements", "columns_of", "read_columns", "read_measurements"]
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """Columns of a file.
-
-    Attributes
-    ----------
-    time_name : str
-    names : tuple of str, length k
-    times : ndarray, shape (T,)
-        Not decreasing. Dates are counted from the first, and `time_name` says so.
-    z : ndarray, shape (T, k)
-        NaN where nothing was measured.
-    inputs : dict of str to ndarray, shape (T,)
-        Values of inputs over the intervals that end at the times.
-    dated : bool
-        Whether the times were dates.
-    """
+    """Columns of a file."""
 
     time_name: str
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # length k
+    # shape (T,): Not decreasing. Dates are counted from the first, and `time_name` says so.
     times: np.ndarray
-    z: np.ndarray
+    z: np.ndarray  # shape (T, k): NaN where nothing was measured
+    # shape (T,): values of inputs over the intervals that end at the times
     inputs: dict[str, np.ndarray] = field(default_factory=dict)
-    dated: bool = False
+    dated: bool = False  # whether the times were dates
 
 
 #: What stands in a cell where nothing was measured, in small letters.
@@ -55,10 +43,7 @@ def columns_of(path):
 def read_columns(path, names):
     """Read columns of numbers from a CSV file, each shape (K,); None is the first column.
 
-    Raises
-    ------
-    ConfigError
-        As of `read_measurements`; a cell that is empty, too.
+    Raises `ConfigError` as `read_measurements` does; of a cell that is empty, too.
     """
     heading, rows = _read(path)
     names = [heading[0] if name is None else name for name in names]
@@ -72,30 +57,14 @@ def read_measurements(path, n_columns, time=None, columns=(), unit="", inputs=No
     A file of semicolons or tabs may have decimal commas. Without a line of names its columns are called
     "column 1" and so on.
 
-    Parameters
-    ----------
-    path : Path
-    n_columns : int, or dict of str to int
-        k, what the sensor gives; of several sensors by name, what each of them gives.
-    time : str, optional
-        Column of times; the first if not given.
-    columns : sequence of str, length k, or dict of str to these, optional
-        Columns of measurements; if not given, all others in their order. Of several sensors, by name; a
-        sensor "gps" has the column "gps" if none is given, or "gps.0", "gps.1" ... of several readings.
-    unit : str, optional
-        Unit in which ISO dates such as 2024-05-01 or 2024-05-01T12:30 are counted from the first one.
-    inputs : dict of str to str, optional
-        Columns of inputs, by the inputs' names.
+    The sensor gives `n_columns` numbers; of several sensors these are a dict by name. `time` is the column of
+    times, the first if None; ISO dates such as 2024-05-01 or 2024-05-01T12:30 are counted in `unit` from the
+    first one. `columns` are those of the measurements, all others in their order if empty; of several
+    sensors, by name: a sensor "gps" has the column "gps" if none is given, or "gps.0", "gps.1" ... of several
+    readings. `inputs` are columns by the names of the model's inputs.
 
-    Returns
-    -------
-    Measurements
-
-    Raises
-    ------
-    ConfigError
-        A file that cannot be read, a column that is not there, a cell that is no number, times that are
-        missing or decrease; the sentence names file, line and column.
+    Raises `ConfigError` for a file that cannot be read, a column that is not there, a cell that is no number,
+    times that are missing or decrease; the sentence names file, line and column.
     """
     heading, rows = _read(path)
     time, inputs = time or heading[0], inputs or {}
@@ -264,7 +233,3 @@ def _full_column(path, rows, index, name, what):
     for i in np.flatnonzero(np.isnan(values)):
         raise ConfigError(f"{path}, line {rows[i][0]}, column {name!r}: {what} needs a number in every line")
     return values
-
-
-#: Probabilities of the central intervals that are scored and drawn.
-LEVELS = (0.5, 0.9, 0.95)

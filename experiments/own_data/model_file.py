@@ -12,14 +12,8 @@ __all__ = ["load_model"]
 def load_model(path):
     """Read a model file and check that its parts fit each other.
 
-    Returns
-    -------
-    Scenario
-        With `ModelFile` settings: nothing can be drawn from it, but filters can be made for it.
-
-    Raises
-    ------
-    ConfigError, ExpressionError, ModelError
+    A `Scenario` with `ModelFile` settings: nothing can be drawn from it, but filters can be made for it.
+    Raises `ConfigError`, `ExpressionError` or `ModelError`.
     """
     path = Path(path)
     scenario = Scenario(path.stem, read_model(path))

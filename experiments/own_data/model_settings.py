@@ -17,20 +17,12 @@ __all__ = ["Belief", "Columns", "ModelFile", "read_data", "read_model"]
 
 @settings
 class Belief:
-    """What is believed before the first measurement: N(mean, cov) at `time`.
-
-    Attributes
-    ----------
-    mean : tuple, length n
-    cov : nested tuple, shape (n, n)
-    time : float or None
-        The time of the first measurement if None.
-    """
+    """What is believed before the first measurement: N(mean, cov) at `time`."""
 
     kind: Literal["gaussian"] = "gaussian"
-    mean: tuple[float, ...]
-    cov: tuple[tuple[float, ...], ...]
-    time: float | None = None
+    mean: tuple[float, ...]  # length n
+    cov: tuple[tuple[float, ...], ...]  # shape (n, n)
+    time: float | None = None  # the time of the first measurement if None
 
 
 @settings
@@ -64,23 +56,14 @@ class ModelFile(Reads):
 
 
 def read_model(path):
-    """The `ModelFile` settings of a TOML file.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """The `ModelFile` settings of a TOML file; raises `ConfigError`."""
     return from_table(ModelFile, with_tables(read_toml(path), path), path)
 
 
 def read_data(settings, path):
-    """The `Measurements` of a CSV file, with the columns that `ModelFile` settings name.
+    """The `Measurements` of a CSV file, with the columns that settings name; raises `ConfigError`.
 
     An input that the model gives no value of needs a column.
-
-    Raises
-    ------
-    ConfigError
     """
     columns, model = settings.data, settings.model
     _check_known("data.inputs", columns.inputs, model.inputs, "input of the model")

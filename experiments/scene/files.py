@@ -5,15 +5,7 @@ from pathlib import Path
 
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = [
-    "add_change_option",
-    "change",
-    "changes_of",
-    "file_names",
-    "find_file",
-    "parse_change",
-    "read_toml",
-]
+__all__ = ["change", "changes_of", "file_names", "find_file", "parse_change", "read_toml"]
 
 
 def file_names(folder):
@@ -24,17 +16,8 @@ def file_names(folder):
 def find_file(name, folder, kind):
     """Path of a TOML file: a name in the project's folder, or a path that ends in .toml.
 
-    Parameters
-    ----------
-    name : str or Path
-    folder : Path
-    kind : str
-        What the files are, for errors: "scenario".
-
-    Raises
-    ------
-    ConfigError
-        There is no such file; the nearest name is told.
+    `kind` is what the files are, for errors: "scenario". Raises `ConfigError` if there is no such file; the
+    nearest name is told.
     """
     own = str(name).endswith(".toml")
     path = Path(name) if own else folder / f"{name}.toml"
@@ -47,12 +30,7 @@ def find_file(name, folder, kind):
 
 
 def read_toml(path):
-    """The tree of a TOML file.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """The tree of a TOML file; raises `ConfigError`."""
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as problem:
@@ -61,29 +39,13 @@ def read_toml(path):
         raise ConfigError(f"{path} is not valid TOML: {problem}") from None
 
 
-_HELP = (
-    "change a key of the scenario, e.g. times.interval=3, the scheme of the SPH filter, e.g. "
-    "scheme=cloud, or a key of the published one, e.g. scheme.kernel=gaussian; may be repeated"
-)
-
-
-def add_change_option(parser, help=_HELP):
-    """Add the option --set, whose values `changes_of` reads, to a command."""
-    parser.add_argument("--set", dest="changes", action="append", default=[], metavar="KEY=VALUE", help=help)
-
-
 def changes_of(args):
     """What --set asks for, values by dotted key."""
     return dict(parse_change(text) for text in args.changes)
 
 
 def parse_change(text):
-    """Split "key=value", the value in TOML's syntax or a bare word.
-
-    Returns
-    -------
-    key, value
-    """
+    """Key and value of a text "key=value", the value in TOML's syntax or a bare word."""
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise ConfigError(f"a change is key=value, not {text!r}; for instance scheme.kernel=gaussian")

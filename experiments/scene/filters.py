@@ -86,21 +86,9 @@ _BUILDERS = {
 
 
 def factories(names, scenario):
-    """Return a factory for each name, in that order; the scenario's own choice for None.
+    """A `Factory` for each name, by name and in that order; the scenario's own choice for None.
 
-    Parameters
-    ----------
-    names : sequence of str, or None
-    scenario : Scenario
-
-    Returns
-    -------
-    dict of str to Factory
-
-    Raises
-    ------
-    ConfigError
-        Unknown name, or a filter that does not fit the scenario.
+    Raises `ConfigError` for an unknown name, or a filter that does not fit the scenario.
     """
     settings = scenario.settings.filters
     made = {}

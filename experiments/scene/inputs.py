@@ -9,13 +9,7 @@ __all__ = ["check_inputs", "sampled"]
 
 
 def check_inputs(model, sensor, inputs):
-    """Refuse inputs that the model does not have, of the scenario or of its sensor.
-
-    Raises
-    ------
-    ConfigError
-        The nearest name is told.
-    """
+    """Raise `ConfigError` for inputs that the model does not have, of the scenario or of its sensor."""
     for key, names in (("inputs", inputs), ("the sensor's inputs", sensor.inputs)):
         for name in names:
             if name not in model.inputs:
@@ -27,23 +21,10 @@ def check_inputs(model, sensor, inputs):
 
 
 def sampled(model, inputs, begins):
-    """What the model's inputs are over intervals.
+    """What the model's m inputs are over T intervals that begin at some seconds (T,), shape (T, m).
 
-    Parameters
-    ----------
-    model : SDE
-    inputs : dict of str to float, str or Table
-        Those that are not here are what the model says. Texts name t and parameters.
-    begins : ndarray, shape (T,)
-        Where the intervals begin, seconds.
-
-    Returns
-    -------
-    ndarray, shape (T, m); None if `inputs` is empty
-
-    Raises
-    ------
-    ExpressionError, ModelError
+    Inputs are numbers, texts of t and parameters, or tables; those that are not here are what the model says.
+    None if there are none. Raises `ExpressionError` or `ModelError`.
     """
     if not inputs:
         return None

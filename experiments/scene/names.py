@@ -23,13 +23,7 @@ def name_of(name):
 
 
 def check_filters(names):
-    """Are these names of filters, and some? None stands for a scenario's own.
-
-    Raises
-    ------
-    ConfigError
-        The nearest name is told.
-    """
+    """Raise `ConfigError` unless these are names of filters, and some; None stands for a scenario's own."""
     for name in names or ():
         if name not in FILTERS:
             raise ConfigError(f"no filter {name!r}{nearest(name, FILTERS)}; there are {', '.join(FILTERS)}")

@@ -20,21 +20,12 @@ def scenario_names():
 
 
 def read_settings(name, changes=None):
-    """Read the settings of a scenario without building its model.
+    """Read the settings of a scenario, by its name or the path of a TOML file, without its model.
 
-    Parameters
-    ----------
-    name : str
-        A name of `scenario_names`, or the path of a TOML file.
-    changes : mapping of str to value, optional
-        Values to replace, by dotted key: ``{"times.interval": 3.0}``. The scheme of the SPH filter, and keys
-        of the published one's configuration, may be given short: ``{"scheme": "cloud"}``,
-        ``{"scheme.kernel": "gaussian"}``.
-
-    Raises
-    ------
-    ConfigError
-        Unknown scenario or key (the nearest valid one is named), or a value that is not valid.
+    The `changes` are values by dotted key: ``{"times.interval": 3.0}``. The scheme of the SPH filter, and
+    keys of the published one's configuration, may be given short: ``{"scheme": "cloud"}``,
+    ``{"scheme.kernel": "gaussian"}``. Raises `ConfigError` for an unknown scenario or key (the nearest valid
+    one is named), or a value that is not valid.
     """
     path = find_file(name, _FOLDER, "scenario")
     tree = read_toml(path)

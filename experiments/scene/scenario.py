@@ -16,14 +16,7 @@ from .inputs import check_inputs, sampled
 from .reading import read_settings, scenario_names
 from .settings import ScenarioSettings, Sensor, TableText
 
-__all__ = [
-    "Scenario",
-    "Scene",
-    "check_parts",
-    "load_scenario",
-    "read_settings",
-    "scenario_names",
-]
+__all__ = ["Scenario", "Scene", "check_parts", "load_scenario", "read_settings", "scenario_names"]
 
 #: Times in an interval between measurements at which the truth is drawn.
 _PARTS = 20
@@ -58,17 +51,11 @@ class Scenario(Scene):
     """A model, a sensor, measurement times and a start: what a campaign draws its runs from.
 
     Only the settings travel to worker processes; each compiles the model once.
-
-    Attributes
-    ----------
-    name : str
-    settings : ScenarioSettings
-    between : bool
-        Cases hold times between the measurements too, without measurement: the same runs, for pictures.
     """
 
     name: str
     settings: ScenarioSettings
+    # cases hold times between the measurements too, without measurement: the same runs, for pictures
     between: bool = False
 
     @property
@@ -147,16 +134,7 @@ def _tables(texts):
 
 
 def load_scenario(name, **changes):
-    """Read a scenario and build its model and sensor; see `read_settings` for name and changes.
-
-    Returns
-    -------
-    Scenario
-
-    Raises
-    ------
-    ConfigError, ExpressionError, ModelError
-    """
+    """Read a `Scenario` and build its model and sensor; see `read_settings` for name, changes and errors."""
     scenario = Scenario(Path(name).stem, read_settings(name, changes))
     check_parts(scenario, name)
     return scenario
@@ -165,15 +143,7 @@ def load_scenario(name, **changes):
 def check_parts(scenario, source):
     """Build model and sensor, and check that they and the start fit each other.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    source : str or Path
-        What errors start with: name or file of the scenario.
-
-    Raises
-    ------
-    ExpressionError, ModelError
+    Raises `ExpressionError` or `ModelError`, which start with the `source`, name or file of the scenario.
     """
     try:
         n, H, begin = scenario.model.dim, scenario.measurement.H, scenario.settings.start

@@ -49,15 +49,9 @@ def _told(thing):
 
 @settings
 class TableText:
-    """A table that texts call, see `Table`; where a file has the columns, they have been read from it.
+    """A table that texts call, see `Table`; where a file has the columns, they have been read from it."""
 
-    Attributes
-    ----------
-    at, values : tuple of float, length K
-        Rising arguments, and the values there.
-    kind : str
-    """
-
+    # length K: rising arguments, and the values there
     at: Row
     values: Row
     kind: Literal["linear", "previous"] = "linear"
@@ -82,39 +76,23 @@ class TableText:
 
 @settings
 class ModelText:
-    """The stochastic differential equation, as text (see `SDE.from_expressions`).
+    """The stochastic differential equation, as text (see `SDE.from_expressions`)."""
 
-    Attributes
-    ----------
-    states : tuple of str
-        Names used in the expressions; `labels` and `units` are for tables and axes.
-    drift : tuple of str, length n
-    noise : nested tuple of str or float, shape (n, m)
-    spectral_density : nested tuple, shape (m, m)
-        Q, dW covariance Q dt: D = g Q gᵀ / 2.
-    diffusion : nested tuple of str or float, shape (n, n)
-        D itself, instead of noise and spectral_density.
-    parameters : dict of str to float
-    inputs : tuple of str, or dict of str to float
-        Names of what is held over each interval, and values where nothing gives others (zero).
-    tables : dict of str to TableText
-        What ``table("name", ...)`` calls.
-    domain : tuple, one of "unbounded" or (kind, low, high) a state
-        Periodic axes and walls, see `Domain`; "none" for an end that is not there.
-    """
-
-    states: tuple[str, ...]
+    states: tuple[str, ...]  # names used in the expressions; `labels` and `units` are for tables and axes
     labels: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
-    drift: tuple[str, ...]
-    noise: tuple[tuple[float | str, ...], ...] | None = None
-    spectral_density: Matrix | None = None
+    drift: tuple[str, ...]  # length n
+    noise: tuple[tuple[float | str, ...], ...] | None = None  # shape (n, m)
+    spectral_density: Matrix | None = None  # shape (m, m): Q, dW covariance Q dt: D = g Q gᵀ / 2
+    # shape (n, n): D itself, instead of noise and spectral_density
     diffusion: tuple[tuple[float | str, ...], ...] | None = None
     parameters: dict[str, float] = Field(default_factory=dict)
+    # periodic axes and walls, see `Domain`; "none" for an end that is not there
     domain: tuple[_Axis, ...] | None = None
     interpretation: Literal["ito", "stratonovich"] = "ito"
+    # names of what is held over each interval, and values where nothing gives others (zero)
     inputs: _Inputs = ()
-    tables: dict[str, TableText] = Field(default_factory=dict)
+    tables: dict[str, TableText] = Field(default_factory=dict)  # what ``table("name", ...)`` calls
 
     LATER: ClassVar[tuple[str, ...]] = ("inputs", "tables")
     __repr__ = _told
@@ -129,27 +107,16 @@ class ModelText:
 
 @settings
 class Sensor:
-    """z = h(x) + v with v ~ N(0, R).
+    """z = h(x) + v with v ~ N(0, R)."""
 
-    Attributes
-    ----------
-    h : nested tuple of float, shape (k, n), or tuple of str, length k
-        A matrix H, or expressions of the states, t, parameters, inputs and tables.
-    noise_cov : nested tuple of float or str, shape (k, k)
-        R: numbers, or expressions.
-    angles : tuple of int
-        Components of z that are angles in radians (expressions only).
-    parameters : dict of str to float
-    inputs : tuple of str, or dict of str to float
-        Inputs of the model that the sensor's texts name too.
-    tables : dict of str to TableText
-    """
-
+    # shape (k, n), or tuple of str, length k: a matrix H, or expressions of the states, t, parameters, inputs
+    # and tables
     h: Matrix | tuple[str, ...]
-    noise_cov: tuple[tuple[float | str, ...], ...]
+    noise_cov: tuple[tuple[float | str, ...], ...]  # shape (k, k): R: numbers, or expressions
+    # components of z that are angles in radians (expressions only)
     angles: tuple[Annotated[int, Field(ge=0)], ...] = ()
     parameters: dict[str, float] = Field(default_factory=dict)
-    inputs: _Inputs = ()
+    inputs: _Inputs = ()  # inputs of the model that the sensor's texts name too
     tables: dict[str, TableText] = Field(default_factory=dict)
 
     LATER: ClassVar[tuple[str, ...]] = ("parameters", "inputs", "tables")
@@ -215,28 +182,19 @@ class Times:
 
 @settings
 class Start:
-    """How a run starts, at time `Times.start`.
+    """How a run starts, at time `Times.start`."""
 
-    Attributes
-    ----------
-    kind : str
-        "gaussian": the truth is drawn from N(mean, cov), which the filters are given. "tpd": two-point
-        differencing of two measurements (002 6.6); N(mean, cov) is where the truth was `burn_in` seconds
-        earlier. "benes": the density cosh(x) N(x; mean, cov) up to a factor, which `BenesFilter` carries.
-    mean, cov : tuple, shapes (n,), (n, n)
-    burn_in : float
-        Seconds the truth runs before the start, to be near its stationary law.
-    interval : float
-        T0, seconds between the two measurements of "tpd".
-    pairs : tuple of (int, int)
-        For each component of z the states (position, velocity) that "tpd" starts from it.
-    """
-
+    # "gaussian": the truth is drawn from N(mean, cov), which the filters are given. "tpd": two-point
+    # differencing of two measurements (002 6.6); N(mean, cov) is where the truth was `burn_in` seconds
+    # earlier. "benes": the density cosh(x) N(x; mean, cov) up to a factor, which `BenesFilter` carries.
     kind: Literal["gaussian", "tpd", "benes"]
+    # shapes (n,), (n, n)
     mean: Row
     cov: Matrix
+    # seconds the truth runs before the start, to be near its stationary law
     burn_in: Annotated[float, Field(ge=0)] = 0.0
-    interval: Positive = 0.5
+    interval: Positive = 0.5  # T0, seconds between the two measurements of "tpd"
+    # for each component of z the states (position, velocity) that "tpd" starts from it
     pairs: tuple[tuple[int, int], ...] = ()
 
     @model_validator(mode="after")
@@ -332,25 +290,14 @@ class Published:
 
 @settings
 class ScenarioSettings(Reads):
-    """One scenario file.
+    """One scenario file."""
 
-    Attributes
-    ----------
-    description, source : str
-        One line for `list`; where the scenario or its figures come from.
-    exact : str or None
-        Name of the filter that is exact here, and the reference of the others.
-    sensor, sensors
-        One sensor, or several by name.
-    inputs : dict of str to float, str or TableText
-        What the model's inputs are: numbers, expressions of t and the model's parameters, or tables of t.
-        Each interval between measurements holds the value at its start.
-    """
-
+    # one line for `list`; where the scenario or its figures come from
     description: str
     source: str = ""
-    exact: str | None = None
+    exact: str | None = None  # name of the filter that is exact here, and the reference of the others
     model: ModelText
+    # one sensor, or several by name
     sensor: Sensor | None = None
     times: Times
     start: Start
@@ -358,6 +305,8 @@ class ScenarioSettings(Reads):
     filters: Filters = Field(default_factory=Filters)
     published: dict[str, Published] = Field(default_factory=dict)
     sensors: dict[str, Sensor] = Field(default_factory=dict)
+    # What the model's inputs are: numbers, expressions of t and the model's parameters, or tables of t. Each
+    # interval between measurements holds the value at its start.
     inputs: dict[str, float | str | TableText] = Field(default_factory=dict)
 
     LATER: ClassVar[tuple[str, ...]] = ("sensors", "inputs")

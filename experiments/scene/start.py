@@ -20,11 +20,8 @@ _MAX_REDRAWS = 1000
 def gaussian(model, measurement, start, t0, times, rng, inputs=None):
     """Draw the truth from N(mean, cov), which is what the filters start from.
 
-    `inputs` (T, m) are held over the intervals that end at the times.
-
-    Returns
-    -------
-    truth (T, n), z (T, k), x0 (n,), P0 (n, n)
+    `inputs` (T, m) are held over the intervals that end at the times. Returns truth (T, n), z (T, k), x0 (n,)
+    and P0 (n, n).
     """
     x0, P0 = np.array(start.mean), np.array(start.cov)
     first, held = rng.multivariate_normal(x0, P0), _from_before(model, inputs, 1)
@@ -60,16 +57,11 @@ def two_point(model, measurement, start, t0, times, rng, inputs=None):
 
 
 def two_point_estimate(model, measurement, start, z_before, z_now):
-    """Mean and covariance of (position, velocity) pairs from two measurements `start.interval` apart.
+    """Mean (n,), covariance (n, n) of (position, velocity) pairs of two measurements `start.interval` apart.
 
-    x̂ = z₀, v̂ = (z₀ − z₋₁)/T₀; P = [[R, R/T₀], [R/T₀, 2R/T₀² + Q T₀/3 + (a T₀/2)²]]. The last two terms
-    are not in the textbook: v̂ is the mean velocity of the interval and lags by the noise and by half an
-    interval of the model's acceleration, whose root mean square is a.
-
-    Returns
-    -------
-    x0 : ndarray, shape (n,)
-    P0 : ndarray, shape (n, n)
+    x̂ = z₀, v̂ = (z₀ − z₋₁)/T₀; P = [[R, R/T₀], [R/T₀, 2R/T₀² + Q T₀/3 + (a T₀/2)²]]. The last two terms are
+    not in the textbook: v̂ is the mean velocity of the interval and lags by the noise and by half an interval
+    of the model's acceleration, whose root mean square is a.
     """
     T0, R = start.interval, measurement.noise_cov
     intensity = 2.0 * np.diag(model.diffusion(np.zeros((1, model.dim)), 0.0)[0])

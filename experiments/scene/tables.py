@@ -11,18 +11,10 @@ __all__ = ["with_tables"]
 
 @settings
 class TableFile:
-    """Where a table's columns are.
+    """Where a table's columns are."""
 
-    Attributes
-    ----------
-    file : str
-        Relative to the folder of the file that names it.
-    values, at : str
-        Columns; the arguments are the first one if `at` is None.
-    kind : str
-    """
-
-    file: str
+    file: str  # relative to the folder of the file that names it
+    # columns; the arguments are the first one if `at` is None
     values: str
     at: str | None = None
     kind: Literal["linear", "previous"] = "linear"
@@ -31,17 +23,8 @@ class TableFile:
 def with_tables(tree, path):
     """A TOML tree in which the numbers of tables stand in the place of the files that have them.
 
-    Parameters
-    ----------
-    tree : dict
-        Not changed.
-    path : Path
-        File of the tree.
-
-    Raises
-    ------
-    ConfigError
-        A CSV file that cannot be read, or a column that is not there; the nearest is named.
+    Files are looked for beside `path`, that of the tree, which is not changed. Raises `ConfigError` for a CSV
+    file that cannot be read, or a column that is not there; the nearest is named.
     """
     for place in _places(tree):
         found = _at(tree, place).items()

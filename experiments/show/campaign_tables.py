@@ -20,13 +20,7 @@ _PER_STATE = (
 
 
 def result_table(report, scenario):
-    """Rows of 002 Tables 7, 9, 11 for every filter, with the published figure beside, as a rich table.
-
-    Parameters
-    ----------
-    report : sphfilter.report.Report
-    scenario : Scenario
-    """
+    """Rows of 002 Tables 7, 9, 11 for every filter, with the published figure beside, as a rich table."""
     published = scenario.settings.published
     made = table(f"{scenario.name}: {counted(report.n_runs, 'run')}", [""])
     for name in report.filters:

@@ -11,21 +11,11 @@ __all__ = ["Distance", "distance", "distances", "least_eigenvalue", "moment_erro
 
 @dataclass(frozen=True)
 class Distance:
-    """Root mean squares over runs and epochs of the distance from a reference filter.
+    """Root mean squares over runs and epochs of the distance from a reference filter."""
 
-    Attributes
-    ----------
-    mean : float
-        |L⁻¹ (m − m_ref)| with L Lᵀ = C_ref: reference standard deviations.
-    cov : float
-        ‖L⁻¹ (C − C_ref) L⁻ᵀ‖ (Frobenius) over √n.
-    evidence : float
-        Difference of the log-evidence of a measurement, nats.
-    """
-
-    mean: float
-    cov: float
-    evidence: float
+    mean: float  # |L⁻¹ (m − m_ref)| with L Lᵀ = C_ref: reference standard deviations
+    cov: float  # ‖L⁻¹ (C − C_ref) L⁻ᵀ‖ (Frobenius) over √n
+    evidence: float  # difference of the log-evidence of a measurement, nats
 
 
 def reference_name(scenario, names):
@@ -34,17 +24,7 @@ def reference_name(scenario, names):
 
 
 def distances(results, reference):
-    """Distance of every other filter from `reference`.
-
-    Parameters
-    ----------
-    results : dict of str to FilterResult, runs first
-    reference : str
-
-    Returns
-    -------
-    dict of str to Distance
-    """
+    """`Distance` of every other filter from the `reference`, by name; results have runs first."""
     return {name: distance(r, results[reference]) for name, r in results.items() if name != reference}
 
 
@@ -58,12 +38,9 @@ def distance(result, reference):
 
 
 def moment_errors(x, P, x_ref, P_ref):
-    """Errors of means (..., n) and covariances (..., n, n) in the reference's standard deviations.
+    """Errors (...) of means (..., n) and covariances (..., n, n) in the reference's standard deviations.
 
-    Returns
-    -------
-    mean, cov : ndarray, shape (...)
-        |L⁻¹ (x − x_ref)| and ‖L⁻¹ (P − P_ref) L⁻ᵀ‖ (Frobenius) over √n, with P_ref = L Lᵀ.
+    They are |L⁻¹ (x − x_ref)| and ‖L⁻¹ (P − P_ref) L⁻ᵀ‖ (Frobenius) over √n, with P_ref = L Lᵀ.
     """
     # in units of the standard deviations, so that metres and radians may share a state
     pairs = _scale_of(P_ref)

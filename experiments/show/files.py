@@ -1,6 +1,7 @@
-"""Results as files: rows as CSV, records as JSON, settings as TOML."""
+"""Results as files: rows as CSV, records as JSON, settings as TOML; and what they are known by."""
 
 import csv
+import hashlib
 import json
 import os
 from contextlib import contextmanager
@@ -8,7 +9,17 @@ from contextlib import contextmanager
 import numpy as np
 import tomli_w
 
-__all__ = ["whole", "write_csv", "write_json", "write_rows", "write_toml"]
+__all__ = ["digest", "unfinished", "whole", "write_csv", "write_json", "write_rows", "write_toml"]
+
+
+def digest(text):
+    """Sixteen digits that a text is known by."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def unfinished(out, settings):
+    """Folder where finished parts wait until all are there: another one for other settings, a text."""
+    return out / f"unfinished-{digest(settings)[:8]}"
 
 
 @contextmanager

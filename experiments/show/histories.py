@@ -20,14 +20,10 @@ _ROOM, _FAR = 0.4, 4.0
 
 
 def example_runs(campaign):
-    """Choose the runs to draw, by what became of the EKF (002 Figs 25, 26).
+    """Numbers of the runs to draw, by what became of the EKF (002 Figs 25, 26).
 
     "consistent" is the run of median NEES among those in which it kept the truth, "diverged" the one in which
     it lost it worst, if there is any. Without an EKF the filter of the largest NEES takes its place.
-
-    Returns
-    -------
-    dict of str to int
     """
     nees = {
         name: np.nan_to_num(consistency.nees(campaign.truth, r.x, r.P))
@@ -42,12 +38,9 @@ def example_runs(campaign):
 
 
 def losses(campaign, run):
-    """When each filter that lost the truth in a run was farthest off: the time of its largest NEES.
+    """When each filter that lost the truth in a run was farthest off: times of its largest NEES, seconds.
 
-    Returns
-    -------
-    dict of str to float
-        Times in seconds, of the filters that `consistency.diverged` finds, alone.
+    By the names of those filters that `consistency.diverged` finds.
     """
     found, n = {}, campaign.truth.shape[-1]
     for name, result in campaign.results.items():

@@ -17,12 +17,7 @@ _REFEREES = ("kf", "grid", "benes")
 
 
 def draw(out, scenario, filters, campaign, say=lambda text: None):
-    """Draw all pictures of a campaign into the folder `out`; `say` is told what is drawn next.
-
-    Returns
-    -------
-    list of Path
-    """
+    """Draw all pictures of a campaign into the folder `out`; their paths. `say` is told what comes next."""
     drawn = []
     for kind, run in example_runs(campaign).items():
         drawn.append(out / f"history_{kind}.png")

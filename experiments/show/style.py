@@ -37,13 +37,7 @@ def save(figure, path, dpi=_DPI):
 
 
 def panels(n_rows, n_columns, size, n=None, **shared):
-    """A figure of `size` inches with panels, of which the first `n` (all if None) stay.
-
-    Returns
-    -------
-    figure
-    axes : ndarray, shape (n_rows, n_columns)
-    """
+    """A figure of `size` inches and its panels (n_rows, n_columns); the first `n` stay, all if None."""
     figure, axes = plt.subplots(
         n_rows, n_columns, figsize=size, squeeze=False, layout="constrained", **shared
     )
@@ -93,12 +87,7 @@ def plain_numbers(axis):
 
 
 def legend_below(figure, *axes, columns=None, **look):
-    """One legend under all panels, of what `axes` show, each label once; in as few rows as there is room for.
-
-    Returns
-    -------
-    Legend
-    """
+    """One legend under all panels, of what `axes` show, each label once, in as few rows as can be."""
     entries = {}
     for ax in axes:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):

@@ -27,22 +27,9 @@ def percent(value):
 
 
 def table(title, headings, rows=(), left=1, frame=box.SIMPLE):
-    """A table for the terminal.
+    """A rich table for the terminal, to which more rows can be added; rows are texts, an empty title is none.
 
-    Parameters
-    ----------
-    title : str
-        Empty for none.
-    headings : sequence of str
-    rows : iterable of sequences of str
-    left : int
-        So many columns begin at the left; the others end at the right.
-    frame : rich.box.Box or None
-
-    Returns
-    -------
-    rich.table.Table
-        More rows can be added to it.
+    So many columns begin at the `left`, the others end at the right.
     """
     made = Table(box=frame, pad_edge=False, title=escape(title) or None, header_style="bold")
     for k, heading in enumerate(headings):
@@ -55,12 +42,7 @@ def table(title, headings, rows=(), left=1, frame=box.SIMPLE):
 def print_table(console, made, keep=1):
     """Print a table; one that is too wide for the terminal in pieces, one below the other.
 
-    Parameters
-    ----------
-    console : rich.console.Console
-    made : rich.table.Table
-    keep : int
-        So many columns at the left are repeated in every piece.
+    So many columns at the left as `keep` says are repeated in every piece.
     """
     first, pieces = list(range(keep)), []
     for k in range(keep, len(made.columns)):

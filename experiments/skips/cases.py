@@ -17,17 +17,11 @@ _CONSTANT = "constant D asked for once"
 
 @dataclass(frozen=True)
 class Case:
-    """A shortcut on one scene.
-
-    Attributes
-    ----------
-    name, scene : str
-    on, off : callable
-        With the shortcut, and without; both return mean and covariance.
-    """
+    """A shortcut on one scene."""
 
     name: str
     scene: str
+    # with the shortcut, and without; both return mean and covariance
     on: Callable
     off: Callable
 

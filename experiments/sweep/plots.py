@@ -12,20 +12,9 @@ _AXES = {"interval": "interval between updates (s)", "q": "factor on Q", "r": "f
 
 
 def draw(out, rows, name):
-    """Draw one picture of the runs lost and one of the RMS ratios, a panel a filter.
+    """Draw a picture of the runs lost and one of the RMS ratios, a panel a filter; their paths.
 
-    Parameters
-    ----------
-    out : Path
-        Folder, which exists.
-    rows : list of dict
-        As `tables.rows_of` makes them.
-    name : str
-        Scenario, for the titles.
-
-    Returns
-    -------
-    list of Path
+    The rows are those of `tables.rows_of`; `name` is the scenario's, for the titles.
     """
     lost = _draw(
         out / "lost.png", rows, "lost", f"{name}: part of the runs lost", (Normalize(0.0, 1.0), "Reds")

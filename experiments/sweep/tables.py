@@ -19,18 +19,10 @@ _CRITERION = (
 
 
 def rows_of(cell, numbers):
-    """Return a flat row for each filter.
+    """Return a flat row for each filter of a cell, of a `sphfilter.report.Report`.
 
-    Parameters
-    ----------
-    cell : Cell
-    numbers : sphfilter.report.Report
-
-    Returns
-    -------
-    list of dict
-        `lost`: part of the runs that diverged or failed. `rms_ratio`: RMS error over the particle filter's,
-        geometric mean over the states; NaN without a particle filter.
+    `lost` is the part of the runs that diverged or failed, `rms_ratio` the RMS error over the particle
+    filter's, geometric mean over the states; NaN without a particle filter.
     """
     reference = numbers.filters.get(_REFERENCE)
     rows = []

@@ -21,24 +21,12 @@ _OFF = "off the referee: probabilities of modes, and the mean in standard deviat
 
 @dataclass(frozen=True)
 class Held:
-    """A filter held against a referee, over all epochs of all runs.
+    """A filter held against a referee, over all epochs of all runs."""
 
-    Attributes
-    ----------
-    modes : ndarray, shape (R, T, M)
-        Its mode probabilities less the referee's.
-    mean : ndarray, shape (R, T, n)
-        Its means less the referee's, in the referee's standard deviations.
-    right : ndarray of bool, shape (R, T)
-        Whether the mode that it finds the most probable is that of the truth.
-    seconds : float
-        Of a prediction and an update, on average.
-    """
-
-    modes: np.ndarray
-    mean: np.ndarray
-    right: np.ndarray
-    seconds: float
+    modes: np.ndarray  # shape (R, T, M): its mode probabilities less the referee's
+    mean: np.ndarray  # shape (R, T, n): its means less the referee's, in the referee's standard deviations
+    right: np.ndarray  # shape (R, T): whether the mode that it finds the most probable is that of the truth
+    seconds: float  # of a prediction and an update, on average
 
     def cells(self):
         """What the table tells of it."""

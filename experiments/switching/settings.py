@@ -16,35 +16,21 @@ NAMES = tuple(file_names(_FOLDER))
 
 @settings
 class SwitchingSettings:
-    """A model that switches, a sensor, times and a start.
-
-    Attributes
-    ----------
-    description : str
-    interval : float
-        Between measurements, seconds.
-    epochs : int
-    x0, P0 : list
-        Of a Gaussian, that the truth is drawn from too.
-    begins : str
-        Mode at the start, of the truth; filters do not know it.
-    rates : list, shape (M, M)
-    model, modes, sensor : dict
-        What `SDE.from_expressions` takes: of all modes, and of each; and `GaussianMeasurement`.
-    referee : dict
-        Of the grid: how far `beyond` the truth it goes, its `size` and `step`; or a number of particles.
-    """
+    """A model that switches, a sensor, times and a start."""
 
     description: str
-    interval: float
+    interval: float  # between measurements, seconds
     epochs: int
+    # of a Gaussian, that the truth is drawn from too
     x0: list[float]
     P0: list[list[float]]
-    begins: str
-    rates: list[list[float]]
+    begins: str  # mode at the start, of the truth; filters do not know it
+    rates: list[list[float]]  # shape (M, M)
+    # what `SDE.from_expressions` takes: of all modes, and of each; and `GaussianMeasurement`
     model: dict[str, Any]
     modes: dict[str, dict[str, Any]]
     sensor: dict[str, Any]
+    # of the grid: how far `beyond` the truth it goes, its `size` and `step`; or a number of particles
     referee: dict[str, float]
 
 

@@ -5,32 +5,71 @@ from pathlib import Path
 
 from sphfilter.errors import ConfigError
 
-from ..scene.names import FILTERS
+from ..scene.files import changes_of
+from ..scene.names import FILTERS, check_filters
+from ..scene.reading import read_settings
 
-__all__ = ["add_run_options", "counted", "names_of", "numbers", "positive"]
+__all__ = ["add_changes", "add_run", "adder", "check_run", "counted", "names_of", "numbers", "positive"]
 
-_SCENARIO = "a name from `list`, or the path of a scenario's TOML file"
+_CHANGE = (
+    "change a key of the scenario, e.g. times.interval=3, the scheme of the SPH filter, e.g. "
+    "scheme=cloud, or a key of the published one, e.g. scheme.kernel=gaussian; may be repeated"
+)
 
 
-def add_run_options(parser, runs, folder, filters="the scenario's", more=""):
-    """Add what commands take that run filters on a scenario.
+def adder(parser):
+    """A function add(name, help, kind, default, **look) that adds an option or an argument to a parser.
 
-    Parameters
-    ----------
-    parser : ArgumentParser
-    runs, folder, filters : str
-        The defaults of --runs, --out and --filters, in words.
-    more : str
-        What --runs counts, besides simulated runs.
+    `kind` makes a value of the text; `bool` is a flag. The help tells the default, in the words `otherwise`
+    where there are some; `look` is what argparse is told besides.
     """
-    parser.add_argument("scenario", help=_SCENARIO)
-    parser.add_argument("--runs", type=counted, help=f"simulated runs{more} (default: {runs})")
-    parser.add_argument("--jobs", type=counted, default=1, help="processes (default: 1)")
-    seed = "seed of everything random (default: the scenario's, 1 unless its file says otherwise)"
-    parser.add_argument("--seed", type=int, help=seed)
-    names = f"comma-separated, of {', '.join(FILTERS)} (default: {filters})"
-    parser.add_argument("--filters", type=names_of, help=names)
-    parser.add_argument("--out", type=Path, help=f"folder for results (default: {folder})")
+
+    def add(name, help, kind=str, default=None, otherwise="", **look):
+        if kind is bool:
+            look["action"] = "store_true"
+        else:
+            look |= {"type": kind, "default": default}
+            otherwise = otherwise or _text(default)
+        parser.add_argument(
+            *name.split(), help=f"{help} (default: {otherwise})" if otherwise else help, **look
+        )
+
+    return add
+
+
+def _text(default):
+    """A default for people; empty for none."""
+    if isinstance(default, list):
+        return ",".join(default)
+    return "" if default is None else str(default)
+
+
+def add_changes(add, help=_CHANGE):
+    """Add the option --set, whose values `scene.files.changes_of` reads."""
+    add("--set", help, dest="changes", action="append", default=[], metavar="KEY=VALUE")
+
+
+def add_run(add, folder, runs=None, filters="the scenario's", counted_at=""):
+    """Add what commands take that run filters on a scenario; `check_run` checks it.
+
+    The `folder` is the default of --out, in words, `runs` that of --runs, the scenario's if None, and
+    `filters` that of --filters, in words or as it is. Runs are made `counted_at` something, if not once.
+    """
+    own = "the scenario's, {} unless its file says otherwise"
+    chosen = filters if isinstance(filters, list) else None
+    add("scenario", "a name from `list`, or the path of a scenario's TOML file")
+    add("--runs", f"simulated runs{counted_at}", counted, runs, "" if runs else own.format(5))
+    add("--jobs", "processes", counted, 1)
+    add("--seed", "seed of everything random", int, None, own.format(1))
+    add("--filters", f"comma-separated, of {', '.join(FILTERS)}", names_of, chosen, "" if chosen else filters)
+    add("--out", "folder for results", Path, None, folder)
+    add_changes(add)
+
+
+def check_run(args):
+    """Raise what is wrong with the scenario, its changes or the filters."""
+    read_settings(args.scenario, changes_of(args))
+    check_filters(args.filters)
 
 
 def names_of(text):

@@ -20,22 +20,11 @@ class Interrupted(KeyboardInterrupt):
 
 @contextmanager
 def bar(console, text, total=None, left=False):
-    """Show a bar while something runs, and take it away in the end.
+    """Show a bar behind a text while something runs, and take it away in the end.
 
-    Parameters
-    ----------
-    console : rich.console.Console
-    text : str
-        What stands before the bar.
-    total : int, optional
-        How much there is to do, if it is known already.
-    left : bool
-        Whether the time that is left is shown, too.
-
-    Yields
-    ------
-    callable(done, total=None, text=None, found=False)
-        Moves the bar, with another text behind it; what was `found` done took no time.
+    The `total` is how much there is to do, if it is known already; with `left` the time that is left is
+    shown, too. Yields a function move(done, total=None, text=None, found=False), which moves the bar, with
+    another text behind it; what was `found` done took no time.
     """
     columns = [TextColumn(text), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     columns += [TextColumn("left"), TimeRemainingColumn()] if left else []

@@ -41,14 +41,14 @@ def duration(seconds):
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def warm_up(console, scenario, filters, second):
+def warm_up(console, scenario, filters):
     """Let every filter take one measurement, so that compiling neither surprises nor counts as run time.
 
-    Where that has to be compiled, a `second` process takes about half of it.
+    Where that has to be compiled, a second process takes about half of it.
     """
     here, beside = _halves(scenario, filters)
     rest = [(name, make) for name, make in filters.items() if here.get(name) is not make]
-    with status(console) as say, compiled_beside(second, scenario, beside) as wait:
+    with status(console) as say, compiled_beside(scenario, beside) as wait:
         case = scenario.draw(np.random.default_rng(0))
         for i, (name, make) in enumerate([*here.items(), *rest]):
             say(f"preparing {name_of(name)}" + " (the first time compiles, for a minute)" * (i == 0))
@@ -88,12 +88,7 @@ def status(console):
 
 
 def run_shown(console, scenario, filters, n_runs, seed, n_jobs, folder):
-    """Run a campaign with a progress bar, as `run_campaign`; stopped, it says how to go on.
-
-    Raises
-    ------
-    Interrupted
-    """
+    """Run a campaign with a progress bar; stopped, it raises `Interrupted`, which says how to go on."""
     if any(folder.glob("run_*.npz")):
         console.print(f"going on from the runs that are in {folder}", soft_wrap=True)
     with bar(console, "runs", left=True) as move:

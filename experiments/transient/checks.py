@@ -34,9 +34,7 @@ def named(key, *parts):
 def check(problem):
     """Raise the first error of a `Problem` that its settings alone could not show.
 
-    Raises
-    ------
-    ConfigError, ExpressionError, ModelError
+    It is a `ConfigError`, an `ExpressionError` or a `ModelError`.
     """
     with named("model.states"):
         Names(problem.settings.model.states)

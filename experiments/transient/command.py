@@ -23,7 +23,7 @@ from .probe import Probing, write_particles
 from .problem import load_problem
 from .references import reference_of
 from .rivals import rivals_of
-from .solution import folder_of, solve
+from .solution import folder_of, solve, warm_up
 from .tables import sentences, steady_table, table, write_csv
 from .views import probe_picture
 
@@ -81,7 +81,9 @@ def _begin(console, args, problem):
     """Say what is solved, and compile; returns the folder for results."""
     console.print(escape(problem.title), style="bold")
     console.print(f"{escape(problem.settings.source)}\n", style="dim")
-    _warm_up(console, problem)
+    console.print("preparing (the first time compiles, for a minute)", style="dim")
+    with suppress(SphfilterError):  # the solution will say so
+        warm_up(problem)
     return args.out or Path("results") / "transient" / problem.name
 
 
@@ -105,14 +107,6 @@ def _compare_remeshing(console, args, changes):
     for folder in folders.values():
         shutil.rmtree(folder)
     console.print(f"\nPictures: {', '.join(str(path) for path in drawn)}", soft_wrap=True)
-
-
-def _warm_up(console, problem):
-    """Compile before the clock runs."""
-    console.print("preparing (the first time compiles, for a minute)", style="dim")
-    start, config = problem.begin(), problem.settings.solver.config
-    with suppress(SphfilterError):  # the solution will say so
-        sf.predict(start, problem.model, 1e-6 * (problem.times[-1] - start.t), config)
 
 
 def _writers(problem, out):

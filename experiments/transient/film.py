@@ -35,10 +35,7 @@ def animate(path, problem, densities):
 class Window:
     """A window that shows densities as they come.
 
-    Raises
-    ------
-    ConfigError
-        There is no display, or nothing that could open a window on it.
+    Raises `ConfigError` if there is no display, or nothing that could open a window on it.
     """
 
     def __init__(self, problem):

@@ -15,19 +15,12 @@ MOST_NODES = 1_000_000  # of a probing grid
 
 @settings
 class Lattice:
-    """Nodes of a hyper-rectangle, at both ends of each side (000 5.2.3).
+    """Nodes of a hyper-rectangle, at both ends of each side (000 5.2.3)."""
 
-    Attributes
-    ----------
-    origin, size : tuple of float, length n
-        Lowest corner and lengths of the sides, in the units of the states.
-    spacing : float or tuple of float, length n
-        Distance of the nodes, or the next smaller one that fits.
-    """
-
+    # length n: lowest corner and lengths of the sides, in the units of the states
     origin: Row
     size: Row
-    spacing: float | Row
+    spacing: float | Row  # length n: distance of the nodes, or the next smaller one that fits
 
     @model_validator(mode="after")
     def _fits(self):
@@ -55,21 +48,14 @@ class Lattice:
 class Probe(Lattice):
     """Points at which densities are looked at, the same at all times (000 5.2.7).
 
-    Attributes
-    ----------
-    size : tuple of float, length n
-        Zero along a state that is held at its origin: a slice.
-    data : tuple of str
-        "density", "log_density", "smoothing_length" (mean over the kernels there), "density_gradient" and
-        "velocity" (of the probability, drift and diffusion together).
-    fps : float
-        Times a second of --animate.
+    Its size is zero along a state that is held at its origin: a slice. A smoothing length is the mean over
+    the kernels at a point, a velocity that of the probability, by drift and diffusion together.
     """
 
     data: tuple[
         Literal["density", "log_density", "smoothing_length", "density_gradient", "velocity"], ...
     ] = ("density",)
-    fps: Annotated[float, Field(gt=0, le=100)] = 10.0
+    fps: Annotated[float, Field(gt=0, le=100)] = 10.0  # times a second of --animate
 
     def _check(self, size, spacing):
         sides = size > 0
@@ -105,21 +91,13 @@ def _cells(side, spacing):
 
 @settings
 class Written:
-    """What is written of the densities; moments and probabilities are, at all times of output.
+    """What is written of the densities; moments and probabilities are, at all times of output."""
 
-    Attributes
-    ----------
-    every : int
-        Densities are kept, probed and filmed at every so many times of output, and at the last.
-    interval : float or None
-        Instead at the first time of output after every so many seconds.
-    csv : bool
-        Write the particles at those times as CSV too: states, velocities, masses, smoothing lengths,
-        densities and their gradients.
-    """
-
+    # densities are kept, probed and filmed at every so many times of output, and at the last
     every: Count = 1
-    interval: Positive | None = None
+    interval: Positive | None = None  # instead at the first time of output after every so many seconds
+    # write the particles at those times as CSV too: states, velocities, masses, smoothing lengths, densities
+    # and their gradients
     csv: bool = False
 
     @model_validator(mode="after")

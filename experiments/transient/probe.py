@@ -18,20 +18,10 @@ def points_of(probe):
 
 
 def probed(problem, density, X, data):
-    """Quantities of a density at points.
+    """Quantities of a density at points X (M, n), by name: arrays (M,); (M, n) of gradients, velocities.
 
-    Parameters
-    ----------
-    problem : Problem
-    density : ParticleDensity
-    X : ndarray, shape (M, n)
-    data : sequence of str
-        Of those that `grids.Probe` knows.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (M,), or (M, n) of gradients and velocities
-        NaN where there is nothing: smoothing lengths and velocities of empty space.
+    The `data` are of those that `grids.Probe` knows. NaN where there is nothing: smoothing lengths and
+    velocities of empty space.
     """
     return {name: _QUANTITIES[name](problem.model, density, X) for name in data}
 
@@ -66,14 +56,7 @@ _QUANTITIES = {
 
 
 class Probing:
-    """Writes what a problem's probe sees of every density it is shown.
-
-    Parameters
-    ----------
-    problem : Problem
-        With a probe.
-    folder : Path
-    """
+    """Writes what a problem's probe sees of every density it is shown, into a folder."""
 
     def __init__(self, problem, folder):
         self.problem, self.folder = problem, folder

@@ -10,8 +10,7 @@ import sphfilter as sf
 from experiments.scene.scenario import Scene
 
 from .checks import check, named
-from .reading import problem_names, read_problem
-from .settings import TransientSettings
+from .settings import TransientSettings, problem_names, read_problem
 from .texts import Pdf, condition, expression, reads_time
 
 __all__ = ["Problem", "Quantity", "load_problem", "problem_names"]
@@ -42,13 +41,7 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem(Scene):
-    """A transient scenario.
-
-    Attributes
-    ----------
-    name : str
-    settings : TransientSettings
-    """
+    """A transient scenario."""
 
     name: str
     settings: TransientSettings
@@ -125,10 +118,7 @@ def _moment_name(powers, states):
 def load_problem(name, changes=None):
     """Read a transient scenario by name, or from the path of a TOML file; `changes` by dotted key.
 
-    Raises
-    ------
-    ConfigError, ExpressionError, ModelError
-        Each names the key.
+    Raises `ConfigError`, `ExpressionError` or `ModelError`; each names the key.
     """
     path, settings = read_problem(name, changes)
     problem = Problem(path.stem, settings)

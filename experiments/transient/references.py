@@ -20,22 +20,13 @@ _CACHE = Path("results") / "transient" / "references"
 
 @dataclass(frozen=True)
 class ReferenceValues:
-    """Values of S quantities at T times.
+    """Values of S quantities at T times."""
 
-    Attributes
-    ----------
-    name : str
-        What they are, for people.
-    values, half_width : ndarray, shape (T, S)
-        NaN where there is none; half widths of 95 % intervals, or bounds of the error.
-    sampled : bool
-        The half widths are those of intervals.
-    """
-
-    name: str
+    name: str  # what they are, for people
+    # shape (T, S): NaN where there is none; half widths of 95 % intervals, or bounds of the error
     values: np.ndarray
     half_width: np.ndarray
-    sampled: bool = False
+    sampled: bool = False  # the half widths are those of intervals
 
 
 def reference_of(problem, progress=None):

@@ -22,29 +22,15 @@ _KEY = "solver.config.remesh"
 
 @dataclass(frozen=True)
 class Rule:
-    """A problem solved with one rule.
+    """A problem solved with one rule."""
 
-    Attributes
-    ----------
-    name : str
-        "never", "health", or "every 2 s".
-    problem : Problem
-    solution : Solution
-    """
-
-    name: str
-    problem: object
-    solution: object
+    name: str  # "never", "health", or "every 2 s"
+    problem: object  # Problem
+    solution: object  # Solution
 
 
 def rules_of(text):
-    """Names and changes of the settings, from a list such as "never,health,2".
-
-    Returns
-    -------
-    dict
-        Changes by dotted key, by the rule's name.
-    """
+    """Changes of the settings by dotted key, by the name of each rule of a list such as "never,health,2"."""
     values = [parse_change(f"{_KEY}={part.strip()}")[1] for part in text.split(",") if part.strip()]
     if not values:
         raise ConfigError("--remesh takes never, health, or seconds, or some of them: never,health,2")

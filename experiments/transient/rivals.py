@@ -12,22 +12,13 @@ __all__ = ["Rival", "rivals_of"]
 
 @dataclass(frozen=True)
 class Rival:
-    """Cumulant equations of one order.
-
-    Attributes
-    ----------
-    name : str
-    values : ndarray, shape (T, S)
-        NaN for quantities the equations do not have, and once they have diverged.
-    seconds : float
-    diverged : str
-        What happened and when; empty if nothing did.
-    """
+    """Cumulant equations of one order."""
 
     name: str
+    # shape (T, S): NaN for quantities the equations do not have, and once they have diverged
     values: np.ndarray
     seconds: float
-    diverged: str
+    diverged: str  # what happened and when; empty if nothing did
 
 
 def rivals_of(problem):

@@ -1,41 +1,40 @@
-"""What a transient scenario file may say; those of the project and a user's own have one form."""
+"""What a transient scenario file may say, read without its model; all files have one form."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from experiments.scene.files import change, file_names, find_file, read_toml
 from experiments.scene.settings import Count, Matrix, ModelText, Positive, Row
+from experiments.scene.tables import with_tables
 from sphfilter.config import SolverConfig
-from sphfilter.settings import settings
+from sphfilter.settings import from_table, settings
 
 from .grids import Lattice, Probe, Written
 
-__all__ = ["Begin", "Output", "Reference", "Solver", "Statistics", "Steady", "TransientSettings"]
+__all__ = ["Begin", "Output", "Reference", "Solver", "Statistics", "Steady", "TransientSettings",
+           "problem_names", "read_problem"]  # fmt: skip
+
+_FOLDER = Path(__file__).parents[1] / "scenarios" / "transient"
 
 
 @settings
 class Begin:
-    """The density at `time`.
+    """The density at `time`."""
 
-    Attributes
-    ----------
-    kind : str
-        "gaussian" with mean and cov, "uniform" on a box, or "expression" with a pdf of the states on a box
-        (zero outside, normalised here; nodes where it is zero carry no particle).
-    lattice : Lattice or None
-        Nodes that carry a particle each where the density is not zero, instead of a box.
-    reach : float or None
-        Standard deviations out to which particles of a Gaussian lie; the scheme's own if None.
-    """
-
+    # "gaussian" with mean and cov, "uniform" on a box, or "expression" with a pdf of the states on a box
+    # (zero outside, normalised here; nodes where it is zero carry no particle)
     kind: Literal["gaussian", "uniform", "expression"] = "gaussian"
     mean: Row | None = None
     cov: Matrix | None = None
     box: tuple[tuple[float, float], ...] | None = None
     pdf: str | None = None
+    # nodes that carry a particle each where the density is not zero, instead of a box
     lattice: Lattice | None = None
     time: float = 0.0
+    # standard deviations out to which particles of a Gaussian lie; the scheme's own if None
     reach: Annotated[float, Field(ge=2.5, le=12)] | None = None
 
     @model_validator(mode="after")
@@ -89,44 +88,24 @@ class Solver:
 
 @settings
 class Statistics:
-    """What is reported besides mean and covariance.
+    """What is reported besides mean and covariance."""
 
-    Attributes
-    ----------
-    moments : tuple of tuples, length n each
-        Powers of raw moments.
-    exceedance : tuple of str
-        Conditions on the states, such as "abs(q) > 0.5".
-    cumulants : tuple of int
-        Orders of cumulant equations to solve beside (polynomial models, 000 4.1.3).
-    """
-
-    moments: tuple[tuple[Annotated[int, Field(ge=0)], ...], ...] = ()
-    exceedance: tuple[str, ...] = ()
+    moments: tuple[tuple[Annotated[int, Field(ge=0)], ...], ...] = ()  # length n each: powers of raw moments
+    exceedance: tuple[str, ...] = ()  # conditions on the states, such as "abs(q) > 0.5"
+    # orders of cumulant equations to solve beside (polynomial models, 000 4.1.3)
     cumulants: tuple[Annotated[int, Field(ge=2, le=10)], ...] = ()
 
 
 @settings
 class Reference:
-    """What the solution is compared with.
+    """What the solution is compared with."""
 
-    Attributes
-    ----------
-    kind : str
-        "linear" (closed form of a linear model from a Gaussian), "drifted_uniform" (000 (58)), "grid" (one or
-        two states), "monte_carlo", or "none".
-    size : int
-        Nodes an axis of the grid; half as many bound its error.
-    n_paths : int
-        Of Monte Carlo.
-    step : float or None
-        Time step of Monte Carlo, seconds; by the model's rates if None.
-    """
-
+    # "linear" (closed form of a linear model from a Gaussian), "drifted_uniform" (000 (58)), "grid" (one or
+    # two states), "monte_carlo", or "none"
     kind: Literal["linear", "drifted_uniform", "grid", "monte_carlo", "none"] = "none"
-    size: Count = 128
-    n_paths: Annotated[int, Field(ge=20)] = 1_000_000
-    step: Positive | None = None
+    size: Count = 128  # nodes an axis of the grid; half as many bound its error
+    n_paths: Annotated[int, Field(ge=20)] = 1_000_000  # of Monte Carlo
+    step: Positive | None = None  # time step of Monte Carlo, seconds; by the model's rates if None
 
 
 @settings
@@ -139,18 +118,9 @@ class Steady:
 
 @settings
 class TransientSettings:
-    """One file.
+    """One file."""
 
-    Attributes
-    ----------
-    description, source : str
-        One line for `list`; where system and figures come from, and what was left open there.
-    published : tuple of str
-        What the publication says of accuracy and run time, a sentence each; printed beside ours.
-    axes : tuple of int
-        States drawn against each other, two or three.
-    """
-
+    # one line for `list`; where system and figures come from, and what was left open there
     description: str = ""
     source: str = ""
     model: ModelText
@@ -162,5 +132,23 @@ class TransientSettings:
     probe: Probe | None = None
     reference: Reference = Field(default_factory=Reference)
     steady: tuple[Steady, ...] = ()
+    # what the publication says of accuracy and run time, a sentence each; printed beside ours
     published: tuple[str, ...] = ()
-    axes: tuple[int, ...] = ()
+    axes: tuple[int, ...] = ()  # states drawn against each other, two or three
+
+
+def problem_names():
+    """Names of the transient scenarios that come with the project."""
+    return file_names(_FOLDER)
+
+
+def read_problem(name, changes=None):
+    """Path and `TransientSettings` of a scenario by name, or of a TOML file's path; `changes` by dotted key.
+
+    Raises `ConfigError`.
+    """
+    path = find_file(name, _FOLDER, "transient scenario")
+    tree = read_toml(path)
+    for key, value in (changes or {}).items():
+        change(tree, key, value)
+    return path, from_table(TransientSettings, with_tables(tree, path), path)

@@ -1,6 +1,5 @@
 """Solving a transient problem step by step, every density kept on disk until all are there."""
 
-import hashlib
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -8,47 +7,35 @@ from pathlib import Path
 import numpy as np
 
 import sphfilter as sf
+from experiments.show.files import unfinished
 from sphfilter.density.storage import load_arrays, write_arrays
 
-__all__ = ["Solution", "folder_of", "solve"]
+__all__ = ["Solution", "folder_of", "solve", "warm_up"]
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A solved problem.
+    """A solved problem."""
 
-    Attributes
-    ----------
-    start : ParticleDensity
-    trajectory : Trajectory
-    values : ndarray, shape (T, S)
-        The problem's quantities at its times.
-    seconds : ndarray, shape (T,)
-        Wall time of each interval.
-    """
+    start: object  # ParticleDensity
+    trajectory: object  # Trajectory
+    values: np.ndarray  # shape (T, S): the problem's quantities at its times
+    seconds: np.ndarray  # shape (T,): wall time of each interval
 
-    start: object
-    trajectory: object
-    values: np.ndarray
-    seconds: np.ndarray
+
+def warm_up(problem):
+    """Compile, or load, what a solution needs, before a clock runs; returns the start."""
+    start = problem.begin()
+    sf.predict(start, problem.model, 1e-6 * (problem.times[-1] - start.t), problem.settings.solver.config)
+    return start
 
 
 def solve(problem, folder, progress=None, watch=None):
-    """Carry a problem's start through its times, going on from what a stopped run left in `folder`.
+    """Carry a problem's start through its times, from where a stopped run left it in `folder`.
 
-    Parameters
-    ----------
-    problem : Problem
-    folder : Path
-        Of this problem with these settings only, see `folder_of`.
-    progress : callable(n_done, n_times), optional
-    watch : callable(number, density), optional
-        Called with 0 and the start, and with the number of every density that is kept; also with those of a
-        stopped run.
-
-    Returns
-    -------
-    Solution
+    The folder is that of this problem with these settings only, see `folder_of`. `progress(n_done, n_times)`
+    is told of every time; `watch(number, density)` of 0 and the start, and of every density that is kept with
+    its number; also of those of a stopped run.
     """
     start, config = problem.begin(), problem.settings.solver.config
     n_particles = problem.n_particles
@@ -87,8 +74,7 @@ def _only(numbers, watch):
 
 def folder_of(out, problem):
     """Where densities wait until all are there: another folder for other settings."""
-    which = hashlib.sha256(repr(sorted(asdict(problem.settings).items())).encode()).hexdigest()[:8]
-    return Path(out) / f"unfinished-{which}"
+    return unfinished(Path(out), repr(sorted(asdict(problem.settings).items())))
 
 
 def _file(folder, k):

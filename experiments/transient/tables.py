@@ -37,15 +37,10 @@ def moments(values, n):
 
 
 def table(problem, solution, reference, every=False):
-    """Quantities at some of the times, each with the reference's value and half width below.
+    """Quantities at some of the times, each with a reference's value and half width below, if there is one.
 
-    Parameters
-    ----------
-    problem : Problem
-    solution : Solution
-    reference : ReferenceValues or None
-    every : bool
-        All moments; else means and standard deviations of the first states, and what the file asks for.
+    If not `every` moment is asked for: means and standard deviations of the first states, and what the file
+    asks for.
     """
     columns = _columns(problem, solution, reference, every)
     errors = None if reference is None else comparison(problem, solution, reference)

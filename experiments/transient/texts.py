@@ -50,18 +50,10 @@ def reads_time(text):
 
 @dataclass(frozen=True)
 class Pdf:
-    """A density as a text: a pdf with its box, which can be drawn from.
+    """A density as a text: a pdf with its box, which can be drawn from."""
 
-    Attributes
-    ----------
-    function : callable (X (M, n)) -> (M,)
-        Need not be normalised.
-    box : ndarray, shape (n, 2)
-        Zero outside.
-    """
-
-    function: object
-    box: np.ndarray
+    function: object  # of states X (M, n), values (M,); need not be normalised
+    box: np.ndarray  # shape (n, 2): zero outside
 
     def __call__(self, X):
         """Values at states X (M, n), shape (M,)."""

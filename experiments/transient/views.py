@@ -26,17 +26,7 @@ _TITLES = {
 
 
 class Views:
-    """Draws densities into a figure, each in place of the one before.
-
-    Parameters
-    ----------
-    problem : Problem
-
-    Attributes
-    ----------
-    size : tuple
-        Width and height that a figure should have, inches.
-    """
+    """Draws densities into a figure of `size` inches, each in place of the one before."""
 
     def __init__(self, problem):
         self.problem, self.seen = problem, None

@@ -84,6 +84,21 @@ def test_collocation_reproduces_the_density_at_the_particles(kernel):
     assert worst > 0.02  # so that the line above can fail
 
 
+def test_best_support_of_the_paper():
+    """A standard normal density of two states on 1649 particles (002 Fig 10)."""
+    scheme = sf.SolverConfig.paper(kernel="gaussian", support_steps=9).scheme
+    normal = sf.Gaussian([0.0, 0.0], np.eye(2))
+    place = place_gaussian(normal.mean, normal.cov, 1649, scheme)
+    lattice, core = place.lattice, place.core
+    target, between = (normal.pdf(grid.nodes) for grid in (lattice, lattice.half_shifted()))
+    mass = target * place.kept * lattice.cell_volume
+    fit = fit_support(lattice, mass, target, between, core, between >= target[core].min(), scheme)
+    assert fit.support[np.argmin(fit.error)] == pytest.approx(2.6)
+    # both grids together lie between the two, whatever the numbers of their nodes
+    low, high = np.sort([fit.error_particles, fit.error_interstitial], axis=0)
+    assert np.all((low <= fit.error) & (fit.error <= high))
+
+
 def test_collocation_with_negative_masses_is_refused():
     x = np.linspace(-1, 1, 21)[:, None]
     assert collocation_masses(x, 0.25, np.where(np.arange(21) == 10, 1.0, 1e-9), "lucy") is None

@@ -1,51 +1,49 @@
-"""A second process: what it is asked for it does, or else it is done here."""
+"""A second process compiles when the library says that it does; what becomes of it costs nothing."""
 
+import logging
 import os
-import time
-
-import pytest
+from pathlib import Path
 
 from experiments.terminal import beside
-from sphfilter.errors import ConfigError
 
 
-def fails(text):
-    raise ConfigError(text)
+class Scene:
+    """Tells which process draws from it, in a file; or ends that process."""
+
+    def __init__(self, path, dies=False):
+        self.path, self.dies, self.parent = path, dies, os.getpid()
+
+    def draw(self, rng):
+        if self.dies and os.getpid() != self.parent:
+            os._exit(1)
+        Path(self.path).write_text(str(os.getpid()))
 
 
-def test_answers_come_from_elsewhere_one_after_the_other():
-    with beside.Second() as second:
-        second.ask(os.getpid)
-        assert second.answer() != os.getpid()
-        second.ask(fails, "no such luck")
-        with pytest.raises(ConfigError, match="no such luck"):
-            second.answer()
+def compiled(scene, says=True):
+    with beside.compiled_beside(scene, {}) as wait:
+        if says:
+            logging.getLogger("sphfilter").warning("compiling")
+            logging.getLogger("sphfilter").warning("and again")
+        wait()
 
 
-def test_what_a_busy_process_is_asked_is_done_here():
-    with beside.Second() as second:
-        second.ask(time.sleep, 0.5)
-        second.ask(os.getpid)
-        assert second.answer() is None
-        assert second.answer() == os.getpid()
+def test_what_is_compiled_beside_is_compiled_elsewhere(tmp_path):
+    compiled(Scene(tmp_path / "who"))
+    assert int((tmp_path / "who").read_text()) != os.getpid()
+    assert not any(isinstance(h, beside._Starter) for h in logging.getLogger("sphfilter").handlers)
 
 
-def test_without_a_second_processor_the_answer_is_found_here(monkeypatch):
+def test_where_nothing_has_to_be_compiled_nothing_is_started(tmp_path):
+    compiled(Scene(tmp_path / "who"), says=False)
+    assert not (tmp_path / "who").exists()
+
+
+def test_without_a_second_processor_nothing_is_started(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    with beside.Second() as second:
-        second.ask(os.getpid)
-        assert second.answer() == os.getpid()
+    compiled(Scene(tmp_path / "who"))
+    assert not (tmp_path / "who").exists()
 
 
-def test_what_a_dead_process_was_asked_is_done_here():
-    with beside.Second() as second:
-        second.ask(_die_elsewhere, os.getpid())
-        second.ask(divmod, 7, 2)
-        assert second.answer() == "alive"
-        assert second.answer() == (3, 1)
-
-
-def _die_elsewhere(parent):
-    if os.getpid() != parent:
-        os._exit(1)
-    return "alive"
+def test_a_process_that_dies_is_not_waited_for(tmp_path):
+    compiled(Scene(tmp_path / "who", dies=True))
+    assert not (tmp_path / "who").exists()

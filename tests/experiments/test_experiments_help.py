@@ -49,14 +49,10 @@ def test_the_help_of_a_command_has_examples_of_it(name, capsys):
     assert all(line[0] == name for line in examples)
 
 
-def test_measured_data_have_an_example(capsys):
-    assert "python -m experiments run sunspots" in shown("run", "sunspots", capsys=capsys)
-
-
 def test_a_command_that_no_group_has_comes_last():
     summaries = dict.fromkeys(commands.COMMANDS, "words") | {"brandnew": "what is new"}
     assert re.search(r"More\n(  .*\n)*  brandnew +what is new", guide.overview(summaries))
-    assert guide.examples("brandnew") == ""
+    assert guide.end_of_help("brandnew") == ""
 
 
 def test_a_wrong_word_is_answered_before_the_library_is_imported():
@@ -72,9 +68,7 @@ WRONG = {
     "run duffing --set modell.x=3": "unknown key modell (did you mean 'model'?)",
     "run duffing --set times.end=soon": "times.end = 'soon'",
     "run duffing --filters ekf,shp": "no filter 'shp' (did you mean 'sph'?)",
-    "run duffing --pictures densitys": "no picture 'densitys' (did you mean 'densities'?)",
     "run duffing --out {file}/results": "give another folder with --out",
-    "run sunspots --filters shp": "no filter 'shp'",
     "campaign duffing --filters shp": "no filter 'shp'",
     "transient dufing": "no transient scenario 'dufing'",
     "transient duffing --set times.ende=3": "unknown key times.ende (did you mean 'end'?)",
@@ -114,7 +108,6 @@ def test_what_is_wrong_is_said_in_one_line_before_anything_is_compiled(tmp_path)
     [
         ("rnu duffing", "'run'"),
         ("run duffing --rusn 3", "'--runs'"),
-        ("run sunspots --uot here", "'--out'"),
         ("campaign duffing --own-proir", "'--own-prior'"),
     ],
 )

@@ -20,7 +20,7 @@ def _run(*arguments):
 @pytest.fixture(scope="module")
 def duffing(tmp_path_factory):
     out = tmp_path_factory.mktemp("duffing")
-    arguments = ["--filters", "ekf,pf,sph,sph_paper", "--pictures", "none", "--out", str(out)]
+    arguments = ["--filters", "ekf,pf,sph,sph_paper", "--out", str(out)]
     assert _run("run", "duffing", *_TINY, *arguments) == 0
     return out
 

@@ -7,7 +7,7 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.skips.cases import cases
-from experiments.skips.measure import Measured, lattice_against_box, measured
+from experiments.skips.command import Measured, lattice_against_box, measured
 
 
 def small(case):

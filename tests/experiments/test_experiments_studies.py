@@ -10,9 +10,8 @@ import sphfilter as sf
 from experiments.__main__ import main
 from experiments.converge.cells import Setting, cut
 from experiments.converge.errors import Truth, errors_of
-from experiments.converge.fits import fitted_order
 from experiments.converge.studies import by_scheme, by_step, default_steps, variants
-from experiments.converge.tables import orders_of
+from experiments.converge.tables import fitted_order, orders_of
 from experiments.converge.truth import quadrature, truth_of
 
 QUIET = {"told": lambda label: None}

@@ -11,13 +11,14 @@ from experiments.arguments.sweep import add_arguments
 from experiments.scene.scenario import load_scenario, read_settings
 from experiments.sweep import command as sweep
 from experiments.sweep import plots, tables
+from experiments.terminal.options import adder
 from sphfilter.campaign.report import FilterReport, Report
 from sphfilter.errors import ConfigError
 
 
 def arguments(*words):
     parser = argparse.ArgumentParser()
-    add_arguments(parser)
+    add_arguments(adder(parser))
     return parser.parse_args(words)
 
 

@@ -5,10 +5,10 @@ import tomllib
 
 import pytest
 import tomli_w
+from transient_help import EXAMPLE
 
 from experiments.__main__ import main
 from experiments.transient.grids import Lattice, Probe, Written
-from experiments.transient.help import EXAMPLE
 from experiments.transient.settings import Begin, Output, Reference, Solver, Statistics
 
 LATTICE = {"origin": [-1.2, -1.2], "size": [2.4, 2.4], "spacing": 0.1}

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import tomli_w
 from scipy import stats
+from transient_help import EXAMPLE, KEYS
 
 import sphfilter as sf
 from experiments.__main__ import main
 from experiments.transient import film, solution
-from experiments.transient.help import EXAMPLE, KEYS
 from experiments.transient.problem import load_problem
 from experiments.transient.references import reference_of
 from experiments.transient.settings import TransientSettings
@@ -114,9 +114,9 @@ def test_every_key_of_the_thesis_has_an_answer():
         "probing": "data save fps origin size spacing",
         "dynamics": "drift diffusion",
     }
-    named = " ".join(key for key, _ in KEYS)
+    named = " ".join(KEYS)
     for group, keys in theirs.items():
-        lines = [key for key, _ in KEYS if key.startswith(f"{group}.")]
+        lines = [key for key in KEYS if key.startswith(f"{group}.")]
         for key in keys.split():
             assert any(key in line for line in lines), f"{group}.{key} is not in {named}"
 

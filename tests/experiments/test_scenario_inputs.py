@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from experiments.arguments.run import EPILOG
 from experiments.commands import main
 from experiments.estimate.problems import problem_of
+from experiments.guide import end_of_help
 from experiments.scene.filters import factories
 from experiments.scene.scenario import load_scenario
 from experiments.show import histories
@@ -235,7 +235,8 @@ def test_a_sweep_scales_the_noise_of_all_sensors(path):
 
 def test_the_help_of_run_shows_inputs_that_can_be_run(path, tmp_path):
     (tmp_path / "drive.csv").write_text("t,amp\n0,1\n9,2\n", encoding="utf-8")
-    lines = textwrap.dedent(EPILOG[EPILOG.index("  [inputs]") : EPILOG.index("The truth")]).splitlines()
+    text = end_of_help("run")
+    lines = textwrap.dedent(text[text.index("  [inputs]") : text.index("The truth")]).splitlines()
     as_table = ["[inputs.a]", *(line.lstrip("# ") for line in lines[3:])]
     for shown in (lines, as_table):
         text = TEXT.replace('[inputs]\na = "8*c*sin(t)"', "\n".join(shown))

@@ -1,19 +1,28 @@
-"""Sunspots: the data, forecasts against closed forms, the fit against exact evidence, the command."""
+"""Sunspots: the data, forecasts against closed forms, evidence of the model against exact evidence."""
 
-import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.optimize import minimize
 from scipy.stats import norm
 
-from experiments.__main__ import main
-from experiments.arguments.sunspots import DATA
+import experiments
+from experiments.own_data.command import case_of
 from experiments.own_data.csv_data import Measurements, read_measurements
 from experiments.own_data.model_file import load_model
-from experiments.sunspots.command import FIRST, fit, roots, training_evidence
-from experiments.sunspots.forecast import FoldedMixture, Score, fold, learn, score_forecasts, score_history
+from experiments.scene.filters import factories
+from experiments.sunspots import (
+    FIRST,
+    FoldedMixture,
+    Score,
+    fold,
+    learn,
+    load,
+    roots,
+    score_forecasts,
+    score_history,
+)
 from reference_filters.grid import GridFilter
 from reference_filters.kalman import ExtendedKalmanFilter, KalmanFilter
 from reference_filters.particle import ParticleFilter
@@ -49,12 +58,12 @@ def level(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def sunspots():
-    return load_model(DATA / "sunspots.toml")
+    return load()[0]
 
 
 @pytest.fixture(scope="module")
 def numbers():
-    return read_measurements(DATA / "sunspots.csv", 1)
+    return read_measurements(Path(experiments.__file__).parent / "data" / "sunspots.csv", 1)
 
 
 def readings(size=40, seed=3):
@@ -94,6 +103,7 @@ class TestData:
         assert np.sum(numbers.times >= FIRST) == 60
 
     def test_roots(self, numbers):
+        np.testing.assert_array_equal(load()[1].z, roots(numbers).z)
         np.testing.assert_allclose(roots(numbers).z ** 2, numbers.z, rtol=1e-14)
         with pytest.raises(ConfigError, match="number of 1701 is negative"):
             roots(Measurements("year", ("s",), np.array([1700.0, 1701.0]), np.array([[1.0], [-1.0]])))
@@ -219,20 +229,20 @@ class TestForecasts:
         assert 30.0 not in made[1].year and np.all(np.isfinite(made[5].log_score)) and len(made[5].year) == 19
 
 
-class TestFit:
+def training_evidence(scenario, data, parameters, variance):
+    """Log-evidence of the roots y, both signs counted, by the grid filter, which draws nothing."""
+    case, grid = case_of(scenario, data), scenario.settings.filters.grid
+    model = scenario.model.with_parameters(**parameters)
+    filt = GridFilter(model, fold(variance), case.x0, case.P0, case.t0, size=grid.size, tol=grid.tol)
+    return float(filt.run(case.times, case.z).log_evidence.sum())
+
+
+class TestEvidence:
     def test_evidence_of_a_linear_model(self, level):
         years, y = readings()
         data = Measurements("t", ("y",), years, y[:, None])
         got = training_evidence(level, data, {"a": 0.3, "g": 1.0}, 0.5)
         assert abs(got - recursion(y, 0.3, 1.0, 0.5)[1]) < 0.01
-
-    def test_finds_the_largest_evidence(self, level):
-        years, y = readings()
-        data = Measurements("t", ("y",), years, y[:, None])
-        best = minimize(lambda v: -recursion(y, *np.exp(v))[1], np.log([0.4, 0.8, 0.3]), method="Nelder-Mead")
-        parameters, variance, evidence = fit(level, data)
-        assert abs(evidence + best.fun) < 0.02
-        assert abs(recursion(y, *parameters.values(), variance)[1] + best.fun) < 0.02
 
     def test_mirror_image_has_the_same_evidence(self, sunspots, numbers):
         y = roots(numbers).z[:12]
@@ -258,45 +268,15 @@ class TestFit:
                 assert training_evidence(sunspots, data, other, variance) < best, (name, factor)
 
 
-class TestCommand:
-    def test_tells_and_writes(self, tmp_path, capsys):
-        assert main(["run", "sunspots", "--filters", "ekf,ukf", "--out", str(tmp_path)]) == 0
-        said = capsys.readouterr().out
-        assert "HISTORY" in said and "60 yearly sunspot numbers from 1949 on" in said
-        with open(tmp_path / "forecasts.csv", newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        assert len(rows) == 2 * 2 * 60
-        one = [row for row in rows if (row["filter"], row["horizon"]) == ("ekf", "1")]
-        mean = np.mean([float(row["log_score"]) for row in one])
-        inside = np.mean([float(r["low_90%"]) <= float(r["observed"]) <= float(r["high_90%"]) for r in one])
-        assert f"{mean:.3f}" in said and f"{inside:.0%}" in said
-        assert (tmp_path / "forecasts.png").stat().st_size > 20_000
-
-    def test_fit_writes_a_model_that_can_be_read(self, tmp_path, capsys, monkeypatch):
-        found = {"w": 0.3, "mu": 0.7, "b": 4.8, "g": 1.6}, 0.8, -1.0
-        monkeypatch.setattr("experiments.sunspots.command.fit", lambda *args, **options: found)
-        assert main(["run", "sunspots", "--fit", "--filters", "ekf", "--out", str(tmp_path)]) == 0
-        again = load_model(tmp_path / "sunspots.toml")
-        assert again.model.parameters["mu"] == 0.7 and again.measurement.noise_cov[0, 0] == 0.8
-        assert again.settings.filters.pf.n_particles == 2000
-        assert "mu = 0.7" in capsys.readouterr().out
-
-    def test_filter_that_does_not_fit(self, tmp_path, capsys):
-        assert main(["run", "sunspots", "--filters", "kf", "--out", str(tmp_path)]) == 1
-        assert "kf needs a linear model" in capsys.readouterr().err
-
+class TestFilters:
     @pytest.mark.slow
-    def test_densities_agree_with_the_referee(self, tmp_path):
+    def test_densities_agree_with_the_referee(self, sunspots):
         """The particle filter within its noise, the SPH filter within its discretisation of 200 particles."""
-        assert main(["run", "sunspots", "--filters", "grid,pf,sph", "--out", str(tmp_path)]) == 0
-        with open(tmp_path / "forecasts.csv", newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        mean = {
-            (name, h): np.mean(
-                [float(r["log_score"]) for r in rows if (r["filter"], r["horizon"]) == (name, h)]
-            )
-            for name in ("grid", "pf", "sph")
-            for h in "15"
-        }
-        for name, h, allowed in (("pf", "1", 0.08), ("pf", "5", 0.06), ("sph", "1", 0.05), ("sph", "5", 0.1)):
+        scenario, data = sunspots, load()[1]
+        case, mean = case_of(scenario, data), {}
+        for name, make in factories(["grid", "pf", "sph"], scenario).items():
+            filt = make(case, np.random.default_rng(1))
+            scores = score_forecasts(filt, data.times, data.z[:, 0], scenario.measurement, (1, 5), FIRST)
+            mean |= {(name, h): score.log_score.mean() for h, score in scores.items()}
+        for name, h, allowed in (("pf", 1, 0.08), ("pf", 5, 0.06), ("sph", 1, 0.05), ("sph", 5, 0.1)):
             assert abs(mean[name, h] - mean["grid", h]) < allowed, (name, h)

@@ -38,7 +38,7 @@ def test_every_filter_takes_a_measurement_and_what_it_raises_is_said(capsys, mon
     monkeypatch.setattr(running, "take_one", lambda make, case: taken.append(make) or _problem(make))
     scenario = load_scenario("duffing")
     filters = factories(["ekf", "sph"], scenario)
-    running.warm_up(running.new_console(), scenario, filters, second=None)
+    running.warm_up(running.new_console(), scenario, filters)
     assert taken[-1] is filters["sph"]
     assert [make for make in taken if make.name == "ekf"] == [filters["ekf"]]
     assert len(taken) == 3

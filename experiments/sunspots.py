@@ -1,10 +1,18 @@
-"""Forecasts of an oscillator that is seen as |x| plus noise, and how well they fit what came.
+"""The yearly sunspot number: its data, a sensor that does not see a sign, forecasts and how well they fit.
 
-Nothing here looks ahead: the forecast for a year uses the measurements up to its origin only.
+The number s is the squared amplitude of a Van der Pol oscillator under noise (Mininni, Gómez and Mindlin
+2000), for the magnetic field of the Sun turns over in each cycle and spots do not show its sign. The sensor
+is y = √s = |x + v|; on the scale of the root the noise v is about as large in busy years as in quiet ones.
+The sign is left open: the oscillator is the same for (x, u) and (−x, −u), so both branches make the same
+forecasts of s, and filters that carry a density count both. EKF and UKF cannot, and take the sign of their
+own prediction. To alternate signs at each minimum beforehand, as is usual, would tell a filter of 1976 that
+the minimum had been reached, which was known years later. Nothing here looks ahead: the forecast for a year
+uses the measurements up to its origin only.
 """
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import brentq
@@ -13,27 +21,49 @@ from scipy.special import logsumexp, ndtr
 import sphfilter as sf
 from reference_filters.grid import GridFilter
 from reference_filters.particle import ParticleFilter
+from sphfilter.errors import ConfigError
 
-from ..own_data.csv_data import LEVELS
+from .own_data.csv_data import read_measurements
+from .own_data.model_file import load_model
 
-__all__ = ["FoldedMixture", "Score", "fold", "learn", "score_forecasts", "score_history"]
+__all__ = ["FIRST", "LEVELS", "FoldedMixture", "Score", "fold", "learn", "load", "roots", "score_forecasts",
+           "score_history", "split"]  # fmt: skip
 
+_DATA = Path(__file__).parent / "data"
+#: The first year that is forecast; the model is fitted to the years before.
+FIRST = 1949
+#: Probabilities of the central intervals that are scored and drawn.
+LEVELS = (0.5, 0.9, 0.95)
 #: Probabilities of the quantiles kept of a forecast: median, then lower and upper end of each interval.
 _PROBABILITIES = (0.5, *(p for level in LEVELS for p in (0.5 - level / 2, 0.5 + level / 2)))
 #: Nodes of a grid below this part of the maximum are left out of a forecast.
 _NEGLIGIBLE = 1e-7
 
 
+def load():
+    """The fitted model as a `Scenario`, and the `Measurements`: roots y of the numbers, year by year."""
+    return load_model(_DATA / "sunspots.toml"), roots(read_measurements(_DATA / "sunspots.csv", 1))
+
+
+def roots(data):
+    """Square roots of measured numbers; a negative number is refused."""
+    if np.any(data.z < 0):
+        year = data.times[np.argmax(np.any(data.z < 0, axis=1))]
+        raise ConfigError(f"the sunspot number of {year:g} is negative")
+    return replace(data, z=np.sqrt(data.z))
+
+
+def split(data):
+    """Years before `FIRST`, and from it on."""
+    before = data.times < FIRST
+    return (replace(data, times=data.times[part], z=data.z[part]) for part in (before, ~before))
+
+
 @dataclass(frozen=True)
 class FoldedMixture:
-    """Density of y = |z| ≥ 0, where z is a mixture of Gaussians: both signs of z are counted.
+    """Density of y = |z| ≥ 0, where z is a mixture of Gaussians: both signs of z are counted."""
 
-    Attributes
-    ----------
-    weights, means, std : ndarray, shape (K,)
-        Weights sum to one.
-    """
-
+    # shape (K,): weights sum to one
     weights: np.ndarray
     means: np.ndarray
     std: np.ndarray
@@ -80,12 +110,7 @@ def _points(filt):
 
 
 def fold(variance):
-    """Sensor y = |x₀ + v|, v ~ N(0, variance): p(y | x) = N(y; x₀, R) + N(−y; x₀, R).
-
-    Returns
-    -------
-    LikelihoodMeasurement
-    """
+    """Sensor y = |x₀ + v|, v ~ N(0, variance): p(y | x) = N(y; x₀, R) + N(−y; x₀, R)."""
 
     def log_likelihood(y, X, t):
         """Both signs of y[0] for the states X (N, n)."""
@@ -108,26 +133,17 @@ def learn(filt, y, signed, folded):
 
 @dataclass(frozen=True)
 class Score:
-    """How forecasts at one horizon fit T targets; sunspot numbers s = y².
+    """How forecasts at one horizon fit T targets; sunspot numbers s = y²."""
 
-    Attributes
-    ----------
-    year, observed : ndarray, shape (T,)
-    log_score : ndarray, shape (T,)
-        Log-density of the observed s, nats.
-    pit : ndarray, shape (T,)
-        Probability the forecast gave to numbers below the observed: uniform if forecasts are calibrated.
-    median : ndarray, shape (T,)
-    intervals : ndarray, shape (T, 3, 2)
-        Central intervals of `LEVELS`.
-    """
-
+    # shape (T,)
     year: np.ndarray
     observed: np.ndarray
-    log_score: np.ndarray
+    log_score: np.ndarray  # shape (T,): log-density of the observed s, nats
+    # shape (T,): probability the forecast gave to numbers below the observed: uniform if forecasts are
+    # calibrated
     pit: np.ndarray
-    median: np.ndarray
-    intervals: np.ndarray
+    median: np.ndarray  # shape (T,)
+    intervals: np.ndarray  # shape (T, 3, 2): central intervals of `LEVELS`
 
     @classmethod
     def of(cls, years, y, forecasts):
@@ -152,24 +168,11 @@ class Score:
 
 
 def score_forecasts(filt, years, y, sensor, horizons, first):
-    """Run a filter over yearly measurements and score its forecasts of the years from `first` on.
+    """Run a filter over yearly measurements; scores of its forecasts from `first` on, by horizon.
 
-    Parameters
-    ----------
-    filt : SPHFilter or reference filter
-        At the time of the first measurement or before.
-    years, y : ndarray, shape (T,)
-        Consecutive years and measurements; NaN is missing and no target.
-    sensor : GaussianMeasurement
-        Of the signed value.
-    horizons : sequence of int
-        Years ahead.
-    first : float
-        First target, the same for all horizons.
-
-    Returns
-    -------
-    dict of int to Score
+    The filter is at the time of the first measurement or before. Years and measurements y have shape (T,);
+    NaN is missing and no target. The `sensor` is that of the signed value, `horizons` are years ahead, all
+    with the same first target.
     """
     variance = sensor.noise_cov[0, 0]
     folded, made = fold(variance), {h: {} for h in horizons}

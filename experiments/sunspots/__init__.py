@@ -1,1 +1,0 @@
-"""`run sunspots`: forecasts of measured data, and their scores."""
