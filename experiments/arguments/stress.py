@@ -6,10 +6,11 @@ from pathlib import Path
 from experiments.terminal.options import counted, names_of
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["METHODS", "add_arguments", "check"]
+__all__ = ["AUTO", "FILTERS", "add_arguments", "check"]
 
-#: Filters on trial, by name.
-METHODS = ("default", "paper", "pf1e3", "pf1e4")
+#: The filter that chooses its particles by its error; and all on trial, by name.
+AUTO = "auto"
+FILTERS = ("default", "paper", "pf1e3", "pf1e4", AUTO)
 
 
 def add_arguments(parser):
@@ -17,8 +18,11 @@ def add_arguments(parser):
     parser.add_argument("--quick", action="store_true", help="a reduced grid, that the tests walk too")
     only = "cells to run: a family, or FAMILY/SYSTEM/LEVEL with * and ?; may be repeated"
     parser.add_argument("--only", action="append", default=[], metavar="CELL", help=only)
-    names = f"comma-separated, of {', '.join(METHODS)} (default: all)"
-    parser.add_argument("--filters", "--methods", type=names_of, default=list(METHODS), help=names)
+    names = (
+        f"comma-separated, of {', '.join(FILTERS)} (default: all but {AUTO} on the grid, default on random "
+        "problems)"
+    )
+    parser.add_argument("--filters", "--methods", type=names_of, help=names)
     parser.add_argument(
         "--seed", type=int, default=1, help="seed of everything random (default: %(default)s)"
     )
@@ -35,7 +39,7 @@ def add_arguments(parser):
     parser.add_argument("--random", type=counted, metavar="N", help="N random problems instead of the grid")
     again = "random problem number K of seed S alone, as S:K; may be repeated"
     parser.add_argument("--random-case", type=_pair, action="append", default=[], metavar="S:K", help=again)
-    auto = "random problems: judge the default filter, which chooses by its error, not 100 to 800 particles"
+    auto = f"--filters {AUTO}: the default filter, which chooses its particles by its error"
     parser.add_argument("--auto", action="store_true", help=auto)
     parser.add_argument("--list", action="store_true", help="print the names of the cells and stop")
 
@@ -59,13 +63,13 @@ def _pair(text):
 
 
 def check(args):
-    """Raise what is wrong with filters, or with options that do not go together."""
-    for name in args.filters:
-        if name not in METHODS:
-            raise ConfigError(f"no filter {name!r}{nearest(name, METHODS)}; there are {', '.join(METHODS)}")
+    """Raise what is wrong with filters, or with options that do not go together; fill in the filters."""
     random = args.random or args.random_case
-    if args.auto and not random:
-        raise ConfigError("--auto goes with --random and --random-case")
+    usual = [] if args.auto else ["default"] if random else [name for name in FILTERS if name != AUTO]
+    args.filters = list(dict.fromkeys([*(args.filters or usual), *([AUTO] if args.auto else [])]))
+    for name in args.filters:
+        if name not in FILTERS:
+            raise ConfigError(f"no filter {name!r}{nearest(name, FILTERS)}; there are {', '.join(FILTERS)}")
     if random and (args.only or args.quick):
         raise ConfigError(
             "--random and --random-case go without --only and --quick, which choose from the grid"

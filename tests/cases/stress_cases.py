@@ -1,15 +1,17 @@
-"""Filters that are wrong on purpose, a problem small enough for them, and random cases judged at once."""
+"""Filters that are wrong on purpose, problems small enough for them, and cases judged at once."""
 
 import numpy as np
 
-from experiments.stress.random.equations import Equation
-from experiments.stress.random.problems import RandomCase, RandomProblem
-from experiments.stress.random.records import record_of
-from experiments.stress.random.referees import referee
-from experiments.stress.random.relations import chosen_relations, related
-from experiments.stress.random.sensors import GaussianReader
-from experiments.stress.random.verdicts import judge
+from experiments.show.comparison import moment_errors
+from experiments.stress.equations import Equation
+from experiments.stress.problem import Problem
+from experiments.stress.records import record_of
+from experiments.stress.referees import referee
+from experiments.stress.relations import chosen_relations, related
+from experiments.stress.sensors import GaussianReader
+from experiments.stress.verdicts import judge
 from reference_filters.grid import GridFilter
+from sphfilter.errors import PropagationError
 from sphfilter.info import UpdateInfo
 
 
@@ -28,6 +30,14 @@ class NarrowFilter(GridFilter):
     def _moments(self, belief):
         x, P = super()._moments(belief)
         return x, 0.5 * P
+
+
+class BreakingFilter(GridFilter):
+    """Spoils its state before it refuses."""
+
+    def predict(self, dt=None, *, t=None):
+        self.x = self.x + 1.0
+        raise PropagationError("no further")
 
 
 class WarningFilter(PriorFilter):
@@ -52,7 +62,7 @@ def double_well(n_readings=4):
     reader = GaussianReader(kind="linear", states=("x0",), R=np.array([[0.3]]), H=np.eye(1))
     times, z = 0.5 * np.arange(1.0, n_readings + 1), np.array([[0.9], [1.3], [0.4], [-0.2]])[:n_readings]
     start = {"x0": np.array([0.3]), "P0": np.array([[0.5]])}
-    return RandomProblem(
+    return Problem(
         kind="double well", equation=equation, readers=(reader,), z=(z,), times=times, truth=z, **start
     )
 
@@ -73,7 +83,7 @@ def oscillator():
     )
     z = tuple(0.3 * rng.standard_normal((5, len(reader.R))) for reader in readers)
     times = 0.4 * np.arange(1.0, 6.0)
-    return RandomProblem(
+    return Problem(
         kind="oscillator",
         equation=equation,
         readers=readers,
@@ -84,9 +94,17 @@ def oscillator():
     )
 
 
-def verdict_of(seed, number):
-    """The verdict on a random case, made in this process."""
-    problem = RandomCase(number).problem(seed)
-    names = chosen_relations(problem, seed, number)
-    partners = {name: record_of(related(problem, name, seed, number)) for name in names}
-    return judge(record_of(problem), referee(problem, seed), partners)
+def verdict_of(case, make=None):
+    """The verdict on a case, made in this process; by make(problem) instead of the default filter."""
+    problem = case.problem()
+    given = (make,) if make else ()
+    names = chosen_relations(problem, case)
+    partners = {name: record_of(related(problem, name, case.key), *given) for name in names}
+    return judge(record_of(problem, *given), referee(problem, case.seed), partners, problem.truth)
+
+
+def check_moments(record, reference):
+    """Means and whole covariances agree in the mean of the epochs: a verdict looks at variances alone."""
+    k = min(len(record.x), reference.n_trusted)
+    mean, cov = moment_errors(record.x[:k], record.P[:k], reference.x[:k], reference.P[:k])
+    assert not k or (np.sqrt(np.mean(mean**2)) < 0.1 and np.sqrt(np.mean(cov**2)) < 0.25)
