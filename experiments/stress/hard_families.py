@@ -7,19 +7,8 @@ from scipy.integrate import solve_ivp
 
 from reference_filters.exact import BenesFromGaussian, ForcedFilter
 
-from .hard_systems import (
-    LINE,
-    OSCILLATORS,
-    chain,
-    drawn,
-    equation,
-    line,
-    linear,
-    oscillator,
-    position,
-    square,
-    usual,
-)
+from .hard_systems import (LINE, OSCILLATORS, chain, drawn, equation, line, linear, oscillator, position,
+                           square, usual)  # fmt: skip
 from .problem import Problem
 from .relations import in_other_coordinates
 

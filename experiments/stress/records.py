@@ -80,14 +80,9 @@ def _particles(n, problem, seed):
     return ParticleFilter(*problem.start, n_particles=n, rng=np.random.default_rng([seed, n]))
 
 
+_MAKERS = default_filter, _paper, partial(_particles, 1000), partial(_particles, 10_000), default_filter
 #: Filters on trial: make(problem, seed). The last is given problems whose number of particles is "auto".
-FILTERS = dict(
-    zip(
-        NAMES,
-        (default_filter, _paper, partial(_particles, 1000), partial(_particles, 10_000), default_filter),
-        strict=True,
-    )
-)
+FILTERS = dict(zip(NAMES, _MAKERS, strict=True))
 
 
 def record_of(problem, make=default_filter):

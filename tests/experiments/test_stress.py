@@ -377,8 +377,11 @@ def test_default_filter_is_right_on_hard_cases_or_refuses(case):
     problem = case.problem()
     record, exact = record_of(problem), referee(problem, 1)
     found = judge(record, exact, truth=problem.truth)
-    assert found.verdict in ("right", "right, flagged", "refused", "no answer"), found
-    check_moments(record, exact)
+    if "not used" in record.said:  # a reading was refused openly: what follows knows nothing of it
+        assert found.verdict == "wrong, flagged", found
+    else:
+        assert found.verdict in ("right", "right, flagged", "refused", "no answer"), found
+        check_moments(record, exact)
 
 
 @pytest.mark.slow
