@@ -1,14 +1,14 @@
 """`python -m experiments stress`: hard or random cases, put through filters and judged."""
 
 from experiments.show import tables as shown
-from experiments.terminal.running import new_console, status
+from experiments.terminal.running import new_console, status, tell
 
 from . import picture
 from .hard_cases import chosen
 from .random_cases import RandomCase
 from .referees import LIMITS
 from .runs import judged, walk
-from .tables import failures, row_of, sections, write
+from .tables import failures, row_of, sections, sentences, write
 
 __all__ = ["main"]
 
@@ -31,6 +31,7 @@ def main(args):
     write(path, rows, args)
     for title, headings, lines in sections(rows):
         shown.print_table(console, shown.table(title, headings, lines))
+    tell(console, sentences())
     for line in failures(rows):
         console.print(line, style="red", soft_wrap=True, markup=False)
     for case in named:

@@ -7,8 +7,19 @@ from scipy.integrate import solve_ivp
 
 from reference_filters.exact import BenesFromGaussian, ForcedFilter
 
-from .hard_systems import (LINE, OSCILLATORS, chain, drawn, equation, line, linear, oscillator, position,
-                           square, usual)  # fmt: skip
+from .hard_systems import (
+    LINE,
+    OSCILLATORS,
+    chain,
+    drawn,
+    equation,
+    line,
+    linear,
+    oscillator,
+    position,
+    square,
+    usual,
+)
 from .problem import Problem
 from .relations import in_other_coordinates
 

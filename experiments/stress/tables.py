@@ -12,7 +12,7 @@ from sphfilter.campaign.store import versions
 from .referees import LIMITS
 from .verdicts import RELATED, VERDICTS
 
-__all__ = ["failures", "row_of", "sections", "write"]
+__all__ = ["failures", "row_of", "sections", "sentences", "write"]
 
 #: Verdicts that are listed one by one, and filters whose first two of these are printed.
 _LISTED = "wrong, silent", "crash", "refused", "wrong, flagged", "no answer"
@@ -67,7 +67,7 @@ def sections(rows):
     what, some = "filter", _by(rows, "filter")
     if len(some) == 1:
         what, some = f"family, {next(iter(some))}", dict(sorted(_by(rows, "family").items())) | {"all": rows}
-    return [
+    found = [
         ("verdicts", (what, "cases", *VERDICTS), [
             (name, str(len(own)), *(str(Counter(row["verdict"] for row in own)[v]) for v in VERDICTS))
             for name, own in some.items()
@@ -77,6 +77,7 @@ def sections(rows):
             (name, *_errors(own)) for name, own in some.items()
         ]),
     ]  # fmt: skip
+    return [section for section in found if section[-1]]
 
 
 def _relations(rows):
@@ -120,15 +121,20 @@ def failures(rows):
     ]
 
 
+def sentences():
+    """What verdicts mean."""
+    mean, variance, evidence = LIMITS.values()
+    limits = (
+        f"Limits of every epoch: a mean within {mean} posterior standard deviations, "
+        f"variances within {variance:.0%}, the evidence so far within {evidence} nat."
+    )
+    return [limits, *(f"{verdict}: {what}." for verdict, what in VERDICTS.items())]
+
+
 def write(path, rows, args):
     """Write all rows as CSV; beside it in markdown tables, and every case that is not right."""
     write_rows(path, rows)
-    mean, variance, evidence = LIMITS.values()
-    said = (
-        f"Wrong: a mean off by more than {mean} posterior standard deviations, a variance by {variance:.0%}, "
-        f"or the evidence of the record by {evidence} nat."
-    )
-    text = ["# Stress", "", said, "", *(f"- {v}: {what}." for v, what in VERDICTS.items()), ""]
+    text = ["# Stress", "", *(f"- {sentence}" for sentence in sentences()), ""]
     text += [f"At most {args.limit:g} s a run; {', '.join(f'{k} {v}' for k, v in versions().items())}.", ""]
     filters = _by(rows, "filter")
     for part in (rows, *(filters.values() if len(filters) > 1 else ())):

@@ -103,6 +103,14 @@ def verdict_of(case, make=None):
     return judge(record_of(problem, *given), referee(problem, case.seed), partners, problem.truth)
 
 
+def check_right(problem, record, reference):
+    """A filter is right to the end, or to where it refuses to go on, or openly refuses a reading."""
+    found = judge(record, reference, truth=problem.truth)
+    if found.verdict != "wrong, flagged" or "not used" not in record.said:
+        assert found.verdict in ("right", "right, flagged", "refused", "no answer"), found
+        check_moments(record, reference)
+
+
 def check_moments(record, reference):
     """Means and whole covariances agree in the mean of the epochs: a verdict looks at variances alone."""
     k = min(len(record.x), reference.n_trusted)
