@@ -3,9 +3,9 @@
 import numpy as np
 
 from experiments.show.comparison import moment_errors
-from experiments.stress.equations import Equation
+from experiments.stress.hard_systems import equation, line, position
 from experiments.stress.problem import Problem
-from experiments.stress.records import record_of
+from experiments.stress.records import default_filter, record_of
 from experiments.stress.referees import referee
 from experiments.stress.relations import chosen_relations, related
 from experiments.stress.sensors import GaussianReader
@@ -49,58 +49,33 @@ class WarningFilter(PriorFilter):
 
 def made_with(kind):
     """What makes a filter of a kind, for `record_of`."""
-
-    def make(problem):
-        return kind(problem.model, None, problem.x0, problem.P0, problem.t0, size=128)
-
-    return make
+    return lambda problem: kind(*problem.start, size=128)
 
 
-def double_well(n_readings=4):
+def double_well():
     """A double well that is read twice a second."""
-    equation = Equation(states=("x0",), drift=("x0 - x0**3",), noise=(("0.7",),))
-    reader = GaussianReader(kind="linear", states=("x0",), R=np.array([[0.3]]), H=np.eye(1))
-    times, z = 0.5 * np.arange(1.0, n_readings + 1), np.array([[0.9], [1.3], [0.4], [-0.2]])[:n_readings]
-    start = {"x0": np.array([0.3]), "P0": np.array([[0.5]])}
-    return Problem(
-        kind="double well", equation=equation, readers=(reader,), z=(z,), times=times, truth=z, **start
-    )
+    z, start = np.array([[0.9], [1.3], [0.4], [-0.2]]), {"x0": np.array([0.3]), "P0": np.array([[0.5]])}
+    model, readers = line("double well", 0.49, k=1.0), (position(1, 0.3),)
+    return Problem(equation=model, readers=readers, z=(z,), times=0.5 * np.arange(1.0, 5.0), **start)
 
 
 def oscillator():
     """A linear model with two sensors of matrices, which the Kalman filter is exact on."""
-    states = "x0", "x1"
-    equation = Equation(states=states, drift=("x1", "-x0 - 0.4*x1"), noise=(("0.1", "0"), ("0", "0.9")))
-    rng, start = (
-        np.random.default_rng(3),
-        {"x0": np.array([1.0, 0.0]), "P0": np.array([[0.2, 0.1], [0.1, 0.4]])},
-    )
-    readers = (
-        GaussianReader(kind="linear", states=states, R=np.array([[0.2]]), H=np.array([[1.0, 0.0]])),
-        GaussianReader(
-            kind="linear", states=states, R=np.diag([0.3, 0.1]), H=np.array([[0.0, 1.0], [1.0, 1.0]])
-        ),
-    )
+    model = equation(("x1", "-x0 - 0.4*x1"), np.diag([0.1, 0.9]))
+    H, R = np.array([[0.0, 1.0], [1.0, 1.0]]), np.diag([0.3, 0.1])
+    readers = position(2, 0.2), GaussianReader(kind="linear", states=model.states, R=R, H=H)
+    rng, times = np.random.default_rng(3), 0.4 * np.arange(1.0, 6.0)
     z = tuple(0.3 * rng.standard_normal((5, len(reader.R))) for reader in readers)
-    times = 0.4 * np.arange(1.0, 6.0)
-    return Problem(
-        kind="oscillator",
-        equation=equation,
-        readers=readers,
-        z=z,
-        times=times,
-        truth=np.zeros((5, 2)),
-        **start,
-    )
+    start = {"x0": np.array([1.0, 0.0]), "P0": np.array([[0.2, 0.1], [0.1, 0.4]])}
+    return Problem(equation=model, readers=readers, z=z, times=times, **start)
 
 
-def verdict_of(case, make=None):
-    """The verdict on a case, made in this process; by make(problem) instead of the default filter."""
+def verdict_of(case, make=default_filter):
+    """The verdict on a case, made in this process."""
     problem = case.problem()
-    given = (make,) if make else ()
     names = chosen_relations(problem, case)
-    partners = {name: record_of(related(problem, name, case.key), *given) for name in names}
-    return judge(record_of(problem, *given), referee(problem, case.seed), partners, problem.truth)
+    partners = {name: record_of(related(problem, name, case.key), make) for name in names}
+    return judge(record_of(problem, make), referee(problem, case.seed), partners, problem.truth)
 
 
 def check_right(problem, record, reference):

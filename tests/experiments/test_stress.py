@@ -384,9 +384,13 @@ def test_default_filter_is_never_silently_wrong(options, tmp_path):
     """In processes of their own, since one that crashes or hangs would otherwise end the tests."""
     assert main(["stress", *options, "--out", str(tmp_path), "--jobs", "2"]) == 0
     (path,) = tmp_path.glob("*.csv")
-    rows = _rows(path)
-    assert len(rows) == (60 if "--random" in options else len(chosen(1, quick=True)))
-    bad = [row for row in rows if row["verdict"] == "wrong, silent" or "Error" in row["sentence"]]
+    rows, hard = _rows(path), "--quick" in options
+    assert len(rows) == (len(chosen(1, quick=True)) if hard else 60)
+    bad = [row for row in rows if row["verdict"] in ("wrong, silent", "crash")]
+    if hard:  # may take too long, and be wrong from where it openly refused a reading
+        bad = [row for row in bad if not row["sentence"].startswith("stopped after")]
+        flagged = [row for row in rows if row["verdict"] == "wrong, flagged"]
+        bad += [row for row in flagged if "not used" not in row["said"]]
     assert [(row["case"], row["sentence"]) for row in bad] == []
 
 

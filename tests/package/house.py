@@ -43,7 +43,7 @@ _WRITTEN |= ast.Tuple | ast.List | ast.Set | ast.Dict
 BOUNDS = {
     "lines of sphfilter": 36_900,
     "lines of reference_filters": 5_300,
-    "lines of experiments": 16_600,
+    "lines of experiments": 15_950,
     "lines of tests": 27_000,
     "  median length": 6,
     "  longer than 40 lines": 16,
