@@ -59,5 +59,6 @@ def _tell(console, case, name, out):
     ]
     headings = "t", *(f"{name} error" for name in LIMITS), "info.error", "flag"
     console.print(shown.table(f"epochs against {reference.name or 'nothing'}", headings, lines))
-    again = f"problem = {case!r}.problem(); record = record_of(problem)"
-    console.print(f"In Python: {again} (experiments.stress.random_cases, .records)", soft_wrap=True)
+    again = f"problem = problem_of({case!r}, {name!r}); record = record_of(problem, FILTERS[{name!r}])"
+    where = "(experiments.stress.random_cases, .runs, .records)"
+    console.print(f"In Python: {again} {where}", soft_wrap=True, markup=False)

@@ -70,13 +70,13 @@ def default_filter(problem, seed=0, config=None):
     return sf.SPHFilter(problem.model, problem.sensors[0], **start, config=config)
 
 
-def _paper(problem, seed):
+def _paper(problem, seed=0):
     # 002 takes the Gaussian kernel in four dimensions, Lucy's in two
     kernel = "lucy" if problem.model.dim <= 2 else "gaussian"
     return default_filter(problem, seed, sf.FilterConfig.paper(kernel=kernel))
 
 
-def _particles(n, problem, seed):
+def _particles(n, problem, seed=0):
     return ParticleFilter(*problem.start, n_particles=n, rng=np.random.default_rng([seed, n]))
 
 

@@ -15,7 +15,7 @@ from .relations import chosen_relations, related
 from .store import REFERENCE, load, save
 from .verdicts import judge
 
-__all__ = ["judged", "walk"]
+__all__ = ["judged", "problem_of", "walk"]
 
 #: Seconds a reference may take, and seconds that compiling may take on an empty cache.
 _REFERENCE_LIMIT, _COMPILE_LIMIT = 120.0, 1800.0
@@ -53,7 +53,7 @@ def walk(console, cases, filters, args):
 
 def judged(case, name, out):
     """Problem, record, reference and verdict of a case and a filter, from what is on disk."""
-    problem, record, reference = _asked(case, name), load(out, case, name), load(out, case, REFERENCE)
+    problem, record, reference = problem_of(case, name), load(out, case, name), load(out, case, REFERENCE)
     chosen = chosen_relations(problem, case)
     partners = (load(out, case, part) for part in _relations(case, name))
     verdict = judge(record, reference, dict(zip(chosen, partners, strict=True)), problem.truth)
@@ -95,7 +95,7 @@ def _problem(case):
     return case.problem()
 
 
-def _asked(case, name):
+def problem_of(case, name):
     """The problem of a case, as a filter is given it."""
     return replace(_problem(case), n_particles="auto") if name == AUTO else _problem(case)
 
@@ -111,7 +111,7 @@ def _made(case, part, out):
     if part == REFERENCE:
         return referee(_problem(case), case.seed)
     name, _, number = part.partition(_RELATION)
-    problem, make = _asked(case, name), partial(FILTERS[name], seed=case.seed)
+    problem, make = problem_of(case, name), partial(FILTERS[name], seed=case.seed)
     if not number:
         return record_of(problem, make)
     base = load(out, case, name)

@@ -18,7 +18,7 @@ __all__ = ["failures", "row_of", "sections", "sentences", "write"]
 _LISTED = "wrong, silent", "crash", "refused", "wrong, flagged", "no answer"
 _OWN = "default", "auto"
 #: What the list says of a case.
-_TOLD = "case", "filter", "states", "drift", "noise", "sensors", "sentence"
+_TOLD = "case", "filter", "states", "system", "noise", "sensors", "sentence"
 #: Estimated errors, that of the reference included, within which an error must lie.
 _SIGMAS = 3.0
 
@@ -40,7 +40,7 @@ def row_of(case, name, problem, record, referee, verdict):
         "reference": referee.name or "none", "judged": k,
         **dict(zip((f"reference_{name}_error" for name in LIMITS), own, strict=True)),
         "relations": "; ".join(f"{name}: {found}" for name, found in verdict.related.items()),
-        "drift": problem.kind, "noise": _noise_of(problem), "n_particles": problem.n_particles,
+        "noise": _noise_of(problem), "n_particles": problem.n_particles,
         "sensors": " and ".join(reader.kind for reader in problem.readers),
         "problem": str(problem), "again": case.again,
     }  # fmt: skip
