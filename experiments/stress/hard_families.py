@@ -38,15 +38,14 @@ def noise(name, rng, factor):
 def no_noise(name, rng, n_updates):
     if name in OSCILLATORS:
         return usual(rng, oscillator(name, 0.0), n_updates=n_updates)
-    rate = {"k": 1.0} if name == "double well" else {}
-    return drawn(rng, line(name, 0.0, **rate), position(1, 0.2), **LINE, interval=0.5, n_updates=n_updates)
+    return drawn(rng, line(name, 0.0), position(1, 0.2), **LINE, interval=0.5, n_updates=n_updates)
 
 
 def silent_rows(rng, n):
     """Chain of n integrators, noise on the last; n = 0: a constant unknown beside a process."""
-    noise = np.sqrt(0.5) * np.eye(max(n, 2))
-    model = linear(np.eye(n, k=1), noise[:, -1:]) if n else linear([[-1.0, 1.0], [0.0, 0.0]], noise[:, :1])
-    dim = len(noise)
+    dim = max(n, 2)
+    G = np.sqrt(0.5) * np.eye(dim)
+    model = linear(np.eye(n, k=1), G[:, -1:]) if n else linear([[-1.0, 1.0], [0.0, 0.0]], G[:, :1])
     start = {"x0": np.zeros(dim), "P0": 0.5 * np.eye(dim)}
     return drawn(rng, model, position(dim, 0.2), **start, n_particles=_SIZES[dim], interval=0.5)
 
@@ -110,7 +109,7 @@ def strong_inwards(rng, spread):
 
 
 def multiplicative(name, rng, strength):
-    model = line("slow decay", strength**2, f"*{NOISES[name]}")
+    model = line("slow decay", strength**2, factor=f"*{NOISES[name]}")
     return drawn(rng, model, position(1, 0.2), [3.0], [[0.1]], interval=0.4, step=0.01, **_FEW)
 
 
@@ -150,23 +149,18 @@ def far_origin(rng, distance):
     return _elsewhere(rng, np.eye(2), np.array([-distance, 0.0]))
 
 
-def _benes(R):
-    """Beneš's drift, read with errors of variance R."""
-
-    def exact(problem):
-        return BenesFromGaussian(problem.sensors[0], problem.x0, problem.P0, problem.t0)
-
-    return LINE | _FEW | {"model": line("tanh drift", 1.0), "reader": position(1, R), "exact": exact}
-
-
 def time_units(name, rng, unit):
     return usual(rng, oscillator(name, unit=unit), interval=0.5 * unit, step=0.05 * unit)
+
+
+def _benes(problem):
+    return BenesFromGaussian(problem.sensors[0], problem.x0, problem.P0, problem.t0)
 
 
 def outlier(name, rng, sigma):
     """The third of six readings lies `sigma` standard deviations of its prediction off the truth."""
     if name == "tanh drift":
-        given = _benes(0.5)
+        given = LINE | _FEW | {"model": line(name, 1.0), "reader": position(1, 0.5), "exact": _benes}
     elif name == "linear chain":
         start = {"x0": np.zeros(4), "P0": 0.5 * np.eye(4)}
         given = start | {"model": chain(4, True), "reader": position(4, 0.3, (0, 3)), "n_particles": 1000}
@@ -187,12 +181,11 @@ def two_places(name, rng, R):
     """Sensor z = x² + error, that leaves two places to be in."""
     if name in OSCILLATORS:
         return drawn(rng, oscillator(name), square(2, R), [0.0, 0.0], np.diag([4.0, 1.0]), interval=0.5)
-    model = line(name, **({"k": 1.0} if name == "double well" else {}))
-    return drawn(rng, model, square(1, R), [0.0], [[1.0]], interval=0.5, **_FEW)
+    return drawn(rng, line(name), square(1, R), [0.0], [[1.0]], interval=0.5, **_FEW)
 
 
 def long(name, rng, n_updates):
-    model = chain(1, True) if name == "linear" else line(name, k=1.0)
+    model = chain(1, True) if name == "linear" else line(name)
     size = {"n_updates": int(n_updates), "n_particles": 40, "interval": 0.1}
     return drawn(rng, model, position(1, 0.3), [0.0], [[0.5]], **size)
 

@@ -70,9 +70,10 @@ def oscillator(name, factor=1.0, unit=1.0):
     return equation(("rate*x1", f"rate*({force})"), noise, rate=1.0 / unit)
 
 
-def line(name, q=0.5, factor="", **parameters):
-    """A model of one state, with noise of spectral density q times the square of a text."""
-    return equation((_LINES[name],), [[np.sqrt(q)]], factor, **parameters)
+def line(name, q=0.5, k=1.0, factor=""):
+    """A model of one state, of rate k if its drift has one; its noise has density q times a text squared."""
+    rate = {"k": k} if "k*" in _LINES[name] else {}
+    return equation((_LINES[name],), [[np.sqrt(q)]], factor, **rate)
 
 
 def chain(n, is_linear):

@@ -55,7 +55,7 @@ def made_with(kind):
 def double_well():
     """A double well that is read twice a second."""
     z, start = np.array([[0.9], [1.3], [0.4], [-0.2]]), {"x0": np.array([0.3]), "P0": np.array([[0.5]])}
-    model, readers = line("double well", 0.49, k=1.0), (position(1, 0.3),)
+    model, readers = line("double well", 0.49), (position(1, 0.3),)
     return Problem(equation=model, readers=readers, z=(z,), times=0.5 * np.arange(1.0, 5.0), **start)
 
 
