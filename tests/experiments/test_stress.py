@@ -387,10 +387,10 @@ def test_default_filter_is_never_silently_wrong(options, tmp_path):
     rows, hard = _rows(path), "--quick" in options
     assert len(rows) == (len(chosen(1, quick=True)) if hard else 60)
     bad = [row for row in rows if row["verdict"] in ("wrong, silent", "crash")]
-    if hard:  # may take too long, and be wrong from where it openly refused a reading
+    if hard:  # may take too long, and be far off from where it openly refused a reading
         bad = [row for row in bad if not row["sentence"].startswith("stopped after")]
-        flagged = [row for row in rows if row["verdict"] == "wrong, flagged"]
-        bad += [row for row in flagged if "not used" not in row["said"]]
+        told = [row for row in rows if row["verdict"] == "wrong, flagged" and "not used" not in row["said"]]
+        bad += [row for row in told if float(row["mean_error"]) > 0.2 or float(row["variance_error"]) > 0.25]
     assert [(row["case"], row["sentence"]) for row in bad] == []
 
 
