@@ -7,21 +7,18 @@ and once in two halves: extrapolated, they are of fourth order in time; their di
 The boxes before and after an advection may differ at no cost, so the box is fitted anew at every step.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.stats import qmc
 
 from sphfilter import validate
 from sphfilter.density.weighted import WeightedStates
 from sphfilter.errors import ModelError, PropagationError
-from sphfilter.filter.results import FilterResult
 
 from ._base import ReferenceFilter, gaussian_start
 from ._characteristics import follow
 from .grid_density import FLOOR, Box, GridDensity, fitted_box
 
-__all__ = ["GridConvergence", "GridFilter", "grid_convergence"]
+__all__ = ["GridFilter"]
 
 
 #: Points in a cell that stand for it.
@@ -212,57 +209,3 @@ def _gaussian(x0, P0, size, box):
         box = fitted_box(x0[None], np.ones(1), P0, size)
     to_white = np.linalg.inv(L)
     return GridDensity.sampled(lambda X: np.exp(-0.5 * np.sum(((X - x0) @ to_white.T) ** 2, axis=1)), box)
-
-
-@dataclass(frozen=True)
-class GridConvergence:
-    """A grid run and the bound of its error, from a run with half the spacing and half the steps.
-
-    Attributes
-    ----------
-    result : FilterResult
-        The finer run.
-    mean_change : ndarray, shape (T,)
-        Distance of the two posterior means in posterior standard deviations (Mahalanobis).
-    cov_change : ndarray, shape (T,)
-        Relative distance of the two covariances, Frobenius norm over sqrt(n) in whitened coordinates.
-    evidence_change : float
-        Difference of the log-evidence of the runs, nats.
-    """
-
-    result: FilterResult
-    mean_change: np.ndarray
-    cov_change: np.ndarray
-    evidence_change: float
-
-
-def grid_convergence(model, measurement, start, times, measurements, size=64, tol=1e-3):
-    """Run the grid filter with (size, tol) and with half the spacing and half the steps.
-
-    Parameters
-    ----------
-    start : tuple
-        (x0, P0) or (x0, P0, t0).
-    times, measurements
-        As for `GridFilter.run`.
-    size, tol
-        Of the coarser run. The local error is of third order, so that tol / 8 halves the steps.
-
-    Returns
-    -------
-    GridConvergence
-        The changes are the error of the coarser run and bound that of the finer.
-    """
-    coarse, fine = (
-        GridFilter(model, measurement, *start, size=m, tol=e).run(times, measurements)
-        for m, e in ((size, tol), (2 * size, tol / 8))
-    )
-    to_white = np.linalg.inv(np.linalg.cholesky(fine.P))
-    mean = np.einsum("tij,tj->ti", to_white, coarse.x - fine.x)
-    cov = to_white @ (coarse.P - fine.P) @ np.swapaxes(to_white, 1, 2)
-    return GridConvergence(
-        result=fine,
-        mean_change=np.linalg.norm(mean, axis=1),
-        cov_change=np.linalg.norm(cov, axis=(1, 2)) / np.sqrt(model.dim),
-        evidence_change=float(abs(np.sum(coarse.log_evidence) - np.sum(fine.log_evidence))),
-    )

@@ -6,10 +6,11 @@ from pathlib import Path
 from experiments.terminal.options import counted, names_of
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["METHODS", "add_arguments", "check"]
+__all__ = ["AUTO", "FILTERS", "add_arguments", "check"]
 
-#: Filters on trial, by name.
-METHODS = ("default", "paper", "pf1e3", "pf1e4")
+#: The filter that chooses its particles by its error; and all on trial, by name.
+AUTO = "auto"
+FILTERS = ("default", "paper", "pf1e3", "pf1e4", AUTO)
 
 
 def add_arguments(add):
@@ -17,7 +18,8 @@ def add_arguments(add):
     add("--quick", "a reduced grid, that the tests walk too", bool)
     only = "cells to run: a family, or FAMILY/SYSTEM/LEVEL with * and ?; may be repeated"
     add("--only", only, action="append", default=[], metavar="CELL")
-    add("--filters --methods", f"comma-separated, of {', '.join(METHODS)}", names_of, list(METHODS), "all")
+    usual = f"all but {AUTO} on the grid, default on random problems"
+    add("--filters --methods", f"comma-separated, of {', '.join(FILTERS)}", names_of, None, usual)
     add("--seed", "seed of everything random", int, 1)
     add("--limit", "seconds a run may take", _seconds, 60.0)
     add("--out", "folder for results", Path, Path("results/stress"))
@@ -25,7 +27,7 @@ def add_arguments(add):
     add("--random", "N random problems instead of the grid", counted, metavar="N")
     again = "random problem number K of seed S alone, as S:K; may be repeated"
     add("--random-case", again, _pair, [], action="append", metavar="S:K")
-    auto = "random problems: judge the default filter, which chooses by its error, not 100 to 800 particles"
+    auto = f"--filters {AUTO}: the default filter, which chooses its particles by its error"
     add("--auto", auto, bool)
     add("--list", "print the names of the cells and stop", bool)
 
@@ -49,13 +51,13 @@ def _pair(text):
 
 
 def check(args):
-    """Raise what is wrong with filters, or with options that do not go together."""
-    for name in args.filters:
-        if name not in METHODS:
-            raise ConfigError(f"no filter {name!r}{nearest(name, METHODS)}; there are {', '.join(METHODS)}")
+    """Raise what is wrong with filters, or with options that do not go together; fill in the filters."""
     random = args.random or args.random_case
-    if args.auto and not random:
-        raise ConfigError("--auto goes with --random and --random-case")
+    usual = [] if args.auto else ["default"] if random else [name for name in FILTERS if name != AUTO]
+    args.filters = list(dict.fromkeys([*(args.filters or usual), *([AUTO] if args.auto else [])]))
+    for name in args.filters:
+        if name not in FILTERS:
+            raise ConfigError(f"no filter {name!r}{nearest(name, FILTERS)}; there are {', '.join(FILTERS)}")
     if random and (args.only or args.quick):
         raise ConfigError(
             "--random and --random-case go without --only and --quick, which choose from the grid"

@@ -1,160 +1,121 @@
-"""Run one filter on one problem, and watch what it does: answers, refusals, crashes, breaches."""
+"""Cases put through filters and referees, in processes of their own; what is finished is kept on disk."""
 
-import time
-import warnings
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import replace
+from functools import lru_cache, partial
 
-import numpy as np
+from experiments.arguments.stress import AUTO
+from experiments.show.tables import counted
+from experiments.terminal.progress import bar, resumable
+from experiments.terminal.running import status
 
-import sphfilter as sf
-from experiments.arguments.stress import METHODS as NAMES
-from reference_filters.particle import ParticleFilter
-from sphfilter.errors import SphfilterError
+from .pool import Lost, run_tasks
+from .records import FILTERS, Record, record_of
+from .referees import Referee, referee
+from .relations import chosen_relations, related
+from .store import REFERENCE, load, save
+from .verdicts import judge
 
-__all__ = ["METHODS", "Outcome", "run"]
+__all__ = ["judged", "problem_of", "walk"]
 
-
-@dataclass(frozen=True)
-class Outcome:
-    """What one run left behind.
-
-    Attributes
-    ----------
-    end : str
-        "finished", "refused" (an `SphfilterError`), "crashed" (any other exception) or "timeout".
-    sentence : str
-        Of the exception.
-    x, P, log_evidence : ndarray, shapes (k, n), (k, n, n), (k,)
-        After each update up to the end.
-    rejection : str
-        Why the first measurement was rejected openly that was; empty if none.
-    breach : str
-        Promise that was broken, such as a filter changed by a call that raised.
-    mass : float
-        Sum of the masses at the end.
-    seconds : float
-    schemes, warning : str
-        What carried the density, and the first warning given on the way.
-    n_particles : int
-        At the end.
-    """
-
-    end: str
-    sentence: str = ""
-    x: np.ndarray = field(default_factory=lambda: np.empty((0, 1)))
-    P: np.ndarray = field(default_factory=lambda: np.empty((0, 1, 1)))
-    log_evidence: np.ndarray = field(default_factory=lambda: np.empty(0))
-    rejection: str = ""
-    breach: str = ""
-    mass: float = 1.0
-    seconds: float = 0.0
-    schemes: str = ""
-    warning: str = ""
-    n_particles: int = 0
+#: Seconds a reference may take, and seconds that compiling may take on an empty cache.
+_REFERENCE_LIMIT, _COMPILE_LIMIT = 120.0, 1800.0
+#: Between the name of a filter and the number of a relation, in the name of a part of a case.
+_RELATION = " relation "
+#: Examples whose references are made to compile what these need.
+_EXAMPLES = 4
 
 
-def _paper(problem, seed):
-    # 002 takes the Gaussian kernel in four dimensions, Lucy's in two
-    config = sf.FilterConfig.paper(kernel="lucy" if problem.model.dim <= 2 else "gaussian")
-    return _sph(problem, config)
+def walk(console, cases, filters, args):
+    """Make what is not yet on disk: records of filters, references, records of related problems."""
+    tasks = [
+        (case, part, str(args.out))
+        for case in cases
+        for part in (*filters, REFERENCE, *(one for name in filters for one in _relations(case, name)))
+        if load(args.out, case, part) is None
+    ]
+    if tasks:
+        _warm_up(console, cases[0].examples(), [*filters, REFERENCE])
+    kept, count = f"finished runs are kept in {args.out}. The same command goes on from there.", 0
+    with bar(console, "runs", len(tasks), left=True) as move, resumable(lambda: kept):
+
+        def done(task, result):
+            nonlocal count
+            count += 1
+            case, part, out = task
+            if isinstance(result, Lost):
+                save(out, case, part, _lost(part, result))
+            move(count, text=f"{case.name} {part}")
+            if not console.is_terminal and (count % 10 == 0 or count == len(tasks)):
+                console.print(f"{count} of {counted(len(tasks), 'run')} done", style="dim")
+
+        run_tasks(_task, tasks, args.jobs, partial(_limit, args.limit), done)
 
 
-def _default(problem, seed):
-    return _sph(problem, sf.FilterConfig())
+def judged(case, name, out):
+    """Problem, record, reference and verdict of a case and a filter, from what is on disk."""
+    problem, record, reference = problem_of(case, name), load(out, case, name), load(out, case, REFERENCE)
+    chosen = chosen_relations(problem, case)
+    partners = (load(out, case, part) for part in _relations(case, name))
+    verdict = judge(record, reference, dict(zip(chosen, partners, strict=True)), problem.truth)
+    return problem, record, reference, verdict
 
 
-def _sph(problem, config):
-    start, shape = (problem.x0, problem.P0), {"n_particles": problem.n_particles, "config": config}
-    return sf.SPHFilter(problem.model, problem.measurement, *start, t0=problem.t0, **shape)
+def _relations(case, name):
+    """Parts of a case that are records of a filter on related problems."""
+    return [f"{name}{_RELATION}{k + 1}" for k in range(case.n_relations)]
 
 
-def _particle(n, problem, seed):
-    start = problem.x0, problem.P0, problem.t0
-    rng = np.random.default_rng([seed, n])
-    return ParticleFilter(problem.model, problem.measurement, *start, n_particles=n, rng=rng)
+def _warm_up(console, examples, parts):
+    """Let all compile what they need, in another process, so that compiling does not count as run time."""
+    with status(console) as say:
+        say(f"preparing {' and '.join(parts)} (the first time compiles, for minutes)")
+        tasks = [(examples, part) for part in parts]
+        run_tasks(_compile, tasks, 1, lambda task: _COMPILE_LIMIT, lambda task, _: say(f"{task[1]} is ready"))
 
 
-#: Filters on trial: make(problem, seed).
-METHODS = dict(
-    zip(NAMES, (_default, _paper, partial(_particle, 1000), partial(_particle, 10_000)), strict=True)
-)
+def _compile(task):
+    examples, part = task
+    for case in examples[:_EXAMPLES] if part == REFERENCE else examples:
+        _made(case, part, "")
 
 
-def run(problem, method, seed=0):
-    """Run a filter over all measurements; never raises what the filter raises.
-
-    Parameters
-    ----------
-    problem : Problem
-    method : str
-        Of `METHODS`.
-    seed : int
-
-    Returns
-    -------
-    Outcome
-    """
-    watch, end, sentence = _Watch(), "finished", ""
-    started = time.perf_counter()
-    with warnings.catch_warnings(record=True) as heard:
-        warnings.simplefilter("always")
-        try:
-            watch.follow(METHODS[method](problem, seed), problem)
-        except SphfilterError as refusal:
-            end, sentence = "refused", str(refusal)
-        except Exception as crash:  # a finding, not an accident
-            end, sentence = "crashed", f"{type(crash).__name__}: {crash}"
-    warned = f"{heard[0].category.__name__}: {heard[0].message}" if heard else ""
-    return watch.outcome(end, sentence, time.perf_counter() - started, warned)
+def _limit(seconds, task):
+    case, part, _ = task
+    return _REFERENCE_LIMIT if part == REFERENCE else case.patience * seconds
 
 
-class _Watch:
-    """Follow a filter epoch by epoch and keep what it shows."""
-
-    def __init__(self):
-        self.filter, self.rows, self.schemes = None, [], {}
-        self.rejection = self.breach = ""
-
-    def follow(self, filt, problem):
-        """Predict to every time and update; whatever the filter raises passes through."""
-        self.filter = filt
-        for t, z in zip(problem.times, problem.z, strict=True):
-            if t > filt.t:
-                info = self._call(filt.predict, t=t)
-                self.schemes[info.scheme] = None
-            info = self._call(filt.update, z)
-            if not info.accepted and not self.rejection:
-                self.rejection = f"at t = {t:g}: {info.reason}"
-            self.rows.append((filt.x.copy(), filt.P.copy(), filt.log_likelihood))
-
-    def _call(self, verb, *args, **kwargs):
-        """Call a verb; one that raises must leave the filter as it was."""
-        before = self._state()
-        try:
-            return verb(*args, **kwargs)
-        except Exception:
-            if not all(
-                np.array_equal(a, b, equal_nan=True) for a, b in zip(before, self._state(), strict=True)
-            ):
-                self.breach = f"{verb.__name__} raised and left the filter changed"
-            raise
-
-    def _state(self):
-        f = self.filter
-        return f.x.copy(), f.P.copy(), f.t, f.log_evidence
-
-    def outcome(self, end, sentence, seconds, warning):
-        """Return what was seen."""
-        columns = [np.array(column) for column in zip(*self.rows, strict=True)] if self.rows else []
-        moments = dict(zip(("x", "P", "log_evidence"), columns, strict=bool(columns)))
-        mass = _masses(self.filter)
-        return Outcome(end, sentence, **moments, rejection=self.rejection, breach=self.breach,
-                       mass=float(mass.sum()), n_particles=len(mass), seconds=seconds,
-                       schemes=", ".join(self.schemes), warning=warning)  # fmt: skip
+def _lost(part, lost):
+    if part == REFERENCE:
+        return Referee(why=lost.sentence)
+    return Record("timeout" if lost.timeout else "crash", lost.sentence)
 
 
-def _masses(filt):
-    if filt is None:
-        return np.ones(1)
-    return filt.weights if isinstance(filt, ParticleFilter) else filt.density.mass
+@lru_cache(maxsize=8)
+def _problem(case):
+    return case.problem()
+
+
+def problem_of(case, name):
+    """The problem of a case, as a filter is given it."""
+    return replace(_problem(case), n_particles="auto") if name == AUTO else _problem(case)
+
+
+def _task(task):
+    """Make one part of a case and store it (in a process of its own)."""
+    case, part, out = task
+    save(out, case, part, _made(case, part, out))
+
+
+def _made(case, part, out):
+    """A part of a case."""
+    if part == REFERENCE:
+        return referee(_problem(case), case.seed)
+    name, _, number = part.partition(_RELATION)
+    problem, make = problem_of(case, name), partial(FILTERS[name], seed=case.seed)
+    if not number:
+        return record_of(problem, make)
+    base = load(out, case, name)
+    if base is not None and base.end != "finished":
+        return Record("left out")
+    relation = chosen_relations(problem, case)[int(number) - 1]
+    return record_of(related(problem, relation, case.key), make)

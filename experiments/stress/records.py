@@ -1,18 +1,25 @@
-"""Run a filter through a random problem, and keep what it said at every epoch."""
+"""Run a filter through a problem, and keep what it said at every epoch and what it did that none may do."""
 
 import time
 import warnings
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 import sphfilter as sf
+from experiments.arguments.stress import FILTERS as NAMES
+from experiments.show.comparison import least_eigenvalue
+from reference_filters.particle import ParticleFilter
 from sphfilter.errors import SphfilterError
 
-__all__ = ["ERROR_FLAG", "Record", "default_filter", "follow", "record_of"]
+__all__ = ["ERROR_FLAG", "FILTERS", "Record", "default_filter", "follow", "record_of"]
 
 #: An estimated error of the mean, in posterior standard deviations, that is a flag.
 ERROR_FLAG = 0.2
+#: Eigenvalue of a covariance scaled to a unit diagonal, and distance of all mass from one, that rounding may
+#: leave.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,8 @@ class Record:
         Statuses and reasons that were unusual.
     schemes : str
     seconds : float
+    fault : str
+        What no run may show whatever the problem.
     """
 
     end: str
@@ -47,6 +56,7 @@ class Record:
     said: str = ""
     schemes: str = ""
     seconds: float = 0.0
+    fault: str = ""
 
     @property
     def flags(self):
@@ -54,10 +64,25 @@ class Record:
         return np.logical_or.accumulate(self.flagged)
 
 
-def default_filter(problem):
-    """The filter on trial: every setting but the number of particles, where it is one, is the default."""
-    start = {"x0": problem.x0, "P0": problem.P0, "t0": problem.t0}
-    return sf.SPHFilter(problem.model, problem.sensors[0], **start, n_particles=problem.n_particles)
+def default_filter(problem, seed=0, config=None):
+    """The SPH filter: every setting but the number of particles, where it is one, is the default."""
+    start = {"x0": problem.x0, "P0": problem.P0, "t0": problem.t0, "n_particles": problem.n_particles}
+    return sf.SPHFilter(problem.model, problem.sensors[0], **start, config=config)
+
+
+def _paper(problem, seed=0):
+    # 002 takes the Gaussian kernel in four dimensions, Lucy's in two
+    kernel = "lucy" if problem.model.dim <= 2 else "gaussian"
+    return default_filter(problem, seed, sf.FilterConfig.paper(kernel=kernel))
+
+
+def _particles(n, problem, seed=0):
+    return ParticleFilter(*problem.start, n_particles=n, rng=np.random.default_rng([seed, n]))
+
+
+_MAKERS = default_filter, _paper, partial(_particles, 1000), partial(_particles, 10_000), default_filter
+#: Filters on trial: make(problem, seed). The last is given problems whose number of particles is "auto".
+FILTERS = dict(zip(NAMES, _MAKERS, strict=True))
 
 
 def record_of(problem, make=default_filter):
@@ -65,7 +90,7 @@ def record_of(problem, make=default_filter):
 
     Parameters
     ----------
-    problem : RandomProblem
+    problem : Problem
     make : callable
         make(problem) -> filter with predict(t=), update(z, sensor), x, P and t.
 
@@ -73,22 +98,69 @@ def record_of(problem, make=default_filter):
     -------
     Record
     """
-    rows, words, end, sentence = [], ({}, {}), "finished", ""
+    rows, words, end, sentence, watched = [], ({}, {}), "finished", "", None
     started = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            for row in follow(make(problem), problem, words):
+            watched = _Watched(make(problem))
+            for row in follow(watched, problem, words):
                 rows.append(row)
         except SphfilterError as refusal:
             end, sentence = "refused", str(refusal)
         except Exception as crash:  # a finding, not an accident
             end, sentence = "crash", f"{type(crash).__name__}: {crash}"
+    seconds = time.perf_counter() - started
     names = "x", "P", "log_evidence", "error", "flagged"
     columns = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)) if rows else {}
     said, schemes = ("; ".join(found) for found in words)
-    seconds = time.perf_counter() - started
-    return _moved_back(problem, Record(end, sentence, **columns, said=said, schemes=schemes, seconds=seconds))
+    fault = _fault(watched, columns.get("P"))
+    record = Record(end, sentence, **columns, said=said, schemes=schemes, seconds=seconds, fault=fault)
+    return _moved_back(problem, record)
+
+
+class _Watched:
+    """A filter of which a step that raises must leave it as it was."""
+
+    def __init__(self, filt):
+        self.filter, self.changed = filt, ""
+
+    def __getattr__(self, name):
+        return getattr(self.filter, name)
+
+    def predict(self, **given):
+        return self._checked(self.filter.predict, **given)
+
+    def update(self, *given):
+        return self._checked(self.filter.update, *given)
+
+    def _checked(self, verb, *args, **given):
+        before = self._state()
+        try:
+            return verb(*args, **given)
+        except Exception:
+            pairs = zip(before, self._state(), strict=True)
+            if not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
+                self.changed = f"{verb.__name__} raised and left the filter changed"
+            raise
+
+    def _state(self):
+        f = self.filter
+        return f.x.copy(), f.P.copy(), f.t, f.log_evidence
+
+
+def _fault(watched, P):
+    """What no run may show: a step half taken, a covariance that is none, masses that are not one."""
+    if watched is None or watched.changed or P is None:
+        return getattr(watched, "changed", "")
+    variance = np.diagonal(P, axis1=1, axis2=2)
+    if not (np.isfinite(P).all() and (variance > 0).all()):
+        return f"a covariance is not finite, or a variance not positive: {variance.min():.3g}"
+    if (least := least_eigenvalue(P)) < -_ROUNDING:
+        return f"a covariance has a negative eigenvalue, {least:.2g} of its diagonal"
+    density = getattr(watched.filter, "density", None)
+    mass = np.sum(getattr(watched.filter, "weights", 1.0) if density is None else density.mass)
+    return f"the masses sum to {mass:.6g}" if abs(mass - 1.0) > _ROUNDING else ""
 
 
 def follow(filt, problem, words=None, careful=False):
@@ -97,7 +169,7 @@ def follow(filt, problem, words=None, careful=False):
     Parameters
     ----------
     filt : filter
-    problem : RandomProblem
+    problem : Problem
     words : pair of dict, optional
         Gather what was unusual, and the schemes.
     careful : bool
@@ -111,7 +183,7 @@ def follow(filt, problem, words=None, careful=False):
     for epoch, t in enumerate(problem.times):
         infos, log_evidence = [], 0.0
         stops = problem.equation.stops if careful else _even
-        for stop in stops(filt.t, t, problem.parts):
+        for stop in stops(filt.t, t, problem.parts) if t > filt.t else ():
             infos.append(filt.predict(t=float(stop)))
             words[1][infos[-1].scheme] = None
         for sensor, z in zip(problem.sensors, problem.z, strict=True):

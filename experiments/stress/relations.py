@@ -5,10 +5,7 @@ from zlib import crc32
 
 import numpy as np
 
-__all__ = ["RELATIONS", "chosen_relations", "related"]
-
-#: Relations of a case: more of them find more, and cost a run each.
-_PER_CASE = 2
+__all__ = ["RELATIONS", "chosen_relations", "in_other_coordinates", "related"]
 
 
 def _eight(problem, rng):
@@ -43,7 +40,7 @@ def _halves(problem, rng):
 def _units(problem, rng):
     """States in other units, up to 1e12 apart, from other origins."""
     powers = rng.uniform(-6.0, 6.0, len(problem.x0)).round()
-    return _in_other_coordinates(problem, np.diag(10.0**powers), rng.normal(0.0, 1.0, len(powers)).round(2))
+    return in_other_coordinates(problem, np.diag(10.0**powers), rng.normal(0.0, 1.0, len(powers)).round(2))
 
 
 def _turned(problem, rng):
@@ -51,7 +48,7 @@ def _turned(problem, rng):
     n = len(problem.x0)
     Q, R = np.linalg.qr(rng.standard_normal((n, n)))
     T = -np.eye(1) if n == 1 else Q * np.sign(np.diag(R))
-    return _in_other_coordinates(problem, T, np.zeros(n))
+    return in_other_coordinates(problem, T, np.zeros(n))
 
 
 def _clock(problem, rng):
@@ -82,24 +79,24 @@ RELATIONS = {
 }
 
 
-def related(problem, name, seed, number):
-    """The problem that a relation makes of another; None if it makes none."""
-    rng = np.random.default_rng([seed, number, crc32(name.encode())])
+def related(problem, name, key):
+    """The problem that a relation makes of that of a case; None if it makes none."""
+    rng = np.random.default_rng([*key, crc32(name.encode())])
     return RELATIONS[name][0](problem, rng)
 
 
-def chosen_relations(problem, seed, number):
+def chosen_relations(problem, case):
     """Names of the relations that a case is tried by, drawn from those it has."""
-    rng = np.random.default_rng([seed, number, crc32(b"relations")])
+    rng = np.random.default_rng([*case.key, crc32(b"relations")])
     some = {"order": len(problem.readers) > 1, "pulse": np.isfinite(problem.equation.shortest)}
     names = [name for name in RELATIONS if some.get(name, True)]
     # those that few problems have come first
     rare = [name for name in names if name in some]
     rest = [str(name) for name in rng.permutation([name for name in names if name not in some])]
-    return sorted((rare + rest)[:_PER_CASE], key=list(RELATIONS).index)
+    return sorted((rare + rest)[: case.n_relations], key=list(RELATIONS).index)
 
 
-def _in_other_coordinates(problem, T, c):
+def in_other_coordinates(problem, T, c):
     """The problem of y, where x = T y + c."""
     back = np.linalg.inv(T)
     readers, z = [], []

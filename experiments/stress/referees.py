@@ -1,5 +1,8 @@
-"""References of random problems, with the error of each: Kalman filter, grids, clouds of particles."""
+"""References of problems, with the error of each: closed forms, Kalman filter, grids, clouds of particles."""
 
+import signal
+import threading
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,9 +11,9 @@ from experiments.show.comparison import least_eigenvalue, moment_errors
 from reference_filters.grid import GridFilter
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
+from sphfilter import consistency
 from sphfilter.errors import SphfilterError
 
-from ..references import at_most
 from .records import follow
 
 __all__ = ["LIMITS", "Referee", "errors_of", "referee"]
@@ -21,6 +24,9 @@ LIMITS = {"mean": 0.2, "variance": 0.2, "evidence": 0.3}
 _ALLOWED = 0.2 * np.array(list(LIMITS.values()))[:, None]
 #: Nodes an axis of the coarser of two grids, by the number of states; seconds that the grids may take.
 _NODES, _GRID_SECONDS = {1: 256, 2: 64}, 20.0
+#: Grids cut densities at 1e-11 of their maximum, 7.1 standard deviations of a Gaussian: a posterior must lie
+#: well inside the prior to be right.
+_GRID_REACH = 5.0
 #: Particles in each of several clouds: to check a grid, then as few and as many as are needed, unless the few
 #: are so far apart that the many will be, too.
 _CLOUDS, _CHECK, _SIZES, _HOPELESS = 4, 20_000, (60_000, 250_000), 4.0
@@ -56,11 +62,11 @@ class Referee:
 def referee(problem, seed):
     """Return the first reference that is good to the end, or the one that is good for most epochs.
 
-    The Kalman filter; two grids (one or two states, noise that does not depend on the state) that agree with
-    each other and with small clouds; four clouds of particles that agree.
+    A closed form or the Kalman filter; two grids (one or two states, noise that does not depend on the state)
+    that agree with each other and with small clouds; four clouds of particles that agree.
     """
     found, reasons = Referee(), []
-    for make in (_kalman, _grids, _few_or_many):
+    for make in (_exact, _grids, _few_or_many):
         try:
             other = make(problem, seed)
         # the referees are not on trial: whatever stops one, there is none
@@ -112,6 +118,25 @@ def _definite(P):
     return np.array(good, dtype=bool)
 
 
+@contextmanager
+def _at_most(seconds):
+    """Stop Python code after a while, where the system and the thread allow it."""
+    if not hasattr(signal, "SIGALRM") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number, frame):
+        raise SphfilterError(f"stopped after {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
 def _rows(filt, problem):
     """Means, covariances and evidences of a filter that overlooks no change with the clock."""
     with np.errstate(all="ignore"):
@@ -119,24 +144,32 @@ def _rows(filt, problem):
     return tuple(np.array(column) for column in list(zip(*rows, strict=True))[:3])
 
 
-def _start(problem):
-    return problem.model, None, problem.x0, problem.P0, problem.t0
-
-
-def _kalman(problem, seed):
-    if not problem.model.linear or any(reader.H is None for reader in problem.readers):
+def _exact(problem, seed):
+    linear = problem.model.linear and all(reader.H is not None for reader in problem.readers)
+    if not (linear or problem.exact):
         return None
-    return _trusted("Kalman filter", *_rows(KalmanFilter(*_start(problem)), problem),
-                    np.zeros((3, len(problem.times))))  # fmt: skip
+    filt = problem.exact(problem) if problem.exact else KalmanFilter(*problem.start)
+    name = "closed form" if problem.exact else "Kalman filter"
+    return _trusted(name, *_rows(filt, problem), np.zeros((3, len(problem.times))))
+
+
+class _Grid(GridFilter):
+    """A grid that refuses a posterior of which it may have cut a part."""
+
+    def update(self, z, measurement=None):
+        info = super().update(z, measurement)
+        if consistency.distance(self.x, self.x_prior, self.P_prior) > _GRID_REACH:
+            raise SphfilterError("a posterior lies in the tail of its prior, which the grid cuts")
+        return info
 
 
 def _grids(problem, seed):
     if problem.model.dim > 2 or problem.model.state_dependent_noise:
         return None
     size = _NODES[problem.model.dim]
-    with at_most(_GRID_SECONDS):
+    with _at_most(_GRID_SECONDS):
         coarse, fine = (
-            _rows(GridFilter(*_start(problem), size=m, tol=e), problem)
+            _rows(_Grid(*problem.start, size=m, tol=e), problem)
             for m, e in ((size, 1e-3), (2 * size, 1.25e-4))
         )
     found = _trusted("grid", *fine, errors_of(*coarse, Referee("", *fine)))
@@ -160,7 +193,7 @@ def _clouds(problem, seed, size):
     runs = []
     for k in range(_CLOUDS):
         how = {"n_particles": size, "rng": np.random.default_rng([seed, size, k]), "resampling": "ess"}
-        runs.append(_rows(ParticleFilter(*_start(problem), **how), problem))
+        runs.append(_rows(ParticleFilter(*problem.start, **how), problem))
     middle = tuple(np.mean(values, axis=0) for values in zip(*runs, strict=True))
     apart = np.array([errors_of(*run, Referee("", *middle)) for run in runs])
     own = np.sqrt(np.square(apart).sum(axis=0) / (_CLOUDS - 1) / _CLOUDS)

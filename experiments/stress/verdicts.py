@@ -1,8 +1,10 @@
-"""The verdict on a random case: by its reference, and by the relations it was tried by."""
+"""The verdict on a case: by its reference, and by the relations it was tried by."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
+
+from sphfilter.consistency import nees
 
 from .referees import LIMITS, Referee, errors_of
 from .relations import RELATIONS
@@ -16,15 +18,17 @@ VERDICTS = {
     "wrong, flagged": "an epoch beyond the limits, with a flag at that epoch or before",
     "refused": "an exception of the library ended the record",
     "no answer": "the model blew up or the likelihood was zero everywhere, and no reference knows better",
-    "no reference": "none good enough, and no relation broken",
+    "no reference": "none good enough, no relation broken, and a known truth not absurd",
     "crash": "another exception, a process that died, or one stopped after the time limit",
-    "wrong, silent": "an epoch beyond the limits, or a relation broken, without a flag",
+    "wrong, silent": "an epoch beyond the limits or a relation broken without a flag, or what none may do",
 }
 #: Verdicts on a relation.
 RELATED = ("holds", "differs, flagged", "refused", "crash", "differs, silent")
 #: Sentences that a user's own model or reading may be the cause of.
 _NO_ANSWER = "blew up", "likelihood is zero"
 _LARGE = np.array(list(LIMITS.values()))[:, None]
+#: NEES a state that no filter may exceed in the mean of its epochs, be there a reference or not.
+_ABSURD = 25.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class Verdict:
     related: dict = field(default_factory=dict)
 
 
-def judge(record, referee, partners):
+def judge(record, referee, partners=(), truth=None):
     """Judge a case.
 
     Parameters
@@ -56,16 +60,18 @@ def judge(record, referee, partners):
     referee : Referee
     partners : dict of str to Record
         The same filter on related problems, in the coordinates and with the evidence of the first.
+    truth : ndarray, shape (T, n), or None
+        The states that were read, if their readings are what the model says.
 
     Returns
     -------
     Verdict
     """
     errors = errors_of(record.x, record.P, record.log_evidence, referee)[:, : referee.n_trusted]
-    verdict, sentence = _alone(record, referee, errors)
+    verdict, sentence = _alone(record, referee, errors, truth)
     related = {}
     if record.end == "finished":
-        for name, partner in partners.items():
+        for name, partner in dict(partners).items():
             related[name], how = relation(record, partner, RELATIONS[name][1])
             worse = {"differs, silent": "wrong, silent", "crash": "crash"}.get(related[name])
             if worse and verdict not in ("wrong, silent", "crash"):
@@ -90,8 +96,10 @@ def relation(record, partner, share=1.0):
     return ("differs, flagged", sentence) if flagged else ("holds", "")
 
 
-def _alone(record, referee, errors):
+def _alone(record, referee, errors, truth):
     """Verdict by the reference alone, and a sentence."""
+    if record.fault:
+        return "wrong, silent", record.fault
     k = errors.shape[1]
     silent, sentence = _first(errors, 1.0, ~record.flags[:k])
     if not silent:
@@ -109,8 +117,18 @@ def _alone(record, referee, errors):
     if flagged:
         return "wrong, flagged", sentence
     if k < len(record.x):
-        return "no reference", referee.why
+        return _by_truth(record, truth) or ("no reference", referee.why)
     return "right, flagged" if record.flags.any() else "right", record.said
+
+
+def _by_truth(record, truth):
+    """Verdict and sentence on a run that is absurdly far from the truth; None of others."""
+    if truth is None:
+        return None
+    level = nees(truth, record.x, record.P).mean() / record.x.shape[1]
+    sentence = f"no reference, and a NEES of {level:.3g} a state where one is expected"
+    flagged = "flagged" if record.flags[-1] else "silent"
+    return None if level < _ABSURD else (f"wrong, {flagged}", sentence)
 
 
 def _first(errors, share, counted):

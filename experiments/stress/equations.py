@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -21,6 +21,8 @@ class Equation:
     drift : tuple of str, length n
     noise : tuple of n tuples of m str
         m = 0 without noise.
+    parameters : tuple of (str, float)
+        Numbers by the names that the texts have for them.
     matrix : bool
         A linear model is given to the filter as a `LinearSDE`, else as text.
     shortest : float
@@ -32,6 +34,7 @@ class Equation:
     states: tuple[str, ...]
     drift: tuple[str, ...]
     noise: tuple[tuple[str, ...], ...]
+    parameters: tuple[tuple[str, float], ...] = ()
     matrix: bool = False
     shortest: float = np.inf
     busy: tuple[float, float] = (-np.inf, np.inf)
@@ -39,8 +42,8 @@ class Equation:
     @cached_property
     def model(self):
         """The compiled model."""
-        noise = self.noise if self.noise[0] else None
-        model = sf.SDE.from_expressions(list(self.states), list(self.drift), noise)
+        names = tuple(name for name, _ in self.parameters)
+        model = _compiled(self.states, self.drift, self.noise, names).with_parameters(**dict(self.parameters))
         return model.to_linear() if self.matrix and model.linear else model
 
     def moved(self, T, c, lag=0.0):
@@ -70,7 +73,15 @@ class Equation:
 
     def __str__(self):
         drift = ", ".join(f"d{x} = {f}" for x, f in zip(self.states, self.drift, strict=True))
-        return f"{drift}; noise {[list(row) for row in self.noise]}"
+        where = "".join(f", {name} = {value:.6g}" for name, value in self.parameters)
+        return f"{drift}; noise {[list(row) for row in self.noise]}{where}"
+
+
+@lru_cache(maxsize=64)
+def _compiled(states, drift, noise, names):
+    """The model of some texts, every parameter one: what differs in their values alone is compiled once."""
+    given = dict.fromkeys(names, 1.0)
+    return sf.SDE.from_expressions(list(states), list(drift), noise if noise[0] else None, parameters=given)
 
 
 def in_words(states, T, c):
