@@ -10,6 +10,7 @@ from scipy.special import gammaincc
 from .._types import Floats, OfStates
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
+from ..core.limits import LARGEST_EXPONENT, TINY
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, left_out, misfit
@@ -138,7 +139,7 @@ def _part_of(laid: LatticeDensity) -> _Part:
 
 def _survey(x: Floats, mass: Floats, log_weight: OfStates) -> _Part:
     """Knowledge that the prior's nodes have of the posterior."""
-    weight = np.log(np.maximum(mass, 1e-300)) + np.maximum(log_weight(x), -1e250)
+    weight = np.log(np.maximum(mass, TINY)) + np.maximum(log_weight(x), -1e250)
     w = np.exp(weight - weight.max())
     return _Part(x, w / w.sum(), float(weight.max() + np.log(w.sum())), None)
 
@@ -153,7 +154,10 @@ def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> float:
     """Probability that a lattice leaves out: of the part of which it misses most, or beside its nodes."""
     left = left_out(laid.field, laid.walls)
     left = left if left > _LITTLE + _BESIDE * tail else 0.0
-    odds = [_missing(laid, part) * math.exp(min(part.log_mass - laid.log_mass, 700.0)) for part in parts]
+    odds = [
+        _missing(laid, part) * math.exp(min(part.log_mass - laid.log_mass, LARGEST_EXPONENT))
+        for part in parts
+    ]
     tops = sum(
         o for o, part in zip(odds, parts, strict=True) if len(part.x) == 1
     )  # each apart from the others

@@ -9,11 +9,13 @@ import math
 import numpy as np
 
 from .._jit import jit
+from ..limits import LARGEST_EXPONENT
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
 from .noise import even_normals, uniform
 from .weights import systematic
 
 __all__ = [
+    "NEAR",
     "along_rows",
     "joined",
     "linear_reading",
@@ -26,8 +28,7 @@ __all__ = [
 ]
 
 #: Neighbours to either side, that tell what the flow is without noise.
-_NEAR = 2
-_FARTHEST = 300.0  # nats, of a ratio of densities
+NEAR = 2
 _LOG_2_PI = math.log(2.0 * math.pi)
 
 
@@ -52,7 +53,7 @@ def without_noise(y, x, u, L, Phi, block):
         while end < N and block[end] == b:
             end += 1
         for i in range(first, end):
-            low, high = max(i - _NEAR, first), min(i + _NEAR + 1, end)
+            low, high = max(i - NEAR, first), min(i + NEAR + 1, end)
             share = 1.0 / max(high - low - 1, 1)
             for a in range(n):
                 s = -rest[i, a]
@@ -107,7 +108,7 @@ def over_both(log_l, log_ratio, w):
     N, out = w.size, np.empty(log_l.size)
     for j in range(out.size):
         base = w[j] if j < N else 1.0 / (out.size - N)
-        ratio = math.exp(min(max(log_ratio[j], -_FARTHEST), _FARTHEST))
+        ratio = math.exp(min(max(log_ratio[j], -LARGEST_EXPONENT), LARGEST_EXPONENT))
         out[j] = -np.inf
         if base > 0.0 and log_l[j] > -np.inf:
             out[j] = log_l[j] + math.log(base / (1.0 + ratio))

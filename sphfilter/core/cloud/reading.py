@@ -11,7 +11,9 @@ from numba import types
 
 from .._addresses import ADDRESS, NOWHERE_AT, function_at
 from .._jit import MATRIX, VECTOR, jit
+from ..limits import ALIKE
 from .guide import (
+    NEAR,
     along_rows,
     joined,
     linear_reading,
@@ -28,14 +30,13 @@ from .noise import LANES, even_normals, mixed, stored
 from .way import AGAIN
 from .weights import effective, finite_rows, normalise, prior_times, weighted_moments
 
-__all__ = ["EVEN", "GUIDE", "OWN", "PARTS", "READER", "WIDER", "Part", "Reader", "foreseen", "weigh"]
+__all__ = ["GUIDE", "OWN", "PARTS", "READER", "WIDER", "Part", "Reader", "foreseen", "weigh"]
 
-#: Effective part of weights, from which they are good enough as they are.
-EVEN = 0.9
-#: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good. Times
-#: what linearity misses: the variance of a point's own rest about the mean of four neighbours', over one's.
-WIDER, OWN = 1.5, 1.0 + 1.0 / 4.0
-#: What numbers of a reading's key are for: its guide, and the noise of the passages.
+#: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good.
+WIDER = 1.5
+#: Variance of a point's own rest about the mean of its neighbours', over that of one: 1 + 1 / (2 NEAR).
+OWN = 1.0 + 0.5 / NEAR
+#: What numbers of a reading's key are for: its guide, and passages k = 0, 1 at PARTS + k.
 GUIDE, PARTS = 11, 20
 
 
@@ -195,7 +196,7 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     log_l, wrong = log_normals(reader.z, h, reader.angle, reader.root)
     log_w, alone = prior_times(w, log_l), np.arange(N)
     first = np.zeros(N)
-    if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= EVEN * effective(w):
+    if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= ALIKE * effective(w):
         return y, log_w, alone, wrong
     flow, G = joined(kernel.flow, kernel.lower, moved.flow, moved.lower)
     lower, rows = lower_and_rows(G)

@@ -13,7 +13,8 @@ from .rules import rule
 
 __all__ = ["BASIS", "Basis", "averages", "basis", "size", "values_at"]
 
-_AT_ONCE = 64  # points: vector instructions, and tables that fit the first-level cache
+#: Points at a time: tables of seven powers of four states, 7 * 4 * 64 * 8 bytes = 14 KB.
+_AT_ONCE = 64
 _BEYOND, _FALL = 1.6, 0.15  # standard deviations beyond the root of n, and least fall of log p out there
 
 

@@ -8,8 +8,10 @@ from .._jit import jit
 from ..small_matrices import eigen
 from .basis import values_at
 
-__all__ = ["inverse", "moments_of", "moved", "reframed", "root_between", "weigh"]
+__all__ = ["FAR", "inverse", "moments_of", "moved", "reframed", "root_between", "weigh"]
 
+#: Of moments in a frame: so far it follows a density at once, and from there on it knows nothing of it.
+FAR = 3.0
 _LOG_2_PI = math.log(2.0 * math.pi)
 
 
