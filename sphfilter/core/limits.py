@@ -4,24 +4,26 @@ import math
 
 import numpy as np
 
-__all__ = ["ALIKE", "EDGE", "LARGEST_EXPONENT", "LITTLE", "LOOK", "NOTHING", "ROUNDING", "ROUNDS", "TINY"]
+__all__ = [
+    "ALIKE", "DIFFERENCE", "EDGE", "LARGEST_EXPONENT", "LITTLE", "LOG_2_PI", "LOOK", "NOTHING", "ROUNDING",
+    "ROUNDS", "TINY",
+]  # fmt: skip
 
 _EPS = float(np.finfo(float).eps)
-#: Keeps what divides off zero: 1e-300 > 2^-1022, the least number of full precision, and so has its inverse.
-TINY = 1e-300
-#: Part of a number, below which a difference of two like it is rounding: half the digits.
-ROUNDING = math.sqrt(_EPS)
-#: Nats below the largest, from which a term adds nothing to a sum: exp(-NOTHING) = eps.
-NOTHING = -math.log(_EPS)
-#: Nats whose exponential is a number, and so are sums of a thousand: exp(700) = 1e304 < 2^1024 / 1000.
-LARGEST_EXPONENT = 700.0
-#: Standard deviations that hold a Gaussian: 2 (1 - Φ(6)) = 2e-9 of it lies beyond.
-EDGE = 6.0
-#: Points by which something is judged that an eighth of a standard deviation does for: 1/√64 = 1/8.
-LOOK = 64
-#: Part of an error that is allowed, that needs no look: √(1 + LITTLE²) = 1.005 of it.
-LITTLE = 0.1
-#: Ratio of two variances that are as good as one: their deviations differ by √.9 = .95.
-ALIKE = 0.9
-#: Rounds of a search that halves what it does not know: 2^-30 = 1e-9 of it is left.
-ROUNDS = 30
+TINY = 1e-300  # keeps what divides off zero: 1e-300 > 2^-1022, the least number of full precision
+ROUNDING = math.sqrt(
+    _EPS
+)  # part of a number, below which a difference of two like it is rounding: half the digits
+DIFFERENCE = float(np.finfo(float).eps ** (1 / 3))  # step of differences: eps / h, rounding, is as much as h²
+NOTHING = -math.log(
+    _EPS
+)  # nats below the largest, from which a term adds nothing to a sum: exp(-NOTHING) = eps
+LARGEST_EXPONENT = (
+    700.0  # nats of which a thousand exponentials have a sum still: exp(700) = 1e304 < 2^1024 / 1000
+)
+LOG_2_PI = math.log(2.0 * math.pi)
+EDGE = 6.0  # standard deviations that hold a Gaussian: 2 (1 - Φ(6)) = 2e-9 of it lies beyond
+LOOK = 64  # points by which is judged what an eighth of a standard deviation does for: 1 / √64 = 1/8
+LITTLE = 0.1  # part of an error that is allowed, that needs no look: √(1 + LITTLE²) = 1.005 of it
+ALIKE = 0.9  # ratio of two variances that are as good as one: their deviations differ by √.9 = .95
+ROUNDS = 30  # rounds of a search that halves what it does not know: 2^-30 = 1e-9 of it is left

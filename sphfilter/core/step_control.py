@@ -1,4 +1,4 @@
-"""Steps as long as an error allows: one rule for all marches."""
+"""Steps as long as an error allows, and tries as large: one rule for all marches."""
 
 import numpy as np
 
@@ -18,6 +18,5 @@ HELPED = 0.7  # times an error, below which another try has to bring it to have 
 @jit
 def next_step(h, over, order):
     """The step after one of length h that was `over` times as wrong as allowed; no number shrinks it most."""
-    return h * (
-        min(GROW, max(SHRINK, _SAFETY * max(over, TINY) ** (-1.0 / order))) if over < np.inf else SHRINK
-    )
+    longer = _SAFETY * max(over, TINY) ** (-1.0 / order) if over < np.inf else SHRINK
+    return h * min(GROW, max(SHRINK, longer))

@@ -78,6 +78,17 @@ def sharp(noise, n_particles):
     return count, means, stds
 
 
+def simulated(noise, finer=1.0):
+    """No count; mean, second and fourth moment of simulated ends in two wells, and their standard errors."""
+    import sphfilter as sf
+
+    model, count = sf.SDE.from_expressions(["x"], ["x - x**3"], [[noise]], [[1.0]]), 50_000
+    step = None if finer == 1.0 else 0.01 / finer
+    x, _ = sf.simulate(model, None, [0.3], [0.0, 1.0], rng=1, n_paths=count, max_step=step)
+    powers = x[:, -1] ** np.array([1, 2, 4])
+    return 0, [powers.mean(axis=0).tolist()], [(powers.std(axis=0) / np.sqrt(count)).tolist()]
+
+
 def runs():
     """Names of the runs, and what makes them."""
     yield from ((f"default: {name}", lambda finer=1.0, name=name: filtered(name, finer)) for name in SCENES)
@@ -86,6 +97,8 @@ def runs():
     for noise in (0.1, 0.01):
         name = f"lattice: rings of {noise:g}"
         yield name, lambda finer=1.0, noise=noise: sharp(noise, int(1500 * finer))
+    for noise in ("0.7", "0.5*sqrt(1 + x**2)"):
+        yield f"simulate: noise {noise}", lambda finer=1.0, noise=noise: simulated(noise, finer)
     yield "fit on lattices", lambda finer=1.0: fitted(300)
     yield "fit on particles or families", lambda finer=1.0: fitted("auto")
 

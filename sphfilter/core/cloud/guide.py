@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from .._jit import jit
-from ..limits import LARGEST_EXPONENT
+from ..limits import LARGEST_EXPONENT, LOG_2_PI
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
 from .noise import even_normals, uniform
 from .weights import systematic
@@ -29,7 +29,6 @@ __all__ = [
 
 #: Neighbours to either side, that tell what the flow is without noise.
 NEAR = 2
-_LOG_2_PI = math.log(2.0 * math.pi)
 
 
 @jit
@@ -248,7 +247,7 @@ def _gain(HL, R, S, K, T):
 @jit
 def _log_peak(F):
     """Logarithm of N(0; 0, F Fᵀ), F (k, k) lower."""
-    s = -0.5 * _LOG_2_PI * len(F)
+    s = -0.5 * LOG_2_PI * len(F)
     for a in range(len(F)):
         s -= math.log(F[a, a])
     return s

@@ -11,7 +11,7 @@ from numba import types
 
 from .._addresses import ADDRESS, NOWHERE_AT, function_at
 from .._jit import MATRIX, VECTOR, jit
-from ..limits import ALIKE
+from ..limits import ALIKE, DIFFERENCE
 from .guide import (
     NEAR,
     along_rows,
@@ -138,13 +138,13 @@ def _slopes(reader, c):
             x[i, e] = c[i // (2 * n), e]
     for b in range(nb):
         for e in range(n):
-            step = _STEP * max(1.0, abs(c[b, e]))
+            step = DIFFERENCE * max(1.0, abs(c[b, e]))
             x[2 * (b * n + e), e] += step
             x[2 * (b * n + e) + 1, e] -= step
     h = _read(reader, x)
     for b in range(nb):
         for e in range(n):
-            i, step = 2 * (b * n + e), _STEP * max(1.0, abs(c[b, e]))
+            i, step = 2 * (b * n + e), DIFFERENCE * max(1.0, abs(c[b, e]))
             for a in range(k):
                 J[b, a, e] = wrapped(h[i, a] - h[i + 1, a], reader.angle[a]) / (2.0 * step)
     return J
@@ -159,9 +159,6 @@ def _beside(u, v):
         for a in range(n):
             U[i, a], U[i, n + a] = u[i, a], v[i, a]
     return U
-
-
-_STEP = np.finfo(np.float64).eps ** (1.0 / 3.0)  # of central differences
 
 
 @jit

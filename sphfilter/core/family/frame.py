@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from .._jit import jit
+from ..limits import LOG_2_PI
 from ..small_matrices import eigen
 from .basis import values_at
 
@@ -12,7 +13,6 @@ __all__ = ["FAR", "inverse", "moments_of", "moved", "reframed", "root_between", 
 
 #: Of moments in a frame: so far it follows a density at once, and from there on it knows nothing of it.
 FAR = 3.0
-_LOG_2_PI = math.log(2.0 * math.pi)
 
 
 @jit
@@ -64,7 +64,7 @@ def weigh(log_w, n, T, w):
         total += w[i]
     for i in range(N):
         w[i] /= total
-    return highest + math.log(total) + 0.5 * n * _LOG_2_PI
+    return highest + math.log(total) + 0.5 * n * LOG_2_PI
 
 
 @jit
