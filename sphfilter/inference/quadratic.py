@@ -18,8 +18,8 @@ __all__ = ["STEPS", "Quadratic", "quadratic", "roughness", "scales", "slope_step
 #: Of points (n,).
 Function: TypeAlias = Callable[[Floats], float]
 
-_FALL = 0.1, 2.0  # nats by which the function should fall over one of the scales found
-_APART = 0.01  # spacing of the points that roughness is seen on, in standard errors
+_FALL = 0.1, 2.0  # nats to fall over a scale; measured: half or twice the least .9, 1.0 times the runs
+_APART = 0.01  # standard errors between points that tell roughness; measured: half, twice move fits by 1e-4
 #: Steps of differences, least and most, in standard errors: for roughness h⁴ / (12 √6) of 3e-8 to 8e-3 nats.
 STEPS = 0.03, 0.7
 

@@ -23,9 +23,18 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 FINER = 4.0  # times smaller is the error of what a mean is held against
-SCENES = "double_well", "van_der_pol", "duffing", "pendulum", "predator_prey", "vehicle", "tracking"
+SCENES = "double_well", "van_der_pol", "duffing", "pendulum", "predator_prey", "vehicle", "tracking", "lorenz"
 LATTICES = ("double_well", "van_der_pol", "duffing")
 READINGS = 8
+RINGS = ["sqrt(x**2 + y**2)", "sqrt((x - 1)**2 + y**2)"]
+RANGES = [(1.0, np.nan), (1.1, 0.6), (np.nan, 0.7), (1.2, 0.5)]
+#: What is read, its noise, and the readings.
+SHARP = {
+    "rings of .1": (RINGS, 0.1, RANGES),
+    "rings of .01": (RINGS, 0.01, RANGES),
+    "peaks of sin 4 x + y²": (["sin(4*x) + y**2"], 0.05, [(0.5,), (0.6,)]),
+    "peaks of x y": (["x*y"], 0.02, [(0.5,), (0.4,)]),
+}
 
 
 def filtered(name, finer=1.0, **shape):
@@ -61,16 +70,15 @@ def fitted(n_particles):
     return fit.n_evaluations, [list(fit.estimate.values())], [list(fit.standard_error.values())]
 
 
-def sharp(noise, n_particles):
-    """As `filtered`, of a plane whose distances from two points are read: rings, then where they cross."""
+def sharp(read, noise, readings, n_particles):
+    """As `filtered`, of a plane on lattices, by readings z = read(x, y) that leave thin posteriors, or pieces."""
     import sphfilter as sf
 
     model = sf.SDE.from_expressions(["x", "y"], ["-0.2*x", "-0.1*y"], [["0.5", "0"], ["0", "0.5"]])
-    read = ["sqrt(x**2 + y**2)", "sqrt((x - 1)**2 + y**2)"]
-    sensor = sf.GaussianMeasurement.from_expressions(["x", "y"], read, noise**2 * np.eye(2))
-    flt = sf.SPHFilter(model, sensor, [0.8, 0.3], 0.3 * np.eye(2), n_particles=n_particles)
+    sensor = sf.GaussianMeasurement.from_expressions(["x", "y"], read, noise**2 * np.eye(len(read)))
+    flt = sf.SPHFilter(model, sensor, [0.8, 0.3], 0.5 * np.eye(2), n_particles=n_particles)
     count, means, stds = 0, [], []
-    for t, z in enumerate([(1.0, np.nan), (1.1, 0.6), (np.nan, 0.7), (1.2, 0.5)]):
+    for t, z in enumerate(readings):
         count += flt.predict(t=0.2 * (t + 1)).n_evaluations
         flt.update(z)
         means.append(flt.density.mean().tolist())
@@ -94,9 +102,8 @@ def runs():
     yield from ((f"default: {name}", lambda finer=1.0, name=name: filtered(name, finer)) for name in SCENES)
     for name in LATTICES:
         yield f"lattice: {name}", lambda finer=1.0, name=name: filtered(name, n_particles=int(400 * finer))
-    for noise in (0.1, 0.01):
-        name = f"lattice: rings of {noise:g}"
-        yield name, lambda finer=1.0, noise=noise: sharp(noise, int(1500 * finer))
+    for name, given in SHARP.items():
+        yield f"lattice: {name}", lambda finer=1.0, given=given: sharp(*given, int(600 * finer))
     for noise in ("0.7", "0.5*sqrt(1 + x**2)"):
         yield f"simulate: noise {noise}", lambda finer=1.0, noise=noise: simulated(noise, finer)
     yield "fit on lattices", lambda finer=1.0: fitted(300)
