@@ -10,9 +10,7 @@ from .figures import FilterReport
 
 __all__ = ["verdict"]
 
-_LEVEL = (
-    0.01  # probability that a filter that is right is faulted: measured by tests/campaign/test_verdict.py
-)
+_LEVEL = 0.01  # probability that right filters are faulted: measured by tests/campaign/test_verdict.py
 #: Epochs outside an interval that holds 95 %, as a fraction, that are many where no referee has a number.
 _MANY = 0.2
 

@@ -71,7 +71,7 @@ def fitted(n_particles):
 
 
 def sharp(read, noise, readings, n_particles):
-    """As `filtered`, of a plane on lattices, by readings z = read(x, y) that leave thin posteriors, or pieces."""
+    """As `filtered`, of a plane on lattices, by readings z = read(x, y) that leave thin ones or pieces."""
     import sphfilter as sf
 
     model = sf.SDE.from_expressions(["x", "y"], ["-0.2*x", "-0.1*y"], [["0.5", "0"], ["0", "0.5"]])
