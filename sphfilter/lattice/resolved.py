@@ -154,10 +154,8 @@ def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> float:
     """Probability that a lattice leaves out: of the part of which it misses most, or beside its nodes."""
     left = left_out(laid.field, laid.walls)
     left = left if left > _LITTLE + _BESIDE * tail else 0.0
-    odds = [
-        _missing(laid, part) * math.exp(min(part.log_mass - laid.log_mass, LARGEST_EXPONENT))
-        for part in parts
-    ]
+    logs = [min(part.log_mass - laid.log_mass, LARGEST_EXPONENT) for part in parts]
+    odds = [_missing(laid, part) * math.exp(log) for part, log in zip(parts, logs, strict=True)]
     tops = sum(
         o for o, part in zip(odds, parts, strict=True) if len(part.x) == 1
     )  # each apart from the others
