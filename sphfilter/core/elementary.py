@@ -22,9 +22,7 @@ _PER_QUARTER, _PER_OCTAVE = 2.0 / math.pi, 1.0 / math.log(2.0)
 _QUARTER = 1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21
 _OCTAVE = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 = their sum
 _LEAST, _MOST = -708.0, 709.0  # exp(-708) and exp(709) are the last whole ones that are normal numbers
-_NEAR = (
-    0.25  # to zero, where 1 - 2 / (exp(2 x) + 1) would cancel; the fraction is right to 2e-16 up to a half
-)
+_NEAR = 0.25  # to zero, where 1 - 2 / (exp(2 x) + 1) cancels; the fraction is right to 2e-16 up to a half
 
 
 @njit(**_OPTIONS)

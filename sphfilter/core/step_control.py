@@ -10,7 +10,7 @@ __all__ = ["GROW", "HELPED", "MORE", "SHRINK", "next_step"]
 #: Part of the step that the error would allow, and times the last one at most: .8 to .9, and 1.5 to 5 in
 #: Hairer, Nørsett & Wanner (1993).
 _SAFETY, GROW = 0.9, 5.0
-SHRINK = 1.0 / GROW  # a step that is refused shrinks by no more than the next may grow: 1 / 5
+SHRINK = 1.0 / GROW  # a step that is refused shrinks by no more than the next may grow: SHRINK = .2
 MORE = 4.0  # times the points or nodes of one try, that the next one may have: what tells it may be chance
 HELPED = 0.7  # times an error, below which another try has to bring it to have helped
 

@@ -34,7 +34,7 @@ __all__ = ["GUIDE", "OWN", "PARTS", "READER", "WIDER", "Part", "Reader", "forese
 
 #: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good.
 WIDER = 1.5
-#: Variance of a point's own rest about the mean of its neighbours', over that of one: 1 + 1 / (2 NEAR).
+#: Variance of a point's own rest about the mean of its neighbours', over that of one: OWN = 1 + 1 / (2 NEAR).
 OWN = 1.0 + 0.5 / NEAR
 #: What numbers of a reading's key are for: its guide, and passages k = 0, 1 at PARTS + k.
 GUIDE, PARTS = 11, 20

@@ -30,9 +30,7 @@ __all__ = [
 
 #: Numbers from one row of a chunk's points to the next: 8 * 8 bytes = 1 line off what would share its place.
 _ROW = LANES + 8
-AWAY = (
-    1.0 / ROUNDING
-)  # extents of points from which one has run away: its square leaves others no digit, 1 / eps
+AWAY = 1.0 / ROUNDING  # extents, from which a point has run away: AWAY² = 1 / eps leaves others no digit
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})

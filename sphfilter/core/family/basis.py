@@ -15,7 +15,8 @@ __all__ = ["BASIS", "Basis", "averages", "basis", "size", "values_at"]
 
 #: Points at a time: tables of seven powers of four states, 7 * 4 * 64 * 8 bytes = 14 KB.
 _AT_ONCE = 64
-_BEYOND, _FALL = 1.6, 0.15  # standard deviations beyond the root of n, and least fall of log p out there
+_BEYOND = 1.6  # standard deviations beyond √n: P(χ_n > √n + 1.6) = .009 to .012 of a Gaussian lies there
+_FALL = 0.15  # least fall of log p out there, a square of a deviation
 
 
 class Basis(NamedTuple):
