@@ -29,6 +29,5 @@ def for_lattice(control, state, h, left, span):
 def nodes_for(residual, allowed, count, control, n):
     """Nodes for a residual, after a lattice of `count`, whose own tells."""
     times = next_step(1.0, residual / allowed, ORDER) ** -n
-    return min(
-        max(count * min(max(times, 1.0 / MORE), MORE), float(control.fewest)), float(control.n_particles)
-    )
+    count *= min(max(times, 1.0 / MORE), MORE)
+    return min(max(count, float(control.fewest)), float(control.n_particles))

@@ -199,9 +199,7 @@ def _brought_by_legs(step, aim, Y, f1, d1, centre, owner):
         value = _branched(paths, M, value.reshape((value.size, 1))).reshape(start.shape[0])
         R = value.size
         pull = unblurred(R, push.shape[1])
-        if (
-            step.blurred and paths.w[:, K // 2 :].any()
-        ):  # paths of many noises have no bends, and leave no bridge
+        if step.blurred and paths.w[:, K // 2 :].any():  # without bends there is more left than a bridge
             pull = Pull(pull.straight, pull.bend, np.empty((R, push.shape[1])))
         _displaced(step.noise, aim, paths, centre, owner, drawn, low, push, pull, value)
         end, action = np.empty((R, n)), np.empty(R)

@@ -56,10 +56,7 @@ __all__ = ["Entries", "march", "needed", "wrong"]
 _MOST = 1e-2  # residual that steps go by where the lattice's own is larger
 _UNDOUBTED = 5.0  # times what may be lost, where no error is seen
 _UNSEEN = 0.1  # variance of a step's noise, in units of the lattice, below which shorter steps gain nothing
-_PATIENCE, _GROWING = (
-    10,
-    1.5,
-)  # steps that hardly grow, after which one so many times as long as any may grow is tried
+_PATIENCE, _GROWING = 10, 1.5  # steps that hardly grow, after which one as long as any may grow is tried
 _FORGOTTEN = 0.95  # of the floor, that is left after a step
 _AGAIN = 2.0  # times what is aimed at, for which a lattice is laid again
 
@@ -93,9 +90,8 @@ def needed(residual, count, most, n):
     """
     if n > 1:
         return float(most)
-    return min(
-        max(count * min(MORE, max(1.0 / MORE, (residual / ROUNDING) ** (1.0 / ORDER))), 40.0), float(most)
-    )
+    times = (residual / ROUNDING) ** (1.0 / ORDER)
+    return min(max(count * min(MORE, max(1.0 / MORE, times)), 40.0), float(most))
 
 
 @jit
@@ -177,12 +173,11 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
                 counters[REJECTED] += 1
                 state[LATTICE_STEP], shorter = shorter, np.inf
                 continue
-        # a step gets h³ wrong
         allowed, shorter = max(control.share * state[RESIDUAL], state[FLOOR]), np.inf
         if control.steps > 0.0:
             aimed = for_step(control, state, h, times[1] - times[0], span)
             allowed = max(allowed, min(aimed, control.share * _MOST))
-        state[LATTICE_STEP] = next_step(h, error / allowed, 3.0)
+        state[LATTICE_STEP] = next_step(h, error / allowed, 3.0)  # a step gets h³ wrong
         seen = noise.G.shape[1] == 0 or h * noise_limit(noise.G, field.A) > _UNSEEN
         if error > allowed and seen and not error > HELPED * before:
             counters[REJECTED] += 1
