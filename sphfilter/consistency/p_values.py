@@ -21,7 +21,7 @@ __all__ = [
     "uniform_runs",
 ]
 
-#: Runs from which on the variation between them is known well enough.
+#: Runs from which on the deviation between them is known within a quarter: 1 / √(2 (R - 1)) = .24 of it.
 FEWEST_RUNS = 10
 
 

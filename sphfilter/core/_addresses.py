@@ -25,7 +25,7 @@ __all__ = ["ADDRESS", "NOWHERE_AT", "Entry", "address_of", "addresses", "functio
 #: Type of what `address_of` returns.
 ADDRESS = types.uint64
 #: Stands for a function that is not called.
-NOWHERE_AT: Any = np.uint64(0)
+NOWHERE_AT: Any = ADDRESS(0)
 
 _KNOWN = WeakKeyDictionary()
 

@@ -1,7 +1,7 @@
 """Compiled code: where it is kept, and a word to the user while it is made.
 
 Numba compiles without a sound, for half a minute where nothing is kept yet. It tells listeners of every
-function that it compiles; after two seconds of them the logger "sphfilter" has a WARNING, once a process.
+function that it compiles; after a second of them the logger "sphfilter" has a WARNING, once a process.
 """
 
 import logging
@@ -14,10 +14,10 @@ from time import monotonic
 from numba import config, njit
 from numba.core import event
 
-__all__ = ["find_folder", "listen"]
+__all__ = ["PATIENCE", "find_folder", "listen"]
 
 _LOGGER = logging.getLogger("sphfilter")
-_PATIENCE = 2.0  # seconds of compiling
+PATIENCE = 1.0  # seconds that pass without a word: longer ones break a train of thought (Nielsen 1993, ch. 5)
 _COMPILING = (
     "compiling: up to a minute the first time that a scheme is used, once for all models; kept in %s "
     "(elsewhere: set NUMBA_CACHE_DIR)"
@@ -40,7 +40,7 @@ class _Listener(event.Listener):
             self.began, self.ours = monotonic(), _is_ours(event.data["dispatcher"])
         self.depth += 1
         folder = config.CACHE_DIR or event.data["dispatcher"].stats.cache_path  # None of what is not kept
-        late = self.ours and not self.said and self.seconds + monotonic() - self.began > _PATIENCE
+        late = self.ours and not self.said and self.seconds + monotonic() - self.began > PATIENCE
         if late and folder is not None:
             self.said = True
             _LOGGER.warning(_COMPILING, folder)

@@ -4,9 +4,9 @@ import numpy as np
 
 __all__ = ["A", "C", "E"]
 
-# nodes, stage weights, fifth-order weights minus fourth-order weights
+# Nodes, C = A 1; stage weights; fifth-order weights less fourth-order ones.
 C = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
-A = np.array(
+A = np.array(  # C = A 1
     [
         [0, 0, 0, 0, 0, 0],
         [1 / 5, 0, 0, 0, 0, 0],
@@ -17,4 +17,5 @@ A = np.array(
         [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
     ]
 )
+#: Σ E = 0.
 E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])

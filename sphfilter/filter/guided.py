@@ -11,9 +11,10 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.cloud.cycle import FEW
 from ..core.cloud.guide import look_ahead, over_both, spread
-from ..core.cloud.reading import EVEN, GUIDE, OWN, PARTS, WIDER, Part, weigh
+from ..core.cloud.reading import GUIDE, OWN, PARTS, WIDER, Part, weigh
 from ..core.cloud.steps import NO_LEG
 from ..core.cloud.weights import effective, prior_times
+from ..core.limits import ALIKE
 from ..density.carriers import Carried
 from ..density.nets import net
 from ..density.passage import LED, gone, normals, sub_key
@@ -88,7 +89,7 @@ def _best(points: Points, sensor: Stacked, key: int) -> Carried:
     best = _at_once(points, sensor, key)
     if best is None:
         best, sensor = _in_turn(points, sensor, key)
-    if points.path is None or best.families >= EVEN * effective(points.w):
+    if points.path is None or best.families >= ALIKE * effective(points.w):
         return best
     if len(sensor.z) and best.families < FEW * count:
         least = _LOST * _FAR_MORE * best.families if best.families > _NEXT_TO_NONE else 0.0
@@ -129,7 +130,7 @@ def _in_turn(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Stacke
     h = None if sensor.hidden else sensor.predict(points.x)
     log_l = sensor.log_likelihood(points.x, h)
     best = Carried.of(points.x, prior_times(points.w, log_l), np.arange(len(points.w)))
-    if points.path is None or best.families >= EVEN * effective(points.w):
+    if points.path is None or best.families >= ALIKE * effective(points.w):
         return best, sensor
     if sensor.hidden:
         sensor = piloted(sensor, points, log_l)

@@ -8,8 +8,8 @@ weights are those of the likelihood itself.
 import numpy as np
 
 from .._types import Floats
-from ..core.cloud.reading import EVEN
 from ..core.cloud.weights import effective, normalise, prior_times
+from ..core.limits import ALIKE
 from ..density.points import Points, moments
 from .stacked import Stacked
 
@@ -51,8 +51,8 @@ def piloted(sensor: Stacked, points: Points, log_l: Floats) -> Stacked:
     s = np.maximum(s, _NARROWEST)
     # mean and covariance of few points are off themselves: by 1 / carriers and (n + 1) / carriers of it
     s = s * (1.0 + (n + 2) / carriers)
-    rows = (V.T @ white)[s < EVEN]
-    s = s[s < EVEN]
+    rows = (V.T @ white)[s < ALIKE]
+    s = s[s < ALIKE]
     # of unit noise, √(1/s - 1) e leaves variance s along e, and moves the mean by 1 - s of what it reads
     gain = np.sqrt(1.0 / s - 1.0)
     z = gain * (rows @ mean + rows @ (moved - mean) / (1.0 - s))

@@ -18,12 +18,10 @@ from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..model.named import InputRecord
 from .evidence import Bound, Builder, Evidence, Progress, checked_guess
-from .maximum import ROUND, climbed, off_bounds, polished, ridge, room, searched
+from .maximum import NEAR, ROUND, climbed, off_bounds, polished, ridge, room, searched
 from .quadratic import Quadratic, quadratic, roughness, step_for
 
 __all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
-
-_NEAR = 0.25  # standard errors from the maximum, that count as found
 
 
 @dataclass(frozen=True)
@@ -296,7 +294,7 @@ def _told(
     evidence: Evidence, theta: Floats, value: float, covariance: Floats, rough: float, free: Bools, off: float
 ) -> ParameterFit:
     """The result, with a sentence about it; the last slopes say that the maximum is `off` standard errors."""
-    held, converged = tuple(evidence.names_of(~free)), off < _NEAR
+    held, converged = tuple(evidence.names_of(~free)), off < NEAR
     said = "the maximum was found" if converged else "the search was stopped before it had found the maximum"
     said += f", by its slopes {off:.1g} standard errors away" if 0.01 < off < np.inf else ""
     if held:

@@ -3,21 +3,21 @@
 import numpy as np
 
 from .._types import Bools, Floats
+from ..core.limits import ROUNDS
 from .evidence import Evidence
-from .quadratic import Function, Quadratic, quadratic, scales, slope_step_for, slopes
+from .quadratic import STEPS, Function, Quadratic, quadratic, scales, slope_step_for, slopes
 
-__all__ = ["ROUND", "climbed", "off_bounds", "polished", "ridge", "room", "searched"]
+__all__ = ["NEAR", "ROUND", "climbed", "off_bounds", "polished", "ridge", "room", "searched"]
 
-_FIRST = 0.1  # of a guess, or of the width of its bounds: first step of the search
-_LOOSE = 0.3  # nats between the corners of a simplex at which the search leaves the rest to Newton
-_STEP = 0.6  # of differences on the way, in standard errors
-_NEWTON = 20
-_SLOPES, _POLISHED = 4, 1e-5  # times that the last slopes are taken; nats below the top that are enough
-_CLOSE = 2e-3  # nats below the top of the quadratic at which a maximum is found: .06 standard errors
-_LONGEST = 2.0  # standard errors that Newton's method goes at once
-ROUND = 0.05  # least curvature, over one in round coordinates, that is a curvature
-_LEVEL = 0.02  # nats that a profile is below its top where the parabola is left to tell the rest
-_AT_BOUND = 0.2  # standard errors from a bound, within which an estimate is on it
+_FIRST = 0.1  # of a guess, or of its bounds' width: first step; measured: half 1.2 times the runs, twice .9
+_LOOSE = 0.3  # nats in a simplex that are left to Newton; measured: half 1.0 times the runs, twice 1.2
+_POLISHED = 1e-5  # nats below the top that are enough in the end: √(2e-5) = .0045 standard errors
+_CLOSE = 2e-3  # nats below the top of the quadratic that are enough before slopes are polished: √(4e-3) = .06
+_LONGEST = 2.0  # standard errors that Newton's method goes at once; measured: half and twice change no fit
+ROUND = 0.05  # least curvature, over one in round coordinates; measured: half and twice change no fit
+#: Standard errors that are next to nothing: from a bound that an estimate is on, a maximum that is found, and
+#: from the top of a profile (NEAR² / 2 nats: the parabola tells the rest).
+NEAR = 0.25
 
 
 def searched(
@@ -64,7 +64,7 @@ def climbed(
     free: Bools = (theta > low) & (theta < high)
     root, local = np.empty(0), None
     first = _first_steps(theta, low, high)
-    for _ in range(_NEWTON):
+    for _ in range(ROUNDS):
         if not free.any() or evidence.n_evaluations > max_evaluations:
             break
         inside, centre = evidence.within(theta, free), theta[free]
@@ -77,7 +77,7 @@ def climbed(
             theta, value = _at_bound(evidence, theta, value, k, low, high)
             free, root, local = free & (np.arange(len(free)) != k), np.empty(0), None
             continue
-        h = min(_STEP, room(centre, root, low[free], high[free]))
+        h = min(STEPS[1], room(centre, root, low[free], high[free]))
         local = quadratic(inside, centre, value, root, h)
         done = local.flattest[0] < -ROUND and local.rise < _CLOSE
         step, root = _newton_step(local)
@@ -105,7 +105,7 @@ def _at_bound(
 
 def _near_bounds(theta: Floats, root: Floats, free: Bools, low: Floats, high: Floats) -> Bools:
     """Which free parameters are on a bound, or too near it for differences."""
-    return np.minimum(theta - low, high - theta)[free] < _AT_BOUND * np.linalg.norm(root, axis=1)
+    return np.minimum(theta - low, high - theta)[free] < NEAR * np.linalg.norm(root, axis=1)
 
 
 def polished(
@@ -122,7 +122,7 @@ def polished(
     Returns the point, its value, and the rise to the top that is left by the last slopes.
     """
     h = min(slope_step_for(rough), room(centre, local.root, low, high))
-    for _ in range(_SLOPES):
+    for _ in range(ROUNDS):
         local = local._replace(value=value, gradient=slopes(function, centre, local.root, h))
         if local.rise < _POLISHED + rough:
             break
@@ -173,16 +173,16 @@ def ridge(evidence: Evidence, theta: Floats, free: Bools, covariance: Floats, k:
     if np.isfinite(covariance[k, k]):
         held = held - np.outer(covariance[free, k], covariance[free, k]) / covariance[k, k]
     root = np.asarray(np.linalg.cholesky(held), dtype=float)
-    for _ in range(_NEWTON):
+    for _ in range(ROUNDS):
         inside = evidence.within(theta, free)
-        gradient = slopes(inside, theta[free], root, _STEP)
+        gradient = slopes(inside, theta[free], root, STEPS[1])
         rise = float(0.5 * gradient @ gradient)
         if not np.isfinite(rise):
             break
-        if rise < _LEVEL:
+        if rise < 0.5 * NEAR**2:
             return value + rise
         there = theta.copy()
-        there[free] += root @ (gradient * min(1.0, 1.5 / float(np.linalg.norm(gradient))))
+        there[free] += root @ (gradient * min(1.0, _LONGEST / float(np.linalg.norm(gradient))))
         moved = evidence(there)
         if moved <= value:
             break

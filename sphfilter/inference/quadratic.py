@@ -10,17 +10,18 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from .._types import Floats
+from ..core.limits import ROUNDS
 from ..errors import EstimationError
 
-__all__ = ["Quadratic", "quadratic", "roughness", "scales", "slope_step_for", "slopes", "step_for"]
+__all__ = ["STEPS", "Quadratic", "quadratic", "roughness", "scales", "slope_step_for", "slopes", "step_for"]
 
 #: Of points (n,).
 Function: TypeAlias = Callable[[Floats], float]
 
-_FALL = 0.1, 2.0  # nats by which the function should fall over one of the scales found
-_TRIES = 12
-_NEAR = 0.01  # spacing of the points that roughness is seen on, in standard errors
-_STEPS = 0.03, 0.7  # in standard errors
+_FALL = 0.1, 2.0  # nats to fall over a scale; measured: half or twice the least .9, 1.0 times the runs
+_APART = 0.01  # standard errors between points that tell roughness; measured: half, twice move fits by 1e-4
+#: Steps of differences, least and most, in standard errors: for roughness h⁴ / (12 √6) of 3e-8 to 8e-3 nats.
+STEPS = 0.03, 0.7
 
 
 class Quadratic(NamedTuple):
@@ -84,7 +85,7 @@ def scales(
     for k, name in enumerate(names):
         room = 0.9 * min(centre[k] - low[k], high[k] - centre[k])  # the filter may refuse what is on a bound
         d, axis = min(first[k], room), np.eye(len(centre))[k]
-        for _ in range(_TRIES):
+        for _ in range(ROUNDS):
             fall = value - 0.5 * (function(centre + d * axis) + function(centre - d * axis))
             if _FALL[0] <= fall <= _FALL[1] or (fall < _FALL[0] and d == room):
                 break
@@ -137,7 +138,7 @@ def slopes(function: Function, centre: Floats, root: Floats, h: float) -> Floats
 
 def roughness(function: Function, centre: Floats, value: float, root: Floats) -> float:
     """Standard deviation of a function's values around a parabola through close points."""
-    along = _NEAR * root.sum(axis=1) / np.sqrt(len(centre))
+    along = _APART * root.sum(axis=1) / np.sqrt(len(centre))
     at = np.arange(-2.0, 3.0)
     values = np.array([value if k == 0 else function(centre + k * along) for k in at])
     left = values - np.polynomial.Polynomial.fit(at, values, 2)(at)
@@ -150,9 +151,9 @@ def step_for(rough: float) -> float:
     Roughness puts an error of 6^½ rough / h² into a second derivative, the fourth derivative f one of
     f h² / 12; here f is one, that of a log-evidence as far from quadratic as a standard error from its value.
     """
-    return float(np.clip((12.0 * np.sqrt(6.0) * rough) ** 0.25, *_STEPS))
+    return float(np.clip((12.0 * np.sqrt(6.0) * rough) ** 0.25, *STEPS))
 
 
 def slope_step_for(rough: float) -> float:
     """As `step_for`, of first differences, with a third derivative of one."""
-    return float(np.clip((3.0 / np.sqrt(2.0) * rough) ** (1.0 / 3.0), *_STEPS))
+    return float(np.clip((3.0 / np.sqrt(2.0) * rough) ** (1.0 / 3.0), *STEPS))

@@ -10,14 +10,13 @@ import numpy as np
 
 from .._types import Bools, Floats, Ints
 from ..config import PaperScheme
+from ..core.limits import ROUNDS
 from ..errors import PropagationError
 from ..model.domain import Domain
-from .regular import Lattice, heaviest
+from .regular import MOST_NODES, Lattice, heaviest
 
 __all__ = ["NO_OVERLAP", "Candidate", "Product", "Sought", "best_candidate"]
 
-_MOST_NODES = 2e6  # of one lattice; a posterior thinner than that across the axes is resolved less
-_ZOOMS = 12
 _ZOOM_ENDS = 0.8  # part of its extent that the posterior fills along every axis when zooming in has ended
 NO_OVERLAP = (
     "prior times likelihood is zero wherever the prior has particles: the measurement lies outside them; "
@@ -89,7 +88,8 @@ def _least_nodes(n_particles: int, n: int) -> int:
 
 def _dims(span: Floats, n_nodes: int, volume_fraction: float, anisotropy: float, least: int = 2) -> Ints:
     """Nodes per axis for spacings that differ at most by `anisotropy` (002 (50)-(56))."""
-    volume_fraction = max(volume_fraction, n_nodes / _MOST_NODES)
+    # a posterior thinner than that across the axes is resolved less
+    volume_fraction = max(volume_fraction, n_nodes / MOST_NODES)
     aspect = span / span.min()
     nodes_aspect = aspect / np.minimum(aspect, anisotropy)
     fewest = (n_nodes / (volume_fraction * np.prod(nodes_aspect))) ** (1.0 / len(span))
@@ -117,7 +117,7 @@ def _extents(sought: Sought, n_particles: int, scheme: PaperScheme) -> tuple[Flo
     low, high = low - widen, high + widen
     if sought.domain is not None:
         low, high = sought.domain.within(low, high, sought.support)
-    for _ in range(_ZOOMS):
+    for _ in range(ROUNDS):
         dims = _dims(high - low, n_particles, 1.0, scheme.anisotropy, least)
         lattice = Lattice.spanning(low, high, dims, sought.domain)
         filled = heaviest(sought.product(lattice).values, scheme.domain_mass)

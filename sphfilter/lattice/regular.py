@@ -17,6 +17,7 @@ from ..model.domain import Domain
 from ..validate import row
 
 __all__ = [
+    "MOST_NODES",
     "GaussianPlacement",
     "Lattice",
     "SupportFit",
@@ -26,7 +27,7 @@ __all__ = [
     "place_gaussian",
 ]
 
-_MOST_NODES = 2e6  # of one lattice
+MOST_NODES = 2e6  # of one lattice: ten arrays of 8 bytes each = 160 MB
 
 
 @dataclass(frozen=True)
@@ -57,13 +58,13 @@ class Lattice:
     @classmethod
     def spaced(cls, low: Floats, high: Floats, spacing: Floats, domain: Domain | None = None) -> "Lattice":
         """Lattice as `spanning` lays it, with the given spacing (n,), or the next smaller one that fits."""
-        cells = np.ceil(np.minimum((high - low) / spacing * (1.0 - 1e-12), _MOST_NODES)).astype(int)
+        cells = np.ceil(np.minimum((high - low) / spacing * (1.0 - 1e-12), MOST_NODES)).astype(int)
         ends = cls.spanning(low, high, cells + 1, domain)
         lattice = ends if domain is None else cls.spanning(low, high, cells + (ends.origin == low), domain)
-        if np.prod(lattice.dims.astype(float)) > _MOST_NODES:
+        if np.prod(lattice.dims.astype(float)) > MOST_NODES:
             raise ModelError(
                 f"spacing = {row(spacing)} makes {np.prod(lattice.dims.astype(float)):.2g} nodes, more than "
-                f"{_MOST_NODES:g}: take a wider one or a smaller box"
+                f"{MOST_NODES:g}: take a wider one or a smaller box"
             )
         return lattice
 
@@ -188,7 +189,7 @@ def _trimmed(mean: Floats, ellipsoid: _Ellipsoid, spacing: Floats, shift: float)
     radii, grown = ellipsoid.radii(float(np.prod(spacing)) ** (1.0 / n))
     extent = np.sqrt((vectors**2) @ grown**2)
     half = np.maximum(np.floor(extent / spacing - shift), 0)
-    if np.prod(2.0 * half + 1.0) > _MOST_NODES:
+    if np.prod(2.0 * half + 1.0) > MOST_NODES:
         raise ModelError(
             "the initial covariance is so narrow in a direction oblique to the axes that a lattice would "
             "need millions of nodes: rotate or rescale the states, or widen the covariance there"

@@ -5,10 +5,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
 
+from ..core._compiling import PATIENCE
+
 __all__ = ["asked_before", "noted", "tell_of"]
 
 _LOGGER = logging.getLogger("sphfilter")
-_LONG, _MUCH = 1.0, 0.5  # seconds of a prediction, and the share of one function, from which it is said
+_MUCH = 0.5  # share of one function, from which it costs more than all the rest: _MUCH = 1 - _MUCH
 _SAYS = (
     "%.0f %% of a prediction of %.2g s went into %d calls of the vectorized function %s, of %.2g states on "
     "average; as text (SDE.from_expressions), or for numba as a function of one state, it is compiled"
@@ -43,7 +45,7 @@ def asked_before() -> dict[int, tuple[int, int, float]]:
 
 def tell_of(before: dict[int, tuple[int, int, float]], took: float) -> None:
     """Say it, once a function, if one took most of the time of a prediction that took long, in seconds."""
-    for index, cost in list(_COSTS.items()) if took > _LONG else ():
+    for index, cost in list(_COSTS.items()) if took > PATIENCE else ():
         calls, rows, seconds = before.get(index, (0, 0, 0.0))
         calls, share = cost.calls - calls, (cost.seconds - seconds) / took
         if share > _MUCH and not cost.said:

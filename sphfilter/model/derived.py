@@ -13,6 +13,7 @@ from numba.extending import register_jitable
 from .._types import BatchFunction, Floats
 from ..core._addresses import ADDRESS, Entry, address_of, function_at
 from ..core._jit import MATRIX, VECTOR, jit
+from ..core.limits import DIFFERENCE
 from .compile import batch
 
 __all__ = [
@@ -20,9 +21,6 @@ __all__ = [
     "linear_drift", "linear_jacobian", "noise_columns", "noise_from_diffusion", "row_divergence_from",
     "scales", "stratonovich_drift", "trace_from", "zeros",
 ]  # fmt: skip
-
-#: Relative step of central differences: balances rounding (eps/h) against truncation (h²).
-_STEP = np.finfo(float).eps ** (1 / 3)
 
 
 @register_jitable
@@ -170,7 +168,7 @@ def _using(fill: BatchFunction, f: BatchFunction) -> BatchFunction:
 
 def stratonovich_drift(f: BatchFunction, g: BatchFunction, Q: Floats) -> BatchFunction:
     """Return the Itô drift f_i + ½ Σ_jkl g_jk Q_kl ∂_j g_il of a Stratonovich equation (002 (4), erratum)."""
-    m, step = len(Q), _STEP
+    m, step = len(Q), DIFFERENCE
     at, own = _DIFFERENCE.address, address_of(g)
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
@@ -193,7 +191,7 @@ def stratonovich_drift(f: BatchFunction, g: BatchFunction, Q: Floats) -> BatchFu
 
 def noise_columns(g: BatchFunction, R: Floats) -> BatchFunction:
     """Return the batch function of c = g R, shape (n, r) per row, then Σ_a ∂_a c_ak of its columns."""
-    (m, r), step = R.shape, _STEP
+    (m, r), step = R.shape, DIFFERENCE
     at, own = _DIFFERENCE.address, address_of(g)
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
@@ -214,7 +212,7 @@ def noise_columns(g: BatchFunction, R: Floats) -> BatchFunction:
 
 def jacobian_from(f: BatchFunction, k: int) -> BatchFunction:
     """Return the batch function of ∂_j f_a, shape (k, n) per row, by central differences."""
-    step, at, own = _STEP, _DIFFERENCE.address, address_of(f)
+    step, at, own = DIFFERENCE, _DIFFERENCE.address, address_of(f)
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]
@@ -230,7 +228,7 @@ def jacobian_from(f: BatchFunction, k: int) -> BatchFunction:
 
 def row_divergence_from(D: BatchFunction) -> BatchFunction:
     """Return the batch function of (∇·D)_a = Σ_j ∂_j D_aj by central differences."""
-    step, at, own = _STEP, _DIFFERENCE.address, address_of(D)
+    step, at, own = DIFFERENCE, _DIFFERENCE.address, address_of(D)
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
         n = x.shape[1]

@@ -10,14 +10,13 @@ from numpy.typing import ArrayLike
 
 from .. import validate
 from .._types import Floats
+from ..core.limits import ROUNDING
 from ..errors import ModelError
 from .discretization import exponential
 from .named import InputValues, input_values
 from .sde import SDE
 
 __all__ = ["JumpMarkovModel", "mode_probabilities"]
-
-_ROUNDING = 1e-9  # of a row's largest rate, that its sum may be from zero
 
 
 class JumpMarkovModel:
@@ -180,7 +179,7 @@ def _rates(rates: ArrayLike, names: tuple[str, ...]) -> Floats:
             f"{names[j]!r}"
         )
     sums = found.sum(axis=1)
-    wrong = np.flatnonzero(np.abs(sums) > _ROUNDING * np.abs(found).max(axis=1))
+    wrong = np.flatnonzero(np.abs(sums) > ROUNDING * np.abs(found).max(axis=1))
     if wrong.size:
         i = wrong[0]
         raise ModelError(

@@ -12,6 +12,7 @@ from scipy.linalg import solve_triangular
 from .. import validate
 from .._types import BatchFunction, Bools, Floats, Ints, Seed
 from ..core._addresses import address_of
+from ..core.limits import DIFFERENCE, LOG_2_PI
 from ..errors import ModelError
 from .compile import StateFunction, compile_rows, probe, surfacing
 from .named import Inputs, Values, changed
@@ -20,7 +21,6 @@ from .tables import Tables, tables_of
 __all__ = ["GaussianMeasurement", "GaussianSensor", "NoisySensor", "Reading", "Sensor", "block",
            "direct_states", "has_gaussian_noise", "has_own_likelihood", "is_gaussian", "wrapped"]  # fmt: skip
 
-_HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 _DIFFERENT = (
     "The sensor's h is of {} states, but the state has {}: h has a column, or a name, for each state."
 )
@@ -420,7 +420,7 @@ class GaussianMeasurement:
         if self._matrix is not None:
             return self._matrix.copy()
         x = np.asarray(x, dtype=float)
-        steps = np.diag(np.finfo(float).eps ** (1 / 3) * np.maximum(1.0, np.abs(x)))
+        steps = np.diag(DIFFERENCE * np.maximum(1.0, np.abs(x)))
         above, below = x + steps, x - steps
         rise = self.residual(self.predict(above, t), self.predict(below, t))
         return (rise / np.diag(above - below)[:, None]).T
@@ -454,7 +454,7 @@ class GaussianMeasurement:
         if self._noise is not None:
             L = self._roots(X, t, seen)
             y = np.linalg.solve(L, off[:, :, None])[:, :, 0]
-            constant = -np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1) - came * _HALF_LOG_2_PI
+            constant = -np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1) - came * (0.5 * LOG_2_PI)
         else:
             _, whiten, constant = self._factor(seen)
             y = off @ whiten
@@ -506,7 +506,7 @@ class GaussianMeasurement:
         key = seen.tobytes()
         if key not in self._factors:
             L = np.asarray(np.linalg.cholesky(block(self.noise_cov, seen)))
-            constant = -np.log(np.diag(L)).sum() - len(L) * _HALF_LOG_2_PI
+            constant = -np.log(np.diag(L)).sum() - len(L) * (0.5 * LOG_2_PI)
             self._factors[key] = L, solve_triangular(L, np.eye(len(L)), lower=True).T, constant
         return self._factors[key]
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from .. import validate
 from .._types import Floats, Seed
 from ..core.domain import bounce
+from ..core.limits import LOOK, ROUNDING
 from ..core.sde_steps import normals_per_step, steps
 from ..errors import ModelError, PropagationError
 from .compile import surfacing
@@ -32,12 +33,11 @@ __all__ = [
     "starting_states",
 ]
 
-_ROUNDING = 1e-9  # of an eigenvector's entry; eigh leaves some 1e-16
-
-#: dt times the fastest rate of the model; the scheme for additive noise has the higher order.
+#: dt times the fastest rate of the model; that for additive noise has the higher order. Measured: half and
+#: twice change moments of 50,000 paths by chance alone, 1.1 standard errors at most.
 _COURANT_ADDITIVE, _COURANT_GENERAL = 0.05, 0.01
-#: Steps taken before the rate is looked at again, states it is looked at, and normals drawn at a time.
-_STEPS_PER_LOOK, _LOOKED_AT, _NORMALS_AT_ONCE = 16, 64, 1_000_000
+_STEPS_PER_LOOK = 16  # before the rate is looked at again; measured: half takes 1.3 times the time, twice 1.0
+_NORMALS_AT_ONCE = 1_000_000  # normals drawn at a time: 8 bytes each = 8 MB
 _MAX_STEPS = 10_000_000
 
 
@@ -251,7 +251,7 @@ def _next_block(model: SDE, x: Floats, t: float, t1: float) -> tuple[float, int]
     """Return the end of the next block of steps and how many steps it takes."""
     courant = _COURANT_GENERAL if model.state_dependent_noise else _COURANT_ADDITIVE
     rates = _rates(model, x, t)
-    stiffest = x[np.argsort(rates)[-_LOOKED_AT:]]
+    stiffest = x[np.argsort(rates)[-LOOK:]]
     rate = max(rates.max(), rate_of_time(model, stiffest, t, t1))
     length = min(t1 - t, _STEPS_PER_LOOK * courant / rate) if rate > 0 else t1 - t
     spread = np.sqrt(2.0 * length * np.abs(np.diagonal(model.diffusion(stiffest, t), axis1=1, axis2=2)))
@@ -304,7 +304,7 @@ def noise_root(Q: Floats) -> Floats:
     d = scales(Q)
     w, V = np.linalg.eigh(Q / np.outer(d, d))
     for v in V.T:
-        v *= np.sign(v[np.flatnonzero(np.abs(v) > _ROUNDING)[-1]])
+        v *= np.sign(v[np.flatnonzero(np.abs(v) > ROUNDING)[-1]])
     return np.ascontiguousarray(d[:, None] * V * np.sqrt(np.maximum(w, 0.0)))
 
 

@@ -16,7 +16,7 @@ def pendulum(X, t):
 @pytest.fixture
 def said(caplog, monkeypatch):
     """What is said of predictions of any length, told of functions that take any part of them."""
-    monkeypatch.setattr(asking, "_LONG", 0.0)
+    monkeypatch.setattr(asking, "PATIENCE", 0.0)
     monkeypatch.setattr(asking, "_MUCH", 0.0)
     caplog.set_level(logging.WARNING, logger="sphfilter")
     return lambda: [r.getMessage() for r in caplog.records if "vectorized" in r.getMessage()]
@@ -40,7 +40,7 @@ def test_compiled_models_are_not_named(said):
 
 
 def test_short_predictions_are_not(caplog, monkeypatch):
-    monkeypatch.setattr(asking, "_LONG", np.inf)
+    monkeypatch.setattr(asking, "PATIENCE", np.inf)
     with caplog.at_level(logging.WARNING, logger="sphfilter"):
         predicted(sf.SDE(pendulum, dim=2, noise=[[0.0], [1.0]], vectorized=True))
     assert not [r for r in caplog.records if "vectorized" in r.getMessage()]

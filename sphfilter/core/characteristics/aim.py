@@ -14,12 +14,11 @@ from numba import typeof, types
 from .._addresses import Entry
 from .._jit import BATCH_FUNCTION, VECTOR, jit
 from ..field.field import FIELD
+from ..limits import EDGE
 from ..small_matrices import cholesky, invert_lower
 from .noise_paths import NOISE, along_at, displace, pushes, unblurred
 
 __all__ = ["AIM", "AIMED", "Aim", "aimed", "centred", "leg_ends", "response", "rooted"]
-
-_FAR = 6.0  # standard deviations of the noise
 
 
 class Aim(NamedTuple):
@@ -115,7 +114,7 @@ def rooted(B, tail):
 
 @jit
 def centred(aim, owner, slope):
-    """The noise (M, K) that leads to where the density is, as far as a quadratic knows; at most _FAR away.
+    """The noise (M, K) that leads to where the density is, as far as a quadratic knows; at most `EDGE` away.
 
     owner, slope: (M,), (M, n), whose polynomial paths without noise end in, and the slope of log p there.
     """
@@ -135,9 +134,9 @@ def centred(aim, owner, slope):
             for j in range(k, K):
                 centre[i, k] += aim.root[owner[i], j, k] * r[j]
             size += centre[i, k] ** 2
-        if not size <= _FAR**2:
+        if not size <= EDGE**2:
             for k in range(K):
-                centre[i, k] = centre[i, k] * _FAR / math.sqrt(size) if math.isfinite(size) else 0.0
+                centre[i, k] = centre[i, k] * EDGE / math.sqrt(size) if math.isfinite(size) else 0.0
     return centre
 
 

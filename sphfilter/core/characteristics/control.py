@@ -44,8 +44,10 @@ STEPS, REJECTED, EVALUATIONS, RELAID = range(4)
 #: |log mass| lost, longest step, next step of the lattice, residual of the last lattice, the sum of the
 #: steps' errors, that of the squares of the lattices', the nodes that the next lattice needs, the error that
 #: no shorter step makes smaller, and the sum of log mass.
-VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP, RESIDUAL, STEP_ERRORS, SQUARES, NODES = range(9)
-FLOOR, NET_MASS, STATE_SIZE = 9, 10, 11
+(
+    VOLUME, PATH_STEP, LOST_MASS, LONGEST, LATTICE_STEP, RESIDUAL, STEP_ERRORS, SQUARES, NODES, FLOOR,
+    NET_MASS, STATE_SIZE,
+) = range(12)  # fmt: skip
 
 
 class Control(NamedTuple):

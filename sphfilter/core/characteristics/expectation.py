@@ -26,9 +26,8 @@ __all__ = [
 ]  # fmt: skip
 
 _SURE = 1.0  # nats below the last level kept, from which one path will do
-_BLURRED = 2  # noises up to which paths are bent, and leave a bridge
-_BLOCK = 256  # states that one thread takes at a time
-_ROWS = 2048  # paths that go at once
+_ROWS = 2048  # paths that go at once: 8 bytes each = 16 KB a column, half of a first-level cache
+_BLOCK = _ROWS // 8  # states that one thread takes at a time: 2,000 nodes = 8 blocks
 
 
 class Step(NamedTuple):
@@ -200,7 +199,7 @@ def _brought_by_legs(step, aim, Y, f1, d1, centre, owner):
         value = _branched(paths, M, value.reshape((value.size, 1))).reshape(start.shape[0])
         R = value.size
         pull = unblurred(R, push.shape[1])
-        if step.blurred and K // 2 <= _BLURRED:
+        if step.blurred and paths.w[:, K // 2 :].any():  # without bends there is more left than a bridge
             pull = Pull(pull.straight, pull.bend, np.empty((R, push.shape[1])))
         _displaced(step.noise, aim, paths, centre, owner, drawn, low, push, pull, value)
         end, action = np.empty((R, n)), np.empty(R)

@@ -13,12 +13,13 @@ from .._addresses import Entry
 from .._jit import MATRIX, VECTOR, jit
 from ..field.field import FIELD, evaluate
 from ..field.walls import fold, is_inside
+from ..limits import NOTHING
 from .expectation import BACK, STEP, back_in_halves
 
 __all__ = ["BETWEEN", "JUDGE", "between", "judged", "mean_ratio", "witnesses"]
 
 _WITNESSES = 12
-_GOLDEN = 0.6180339887498949
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # (√5 - 1) / 2: multiples modulo one are spread evenly
 
 
 @jit
@@ -107,7 +108,7 @@ def mean_ratio(log_p, other):
     """Mean of |p / p' - 1|, at most one each, of values log_p (M,) and other (M,)."""
     error = 0.0
     for i in range(other.size):
-        error += min(abs(math.expm1(min(log_p[i] - other[i], 50.0))), 1.0)
+        error += min(abs(math.expm1(min(log_p[i] - other[i], NOTHING))), 1.0)
     return error / max(other.size, 1) if math.isfinite(error) else np.inf
 
 

@@ -20,9 +20,11 @@ from .._jit import jit
 from ..field.fitting import BUILD
 from ..field.shape import local_shape, nodes_of
 from ..field.walls import is_inside
+from ..limits import ROUNDING
 from ..small_matrices import cholesky, moments
+from ..step_control import GROW, HELPED, MORE, next_step
 from .aim import AIMED
-from .budget import for_lattice, for_step, nodes_for
+from .budget import ORDER, for_lattice, for_step, nodes_for
 from .control import (
     EVALUATIONS,
     FLOOR,
@@ -52,14 +54,11 @@ from .step_limits import noise_limit
 __all__ = ["Entries", "march", "needed", "wrong"]
 
 _MOST = 1e-2  # residual that steps go by where the lattice's own is larger
-_SHORTEST = 1e-6  # of the interval
 _UNDOUBTED = 5.0  # times what may be lost, where no error is seen
-_HELPED = 0.7  # times a step's error, to which a shorter one has to bring it
 _UNSEEN = 0.1  # variance of a step's noise, in units of the lattice, below which shorter steps gain nothing
-_PATIENCE, _GROWING = 10, 1.5  # steps that hardly grow, after which one four times as long is tried
+_PATIENCE, _GROWING = 10, 1.5  # steps that hardly grow, after which one as long as any may grow is tried
 _FORGOTTEN = 0.95  # of the floor, that is left after a step
-_AGAIN, _FINER = 2.0, 1.2  # times what is aimed at, and the nodes, for which a lattice is laid again
-_SPARE, _ORDER = 1e-8, 6.0  # residual that more nodes need not make smaller; its order in the spacing
+_AGAIN = 2.0  # times what is aimed at, for which a lattice is laid again
 
 back_at, choose_at, aim_at, lay_at, build_at = BACK.at, CHOOSE.at, AIMED.at, LAY.at, BUILD.at
 judge_at, between_at = JUDGE.at, BETWEEN.at
@@ -91,7 +90,8 @@ def needed(residual, count, most, n):
     """
     if n > 1:
         return float(most)
-    return min(max(count * min(4.0, max(0.25, (residual / _SPARE) ** (1.0 / _ORDER))), 40.0), float(most))
+    times = (residual / ROUNDING) ** (1.0 / ORDER)
+    return min(max(count * min(MORE, max(1.0 / MORE, times)), 40.0), float(most))
 
 
 @jit
@@ -103,12 +103,6 @@ def _keep_inside(noise, x, m):
         total += m[i]
     for i in range(m.size):
         m[i] /= total
-
-
-@jit
-def _suited(h, error, allowed):
-    """The step after one of length h with that error, which goes with the third power of the length."""
-    return h * min(4.0, max(0.2, 0.9 * (allowed / max(error, 1e-300)) ** (1.0 / 3.0)))
 
 
 @jit
@@ -183,12 +177,12 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
         if control.steps > 0.0:
             aimed = for_step(control, state, h, times[1] - times[0], span)
             allowed = max(allowed, min(aimed, control.share * _MOST))
-        state[LATTICE_STEP] = _suited(h, error, allowed)
+        state[LATTICE_STEP] = next_step(h, error / allowed, 3.0)  # a step gets h³ wrong
         seen = noise.G.shape[1] == 0 or h * noise_limit(noise.G, field.A) > _UNSEEN
-        if error > allowed and seen and not error > _HELPED * before:
+        if error > allowed and seen and not error > HELPED * before:
             counters[REJECTED] += 1
             before = error
-            if state[LATTICE_STEP] < _SHORTEST * span:
+            if state[LATTICE_STEP] < ROUNDING * span:
                 return field, x, m, mean, P, STALLED
             continue
         before = np.inf
@@ -196,7 +190,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
         since += 1
         if since == _PATIENCE:
             if state[LATTICE_STEP] < _GROWING * usual:
-                own, shorter, state[LATTICE_STEP] = error, h, 4.0 * h
+                own, shorter, state[LATTICE_STEP] = error, h, GROW * h
             since, usual = 0, h
         coarse = np.inf  # residual of a lattice that is laid again
         while True:
@@ -206,19 +200,19 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
             laid = build(new.mu, new.A, new.node, new.x.shape[0], new.log_p, sten)
             residual = between(back, step, laid, new.log_mass)
             gone = abs(new.log_mass)  # no step has mass to lose: where one does, its witnesses were too few
-            refused = control.lattices > 0.0 and _AGAIN * allowed < gone < _HELPED * lost
+            refused = control.lattices > 0.0 and _AGAIN * allowed < gone < HELPED * lost
             if control.lattices == 0.0 or refused:
                 break
             state[VOLUME], aimed = new.volume, for_lattice(control, state, h, times[1] - times[0], span)
-            count, helped = float(new.x.shape[0]), not residual > _HELPED * coarse
+            count, helped = float(new.x.shape[0]), not residual > HELPED * coarse
             state[NODES] = nodes_for(residual, aimed, count, control, n) if helped else count
-            if not helped or residual < _AGAIN * aimed or state[NODES] < _FINER * count:
+            if not helped or residual < _AGAIN * aimed or state[NODES] <= count:
                 break
             coarse = residual
             counters[RELAID] += 1
         if refused:
             counters[REJECTED] += 1
-            lost, state[LATTICE_STEP] = gone, _suited(h, gone, allowed)
+            lost, state[LATTICE_STEP] = gone, next_step(h, gone / allowed, 3.0)
             continue
         if control.lattices > 0.0:
             error, lost = max(error, gone), np.inf

@@ -18,11 +18,11 @@ import numpy as np
 from .._jit import jit
 from ..field.field import evaluate, gradient
 from ..field.walls import fold, is_inside
+from ..limits import NOTHING
 
 __all__ = ["reflected"]
 
 _LEAST = 1e-2  # of p before the wall, that is left beyond it
-_MOST = 50.0  # nats
 _TURNED = 0.5  # nats at most, by what happens along a wall
 
 
@@ -83,8 +83,8 @@ def _mirrored(step, t, d, wall, side, X, log_p):
         if D > 0.0:
             f0, f1, f2 = side * f[count + k, d] / D, side * f[top, d] / D, side * f[k, d] / D
             even, bent = 0.25 * (f1 - f2) * s, 0.5 * (f1 + f2) - f0
-            ahead = f0 * math.exp(min(p[count + k] - p[top] + even, _MOST))
-            ahead += 4.0 * (f0 + 0.25 * bent) * math.exp(min(p[half] - p[top] + 0.75 * even, _MOST))
+            ahead = f0 * math.exp(min(p[count + k] - p[top] + even, NOTHING))
+            ahead += 4.0 * (f0 + 0.25 * bent) * math.exp(min(p[half] - p[top] + 0.75 * even, NOTHING))
             left = 1.0 - s / 6.0 * (ahead + f0 + bent)
             log_p[i] += math.log(max(left, _LEAST)) - s * (f0 + bent / 3.0)
             turn = side * turns[k] * s**3 / (3.0 * D) * math.exp(min(0.375 * f0 * s, 1.0))

@@ -9,7 +9,9 @@ from numba import types
 from .._addresses import Entry
 from .._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit
 from ..field.walls import fold
+from ..limits import LITTLE, ROUNDING, TINY
 from ..small_matrices import cholesky, times_lower
+from ..step_control import next_step
 from .control import (
     CONTROL,
     COUNTS,
@@ -29,9 +31,6 @@ from .step_limits import blur_share, driven_error, noise_limit, path_error, pred
 __all__ = ["CHOOSE", "Choice", "chosen"]
 
 _MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice
-_SHARP = 0.1  # of the tolerance, below which nothing is averaged over what paths leave of the noise
-_SHORTEST = 1e-9  # of the interval
-_FIRST = 1.0  # variance of the noise of the first step tried, in units of the density's own
 
 
 class Choice(NamedTuple):
@@ -85,9 +84,9 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         freeze(x, m, t, noise)
     while True:
         times_lower(L, Q, S)
-        limit = control.noise_share / max(noise_limit(noise.G, S), 1e-300)
+        limit = control.noise_share / max(noise_limit(noise.G, S), TINY)
         if state[LATTICE_STEP] == 0.0:
-            state[LATTICE_STEP] = _FIRST / max(noise_limit(noise.G, S), 1e-300)
+            state[LATTICE_STEP] = 1.0 / max(noise_limit(noise.G, S), TINY)  # whose noise is as wide as p
         h = min(left, state[LONGEST], limit, state[LATTICE_STEP])
         if noise.state_dependent:
             freeze(x, m, t + 0.5 * h, noise)
@@ -106,12 +105,11 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         if noise.state_dependent:
             error = max(error, driven_error(drift, noise, x, f, m, t, h, parts, S) / control.tolerance)
             counters[EVALUATIONS] += 12 * parts * x.shape[0]
-        factor = 5.0 if error == 0.0 else min(5.0, max(0.2, 0.9 * error**-0.25)) if error < np.inf else 0.1
-        state[PATH_STEP] = min(h / parts * factor, 1e300)
+        state[PATH_STEP] = min(next_step(h / parts, error, 4.0), 1.0 / TINY)
         if error <= 1.0:
             break
         counters[REJECTED] += 1
-        if state[PATH_STEP] < _SHORTEST * span:
+        if state[PATH_STEP] < ROUNDING * span:
             code = NOT_FINITE if error == np.inf else STALLED
             return Choice(code, h, parts, False, False, twice, mean, S)
     predicted(drift, noise, x, f, twice, m, t, h, parts, mean, P)
@@ -120,7 +118,7 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         return Choice(NOT_FINITE, h, parts, False, False, twice, mean, S)
     times_lower(own, Q, S)
     blurred = (
-        noise.state_dependent or not blur_share(drift, noise, x, f, m, t, h, S) < _SHARP * control.tolerance
+        noise.state_dependent or not blur_share(drift, noise, x, f, m, t, h, S) < LITTLE * control.tolerance
     )
     fold(noise.low, noise.high, twice)
     return Choice(OK, h, parts, pieces <= 1, blurred, twice, mean, S)

@@ -11,9 +11,11 @@ from .weights import weighted_moments
 
 __all__ = ["along_curve", "fill_places", "ordered", "places", "spread"]
 
-#: Bits of a cell's number along each state, and standard deviations to either side that cells tell apart.
-_BITS, _REACH = {1: 12, 2: 8, 3: 6, 4: 4, 5: 4, 6: 3}, 2.5
-_LEAST = 1e-12  # distance of points from the ends of the unit cube
+#: Bits of a cell's number along each state: places of 4 bytes in tables of at most 2^20 = 4 MB.
+_BITS = {1: 12, 2: 8, 3: 6, 4: 4, 5: 4, 6: 3}
+#: Standard deviations to either side that cells tell apart: 2 (1 - Φ(2.5)) = 1.2 % lie in the outermost ones.
+_REACH = 2.5
+_LEAST = float(np.finfo(float).eps)  # distance of points from the ends of the unit cube
 
 
 def places(n):

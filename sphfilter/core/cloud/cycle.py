@@ -12,6 +12,7 @@ from numba import types
 
 from .._addresses import ADDRESS, NOWHERE_AT, Entry
 from .._jit import MATRIX, VECTOR, jit
+from ..limits import ALIKE
 from ..small_matrices import cholesky, invert_lower, white_square
 from .control import (
     apart_by,
@@ -27,8 +28,8 @@ from .control import (
     step_after,
 )
 from .noise import stored
-from .pace import FIRST_TRIED, chosen, over
-from .reading import EVEN, READER, Part, Reader, foreseen, weigh
+from .pace import FIRST_TRIED, MOST_LOST, chosen, over
+from .reading import READER, Part, Reader, foreseen, weigh
 from .steps import CUBE, LEG
 from .way import begin, carry, carry_linear
 from .weights import AWAY, carriers, compared, effective, near_others, weighted_moments
@@ -52,7 +53,6 @@ FEW = 0.25
 #: How a record ends: all is put through; the next cloud has another number of points; what the last reading
 #: left is to be judged; the next one is unusual, or something is to be said of it, and is not put through.
 ALL, MORE, JUDGE, UNUSUAL, REFUSED = range(5)
-MOST_LOST = 0.1  # probability of points that were given up
 WRONG = 0.2  # of a variance, from which it is said
 _INTS, _KEY = types.int64[::1], types.int64
 _NET = types.Array(types.float64, 2, "C", readonly=True)
@@ -269,7 +269,7 @@ def _cycled(about, cloud, nets, keys, curve):
     found = _carried_at(parts[4])(z, log_w, family)
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(y, w, mean, cov)
-    enough = found[7] >= min(FEW * count, EVEN * effective(w))
+    enough = found[7] >= min(FEW * count, ALIKE * effective(w))
     usual = enough and wrong == 0 and found[3] > -np.inf
     return _Cycled(usual, y, w, mean, cov, found)
 

@@ -9,11 +9,13 @@ import math
 import numpy as np
 
 from .._jit import jit
+from ..limits import LARGEST_EXPONENT, LOG_2_PI
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
 from .noise import even_normals, uniform
 from .weights import systematic
 
 __all__ = [
+    "NEAR",
     "along_rows",
     "joined",
     "linear_reading",
@@ -26,9 +28,7 @@ __all__ = [
 ]
 
 #: Neighbours to either side, that tell what the flow is without noise.
-_NEAR = 2
-_FARTHEST = 300.0  # nats, of a ratio of densities
-_LOG_2_PI = math.log(2.0 * math.pi)
+NEAR = 2
 
 
 @jit
@@ -52,7 +52,7 @@ def without_noise(y, x, u, L, Phi, block):
         while end < N and block[end] == b:
             end += 1
         for i in range(first, end):
-            low, high = max(i - _NEAR, first), min(i + _NEAR + 1, end)
+            low, high = max(i - NEAR, first), min(i + NEAR + 1, end)
             share = 1.0 / max(high - low - 1, 1)
             for a in range(n):
                 s = -rest[i, a]
@@ -107,7 +107,7 @@ def over_both(log_l, log_ratio, w):
     N, out = w.size, np.empty(log_l.size)
     for j in range(out.size):
         base = w[j] if j < N else 1.0 / (out.size - N)
-        ratio = math.exp(min(max(log_ratio[j], -_FARTHEST), _FARTHEST))
+        ratio = math.exp(min(max(log_ratio[j], -LARGEST_EXPONENT), LARGEST_EXPONENT))
         out[j] = -np.inf
         if base > 0.0 and log_l[j] > -np.inf:
             out[j] = log_l[j] + math.log(base / (1.0 + ratio))
@@ -247,7 +247,7 @@ def _gain(HL, R, S, K, T):
 @jit
 def _log_peak(F):
     """Logarithm of N(0; 0, F Fᵀ), F (k, k) lower."""
-    s = -0.5 * _LOG_2_PI * len(F)
+    s = -0.5 * LOG_2_PI * len(F)
     for a in range(len(F)):
         s -= math.log(F[a, a])
     return s

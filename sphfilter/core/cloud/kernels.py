@@ -5,10 +5,9 @@ import math
 import numpy as np
 
 from .._jit import jit
+from ..limits import NOTHING
 
 __all__ = ["log_sum", "log_sum_gradient", "seen"]
-
-_NOTHING = 30.0  # nats below the largest, from which a term adds nothing to a sum
 
 
 @jit
@@ -26,7 +25,7 @@ def seen(w, x, h, shift, cov, number):
             for a in range(n):
                 d[a] = x[j, a] - x[k, a]
                 r2 += d[a] * d[a] / (h * h)
-            if r2 < 2.0 * _NOTHING:
+            if r2 < 2.0 * NOTHING:
                 g = w[j] * math.exp(-0.5 * r2)
                 total += g
                 squares += g * g

@@ -12,6 +12,7 @@ from numba import types
 from .._addresses import Entry, function_at
 from .._jit import MATRIX, jit
 from .._views import rows_at
+from ..limits import LOOK, ROUNDING
 from .steps import CUBE, LEG, flow, new_room, scaled, times_root
 
 __all__ = [
@@ -26,16 +27,13 @@ __all__ = [
     "shrunk",
 ]
 
-#: Blocks at most, and points in one at least: enough to tell directions, few enough to cost a tenth.
-_BLOCKS, _POINTS = 64, 64
-_TERMS = 4  # of an exponential at half a norm: to 3e-3, of what only guides
-_NOTHING = 1e-9  # of a row's square, below which it lies among the rows before
+_TERMS = 4  # of an exponential at half a norm, (1/2)⁴ / 4! = 2.6e-3 of what only guides is left out
 
 
 @jit
 def block_size(N):
-    """Points in a block of a cloud of N."""
-    return max(_POINTS, -(-N // _BLOCKS))
+    """Points in a block of a cloud of N: they tell directions, and so few blocks cost a tenth."""
+    return max(LOOK, -(-N // LOOK))
 
 
 @jit
@@ -74,7 +72,7 @@ def block_roots(x):
                 for k in range(e):
                     s -= L[b, a, k] * L[b, e, k]
                 if a == e:
-                    L[b, a, a] = math.sqrt(s) if s > _NOTHING * S[a, a] else 0.0
+                    L[b, a, a] = math.sqrt(s) if s > ROUNDING * S[a, a] else 0.0
                 else:
                     L[b, a, e] = s / L[b, e, e] if L[b, e, e] > 0.0 else 0.0
     return L
@@ -113,7 +111,7 @@ def distances(x, family):
             variance, between = square[a] - mean[a] * mean[a], -mean[a] * mean[a]
             for j in range(families):
                 between += sums[own[j], a] ** 2 / (members[own[j]] * K)
-            if variance > _NOTHING * square[a]:
+            if variance > ROUNDING * square[a]:
                 ratio += between / (variance * n)
         for j in range(families):
             members[own[j]] = 0
@@ -270,7 +268,7 @@ def lower_and_rows(B):
                         row[k] -= s * V[b, e, k]
             for k in range(d):
                 left += row[k] * row[k]
-            if left > _NOTHING * whole and left < np.inf:
+            if left > ROUNDING * whole and left < np.inf:
                 L[b, a, a] = math.sqrt(left)
                 for k in range(d):
                     V[b, a, k] = row[k] / L[b, a, a]

@@ -8,13 +8,14 @@ from .._jit import jit
 
 __all__ = ["LANES", "even_normals", "fill_noise", "mixed", "stored", "uniform"]
 
-#: Points that are moved together: their states, slopes and noise fit the first-level cache.
+#: Points that are moved together: of four states, 8 numbers each in a step, they fill the first-level cache,
+#: 128 * 4 * 8 * 8 bytes = 32 KB.
 LANES = 128
 
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / ((1 + √5) / 2), made odd
 #: Ends of the sixths of 2^32 at either side, whose numbers become minus and plus the root of three.
 _LOW, _HIGH = np.uint64(2**32 // 6), np.uint64(2**32 - 2**32 // 6)
-_HALF, _ROOT_3 = np.uint64(0xFFFFFFFF), math.sqrt(3.0)
+_HALF, _ROOT_3 = np.uint64(2**32 - 1), math.sqrt(3.0)  # lower half of a word; E x² = 1 with (√3)² / 3
 
 
 @jit

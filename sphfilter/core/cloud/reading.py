@@ -11,7 +11,9 @@ from numba import types
 
 from .._addresses import ADDRESS, NOWHERE_AT, function_at
 from .._jit import MATRIX, VECTOR, jit
+from ..limits import ALIKE, DIFFERENCE
 from .guide import (
+    NEAR,
     along_rows,
     joined,
     linear_reading,
@@ -28,14 +30,13 @@ from .noise import LANES, even_normals, mixed, stored
 from .way import AGAIN
 from .weights import effective, finite_rows, normalise, prior_times, weighted_moments
 
-__all__ = ["EVEN", "GUIDE", "OWN", "PARTS", "READER", "WIDER", "Part", "Reader", "foreseen", "weigh"]
+__all__ = ["GUIDE", "OWN", "PARTS", "READER", "WIDER", "Part", "Reader", "foreseen", "weigh"]
 
-#: Effective part of weights, from which they are good enough as they are.
-EVEN = 0.9
-#: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good. Times
-#: what linearity misses: the variance of a point's own rest about the mean of four neighbours', over one's.
-WIDER, OWN = 1.5, 1.0 + 1.0 / 4.0
-#: What numbers of a reading's key are for: its guide, and the noise of the passages.
+#: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good.
+WIDER = 1.5
+#: Variance of a point's own rest about the mean of its neighbours', over that of one: OWN = 1 + 1 / (2 NEAR).
+OWN = 1.0 + 0.5 / NEAR
+#: What numbers of a reading's key are for: its guide, and passages k = 0, 1 at PARTS + k.
 GUIDE, PARTS = 11, 20
 
 
@@ -137,13 +138,13 @@ def _slopes(reader, c):
             x[i, e] = c[i // (2 * n), e]
     for b in range(nb):
         for e in range(n):
-            step = _STEP * max(1.0, abs(c[b, e]))
+            step = DIFFERENCE * max(1.0, abs(c[b, e]))
             x[2 * (b * n + e), e] += step
             x[2 * (b * n + e) + 1, e] -= step
     h = _read(reader, x)
     for b in range(nb):
         for e in range(n):
-            i, step = 2 * (b * n + e), _STEP * max(1.0, abs(c[b, e]))
+            i, step = 2 * (b * n + e), DIFFERENCE * max(1.0, abs(c[b, e]))
             for a in range(k):
                 J[b, a, e] = wrapped(h[i, a] - h[i + 1, a], reader.angle[a]) / (2.0 * step)
     return J
@@ -158,9 +159,6 @@ def _beside(u, v):
         for a in range(n):
             U[i, a], U[i, n + a] = u[i, a], v[i, a]
     return U
-
-
-_STEP = np.finfo(np.float64).eps ** (1.0 / 3.0)  # of central differences
 
 
 @jit
@@ -195,7 +193,7 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     log_l, wrong = log_normals(reader.z, h, reader.angle, reader.root)
     log_w, alone = prior_times(w, log_l), np.arange(N)
     first = np.zeros(N)
-    if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= EVEN * effective(w):
+    if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= ALIKE * effective(w):
         return y, log_w, alone, wrong
     flow, G = joined(kernel.flow, kernel.lower, moved.flow, moved.lower)
     lower, rows = lower_and_rows(G)

@@ -16,6 +16,7 @@ from .._addresses import ADDRESS, NOWHERE_AT, Entry, function_at
 from .._jit import MATRIX, VECTOR, jit
 from .._views import rows_at
 from ..domain import DOMAIN, REFLECTING, Domain, bounce
+from ..step_control import next_step
 from .noise import LANES, uniform
 
 __all__ = [
@@ -72,8 +73,8 @@ CUBE = types.float64[:, :, ::1]
 #: The room of a chunk: points, a state between, slopes of the drift and of the noise, the points before.
 #: Parts are a constant apart, by which the compiler sees that they do not overlap; no power of two, for the
 #: cache. Behind them is what moves the points, of each noise a row.
-X, Y, K1, K2, K3, K4, SLOPE, BEFORE = range(8)
-_PARTS, _PART = 8, 16 * LANES + 16
+X, Y, K1, K2, K3, K4, SLOPE, BEFORE, _PARTS = range(9)
+_PART = 16 * LANES + 16  # 16 states; 8 * 16 bytes = 2 lines off what would share their places in the cache
 _Y, _K1, _K2, _K3, _K4, _SLOPE, _NOISE = (k * _PART for k in (Y, K1, K2, K3, K4, SLOPE, _PARTS))
 #: Parts of a step of a stiff drift at most; and of the extent of points, by how much its slopes may part.
 _MOST_PARTS, _STIFF = 100_000, 0.02
@@ -145,7 +146,7 @@ def flow_in_parts(leg, room, K, n, t, h):
                 return
         else:
             _copy(before, x)
-        dt *= min(max(0.8 * off ** (-1.0 / 3.0), 0.1), 4.0) if off > 0.0 else 4.0
+        dt = next_step(dt, off, 3.0)
         if not dt > 1e-24 * h:
             x[worst, 0], dt = np.nan, h
     for i in range(K):

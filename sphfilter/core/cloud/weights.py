@@ -7,6 +7,7 @@ from numba import njit
 
 from .._jit import jit
 from .._views import rows_at
+from ..limits import LOOK, ROUNDING
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
 from .noise import LANES
 
@@ -27,9 +28,9 @@ __all__ = [
 ]
 
 
-_ROW = LANES + 8  # numbers from one row of a chunk's points to the next: no power of two, for the cache
-_SEEN = 64  # rows that tell the extent of all
-AWAY = 1e6  # extents of points from which one has run away
+#: Numbers from one row of a chunk's points to the next: 8 * 8 bytes = 1 line off what would share its place.
+_ROW = LANES + 8
+AWAY = 1.0 / ROUNDING  # extents, from which a point has run away: AWAY² = 1 / eps leaves others no digit
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
@@ -133,7 +134,7 @@ def near_others(x, away):
     The extent is that between an eighth and seven of the values of a few dozen rows.
     """
     N, n = x.shape
-    each, some = max(N // _SEEN, 1), np.empty(N // max(N // _SEEN, 1) + 1)
+    each, some = max(N // LOOK, 1), np.empty(N // max(N // LOOK, 1) + 1)
     near, every = np.ones(N, np.bool_), True
     for a in range(n):
         count = 0

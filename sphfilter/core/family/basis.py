@@ -13,8 +13,10 @@ from .rules import rule
 
 __all__ = ["BASIS", "Basis", "averages", "basis", "size", "values_at"]
 
-_AT_ONCE = 64  # points: vector instructions, and tables that fit the first-level cache
-_BEYOND, _FALL = 1.6, 0.15  # standard deviations beyond the root of n, and least fall of log p out there
+#: Points at a time: tables of seven powers of four states, 7 * 4 * 64 * 8 bytes = 14 KB.
+_AT_ONCE = 64
+_BEYOND = 1.6  # standard deviations beyond √n: P(χ_n > √n + 1.6) = .009 to .012 of a Gaussian lies there
+_FALL = 0.15  # least fall of log p out there, a square of a deviation
 
 
 class Basis(NamedTuple):

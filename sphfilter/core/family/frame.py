@@ -5,12 +5,14 @@ import math
 import numpy as np
 
 from .._jit import jit
+from ..limits import LOG_2_PI
 from ..small_matrices import eigen
 from .basis import values_at
 
-__all__ = ["inverse", "moments_of", "moved", "reframed", "root_between", "weigh"]
+__all__ = ["FAR", "inverse", "moments_of", "moved", "reframed", "root_between", "weigh"]
 
-_LOG_2_PI = math.log(2.0 * math.pi)
+#: Of moments in a frame: so far it follows a density at once, and from there on it knows nothing of it.
+FAR = 3.0
 
 
 @jit
@@ -62,7 +64,7 @@ def weigh(log_w, n, T, w):
         total += w[i]
     for i in range(N):
         w[i] /= total
-    return highest + math.log(total) + 0.5 * n * _LOG_2_PI
+    return highest + math.log(total) + 0.5 * n * LOG_2_PI
 
 
 @jit

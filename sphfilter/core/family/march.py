@@ -7,7 +7,8 @@ import numpy as np
 
 from .. import dormand_prince as dp
 from .._jit import jit
-from .frame import inverse, moments_of, moved, reframed, root_between, weigh
+from ..step_control import GROW, SHRINK, next_step
+from .frame import FAR, inverse, moments_of, moved, reframed, root_between, weigh
 from .rates import RATES, work
 
 __all__ = ["STATUS", "Control", "Report", "march"]
@@ -16,10 +17,8 @@ OK, STALLED, TOO_MANY, NOT_FINITE, ASTRAY = range(5)
 #: What a code says.
 STATUS = "ok", "stalled", "too many steps", "not finite", "astray"
 
-_OFF, _ASTRAY = 0.15, 3.0  # of the moments in the frame: when it follows, and when it is lost
-_LEAST, _MOST = 0.2, 5.0  # variances in the frame, that one reframing goes to
-_TRIES = 5  # steps refused one after the other
-_SAFETY, _SHRINK, _GROW = 0.9, 0.2, 5.0
+_OFF = 0.15  # of the moments in the frame, from which it follows
+_TRIES = 5  # steps refused one after the other: each a fifth of the last or less, 5^-5 = 3e-4 of the first
 
 rates_at = RATES.at
 
@@ -75,14 +74,14 @@ def march(flow, basis, control, y):
             rejected, refused = rejected + 1, refused + 1
             if refused >= _TRIES * (1 if math.isnan(off) else 4):
                 return Report(STALLED, t, steps, rejected, asked, residual, stepping)
-            h *= max(_SHRINK, _SAFETY * off**-0.2) if math.isfinite(off) else _SHRINK
+            h = next_step(h, off, 5.0)
             continue
         residual += 0.5 * h * (before + after)
         stepping += off * control.tolerance
         t, steps, refused = control.t1 if last else t + h, steps + 1, 0
         for e in range(y.size):
             y[e] = trial[e]
-        h = min(h * min(_GROW, _SAFETY * max(off, 1e-10) ** -0.2), control.longest)
+        h = min(next_step(h, off, 5.0), control.longest)
         followed = _follow(basis, y, 0.0 if t >= control.t1 else _OFF)
         if followed < 0 or not residual < control.most_residual:
             return Report(ASTRAY, t, steps, rejected, asked, residual, stepping)
@@ -136,10 +135,10 @@ def _follow(basis, y, least):
     weigh(basis.log_w, n, T, w)
     moments_of(basis.xi, w, b, C)
     off = moved(b, C)
-    if not off < _ASTRAY:
+    if not off < FAR:
         return -1
     if off <= least:
         return 0
-    root_between(C, _LEAST, _MOST, root)
+    root_between(C, SHRINK, GROW, root)
     reframed(basis, mu, A, c, b, root)
     return 1

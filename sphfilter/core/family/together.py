@@ -5,12 +5,12 @@ import math
 import numpy as np
 
 from .._jit import jit
+from ..limits import TINY
+from ..step_control import GROW, SHRINK
 from .basis import values_at
-from .frame import inverse, moments_of, moved, root_between, weigh
+from .frame import FAR, inverse, moments_of, moved, root_between, weigh
 
 __all__ = ["log_sum", "nodes_of", "own_logs", "settled_round"]
-
-_LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
 
 
 @jit
@@ -83,11 +83,11 @@ def settled_round(basis, log_p, settled, mu, A, total, mean, cov, off):
         off[k] = moved(mean[k], cov[k])
         if off[k] < settled or not off[k] < np.inf:
             continue
-        root_between(cov[k], _LEAST, _MOST, root)
+        root_between(cov[k], SHRINK, GROW, root)
         far = 0.0
         for a in range(n):
             far += mean[k, a] ** 2
-        short = min(1.0, _STEP / max(math.sqrt(far), 1e-300))
+        short = min(1.0, FAR / max(math.sqrt(far), TINY))
         before = A[k].copy()
         for a in range(n):
             for b in range(n):

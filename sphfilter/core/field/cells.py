@@ -30,9 +30,9 @@ __all__ = [
 ]
 
 UNKNOWN = -math.inf  # of a cell whose value has not been asked for; an impossible state is merely very low
-LOWEST = -1e300
-MARGIN = 3  # cells around the seeds in the first box
-MOST_CELLS = 20_000_000
+LOWEST = -1e300  # sums of 1e8 such numbers are numbers still, 1e308 < 2^1024
+MARGIN = 3  # cells around the seeds in the first box: as far as neighbourhoods reach, stencils(1).widest = 3
+MOST_CELLS = 20_000_000  # of a box: 8 bytes each = 160 MB
 
 
 @jit

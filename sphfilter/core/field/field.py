@@ -13,14 +13,14 @@ import numpy as np
 from numba import typeof
 
 from .._jit import jit
+from ..limits import TINY
 from .cells import LOWEST, strides_of
 
 __all__ = ["FIELD", "Field", "evaluate", "gradient", "slopes"]
 
 _RIM = 4.5  # squared distance: the rim lies at sqrt 2 from a complete node, half a cell inside of this
-_LANES = 16  # states at a time
-_SUMS = 4  # sums at a time: one alone would wait for its own last addition
-_BEYOND = 1e150  # lattice cells: states out there are none
+_LANES = 16  # states at a time: 70 monomials of four states, 16 * 70 * 8 bytes = 9 KB, beside the polynomials
+_BEYOND = 1.0 / math.sqrt(TINY)  # lattice cells: states out there are none, with squares of 1 / TINY = 1e300
 
 
 class Field(NamedTuple):
@@ -133,8 +133,11 @@ def evaluate(field, sten, Y, out):
 
 @jit
 def _sums(coefficient, owner, b, out):
-    """Polynomials of the owners, from the monomials b (M + 1, lanes)."""
-    for lane in range(0, _LANES, _SUMS):
+    """Polynomials of the owners, from the monomials b (M + 1, lanes).
+
+    Four sums at a time: one alone would wait for its own last addition.
+    """
+    for lane in range(0, _LANES, 4):
         c0, c1 = coefficient[owner[lane]], coefficient[owner[lane + 1]]
         c2, c3 = coefficient[owner[lane + 2]], coefficient[owner[lane + 3]]
         v0, v1, v2, v3 = 0.0, 0.0, 0.0, 0.0

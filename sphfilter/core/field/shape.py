@@ -5,11 +5,10 @@ import math
 import numpy as np
 
 from .._jit import jit
+from ..limits import ALIKE
 from ..small_matrices import cholesky, eigen, invert_lower
 
-__all__ = ["LOCAL", "local_shape"]
-
-LOCAL = 0.9  # variance within pieces, over that of the whole, below which lattices follow the pieces
+__all__ = ["local_shape"]
 
 
 @jit
@@ -74,5 +73,5 @@ def local_shape(field, m, L, Q):
     smallest = w[0]
     for k in range(n):
         smallest = min(smallest, w[k])
-    if 0.0 < smallest < LOCAL:
+    if 0.0 < smallest < ALIKE:  # else lattices need not follow the pieces
         cholesky(R, Q)

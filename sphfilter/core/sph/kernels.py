@@ -19,7 +19,7 @@ __all__ = ["KINDS", "RADIUS", "Kernel", "kernel_variance", "normalisation", "sha
 KINDS = ("gaussian", "lucy", "cubic", "wendland_c2", "wendland_c4")
 GAUSSIAN, LUCY, CUBIC, WENDLAND_C2, WENDLAND_C4 = range(5)
 
-#: Support radius K of each kernel, in units of h.
+#: Support radius K of each kernel, in units of h: 002 (23)-(24), 000 (73)-(78); beyond it they are zero.
 RADIUS = np.array([3.0, 1.0, 2.0, 1.0, 1.0])
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from .._addresses import addresses
 from .._jit import jit
 from ..domain import bounce, go_round, half_period, left_at, unseen, velocities
+from ..limits import ROUNDING
 from .kernels import RADIUS
 from .motion import evaluate, move, stable_step
 from .search import SEARCH, outgrown, search_is_due
@@ -23,7 +24,6 @@ __all__ = ["INTEGRATORS", "STATUS", "Cloud", "Options", "Progress", "march", "pa
 
 STATUS = ("ok", "not finite", "paused", "stalled", "left", "unsettled")
 OK, NOT_FINITE, PAUSED, STALLED, LEFT, UNSETTLED = range(6)
-_STALLED = 1e-9  # of the time that is left: a step that is shorter
 
 search_at, density_at, smoothing_at = SEARCH.at, DENSITY.at, UPDATE.at
 
@@ -141,7 +141,7 @@ def _begin(parts, equations, cloud, domain, options, progress):
     progress.known = cloud.invariant[0] > 0.0
     progress.follows = progress.known and not options.up_to_date
     progress.must_search = not progress.known
-    progress.dt, progress.shortest = 1.0, _STALLED * (progress.t1 - progress.t)
+    progress.dt, progress.shortest = 1.0, ROUNDING * (progress.t1 - progress.t)
     progress.elapsed, progress.k_bypass, progress.t_ref = 0.0, 0, np.inf
     if progress.known:
         near = search_at(parts.search)(cloud, domain, work, options)

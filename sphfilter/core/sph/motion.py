@@ -6,13 +6,13 @@ import numpy as np
 
 from .._addresses import function_at
 from .._jit import jit
+from ..limits import TINY
 from .state import INTEGRATORS
 from .summation import DENSITY
 
 __all__ = ["evaluate", "move", "stable_step"]
 
 EULER, MIDPOINT, RK4 = range(len(INTEGRATORS))
-_EPS = 1e-300
 
 density_at = DENSITY.at
 
@@ -98,9 +98,9 @@ def stable_step(cloud, v, near, work, options):
             spread += D[i if D.shape[0] > 1 else 0, d * n + d]
         if not math.isfinite(speed2):
             return np.nan, i
-        limit = widest * cloud.h[i] ** 2 / max(spread, _EPS)
+        limit = widest * cloud.h[i] ** 2 / max(spread, TINY)
         if nearest < np.inf:
-            limit = min(limit, c_cfl * nearest / max(math.sqrt(speed2), _EPS))
+            limit = min(limit, c_cfl * nearest / max(math.sqrt(speed2), TINY))
         if math.isnan(limit):
             return np.nan, i
         if limit < dt:

@@ -7,13 +7,12 @@ import numpy as np
 from .._addresses import Entry
 from .._jit import jit
 from ..domain import DOMAIN, go_round, half_period, view_of, with_images
+from ..limits import TINY
 from .kernels import RADIUS
 from .neighbors import build_index, neighbor_lists
 from .state import CLOUD, OPTIONS, WORK, Near
 
 __all__ = ["SEARCH", "outgrown", "search", "search_is_due"]
-
-_EPS = 1e-300
 
 
 @jit
@@ -79,7 +78,7 @@ def bypass_time(cloud, v, dt_before, near, work, options):
         if start[i + 1] - start[i] < N - 1:
             fewest = min(fewest, buffer)
             rate = math.sqrt(fastest2) + K * (cloud.h[i] - work.h_before[i]) / dt_before
-            t_nns = min(t_nns, c_nns * (min(farthest, reach[i]) - support) / max(rate, _EPS))
+            t_nns = min(t_nns, c_nns * (min(farthest, reach[i]) - support) / max(rate, TINY))
     return t_nns, fewest
 
 

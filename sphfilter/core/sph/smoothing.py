@@ -8,6 +8,7 @@ import math
 
 from .._addresses import ADDRESS, Entry
 from .._jit import jit
+from ..limits import ROUNDING
 from .kernels import RADIUS
 from .state import CLOUD, NEAR, OPTIONS, WORK
 from .summation import DENSITY, own_density
@@ -16,7 +17,6 @@ __all__ = ["SMOOTHING", "UPDATE", "update_smoothing"]
 
 SMOOTHING = ("fixed", "proportional", "fixed_point", "newton")
 FIXED, PROPORTIONAL, FIXED_POINT, NEWTON = range(4)
-_NEWTON_TOLERANCE = 1e-6
 
 density_at = DENSITY.at
 
@@ -55,7 +55,7 @@ def newton(i, near, h_i, target, limit, n, options):
         new = h_i - excess / gradient if gradient > 0.0 else 0.5 * (low + high)
         if not low < new < high:
             new = 0.5 * (low + high)
-        if abs(new - h_i) <= _NEWTON_TOLERANCE * h_i:
+        if abs(new - h_i) <= ROUNDING * h_i:  # the next change would be the square
             return new, True
         h_i = new
     return (-1.0 if low == 0.0 else h_i), False

@@ -1,0 +1,23 @@
+"""Numbers that many files share: where double precision ends, and how much is looked at to know something."""
+
+import math
+
+import numpy as np
+
+__all__ = [
+    "ALIKE", "DIFFERENCE", "EDGE", "LARGEST_EXPONENT", "LITTLE", "LOG_2_PI", "LOOK", "NOTHING", "ROUNDING",
+    "ROUNDS", "TINY",
+]  # fmt: skip
+
+_EPS = float(np.finfo(float).eps)
+TINY = 1e-300  # keeps what divides off zero: 1e-300 > 2^-1022, the least number of full precision
+ROUNDING = math.sqrt(_EPS)  # part of a number, below which a difference like it is rounding: half its digits
+DIFFERENCE = float(np.finfo(float).eps ** (1 / 3))  # step of differences: eps / h, rounding, is as much as h²
+NOTHING = -math.log(_EPS)  # nats below the largest, where a term adds nothing to a sum: exp(-NOTHING) = eps
+LARGEST_EXPONENT = 700.0  # nats: a thousand exponentials have a sum still, exp(700) = 1e304 < 2^1024 / 1000
+LOG_2_PI = math.log(2.0 * math.pi)
+EDGE = 6.0  # standard deviations that hold a Gaussian: 2 (1 - Φ(6)) = 2e-9 of it lies beyond
+LOOK = 64  # points by which is judged what an eighth of a standard deviation does for: 1 / √64 = 1/8
+LITTLE = 0.1  # part of an error that is allowed, that needs no look: √(1 + LITTLE²) = 1.005 of it
+ALIKE = 0.9  # ratio of two variances that are as good as one: their deviations differ by √.9 = .95
+ROUNDS = 30  # rounds of a search that halves what it does not know: 2^-30 = 1e-9 of it is left

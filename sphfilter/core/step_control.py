@@ -1,0 +1,22 @@
+"""Steps as long as an error allows, and tries as large: one rule for all marches."""
+
+import numpy as np
+
+from ._jit import jit
+from .limits import TINY
+
+__all__ = ["GROW", "HELPED", "MORE", "SHRINK", "next_step"]
+
+#: Part of the step that the error would allow, and times the last one at most: .8 to .9, and 1.5 to 5 in
+#: Hairer, Nørsett & Wanner (1993).
+_SAFETY, GROW = 0.9, 5.0
+SHRINK = 1.0 / GROW  # a step that is refused shrinks by no more than the next may grow: SHRINK = .2
+MORE = 4.0  # times the points or nodes of one try, that the next one may have: what tells it may be chance
+HELPED = 0.7  # times an error, below which another try has to bring it to have helped
+
+
+@jit
+def next_step(h, over, order):
+    """The step after one of length h that was `over` times as wrong as allowed; no number shrinks it most."""
+    longer = _SAFETY * max(over, TINY) ** (-1.0 / order) if over < np.inf else SHRINK
+    return h * min(GROW, max(SHRINK, longer))
