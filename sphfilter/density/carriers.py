@@ -13,14 +13,14 @@ class Carried(NamedTuple):
 
     x: Floats
     w: Floats
-    family: Ints  # (N,)
+    lineage: Ints  # (N,)
     log_evidence: float
     mean: Floats  # (n,)
     cov: Floats  # (n, n)
     effective: float  # for means
-    families: float  # for the evidence
+    lineages: float  # for the evidence
 
     @classmethod
-    def of(cls, x: Floats, log_w: Floats, family: Ints) -> "Carried":
+    def of(cls, x: Floats, log_w: Floats, lineage: Ints) -> "Carried":
         """States with log-weights (N,) whose sum is the evidence, and the ancestor (N,) of each."""
-        return cls(*carriers(x, log_w, family))
+        return cls(*carriers(x, log_w, lineage))

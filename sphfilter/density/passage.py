@@ -79,7 +79,7 @@ def points_of_gaussian(mean: Floats, cov: Floats, count: int, key: int, number: 
 def points_of_sample(points: Points, count: int, key: int) -> Points:
     """Weighted points of any density as the begin of a path of `count` points."""
     n = points.x.shape[1]
-    about = _family_of(points), count, key, net(count, n, 0), *places(n)
+    about = _lineage_of(points), count, key, net(count, n, 0), *places(n)
     start, y, u, w, block, middle, lower, flow = begin(as_compiled(points.x), as_compiled(points.w), *about)
     kernel = Passage(None, stored_key(key, KERNEL), middle, middle, flow, lower, _NO_ROWS)
     return Points(y, w, Path(start, block, (kernel,), (u,)))
@@ -174,7 +174,7 @@ def put_through(
         leg = _leg(model, False)
     standing: list[Any] = []
     for points in (state.points, state.shadow):
-        standing += [points.x, points.w, _family_of(points)]
+        standing += [points.x, points.w, _lineage_of(points)]
     standing += [state.size, *state.told, state.pace.step, state.pace.stiff, counts[0], calm]
     motion = leg, address_of(STIFF_FLOW), changes
     about = motion, readings, (times, least), Standing(*standing), nets, bounds, places(model.dim)
@@ -186,14 +186,14 @@ def put_through(
 
 
 def _state_of(standing: Standing) -> CloudState:
-    x, w, family, few_x, few_w, few_family, size, *told, step, stiff, _, _ = standing
-    points, shadow = Points(x, w, family=family), Points(few_x, few_w, family=few_family)
+    x, w, lineage, few_x, few_w, few_lineage, size, *told, step, stiff, _, _ = standing
+    points, shadow = Points(x, w, lineage=lineage), Points(few_x, few_w, lineage=few_lineage)
     return CloudState(points, shadow, size, Told(*told), Pace(step, stiff))
 
 
-def _family_of(points: Points) -> Ints:
+def _lineage_of(points: Points) -> Ints:
     """Numbers (N,) of what points come from; none, where each is its own."""
-    return _EACH_ITS_OWN if points.family is None else points.family
+    return _EACH_ITS_OWN if points.lineage is None else points.lineage
 
 
 def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:

@@ -56,7 +56,7 @@ class Points(NamedTuple):
     path: Path | None = None  # since the last reading
     prior: Prior | None = None  # before the readings of this time
     #: (N,): points of a number come from one point of the prior; None: each its own.
-    family: Ints | None = None
+    lineage: Ints | None = None
 
 
 class Told(NamedTuple):

@@ -128,8 +128,8 @@ def _stored_cloud(state: CloudState) -> Arrays:
     arrays |= {"size": np.array(state.size), "inherited": np.array(state.inherited)}
     for name, points in (("points", state.points), ("shadow", state.shadow)):
         arrays |= under(name, {"x": points.x, "w": points.w})
-        if points.family is not None:
-            arrays[f"{name}.family"] = points.family
+        if points.lineage is not None:
+            arrays[f"{name}.family"] = points.lineage
         if points.path is None:
             continue
         arrays[f"{name}.path"] = points.path.x
@@ -158,7 +158,7 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) ->
 
 def _points_from(arrays: Arrays, models: Sequence[SDE]) -> Points:
     """The points of a cloud, with their path where models are given."""
-    points = Points(arrays["x"], arrays["w"], family=arrays.get("family"))
+    points = Points(arrays["x"], arrays["w"], lineage=arrays.get("family"))
     passages: list[Passage] = []
     while f"{len(passages)}.key" in arrays:
         known = part(str(len(passages)), arrays)

@@ -52,13 +52,13 @@ def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried 
     """
     path: Any = points.path
     x, y, block, passages, u = path.x, points.x, path.block, path.passages, path.u
-    log_w, family, count = np.log(np.maximum(points.w, 1e-300)), np.arange(len(path.x)), _MORE * len(path.x)
+    log_w, lineage, count = np.log(np.maximum(points.w, 1e-300)), np.arange(len(path.x)), _MORE * len(path.x)
     stage = 0
     while True:  # each stage takes one step of the way, or more
         own = sub_key(key, stage)
         if stage > 0:
             order = along(x, np.full(len(x), 1.0 / len(x)))
-            x, log_w, family, block = x[order], log_w[order], family[order], blocks_of(len(x))
+            x, log_w, lineage, block = x[order], log_w[order], lineage[order], blocks_of(len(x))
             passages, u, y = _anew(passages, x, block, own)
         w = np.empty(len(x))
         total = normalise(log_w, w)
@@ -69,8 +69,8 @@ def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried 
         if len(passages) == 1:
             ends = np.concatenate([y, z])
             log_w = total + over_both(sensor.log_likelihood(ends), log_ratio, w)
-            return Carried.of(ends, log_w, np.append(family, family[ancestor]))
-        log_w, family = total - log_ratio[len(x) :] - math.log(count), family[ancestor]
+            return Carried.of(ends, log_w, np.append(lineage, lineage[ancestor]))
+        log_w, lineage = total - log_ratio[len(x) :] - math.log(count), lineage[ancestor]
         kept = np.asarray(np.isfinite(z).all(axis=1))
         if not kept.any():
             return None

@@ -105,7 +105,7 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked, t: float) -> Clou
     own = both(max(told.errors.mean, least), state.pace.bias)
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
-    evidence_error = max(told.errors.log_evidence, few_error(found.families))
+    evidence_error = max(told.errors.log_evidence, few_error(found.lineages))
     return CloudReading(state, found.moments, t, found.log_evidence, evidence_error, own)
 
 

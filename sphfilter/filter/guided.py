@@ -39,20 +39,20 @@ class Weighed(NamedTuple):
     """A posterior as points, its log-evidence, and how many independent points each of them is an average of.
 
     Copies of a point count once. Where they are few, the error of a mean is about 1/√effective standard
-    deviations, and that of the log-evidence 1/√families, whatever clouds agree on.
+    deviations, and that of the log-evidence 1/√lineages, whatever clouds agree on.
     """
 
     points: Points
     log_evidence: float
     effective: float  # 0 where no point can have been read: the points are the prior's
-    families: float
+    lineages: float
     moments: tuple[Floats, Floats]  # mean (n,), covariance (n, n)
 
     @classmethod
     def of(cls, found: Carried, points: Points, before: float = 0.0) -> "Weighed":
         """What was found, in these points, where readings of the same time had this log-evidence before."""
         moments = found.mean, found.cov
-        return cls(points, found.log_evidence - before, found.effective, found.families, moments)
+        return cls(points, found.log_evidence - before, found.effective, found.lineages, moments)
 
 
 def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
@@ -76,10 +76,10 @@ def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
         points, earlier, before = points.prior
         sensor = Stacked.of((*earlier, *sensor.asked), sensor.domain)
     found = _best(points, sensor, key)
-    x, w, family = found.x, found.w, found.family
-    if not found.families > 0.0:
-        x, w, family = points.x, points.w, np.arange(len(points.w))
-    after = Points(x, w, None, Prior(points, sensor.asked, found.log_evidence), family)
+    x, w, lineage = found.x, found.w, found.lineage
+    if not found.lineages > 0.0:
+        x, w, lineage = points.x, points.w, np.arange(len(points.w))
+    after = Points(x, w, None, Prior(points, sensor.asked, found.log_evidence), lineage)
     return Weighed.of(found, after, before)
 
 
@@ -89,12 +89,12 @@ def _best(points: Points, sensor: Stacked, key: int) -> Carried:
     best = _at_once(points, sensor, key)
     if best is None:
         best, sensor = _in_turn(points, sensor, key)
-    if points.path is None or best.families >= ALIKE * effective(points.w):
+    if points.path is None or best.lineages >= ALIKE * effective(points.w):
         return best
-    if len(sensor.z) and best.families < FEW * count:
-        least = _LOST * _FAR_MORE * best.families if best.families > _NEXT_TO_NONE else 0.0
+    if len(sensor.z) and best.lineages < FEW * count:
+        least = _LOST * _FAR_MORE * best.lineages if best.lineages > _NEXT_TO_NONE else 0.0
         best = _better(best, bridged(points, sensor, key, least))
-    if best.families < min(_FEWER * count, _ENOUGH if sensor.hidden else _NEXT_TO_NONE):
+    if best.lineages < min(_FEWER * count, _ENOUGH if sensor.hidden else _NEXT_TO_NONE):
         best = _better(best, tempered(points, sensor.log_likelihood, key))
     return best
 
@@ -104,9 +104,9 @@ def _better(best: Carried, other: Carried | None) -> Carried:
 
     Both know the evidence without bias: what has missed the posterior says too little, most of the time.
     """
-    if other is None or other.families > _FAR_MORE * best.families:
+    if other is None or other.lineages > _FAR_MORE * best.lineages:
         return other or best
-    few = max(best.families, other.families) < _NEXT_TO_NONE
+    few = max(best.lineages, other.lineages) < _NEXT_TO_NONE
     return other if few and other.log_evidence > best.log_evidence else best
 
 
@@ -130,7 +130,7 @@ def _in_turn(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Stacke
     h = None if sensor.hidden else sensor.predict(points.x)
     log_l = sensor.log_likelihood(points.x, h)
     best = Carried.of(points.x, prior_times(points.w, log_l), np.arange(len(points.w)))
-    if points.path is None or best.families >= ALIKE * effective(points.w):
+    if points.path is None or best.lineages >= ALIKE * effective(points.w):
         return best, sensor
     if sensor.hidden:
         sensor = piloted(sensor, points, log_l)
@@ -153,8 +153,8 @@ def _twice(points: Points, log_l: Floats, h: Floats, sensor: Stacked, key: int) 
     for passage, v in zip(passages, V, strict=True):
         y = gone(passage, y, v, block, True)
     log_l = np.concatenate([log_l, sensor.log_likelihood(y)])
-    family = np.concatenate([np.arange(count), ancestor])
-    return Carried.of(np.concatenate([x, y]), over_both(log_l, log_ratio, w), family)
+    lineage = np.concatenate([np.arange(count), ancestor])
+    return Carried.of(np.concatenate([x, y]), over_both(log_l, log_ratio, w), lineage)
 
 
 def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: Any) -> list[Floats]:

@@ -39,13 +39,13 @@ class _Ways(NamedTuple):
     noise: tuple[Floats | None, ...]  # (3, d, M); None where a passage has none beside u
     end: Floats  # (M, n)
     log_l: Floats  # (M,)
-    family: Ints  # (M,)
+    lineage: Ints  # (M,)
 
     def chosen(self, i: Ints) -> "_Ways":
         """The ways of numbers i."""
         u, noise = [v[i] for v in self.u], [None if z is None else z[:, :, i] for z in self.noise]
         return _Ways(
-            self.start[i], self.block[i], tuple(u), tuple(noise), self.end[i], self.log_l[i], self.family[i]
+            self.start[i], self.block[i], tuple(u), tuple(noise), self.end[i], self.log_l[i], self.lineage[i]
         )
 
     def moved(self, taken: Any, new: "_Ways") -> "_Ways":
@@ -110,7 +110,7 @@ def tempered(points: Points, log_likelihood: OfStates, key: int) -> Carried | No
                     ways, path.passages, log_likelihood, b, steps, sub_key(key, 1000 + passes)
                 )
                 passes += 1
-            found = Carried.of(ways.end, log_w + log_evidence, ways.family)
+            found = Carried.of(ways.end, log_w + log_evidence, ways.lineage)
             if b < 1.0 or found.effective >= _ENOUGH or passes + _MOVES > _PASSES:
                 break
     return found
@@ -140,10 +140,10 @@ def _drawn(points: Points, log_likelihood: OfStates, key: int) -> tuple[_Ways | 
 
 def _together(parts: list[_Ways]) -> _Ways:
     """Ways of several draws as one."""
-    start, block, u, noise, end, log_l, family = zip(*parts, strict=True)
+    start, block, u, noise, end, log_l, lineage = zip(*parts, strict=True)
     U = [np.concatenate(v) for v in zip(*u, strict=True)]
     Z = [None if z[0] is None else np.concatenate(z, axis=2) for z in zip(*noise, strict=True)]
-    rest = [np.concatenate(v) for v in (end, log_l, family)]
+    rest = [np.concatenate(v) for v in (end, log_l, lineage)]
     return _Ways(np.concatenate(start), np.concatenate(block), tuple(U), tuple(Z), *rest)
 
 

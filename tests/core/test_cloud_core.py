@@ -187,10 +187,10 @@ def test_two_clouds_are_compared_whatever_the_units():
 def test_copies_of_few_points_stand_for_more_than_their_distance():
     rng = np.random.default_rng(5)
     few = rng.standard_normal((16, 2))
-    family = np.repeat(np.arange(16), 16)
+    lineage = np.repeat(np.arange(16), 16)
     alone = distances(rng.standard_normal((256, 2)), np.arange(256))
-    copies = distances(few[family] + 1e-6 * rng.standard_normal((256, 2)), family)
-    apart = distances(few[family] + 5.0 * rng.standard_normal((256, 2)), family)
+    copies = distances(few[lineage] + 1e-6 * rng.standard_normal((256, 2)), lineage)
+    apart = distances(few[lineage] + 5.0 * rng.standard_normal((256, 2)), lineage)
     np.testing.assert_allclose(alone, 64**-0.5)
     assert np.all(copies > 0.4) and np.all(apart < 0.2)
     assert len(blocks_of(256)) == 256

@@ -79,7 +79,7 @@ def test_a_sensor_that_is_sharp_beside_two_wells(key):
     mean, cov, evidence = off(found, *SHARP)
     assert mean < 3.0 / np.sqrt(found.effective)
     assert cov < 0.2
-    assert evidence < 4.0 / np.sqrt(found.families)
+    assert evidence < 4.0 / np.sqrt(found.lineages)
 
 
 @pytest.mark.parametrize("key", range(3))
@@ -89,7 +89,7 @@ def test_a_reading_far_off_beside_two_wells(key):
     mean, _, evidence = off(found, *OUTLYING)
     assert mean < 0.5  # both passes: up to 2
     assert mean < 3.0 / np.sqrt(found.effective)
-    assert evidence < 3.0 / np.sqrt(found.families)
+    assert evidence < 3.0 / np.sqrt(found.lineages)
 
 
 @pytest.mark.parametrize("R", [1.0, 1e-4])
@@ -108,7 +108,7 @@ def test_starts_that_end_before_a_reading_are_told(key):
     found = run(SWING, sensor, start, [[0.8], [16.0]], 2.0, key)
     exact = kalman(SWING, np.array([1.0, 0.0]), 0.2, *start, [0.8, 16.0], 2.0)
     assert off(found, *exact)[0] < 3.0 / np.sqrt(found.effective)
-    assert found.families < 16.0
+    assert found.lineages < 16.0
 
 
 def of_likelihood(R, index):
@@ -169,9 +169,9 @@ def test_a_box():
     law = norm(0.5 * F[0, 0], np.sqrt(0.5 * F[0, 0] ** 2 + Q[0, 0]))
     exact = [0.6], [[0.01**2 / 12.0]], np.log(law.cdf(high) - law.cdf(low))
     mean, cov, evidence = off(found, *exact)
-    assert found.families > 50.0
+    assert found.lineages > 50.0
     assert max(mean, cov) < 3.0 / np.sqrt(found.effective)
-    assert evidence < 3.0 / np.sqrt(found.families)
+    assert evidence < 3.0 / np.sqrt(found.lineages)
 
 
 @pytest.mark.parametrize("s", [1e-2, 1e-3])
@@ -183,8 +183,8 @@ def test_a_likelihood_with_two_narrow_peaks(s):
     right = law.pdf(1.0) / (law.pdf(1.0) + law.pdf(-1.0))  # but for terms of s²
     x, w = found.points.x[:, 0], found.points.w
     assert found.effective > 50.0
-    assert abs(w[x > 0.0].sum() - right) < 3.0 * np.sqrt(right * (1.0 - right) / found.families)
-    assert abs(found.log_evidence - np.log(law.pdf(1.0) + law.pdf(-1.0))) < 3.0 / np.sqrt(found.families)
+    assert abs(w[x > 0.0].sum() - right) < 3.0 * np.sqrt(right * (1.0 - right) / found.lineages)
+    assert abs(found.log_evidence - np.log(law.pdf(1.0) + law.pdf(-1.0))) < 3.0 / np.sqrt(found.lineages)
 
 
 def test_a_sharp_likelihood_after_noise_that_depends_on_the_state():
@@ -194,9 +194,9 @@ def test_a_sharp_likelihood_after_noise_that_depends_on_the_state():
     one = run(model, sf.GaussianMeasurement([[1.0]], [[1e-4]]), start, [[0.4]], 1.0)
     only = sf.LikelihoodMeasurement(lambda z, X, t: norm.logpdf(z[0], X[:, 0], 1e-2))
     other = run(model, only, start, [[0.4]], 1.0)
-    numbers = 1.0 / one.families + 1.0 / other.families
+    numbers = 1.0 / one.lineages + 1.0 / other.lineages
     assert abs(one.log_evidence - other.log_evidence) < 3.0 * np.sqrt(numbers)
-    assert min(one.families, other.families) > 30.0
+    assert min(one.lineages, other.lineages) > 30.0
 
 
 def test_nothing_can_have_been_read():
@@ -204,7 +204,7 @@ def test_nothing_can_have_been_read():
     points = moved_points(points_of_gaussian(*START, 128, 0), DUFFING, 0.0, 1.0, Steps(4), 128, 0)
     found = weighed(points, Stacked.of((asked(sensor, [0.0], 1.0),), None), 1)
     assert found.log_evidence == -np.inf
-    assert found.effective == found.families == 0.0
+    assert found.effective == found.lineages == 0.0
     assert np.array_equal(found.points.x, points.x)
     assert np.array_equal(found.points.w, points.w)
 

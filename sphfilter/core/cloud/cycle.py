@@ -76,10 +76,10 @@ class Standing(NamedTuple):
 
     x: np.ndarray  # (N, n)
     w: np.ndarray
-    family: np.ndarray
+    lineage: np.ndarray
     few_x: np.ndarray  # those of the shadow
     few_w: np.ndarray
-    few_family: np.ndarray
+    few_lineage: np.ndarray
     size: int  # points that the errors told are of
     mean: float  # squares of what the two are apart by
     variance: float
@@ -183,9 +183,9 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
 @jit
 def _bare(s):
     """The values of a cloud's standing: an interrupt in the making of a named tuple is none to Python."""
-    few = s.few_x, s.few_w, s.few_family
+    few = s.few_x, s.few_w, s.few_lineage
     told = s.size, s.mean, s.variance, s.log_evidence
-    return (s.x, s.w, s.family, *few, *told, s.step, s.stiff, s.points, s.calm)
+    return (s.x, s.w, s.lineage, *few, *told, s.step, s.stiff, s.points, s.calm)
 
 
 @jit
@@ -242,14 +242,14 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
 def _both(about, span, s, nets, curve):
     """A cloud and its shadow after a cycle; the shadow is of no worth where the cloud is not."""
     keys = _key_at(span[0], 0), _key_at(span[1], 2)
-    one = _cycled(about, (s.x, s.w, s.family), nets[0], keys, curve)
+    one = _cycled(about, (s.x, s.w, s.lineage), nets[0], keys, curve)
     keys = _key_at(span[0], 1), _key_at(span[1], 3)
-    return one, _cycled(about, (s.few_x, s.few_w, s.few_family), nets[1], keys, curve)
+    return one, _cycled(about, (s.few_x, s.few_w, s.few_lineage), nets[1], keys, curve)
 
 
 @jit
 def _cycled(about, cloud, nets, keys, curve):
-    """A cloud x (N, n), w (N,) of families (N,) over an interval and a reading."""
+    """A cloud x (N, n), w (N,) of lineages (N,) over an interval and a reading."""
     parts, leg, change, reader = about
     first, second = nets[1], nets[2]
     (count, n), key = first.shape, keys[0]
@@ -263,10 +263,10 @@ def _cycled(about, cloud, nets, keys, curve):
         y, v, middle, end, flow, lower, rows = _carry_at(parts[1])(leg, x, block, second, key)
     moved = Part(middle, end, flow, lower, rows)
     way = reader, leg, linear, key, start, y, w, block, kernel, moved, u, v, nets, keys[1]
-    z, log_w, family, wrong = y, np.full(count, -np.inf), np.empty(0, np.int64), 1
+    z, log_w, lineage, wrong = y, np.full(count, -np.inf), np.empty(0, np.int64), 1
     if near_others(y, AWAY)[1]:  # else what reads may be asked where no state is
-        z, log_w, family, wrong = _weigh_at(parts[3])(*way)
-    found = _carried_at(parts[4])(z, log_w, family)
+        z, log_w, lineage, wrong = _weigh_at(parts[3])(*way)
+    found = _carried_at(parts[4])(z, log_w, lineage)
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(y, w, mean, cov)
     enough = found[7] >= min(FEW * count, ALIKE * effective(w))

@@ -79,46 +79,46 @@ def block_roots(x):
 
 
 @jit
-def distances(x, family):
+def distances(x, lineage):
     """Distances (blocks,) of points x (N, n) in their blocks, over the block's standard deviation.
 
-    Points of one `family` (N,) come from one point of before. As far as they have not moved apart since, it
-    is families that fill a block, and their distance that counts.
+    Points of one `lineage` (N,) come from one point of before. As far as they have not moved apart since, it
+    is lineages that fill a block, and their distance that counts.
     """
     N, n = x.shape
-    size, count = block_size(N), family.max() + 1
+    size, count = block_size(N), lineage.max() + 1
     out, sums, members = np.empty(-(-N // size)), np.empty((count, n)), np.zeros(count, np.int64)
     mean, square, own = np.empty(n), np.empty(n), np.empty(size, np.int64)
     for b in range(out.size):
         first, last = b * size, min((b + 1) * size, N)
-        K, families = last - first, 0
+        K, lineages = last - first, 0
         for a in range(n):
             mean[a] = square[a] = 0.0
         for i in range(first, last):
-            f = family[i]
-            if members[f] == 0:
-                own[families] = f
-                families += 1
+            k = lineage[i]
+            if members[k] == 0:
+                own[lineages] = k
+                lineages += 1
                 for a in range(n):
-                    sums[f, a] = 0.0
-            members[f] += 1
+                    sums[k, a] = 0.0
+            members[k] += 1
             for a in range(n):
-                sums[f, a] += x[i, a]
+                sums[k, a] += x[i, a]
                 mean[a] += x[i, a] / K
                 square[a] += x[i, a] * x[i, a] / K
         ratio = 0.0
         for a in range(n):
             variance, between = square[a] - mean[a] * mean[a], -mean[a] * mean[a]
-            for j in range(families):
+            for j in range(lineages):
                 between += sums[own[j], a] ** 2 / (members[own[j]] * K)
             if variance > ROUNDING * square[a]:
                 ratio += between / (variance * n)
-        for j in range(families):
+        for j in range(lineages):
             members[own[j]] = 0
-        # of as many points as families the means part by chance, too
-        chance = families / K
-        ratio = min(max((ratio - chance) / max(1.0 - chance, 1e-9), 0.0), 1.0) if families < K else 0.0
-        out[b] = min(math.sqrt(max(K ** (-2.0 / n), ratio * families ** (-2.0 / n))), 1.0)
+        # of as many points as lineages the means part by chance, too
+        chance = lineages / K
+        ratio = min(max((ratio - chance) / max(1.0 - chance, 1e-9), 0.0), 1.0) if lineages < K else 0.0
+        out[b] = min(math.sqrt(max(K ** (-2.0 / n), ratio * lineages ** (-2.0 / n))), 1.0)
     return out
 
 

@@ -182,7 +182,7 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
 
     Returns
     -------
-    x, log_w, family : ndarray, shapes (M, n), (M,), (M,)
+    x, log_w, lineage : ndarray, shapes (M, n), (M,), (M,)
         States, logarithms of weights whose sum is the evidence, and ancestors.
     wrong : int
         How many likelihoods are no number: then the rest is of no worth.

@@ -35,7 +35,7 @@ def blocks_of(count):
 
 
 @jit
-def begin(x, w, family, count, key, net, table, bits):
+def begin(x, w, lineage, count, key, net, table, bits):
     """Begin the way of a cloud: points in order, each standing for a Gaussian as wide as their distance.
 
     They are drawn anew where too few of them weigh anything, those far out more often than they weigh.
@@ -45,7 +45,7 @@ def begin(x, w, family, count, key, net, table, bits):
     Parameters
     ----------
     x, w : ndarray, shapes (N, n), (N,)
-    family : ndarray of int, shape (N,) or (0,)
+    lineage : ndarray of int, shape (N,) or (0,)
         Points of a number come from one point of before; without any, each is its own.
     count : int
         Points afterwards.
@@ -71,7 +71,7 @@ def begin(x, w, family, count, key, net, table, bits):
     if count != N or effective(w) < _FEW * count:
         chosen, w = for_moments(x, w, mean, cov, count, uniform(np.uint64(key), np.uint64(_CUT)))
         order, x = order[chosen], x[chosen]
-    part = distances(x, family[order] if family.size > 0 else order)
+    part = distances(x, lineage[order] if lineage.size > 0 else order)
     block, middle, lower = blocks_of(count), centres(x), block_roots(x)
     u = even_normals(net, np.uint64(stored(key, KERNEL)))
     start = shrunk(x, middle, np.sqrt(1.0 - part**2))

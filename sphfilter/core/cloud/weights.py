@@ -163,12 +163,12 @@ def prior_times(w, log_l):
 
 
 @jit
-def carriers(x, log_w, family):
+def carriers(x, log_w, lineage):
     """Points that weigh something, and of how many independent ones they are an average.
 
-    Families are independent of each other, so that the variance of the mean is the sum of the squares of what
+    Lineages are independent of each other, so that the variance of the mean is the sum of the squares of what
     each adds to it (Chan & Lai 2013); over that of one point that is the mean's number. The evidence knows of
-    no more than the families' weights.
+    no more than the lineages' weights.
 
     Parameters
     ----------
@@ -176,16 +176,16 @@ def carriers(x, log_w, family):
         States; one that is no number weighs nothing.
     log_w : ndarray, shape (N,)
         Logarithms of weights whose sum is the evidence.
-    family : ndarray of int, shape (N,)
+    lineage : ndarray of int, shape (N,)
         The ancestor of each.
 
     Returns
     -------
-    x, w, family : ndarray
+    x, w, lineage : ndarray
         Those with weights, of sum one; all, without weights, where none has any.
     log_evidence : float
     mean, cov : ndarray, shapes (n,), (n, n)
-    effective, families : float
+    effective, lineages : float
         Numbers for the mean and for the evidence.
     """
     N, n = x.shape
@@ -196,30 +196,30 @@ def carriers(x, log_w, family):
                 log_w[i] = -np.inf
     log_evidence = normalise(log_w, w)
     if not abs(log_evidence) < np.inf:
-        return x, w, family, -np.inf, mean, cov, 0.0, 0.0
+        return x, w, lineage, -np.inf, mean, cov, 0.0, 0.0
     heavy = 0
     for i in range(N):
         heavy += w[i] > 0.0
     if heavy < N:
-        x, w, family = _heavy(x, w, family, heavy)
+        x, w, lineage = _heavy(x, w, lineage, heavy)
     weighted_moments(x, w, mean, cov)
-    squares, part = _squares(x, w, family, mean, cov)
-    families = 1.0 / squares
-    number = families
+    squares, part = _squares(x, w, lineage, mean, cov)
+    lineages = 1.0 / squares
+    number = lineages
     if part > 0.0:
-        # few families may agree by chance, and one agrees with itself: a variance seen F - 1 times
-        number = max(families, min(effective(w), (1.0 - squares) / part, families * families))
-    return x, w, family, log_evidence, mean, cov, number, families
+        # few lineages may agree by chance, and one agrees with itself: a variance seen L - 1 times
+        number = max(lineages, min(effective(w), (1.0 - squares) / part, lineages * lineages))
+    return x, w, lineage, log_evidence, mean, cov, number, lineages
 
 
 @jit
-def _heavy(x, w, family, count):
-    """The points, so many, that weigh anything, their weights and families."""
+def _heavy(x, w, lineage, count):
+    """The points, so many, that weigh anything, their weights and lineages."""
     n, j = x.shape[1], 0
     y, v, own = np.empty((count, n)), np.empty(count), np.empty(count, np.int64)
     for i in range(w.size):
         if w[i] > 0.0:
-            v[j], own[j] = w[i], family[i]
+            v[j], own[j] = w[i], lineage[i]
             for a in range(n):
                 y[j, a] = x[i, a]
             j += 1
@@ -227,26 +227,26 @@ def _heavy(x, w, family, count):
 
 
 @jit
-def _squares(x, w, family, mean, cov):
-    """Squares of what families add: of their weights, and to the mean, over one point's variances."""
+def _squares(x, w, lineage, mean, cov):
+    """Squares of what lineages add: of their weights, and to the mean, over one point's variances."""
     (N, n), last = x.shape, 0
     for i in range(N):
-        last = max(last, family[i])
+        last = max(last, lineage[i])
     L, added, squares, part = np.empty((n, n)), np.zeros((last + 1, n + 1)), 0.0, 0.0
     for i in range(N):
-        f = family[i]
-        added[f, n] += w[i]
+        k = lineage[i]
+        added[k, n] += w[i]
         for a in range(n):
-            added[f, a] += w[i] * (x[i, a] - mean[a])
-    for f in range(added.shape[0]):
-        squares += added[f, n] * added[f, n]
+            added[k, a] += w[i] * (x[i, a] - mean[a])
+    for k in range(added.shape[0]):
+        squares += added[k, n] * added[k, n]
     if not cholesky(cov, L):
         return squares, np.nan
     v = np.empty(n)
-    for f in range(added.shape[0]):
-        if added[f, n] > 0.0:
+    for k in range(added.shape[0]):
+        if added[k, n] > 0.0:
             for a in range(n):
-                v[a] = added[f, a]
+                v[a] = added[k, a]
             whiten(L, v)
             for a in range(n):
                 part += v[a] * v[a] / n
