@@ -6,7 +6,7 @@ import numpy as np
 
 __all__ = [
     "ALIKE", "DIFFERENCE", "EDGE", "LARGEST_EXPONENT", "LITTLE", "LOG_2_PI", "LOOK", "NOTHING", "ROUNDING",
-    "ROUNDS", "TINY",
+    "ROUNDS", "SAID", "TINY",
 ]  # fmt: skip
 
 _EPS = float(np.finfo(float).eps)
@@ -18,6 +18,7 @@ LARGEST_EXPONENT = 700.0  # nats: a thousand exponentials have a sum still, exp(
 LOG_2_PI = math.log(2.0 * math.pi)
 EDGE = 6.0  # standard deviations that hold a Gaussian: 2 (1 - Φ(6)) = 2e-9 of it lies beyond
 LOOK = 64  # points by which is judged what an eighth of a standard deviation does for: 1 / √64 = 1/8
+SAID = 0.01  # probability, from which it is said, and something done about it, that it was lost or guessed
 LITTLE = 0.1  # part of an error that is allowed, that needs no look: √(1 + LITTLE²) = 1.005 of it
 ALIKE = 0.9  # ratio of two variances that are as good as one: their deviations differ by √.9 = .95
 ROUNDS = 30  # rounds of a search that halves what it does not know: 2^-30 = 1e-9 of it is left

@@ -5,13 +5,14 @@ import numpy as np
 from ._jit import jit
 from .limits import TINY
 
-__all__ = ["GROW", "HELPED", "MORE", "SHRINK", "next_step"]
+__all__ = ["GROW", "HELPED", "MORE", "SHRINK", "TRIES", "next_step"]
 
 #: Part of the step that the error would allow, and times the last one at most: .8 to .9, and 1.5 to 5 in
 #: Hairer, Nørsett & Wanner (1993).
 _SAFETY, GROW = 0.9, 5.0
 SHRINK = 1.0 / GROW  # a step that is refused shrinks by no more than the next may grow: SHRINK = .2
 MORE = 4.0  # times the points or nodes of one try, that the next one may have: what tells it may be chance
+TRIES = 3  # larger tries after the first: with MORE^TRIES = 64 times the points an error is an eighth
 HELPED = 0.7  # times an error, below which another try has to bring it to have helped
 
 

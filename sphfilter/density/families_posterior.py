@@ -13,14 +13,12 @@ from ..errors import PropagationError
 from .families import Families, QuadratureMoments, at_nodes, log_total, looked_at, shares
 from .family import ASTRAY, OF_MISFIT, Family, moments_apart
 from .family_posterior import turned
-from .splitting import Front, bent_along, children
+from .splitting import NARROWER, NEGLIGIBLE, Front, bent_along, children
 
 __all__ = ["AWAY", "FamiliesPosterior", "families_posterior", "split", "strongest_bend"]
 
-_SETTLED, _ROUNDS = 0.1, 8  # of the moments in a frame; rounds
-_WIDTH = 0.55  # of a piece along which it was split, over its width before
-_NEGLIGIBLE = math.log(1e4)  # of the heaviest over one whose frame need not settle
-AWAY = 3.0  # standard deviations at which what is lost may lie
+_SETTLED, _ROUNDS = 0.1, 8  # of moments in a frame; rounds; measured: half, twice move means by 5e-5 at most
+AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
 
 #: States (J, N, n) to logarithms (J, N).
 OfNodes = Callable[[Floats], Floats]
@@ -93,10 +91,11 @@ def split(whole: Families, k: int, bends: OfStates, degree: int, least: float) -
     one = whole.one(k)
     v = strongest_bend(one, bends)[0]
     start = Front(np.zeros(1), one.mu[None], one.A[None], np.zeros(1, int))
-    front = children(start, v[None], np.array([_WIDTH]))
-    axis, square = v @ np.linalg.inv(one.A), 1.0 / _WIDTH**2 - 1.0  # one over the square of a window's width
+    front = children(start, v[None], np.array([NARROWER]))
+    axis = v @ np.linalg.inv(one.A)
+    square = 1.0 / NARROWER**2 - 1.0  # one over the square of a window's width
     middle = (front.mean - one.mu) @ axis * (1.0 + 1.0 / square)
-    height = front.log_w + 0.5 * middle**2 / (1.0 + 1.0 / square) - math.log(_WIDTH)
+    height = front.log_w + 0.5 * middle**2 / (1.0 + 1.0 / square) - math.log(NARROWER)
 
     def window(x: Floats) -> Floats:
         return height[:, None] - 0.5 * square * ((x - one.mu) @ axis - middle[:, None]) ** 2
@@ -128,7 +127,7 @@ def _product(
         nodes_of(rule.xi, mu, A, x)
         log_p = _logs(prior, own, weight, x, far)
         seen = looked_at(rule, log_p, mu, A, _SETTLED if left > 1 else math.inf)
-        if (seen.off[seen.total + log_w > np.max(seen.total + log_w) - _NEGLIGIBLE] < _SETTLED).all():
+        if (seen.off[seen.total + log_w > np.max(seen.total + log_w) - NEGLIGIBLE] < _SETTLED).all():
             break
     c = np.einsum("ki,ij->kj", log_p, rule.F)  # not a matrix product: its last bits depend on the threads
     w = shares(log_p + rule.log_w)

@@ -13,6 +13,7 @@ from .._types import Floats, OfStates
 from ..config import CloudScheme, FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
 from ..core.family.rules import degrees
 from ..core.field.walls import NO_WALLS, Walls
+from ..core.limits import EDGE
 from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
 from ..lattice.check import deep_enough, misfit, remote
@@ -34,7 +35,6 @@ Distribution: TypeAlias = Gaussian | Uniform | OfStates
 
 _LOGGER = logging.getLogger("sphfilter")
 _MISSING = 0.05  # of the variance of a Gaussian, from which it is said
-_FAR = 6.0  # standard deviations within which a Gaussian is put on a domain with ends
 _TRIES = 5  # numbers of nodes, each twice the one before, for a target error
 _MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
 _COARSE, _SEEN = 5000, 1.0 - 1e-6  # particles a callable pdf is first looked at with, and their probability
@@ -249,7 +249,7 @@ def on_equal_lattice(density: ParticleDensity, n_particles: int, scheme: PaperSc
 def _box_of(distribution: Distribution, box: ArrayLike | None) -> Floats:
     """Where a distribution is not negligible, shape (n, 2)."""
     if isinstance(distribution, Gaussian):
-        half = _FAR * np.sqrt(np.diag(distribution.cov))
+        half = EDGE * np.sqrt(np.diag(distribution.cov))
         return np.transpose([distribution.mean - half, distribution.mean + half])
     if isinstance(distribution, Uniform):
         return distribution.box

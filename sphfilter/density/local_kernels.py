@@ -8,6 +8,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.kernels import log_sum, log_sum_gradient, seen
+from ..core.limits import EDGE
 from ..core.sph.kernels import Kernel
 from .whitening import framed, least_change
 
@@ -17,7 +18,6 @@ __all__ = ["LocalKernels", "local_kernels"]
 _KERNELS = 1024
 #: Width of what looks about, over N^(-1/(n + 8)), as `python tests/density/kernel_widths.py` measures it.
 _WIDTH = 1.4
-_REACH = 6.0  # standard deviations of a kernel, beyond which it ends
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class LocalKernels:
     def ends(self) -> tuple[Floats, Floats, Floats]:
         """Lower and upper ends of kernels of one state, and how wide they are; arrays."""
         middle, width = self.centre + self.factor[0] * self.z[:, 0], self.factor[0] * self.root[:, 0, 0]
-        return middle - _REACH * width, middle + _REACH * width, width
+        return middle - EDGE * width, middle + EDGE * width, width
 
     def _asked(self, X: Floats) -> tuple[Floats, ...]:
         """Arguments of compiled sums."""

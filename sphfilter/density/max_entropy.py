@@ -7,13 +7,14 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.family.basis import averages
+from ..core.limits import ROUNDS
 from ..core.monomials import up_to
 from .family import Family, gaussian_family
 from .points import moments
 
 __all__ = ["max_entropy"]
 
-_ROUNDS, _FOUND, _HALVINGS = 30, 1e-9, 20
+_FOUND = 1e-9
 _LONGEST = 2.0  # change of log p in a round, rms over the density
 
 
@@ -58,7 +59,7 @@ def max_entropy(x: Floats, mass: Floats, degree: int) -> tuple[Family, float] | 
 def _solved(V: Floats, log_w: Floats, c: Floats, wanted: Floats) -> Floats | None:
     """Coefficients under which polynomials V (M, N) at nodes average to `wanted`, by Newton's method."""
     c = c.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         log_z, p = _partition(c @ V + log_w)
         off = (wanted - V @ p)[1:]
         if not np.isfinite(off).all():
@@ -73,7 +74,7 @@ def _solved(V: Floats, log_w: Floats, c: Floats, wanted: Floats) -> Floats | Non
         long = math.sqrt(max(float(off @ step), 0.0))
         step *= min(1.0, _LONGEST / max(long, 1e-300))
         value, slope = log_z - c[1:] @ wanted[1:], float(off @ step)
-        for _ in range(_HALVINGS):
+        for _ in range(ROUNDS):
             trial = c.copy()
             trial[1:] += step
             if _partition(trial @ V + log_w)[0] - trial[1:] @ wanted[1:] <= value - 1e-4 * slope:

@@ -29,12 +29,20 @@ __all__ = [
     "straightened",
 ]
 
-_BENT = 1.5  # times the bend that is allowed, from which a piece is split
-_NARROWEST, _WIDEST = 0.15, 0.7  # of a piece along the split, over its own width
-_APART, _REACH = 1.7, 4.0  # spacing of pieces over their width before, and how far out they go
-_LEVELS = 5
-_NEGLIGIBLE = math.log(1e6)  # of the largest evidence over that of a piece which is dropped
-_POWERS = 8  # steps towards the direction of strongest bending
+#: Width of pieces over that of one which is split because its update is off. Measured: with .4 and .75 the
+#: error of the vehicle is .14 and 1 times as large, and bananas split none.
+NARROWER = 0.55
+_BENT = 1.5  # times the bend allowed, that splits a piece; measured: 1, 3: 1.05, 1.35 times the error
+#: Of a piece along the split, over its own width. Measured: errors are .96 to 1.04 times as large with half
+#: and twice of the first, and with .5 and .9 for the second.
+_NARROWEST, _WIDEST = 0.15, 0.7
+_APART = 1.7  # widths of their window from piece to piece: their sum ripples by 2 exp(-2 π² / 1.7²) = .002
+_REACH = 4.0  # widths to which pieces go: 2 Φ(-4) = 6e-5 of a Gaussian lies beyond
+_LEVELS = 5  # measured: three move means by 1e-6, ten by none
+#: Of the largest evidence over that of a piece which is dropped, or need not settle. Measured: half leaves
+#: errors 1.05 times as large, and with twice bananas take too many nodes.
+NEGLIGIBLE = math.log(1e6)
+_POWERS = 8  # steps to the direction of strongest bending; measured: half, twice move means by 4e-16
 
 #: States (M, n) to z less the reading, in units of its noise, (M, k).
 White = Callable[[Floats], Floats]
@@ -85,14 +93,14 @@ def straightened(front: Front, ask: ReadingAtNodes, bend: float) -> Front:
     for left in range(_LEVELS, -1, -1):
         seen = quadrature_moments(front, ask)
         top = max(top, float(seen.bound.max()))
-        keep = seen.bound > top - _NEGLIGIBLE
+        keep = seen.bound > top - NEGLIGIBLE
         bent = keep & (seen.bend > _BENT * bend) & (left > 0)
         done.append((front.some(keep & ~bent), seen.bound[keep & ~bent]))
         if not bent.any():
             break
         ratio = np.clip(np.sqrt(bend / seen.bend[bent]), _NARROWEST, _WIDEST)
         front = children(front.some(bent), seen.v[bent], ratio)
-    parts = zip(*(f.some(bound > top - _NEGLIGIBLE) for f, bound in done), strict=True)
+    parts = zip(*(f.some(bound > top - NEGLIGIBLE) for f, bound in done), strict=True)
     return Front(*(np.concatenate(part) for part in parts))
 
 
@@ -165,7 +173,7 @@ def children(front: Front, v: Floats, ratio: Floats) -> Front:
         log_w -= logsumexp(log_w)
         mean = front.mean[k] + np.outer(centre / (1.0 + s * s), front.root[k] @ v[k])
         root = front.root[k] @ (np.eye(len(v[k])) - (1.0 - rho) * np.outer(v[k], v[k]))
-        kept = log_w > -_NEGLIGIBLE
+        kept = log_w > -NEGLIGIBLE
         count = int(kept.sum())
         own = np.full(count, front.parent[k])
         parts.append((front.log_w[k] + log_w[kept], mean[kept], np.repeat(root[None], count, axis=0), own))

@@ -27,9 +27,10 @@ from .stacked import Stacked, seen
 __all__ = ["bridged"]
 
 #: Points for each of the prior: the first guide chooses few of these, and what remains of the way parts them.
+#: Measured: with half, with itself and with twice errors of peaks of sin 4 x + y² are .008, .007, .003.
 _MORE = 4
 #: Times what linearity misses on average, that a guide sees, which is more in the tails: of 1, 2, 4, 8 and an
-#: outlier of twelve sigma, errors .14 .09 .06 .05.
+#: outlier of twelve sigma, errors .14 .09 .06 .05. Measured: half and twice are .7 and .9 of an error.
 _MISSED = 8.0
 
 

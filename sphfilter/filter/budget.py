@@ -27,7 +27,8 @@ Info = TypeVar("Info", PredictInfo, UpdateInfo)
 
 #: What time is read from, seconds; `time.process_time` leaves out what other processes take.
 clock = perf_counter
-#: Steps that are remembered. The next one costs more than the dearest of nineteen alike once in twenty.
+#: Steps that are remembered: the next one costs more than the dearest of so many alike with
+#: probability 1 / (_MEMORY + 1) = .05.
 _MEMORY = 19
 _REHEARSED = 2  # steps with costs that count, after one that compiles and one on few particles
 _SHORT = 1e-3  # of the interval: a prediction that compiles and does little else

@@ -10,6 +10,7 @@ from ..config import CloudScheme, FilterConfig
 from ..core.cloud.control import both, few_error, least_error
 from ..core.cloud.cycle import WRONG
 from ..core.cloud.pace import Steps
+from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
 from ..density.cloud import systematic
 from ..density.particle_density import ParticleDensity
@@ -23,8 +24,6 @@ from .reading_at_prior import ReadingAtPrior, error_left_by_update
 from .stacked import Stacked
 
 __all__ = ["CloudReading", "by_cloud", "cloud_times_likelihood", "error_added"]
-
-_HIDDEN = 0.1  # of an error, below which another adds less than a hundredth
 
 
 def by_cloud(
@@ -82,7 +81,7 @@ class CloudReading(NamedTuple):
     def left(self, part: float) -> "CloudReading":
         """With that part of the inherited error; without what its own hides."""
         inherited = self.state.inherited * part
-        inherited = inherited if inherited > _HIDDEN * self.own else 0.0
+        inherited = inherited if inherited > LITTLE * self.own else 0.0
         return self._replace(state=self.state._replace(inherited=inherited))
 
 

@@ -3,15 +3,14 @@
 import math
 from typing import Any
 
+from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, families_density, moments_on_line
-from ..density.families_posterior import families_posterior
+from ..density.families_posterior import AWAY, families_posterior
 from ..density.gathering import merged_families
 from ..density.particle_density import ParticleDensity
+from ..density.pieces import HEAVY
 from .by_family import error_beyond_nodes
 from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
-
-_LIGHT = 0.03  # of the error that may be added, over the share of a family that is dropped
-_HEAVY = 0.1  # share of families, below which one in their place may be off by more
 
 __all__ = ["by_families"]
 
@@ -28,7 +27,7 @@ def by_families(
     """
     prior = density.families
     assert prior is not None
-    found = families_posterior(prior, asked.log_weight, _LIGHT * allowed)
+    found = families_posterior(prior, asked.log_weight, LITTLE / AWAY * allowed)
     new = families_density(density, found.families)
     missed = 0.0
     if not asked.linear:
@@ -38,6 +37,6 @@ def by_families(
     new = new.noted(error=error)
     one = as_polynomials(new, degree, allowed)
     if one is None:
-        few, change = merged_families(found.families, allowed, _HEAVY)
+        few, change = merged_families(found.families, allowed, HEAVY)
         one = families_density(new, few, error=math.hypot(error, change))
     return one, info_fields(asked, "pieces", found.log_evidence, one.error, found.evidence_error)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..config import FilterConfig
+from ..core.limits import ALIKE
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError
@@ -20,7 +21,6 @@ from .reading_at_prior import ReadingAtPrior, error_left_by_update
 
 __all__ = ["by_lattice"]
 
-_WIDER = 0.1  # of its variance, that a posterior may lack
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
 _TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
 
@@ -102,11 +102,11 @@ def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> 
         said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
-    if wider > _WIDER:
+    if wider > 1.0 - ALIKE:
         said.append(f"what little is left out far away would widen the density: its variance by {wider:.0%}")
     if error > DOUBTFUL:
         said.append(MAY_BE_OFF.format(3.0 * error))
-    if wrong > TOLERATED or found.left_out > most_left_out or wider > _WIDER or error > DOUBTFUL:
+    if wrong > TOLERATED or found.left_out > most_left_out or wider > 1.0 - ALIKE or error > DOUBTFUL:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}
 

@@ -24,7 +24,7 @@ from .state import Carried, FilterState
 
 __all__ = ["RANKED", "DensityFilter"]
 
-RANKED = 2**14  # points of a cloud that a truth is ranked among
+RANKED = 2**14  # points of a cloud that a truth is ranked among: ranks are off by 1 / (2 √RANKED) = .004
 
 #: What a filter's densities obey, and the sensors that it is made with.
 Model = TypeVar("Model", SDE, JumpMarkovModel)

@@ -15,6 +15,7 @@ from .._types import Floats, Ints, OfStates
 from ..core.cloud.given import move_along, noise_of, renew, uniforms
 from ..core.cloud.move import affine
 from ..core.cloud.weights import effective, normalise, systematic
+from ..core.limits import LOOK
 from ..density.carriers import Carried
 from ..density.passage import normals, sub_key
 from ..density.points import Passage, Points
@@ -24,7 +25,7 @@ __all__ = ["tempered"]
 
 #: Passes of N points in all, twenty times both of the guided ones; of these, such that draw from the prior,
 #: as long as they have fewer independent points than are enough: a draw adds points, a move parts copies.
-_PASSES, _DRAWS, _ENOUGH = 40, 28, 64.0
+_PASSES, _DRAWS = 40, 28
 _MOVES = 3  # at each power: a third of moves is accepted, and (2/3)³ leaves one of two copies apart
 #: E-foldings to either side of steps tried: from e^-8 of the prior's width up to all of it; later, a factor.
 _AT_FIRST, _LATER = 4.0, 1.0
@@ -111,7 +112,7 @@ def tempered(points: Points, log_likelihood: OfStates, key: int) -> Carried | No
                 )
                 passes += 1
             found = Carried.of(ways.end, log_w + log_evidence, ways.lineage)
-            if b < 1.0 or found.effective >= _ENOUGH or passes + _MOVES > _PASSES:
+            if b < 1.0 or found.effective >= LOOK or passes + _MOVES > _PASSES:
                 break
     return found
 
@@ -132,7 +133,7 @@ def _drawn(points: Points, log_likelihood: OfStates, key: int) -> tuple[_Ways | 
         parts.append(_Ways(path.x, path.block, u, noise, end, log_likelihood(end), np.arange(N) + k * N))
         log_l, log_w = np.concatenate([p.log_l for p in parts]), np.tile(once - math.log(k + 1), k + 1)
         w = np.zeros(len(log_l))
-        if np.isfinite(normalise(_risen(log_w, log_l, 1.0), w)) and effective(w) >= _ENOUGH:
+        if np.isfinite(normalise(_risen(log_w, log_l, 1.0), w)) and effective(w) >= LOOK:
             break
     heavy = np.flatnonzero(log_l > -np.inf)
     return (_together(parts).chosen(heavy) if len(heavy) else None), log_w[heavy], len(parts)

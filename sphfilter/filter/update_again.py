@@ -9,6 +9,8 @@ from typing import Any, Literal, NamedTuple
 from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
+from ..core.limits import SAID
+from ..core.step_control import HELPED, TRIES
 from ..density.cloud import moments_of
 from ..density.memory import MISSED, points_for
 from ..density.particle_density import ParticleDensity
@@ -26,11 +28,7 @@ from .update import update
 
 __all__ = ["Update", "prediction_of", "update_or_predict_again"]
 
-#: Probability of a posterior that hangs on what the prediction lost, from which the prediction is repeated.
-_GUESSED = 0.01
 _LADDER = Ladder(deeper=0.7)
-_HELPED = 0.7  # of an error, that four times the points leave if it is theirs: less than a half
-_TRIES = 3  # times it is: a first number of points is a guess
 
 
 class Update(NamedTuple):
@@ -105,7 +103,7 @@ def update_or_predict_again(
     if posterior.read_out == "cloud" and (before is not None or prior.read_out != "cloud"):
         once = prior, posterior, info
         return Outcome(*_on_more_points(prediction, once, model, measurement, z, config), bound)
-    known = prior.field is None or prior.gaussian or info.extrapolated < _GUESSED
+    known = prior.field is None or prior.gaussian or info.extrapolated < SAID
     if known or prediction.readings or before is None or before.field is None:
         return Outcome(prior, posterior, info, bound)
     from scipy.stats import chi2  # on use: import time
@@ -114,7 +112,7 @@ def update_or_predict_again(
     Z = lattice_reach(scheme, model.dim)
     beyond = chi2.sf(Z**2, model.dim)  # what a Gaussian has there: so much of it may be wrong
     for rung in _LADDER.within(model.dim).rungs(bound):
-        if info.extrapolated * min(1.0, lost / beyond) < _GUESSED or not info.accepted:
+        if info.extrapolated * min(1.0, lost / beyond) < SAID or not info.accepted:
             break
         if fits is not None and not fits(rung.n_particles):
             late = f"no time to repeat the prediction on {rung.times} times the particles"
@@ -148,7 +146,7 @@ def _on_more_points(
     target, known = target_of(prior, config, None), start.needs
     if target is None or known is None or config.time_budget or info.reason == NOTHING_CAME:
         return once
-    for tries in range(_TRIES):
+    for tries in range(TRIES):
         cloud = posterior.cloud
         if cloud is None:  # the ladder has found something cheaper than so many points
             break
@@ -174,7 +172,7 @@ def _on_more_points(
             posterior, info = update(prior, measurement, z, config, n_particles="auto")
         except PropagationError:  # what there is already is better than none
             break
-        helped = info.error < _HELPED * best[2].error
+        helped = info.error < HELPED * best[2].error
         if more or info.error < best[2].error:  # more points know better what they do not know
             best = prior, posterior, info
         if not helped:  # what is wrong was wrong before, and no points here cure it
@@ -183,7 +181,7 @@ def _on_more_points(
     cloud, needs = posterior.cloud, posterior.needs
     if best is not once and cloud is not None and needs is not None:
         usual = known
-        if info.error < _HELPED * once[2].error:
+        if info.error < HELPED * once[2].error:
             usual = known._replace(calm=max(known.calm, 0)).told(cloud.told.errors.mean, target, cloud.size)
         posterior = posterior.noted(needs=needs._replace(points=usual.cloud(target), calm=usual.calm))
     return prior, posterior, info

@@ -13,6 +13,7 @@ from scipy.special import logsumexp
 
 from .._types import Floats
 from ..config import FilterConfig
+from ..core.limits import SAID
 from ..density.modes import ModeDensities
 from ..errors import PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
@@ -21,8 +22,6 @@ from .reading_at_prior import error_left_by_update
 from .update import update
 
 __all__ = ["ModesUpdateInfo", "update_modes"]
-
-_MATTERS = 0.01  # probability of a mode, from which on its flags are the filter's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +90,11 @@ def update_modes(
     log_evidence = float(logsumexp(log_w))
     posterior = ModeDensities(log_w, densities, np.minimum(splitting, 1.0))
     told = {names[i]: info for i, info in infos.items()}
-    flagged = [(names[i], info) for i, info in infos.items() if info.flagged and posterior.w[i] > _MATTERS]
+    flagged = [(names[i], info) for i, info in infos.items() if info.flagged and posterior.w[i] > SAID]
     w = [float(posterior.w[i]) for i in infos]
     y, S = _innovation([(modes.w[i], info) for i, info in infos.items()])
     return posterior, ModesUpdateInfo(
-        accepted=any(info.accepted for i, info in infos.items() if posterior.w[i] > _MATTERS),
+        accepted=any(info.accepted for i, info in infos.items() if posterior.w[i] > SAID),
         log_evidence=log_evidence,
         innovation=y,
         innovation_cov=S,

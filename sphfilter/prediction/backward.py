@@ -31,8 +31,8 @@ __all__ = ["carried_back", "likelihood_field"]
 
 _FLAT = -1e-9  # largest second derivative of what goes on beyond a lattice, in its units
 _TOLERANCE = 1e-5  # of the paths' ends, in standard deviations of the density
-_MOST_PARTS = 64  # Runge-Kutta steps of a path
-_QUADRATURE = 7  # Gauss-Hermite points of one noise
+_MOST_PARTS = 64  # Runge-Kutta steps of a path: of errors 64⁻⁴ = 6e-8 is left
+_QUADRATURE = 7  # Gauss-Hermite points of one noise: exact to degree 2 · 7 - 1 = 13
 
 back_at, aim_at = BACK.at, AIMED.at
 

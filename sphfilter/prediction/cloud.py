@@ -11,6 +11,7 @@ from ..core.cloud.control import SHADOW, apart_by, bias_allowed, step_after
 from ..core.cloud.cycle import MOST_LOST
 from ..core.cloud.pace import FIRST_TRIED, ORDER, Steps
 from ..core.cloud.weights import AWAY, compared, near_others
+from ..core.limits import LOOK, SAID
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
 from ..density.cloud import points_of
@@ -37,9 +38,7 @@ __all__ = [
     "without_runaways",
 ]
 
-_DOUBTED = 0.01  # probability of points that were given up, from which it is said
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
-_ASKED = 64  # states at which the model's change with time is looked at
 
 
 def propagate(
@@ -196,12 +195,12 @@ def least_steps(model: SDE, x: Floats, span: tuple[float, float]) -> int:
     """Steps of a span that a model's own bound asks for, and how it changes with time at points x (N, n)."""
     dt = span[1] - span[0]
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
-    return least if model.autonomous else max(least, math.ceil(dt * rate_of_time(model, x[:_ASKED], *span)))
+    return least if model.autonomous else max(least, math.ceil(dt * rate_of_time(model, x[:LOOK], *span)))
 
 
 def _beside_walls(model: SDE, points: Points, t: float) -> float:
     """Longest step whose noise sees walls: a small part of the spread along each axis that ends."""
-    D = np.diagonal(model.diffusion(points.x[:_ASKED], t), axis1=1, axis2=2).max(axis=0)
+    D = np.diagonal(model.diffusion(points.x[:LOOK], t), axis1=1, axis2=2).max(axis=0)
     noisy, variance = model.domain.walled & (D > 0.0), np.diag(moments(points.x, points.w)[1])
     return float(np.min(_PART_OF_WALLS**2 * variance[noisy] / (2.0 * D[noisy]), initial=math.inf))
 
@@ -233,7 +232,7 @@ def without_runaways(points: Points, domain: Domain | None) -> tuple[Points, flo
 def _blow_up(model: SDE, points: Points, t0: float, t1: float) -> str:
     """Sentence for points of which many left the finite numbers."""
     x = points.x if points.path is None else points.path.x
-    x = x[np.argsort(np.abs(model.drift(x, t0)).sum(axis=1))[-_ASKED:]]
+    x = x[np.argsort(np.abs(model.drift(x, t0)).sum(axis=1))[-LOOK:]]
     return carried_off(model, x, t0, t1) or blow_up(model, x[-1], t0, t0, t1)
 
 
@@ -241,7 +240,7 @@ def info_of(model: SDE, count: int, steps: int, lost: float, error: float) -> Pr
     """Info of a prediction of a cloud."""
     status = f"on a cloud of {count} points: the mean is good to {error:.2g} standard deviations"
     code = Code.CLOUD
-    if lost > _DOUBTED:
+    if lost > SAID:
         status += f", but the model carried {100 * lost:.2g} % of the probability to infinity"
         code |= Code.UNRESOLVED
     return PredictInfo(

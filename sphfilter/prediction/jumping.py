@@ -39,7 +39,7 @@ __all__ = ["UNLIKELY", "Way", "carried_with_jumps", "suits"]
 
 UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
 _KEY = 40  # of the key of a time: the jumps of a cloud, and of its shadow the next
-#: Of a line, by which points in any run follow each other evenly: one over the golden ratio.
+#: Of a line, by which points in any run follow each other evenly: one over the golden ratio, (√5 - 1) / 2.
 _SECTION = 0.5 * (math.sqrt(5.0) - 1.0)
 
 

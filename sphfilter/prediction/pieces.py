@@ -5,11 +5,12 @@ import math
 import numpy as np
 
 from ..config import FamilyScheme
+from ..core.limits import LITTLE
 from ..density.as_family import family_density, moments_on_line, pieces_density
 from ..density.family import gaussian_family
-from ..density.merging import merged
+from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import Pieces, pieces_of, root_of
+from ..density.pieces import HEAVY, Pieces, pieces_of, root_of
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ..model.discretization import linear_transition
@@ -17,10 +18,6 @@ from ..model.sde import SDE
 from . import family
 
 __all__ = ["carried_exactly", "carried_pieces"]
-
-_CHANGE, _OF_CHANGE = 5.0, 0.2  # of log p by mergers: times the aim, and part of it that is an error
-_LIGHT = 0.1  # share of a piece, below which it may be off by more
-_TOLERANCE = 0.1  # of a step, over what a prediction may add
 
 
 def carried_pieces(
@@ -38,8 +35,8 @@ def carried_pieces(
         moved, off, info = _linearly(density.pieces, model, t1 - density.t), 0.0, PredictInfo()
     else:
         moved, off, info = _one_by_one(density, model, t1, allowed)
-    pieces, change = merged(moved, _CHANGE * allowed)
-    error = math.hypot(density.error, off, _OF_CHANGE * change)
+    pieces, change = merged(moved, allowed / OF_CHANGE)
+    error = math.hypot(density.error, off, OF_CHANGE * change)
     skipped = ("particles: a few Gaussians are the density",)
     told = PredictInfo(
         scheme="pieces",
@@ -73,8 +70,8 @@ def _one_by_one(
     moved, infos, off = [], [], 0.0
     for share, mean, cov in zip(density.pieces.w, density.pieces.mean, density.pieces.cov, strict=True):
         own = family_density(density, gaussian_family(mean, cov, 2), error=0.0, gaussian=True)
-        scheme = FamilyScheme(degree=2, tolerance=_TOLERANCE * allowed)
-        most = allowed * max(1.0, _LIGHT / share)
+        scheme = FamilyScheme(degree=2, tolerance=LITTLE * allowed)
+        most = allowed * max(1.0, HEAVY / share)
         new, info = family.carried_family(own, model, t1, scheme, 0, most)
         moved.append(new.moments)
         infos.append(info)

@@ -7,19 +7,19 @@ from typing import NamedTuple
 import numpy as np
 
 from .._types import Floats
+from ..core.limits import LOOK
 from ..density.as_family import moments_on_line
 from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.nets import net
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import ENTRIES, Pieces, root_of
+from ..density.pieces import ENTRIES, NEAR, Pieces, root_of
 from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
 
 __all__ = ["jump_times", "splitting_error"]
 
-_ROUNDS, _NEAR = 4, 2.5  # in which a part of a density grows, and standard deviations by which
-_POINTS = 64  # of each Gaussian: readings of a thirtieth of its width find some; of all, its square
+_ROUNDS = 4  # in which a part of a density grows
 
 
 def jump_times(steps: int, jumps: float) -> tuple[Floats, Floats]:
@@ -131,7 +131,7 @@ def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
     mean, cov = middle[0], own[0]
     for _ in range(_ROUNDS):
         z = np.linalg.solve(np.linalg.cholesky(cov), (middle - mean).T)
-        near = np.sum(z**2, axis=0) < _NEAR**2
+        near = np.sum(z**2, axis=0) < NEAR**2
         share = w[near] / w[near].sum()
         mean = share @ middle[near]
         off = middle[near] - mean
@@ -143,7 +143,7 @@ def _absolute(mean: Floats, cov: Floats, w: Floats) -> SplittingError:
     """The size of a sum of Gaussians with weights w (K,) of either sign."""
     own = w != 0.0
     several, w = Pieces(np.zeros(own.sum()), mean[own], root_of(cov[own])), w[own]
-    each, n = math.ceil(_POINTS**2 / max(len(w), _POINTS)), mean.shape[1]
+    each, n = math.ceil(LOOK**2 / max(len(w), LOOK)), mean.shape[1]
     X = (several.mean[:, None] + net(each, n) @ several.root.transpose(0, 2, 1)).reshape(-1, n)
     step = max(1, ENTRIES // several.mean.size)
     ratio = np.concatenate([_balance(several, w, X[i : i + step]) for i in range(0, len(X), step)])

