@@ -1,13 +1,12 @@
 """Rows on disk: one small file for each competitor and run, written as soon as it is measured."""
 
-import hashlib
 import json
 from functools import cache
 from pathlib import Path
 
 import reference_filters
 import sphfilter
-from experiments.show.files import whole
+from experiments.show.files import digest_of_files, whole
 
 __all__ = ["Rows", "code_digest"]
 
@@ -15,11 +14,8 @@ __all__ = ["Rows", "code_digest"]
 @cache
 def code_digest():
     """A digest of the source of library and reference filters: rows of other code are measured again."""
-    found = hashlib.sha256()
-    for package in (sphfilter, reference_filters):
-        for path in sorted(Path(package.__file__).parent.rglob("*.py")):
-            found.update(path.read_bytes())
-    return found.hexdigest()[:16]
+    folders = (Path(package.__file__).parent for package in (sphfilter, reference_filters))
+    return digest_of_files(path for folder in folders for path in sorted(folder.rglob("*.py")))
 
 
 class Rows:

@@ -1,6 +1,5 @@
 """Results on disk, one file each, so that a stopped command goes on where it was."""
 
-import hashlib
 import json
 from dataclasses import fields
 from functools import cache
@@ -10,7 +9,7 @@ import numpy as np
 
 import reference_filters
 import sphfilter
-from experiments.show.files import whole
+from experiments.show.files import digest, digest_of_files, whole
 
 from .records import Record
 from .referees import Referee
@@ -46,7 +45,7 @@ def load(out, case, part):
 
 def _path_of(out, case, part):
     name = "".join(c if c.isalnum() or c in "._-" else "+" for c in case.name.replace("/", "__"))
-    unique = hashlib.sha256(case.name.encode()).hexdigest()[:6]
+    unique = digest(case.name)[:6]
     return Path(out) / "runs" / f"seed{case.seed}" / f"{name}-{unique}" / f"{part}.npz"
 
 
@@ -60,4 +59,4 @@ def _sources(part):
         files += [here / "referees.py", *sorted(Path(reference_filters.__file__).parent.glob("*.py"))]
     else:
         files += [here / "relations.py", *sorted(library.rglob("*.py"))]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+    return digest_of_files(files)

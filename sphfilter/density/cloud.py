@@ -10,7 +10,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud import weights
-from ..core.limits import LOOK
+from ..core.limits import LOOK, TINY
 from ..core.sph.kernels import Kernel
 from ..errors import PropagationError
 from ..lattice.walls import inside
@@ -85,7 +85,7 @@ class Cloud(Kernels):
         """Points with images beyond the ends of a domain; kernels are as wide as each axis asks."""
         n = self.x.shape[1]
         off = domain.nearest(self.x - domain.mean(self.x, self.mass))
-        std = np.sqrt(np.maximum((off**2 * self.mass[:, None]).sum(axis=0), 1e-300))
+        std = np.sqrt(np.maximum((off**2 * self.mass[:, None]).sum(axis=0), TINY))
         ends = zip(domain.kinds, domain.low / std, domain.high / std, strict=True)
         h = np.full(len(self.x), mixture.silverman(self.mass, n) / math.sqrt(self.kernel.variance))
         seen = Domain(*ends).seen(domain.fold(self.x) / std, self.mass, h, self.kernel.radius * h[0])

@@ -11,6 +11,7 @@ import numpy as np
 from .._types import Floats, Ints, OfStates
 from ..core.family.basis import Basis, basis, bound, size, values_at
 from ..core.family.frame import inverse, moments_of, moved, weigh
+from ..core.limits import LOG_2_PI
 from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach, lay
 from .quasi_random import weighted_points
 from .shapes import Polynomials
@@ -141,7 +142,7 @@ def gaussian_family(mean: Floats, cov: Floats, degree: int) -> Family:
     n = len(mean)
     A: Floats = np.asarray(np.linalg.cholesky(cov), np.float64)
     c = _standard(n, degree).copy()
-    c[0] = -0.5 * n * math.log(2.0 * math.pi) - np.log(A.diagonal()).sum() - 0.5 * n
+    c[0] = -0.5 * n * LOG_2_PI - np.log(A.diagonal()).sum() - 0.5 * n
     return Family(np.array(mean), A, c)
 
 

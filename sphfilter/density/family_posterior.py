@@ -9,6 +9,7 @@ import numpy as np
 from .._types import Floats, OfStates
 from ..core.family.basis import Basis, basis, bound, values_at
 from ..core.family.frame import moved, root_between
+from ..core.limits import TINY
 from ..errors import PropagationError
 from .family import ASTRAY, OF_MISFIT, Family, moments_apart, node_moments, node_weights, turn
 
@@ -61,7 +62,7 @@ def family_posterior(
             break
         root = np.empty(C.shape)
         root_between(C, _LEAST, _MOST, root)
-        mu, A = mu + A @ (b * min(1.0, _STEP / max(float(np.linalg.norm(b)), 1e-300))), A @ root
+        mu, A = mu + A @ (b * min(1.0, _STEP / max(float(np.linalg.norm(b)), TINY))), A @ root
     if not off < ASTRAY:
         raise PropagationError(
             f"one family of degree {prior.degree} does not hold the posterior: its frame does not settle"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .._types import Bools, Floats
+from ..core.limits import TINY
 from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
 from ..errors import ModelError
 from .particle_density import ParticleDensity
@@ -76,7 +77,7 @@ class Health:
     def _severities(self) -> dict[str, float]:
         return {
             "particles have mixed": self.mixing / _MIXED,
-            "particles have clumped": _CLUMPED / max(self.spacing, 1e-300),
+            "particles have clumped": _CLUMPED / max(self.spacing, TINY),
             "particles have gone astray": self.rogue / _ASTRAY,
         }
 

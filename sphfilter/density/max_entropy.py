@@ -7,7 +7,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.family.basis import averages
-from ..core.limits import ROUNDS
+from ..core.limits import ROUNDS, TINY
 from ..core.monomials import up_to
 from .family import Family, gaussian_family
 from .points import moments
@@ -48,10 +48,8 @@ def max_entropy(x: Floats, mass: Floats, degree: int) -> tuple[Family, float] | 
     off = (wanted - own)[M:]
     odd = float(np.sum(off**2) - chance * np.sum(squares[M:]))
     log_p = found.log_p(x)
-    spread = _variance(mass, log_p) / max(_variance(p, found.c @ rule.V), 1e-300) - 1.0
-    by_chance = (
-        chance * _variance(mass, (log_p - mass @ log_p) ** 2) / max(_variance(mass, log_p) ** 2, 1e-300)
-    )
+    spread = _variance(mass, log_p) / max(_variance(p, found.c @ rule.V), TINY) - 1.0
+    by_chance = chance * _variance(mass, (log_p - mass @ log_p) ** 2) / max(_variance(mass, log_p) ** 2, TINY)
     even = (0.5 * spread) ** 2 - 0.25 * by_chance
     return found, math.sqrt(max(odd, 0.0) + max(even, 0.0))
 
@@ -72,7 +70,7 @@ def _solved(V: Floats, log_w: Floats, c: Floats, wanted: Floats) -> Floats | Non
         except np.linalg.LinAlgError:
             return None
         long = math.sqrt(max(float(off @ step), 0.0))
-        step *= min(1.0, _LONGEST / max(long, 1e-300))
+        step *= min(1.0, _LONGEST / max(long, TINY))
         value, slope = log_z - c[1:] @ wanted[1:], float(off @ step)
         for _ in range(ROUNDS):
             trial = c.copy()

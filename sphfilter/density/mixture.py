@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from .._types import Floats, Ints
+from ..core.limits import TINY
 from ..core.sph import kernels
 from ..core.sph.neighbors import build_index, choose_method
 from ..core.sph.summation import sample_density, sample_density_parallel, sample_gradient
@@ -106,7 +107,7 @@ def drawn(code: int, uniform: Floats) -> Floats:
     radial = q ** (n - 1) * np.array([kernels.shape(code, qk) for qk in q])
     cdf = np.concatenate([[0.0], np.cumsum(0.5 * (radial[1:] + radial[:-1]))])
     radius = np.interp(uniform[:, -1], cdf / cdf[-1], q)
-    return radius[:, None] * direction / np.maximum(length, 1e-300)
+    return radius[:, None] * direction / np.maximum(length, TINY)
 
 
 def raw_moment(mix: Mixture, powers: Sequence[int] | Ints, centre: Floats) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from .._types import Bools, Floats, Ints
+from ..core.limits import TINY
 from ..core.step_control import TRIES
 from .family import turn
 from .pieces import HEAVY, Pieces, nodes, root_of
@@ -98,7 +99,7 @@ def _checked(todo: Front, ask: ReadingAtNodes, most: float) -> tuple[Front, "_Up
     for left in range(TRIES, -1, -1):
         new = _updated(todo, ask)
         share = np.exp(new.log_w - logsumexp(np.concatenate([new.log_w, *(u.log_w for u in updates)])))
-        bad = new.off > most * np.maximum(1.0, HEAVY / np.maximum(share, 1e-300))
+        bad = new.off > most * np.maximum(1.0, HEAVY / np.maximum(share, TINY))
         bad &= (share > _LIGHT) & (left > 0)
         fronts.append(todo.some(~bad))
         updates.append(new.some(~bad))

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from .._types import Bools, Floats, Ints
+from ..core.limits import TINY
 from ..errors import PropagationError
 from .pieces import nodes
 
@@ -137,7 +138,7 @@ def bent_along(r: Floats, xi: Floats, u: Floats) -> tuple[Floats, Floats]:
         along = np.einsum("kma,ka->km", Bv, v)
         step = np.einsum("km,kma->ka", along, Bv)
         size = np.linalg.norm(step, axis=1, keepdims=True)
-        v = np.where(size > 0.0, step / np.maximum(size, 1e-300), v)
+        v = np.where(size > 0.0, step / np.maximum(size, TINY), v)
     along = np.einsum("kmab,ka,kb->km", B, v, v)
     return v, np.sqrt(np.sum(along**2, axis=1))
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, Ints, OfStates
 from ..core.cloud.control import SHADOW
+from ..core.limits import TINY
 from ..errors import ModelError
 from ..validate import state_rows
 from . import weighted
@@ -97,7 +98,7 @@ def expectation(density: "ParticleDensity", function: OfStates, smooth: bool = T
     at_points = function(density.x.copy())  # which a compiled function may not be given read-only
     own = float(density.mass @ at_points)
     scatter = max(density.mass @ (at_points - own) ** 2, w @ (values - smoothed) ** 2)
-    off = scatter * float(density.mass @ density.mass) / max((own - smoothed) ** 2, 1e-300)
+    off = scatter * float(density.mass @ density.mass) / max((own - smoothed) ** 2, TINY)
     return smoothed + max(1.0 - float(off), 0.0) * (own - smoothed)
 
 
@@ -161,7 +162,7 @@ def highest_region(density: "ParticleDensity", probability: float) -> Region:
     order = np.argsort(-p, kind="stable")
     p, w = p[order], w[order]
     level = float(np.interp(share, np.cumsum(w), p))
-    inside = p >= max(level, 1e-300)
+    inside = p >= max(level, TINY)
     return Region(density, level, float((w[inside] / p[inside]).sum()))
 
 

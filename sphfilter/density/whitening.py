@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from .._types import Floats
+from ..core.limits import TINY
 from ..core.monomials import up_to
 
 __all__ = ["framed", "least_change"]
@@ -79,7 +80,7 @@ def _hermite(z: Floats, powers: Floats, mass: Floats | None = None) -> tuple[Flo
     Gradients are summed with masses (N,), where there are any. Beyond `_CLIP` products are what they are on
     that sphere, which looks the same from all whitened coordinates.
     """
-    r = np.maximum(np.linalg.norm(z, axis=1, keepdims=True), 1e-300)
+    r = np.maximum(np.linalg.norm(z, axis=1, keepdims=True), TINY)
     scale = np.minimum(1.0, _CLIP / r)
     y = scale * z
     He = [np.ones_like(y), y]

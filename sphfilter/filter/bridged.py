@@ -18,6 +18,7 @@ from ..core.cloud.linearise import centres
 from ..core.cloud.reading import WIDER
 from ..core.cloud.way import blocks_of
 from ..core.cloud.weights import effective, normalise
+from ..core.limits import TINY
 from ..density.carriers import Carried
 from ..density.nets import net
 from ..density.passage import LED, along, gone, normals, relinearised, stored_key, sub_key
@@ -53,7 +54,7 @@ def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried 
     """
     path: Any = points.path
     x, y, block, passages, u = path.x, points.x, path.block, path.passages, path.u
-    log_w, lineage, count = np.log(np.maximum(points.w, 1e-300)), np.arange(len(path.x)), _MORE * len(path.x)
+    log_w, lineage, count = np.log(np.maximum(points.w, TINY)), np.arange(len(path.x)), _MORE * len(path.x)
     stage = 0
     while True:  # each stage takes one step of the way, or more
         own = sub_key(key, stage)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from ..config import AcceptanceTest, FilterConfig
+from ..core.limits import TINY
 from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
 from ..model.measurements import Reading, is_gaussian
@@ -39,7 +40,7 @@ def by_regridding(
 
 def _kernel_ratio(density: ParticleDensity) -> float:
     """Variance of the kernels over the smallest variance of the density along any direction."""
-    smallest = max(np.linalg.eigvalsh(density.cov())[0], 1e-300)
+    smallest = max(np.linalg.eigvalsh(density.cov())[0], TINY)
     return float(density.kernel_variance * (density.mass @ density.h**2) / smallest)
 
 

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
+from ..core.limits import LOG_2_PI, TINY
 from ..density.as_family import moments_on_line
 from ..density.particle_density import ParticleDensity
 from ..density.points import moments
@@ -90,8 +91,7 @@ class ReadingAtPrior(NamedTuple):
             off = sensor.residual(z, sensor.predict(X, self.t))[:, self.seen]
             return np.asarray(off @ back)
 
-        half_log_2_pi = 0.5 * float(np.log(2.0 * np.pi))
-        return white, -float(np.log(np.diag(factor)).sum()) - len(factor) * half_log_2_pi
+        return white, -float(np.log(np.diag(factor)).sum()) - len(factor) * (0.5 * LOG_2_PI)
 
     @property
     def linear(self) -> bool:
@@ -224,7 +224,7 @@ def amplified_in_tail(prior: ParticleDensity, posterior: ParticleDensity, degree
     (mean, cov), (own_mean, own_cov) = moments_on_line(prior), moments_on_line(posterior)
     way = np.linalg.solve(np.linalg.cholesky(cov), (posterior.x - mean).T)
     shift = posterior.mass @ way.T
-    along = (shift / max(float(np.linalg.norm(shift)), 1e-300)) @ way
+    along = (shift / max(float(np.linalg.norm(shift)), TINY)) @ way
     y = np.linalg.solve(np.linalg.cholesky(own_cov), (posterior.x - own_mean).T)
     below, last = np.ones_like(along), along  # of degrees zero and one
     for k in range(1, degree + 1):

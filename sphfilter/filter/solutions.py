@@ -3,6 +3,7 @@
 import numpy as np
 
 from .._types import Floats
+from ..core.limits import TINY
 from ..model.measurements import GaussianSensor, block
 
 __all__ = ["solutions"]
@@ -50,7 +51,7 @@ def solutions(sensor: GaussianSensor, z: Floats, x: Floats, cell: Floats, t: flo
         moved = off((x + _STEP * cell.T[:, None]).reshape(-1, n)).reshape(n, len(x), -1)
         slope = np.nan_to_num(np.moveaxis((moved - here) / _STEP, 0, 2))  # (N, k, n), by cells
         normal = np.swapaxes(slope, 1, 2) @ slope
-        normal += (1e-300 + _DAMPED * np.trace(normal, axis1=1, axis2=2))[:, None, None] * np.eye(n)
+        normal += (TINY + _DAMPED * np.trace(normal, axis1=1, axis2=2))[:, None, None] * np.eye(n)
         step = -np.linalg.solve(normal, np.swapaxes(slope, 1, 2) @ np.nan_to_num(here)[..., None])[..., 0]
         step /= np.maximum(1.0, np.linalg.norm(step, axis=1))[:, None]  # a cell at most
         x += step @ cell.T

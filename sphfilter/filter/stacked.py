@@ -11,6 +11,7 @@ from ..core.cloud.guide import along_rows, joined, linear_reading, log_normals, 
 from ..core.cloud.linearise import lower_and_rows
 from ..core.cloud.reading import Reader
 from ..core.cloud.weights import finite_rows
+from ..core.limits import DIFFERENCE
 from ..model.domain import Domain
 from ..model.measurements import block as block_of
 from ..model.measurements import has_gaussian_noise, has_own_likelihood, is_gaussian
@@ -133,7 +134,7 @@ class Stacked(NamedTuple):
         if self.H is not None:
             return self.H
         blocks, n = c.shape
-        step = np.finfo(float).eps ** (1 / 3) * np.maximum(1.0, np.abs(c))
+        step = DIFFERENCE * np.maximum(1.0, np.abs(c))
         moves = step[:, :, None] * np.eye(n)
         h = self.predict(np.concatenate([c[:, None] + moves, c[:, None] - moves], axis=1).reshape(-1, n))
         h = h.reshape(blocks, 2, n, -1)

@@ -15,7 +15,7 @@ from .._types import Floats, Ints, OfStates
 from ..core.cloud.given import move_along, noise_of, renew, uniforms
 from ..core.cloud.move import affine
 from ..core.cloud.weights import effective, normalise, systematic
-from ..core.limits import LOOK
+from ..core.limits import LOOK, TINY
 from ..density.carriers import Carried
 from ..density.passage import normals, sub_key
 from ..density.points import Passage, Points
@@ -126,7 +126,7 @@ def _drawn(points: Points, log_likelihood: OfStates, key: int) -> tuple[_Ways | 
     """Ways that can be read, drawn from the prior once and again; their log-weights, and how often."""
     path, parts, N = points.path, [], len(points.w)
     assert path is not None
-    once, w = np.log(np.maximum(points.w, 1e-300)), np.empty(0)
+    once, w = np.log(np.maximum(points.w, TINY)), np.empty(0)
     for k in range(_DRAWS):
         u, noise = _fresh(path.passages, N, path.x.shape[1], sub_key(key, k))
         end = _ends(path.passages, path.x, path.block, u, noise)

@@ -21,9 +21,8 @@ __all__ = ["update_or_predict_modes_again"]
 
 _REPEATED = "the prediction before repeated in more steps of the jumps between modes"
 _COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
-_FINEST = (
-    250.0  # times less an error is to be, that a reading brings out; measured: half, twice change no run
-)
+#: Times less that an error is to be which a reading brings out. Measured: half and twice change no run.
+_FINEST = 250.0
 _APART = "the prediction before repeated with fewer Gaussians merged, for the reading is far out"
 _MERGED = "mergers of Gaussians leave {:.2g} nat of the log-evidence in doubt"
 #: Standard deviations of a reading from its prediction, beyond which mergers are not checked by their nodes,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .._types import Bools, Floats
-from ..core.limits import ROUNDS
+from ..core.limits import ROUNDS, TINY
 from .evidence import Evidence
 from .quadratic import STEPS, Function, Quadratic, quadratic, scales, slope_step_for, slopes
 
@@ -140,7 +140,7 @@ def _newton_step(local: Quadratic) -> tuple[Floats, Floats]:
     bent = np.maximum(np.abs(values), ROUND)
     step = axes @ (axes.T @ local.gradient / bent)
     length = np.linalg.norm(np.sqrt(bent) * (axes.T @ step))
-    return local.root @ step * min(1.0, _LONGEST / max(float(length), 1e-300)), local.root @ (
+    return local.root @ step * min(1.0, _LONGEST / max(float(length), TINY)), local.root @ (
         axes / np.sqrt(bent)
     )
 

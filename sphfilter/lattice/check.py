@@ -9,7 +9,7 @@ from scipy.special import gammaincc
 from .._types import Floats, OfStates
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
-from ..core.limits import NOTHING
+from ..core.limits import NOTHING, TINY
 from . import field as lattice_field
 from .level_set import LatticeDensity
 from .walls import inside, node_weights
@@ -54,7 +54,7 @@ def misfit(laid: LatticeDensity, log_p: OfStates) -> Misfit:
     asked, fitted = log_p(X) - laid.log_mass, lattice_field.log_p_at(laid.field, X)
     highest = max(asked.max(), fitted.max())
     p, q = np.exp(asked - highest), np.exp(np.maximum(fitted - highest, -NOTHING))
-    off = np.abs(q - p)[within].sum() / max(p[within].sum(), 1e-300)
+    off = np.abs(q - p)[within].sum() / max(p[within].sum(), TINY)
     p, q = p * part, q * part
     if not p.sum() > 0.0:
         return Misfit(1.0, 1.0, 1.0)

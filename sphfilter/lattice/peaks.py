@@ -1,12 +1,11 @@
 """Peaks of prior times likelihood between the nodes of a lattice: looked for, climbed and measured."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from .._types import Bools, Floats, OfStates
-from ..core.limits import EDGE, NOTHING, ROUNDS
+from ..core.limits import EDGE, LOG_2_PI, NOTHING, ROUNDS
 
 __all__ = ["Peak", "along_axes", "peaks"]
 
@@ -117,7 +116,7 @@ def _measured(product: OfStates, x: Floats, factor: Floats) -> Peak:
     root = (axes / np.sqrt(np.maximum(values, max(least, 1e-12)))) @ axes.T
     own = basis @ root
     own = np.linalg.cholesky(own @ own.T)
-    log_mass = product(x[None])[0] + 0.5 * n * math.log(2.0 * math.pi) + np.log(np.diag(own)).sum()
+    log_mass = product(x[None])[0] + 0.5 * n * LOG_2_PI + np.log(np.diag(own)).sum()
     return Peak(x, own, float(log_mass))
 
 

@@ -171,9 +171,9 @@ def _factor(x: Floats, w: Floats, mean: Floats, mass: Floats) -> Floats:
     try:
         return np.asarray(np.linalg.cholesky(cov + 1e-9 * spread))
     except np.linalg.LinAlgError:
-        scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+        scale = np.sqrt(np.maximum(np.diag(spread), TINY))
         w_, V = np.linalg.eigh((cov + 1e-9 * spread) / np.outer(scale, scale))
-        root = V * np.sqrt(np.maximum(w_, 1e-12 * max(w_.max(), 1e-300)))
+        root = V * np.sqrt(np.maximum(w_, 1e-12 * max(w_.max(), TINY)))
         return _lower(scale[:, None] * root)
 
 

@@ -8,12 +8,14 @@ import numpy as np
 from .._types import Floats
 from ..core.family.march import STATUS, Control, march
 from ..core.family.rules import degrees
+from ..core.limits import LITTLE
 from ..density.as_family import families_density
 from ..density.families import Families, families_of
 from ..density.families_posterior import AWAY, split, strongest_bend
 from ..density.family import ASTRAY, OF_MISFIT, Family, gaussian_family
 from ..density.gathering import merged_families
 from ..density.particle_density import ParticleDensity
+from ..density.pieces import HEAVY
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ..model.compile import surfacing
@@ -25,8 +27,6 @@ __all__ = ["LEVELS", "bent", "carried_families", "degree_of_parts"]
 _HIGHEST = 5  # degree of parts: higher ones stall more often than they follow better
 LEVELS = 2  # of splits
 _STEPS = 100  # of one family
-_TOLERANCE = 0.1  # of a step, over what a prediction may add
-_HEAVY = 0.1  # share of a part, below which it may be off by more
 _LIGHT = 0.03  # of the error that may be added, over the share of a part that is not worth another split
 
 
@@ -67,7 +67,7 @@ def carried_families(
         families, level = marches.split(families, heavy), level + 1
     moved, change = marches.together(), 0.0
     if density.families is not None:  # noise makes alike what was split before
-        moved, change = merged_families(moved, allowed, _HEAVY)
+        moved, change = merged_families(moved, allowed, HEAVY)
     error = math.hypot(density.error, marches.error, change)
     info = PredictInfo(
         scheme="pieces",
@@ -119,8 +119,8 @@ class _Marches:
         for k, log_w in enumerate(families.log_w):
             one = families.one(k)
             y = np.concatenate([one.mu, one.A.ravel(), one.c])
-            most = self._allowed / OF_RESIDUAL * max(1.0, _HEAVY / math.exp(log_w)) / self._part(one)
-            control = Control(*self._span, _TOLERANCE * self._allowed, self._longest, _STEPS, most)
+            most = self._allowed / OF_RESIDUAL * max(1.0, HEAVY / math.exp(log_w)) / self._part(one)
+            control = Control(*self._span, LITTLE * self._allowed, self._longest, _STEPS, most)
             with surfacing():
                 report = march(self._flow, rule, control, y)
             self.steps, self.evaluations = self.steps + report.steps, self.evaluations + report.evaluations
@@ -149,7 +149,7 @@ class _Marches:
 
     def matters(self, families: Families, k: int) -> bool:
         """Would a Gaussian in the place of a family be too much of an error?"""
-        return math.exp(families.log_w[k]) * _plain(families, k)[1] > _HEAVY * self._allowed
+        return math.exp(families.log_w[k]) * _plain(families, k)[1] > LITTLE * self._allowed
 
     def together(self) -> Families:
         """The parts that have been carried, as one density."""

@@ -16,6 +16,7 @@ from ..config import CloudScheme
 from ..core.cloud.control import SHADOW
 from ..core.cloud.move import affine, move
 from ..core.cloud.noise import LANES
+from ..core.limits import TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities
 from ..density.passage import along, change_of, key_at, leg_of, stored_key
@@ -93,7 +94,7 @@ class Way(NamedTuple):
                 came = np.cumsum(forward[q - 1][order] * self.jumps[q - 1][order, m])
                 edges = np.concatenate([[0.0], came / came[-1]])
                 k = np.clip(np.searchsorted(edges, u[own], side="right") - 1, 0, M - 1)
-                u[own] = (u[own] - edges[k]) / np.maximum(edges[k + 1] - edges[k], 1e-300)
+                u[own] = (u[own] - edges[k]) / np.maximum(edges[k + 1] - edges[k], TINY)
                 path[own, q - 1] = order[k]
         return path
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..config import CloudScheme, FamilyScheme
 from ..core.family.rules import degrees
+from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
 from ..density.family import gaussian_family
 from ..density.memory import MOST_POINTS, Memory, error_budget, min_nodes, tolerated_excess
@@ -44,11 +45,9 @@ Found = TypeVar("Found")
 _AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**13}, {5: 2**13, 6: 2**13}
 LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
-_TOLERANCE = 0.1  # of a step of a family, over the target
 _WORK = 1000.0  # evaluations of the drift, that a lattice may take for each point of a usual cloud
 _NODES = 30.0  # that families ask a model at, over a cloud's points that cost as much
 _FINER = 3  # times the nodes of a first lattice that loses probability
-_IDLE = 0.1  # of the error that a step may add, below which a lower degree is tried next
 
 
 def first_degree(dim: int, needs: Memory) -> int:
@@ -186,7 +185,7 @@ def _by_family(
     """Carry one family, of as high a degree as the error asks for, or parts of it; None where none do."""
 
     def carried(degree: int, most: float) -> tuple[tuple[ParticleDensity, PredictInfo], float]:
-        scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE * target)
+        scheme = FamilyScheme(degree=degree, tolerance=LITTLE * target)
         moved, info = family.carried_family(density, model, t1, scheme, density.capacity or 0, most)
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
 
@@ -200,7 +199,7 @@ def _by_family(
     if best is None:
         return None
     (moved, info), degree, used = best
-    return moved.noted(needs=needs.followed(degree - (used < _IDLE))), info
+    return moved.noted(needs=needs.followed(degree - (used < LITTLE))), info
 
 
 def _by_families(

@@ -37,6 +37,7 @@ from ..core.characteristics.noise_paths import ALONG, Noise, Paths
 from ..core.characteristics.step_choice import CHOOSE
 from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
+from ..core.limits import TINY
 from ..density.memory import min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
@@ -315,7 +316,7 @@ def _found_noise_factor(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
     D, slices = noise_samples(model, t0, t1)
     d = scales(np.abs(D).max(axis=0))
     w, V = np.linalg.eigh(D / np.outer(d, d))
-    rank = (w > 1e-14 * max(w.max(), 1e-300)).sum(axis=1).max()
+    rank = (w > 1e-14 * max(w.max(), TINY)).sum(axis=1).max()
     middle = len(D) // 2
     G = (d[:, None] * V[middle] * np.sqrt(2.0 * np.maximum(w[middle], 0.0)))[:, ::-1][:, :rank]
     return np.ascontiguousarray(G), slices

@@ -17,6 +17,7 @@ from .._types import Floats, OfStates
 from ..core.family.basis import size
 from ..core.family.rules import degrees
 from ..core.field.walls import NO_WALLS
+from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_density
 from ..density.as_family import (
     as_polynomials,
@@ -31,10 +32,10 @@ from ..density.families_posterior import AWAY
 from ..density.family import OF_MISFIT, fitted, gaussian_family, moments_apart, node_moments
 from ..density.gathering import merged_families
 from ..density.memory import MOST_POINTS, Memory, min_nodes
-from ..density.merging import merged
+from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.passage import key_at
-from ..density.pieces import Pieces, light, root_of
+from ..density.pieces import HEAVY, Pieces, light, root_of
 from ..density.resample import logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
@@ -47,10 +48,8 @@ from .ladder import first_degree, prefers_cloud
 
 __all__ = ["Part", "mixed"]
 
-_CHANGE, _OF_CHANGE = 5.0, 0.2  # of log p by mergers: times the aim, and part of it that is an error
+_CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: as much as makes all of it
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
-_DROPPED = 0.1  # of the error that may be added, that light parts may carry which are left out
-_HEAVY = 0.1  # share of a family, below which it may be off by more
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
 _TRIES, _FINER, _MOST_NODES = 6, 2, 20_000  # lattices, and times the nodes of the one before
 _HELPED = 0.8  # of an error that is left by finer lattices, if it comes from them
@@ -133,7 +132,7 @@ def _heavy(parts: list[Part], allowed: float) -> tuple[list[Part], float]:
     """The parts but for the lightest, and the probability of those."""
     w = np.exp([part.log_w for part in parts])
     means, covs = (np.array([f(part.density) for part in parts]) for f in _MOMENTS)
-    heavy = ~light(w, means, covs, _DROPPED * allowed, AWAY)
+    heavy = ~light(w, means, covs, LITTLE * allowed, AWAY)
     scale = math.log(w[heavy].sum())
     left = [part._replace(log_w=part.log_w - scale) for part, kept in zip(parts, heavy, strict=True) if kept]
     return left, float(w[~heavy].sum())
@@ -158,10 +157,10 @@ def _as_pieces(parts: Sequence[Part], about: ParticleDensity, allowed: float) ->
         return None
     several = [_pieces_of(part) for part in parts]
     union = Pieces(*(np.concatenate(part) for part in zip(*several, strict=True))).normalised()
-    kept = union.heavy(_DROPPED * allowed, AWAY)
+    kept = union.heavy(LITTLE * allowed, AWAY)
     lost = float(union.w[~kept].sum())
     pieces, change = _few(*merged(union.some(kept).normalised(), _CHANGE * allowed), _CHANGE * allowed)
-    error = math.hypot(about.error, _OF_CHANGE * change, AWAY * lost)
+    error = math.hypot(about.error, OF_CHANGE * change, AWAY * lost)
     return pieces_density(about, pieces, error=error).noted(needs=about.needs)
 
 
@@ -217,7 +216,7 @@ def _as_families(parts: Sequence[Part], about: ParticleDensity, allowed: float) 
     union = Families(*(np.concatenate(part) for part in zip(*several, strict=True)))
     off = OF_MISFIT * float(np.exp([part.log_w for part in parts]) @ misfits)
     try:
-        families, change = merged_families(union, allowed, _HEAVY)
+        families, change = merged_families(union, allowed, HEAVY)
     except np.linalg.LinAlgError:
         return None
     error = math.hypot(about.error, change, off)

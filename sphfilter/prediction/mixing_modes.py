@@ -8,6 +8,7 @@ from scipy.special import logsumexp
 
 from .._types import Floats
 from ..config import FilterConfig
+from ..core.limits import TINY
 from ..density.memory import error_budget
 from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
@@ -43,7 +44,7 @@ def summed(
         own_w.append(float(logsumexp([part.log_w for part in parts])) if parts else -math.inf)
         own.append(mixed(parts, target, allowed) if parts else None)
     share = np.exp(log_w)
-    off = np.sqrt((splitting**2 * share).sum(axis=0) / np.maximum(share.sum(axis=0), 1e-300))
+    off = np.sqrt((splitting**2 * share).sum(axis=0) / np.maximum(share.sum(axis=0), TINY))
     return ModeDensities(np.array(own_w), own, off)
 
 

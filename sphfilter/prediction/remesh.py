@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..config import LogDensityScheme, PaperScheme, RemeshRule, Scheme
+from ..core.limits import TINY
 from ..density.health import health
 from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
@@ -92,7 +93,7 @@ class Remeshing:
 
 def _strain(density: ParticleDensity, model: SDE) -> float:
     """Gradient of the drift, states in standard deviations: rms over the mass and the states, 1/seconds."""
-    std = np.maximum(np.sqrt(np.diag(density.cov("points"))), 1e-300)
+    std = np.maximum(np.sqrt(np.diag(density.cov("points"))), TINY)
     drift, total = model.drift(density.x, density.t), 0.0
     for step in _NUDGE * np.diag(std):
         change = (model.drift(density.x + step, density.t) - drift) / (_NUDGE * std)

@@ -46,13 +46,7 @@ def filtered(name, finer=1.0, **shape):
     case = scenario.draw(np.random.default_rng(1))
     shape = shape or {"config": sf.FilterConfig(target_error=0.01 / finer)}
     flt = sf.SPHFilter(scenario.model, scenario.measurement, case.x0, case.P0, t0=case.t0, **shape)
-    count, means, stds = 0, [], []
-    for t, z in zip(case.times[:READINGS], case.z[:READINGS], strict=True):
-        count += flt.predict(t=t).n_evaluations
-        flt.update(z)
-        means.append(flt.density.mean().tolist())
-        stds.append(np.sqrt(np.diag(flt.density.cov())).tolist())
-    return count, means, stds
+    return told_of(flt, zip(case.times[:READINGS], case.z[:READINGS], strict=True))
 
 
 def fitted(n_particles):

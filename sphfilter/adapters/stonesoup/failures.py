@@ -18,9 +18,8 @@ __all__ = ["ON_FAILURE", "OnFailure", "linearised", "merged", "multiplied", "sai
 
 OnFailure: TypeAlias = Literal["gaussian", "drop", "raise"]
 ON_FAILURE = "gaussian", "drop", "raise"
-_TOLERANCE = (
-    1e-6  # of moments, relative: = 1e-4 of the error that a filter aims at; linearising adds far more
-)
+#: Of moments, relative: 1e-4 = 1e-6 / .01 of the error that a filter aims at; linearising adds far more.
+_TOLERANCE = 1e-6
 
 
 def said(problem: PropagationError, what: str) -> dict[str, Any]:

@@ -45,7 +45,7 @@ _AIMED = 0.5
 #: 32, and the error of the most is some _OF_RANDOM / √2^17 = 1.4e-3.
 _FEWEST_POINTS, MOST_POINTS = 32 * SHADOW, 2**17
 _SETTLED = 3  # readings before there are more again; measured: with 2 modes of tests/filter miss .01
-_PATIENCE = 2  # readings that ask for other points before they come; measured: errors up to 1.7 times with 4
+_PATIENCE = 2  # readings that ask for fewer before there are; measured: errors up to 1.7 times with 4
 
 
 @register_jitable

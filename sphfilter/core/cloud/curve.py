@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 
 from .._jit import jit
+from ..limits import TINY
 from ..small_matrices import cholesky, invert_lower
 from .weights import weighted_moments
 
@@ -61,7 +62,7 @@ def ordered(x, mean, cov, table, bits):
     """
     (N, n), top, cov, L = x.shape, 1 << bits, cov.copy(), np.empty(cov.shape)
     for a in range(n):  # a state without spread, or none that is a number, has one cell
-        cov[a, a] = cov[a, a] if 1e-300 < cov[a, a] < np.inf else 1.0
+        cov[a, a] = cov[a, a] if TINY < cov[a, a] < np.inf else 1.0
     if not cholesky(cov, L):
         for a in range(n):
             for b in range(n):

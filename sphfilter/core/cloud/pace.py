@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import jit
-from ..limits import LOOK
+from ..limits import LOOK, TINY
 from ..step_control import HELPED, MORE
 from .curve import along_curve
 from .noise import LANES, fill_noise, mixed
@@ -175,7 +175,7 @@ def parted(coarse, fine, groups):
             if count < (1.0 - 2.0 * MOST_LOST) * size:
                 return np.inf, 0.0
             mean, square, off = mean / count, square / count, off / count
-            variance = max(square - mean * mean, 1e-300 + 1e-24 * square)
+            variance = max(square - mean * mean, TINY + 1e-24 * square)
             if high > low and count == size:  # of a Gaussian, 2.3 standard deviations
                 variance = min(variance, (high - low) ** 2)
             total += off * off / (variance * n * groups)

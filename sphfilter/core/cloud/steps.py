@@ -16,6 +16,7 @@ from .._addresses import ADDRESS, NOWHERE_AT, Entry, function_at
 from .._jit import MATRIX, VECTOR, jit
 from .._views import rows_at
 from ..domain import DOMAIN, REFLECTING, Domain, bounce
+from ..limits import TINY
 from ..step_control import next_step
 from .noise import LANES, uniform
 
@@ -171,7 +172,7 @@ def _off(room, K, n, dt):
                     return np.inf, i
                 if d > most:
                     most, at = d, i
-        own = dt * most / (_STIFF * (high - low) + 1e-9 * abs(high) + 1e-300)
+        own = dt * most / (_STIFF * (high - low) + 1e-9 * abs(high) + TINY)
         if own > off:
             off, worst = own, at
     return off, worst
@@ -214,7 +215,7 @@ def _reflect(leg, before, x, t):
             variance, one, other = 0.0, before[i, a], x[i, a]
             for k in range(m):
                 variance += sigma[a, k] * sigma[a, k] * leg.h
-            u = uniform(np.uint64(i), np.uint64(np.int64((other - one) * 2.0**40 / (abs(one) + 1e-300))))
+            u = uniform(np.uint64(i), np.uint64(np.int64((other - one) * 2.0**40 / (abs(one) + TINY))))
             way = math.sqrt((other - one) ** 2 - 2.0 * variance * math.log(u))
             if one - leg.domain.low[a] < leg.domain.high[a] - one:
                 x[i, a] += max(0.0, leg.domain.low[a] - 0.5 * (one + other - way))

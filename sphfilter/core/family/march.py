@@ -7,6 +7,7 @@ import numpy as np
 
 from .. import dormand_prince as dp
 from .._jit import jit
+from ..limits import TINY
 from ..step_control import GROW, SHRINK, next_step
 from .frame import FAR, inverse, moments_of, moved, reframed, root_between, weigh
 from .rates import RATES, work
@@ -56,7 +57,7 @@ def march(flow, basis, control, y):
     speed = _norm(own, n, k[0])
     if not math.isfinite(speed):
         return Report(NOT_FINITE, t, 0, 0, 1, 0.0, 0.0)
-    h = min(control.t1 - t, control.longest, control.tolerance**0.2 / max(speed, 1e-300))
+    h = min(control.t1 - t, control.longest, control.tolerance**0.2 / max(speed, TINY))
     while t < control.t1:
         if steps + rejected >= control.max_steps:
             return Report(TOO_MANY, t, steps, rejected, asked, residual, stepping)

@@ -14,6 +14,7 @@ from numba import types
 
 from .._addresses import Entry
 from .._jit import MATRIX, VECTOR, jit
+from ..limits import TINY
 from ..small_matrices import eigen, extremes, invert_lower
 from .cells import box_of, cells_in, strides_of, unravel
 from .field import Field
@@ -142,7 +143,7 @@ def _mean_curvature(second, log_p, owner, flats):
             for a in range(n):
                 for b in range(n):
                     mean[a, b] += m * second[i, a, b]
-    return mean / max(total, 1e-300)
+    return mean / max(total, TINY)
 
 
 @jit

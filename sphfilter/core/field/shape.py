@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from .._jit import jit
-from ..limits import ALIKE
+from ..limits import ALIKE, TINY
 from ..small_matrices import cholesky, eigen, invert_lower
 
 __all__ = ["local_shape"]
@@ -60,7 +60,7 @@ def local_shape(field, m, L, Q):
             v = 0.0
             for b in range(n):
                 v += B[a, b] * V[b, k]
-            info[a, k] = v / math.sqrt(max(w[k], 1e-300))
+            info[a, k] = v / math.sqrt(max(w[k], TINY))
     for a in range(n):
         for b in range(n):
             for k in range(n):

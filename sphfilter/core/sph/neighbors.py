@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import jit
+from ..limits import TINY
 
 __all__ = ["METHODS", "Index", "build_index", "choose_method", "neighbor_lists", "query"]
 
@@ -71,7 +72,7 @@ def _build_cells(x, size):
             low[0, d], top = min(low[0, d], x[i, d]), max(top, x[i, d])
         span = top - low[0, d]
         dims[d] = int(min(max(span / size, 1.0), (2.0 * N) ** (1.0 / k) + 1.0))
-        high[0, d] = max(span / dims[d], 1e-300)
+        high[0, d] = max(span / dims[d], TINY)
         n_cells *= dims[d]
     cell = np.empty(N, np.int64)
     start = np.zeros(n_cells + 1, np.int64)
