@@ -4,7 +4,7 @@ from rich.console import Console
 from rich.table import Table
 
 from .scene.scenario import read_settings, scenario_names
-from .transient.problem import load_problem, problem_names
+from .transient.settings import problem_names, read_problem
 
 __all__ = ["main"]
 
@@ -12,10 +12,11 @@ __all__ = ["main"]
 def main(args):
     """Print name and description of every scenario."""
     scenarios = [(name, read_settings(name).description) for name in scenario_names()]
+    problems = [(name, read_problem(name)[1].description) for name in problem_names()]
     console = Console(highlight=False)
     console.print(_listed(scenarios))
     console.print("\nRun one with: python -m experiments run NAME\n", style="dim")
-    console.print(_listed([(name, load_problem(name).settings.description) for name in problem_names()]))
+    console.print(_listed(problems))
     console.print("\nSolve one without measurements with: python -m experiments transient NAME", style="dim")
 
 

@@ -1,6 +1,7 @@
 """From the texts of a model to its batch functions and structure flags, with symbolic derivatives."""
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -277,10 +278,15 @@ def _maker(name: str, matrix: sp.Matrix, names: Names) -> Maker:
             lines += [f"O[{k}*i + {j}] = {source(v)}" for j, v in enumerate(reduced)]
         except ValueError as error:
             raise ExpressionError(f"The {name} cannot be worked out: {error}.") from error
-        tables = {"linear": linear, "previous": previous, "slope": slope}
-        return compile_source(before, lines, np=FAST, flat=flat, **tables)
+        return _compiled(tuple(before), tuple(lines))
 
     return make
+
+
+@lru_cache
+def _compiled(before: tuple[str, ...], per_row: tuple[str, ...]) -> BatchFunction:
+    """Compile a batch function of printed code; models whose code is the same share the last ones made."""
+    return compile_source(before, per_row, np=FAST, flat=flat, linear=linear, previous=previous, slope=slope)
 
 
 def _has_symbolic_power(v: sp.Expr) -> bool:

@@ -12,6 +12,7 @@ import sphfilter as sf
 from sphfilter.filter import budget as budget_room
 from sphfilter.filter import sph_filter, update_again
 from sphfilter.filter.budget import Budget
+from sphfilter.model import symbolic
 from sphfilter.prediction import automatic, ladder, predict
 
 TEXT = ["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[1.6]]
@@ -185,6 +186,7 @@ def test_what_is_not_prepared_prepares_itself(clock):
     "sensor", [None, POSITION, sf.LikelihoodMeasurement(lambda z, X, t: -abs(X[:, 0] - z))]
 )
 def test_nothing_is_compiled_after_a_rehearsal(monkeypatch, sensor):
+    symbolic._compiled.cache_clear()
     model = sf.SDE.from_expressions(*TEXT)  # whose functions nobody has called
     flt = sf.SPHFilter(model, sensor, [3.0, 0.0], np.diag([0.2, 1.0]), n_particles=100)
     assert flt.prepare(2.0) > 0.0

@@ -207,6 +207,18 @@ def test_derivatives_at_awkward_points():
     np.testing.assert_allclose(J, [[-2.5, 0.0], [0.0, 0.0]], atol=1e-12)
 
 
+def test_models_whose_code_is_the_same_share_it():
+    """Names and values are no part of the code; numbers of the text are."""
+
+    def drift(state, name, value, number):
+        parameters = {name: value}
+        return SDE.from_expressions([state], [f"-{name}*{state}**{number}"], parameters=parameters)
+
+    one, same, other = drift("x", "a", 2.0, 3), drift("y", "k", 5.0, 3), drift("x", "a", 2.0, 5)
+    assert one.drift_batch is same.drift_batch and one.drift_batch is not other.drift_batch
+    assert [model.drift([2.0], 0.0)[0, 0] for model in (one, same, other)] == [-16.0, -40.0, -64.0]
+
+
 def test_no_solution_is_reported_at_construction():
     with pytest.raises(ExpressionError, match="cannot be worked out"):
         SDE.from_expressions(["x"], ["1/(x - x)"])
