@@ -25,7 +25,7 @@ from sphfilter.adapters.stonesoup import EvidenceHypothesiser, SPHPredictor, SPH
 from sphfilter.model.simulate import advance
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def two_wells():
     """A prediction that has spread over both wells."""
     return SPHPredictor(duffing()).predict(gaussian(mean=(0.0, 0.0)), at(3))

@@ -8,6 +8,7 @@ import pytest
 from experiments import __main__ as commands
 from experiments.campaign import work
 from experiments.scene.filters import Factory
+from experiments.show import plots
 from sphfilter.campaign.campaign import CampaignResult
 
 _TINY = ["--runs", "2", "--set", "times.end=6", "--n-particles", "200", "--set", "filters.pf.n_particles=100"]
@@ -15,6 +16,12 @@ _TINY = ["--runs", "2", "--set", "times.end=6", "--n-particles", "200", "--set",
 
 def _run(*arguments):
     return commands.main([*arguments])
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """A command that makes no pictures, for tests that look at its numbers and words."""
+    monkeypatch.setattr(plots, "draw", lambda *given: [])
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +53,7 @@ def test_run_writes_numbers_settings_and_pictures(duffing):
     assert not list(duffing.glob("unfinished*"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_written_scenario_runs_the_same_again(duffing, tmp_path):
     assert _run("run", str(duffing / "scenario.toml"), "--out", str(tmp_path)) == 0
     first, again = (CampaignResult.load(folder / "campaign.npz") for folder in (duffing, tmp_path))
@@ -64,6 +72,7 @@ def test_run_prints_the_table_beside_the_paper(tmp_path, capsys):
         assert text in said
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_linear_scenario_is_compared_with_the_exact_filter(tmp_path, capsys):
     assert _run("run", "linear_critical", "--filters", "kf,ekf", *_TINY, "--out", str(tmp_path)) == 0
     assert "Distance from the Kalman filter" in capsys.readouterr().out
@@ -74,6 +83,7 @@ def test_linear_scenario_is_compared_with_the_exact_filter(tmp_path, capsys):
     assert 0 < distance["ekf"]["cov"] < 1e-4
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_benes_filters_start_from_the_exact_density(tmp_path):
     arguments = ["--filters", "benes,sph,sph_paper,grid", "--runs", "2", "--set", "times.end=2"]
     assert _run("run", "benes", *arguments, "--out", str(tmp_path)) == 0
@@ -83,6 +93,7 @@ def test_benes_filters_start_from_the_exact_density(tmp_path):
     assert distance["sph"]["cov"] < distance["sph_paper"]["cov"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_filter_that_fails_is_reported_and_the_others_go_on(tmp_path, capsys, monkeypatch):
     make = Factory.__call__
 
@@ -98,6 +109,7 @@ def test_a_filter_that_fails_is_reported_and_the_others_go_on(tmp_path, capsys, 
     assert "run 1, UKF: RuntimeError: no such luck" in said
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_interruption_keeps_finished_runs(tmp_path, capsys, monkeypatch):
     make, calls = Factory.__call__, []
 
@@ -133,6 +145,7 @@ def test_interruption_before_the_first_run_leaves_nothing(tmp_path, capsys, monk
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_runs_that_others_left_are_mentioned(tmp_path, capsys):
     (tmp_path / "unfinished-00000000").mkdir()
     assert _run("run", "linear_critical", "--filters", "kf", "--runs", "1", "--out", str(tmp_path)) == 0

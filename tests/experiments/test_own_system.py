@@ -14,7 +14,7 @@ from transient_help import EXAMPLE, KEYS
 
 import sphfilter as sf
 from experiments.__main__ import main
-from experiments.transient import film, solution
+from experiments.transient import command, film, solution
 from experiments.transient.problem import load_problem
 from experiments.transient.references import reference_of
 from experiments.transient.settings import TransientSettings
@@ -60,6 +60,13 @@ def own(tmp_path):
     return write
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """A command that makes no pictures, for tests that look at its numbers or films."""
+    monkeypatch.setattr(command.plots, "draw", lambda *given: [])
+    monkeypatch.setattr(command, "probe_picture", lambda path, *given: path)
+
+
 def rows(path):
     with open(path, newline="") as file:
         return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
@@ -71,6 +78,7 @@ def exact(t):
     return linear_moments(A, np.zeros(2), intensity, TREE["start"]["mean"], TREE["start"]["cov"], t)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_example_of_the_help_runs_as_printed(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["transient", "--help"])
@@ -141,6 +149,7 @@ def test_the_thesis_own_input_in_our_words(own):
 
 
 class TestProbe:
+    @pytest.mark.usefixtures("undrawn")
     def test_arrays_are_the_closed_form(self, own, tmp_path):
         data = ["density", "log_density", "density_gradient", "velocity", "smoothing_length"]
         path = own({"probe": GRID | {"data": data, "origin": [0.0, -1.0]}, "output": {"every": 3}})
@@ -160,6 +169,7 @@ class TestProbe:
         h = found["smoothing_length"]
         assert np.nanmax(h) == pytest.approx(np.nanmin(h)) and np.isfinite(h[4, 4])
 
+    @pytest.mark.usefixtures("undrawn")
     def test_csv_is_the_same_line_by_line(self, own, tmp_path):
         path = own({"probe": GRID | {"data": ["density", "density_gradient"]}, "output": {"csv": True}})
         assert main(["transient", "--config", str(path), "--out", str(tmp_path / "out")]) == 0
@@ -185,6 +195,7 @@ class TestProbe:
             shape = np.load(tmp_path / "out" / "probe" / "0001.npz")["velocity"].shape
             assert shape == (9, 1 if size[1] == 0 else 9, 2)
 
+    @pytest.mark.usefixtures("undrawn")
     def test_a_stopped_run_probes_everything(self, own, tmp_path, monkeypatch, ctrl_c_after):
         propagate, command = ctrl_c_after(0.6), ["transient", "--config", str(own({"probe": GRID}))]
         command += ["--out", str(tmp_path / "out")]
@@ -255,6 +266,7 @@ class TestFilms:
         assert "does not exist" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 
+    @pytest.mark.usefixtures("undrawn")
     def test_mp4_gives_ffmpeg_a_frame_for_each_density(self, own, tmp_path, monkeypatch):
         """A program in ffmpeg's place counts what it is given: frames of width times height, four bytes."""
         fake = tmp_path / "bin" / "ffmpeg"
@@ -285,6 +297,7 @@ class TestFilms:
         assert "--live needs a display" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 
+    @pytest.mark.usefixtures("undrawn")
     @pytest.mark.parametrize("closed", [pytest.param(False, marks=pytest.mark.slow), True])
     def test_the_window_shows_every_density_until_it_is_closed(self, own, tmp_path, monkeypatch, closed):
         """Windows without a screen: what is drawn into them is there to be looked at."""
@@ -311,6 +324,7 @@ def unavailable(name):
     raise ImportError(name)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_was_discarded_is_told(own, tmp_path, capsys):
     scheme = {
         "name": "paper",

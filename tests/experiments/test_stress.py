@@ -404,8 +404,8 @@ def test_published_scheme_errs_only_in_accuracy(case, monkeypatch):
     assert found.verdict != "crash" and (found.verdict != "wrong, silent" or accuracy), found
 
 
-#: Numbers of random cases that take seconds, of all numbers of states.
-_QUICK = [2, 3, 5, 10, 11, 12, 14, 15, 16, 28]
+#: Numbers of random cases that take seconds, of all numbers of states; two are like 5 and 28, and dearer.
+_QUICK = [2, 3, 5, 10, 12, 14, 15, 28, *(pytest.param(k, marks=pytest.mark.slow) for k in (11, 16))]
 
 
 @pytest.mark.parametrize("number", _QUICK)

@@ -65,7 +65,7 @@ def test_one_state(name):
     f, g, interpretation, drift, D, ends, x0 = LINES[name]
     model = sf.SDE.from_expressions(["x"], [f], g, interpretation=interpretation)
     start, z = (np.array([x0]), np.array([[0.1]])), [[x0 + 0.3], [x0 - 0.8], [x0 - 1.2], [x0]]
-    exact = by_matrix(drift, lambda X: D(X)[:, :, None], [np.linspace(*ends, 201)], start, LEVEL, z)
+    exact = by_matrix(drift, lambda X: D(X)[:, :, None], [np.linspace(*ends, 121)], start, LEVEL, z)
     assert_smoothed(model, LEVEL, start, z, 100, exact, 1e-3)
 
 
@@ -112,7 +112,7 @@ def test_three_states_apart():
     model = sf.SDE.from_expressions(names, [f.replace("x", name) for name in names], noise)
     sensor = sf.GaussianMeasurement(h=np.eye(3), noise_cov=0.1 * np.eye(3))
     found = sf.smooth(sf.SPHFilter(model, sensor, np.full(3, x0), 0.1 * np.eye(3), n_particles=600), TIMES, z)
-    alone, axes = (np.array([x0]), np.array([[0.1]])), [np.linspace(*ends, 201)]
+    alone, axes = (np.array([x0]), np.array([[0.1]])), [np.linspace(*ends, 121)]
     exact = [by_matrix(drift, lambda X: D(X)[:, :, None], axes, alone, LEVEL, z[:, [k]]) for k in range(3)]
     x, P = np.hstack([one[0] for one in exact]), np.zeros((4, 3, 3))
     P[:, range(3), range(3)] = np.hstack([one[1][:, 0] for one in exact])

@@ -1,6 +1,7 @@
 """Models: the three ways of writing one agree, derived quantities are right, bad input is named."""
 
 import pickle
+from functools import cache
 
 import numpy as np
 import pytest
@@ -119,6 +120,7 @@ def g_rows(X, t):
     return np.array([g(x, t) for x in X])
 
 
+@cache
 def multiplicative(interpretation):
     """Return one model with full, state-dependent noise as a function, as rows and as text."""
     texts = ["-x", "x*y"], [["x", "0.1*t"], ["sin(y)", "x*y"]]

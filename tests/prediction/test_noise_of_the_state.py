@@ -141,31 +141,31 @@ def test_noise_of_state_and_time():
     assert p.cov()[0, 0] == pytest.approx(second - m**2, abs=2e-4)
 
 
-def written_otherwise():
-    """The same equation: Stratonovich's, by a function, by a numpy function, by D, with Q and two columns."""
-
-    def g(x):
-        return ((0.6 * np.sqrt(1.0 + 0.5 * x[0] ** 2),),)
-
-    D = "0.18*(1 + 0.5*x**2)"
-    return {
-        "stratonovich": sf.SDE.from_expressions(["x"], ["-1.09*x"], WIDENING, interpretation="stratonovich"),
-        "function": sf.SDE(lambda x: (-x[0],), 1, g, [[1.0]]),
-        "stratonovich function": sf.SDE(
-            lambda x: (-1.09 * x[0],), 1, g, [[1.0]], interpretation="stratonovich"
-        ),
-        "rows": sf.SDE(
-            lambda X: -X, 1, lambda X: 0.6 * np.sqrt(1 + 0.5 * X[:, :, None] ** 2), [[1.0]], vectorized=True
-        ),
-        "D": sf.SDE.from_expressions(["x"], ["-x"], diffusion=[[D]]),
-        "Q": text(["x"], ["-x"], [["2*sqrt(1 + 0.5*x**2)", "x"]], [[0.09, 0.0], [0.0, 0.0]]),
-    }
+def widening(x):
+    return ((0.6 * np.sqrt(1.0 + 0.5 * x[0] ** 2),),)
 
 
-@pytest.mark.parametrize("name", written_otherwise())
+#: The same equation: Stratonovich's, by a function, by a numpy function, by D, with Q and two columns.
+WRITTEN_OTHERWISE = {
+    "stratonovich": lambda: sf.SDE.from_expressions(
+        ["x"], ["-1.09*x"], WIDENING, interpretation="stratonovich"
+    ),
+    "function": lambda: sf.SDE(lambda x: (-x[0],), 1, widening, [[1.0]]),
+    "stratonovich function": lambda: sf.SDE(
+        lambda x: (-1.09 * x[0],), 1, widening, [[1.0]], interpretation="stratonovich"
+    ),
+    "rows": lambda: sf.SDE(
+        lambda X: -X, 1, lambda X: 0.6 * np.sqrt(1 + 0.5 * X[:, :, None] ** 2), [[1.0]], vectorized=True
+    ),
+    "D": lambda: sf.SDE.from_expressions(["x"], ["-x"], diffusion=[["0.18*(1 + 0.5*x**2)"]]),
+    "Q": lambda: text(["x"], ["-x"], [["2*sqrt(1 + 0.5*x**2)", "x"]], [[0.09, 0.0], [0.0, 0.0]]),
+}
+
+
+@pytest.mark.parametrize("name", WRITTEN_OTHERWISE)
 def test_one_equation_written_in_other_ways(name):
     plain, _ = on_log_density(text(["x"], ["-x"], WIDENING), START, 0.2, 60)
-    other, _ = on_log_density(written_otherwise()[name], START, 0.2, 60)
+    other, _ = on_log_density(WRITTEN_OTHERWISE[name](), START, 0.2, 60)
     assert other.mean()[0] == pytest.approx(plain.mean()[0], abs=2e-6)
     assert other.cov()[0, 0] == pytest.approx(plain.cov()[0, 0], abs=2e-6)
 
