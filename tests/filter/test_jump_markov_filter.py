@@ -321,7 +321,8 @@ def test_one_prediction_or_eight():
     ids=["fast", "slow", "certain", "absorbing", "a number", "clouds"],
 )
 def test_rates_starts_and_schemes_of_all_kinds(rates, options, step):
-    model, times, z = moving(rates), [1.0, 2.0, 3.0], [[0.3], None, [1.1]]
+    model, times = moving(rates), np.arange(1.0, 6.0)
+    z = [[0.3], None, [1.1], [1.2], [2.3]]
     found = run(model, times, z, **options)
     start = options.get("mode_probabilities", model.stationary)
     start = [0.0, 1.0] if isinstance(start, dict) else start
