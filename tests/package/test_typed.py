@@ -6,7 +6,7 @@ import subprocess
 import sys
 import typing
 from dataclasses import is_dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import pytest
@@ -68,6 +68,7 @@ def test_a_users_mistakes(checked, tmp_path):
     assert said.count("error:") == len(MISTAKES), said
 
 
+@cache
 def reachable():
     """Every public function, and every class of the package that annotations lead to from there."""
     waiting = [getattr(sf, name) for name in sf.__all__ if name not in ("__version__", "consistency")]
