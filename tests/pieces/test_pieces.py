@@ -158,7 +158,7 @@ class TestPosterior:
     def test_bent_readings_against_a_fine_grid(self, h, z, R, target):
         sensor = sf.GaussianMeasurement.from_expressions(["x", "y"], h, R)
         new, said = by_pieces(START, ReadingAtPrior.of(START, sensor, z), target, 10**7)
-        axis = np.linspace(-6.0, 6.0, 2401)
+        axis = np.linspace(-6.0, 6.0, 1201)
         X = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
         X = X[np.abs(X).max(axis=1) < 5.5]
         log_p = START.logpdf(X) + sensor.log_likelihood(z, X)
