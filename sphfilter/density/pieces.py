@@ -13,6 +13,7 @@ from .._types import Bools, Floats, Ints
 from ..core.family.rules import rule as family_rule
 from ..core.limits import LOG_2_PI
 from ..errors import PropagationError
+from .points import moments_of_sum
 from .quasi_random import spread_evenly
 
 __all__ = [
@@ -65,9 +66,7 @@ class Pieces(NamedTuple):
 
     def moments(self) -> tuple[Floats, Floats]:
         """Mean (n,) and covariance (n, n) of the whole."""
-        mean = self.w @ self.mean
-        off = self.mean - mean
-        return mean, np.einsum("k,kab->ab", self.w, self.cov) + np.einsum("k,ka,kb->ab", self.w, off, off)
+        return moments_of_sum(self.w, self.mean, self.cov)
 
     def heavy(self, least: float, away: float = 1.0) -> Bools:
         """All (K,) but those that `light` names."""

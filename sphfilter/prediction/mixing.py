@@ -36,6 +36,7 @@ from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.passage import key_at
 from ..density.pieces import HEAVY, Pieces, light, root_of
+from ..density.points import moments_of_sum
 from ..density.resample import logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
@@ -262,10 +263,7 @@ def _moments(parts: Sequence[Part]) -> tuple[Floats, Floats]:
     w = np.exp([part.log_w for part in parts])
     own = [moments_on_line(part.density) for part in parts]
     means = np.array([mean + turn for (mean, _), turn in zip(own, _turned(parts), strict=True)])
-    mean = w @ means
-    off = means - mean
-    cov = np.einsum("k,kab->ab", w, [cov for _, cov in own]) + np.einsum("k,ka,kb->ab", w, off, off)
-    return mean, cov
+    return moments_of_sum(w, means, [cov for _, cov in own])
 
 
 def _log_sum(parts: Sequence[Part]) -> OfStates:
