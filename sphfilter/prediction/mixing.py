@@ -18,6 +18,7 @@ from ..core.family.basis import size
 from ..core.family.rules import degrees
 from ..core.field.walls import NO_WALLS
 from ..core.limits import LITTLE
+from ..core.step_control import HELPED
 from ..density.as_cloud import cloud_density
 from ..density.as_family import (
     as_polynomials,
@@ -44,6 +45,7 @@ from ..lattice.field import inside_lattice
 from ..lattice.level_set import lattice_reach, lay
 from ..model.domain import Domain
 from . import family
+from .again import MOST
 from .families import degree_of_parts
 from .ladder import first_degree, prefers_cloud
 
@@ -52,8 +54,7 @@ __all__ = ["Part", "mixed"]
 _CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: as much as makes all of it
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
-_TRIES, _FINER, _MOST_NODES = 6, 2, 20_000  # lattices, and times the nodes of the one before
-_HELPED = 0.8  # of an error that is left by finer lattices, if it comes from them
+_TRIES, _FINER = 6, 2  # lattices, and times the nodes of the one before
 _POINTS = 5  # of the key of a time: the points of a part, and of the next
 _SEEDS = 1e-4  # of the heaviest node of a part: those by which a lattice finds all of its pieces
 
@@ -304,8 +305,8 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
         before = best[0]
         if added < before:
             best = added, off.residual, laid, nodes
-        helped = added < _HELPED * before
-        if added <= allowed or about.needs is None or not helped or _FINER * nodes > _MOST_NODES:
+        helped = added < HELPED * before
+        if added <= allowed or about.needs is None or not helped or _FINER * nodes > MOST:
             break
         nodes *= _FINER
     added, residual, laid, nodes = best
