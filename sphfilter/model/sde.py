@@ -84,6 +84,7 @@ class SDE(Adjustable):
         What the compiled functions take as p: values of parameters, then of inputs, then constants of the
         model.
     spectral_density : ndarray, shape (m, m)
+    domain : Domain
     drift_batch, noise_batch, diffusion_batch, diffusion_divergence_batch, jacobian_batch, divergence_batch
         Compiled functions ``fill(x, t, p, out)`` with out of n, n·m, n·n, n, n·n and 1 columns. The drift is
         that of Itô, the Stratonovich term included.
