@@ -3,7 +3,7 @@
 import numpy as np
 
 from sphfilter import validate
-from sphfilter.density.initialize import Gaussian, Uniform
+from sphfilter.density.distributions import Gaussian, Uniform
 from sphfilter.errors import ModelError
 
 __all__ = ["draw"]

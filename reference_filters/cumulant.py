@@ -12,7 +12,7 @@ from scipy.special import bernoulli
 
 from sphfilter import validate
 from sphfilter.core.dormand_prince import A, C, E
-from sphfilter.density.initialize import Gaussian, Uniform
+from sphfilter.density.distributions import Gaussian, Uniform
 from sphfilter.errors import ModelError
 
 from ._cumulant_rates import CumulantRates, central_recursion

@@ -17,7 +17,8 @@ line, RECIPES.md what to write for a problem, FAILURES.md what failures say, EXT
 
 from . import consistency
 from ._version import __version__
-from .campaign.campaign import CampaignResult, Case, run_campaign
+from .campaign.campaign import CampaignResult, run_campaign
+from .campaign.one_run import Case
 from .campaign.report import Report, report
 from .config import (
     AcceptanceTest,
@@ -28,8 +29,9 @@ from .config import (
     PaperScheme,
     SolverConfig,
 )
+from .density.distributions import Gaussian, Uniform
 from .density.health import Health, health
-from .density.initialize import Gaussian, Uniform, initialize
+from .density.initialize import initialize
 from .density.particle_density import ParticleDensity
 from .density.resample import resample
 from .errors import (

@@ -83,6 +83,10 @@ class _Marked(Noted):
         """The info with another status, whose flags come to those it has."""
         return self.noted(code=self.code | code, status=status)
 
+    def also(self, code: Code, sentence: str) -> Self:
+        """The info whose status says one more sentence, whose flags come to those it has."""
+        return self.marked(code, sentence if self.status == "ok" else f"{self.status}; {sentence}")
+
     @property
     def rung(self) -> str:
         """What stood for the density: "closed form", "family", "pieces", "lattice", "cloud" or

@@ -97,7 +97,7 @@ class CampaignResult:
     @classmethod
     def load(cls, path: str | PathLike[str]) -> "CampaignResult":
         """Read what `save` wrote."""
-        values = store.load_result(path)
+        values = store.load(path)
         values["results"] = {name: FilterResult(**r) for name, r in values["results"].items()}
         values["failures"] = [Failure(*f) for f in values["failures"]]
         return cls(**values)
@@ -194,7 +194,7 @@ def run_campaign(
             finished[r] = store.write_run(folder, r, record)
         if progress is not None:
             progress(done, n_runs)
-    read = records.pop if folder is None else lambda r: store.read_run(finished[r])
+    read = records.pop if folder is None else lambda r: store.load(finished[r])
     return _gather(scenario.name, int(seed), read, n_runs, list(filters))
 
 

@@ -24,8 +24,8 @@ from .._version import __version__
 from ..errors import CampaignError, ConfigError
 from . import one_run
 
-__all__ = ["case_digest", "claim", "finished", "load_result", "manifest", "read_run", "save_result",
-           "versions", "write_run"]  # fmt: skip
+__all__ = ["case_digest", "claim", "finished", "load", "manifest", "save_result", "versions",
+           "write_run"]  # fmt: skip
 
 _MANIFEST = "manifest.json"
 _BY_DEFAULT = re.compile(r"\bdefault=\('[^)]*\), ")
@@ -159,19 +159,9 @@ def write_run(folder: str | PathLike[str], r: int, record: dict[str, Any]) -> Pa
     return path
 
 
-def read_run(path: Path) -> dict[str, Any]:
-    """Read what `write_run` wrote."""
-    return _load(path)
-
-
 def save_result(result: Any, path: str | PathLike[str]) -> None:
     """Write a CampaignResult to one ``.npz`` file."""
     _save(Path(path), _tree(result), plain=("scenario", "seed", "t0", "failures"))
-
-
-def load_result(path: str | PathLike[str]) -> dict[str, Any]:
-    """Return the fields that `save_result` wrote; filter results and failures as dictionaries and lists."""
-    return _load(path)
 
 
 def _tree(value: Any) -> Any:
@@ -202,7 +192,8 @@ def _save(path: Path, values: dict[str, Any], plain: Sequence[str]) -> None:
     _replace(path, write)
 
 
-def _load(path: str | PathLike[str]) -> dict[str, Any]:
+def load(path: str | PathLike[str]) -> dict[str, Any]:
+    """Read what `write_run` or `save_result` wrote; filter results and failures as dictionaries and lists."""
     with np.load(path) as data:
         index = json.loads(str(data["index"]))
 

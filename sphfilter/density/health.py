@@ -1,14 +1,12 @@
 """Is a cloud of particles still in order? The adverse phenomena of 002 section 5, seen in a density."""
 
-import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from .._types import Bools, Floats
 from ..core.limits import TINY
+from ..core.monomials import up_to
 from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
 from ..errors import ModelError
 from .particle_density import ParticleDensity
@@ -155,7 +153,7 @@ def _smoothed(z: Floats, values: Floats) -> tuple[Floats, Floats]:
     Parameters
     ----------
     z : ndarray, shape (N, n)
-        Two points at least.
+        Two points at least; of few the polynomials are linear.
     values : ndarray, shape (N,)
 
     Returns
@@ -165,45 +163,17 @@ def _smoothed(z: Floats, values: Floats) -> tuple[Floats, Floats]:
     """
     from scipy.spatial import cKDTree  # on use: import time
 
-    tree = cKDTree(z)
-    c, _, nearest = _fit(tree, z, values, _terms(z.shape[1], 2, len(z)))
-    return c[:, 0], nearest
-
-
-def _terms(n: int, degree: int, N: int) -> list[tuple[int, ...]]:
-    """Monomials as tuples of axes, by degree; of lower degree where particles are few."""
-    every = [t for k in range(degree + 1) for t in itertools.combinations_with_replacement(range(n), k)]
-    while len(every) > max(n + 1, N // 2):
-        degree -= 1
-        every = [t for t in every if len(t) <= degree]
-    return every
-
-
-def _monomials(d: Floats, terms: Sequence[tuple[int, ...]]) -> Floats:
-    """Values of the monomials at displacements d (..., n), shape (..., T)."""
-    values = np.empty((*d.shape[:-1], len(terms)))
-    for k, axes in enumerate(terms):
-        values[..., k] = 1.0 if not axes else d[..., axes[-1]]
-        if len(axes) > 1:
-            values[..., k] *= values[..., terms.index(axes[:-1])]
-    return values
-
-
-def _weight(q: Floats) -> Floats:
-    """Wendland's C2 function."""
-    return (1.0 - q) ** 4 * (1.0 + 4.0 * q)
-
-
-def _fit(
-    tree: Any, z: Floats, log_p: Floats, terms: Sequence[tuple[int, ...]]
-) -> tuple[Floats, Floats, Floats]:
-    """Coefficients (N, T) in units of each particle's reach, the reaches, and nearest distances."""
-    K = min(_NEIGHBORS_A_TERM * len(terms), len(z) - 1)
-    distance, neighbors = tree.query(z, K + 1)
-    reach = distance[:, -1]
-    basis = _monomials((z[neighbors] - z[:, None]) / reach[:, None, None], terms)
-    weighted = basis * _weight(distance / (1.05 * reach[:, None]))[..., None]
+    N, n = z.shape
+    powers = up_to(2, n)
+    if len(powers) > max(n + 1, N // 2):
+        powers = up_to(1, n)
+    distance, neighbors = cKDTree(z).query(z, min(_NEIGHBORS_A_TERM * len(powers), N - 1) + 1)
+    reach = distance[:, -1:]
+    d = (z[neighbors] - z[:, None]) / reach[:, :, None]
+    basis = np.stack([np.prod(d[..., np.repeat(range(n), power)], axis=-1) for power in powers], axis=-1)
+    q = distance / (1.05 * reach)
+    weighted = basis * ((1.0 - q) ** 4 * (1.0 + 4.0 * q))[..., None]  # Wendland's C2 function
     normal = np.swapaxes(weighted, 1, 2) @ basis
-    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(len(terms))
-    right = np.einsum("ikp,ik->ip", weighted, log_p[neighbors])
-    return np.linalg.solve(normal, right[..., None])[..., 0], reach, distance[:, 1]
+    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(len(powers))
+    right = np.einsum("ikp,ik->ip", weighted, values[neighbors])
+    return np.linalg.solve(normal, right[..., None])[:, 0, 0], distance[:, 1]

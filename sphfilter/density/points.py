@@ -10,7 +10,7 @@ from ..core.cloud.control import error_by, expected_square, smoothed, square_of_
 from ..core.cloud.steps import Leg
 from ..core.cloud.weights import weighted_moments
 
-__all__ = ["CloudState", "Pace", "Passage", "Path", "Points", "Prior", "Told", "moments"]
+__all__ = ["CloudState", "Pace", "Passage", "Path", "Points", "Prior", "Told", "moments", "moments_of_sum"]
 
 
 class Passage(NamedTuple):
@@ -106,6 +106,13 @@ class CloudState(NamedTuple):
     told: Told = Told()
     pace: Pace = Pace()
     inherited: float = 0.0  # error of the mean before it became points, as far as readings have left it
+
+
+def moments_of_sum(w: Floats, means: Any, covs: Any) -> tuple[Floats, Floats]:
+    """Mean (n,) and covariance (n, n) of a sum of densities, of shares w (K,), by those of its parts."""
+    mean = w @ means
+    off = means - mean
+    return mean, np.einsum("k,kab->ab", w, covs) + np.einsum("k,ka,kb->ab", w, off, off)
 
 
 def moments(x: Floats, w: Floats) -> tuple[Floats, Floats]:

@@ -43,7 +43,7 @@ __all__ = [
 _SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
 _FEW_SUBPOINTS = 16  # where the density at each is wanted
 _FINE = 16  # points of a distribution function in a smoothing length or a cell
-_MOST_FINE = 2**17
+_MOST_FINE = 2**17  # in all: 8 bytes each = 1 MB
 
 
 @dataclass(frozen=True, eq=False)

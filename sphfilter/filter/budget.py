@@ -128,7 +128,7 @@ class Budget:
         if self.seconds is None or self.spent <= self.seconds:
             return info
         late = f"time budget exceeded: {1e3 * self.spent:.3g} of {1e3 * self.seconds:.3g} ms"
-        return info.marked(Code.LATE, late if info.status == "ok" else f"{info.status}; {late}")
+        return info.also(Code.LATE, late)
 
     def _dearest(self, what: str) -> float:
         return max(self._costs[what], default=math.nan)

@@ -31,7 +31,7 @@ from .state import FilterState
 __all__ = ["Glide"]
 
 _LONGEST = 8  # readings at most that a filter takes itself, before the next are tried
-_AHEAD, _AT_ONCE = 4, 64  # readings that are looked at first, and at most
+_AHEAD = 64  # readings that are looked at
 #: Points of all readings of one call of compiled code, which nothing interrupts: some tenth of a second.
 _POINTS = 2**16
 _NONE = np.empty(0)
@@ -60,14 +60,13 @@ class Glide:
         return rows
 
     def _through(self, times: Floats, readings: Sequence[Any]) -> list[dict[str, Any]]:
-        run, ahead, going_on = _Run(self._filt), _AHEAD, True
+        run, going_on = _Run(self._filt), True
         try:
             while going_on:
                 first = len(run.reached.rows)
-                last = first + ahead + 1
+                last = first + _AHEAD + 1
                 Z, ends = _plain(self._filt, run.reached.t, times[first:last], readings[first:last])
-                going_on = run.through(ends, Z) and len(Z) == ahead  # else the next is the filter's
-                ahead = min(2 * ahead, _AT_ONCE)
+                going_on = run.through(ends, Z) and len(Z) == _AHEAD  # else the next is the filter's
         finally:  # what is done stays done, whatever raises
             if run.reached.rows:
                 z = readings[len(run.reached.rows) - 1]

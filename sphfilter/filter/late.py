@@ -153,9 +153,8 @@ class StepHistory:
         assert own is not None
         words = dict.fromkeys(info.status if info.status != "ok" else info.reason for info in flagged)
         if words:
-            told = f"of steps taken again: {', '.join(words)}"
             code = reduce(or_, (info.code for info in flagged))
-            own = own.marked(code, told if own.status == "ok" else f"{own.status}; {told}")
+            own = own.also(code, f"of steps taken again: {', '.join(words)}")
         return own
 
     def _take(self, step: Step) -> list[Any]:

@@ -69,7 +69,9 @@ _FILTERPY = {
     "compute_log_likelihood": "the log_likelihood is always there",
 }
 _MIXED = {"x": "mean", "P": "covariance"}
-_NEAR = 0.75  # likeness of two names from which one is taken for the other mistyped
+#: Likeness of two names, 2 · letters alike / letters of both, from which one is taken for the other mistyped:
+#: of eight letters two may differ, 2 · 6 / 16 = .75.
+_NEAR = 0.75
 
 
 def check_assigned(name: str, cls: type, base: type) -> None:

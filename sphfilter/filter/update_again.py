@@ -116,7 +116,7 @@ def update_or_predict_again(
             break
         if fits is not None and not fits(rung.n_particles):
             late = f"no time to repeat the prediction on {rung.times} times the particles"
-            info = info.marked(Code.LATE, late if info.code == Code.OK else f"{info.status}; {late}")
+            info = info.also(Code.LATE, late)
             break
         further = replace(config, scheme=replace(scheme, reach=Z + rung.deeper))
         try:

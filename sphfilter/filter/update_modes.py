@@ -15,6 +15,7 @@ from .._types import Floats
 from ..config import FilterConfig
 from ..core.limits import SAID
 from ..density.modes import ModeDensities
+from ..density.points import moments_of_sum
 from ..errors import PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
 from ..model.measurements import Sensor
@@ -132,7 +133,4 @@ def _innovation(infos: list[tuple[float, UpdateInfo]]) -> tuple[Floats | None, F
     if not known:
         return None, None
     weights, y, S = (np.array(part) for part in zip(*known, strict=True))
-    weights = weights / weights.sum()
-    mean = weights @ y
-    off = y - mean
-    return mean, np.einsum("k,kab->ab", weights, S) + np.einsum("k,ka,kb->ab", weights, off, off)
+    return moments_of_sum(weights / weights.sum(), y, S)

@@ -93,7 +93,7 @@ def update_or_predict_modes_again(
     if in_doubt > _IN_DOUBT:
         told.append((Code.COARSE, _MERGED.format(in_doubt)))
     for code, sentence in told:
-        info = info.marked(code, sentence if info.status == "ok" else f"{info.status}; {sentence}")
+        info = info.also(code, sentence)
     return prior, modes, replace(info, evidence_error=math.hypot(info.evidence_error, in_doubt))
 
 

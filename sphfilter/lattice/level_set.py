@@ -36,7 +36,9 @@ _SMALL_BOX = 4  # cells of each particle, asked at once; measured: half takes 1.
 #: Spacing, in standard deviations, of a lattice whose sums have the variance of a Gaussian within 1.5 %: by
 #: Poisson's formula they lack 2 k² exp(-k²/2) of it, k = 2 pi / spacing.
 _WIDE = 1.6
-_ROUNDED = 20.0  # roundings a standard deviation must be wide; measured: half and twice change no run
+#: Roundings that a standard deviation must be wide: nodes are off by half of one at most, and log p, with the
+#: slope of a standard deviation out, by 1 / 40 = 2.5 %.
+_ROUNDED = 20.0
 
 
 class LatticeDensity(NamedTuple):

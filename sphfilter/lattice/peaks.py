@@ -10,7 +10,6 @@ from ..core.limits import EDGE, LOG_2_PI, NOTHING, ROUNDS
 __all__ = ["Peak", "along_axes", "peaks"]
 
 _ON_LINES = 2048  # states asked along lines in all; measured: half and twice change no run
-_MAXIMA = 16  # of a line that are looked at; measured: half and twice change no run
 _MOST = 100  # peaks
 _SCALES = 2.0 ** np.arange(3, -31, -1.0)  # steps of a climb: 8 to 2^-30 = 1e-9 standard deviations
 _DROP = 0.5  # nats that log p falls within a width: z² / 2 at a standard deviation of a Gaussian
@@ -38,7 +37,6 @@ def along_axes(product: OfStates, log_weight: OfStates, start: Floats, std: Floa
         line[:, axis] += u * std[axis]
         w = log_weight(line)
         top = 1 + np.flatnonzero((w[1:-1] > w[:-2]) & (w[1:-1] >= w[2:]))
-        top = top[np.argsort(-w[top], kind="stable")[:_MAXIMA]]
         if not top.size:
             continue
         values = product(line[top])

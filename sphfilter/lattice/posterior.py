@@ -7,7 +7,7 @@ import numpy as np
 
 from .._types import Floats, OfStates
 from ..core.field.shape import local_shape
-from ..core.field.walls import NO_WALLS, Walls
+from ..core.field.walls import Walls
 from ..core.limits import ALIKE, ROUNDS, TINY
 from ..errors import ModelError, PropagationError
 from .level_set import LatticeDensity, gaussian_volume, lay
@@ -15,10 +15,11 @@ from .level_set import LatticeDensity, gaussian_volume, lay
 __all__ = ["posterior", "within_pieces"]
 
 _STEP = 0.02  # of slopes, in standard deviations; measured: half and twice move means by .0007 at most
-_SKEWED = 6.0  # largest over least variance that is whitened enough; measured: half and twice change no run
 _ENOUGH = 0.35  # nodes that have to count, over a Gaussian's; measured: half fails in test_update_seeing.py
 _POWERS = 1.02  # ratio of powers not told apart; measured: 1.01, 1.05 take .76, .87 times the work
-_LAYERS = 0.15  # least variance in units of the lattice: three layers; measured: half and twice change no run
+#: Least variance in units of the lattice: that of three layers. Measured by tests/lattice/test_posterior.py:
+#: without it a reading of one of four states is held by no lattice.
+_LAYERS = 0.15
 
 
 def posterior(
@@ -28,8 +29,8 @@ def posterior(
     log_weight: OfStates,
     n_particles: int,
     depth: float,
-    cell: Floats | None = None,
-    walls: Walls = NO_WALLS,
+    cell: Floats | None,
+    walls: Walls,
 ) -> LatticeDensity:
     """Lay prior times likelihood, however sharp the likelihood or far out its peak.
 
@@ -45,9 +46,9 @@ def posterior(
         States (M, n) to (M,); the weight may be minus infinity.
     n_particles : int
     depth : float
-    cell : ndarray, shape (n, n), optional
+    cell : ndarray, shape (n, n), or None
         Lattice vectors of the points, in columns, if they lie on a lattice.
-    walls : tuple of ndarray, optional
+    walls : tuple of ndarray
         Where the density ends; see `lay`.
 
     Returns
@@ -92,7 +93,7 @@ def posterior(
         if cell is not None and len(seeds) >= enough:  # the region's own cells, measured by the new ones
             volume = len(seeds) * abs(np.linalg.det(cell)) / np.prod(np.diag(factor))
         laid = lay(product, mean, factor, seeds, n_particles, depth, volume, walls)
-        if power == 1.0 and (effective >= enough or closed_in) and _whitened(factor, within_pieces(laid)):
+        if power == 1.0 and (effective >= enough or closed_in):
             return laid
         closed_in, cell = power == 1.0, laid.field.A
         x, mass, log_mass = laid.x, laid.mass, np.log(np.maximum(laid.mass, TINY))
@@ -153,13 +154,6 @@ def _within(log_p: OfStates, x: Floats, w: Floats, factor: Floats) -> Floats:
         return factor
     narrower = _lower(axes / np.sqrt(np.maximum(values, 1.0)))  # no piece is wider than the whole
     return np.asarray(factor @ narrower, dtype=float)
-
-
-def _whitened(factor: Floats, other: Floats) -> bool:
-    """Does a factor whiten what another does, nearly enough for a lattice?"""
-    ratio = np.linalg.solve(factor, other)
-    spread = np.linalg.eigvalsh(ratio @ ratio.T)
-    return spread[-1] < _SKEWED * spread[0]
 
 
 def _factor(x: Floats, w: Floats, mean: Floats, mass: Floats) -> Floats:

@@ -10,7 +10,7 @@ from scipy.special import gammaincc
 from .._types import Floats, OfStates
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
-from ..core.limits import LARGEST_EXPONENT, TINY
+from ..core.limits import LARGEST_EXPONENT, SAID, TINY
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, left_out, misfit
@@ -22,14 +22,12 @@ from .walls import between, inside
 __all__ = ["TOLERATED", "Resolved", "Search", "resolved"]
 
 TOLERATED = 0.05  # residual of a lattice that is not laid again; measured: half takes up to 1.6 times as long
-_COUNTS = 0.3  # of what may be left out, from which a peak counts; measured: half and twice change no run
 _HIGHER = 1.0  # nats above polynomials that overlook something; measured: half, twice move means by .003
 _TIMES = (1, 3, 9)  # particles of the first try; measured: with (1, 2) means are off by up to .27
 _MOST = 20_000  # particles
-_BESIDE = 10.0  # times what a Gaussian leaves out ... (measured: half and twice change no run)
-_LITTLE = 0.01  # ... and a probability, that may lie beside the nodes; measured: half, twice change no run
+#: Times what a Gaussian leaves out, that may lie beside the nodes; measured: half and twice change no run.
+_BESIDE = 10.0
 _PIECES = 3  # peaks that get a lattice of their own; measured: 1 and 6 change no run
-_FARTHER = 2.0  # times a prior's farthest node: its tail is a guess; measured: half, twice change no run
 _SHALLOWER = (1.0, 0.75, 0.5)  # depths of a peak's lattice; measured: (1,) fails in test_update_seeing.py
 
 
@@ -107,7 +105,7 @@ def resolved(
     found = _overlooked(laid, prior, product, log_weight, search)
     parts, tried = [], []
     if isinstance(laid, LatticeDensity):
-        least = laid.log_mass + math.log(_COUNTS * search.most_left_out)
+        least = laid.log_mass + math.log(search.most_left_out)
         found = [peak for peak in found if peak.log_mass > least]
         parts.append(_part_of(laid))
         tried.append(Resolved(laid, misfit(laid, product)))
@@ -153,7 +151,7 @@ def _best(tried: list[Resolved], parts: list[_Part], tail: float) -> Resolved | 
 def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> float:
     """Probability that a lattice leaves out: of the part of which it misses most, or beside its nodes."""
     left = left_out(laid.field, laid.walls)
-    left = left if left > _LITTLE + _BESIDE * tail else 0.0
+    left = left if left > SAID + _BESIDE * tail else 0.0
     logs = [min(part.log_mass - laid.log_mass, LARGEST_EXPONENT) for part in parts]
     odds = [_missing(laid, part) * math.exp(log) for part, log in zip(parts, logs, strict=True)]
     tops = sum(
@@ -199,7 +197,7 @@ def _overlooked(
     factor: Any = np.linalg.cholesky(cov)
     if isinstance(laid, LatticeDensity):
         widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
-        high = widest > laid.log_mass + math.log(_COUNTS * search.most_left_out)
+        high = widest > laid.log_mass + math.log(search.most_left_out)
         X, values = X[high], values[high]
         above = values - laid.log_mass - lattice_field.log_p_at(laid.field, X) > _HIGHER
         X, values = X[above], values[above]
@@ -207,7 +205,7 @@ def _overlooked(
         return []
     if not len(X):
         return []
-    farthest = _FARTHER * np.linalg.norm(np.linalg.solve(factor, (x - mean).T), axis=0).max()
+    farthest = np.linalg.norm(np.linalg.solve(factor, (x - mean).T), axis=0).max()  # a tail is a guess
     found = peaks(product, X, values, factor)
     return [p for p in found if np.linalg.norm(np.linalg.solve(factor, p.x - mean)) < farthest]
 

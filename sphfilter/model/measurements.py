@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol, Self, TypeGuard
+from typing import Any, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +14,7 @@ from ..core._addresses import address_of
 from ..core.limits import DIFFERENCE, LOG_2_PI
 from ..errors import ModelError
 from .compile import StateFunction, compile_rows, probe, surfacing
-from .named import Inputs, Values, changed
+from .named import Adjustable, Inputs, Values
 from .tables import Tables, tables_of
 
 __all__ = ["GaussianMeasurement", "GaussianSensor", "NoisySensor", "Reading", "Sensor", "block",
@@ -129,7 +128,7 @@ def has_own_likelihood(sensor: object) -> bool:
     return all(getattr(kind, name, None) is getattr(GaussianMeasurement, name) for name in names)
 
 
-class GaussianMeasurement:
+class GaussianMeasurement(Adjustable):
     """z = h(x, t) + v with v ~ N(0, R) (002 (2)); R may depend on state and time too.
 
     Parameters
@@ -188,11 +187,10 @@ class GaussianMeasurement:
     [[5.5]] [[[0.26]]]
     """
 
+    _called = "The sensor"
     gaussian_noise = True
     noise_cov: Floats | None
     H: Floats | None
-    parameters: Mapping[str, float]
-    inputs: Mapping[str, float]
     _matrix: Floats | None  # h, whatever R is
     _fill: BatchFunction | None
     _noise: BatchFunction | None
@@ -286,7 +284,7 @@ class GaussianMeasurement:
         self._set(values)
 
     def _set(self, values: Values) -> None:
-        self._values, (self.parameters, self.inputs) = values, map(MappingProxyType, values)
+        super()._set(values)
         self._p = np.concatenate([*values.data, self._tail])
 
     def _set_noise(self, noise_cov: Any, vectorized: bool, h: Any, dim_z: int | None) -> None:
@@ -341,30 +339,6 @@ class GaussianMeasurement:
             new._set_noise(noise_cov, False, None, None)
             new.H = new._matrix
             new._finish(self.angles, self.dim_z)
-        return new
-
-    def with_parameters(self, **changes: float) -> Self:
-        """Return the sensor with other parameter values; nothing is compiled again.
-
-        Raises
-        ------
-        ModelError
-            Unknown name, or a value that is not one finite number.
-        """
-        return self._with(parameters=changed("parameter", self.parameters, changes, "The sensor"))
-
-    def with_inputs(self, u: Mapping[str, float]) -> Self:
-        """Return the sensor with these values of its inputs, by name."""
-        return self._with(inputs=changed("input", self.inputs, u, "The sensor"))
-
-    def _with(self, **changes: dict[str, float]) -> Self:
-        new = self._copied()
-        new._set(self._values._replace(**changes))
-        return new
-
-    def _copied(self) -> Self:
-        new = object.__new__(type(self))
-        new.__dict__.update(self.__dict__)
         return new
 
     def __reduce__(self) -> tuple[Any, ...]:

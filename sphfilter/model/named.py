@@ -1,7 +1,8 @@
 """Values by name: parameters of models and sensors, and inputs."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol, Self, TypeAlias, TypeVar
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,7 +11,7 @@ from .. import validate
 from ..errors import ModelError, nearest, plain
 from .compile import Data
 
-__all__ = ["InputRecord", "InputValues", "Inputs", "Values", "changed",
+__all__ = ["Adjustable", "InputRecord", "InputValues", "Inputs", "Values", "changed",
            "driven", "each_driven", "each_input", "input_values"]  # fmt: skip
 
 #: Names of inputs, or their values where a prediction gives none.
@@ -96,8 +97,56 @@ def changed(
     return _named(kind, {**known, **own})
 
 
-def input_values(known: Mapping[str, float], u: InputValues) -> dict[str, float]:
-    """Values of a model's inputs, given in their order or by name; those that a mapping does not name stay.
+class Adjustable:
+    """A thing that has parameters and inputs by name: with other values of them nothing is compiled again."""
+
+    _called: ClassVar[str]
+    _values: Values
+    parameters: Mapping[str, float]
+    inputs: Mapping[str, float]
+
+    def with_parameters(self, **changes: float) -> Self:
+        """Return the same with other parameter values; nothing is compiled again.
+
+        Raises
+        ------
+        ModelError
+            Unknown name, or a value that is not one finite number.
+        """
+        return self._with(parameters=changed("parameter", self.parameters, changes, self._called))
+
+    def with_inputs(self, u: InputValues) -> Self:
+        """Return the same with these values of its inputs; nothing is compiled again.
+
+        Parameters
+        ----------
+        u : array_like (m,), number, or mapping of str to float
+            Values in the order of `inputs`, or by name; those that a mapping does not name stay.
+
+        Raises
+        ------
+        ModelError
+            Unknown name, another number of values, or one that is not finite.
+        """
+        return self._with(inputs=input_values(self.inputs, u, self._called))
+
+    def _with(self, **changes: dict[str, float]) -> Self:
+        new = self._copied()
+        new._set(self._values._replace(**changes))
+        return new
+
+    def _copied(self) -> Self:
+        new = object.__new__(type(self))
+        new.__dict__.update(self.__dict__)
+        return new
+
+    def _set(self, values: Values) -> None:
+        """Take values, and what follows from them."""
+        self._values, (self.parameters, self.inputs) = values, map(MappingProxyType, values)
+
+
+def input_values(known: Mapping[str, float], u: InputValues, whose: str = "The model") -> dict[str, float]:
+    """Values of inputs, given in their order or by name; those that a mapping does not name stay.
 
     Raises
     ------
@@ -105,9 +154,9 @@ def input_values(known: Mapping[str, float], u: InputValues) -> dict[str, float]
         Unknown name, another number of values, or one that is not finite.
     """
     if isinstance(u, Mapping):
-        return changed("input", known, u, "The model")
+        return changed("input", known, u, whose)
     if not known:
-        raise ModelError(f"u = {validate.short(u)} is given, but the model has no inputs: inputs=[...]")
+        raise ModelError(f"u = {validate.short(u)} is given, but {whose.lower()} has no inputs: inputs=[...]")
     row = np.ravel(np.asanyarray(u))
     if row.dtype == bool:
         raise ModelError(f"u must be numbers, got {validate.short(u)}")

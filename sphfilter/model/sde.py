@@ -5,20 +5,19 @@ dX = f(X, t) dt + g(X, t) dW with E[dW dWᵀ] = Q dt, hence D = g Q gᵀ / 2 (00
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, Literal, Self, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import validate
-from .._types import BatchFunction, Bools, Floats
+from .._types import BatchFunction, Floats
 from ..errors import ModelError
 from . import derived
 from .compile import Data, Maker, StateFunction, compile_rows, shared, surfacing
 from .discretization import transition
 from .domain import Domain, DomainLike
-from .named import Inputs, InputValues, Values, changed, input_values
+from .named import Adjustable, Inputs, Values
 from .noise import Noise, constant_root, noise_parts, reads_time
 from .tables import Tables, tables_of
 from .timing import roots
@@ -31,7 +30,16 @@ _PART_OF_PERIOD = 1.0 / 8.0  # of a sine, that a step may take: one of order 4 m
 Texts: TypeAlias = Sequence[Sequence[str | float]] | Floats
 
 
-class SDE:
+def _compiled(name: str, what: str) -> Any:
+    """A property: a compiled function of a model, made when it is first asked for."""
+
+    def function(model: "SDE") -> BatchFunction:
+        return model._functions[name]
+
+    return property(function, doc=what)
+
+
+class SDE(Adjustable):
     """A stochastic differential equation, compiled once; parameters are data.
 
     Parameters
@@ -76,6 +84,7 @@ class SDE:
         What the compiled functions take as p: values of parameters, then of inputs, then constants of the
         model.
     spectral_density : ndarray, shape (m, m)
+    domain : Domain
     drift_batch, noise_batch, diffusion_batch, diffusion_divergence_batch, jacobian_batch, divergence_batch
         Compiled functions ``fill(x, t, p, out)`` with out of n, n·m, n·n, n, n·n and 1 columns. The drift is
         that of Itô, the Stratonovich term included.
@@ -113,22 +122,11 @@ class SDE:
     [[ 2. -2.]]
     """
 
-    #: n, and the number m of noises.
-    dim: int
-    n_noise: int
-    states: tuple[str, ...]
-    parameters: Mapping[str, float]
-    inputs: Mapping[str, float]
-    p: Floats
-    spectral_density: Floats
-    domain: Domain
+    _called = "The model"
     constant_diffusion: bool
     state_dependent_noise: bool
     autonomous: bool
     linear: bool
-    diffusion_rows: Bools
-    max_step: float
-    events: Floats
 
     @validate.keywords
     def __init__(
@@ -262,7 +260,7 @@ class SDE:
         Q.setflags(write=False)
         self.domain = Domain.of(domain, self.dim)
         flags["linear"] = flags["linear"] and not self.domain.walled.any()
-        self._functions = _Functions(makers, self.dim, Q)
+        self._functions = _Functions(makers, self.dim, Q, flags["state_dependent_noise"])
         self._longest = np.inf if max_step is None else validate.positive("max_step", max_step)
         self.events = np.unique(validate.array("events", events, (None,)))
         self.events.setflags(write=False)
@@ -272,7 +270,7 @@ class SDE:
         self._functions["drift"]  # what is wrong with a drift should show now, not in a first step
 
     def _set(self, values: Values) -> None:
-        self._values, (self.parameters, self.inputs) = values, map(MappingProxyType, values)
+        super()._set(values)
         self.p = self._data(values.data)
         rows = np.array(self._flags.get("diffusion_rows", np.ones(self.dim, dtype=bool)))
         if self.constant_diffusion:
@@ -308,37 +306,6 @@ class SDE:
         tabled = zip(self._at("tabled", t), self._flags.get("tables", ()), strict=True)
         return np.concatenate([self._at("switches", t), *(own - at for own, at in tabled)])
 
-    def with_parameters(self, **changes: float) -> Self:
-        """Return the model with other parameter values; nothing is compiled again.
-
-        Raises
-        ------
-        ModelError
-            Unknown name, or a value that is not one finite number.
-        """
-        return self._with(parameters=changed("parameter", self.parameters, changes, "The model"))
-
-    def with_inputs(self, u: InputValues) -> Self:
-        """Return the model with these values of its inputs; nothing is compiled again.
-
-        Parameters
-        ----------
-        u : array_like (m,), number, or mapping of str to float
-            Values in the order of `inputs`, or by name; those that a mapping does not name stay.
-
-        Raises
-        ------
-        ModelError
-            Unknown name, another number of values, or one that is not finite.
-        """
-        return self._with(inputs=input_values(self.inputs, u))
-
-    def _with(self, **changes: dict[str, float]) -> Self:
-        new = object.__new__(type(self))
-        new.__dict__.update(self.__dict__)
-        new._set(self._values._replace(**changes))
-        return new
-
     def __reduce__(self) -> tuple[Any, ...]:
         constructor, arguments = self._recipe
         if "parameters" in arguments:
@@ -350,60 +317,29 @@ class SDE:
 
     # --- compiled functions ---
 
-    @property
-    def drift_batch(self) -> BatchFunction:
-        """Itô drift f, (N, n)."""
-        return self._functions["drift"]
-
-    @property
-    def noise_batch(self) -> BatchFunction:
-        """g, row-major, (N, n m)."""
-        return self._functions["noise"]
-
-    @property
-    def diffusion_batch(self) -> BatchFunction:
-        """D, row-major, (N, n n)."""
-        return self._functions["diffusion"]
-
-    @property
-    def diffusion_divergence_batch(self) -> BatchFunction:
-        """∇·D, (N, n); zeros for uniform D."""
-        return self._functions["diffusion_divergence"]
-
-    @property
-    def diffusion_curvature_batch(self) -> BatchFunction:
-        """∇·∇·D, (N, 1)."""
-        return self._functions["diffusion_curvature"]
-
-    @property
-    def jacobian_batch(self) -> BatchFunction:
-        """∂f_a/∂x_j, row-major, (N, n n)."""
-        return self._functions["jacobian"]
-
-    @property
-    def divergence_batch(self) -> BatchFunction:
-        """∇·f, (N, 1)."""
-        return self._functions["divergence"]
-
-    @property
-    def flow_drift_batch(self) -> BatchFunction:
-        """Stratonovich drift, (N, n): what moves states beside the noise, where this is smooth in time."""
-        return self._functions["flow_drift" if self.state_dependent_noise else "drift"]
-
-    @property
-    def flow_jacobian_batch(self) -> BatchFunction:
-        """Jacobian of the Stratonovich drift, row-major, (N, n n)."""
-        return self._functions["flow_jacobian" if self.state_dependent_noise else "jacobian"]
-
-    @property
-    def flow_divergence_batch(self) -> BatchFunction:
-        """Divergence of the Stratonovich drift, (N, 1)."""
-        return self._functions["flow_divergence" if self.state_dependent_noise else "divergence"]
-
-    @property
-    def noise_columns_batch(self) -> BatchFunction:
-        """c = g R, row-major, with Q = R Rᵀ and R (m, r) of full rank; then ∇·c: (N, (n + 1) r)."""
-        return self._functions["noise_columns"]
+    drift_batch: BatchFunction = _compiled("drift", "Itô drift f, (N, n).")
+    noise_batch: BatchFunction = _compiled("noise", "g, row-major, (N, n m).")
+    diffusion_batch: BatchFunction = _compiled("diffusion", "D, row-major, (N, n n).")
+    diffusion_divergence_batch: BatchFunction = _compiled(
+        "diffusion_divergence", "∇·D, (N, n); zeros for uniform D."
+    )
+    diffusion_curvature_batch: BatchFunction = _compiled("diffusion_curvature", "∇·∇·D, (N, 1).")
+    jacobian_batch: BatchFunction = _compiled("jacobian", "∂f_a/∂x_j, row-major, (N, n n).")
+    divergence_batch: BatchFunction = _compiled("divergence", "∇·f, (N, 1).")
+    flow_drift_batch: BatchFunction = _compiled(
+        "flow_drift",
+        "Stratonovich drift, (N, n): what moves states beside the noise, where this is smooth in time.",
+    )
+    flow_jacobian_batch: BatchFunction = _compiled(
+        "flow_jacobian", "Jacobian of the Stratonovich drift, row-major, (N, n n)."
+    )
+    flow_divergence_batch: BatchFunction = _compiled(
+        "flow_divergence", "Divergence of the Stratonovich drift, (N, 1)."
+    )
+    noise_columns_batch: BatchFunction = _compiled(
+        "noise_columns",
+        "c = g R, row-major, with Q = R Rᵀ and R (m, r) of full rank; then ∇·c: (N, (n + 1) r).",
+    )
 
     # --- evaluation from Python ---
 
@@ -534,8 +470,9 @@ class LinearSDE(SDE):
 class _Functions:
     """Compiled functions by name, made when first asked for and shared by all parameter values."""
 
-    def __init__(self, makers: dict[str, Maker], n: int, Q: Floats) -> None:
+    def __init__(self, makers: dict[str, Maker], n: int, Q: Floats, by_state: bool) -> None:
         self._made: dict[str, BatchFunction] = {}
+        self._by_state = by_state
         self._makers: dict[str, Maker] = {
             "jacobian": lambda fs: derived.jacobian_from(fs["drift"], n),
             "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
@@ -550,6 +487,8 @@ class _Functions:
         }
 
     def __getitem__(self, name: str) -> BatchFunction:
+        if not self._by_state:  # then Stratonovich's drift is Itô's
+            name = name.removeprefix("flow_")
         if name not in self._made:
             self._made[name] = self._makers[name](self)
         return self._made[name]

@@ -12,12 +12,12 @@ from .. import validate
 from .._types import Bools, Floats, Seed
 from ..errors import ModelError, nearest
 from .measurements import Reading, direct_states, has_gaussian_noise, is_gaussian, wrapped
-from .named import changed
+from .named import Adjustable
 
 __all__ = ["Sensors"]
 
 
-class Sensors(Mapping[str, Any]):
+class Sensors(Adjustable, Mapping[str, Any]):
     """Several sensors of one system as one sensor, whose reading is theirs one after the other.
 
     Where a sensor has no reading, its numbers are NaN: each may have its own rate. Their noises are
@@ -62,6 +62,8 @@ class Sensors(Mapping[str, Any]):
     >>> flt.update({"gps": 4.2}).accepted, flt.update(1.1, "speed").accepted
     (True, True)
     """
+
+    _called = "The set of sensors"
 
     def __init__(self, sensors: Mapping[str, Any]) -> None:
         if not isinstance(sensors, Mapping) or not sensors:
@@ -292,21 +294,9 @@ class Sensors(Mapping[str, Any]):
 
         return states
 
-    def with_parameters(self, **changes: float) -> Self:
-        """Return the sensors with other parameter values; nothing is compiled again.
+    def _with(self, **changes: dict[str, float]) -> Self:
+        ((kind, values),) = changes.items()
 
-        Raises
-        ------
-        ModelError
-            Unknown name, or a value that is not one finite number.
-        """
-        return self._with("parameters", changed("parameter", self.parameters, changes, "The set of sensors"))
-
-    def with_inputs(self, u: Mapping[str, float]) -> Self:
-        """Return the sensors with these values of their inputs, by name."""
-        return self._with("inputs", changed("input", self.inputs, u, "The set of sensors"))
-
-    def _with(self, kind: str, values: Mapping[str, float]) -> Self:
         def own(sensor: Any) -> Any:
             known = {name: values[name] for name in getattr(sensor, kind, {})}
             if not known:

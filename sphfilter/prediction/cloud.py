@@ -8,8 +8,7 @@ import numpy as np
 from .._types import Floats
 from ..config import CloudScheme
 from ..core.cloud.control import SHADOW, apart_by, bias_allowed, step_after
-from ..core.cloud.cycle import MOST_LOST
-from ..core.cloud.pace import FIRST_TRIED, ORDER, Steps
+from ..core.cloud.pace import FIRST_TRIED, MOST_LOST, ORDER, Steps
 from ..core.cloud.weights import AWAY, compared, near_others
 from ..core.limits import LOOK, SAID
 from ..density.as_cloud import cloud_of

@@ -18,6 +18,7 @@ from ..core.family.basis import size
 from ..core.family.rules import degrees
 from ..core.field.walls import NO_WALLS
 from ..core.limits import LITTLE
+from ..core.step_control import HELPED
 from ..density.as_cloud import cloud_density
 from ..density.as_family import (
     as_polynomials,
@@ -36,6 +37,7 @@ from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.passage import key_at
 from ..density.pieces import HEAVY, Pieces, light, root_of
+from ..density.points import moments_of_sum
 from ..density.resample import logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
@@ -43,6 +45,7 @@ from ..lattice.field import inside_lattice
 from ..lattice.level_set import lattice_reach, lay
 from ..model.domain import Domain
 from . import family
+from .again import MOST
 from .families import degree_of_parts
 from .ladder import first_degree, prefers_cloud
 
@@ -51,8 +54,7 @@ __all__ = ["Part", "mixed"]
 _CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: as much as makes all of it
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
-_TRIES, _FINER, _MOST_NODES = 6, 2, 20_000  # lattices, and times the nodes of the one before
-_HELPED = 0.8  # of an error that is left by finer lattices, if it comes from them
+_TRIES, _FINER = 6, 2  # lattices, and times the nodes of the one before
 _POINTS = 5  # of the key of a time: the points of a part, and of the next
 _SEEDS = 1e-4  # of the heaviest node of a part: those by which a lattice finds all of its pieces
 
@@ -262,10 +264,7 @@ def _moments(parts: Sequence[Part]) -> tuple[Floats, Floats]:
     w = np.exp([part.log_w for part in parts])
     own = [moments_on_line(part.density) for part in parts]
     means = np.array([mean + turn for (mean, _), turn in zip(own, _turned(parts), strict=True)])
-    mean = w @ means
-    off = means - mean
-    cov = np.einsum("k,kab->ab", w, [cov for _, cov in own]) + np.einsum("k,ka,kb->ab", w, off, off)
-    return mean, cov
+    return moments_of_sum(w, means, [cov for _, cov in own])
 
 
 def _log_sum(parts: Sequence[Part]) -> OfStates:
@@ -306,8 +305,8 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
         before = best[0]
         if added < before:
             best = added, off.residual, laid, nodes
-        helped = added < _HELPED * before
-        if added <= allowed or about.needs is None or not helped or _FINER * nodes > _MOST_NODES:
+        helped = added < HELPED * before
+        if added <= allowed or about.needs is None or not helped or _FINER * nodes > MOST:
             break
         nodes *= _FINER
     added, residual, laid, nodes = best

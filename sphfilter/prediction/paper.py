@@ -9,9 +9,11 @@ from .._types import Floats
 from ..config import BUFFER_NEIGHBORS, PaperScheme
 from ..core._jit import start_threads
 from ..core._records import packed
+from ..core.limits import ROUNDS, TINY
 from ..core.sph import march as core
 from ..core.sph.neighbors import METHODS, choose_method
 from ..core.sph.smoothing import SMOOTHING
+from ..core.sph.state import INTEGRATORS, Cloud, Options, Progress
 from ..density.initialize import on_equal_lattice
 from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
@@ -27,10 +29,8 @@ __all__ = ["propagate"]
 #: Particles from which kernel sums are spread over threads; by their number alone, so that the thread
 #: count never changes a bit of the result.
 PARALLEL_FROM = 2000
-_MOST_REGRIDS = 20
 _PAUSE_AFTER = 2000  # steps between two chances to be interrupted
 _TIME_SLICES = 100  # steps at least over an interval, where drift or noise change with time
-_NO_LIMIT = 1e100  # of a step
 _RUN_AWAY = 1e3  # extents of the cloud
 
 
@@ -51,7 +51,7 @@ def propagate(
     PropagationError
         The state or its velocity is no longer finite, or re-gridding did not help; says when and where.
     """
-    start, progress, n_regrids = density.t, packed(core.Progress(density.t, t1)), 0
+    start, progress, n_regrids = density.t, packed(Progress(density.t, t1)), 0
     n_discarded, share_kept, status = 0, 1.0, ""
     if density.field is not None:
         density = on_equal_lattice(density, n_particles, scheme)
@@ -69,8 +69,8 @@ def propagate(
             n_discarded, share_kept = n_discarded + n, share_kept * (1.0 - share)
         if status == "stalled":
             n_regrids += 1
-            if n_regrids > _MOST_REGRIDS:
-                reason = f"steps fell to zero even after {_MOST_REGRIDS} re-griddings"
+            if n_regrids > ROUNDS:
+                reason = f"steps fell to zero even after {ROUNDS} re-griddings"
                 raise PropagationError(_given_up(reason, density.t, start, t1, scheme))
             density, _ = regrid(density, n_particles, scheme)
     info = PredictInfo(
@@ -102,7 +102,7 @@ def _march(
     """
     invariant = np.zeros(density.n_particles) if density.invariant is None else density.invariant
     arrays = (density.x, density.mass, density.h, invariant, np.empty(density.n_particles))
-    cloud = core.Cloud(*(a.copy() for a in arrays))
+    cloud = Cloud(*(a.copy() for a in arrays))
     options = _options(scheme, density, dt_max, up_to_date, scheme.max_steps - int(progress.steps))
     progress.culprit = 0  # the one of the last call may be gone
     start_threads()
@@ -150,14 +150,14 @@ def _runs_away(model: SDE, density: ParticleDensity, state: Floats, t1: float) -
 
 def _options(
     scheme: PaperScheme, density: ParticleDensity, dt_max: float, up_to_date: bool, steps_left: int
-) -> core.Options:
+) -> Options:
     kernel = density.sph_kernel
     n, N = density.dim, density.n_particles
     buffer = scheme.buffer_neighbors or BUFFER_NEIGHBORS.get(n, 110)
     buffer = min(buffer, N - 1) if scheme.bypass else 0
-    fixed = scheme.cfl == "fixed"
+    fixed, no_limit = scheme.cfl == "fixed", 1.0 / TINY
     search = choose_method(N, n) if scheme.search == "auto" else METHODS.index(scheme.search)
-    return core.Options(
+    return Options(
         kernel=kernel.kind,
         normalisation=kernel.constant,
         kernel_variance=kernel.variance,
@@ -166,11 +166,11 @@ def _options(
         smoothing_iterations=scheme.smoothing_iterations,
         discards=scheme.discard_unconverged,
         up_to_date=up_to_date,
-        integrator=core.INTEGRATORS.index(scheme.integrator),
+        integrator=INTEGRATORS.index(scheme.integrator),
         relative_cfl=scheme.cfl == "relative",
-        c_cfl=_NO_LIMIT if fixed else scheme.c_cfl,
+        c_cfl=no_limit if fixed else scheme.c_cfl,
         dt_max=dt_max if scheme.dt_max is None else min(dt_max, scheme.dt_max),
-        c_diffusion=_NO_LIMIT if fixed or scheme.c_diffusion is None else scheme.c_diffusion,
+        c_diffusion=no_limit if fixed or scheme.c_diffusion is None else scheme.c_diffusion,
         search=search,
         bypass=scheme.bypass,
         c_nns=scheme.c_nns,

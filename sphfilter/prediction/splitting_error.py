@@ -7,19 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from .._types import Floats
-from ..core.limits import LOOK
+from ..core.limits import LOOK, ROUNDS
 from ..density.as_family import moments_on_line
 from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.nets import net
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import ENTRIES, NEAR, Pieces, root_of
+from ..density.points import moments_of_sum
 from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
 
 __all__ = ["jump_times", "splitting_error"]
-
-_ROUNDS = 4  # in which a part of a density grows
 
 
 def jump_times(steps: int, jumps: float) -> tuple[Floats, Floats]:
@@ -128,14 +127,14 @@ def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
         w, middle, own = density.families.w, density.families.mu, np.einsum("kab,kcb->kac", A, A)
     else:
         return moments_on_line(density)
-    mean, cov = middle[0], own[0]
-    for _ in range(_ROUNDS):
+    mean, cov, count = middle[0], own[0], 0
+    for _ in range(ROUNDS):
         z = np.linalg.solve(np.linalg.cholesky(cov), (middle - mean).T)
         near = np.sum(z**2, axis=0) < NEAR**2
-        share = w[near] / w[near].sum()
-        mean = share @ middle[near]
-        off = middle[near] - mean
-        cov = np.einsum("k,kab->ab", share, own[near]) + np.einsum("k,ka,kb->ab", share, off, off)
+        if near.sum() == count:
+            break
+        count = int(near.sum())
+        mean, cov = moments_of_sum(w[near] / w[near].sum(), middle[near], own[near])
     return mean, cov
 
 

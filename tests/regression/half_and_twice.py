@@ -1,7 +1,7 @@
 """What a number of the library is good for: runs with half and with twice of it, beside those with itself.
 
-    python tests/regression/half_and_twice.py lattice.posterior._ENOUGH      # of a module of sphfilter
-    python tests/regression/half_and_twice.py lattice.peaks._MAXIMA 4 64 --only lattice    # with other values
+    python tests/regression/half_and_twice.py lattice.posterior._ENOUGH   # of a module of sphfilter
+    python tests/regression/half_and_twice.py lattice.peaks._ON_LINES 512 --only lattice  # with other values
 
 Per run, over what there is with the number as it is: evaluations of the drift (runs of a fit's filter) and
 processor time; how far means moved, in standard deviations (estimates, in standard errors); and how far they

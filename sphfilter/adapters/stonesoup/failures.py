@@ -6,7 +6,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from ..._types import Floats
-from ...density.initialize import Gaussian
+from ...density.distributions import Gaussian
 from ...density.particle_density import ParticleDensity
 from ...errors import ModelError, PropagationError
 from ...filter.reading_at_prior import predicted_reading

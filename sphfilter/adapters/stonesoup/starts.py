@@ -9,7 +9,8 @@ import numpy as np
 from stonesoup.types.state import ParticleState, State, StateMutableSequence
 
 from ...config import FilterConfig
-from ...density.initialize import Gaussian, initialize
+from ...density.distributions import Gaussian
+from ...density.initialize import initialize
 from ...density.particle_density import ParticleDensity
 from ...errors import ModelError
 from ...model.domain import Domain

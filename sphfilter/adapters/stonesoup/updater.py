@@ -22,7 +22,8 @@ from stonesoup.updater.base import Updater
 
 from ..._types import Floats
 from ...config import FilterConfig, checked_filter_config
-from ...density.initialize import Gaussian, initialize
+from ...density.distributions import Gaussian
+from ...density.initialize import initialize
 from ...density.modes import ModeDensities
 from ...density.particle_density import ParticleDensity
 from ...density.resample import max_particles_of

@@ -30,7 +30,7 @@ from .step_limits import blur_share, driven_error, noise_limit, path_error, pred
 
 __all__ = ["CHOOSE", "Choice", "chosen"]
 
-_MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice
+_MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice: of errors 16⁻⁴ = 1.5e-5 is left
 
 
 class Choice(NamedTuple):

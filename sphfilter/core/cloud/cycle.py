@@ -37,7 +37,6 @@ from .weights import AWAY, carriers, compared, effective, near_others, weighted_
 __all__ = [
     "FEW",
     "JUDGE",
-    "MOST_LOST",
     "PARTS",
     "REFUSED",
     "UNUSUAL",

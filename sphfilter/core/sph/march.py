@@ -17,10 +17,10 @@ from .kernels import RADIUS
 from .motion import evaluate, move, stable_step
 from .search import SEARCH, outgrown, search_is_due
 from .smoothing import UPDATE
-from .state import INTEGRATORS, Cloud, Near, Options, Progress, room_for
+from .state import Near, room_for
 from .summation import DENSITY
 
-__all__ = ["INTEGRATORS", "STATUS", "Cloud", "Options", "Progress", "march", "parts"]
+__all__ = ["STATUS", "march", "parts"]
 
 STATUS = ("ok", "not finite", "paused", "stalled", "left", "unsettled")
 OK, NOT_FINITE, PAUSED, STALLED, LEFT, UNSETTLED = range(6)

@@ -19,7 +19,6 @@ __all__ = ["METHODS", "Index", "build_index", "choose_method", "neighbor_lists",
 METHODS = ("brute", "cells", "tree")
 BRUTE, CELLS, TREE = range(3)
 _LEAF = 16  # particles in a leaf of the k-d tree
-_CELL_AXES = 4  # beyond four axes cells hold less than one particle each
 
 
 class Index(NamedTuple):
@@ -60,25 +59,24 @@ def build_index(x, size, method):
 
 @jit
 def _build_cells(x, size):
-    """Counting sort of the particles on at most four axes; no more than about two cells a particle."""
+    """Counting sort of the particles; no more than about two cells a particle."""
     N, n = x.shape
-    k = min(n, _CELL_AXES)
-    low, high = np.empty((1, k)), np.empty((1, k))
-    dims = np.empty(k, np.int64)
+    low, high = np.empty((1, n)), np.empty((1, n))
+    dims = np.empty(n, np.int64)
     n_cells = 1
-    for d in range(k):
+    for d in range(n):
         low[0, d], top = x[0, d], x[0, d]
         for i in range(N):
             low[0, d], top = min(low[0, d], x[i, d]), max(top, x[i, d])
         span = top - low[0, d]
-        dims[d] = int(min(max(span / size, 1.0), (2.0 * N) ** (1.0 / k) + 1.0))
+        dims[d] = int(min(max(span / size, 1.0), (2.0 * N) ** (1.0 / n) + 1.0))
         high[0, d] = max(span / dims[d], TINY)
         n_cells *= dims[d]
     cell = np.empty(N, np.int64)
     start = np.zeros(n_cells + 1, np.int64)
     for i in range(N):
         c = 0
-        for d in range(k):
+        for d in range(n):
             c = c * dims[d] + min(int((x[i, d] - low[0, d]) / high[0, d]), dims[d] - 1)
         cell[i] = c
         start[c + 1] += 1
