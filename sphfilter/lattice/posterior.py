@@ -15,8 +15,8 @@ from .level_set import LatticeDensity, gaussian_volume, lay
 __all__ = ["posterior", "within_pieces"]
 
 _STEP = 0.02  # of slopes, in standard deviations; measured: half and twice move means by .0007 at most
-#: Largest over least variance that is whitened enough. Measured by tests/recorded_runs.py: half and twice change
-#: no run, but without it one of modes ends on another lattice, whose covariance is 1.8 % apart.
+#: Largest over least variance that is whitened enough. Measured by tests/recorded_runs.py: half and twice
+#: change no run, but without it one of modes ends on another lattice, whose covariance is 1.8 % apart.
 _SKEWED = 6.0
 _ENOUGH = 0.35  # nodes that have to count, over a Gaussian's; measured: half fails in test_update_seeing.py
 _POWERS = 1.02  # ratio of powers not told apart; measured: 1.01, 1.05 take .76, .87 times the work
