@@ -41,15 +41,15 @@ _WRITTEN = ast.Constant | ast.Name | ast.Attribute | ast.expr_context | ast.Call
 _WRITTEN |= ast.Tuple | ast.List | ast.Set | ast.Dict
 #: What a row may count: a little above what there is. Lower one that can be; raise one and say why.
 BOUNDS = {
-    "lines of sphfilter": 36_750,
+    "lines of sphfilter": 36_680,
     "lines of reference_filters": 5_300,
     "lines of experiments": 13_200,
     "lines of tests": 27_000,
     "  median length": 6,
     "  longer than 40 lines": 16,
     "  with more than 8 arguments": 27,
-    "module-level numbers": 400,
-    "  without derivation or measurement": 188,
+    "module-level numbers": 388,
+    "  without derivation or measurement": 173,
     "places that ask which representation": 100,
     "  files with such places": 38,
     "floors of imports": 29,
