@@ -127,13 +127,13 @@ def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
         w, middle, own = density.families.w, density.families.mu, np.einsum("kab,kcb->kac", A, A)
     else:
         return moments_on_line(density)
-    mean, cov, count = middle[0], own[0], 0
+    mean, cov, found = middle[0], own[0], np.zeros(len(w), bool)
     for _ in range(ROUNDS):
         z = np.linalg.solve(np.linalg.cholesky(cov), (middle - mean).T)
         near = np.sum(z**2, axis=0) < NEAR**2
-        if near.sum() == count:
+        if np.array_equal(near, found):
             break
-        count = int(near.sum())
+        found = near
         mean, cov = moments_of_sum(w[near] / w[near].sum(), middle[near], own[near])
     return mean, cov
 
