@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, Ints
-from ..core.cloud.control import error_by, expected_square, smoothed, square_of_more
+from ..core.cloud.control import decisive, error_by, expected_square, smoothed, square_of_more
 from ..core.cloud.steps import Leg
 from ..core.cloud.weights import weighted_moments
 
@@ -63,7 +63,7 @@ class Told(NamedTuple):
     """Squares of what a cloud and its shadow are apart by, smoothed over the record; or NaN."""
 
     mean: float = math.nan  # of the means, in standard deviations, over the states
-    variance: float = math.nan  # of the covariances, relative
+    variance: float = math.nan  # of the covariances, relative, where they are apart most
     log_evidence: float = math.nan  # nats, of one reading
 
     def after(self, mean: float, variance: float, log_evidence: float = math.nan) -> "Told":
@@ -86,6 +86,10 @@ class Told(NamedTuple):
     def errors(self) -> "Told":
         """The errors of the cloud itself, where its shadow's fall as they do with the number of points."""
         return Told(*[error_by(square) for square in self])
+
+    def decisive(self, target: float, n: int) -> float:
+        """The error that decides on the points of a cloud in n states, against a target."""
+        return decisive(*self.errors[:2], target, n)
 
 
 class Pace(NamedTuple):

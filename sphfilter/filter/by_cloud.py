@@ -1,14 +1,14 @@
 """Prior times likelihood as a cloud of weighted points, which any likelihood leaves."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..core.cloud.control import both, few_error, least_error
-from ..core.cloud.cycle import WRONG
+from ..core.cloud.control import WRONG, both, few_error, least_error
 from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
@@ -111,26 +111,31 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked, t: float) -> Clou
 def error_added(
     before: CloudState,
     after: CloudState,
-    model: Any,
-    span: tuple[float, float],
+    legs: Sequence[tuple[Any, float]],
+    t: float,
     sensor: Stacked,
     moments: tuple[Floats, Floats],
+    target: float,
 ) -> float:
-    """Error of the mean that a prediction and a reading have added, of a cloud of these moments after them.
+    """The deciding error that predictions from time t and a reading have added, of a cloud of these moments.
+
+    The predictions are models, and where each ends, seconds.
 
     A part of the points of before goes beside the cloud: unlike its shadow it has what was wrong then, too.
     NaN where it cannot be told.
     """
     points, (step, stiff, *_), many = before.points, after.pace, shadow_size(after.size)
-    if points.path is not None or not (model.linear or step > 0.0):
+    if points.path is not None or not (step > 0.0 or all(model.linear for model, _ in legs)):
         return math.nan
-    steps = Steps(1) if model.linear else Steps(max(math.ceil((span[1] - span[0]) / step), 1), stiff)
-    moved = moved_points(_part_of(points, many), model, *span, steps, many, key_at(span[0], 1))
-    beside = weighed(moved, sensor, key_at(span[1], READING + 1))
+    moved = _part_of(points, many)
+    for model, end in legs:
+        steps = Steps(1) if model.linear else Steps(max(math.ceil((end - t) / step), 1), stiff)
+        moved, t = moved_points(moved, model, t, end, steps, many, key_at(t, 1)), end
+    beside = weighed(moved, sensor, key_at(t, READING + 1))
     if not math.isfinite(beside.log_evidence):
         return math.nan
     off = squared_differences(after.points, beside.points, sensor.domain, (moments, beside.moments))
-    return Told(*off).errors.mean
+    return Told(*off).decisive(target, len(moments[0]))
 
 
 def _part_of(points: Points, count: int) -> Points:

@@ -121,7 +121,7 @@ def _on_cloud(
     scheme = CloudScheme(n_points=needs.cloud(target))
     new, said = by_cloud(density, asked, 0, replace(config, scheme=scheme))
     assert new.cloud is not None
-    needs = needs.told(new.cloud.told.errors.mean, target, new.cloud.size)
+    needs = needs.told(new.cloud.told.decisive(target, new.dim), target, new.cloud.size)
     return new.noted(needs=needs), _flagged_if_missed(said, target)
 
 

@@ -93,7 +93,8 @@ def _stored_origin(state: FilterState[Any]) -> Arrays:
     """
     origin = state.origin
     if isinstance(origin, Prediction) and origin.before is not None:
-        numbers = {"lost": np.array(origin.lost), "t": np.array(origin.t)}
+        ends = np.array([t for _, t in origin.earlier])
+        numbers = {"lost": np.array(origin.lost), "t": np.array(origin.t), "earlier": ends}
         return under("before", stored(origin.before)) | numbers
     if isinstance(origin, Update) and origin.own:
         z = np.asarray(state.z, dtype=float)
@@ -110,7 +111,8 @@ def _origin(arrays: Arrays, model: SDE, measurement: Sensor | None) -> Predictio
         if measurement is None:
             return None
         return Update(before, *parted(driven(measurement, model.inputs), arrays["z"]))
-    return Prediction(before, float(arrays["lost"]), model, float(arrays["t"]))
+    earlier = tuple((model, t) for t in arrays.get("earlier", np.empty(0)).tolist())
+    return Prediction(before, float(arrays["lost"]), model, float(arrays["t"]), (), earlier)
 
 
 def _of_modes(state: FilterState[Any], filt: Any) -> Arrays:

@@ -11,7 +11,8 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
-from ..core.cloud.cycle import JUDGE, REFUSED, UNUSUAL, WRONG, Bounds
+from ..core.cloud.control import WRONG
+from ..core.cloud.cycle import JUDGE, REFUSED, UNUSUAL, Bounds
 from ..density.as_cloud import cloud_of
 from ..density.memory import FLAGGED, MISSED, Memory
 from ..density.particle_density import ParticleDensity
@@ -152,15 +153,16 @@ class _Run:
         """Error of the mean that the last reading put through has added."""
         k = found.done - 1
         (t0, t1), (_, _, x, P, *_) = times[k : k + 2].tolist(), found.rows
-        about = self._model, (t0, t1), self._stacked(Z[k], t1), (x[k], P[k])
+        about = [(self._model, t1)], t0, self._stacked(Z[k], t1), (x[k], P[k]), self._target
         return error_added(found.before.state, found.state, *about)
 
     def _in_turn(self, span: Sequence[float], z: Floats) -> bool:
         """Put the next reading through step by step; false where a filter would do more."""
         (state, needs, *_), target, model, sensor = self.reached, self._target, self._model, self._sensor
-        stacked, about = self._stacked(z, span[1]), (model, (span[0], span[1]))
+        stacked, (t0, t1) = self._stacked(z, span[1]), span
         try:
-            moved = carried_cloud(state, *about, CloudScheme(n_points=needs.gone_on().cloud(target)), target)
+            scheme = CloudScheme(n_points=needs.gone_on().cloud(target))
+            moved = carried_cloud(state, model, (t0, t1), scheme, target)
         except PropagationError:
             return False
         points = moved.state.points
@@ -175,11 +177,12 @@ class _Run:
             done = done.left(shift_left_by_update(moved.moments[1], done.moments[1]))
         if not done.error <= FLAGGED * target or not done.error < DOUBTFUL or done.doubt > WRONG:
             return False
-        if done.error > MISSED * target:
-            added = error_added(state, done.state, *about, stacked, done.moments)
+        told = done.state.told.decisive(target, model.dim)
+        if max(done.error, told) > MISSED * target:
+            added = error_added(state, done.state, [(model, t1)], t0, stacked, done.moments, target)
             if not added <= MISSED * target:
                 return False
-        needs = needs._replace(legs=0).told(done.state.told.errors.mean, target, done.state.size)
+        needs = needs._replace(legs=0).told(told, target, done.state.size)
         row = _row(*moved.moments, *done.moments, done.log_evidence, done.error, y, S)
         self.reached = self.reached.and_on(done.state, needs, [row], span[1])
         return True

@@ -224,7 +224,10 @@ class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
         outcome = or_as_cloud(attempted, self.config)
         density, info, advanced = outcome.density, outcome.info, outcome.density.t > state.t
         repeated = outcome.before is not state.density
-        origin = Prediction(outcome.before, info.mass_error, model, density.t) if advanced else state.origin
+        origin = state.origin
+        if advanced:
+            known = None if repeated else origin
+            origin = Prediction.after(known, outcome.before, info.mass_error, model, density)
         state = state.predicted(density, origin, model.inputs, n_particles=outcome.bound)
         what = "predict" if advanced and not rehearses else ""
         info = self._budget.end(what, info, density.n_particles, repeated)

@@ -2,6 +2,7 @@
 where it finds too few, together with what was read since.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
@@ -102,7 +103,7 @@ def update_or_predict_again(
     bound = max_particles_of(prior, n_particles)
     if posterior.read_out == "cloud" and (before is not None or prior.read_out != "cloud"):
         once = prior, posterior, info
-        return Outcome(*_on_more_points(prediction, once, model, measurement, z, config), bound)
+        return Outcome(*_on_more_points(prediction, once, measurement, z, config), bound)
     known = prior.field is None or prior.gaussian or info.extrapolated < SAID
     if known or prediction.readings or before is None or before.field is None:
         return Outcome(prior, posterior, info, bound)
@@ -132,7 +133,6 @@ def update_or_predict_again(
 def _on_more_points(
     prediction: Prediction,
     once: tuple[ParticleDensity, ParticleDensity, UpdateInfo],
-    model: SDE,
     measurement: Sensor,
     z: ArrayLike | None,
     config: FilterConfig,
@@ -150,11 +150,11 @@ def _on_more_points(
         cloud = posterior.cloud
         if cloud is None:  # the ladder has found something cheaper than so many points
             break
-        error = info.error
+        error = _deciding(posterior, info, target)
         if error > MISSED * target and before is not None and before.cloud is not None:
             assert cloud.points.prior is not None
             seen = Stacked.of(cloud.points.prior.readings, prior.domain)
-            about = model, (before.t, prior.t), seen, moments_of(posterior)
+            about = prediction.legs, before.t, seen, moments_of(posterior), target
             added = error_added(before.cloud, cloud, *about)
             error = added if added < error else error  # what was there before, no points cure
         more = points_for(cloud.size, error, target) if error > MISSED * target else 0
@@ -164,15 +164,13 @@ def _on_more_points(
         prior = start.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
         try:
             if before is not None:
-                prior, _ = predict(
-                    prior, model, t=posterior.t, config=config, n_particles="auto", goes_on=False
-                )
+                prior = prediction.from_density(prior, config, "auto")
             for sensor, numbers in prediction.readings:
                 prior, _ = update(prior, sensor, numbers, config, n_particles="auto")
             posterior, info = update(prior, measurement, z, config, n_particles="auto")
         except PropagationError:  # what there is already is better than none
             break
-        helped = info.error < HELPED * best[2].error
+        helped = _deciding(posterior, info, target) < HELPED * _deciding(*best[1:], target)
         if more or info.error < best[2].error:  # more points know better what they do not know
             best = prior, posterior, info
         if not helped:  # what is wrong was wrong before, and no points here cure it
@@ -181,7 +179,14 @@ def _on_more_points(
     cloud, needs = posterior.cloud, posterior.needs
     if best is not once and cloud is not None and needs is not None:
         usual = known
-        if info.error < HELPED * once[2].error:
-            usual = known._replace(calm=max(known.calm, 0)).told(cloud.told.errors.mean, target, cloud.size)
+        if _deciding(posterior, info, target) < HELPED * _deciding(*once[1:], target):
+            told = cloud.told.decisive(target, prior.dim)
+            usual = known._replace(calm=max(known.calm, 0)).told(told, target, cloud.size)
         posterior = posterior.noted(needs=needs._replace(points=usual.cloud(target), calm=usual.calm))
     return prior, posterior, info
+
+
+def _deciding(posterior: ParticleDensity, info: UpdateInfo, target: float) -> float:
+    """Error that decides whether a reading is made again on more points, in standard deviations."""
+    told = math.nan if posterior.cloud is None else posterior.cloud.told.decisive(target, posterior.dim)
+    return max(info.error, told)

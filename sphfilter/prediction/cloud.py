@@ -145,7 +145,7 @@ def shadow_size(count: int) -> int:
 def squared_differences(
     points: Points, shadow: Points, domain: Domain | None, sums: Any
 ) -> tuple[float, float]:
-    """Squared errors that two clouds show of a mean, on average over the states, and of a covariance.
+    """Squared errors that two clouds show of a mean, on average over the states, and of a covariance at most.
 
     In standard deviations of the first; the sums are mean (n,) and covariance (n, n) of each.
     """
@@ -153,8 +153,8 @@ def squared_differences(
     if domain is not None and domain.periodic.any():
         off = domain.mean(shadow.x, shadow.w) - domain.mean(points.x, points.w)
         other = mean + domain.nearest(off[None])[0]
-    first, second = compared(mean, cov, other, own)
-    return apart_by(first, second, len(mean)), second
+    first, second, most = compared(mean, cov, other, own)
+    return apart_by(first, second, len(mean)), most
 
 
 def unrolled_about_mean(points: Points, domain: Domain | None) -> Points:

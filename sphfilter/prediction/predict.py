@@ -198,12 +198,42 @@ class Prediction(NamedTuple):
     model: SDE | None = None
     t: float = 0.0  # seconds, where it ended
     readings: tuple[Any, ...] = ()  # used since: pairs of sensor and numbers
+    #: Models of predictions before it, and where each ended, seconds: what carries points goes back to the
+    #: last reading.
+    earlier: tuple[tuple[SDE, float], ...] = ()
+
+    @classmethod
+    def after(
+        cls, origin: Any, before: ParticleDensity, lost: float, model: SDE, density: ParticleDensity
+    ) -> "Prediction":
+        """The prediction that led from one density to another, where the first one is of this origin."""
+        path = None if density.cloud is None else density.cloud.points.path
+        goes_on = path is not None and sum(p.model is not None for p in path.passages) > 1
+        if goes_on and isinstance(origin, Prediction) and origin.before is not None:
+            return cls(origin.before, lost, model, density.t, earlier=origin.legs)
+        return cls(before, lost, model, density.t)
+
+    @property
+    def legs(self) -> tuple[tuple[SDE, float], ...]:
+        """Models and ends of the predictions since `before`, this one the last."""
+        return () if self.model is None else (*self.earlier, (self.model, self.t))
 
     def repeated(self, config: SolverConfig | FilterConfig, n_particles: int) -> ParticleDensity:
         """The density it ended with on another number of particles."""
-        assert self.before is not None and self.model is not None
-        options: dict[str, Any] = {"t": self.t, "n_particles": n_particles, "goes_on": False}
-        return predict(self.before, self.model, config=config, **options)[0]
+        assert self.before is not None
+        return self.from_density(self.before, config, n_particles)
+
+    def from_density(
+        self,
+        density: ParticleDensity,
+        config: SolverConfig | FilterConfig,
+        n_particles: int | Literal["auto"],
+    ) -> ParticleDensity:
+        """What the prediction makes of a density instead."""
+        for model, t in self.legs:
+            options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}
+            density = predict(density, model, config=config, **options)[0]
+        return density
 
 
 def load(

@@ -14,9 +14,11 @@ from .pace import ORDER as STEPS_ORDER
 __all__ = [
     "MOST_POINTS",
     "SHADOW",
+    "WRONG",
     "apart_by",
     "bias_allowed",
     "both",
+    "decisive",
     "error_by",
     "expected_square",
     "few_error",
@@ -44,6 +46,7 @@ _AIMED = 0.5
 #: Points of a cloud, least and most: powers of two, for which nets are evenest. The shadow of the least has
 #: 32, and the error of the most is some _OF_RANDOM / √2^17 = 1.4e-3.
 _FEWEST_POINTS, MOST_POINTS = 32 * SHADOW, 2**17
+WRONG = 0.2  # of a variance, off by which it is said to be, as it may be off by twice what is told
 _SETTLED = 3  # readings before there are more again; measured: with 2 modes of tests/filter miss .01
 _PATIENCE = 2  # readings that ask for fewer before there are; measured: errors up to 1.7 times with 4
 
@@ -130,6 +133,16 @@ def step_after(dt, number, least, over):
 def power_of_two(count):
     """The next power of two, within what clouds may have."""
     return min(max(2 ** math.ceil(math.log2(max(count, 1.0))), _FEWEST_POINTS), MOST_POINTS)
+
+
+@register_jitable
+def decisive(mean, variance, target, n):
+    """The error that decides on the points of n states: the mean's, or that as which a variance's counts.
+
+    A variance may be off by half of what is said of it, or by as much as it is beside a mean on target in a
+    random sample, if that is more: a state that no reading sees may be off where the mean is right.
+    """
+    return max(mean, variance * min(2.0 * target / WRONG, (n + 1.0) ** -0.5))
 
 
 @register_jitable

@@ -15,9 +15,11 @@ from .._jit import MATRIX, VECTOR, jit
 from ..limits import ALIKE
 from ..small_matrices import cholesky, invert_lower, white_square
 from .control import (
+    WRONG,
     apart_by,
     bias_allowed,
     both,
+    decisive,
     error_by,
     expected_square,
     least_error,
@@ -40,7 +42,6 @@ __all__ = [
     "PARTS",
     "REFUSED",
     "UNUSUAL",
-    "WRONG",
     "Bounds",
     "Standing",
     "put_through",
@@ -52,7 +53,6 @@ FEW = 0.25
 #: How a record ends: all is put through; the next cloud has another number of points; what the last reading
 #: left is to be judged; the next one is unusual, or something is to be said of it, and is not put through.
 ALL, MORE, JUDGE, UNUSUAL, REFUSED = range(5)
-WRONG = 0.2  # of a variance, from which it is said
 _INTS, _KEY = types.int64[::1], types.int64
 _NET = types.Array(types.float64, 2, "C", readonly=True)
 _TABLE = types.uint32[::1], types.int64
@@ -169,13 +169,14 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         if not _unremarkable(error[j], squares, away, spread, bounds):
             end = REFUSED
             break
-        wanted = points_for(count, error_by(squares[0]), bounds.target)
+        told = decisive(error_by(squares[0]), error_by(squares[1]), bounds.target, n)
+        wanted = points_for(count, told, bounds.target)
         points, calm = next_points(count, wanted, s.calm)
         (a, b, c), (d, e, f) = one.found[:3], two.found[:3]
         stiff = own.flow == stiff_flow
         before, standing = s, Standing(a, b, c, d, e, f, count, *squares, step, stiff, points, calm)
         done += 1
-        end = JUDGE if error[j] > bounds.missed else MORE if points != count else ALL
+        end = JUDGE if max(error[j], told) > bounds.missed else MORE if points != count else ALL
     return end, done, _bare(standing), _bare(before), (m, P, x, C, evidence, error, off, S)
 
 
@@ -278,13 +279,13 @@ def _told(s, one, two, count):
     """Error that a cloud and its shadow tell of the prior's mean; and squares after the reading."""
     n, times = one.mean.size, count / s.size
     mean, variance = square_of_more(s.mean, times), square_of_more(s.variance, times)
-    first, second = compared(one.mean, one.cov, two.mean, two.cov)
+    first, second, _ = compared(one.mean, one.cov, two.mean, two.cov)
     ahead = error_by(smoothed(mean, apart_by(first, second, n)))
     if mean != mean:
         mean = expected_square(two.found[6])
         variance = (n + 1.0) * mean
-    first, second = compared(one.found[4], one.found[5], two.found[4], two.found[5])
-    mean, variance = smoothed(mean, apart_by(first, second, n)), smoothed(variance, second)
+    first, second, most = compared(one.found[4], one.found[5], two.found[4], two.found[5])
+    mean, variance = smoothed(mean, apart_by(first, second, n)), smoothed(variance, most)
     evidence = square_of_more(s.log_evidence, times)
     return ahead, (mean, variance, smoothed(evidence, (one.found[3] - two.found[3]) ** 2))
 

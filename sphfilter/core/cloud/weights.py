@@ -92,12 +92,13 @@ def extent(cov):
 def compared(mean, cov, other, own):
     """Squared errors that two clouds show of a mean (n,) and a covariance (n, n), in units of the first's.
 
-    Of the mean on average over the states, in standard deviations; of the covariance relative, over n.
+    Of the mean on average over the states, in standard deviations; of the covariance relative, over n; and
+    of that variance which is off most, if this is more.
     """
     n = mean.size
     L, off, wider = np.empty((n, n)), np.empty(n), np.empty((n, n))
     if not cholesky(floored(cov, 0.0), L):
-        return np.nan, np.nan
+        return np.nan, np.nan, np.nan
     for a in range(n):
         off[a] = other[a] - mean[a]
         for b in range(n):
@@ -106,13 +107,15 @@ def compared(mean, cov, other, own):
     for a in range(n):
         whiten(L, wider[a])
     wider = wider.T.copy()
-    first = second = 0.0
+    first = second = most = 0.0
     for a in range(n):
         whiten(L, wider[a])
         first += off[a] * off[a] / n
         for b in range(n):
             second += wider[a, b] * wider[a, b] / n
-    return first, second
+        if cov[a, a] > 0.0:
+            most = max(most, (own[a, a] / cov[a, a] - 1.0) ** 2)
+    return first, second, max(second, most)
 
 
 @jit
