@@ -47,10 +47,11 @@ class Memory(NamedTuple):
     calm: int = 0  # readings in a row that asked for fewer; negative: to wait before there are more
     legs: int = 0  # predictions since the last reading
     smooth: bool = False  # densities are asked for, or summed: lattices, where states are few
+    age: int = 0  # predictions since the start
 
     def gone_on(self) -> "Memory":
         """Memory after one more prediction without a reading."""
-        return self._replace(legs=self.legs + 1)
+        return self._replace(legs=self.legs + 1, age=self.age + 1)
 
     @property
     def shared(self) -> float:

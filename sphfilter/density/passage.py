@@ -107,9 +107,12 @@ def moved_points(
     return Points(x, points.w, Path(start, block, (*passages, passage), (*U, u)))
 
 
-def key_at(t: float, number: int) -> int:
-    """The key of what happens at a time, whatever the density: evidence is smooth in a model's parameters."""
-    return stored_key(np.array([t + 0.0]).view(np.uint64)[0], number)
+def key_at(age: int, number: int) -> int:
+    """The key of what happens after so many predictions, whatever the density and the clock.
+
+    Evidence is smooth in a model's parameters.
+    """
+    return stored_key(age, number)
 
 
 def sub_key(key: Any, number: int) -> Any:
@@ -176,7 +179,7 @@ def put_through(
     standing: list[Any] = []
     for points in (state.points, state.shadow):
         standing += [points.x, points.w, _lineage_of(points)]
-    standing += [state.size, *state.told, state.pace.step, state.pace.stiff, counts[0], calm]
+    standing += [state.size, *state.told, state.pace.step, state.pace.stiff, counts[0], calm, state.age]
     motion = leg, address_of(STIFF_FLOW), changes
     about = motion, readings, (times, least), Standing(*standing), nets, bounds, places(model.dim)
     with surfacing():
@@ -187,9 +190,9 @@ def put_through(
 
 
 def _state_of(standing: Standing) -> CloudState:
-    x, w, lineage, few_x, few_w, few_lineage, size, *told, step, stiff, _, _ = standing
+    x, w, lineage, few_x, few_w, few_lineage, size, *told, step, stiff, _, _, age = standing
     points, shadow = Points(x, w, lineage=lineage), Points(few_x, few_w, lineage=few_lineage)
-    return CloudState(points, shadow, size, Told(*told), Pace(step, stiff))
+    return CloudState(points, shadow, size, Told(*told), Pace(step, stiff), age=age)
 
 
 def _lineage_of(points: Points) -> Ints:
@@ -268,13 +271,13 @@ def chosen_steps(
     begin: Steps,
     bounds: tuple[int, int],
     allowed: float,
+    key: int = 0,
 ) -> tuple[Steps, float, float]:
     """Steps within bounds, and their bias, which is allowed; more than the most where that is not enough.
 
     The last number is the part of a few points that the model carries to infinity.
     """
-    x, w, key = points.x, points.w, key_at(span[0], 0)
-    about = x, w, key, *places(model.dim), begin.number, begin.stiff, *bounds, allowed
+    about = points.x, points.w, key, *places(model.dim), begin.number, begin.stiff, *bounds, allowed
     with surfacing():
         number, stiff, bias, lost = chosen(_leg(model, False), address_of(STIFF_FLOW), span, *about)
     return Steps(number, stiff), bias, lost

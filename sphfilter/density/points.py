@@ -110,6 +110,7 @@ class CloudState(NamedTuple):
     told: Told = Told()
     pace: Pace = Pace()
     inherited: float = 0.0  # error of the mean before it became points, as far as readings have left it
+    age: int = 0  # predictions since the start: its random numbers hang on it, and on no clock
 
 
 def moments_of_sum(w: Floats, means: Any, covs: Any) -> tuple[Floats, Floats]:

@@ -112,8 +112,9 @@ def density_from(arrays: Arrays, models: Sequence[SDE] = ()) -> ParticleDensity:
 
 
 def _needs_from(known: list[Any]) -> Memory:
-    """The needs of a list; of files of before the first five, which mean the same."""
-    return Memory(*(known if len(known) == len(Memory._fields) else known[:5]))
+    """The needs of a list; of files of before without an age; or the first five, which mean the same."""
+    same = len(known) in (len(Memory._fields), Memory._fields.index("age"))
+    return Memory(*(known if same else known[:5]))
 
 
 def models_of(density: ParticleDensity) -> tuple[SDE, ...]:
@@ -125,7 +126,8 @@ def models_of(density: ParticleDensity) -> tuple[SDE, ...]:
 def _stored_cloud(state: CloudState) -> Arrays:
     """A cloud as arrays by name; of a path what begins it, and the spans and steps of its predictions."""
     arrays = {"told": np.array(state.told), "pace": np.array([*map(float, state.pace)])}
-    arrays |= {"size": np.array(state.size), "inherited": np.array(state.inherited)}
+    numbers = {"size": state.size, "inherited": state.inherited, "age": state.age}
+    arrays |= {name: np.array(value) for name, value in numbers.items()}
     for name, points in (("points", state.points), ("shadow", state.shadow)):
         arrays |= under(name, {"x": points.x, "w": points.w})
         if points.lineage is not None:
@@ -149,8 +151,8 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) ->
     pace = Pace(step, bool(stiff), int(legs), bias)
     points, shadow = (_points_from(part(name, arrays), models) for name in ("points", "shadow"))
     size = arrays["size"].item() or len(points.w)  # older files have none where a reading began the cloud
-    inherited = float(arrays.get("inherited", 0.0))  # which older files do not have
-    state = CloudState(points, shadow, size, Told(*arrays["told"].tolist()), pace, inherited)
+    inherited, age = float(arrays.get("inherited", 0.0)), int(arrays.get("age", 0))  # older files have none
+    state = CloudState(points, shadow, size, Told(*arrays["told"].tolist()), pace, inherited, age)
     del about["read_out"], about["kernel"]
     begun = ParticleDensity(x=points.x[:1], mass=np.ones(1), h=np.ones(1), **about)
     return cloud_of(begun, state, moments(points.x, points.w), **about)

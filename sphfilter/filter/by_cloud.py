@@ -32,7 +32,7 @@ def by_cloud(
     """Prior times likelihood as a cloud of weighted points, and what the update says."""
     scheme = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
     state = as_points(density, scheme.n_points)
-    found = cloud_times_likelihood(state, Stacked.of((asked,), density.domain), density.t)
+    found = cloud_times_likelihood(state, Stacked.of((asked,), density.domain))
     if found is None:
         raise PropagationError(
             "prior times likelihood is zero wherever the prior has particles: check the measurement, its "
@@ -63,7 +63,6 @@ class CloudReading(NamedTuple):
 
     state: CloudState
     moments: tuple[Floats, Floats]
-    t: float
     log_evidence: float
     evidence_error: float
     own: float  # error of the mean that is its own
@@ -85,12 +84,12 @@ class CloudReading(NamedTuple):
         return self._replace(state=self.state._replace(inherited=inherited))
 
 
-def cloud_times_likelihood(state: CloudState, sensor: Stacked, t: float) -> CloudReading | None:
+def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading | None:
     """A cloud and its shadow times a likelihood; None where that is zero at all points."""
-    found = weighed(state.points, sensor, key_at(t, READING))
+    found = weighed(state.points, sensor, key_at(state.age, READING))
     if not math.isfinite(found.log_evidence):
         return None
-    beside = weighed(state.shadow, sensor, key_at(t, READING + 1))
+    beside = weighed(state.shadow, sensor, key_at(state.age, READING + 1))
     shadow, told = beside.points, state.told
     if math.isfinite(beside.log_evidence):
         sums = found.moments, beside.moments
@@ -105,7 +104,7 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked, t: float) -> Clou
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
     evidence_error = max(told.errors.log_evidence, few_error(found.lineages))
-    return CloudReading(state, found.moments, t, found.log_evidence, evidence_error, own)
+    return CloudReading(state, found.moments, found.log_evidence, evidence_error, own)
 
 
 def error_added(
@@ -127,11 +126,11 @@ def error_added(
     points, (step, stiff, *_), many = before.points, after.pace, shadow_size(after.size)
     if points.path is not None or not (step > 0.0 or all(model.linear for model, _ in legs)):
         return math.nan
-    moved = _part_of(points, many)
+    moved, age = _part_of(points, many), before.age
     for model, end in legs:
         steps = Steps(1) if model.linear else Steps(max(math.ceil((end - t) / step), 1), stiff)
-        moved, t = moved_points(moved, model, t, end, steps, many, key_at(t, 1)), end
-    beside = weighed(moved, sensor, key_at(t, READING + 1))
+        moved, t, age = moved_points(moved, model, t, end, steps, many, key_at(age, 1)), end, age + 1
+    beside = weighed(moved, sensor, key_at(age, READING + 1))
     if not math.isfinite(beside.log_evidence):
         return math.nan
     off = squared_differences(after.points, beside.points, sensor.domain, (moments, beside.moments))

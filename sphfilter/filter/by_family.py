@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats, OfStates
+from ..core.limits import ALIKE
 from ..density.as_family import family_density, family_of, moments_on_line
 from ..density.cloud import points_of
 from ..density.family import OF_MISFIT, Family, gaussian_family, moments_apart, node_moments
@@ -104,7 +105,8 @@ def error_beyond_nodes(
         A state explains the reading as well and is nowhere near, or too few points lie where the posterior is
         to tell.
     """
-    X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key_at(density.t, _ELSEWHERE))
+    age = 0 if density.needs is None else density.needs.age
+    X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key_at(age, _ELSEWHERE))
     weight = asked.weight_on(density.domain)
     (log_prior, (mean, cov)), (log_posterior, (own_mean, own_cov)) = prior, posterior
     root = np.linalg.inv(np.linalg.cholesky(own_cov))
@@ -115,7 +117,9 @@ def error_beyond_nodes(
 
     if states is not None and len(states):
         true = log_prior(states) + weight(states) - log_evidence
-        there = true > log_posterior(own_mean[None]) - _NEGLIGIBLE
+        below = log_posterior(own_mean[None]) - true
+        far = (((states - own_mean) @ root.T) ** 2).sum(axis=1)  # a peak that far off widens a variance so
+        there = below < np.maximum(_NEGLIGIBLE, np.log(np.maximum(far, 1.0) / (1.0 - ALIKE)))
         if np.any(there & (true - log_posterior(states) > _MORE)):
             raise PropagationError(
                 "one family does not hold the posterior: other states explain the reading too"

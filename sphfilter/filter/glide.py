@@ -145,7 +145,7 @@ class _Run:
             found, refused = found.before, True  # more points help where this cycle has added its error
         if found.done:
             rows = _rows(self._sensor, Z[: found.done], times[1:], found.rows)
-            needs = needs._replace(points=found.points, calm=found.calm, legs=0)
+            needs = needs._replace(points=found.points, calm=found.calm, legs=0, age=found.state.age)
             self.reached = self.reached.and_on(found.state, needs, rows, float(times[found.done]))
         return found.end == UNUSUAL, refused or found.end == REFUSED
 
@@ -170,7 +170,7 @@ class _Run:
         y, S = sensor.residual(z, expected), S + sensor.noise_cov
         far = stacked.asked[0]._replace(innovation=y, S=S).outlying
         usual = not far and moved.lost == 0.0 and moved.error < DOUBTFUL
-        done = cloud_times_likelihood(moved.state, stacked, span[1]) if usual else None
+        done = cloud_times_likelihood(moved.state, stacked) if usual else None
         if done is None:
             return False
         if done.state.inherited > 0.0:
@@ -182,7 +182,7 @@ class _Run:
             added = error_added(state, done.state, [(model, t1)], t0, stacked, done.moments, target)
             if not added <= MISSED * target:
                 return False
-        needs = needs._replace(legs=0).told(told, target, done.state.size)
+        needs = needs._replace(legs=0, age=done.state.age).told(told, target, done.state.size)
         row = _row(*moved.moments, *done.moments, done.log_evidence, done.error, y, S)
         self.reached = self.reached.and_on(done.state, needs, [row], span[1])
         return True

@@ -10,7 +10,7 @@ from scipy.special import gammaincc
 from .._types import Floats, OfStates
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
-from ..core.limits import ALIKE, LARGEST_EXPONENT, SAID, TINY
+from ..core.limits import LARGEST_EXPONENT, SAID, TINY
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, left_out, misfit
@@ -105,7 +105,8 @@ def resolved(
     found = _overlooked(laid, prior, product, log_weight, search)
     parts, tried = [], []
     if isinstance(laid, LatticeDensity):
-        found = [peak for peak in found if peak.log_mass > _least(laid, peak.x[None], search)[0]]
+        least = laid.log_mass + math.log(search.most_left_out)
+        found = [peak for peak in found if peak.log_mass > least]
         parts.append(_part_of(laid))
         tried.append(Resolved(laid, misfit(laid, product)))
         survey = _survey(x, mass, log_weight)
@@ -196,7 +197,7 @@ def _overlooked(
     factor: Any = np.linalg.cholesky(cov)
     if isinstance(laid, LatticeDensity):
         widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
-        high = widest > _least(laid, X, search)
+        high = widest > laid.log_mass + math.log(search.most_left_out)
         X, values = X[high], values[high]
         above = values - laid.log_mass - lattice_field.log_p_at(laid.field, X) > _HIGHER
         X, values = X[above], values[above]
@@ -207,17 +208,6 @@ def _overlooked(
     farthest = np.linalg.norm(np.linalg.solve(factor, (x - mean).T), axis=0).max()  # a tail is a guess
     found = peaks(product, X, values, factor)
     return [p for p in found if np.linalg.norm(np.linalg.solve(factor, p.x - mean)) < farthest]
-
-
-def _least(laid: LatticeDensity, X: Floats, search: Search) -> Floats:
-    """Logarithms (M,) of the mass that a peak at states X (M, n) has at least, to be looked at."""
-    return laid.log_mass + math.log(search.most_left_out) - np.log(_counts(laid, X, search))
-
-
-def _counts(laid: LatticeDensity, X: Floats, search: Search) -> Floats:
-    """How often probability at states X (M, n) counts: more than once where a variance would miss it more."""
-    off = np.linalg.solve(np.linalg.cholesky(laid.cov), (X - laid.mean).T)
-    return np.maximum(1.0, search.most_left_out / (1.0 - ALIKE) * (off**2).sum(axis=0))
 
 
 def _tries(
@@ -232,10 +222,7 @@ def _tries(
     n_particles, depth = bounds
     walls = search.walls
     shape = within_pieces(laid) if isinstance(laid, LatticeDensity) else found[0].factor if found else None
-    tops = []
-    for x, log_mass in ((peak.x[None], peak.log_mass) for peak in found):
-        counts = _counts(laid, x, search) if isinstance(laid, LatticeDensity) else np.ones(1)
-        tops.append(_Part(x, counts, log_mass, product(x)))
+    tops = [_Part(peak.x[None], np.ones(1), peak.log_mass, product(peak.x[None])) for peak in found]
     parts += tops
     heaviest = sorted(zip(found, tops, strict=True), key=lambda pair: -pair[0].log_mass)[:_PIECES]
     for peak, top in heaviest:

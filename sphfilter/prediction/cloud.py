@@ -104,7 +104,8 @@ def carried_cloud(
     steps, pace = _steps(state, model, span, scheme.max_steps, target)
     ends, sums, lost = [], [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, shadow_size(count)))):
-        moved = moved_points(unrolled_about_mean(points, domain), model, t0, t1, steps, many, key_at(t0, k))
+        begun, key = unrolled_about_mean(points, domain), key_at(state.age, k)
+        moved = moved_points(begun, model, t0, t1, steps, many, key)
         moved, gone = without_runaways(moved, domain)
         lost = gone if k == 0 else lost
         if gone > MOST_LOST:
@@ -114,7 +115,7 @@ def carried_cloud(
     told = state.told.of(count / state.size)
     off = squared_differences(ends[0], ends[1], domain, sums)
     error = math.hypot(told.after(*off).errors.mean, pace.bias, state.inherited)
-    state = CloudState(ends[0], ends[1], count, told, pace, state.inherited)
+    state = CloudState(ends[0], ends[1], count, told, pace, state.inherited, state.age + 1)
     return Carried(state, sums[0], error, lost, steps.number)
 
 
@@ -128,13 +129,14 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         shadow = density.mass[few] / density.mass[few].sum()
         points = Points(density.x, density.mass)
         return CloudState(points, Points(density.x[few], shadow), density.n_particles)
-    clouds = [(n, key_at(density.t, k)) for k, n in enumerate((count, shadow_size(count)))]
+    age = 0 if density.needs is None else density.needs.age
+    clouds = [(n, key_at(age, k)) for k, n in enumerate((count, shadow_size(count)))]
     if density.family is not None and density.family.degree == 2:
         mean, cov = moments_on_line(density)
         points, shadow = (points_of_gaussian(mean, cov, n, key, k) for k, (n, key) in enumerate(clouds))
     else:
         points, shadow = (points_of_sample(Points(*points_of(density, n, key)), n, key) for n, key in clouds)
-    return CloudState(points, shadow, count, inherited=density.error)
+    return CloudState(points, shadow, count, inherited=density.error, age=age)
 
 
 def shadow_size(count: int) -> int:
@@ -181,7 +183,8 @@ def _steps(
         return Steps(_enough(number, most, span), stiff), pace
     told = state.told.errors.mean
     allowed = bias_allowed(told, len(points.w), state.inherited, DOUBTFUL, target, legs)
-    steps, bias, lost = chosen_steps(points, model, span, Steps(number, stiff), (least, most), allowed)
+    about = Steps(number, stiff), (least, most), allowed, key_at(state.age, 0)
+    steps, bias, lost = chosen_steps(points, model, span, *about)
     if lost > 2.0 * MOST_LOST:  # of a few: all need not be asked, each of which takes long
         raise PropagationError(_blow_up(model, points, *span))
     _enough(steps.number, most, span)

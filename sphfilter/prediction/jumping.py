@@ -184,7 +184,7 @@ class _Sources:
         state, share = stayed.state, self.w[j] * self._way.staying(j) / forward[-1][j]
         clouds, sums, inherited = [], [], share * state.inherited**2
         for k, points in enumerate((state.points, state.shadow)):
-            key = stored_key(key_at(self._way.span[0], _KEY + k), j)
+            key = stored_key(key_at(stayed.state.age, _KEY + k), j)
             if share < 1.0:
                 came, before = self._came(forward, j, share, k, key)
                 x, w = np.concatenate([points.x, came.x]), [share * points.w, (1.0 - share) * came.w]

@@ -343,15 +343,15 @@ def _nodes(parts: Sequence[Part]) -> list[tuple[Floats, Floats]]:
 
 def _as_cloud(parts: Sequence[Part], about: ParticleDensity, target: float) -> ParticleDensity:
     """The points of all; of what is no cloud, as many as its share says."""
-    count = min((about.needs or Memory()).cloud(target), MOST_POINTS)
+    needs = about.needs or Memory()
+    count = min(needs.cloud(target), MOST_POINTS)
     x, mass = [], []
     for k, part in enumerate(parts):
         density, w = part.density, math.exp(part.log_w)
         points, weights = density.x, density.mass
         if density.read_out != "cloud":
-            points, weights = points_of(
-                density, max(math.ceil(w * count), 1000), key_at(density.t, _POINTS + k)
-            )
+            many = max(math.ceil(w * count), 1000)
+            points, weights = points_of(density, many, key_at(needs.age, _POINTS + k))
         x.append(points)
         mass.append(w * weights)
     return cloud_density(about, np.concatenate(x), np.concatenate(mass)).noted(needs=about.needs)

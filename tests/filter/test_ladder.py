@@ -8,7 +8,7 @@ from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.density.memory import MOST_POINTS, Memory, error_budget
 from sphfilter.density.storage import from_bytes, to_bytes
-from sphfilter.filter import update_again
+from sphfilter.prediction.predict import Prediction
 
 
 def made(scene, target, **options):
@@ -248,14 +248,20 @@ def test_points_grow_at_once_and_shrink_after_readings_that_ask_for_fewer():
     assert Memory(points=8192, calm=1).told(0.009, 0.01, 1024).points == 1024
 
 
-def test_a_cloud_is_drawn_again_where_a_reading_leaves_too_few_points(tmp_path):
-    """A sharp reading after vague ones: what is told is true, and a saved filter does the same."""
+@pytest.mark.parametrize("parts", [1, 4])
+def test_a_cloud_is_drawn_again_where_a_reading_leaves_too_few_points(tmp_path, parts):
+    """A sharp reading after vague ones: what is told is true, and a saved filter does the same.
+
+    Points of several predictions are drawn again from the last reading on, not from the last prediction.
+    """
     scenario = load_scenario("lorenz")
     sharp = scenario.measurement.changed(noise_cov=0.01 * scenario.measurement.noise_cov)
     case, flt = made("lorenz", 0.05)
     followed(flt, case, 12)
-    assert flt.predict(t=case.times[12]).rung == "cloud"
-    before = flt.density.cloud.size
+    for t in np.linspace(*case.times[11:13], parts + 1)[1:]:
+        assert flt.predict(t=t).rung == "cloud"
+    origin, before = flt._state.origin, flt.density.cloud.size
+    assert (origin.before.t, len(origin.legs)) == (case.times[11], parts)
     flt.save(tmp_path / "flt.npz")
     info = flt.update(case.z[12], sharp)
     assert info.error <= 1.5 * 0.05 or flt.density.cloud.size > before
@@ -287,7 +293,7 @@ def test_a_reading_is_not_made_again_for_what_was_wrong_before_it(monkeypatch):
     parted = cloud._replace(shadow=cloud.shadow._replace(w=one_sided / one_sided.sum()))
     flt = sf.SPHFilter(flt.model, flt.measurement, density=flt.density.noted(cloud=parted), config=flt.config)
     flt.predict(t=case.times[9])
-    monkeypatch.setattr(update_again, "predict", None)  # nothing is predicted again
+    monkeypatch.setattr(Prediction, "from_density", None)  # nothing is predicted again
     assert flt.update(case.z[9]).error > 1.5 * 0.03
 
 

@@ -172,6 +172,19 @@ def test_little_far_away(ground):
         assert told == pytest.approx(lacking, rel=0.05)
 
 
+def test_little_far_away_is_no_tail_of_a_family():
+    """Of two roots of z = x² one has a probability of 1e-5, and four fifths of the variance."""
+    square = sf.GaussianMeasurement(lambda X, t: X**2, [[1e-3]], vectorized=True)
+    still = sf.LinearSDE([[0.0]], noise=[[1e-3]])
+    flt = sf.SPHFilter(still, square, [1.0], [[0.36]])
+    flt.update([4.0])
+    exact = on_grid(
+        lambda X: norm.logpdf(X[:, 0], 1.0, 0.6) + square.log_likelihood([4.0], X), FLAT, 1_000_001
+    )
+    assert exact.cov[0, 0] > 4.0 * 1e-3 / 16.0
+    assert flt.P[0, 0] == pytest.approx(exact.cov[0, 0], rel=0.02)
+
+
 def test_named_peaks():
     """What neither nodes nor lines meet is found where the user says it may be."""
     spike = np.array([0.61, -0.37])

@@ -56,6 +56,8 @@ def holds(new, old):
         for name in sorted(set(before.files) - {"sphfilter"}):
             if name.endswith("about"):
                 about, today = (json.loads(str(file[name])) for file in (before, now))
+                if about.get("needs") is not None:  # older ones have no age
+                    today["needs"] = today["needs"][: len(about["needs"])]
                 assert about == {key: today[key] for key in about}
             elif name == "config":
                 assert sf.FilterConfig.from_toml(str(now[name])) == sf.FilterConfig.from_toml(

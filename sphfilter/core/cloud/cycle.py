@@ -87,6 +87,7 @@ class Standing(NamedTuple):
     stiff: bool
     points: int  # of the next cloud
     calm: int
+    age: int  # predictions since the start
 
 
 class Bounds(NamedTuple):
@@ -155,7 +156,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
             end = UNUSUAL
             break
         about = parts, own, _change(changes, j, n), _reads(reader, Z[j], span[1])
-        one, two = _both(about, span, s, nets, curve)
+        one, two = _both(about, s, nets, curve)
         ahead, squares = _told(s, one, two, count)
         if not (one.usual and two.usual and both(ahead, bias) < bounds.doubtful):
             end = UNUSUAL
@@ -174,7 +175,8 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         points, calm = next_points(count, wanted, s.calm)
         (a, b, c), (d, e, f) = one.found[:3], two.found[:3]
         stiff = own.flow == stiff_flow
-        before, standing = s, Standing(a, b, c, d, e, f, count, *squares, step, stiff, points, calm)
+        paced = step, stiff, points, calm, s.age + 1
+        before, standing = s, Standing(a, b, c, d, e, f, count, *squares, *paced)
         done += 1
         end = JUDGE if max(error[j], told) > bounds.missed else MORE if points != count else ALL
     return end, done, _bare(standing), _bare(before), (m, P, x, C, evidence, error, off, S)
@@ -185,7 +187,7 @@ def _bare(s):
     """The values of a cloud's standing: an interrupt in the making of a named tuple is none to Python."""
     few = s.few_x, s.few_w, s.few_lineage
     told = s.size, s.mean, s.variance, s.log_evidence
-    return (s.x, s.w, s.lineage, *few, *told, s.step, s.stiff, s.points, s.calm)
+    return (s.x, s.w, s.lineage, *few, *told, s.step, s.stiff, s.points, s.calm, s.age)
 
 
 @jit
@@ -198,9 +200,9 @@ def _keep(v, A, rows, matrices, j):
 
 
 @jit
-def _key_at(t, number):
-    """The key of what happens at a time; see `density.passage.key_at`."""
-    return stored(np.array([t + 0.0]).view(np.uint64)[0], number)
+def _key_at(age, number):
+    """The key of what happens after so many predictions; see `density.passage.key_at`."""
+    return stored(np.uint64(age), number)
 
 
 @jit
@@ -229,7 +231,7 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
     dt, told = span[1] - span[0], error_by(s.mean)
     allowed = bias_allowed(told, s.w.size, 0.0, bounds.doubtful, bounds.target, 1)
     number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED
-    about = s.x, s.w, _key_at(span[0], 0), *curve, number, s.stiff, least, bounds.most, allowed
+    about = s.x, s.w, _key_at(s.age, 0), *curve, number, s.stiff, least, bounds.most, allowed
     steps, stiff, bias, lost = _chosen_at(parts[5])(leg, stiff_flow, span, *about)
     own = over(leg, stiff_flow if stiff else leg.flow, span[0], span[1], steps)
     if lost > 2.0 * MOST_LOST or steps > bounds.most:
@@ -239,11 +241,11 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
 
 
 @jit
-def _both(about, span, s, nets, curve):
+def _both(about, s, nets, curve):
     """A cloud and its shadow after a cycle; the shadow is of no worth where the cloud is not."""
-    keys = _key_at(span[0], 0), _key_at(span[1], 2)
+    keys = _key_at(s.age, 0), _key_at(s.age + 1, 2)
     one = _cycled(about, (s.x, s.w, s.lineage), nets[0], keys, curve)
-    keys = _key_at(span[0], 1), _key_at(span[1], 3)
+    keys = _key_at(s.age, 1), _key_at(s.age + 1, 3)
     return one, _cycled(about, (s.few_x, s.few_w, s.few_lineage), nets[1], keys, curve)
 
 
