@@ -30,6 +30,7 @@ __all__ = [
     "READING",
     "Steps",
     "Through",
+    "age_of",
     "along",
     "chosen_steps",
     "even",
@@ -105,6 +106,13 @@ def moved_points(
             x, u, *linear = carry(leg, *about)
     passage = Passage(leg, key, *linear)._replace(model=model, span=(t0, t1), steps=steps)
     return Points(x, points.w, Path(start, block, (*passages, passage), (*U, u)))
+
+
+def age_of(density: Any) -> int:
+    """Predictions since the start, where a density remembers them; else a number of its time, 0 at 0."""
+    if density.needs is not None:
+        return int(density.needs.age)
+    return int(np.array([density.t + 0.0]).view(np.uint64)[0]) >> 1  # a sign that integers have not
 
 
 def key_at(age: int, number: int) -> int:

@@ -13,7 +13,7 @@ from ..density.cloud import points_of
 from ..density.family import OF_MISFIT, Family, gaussian_family, moments_apart, node_moments
 from ..density.family_posterior import FamilyPosterior, family_posterior
 from ..density.particle_density import ParticleDensity
-from ..density.passage import key_at
+from ..density.passage import age_of, key_at
 from ..errors import PropagationError
 from ..model.measurements import block, is_gaussian
 from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
@@ -105,8 +105,8 @@ def error_beyond_nodes(
         A state explains the reading as well and is nowhere near, or too few points lie where the posterior is
         to tell.
     """
-    age = 0 if density.needs is None else density.needs.age
-    X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key_at(age, _ELSEWHERE))
+    key = key_at(age_of(density), _ELSEWHERE)
+    X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key)
     weight = asked.weight_on(density.domain)
     (log_prior, (mean, cov)), (log_posterior, (own_mean, own_cov)) = prior, posterior
     root = np.linalg.inv(np.linalg.cholesky(own_cov))

@@ -15,7 +15,14 @@ from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
 from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
-from ..density.passage import chosen_steps, key_at, moved_points, points_of_gaussian, points_of_sample
+from ..density.passage import (
+    age_of,
+    chosen_steps,
+    key_at,
+    moved_points,
+    points_of_gaussian,
+    points_of_sample,
+)
 from ..density.points import CloudState, Pace, Points, moments
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
@@ -123,13 +130,13 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
     """A density as points and a smaller cloud of points; those that it has, if it is a cloud."""
     if density.cloud is not None:
         return density.cloud
+    age = age_of(density)
     if density.read_out == "cloud":
         many = min(shadow_size(count), density.n_particles)
         few = np.linspace(0.0, density.n_particles - 1, many).astype(int)
         shadow = density.mass[few] / density.mass[few].sum()
         points = Points(density.x, density.mass)
-        return CloudState(points, Points(density.x[few], shadow), density.n_particles)
-    age = 0 if density.needs is None else density.needs.age
+        return CloudState(points, Points(density.x[few], shadow), density.n_particles, age=age)
     clouds = [(n, key_at(age, k)) for k, n in enumerate((count, shadow_size(count)))]
     if density.family is not None and density.family.degree == 2:
         mean, cov = moments_on_line(density)
