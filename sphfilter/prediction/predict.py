@@ -208,7 +208,9 @@ class Prediction(NamedTuple):
     ) -> "Prediction":
         """The prediction that led from one density to another, where the first one is of this origin."""
         path = None if density.cloud is None else density.cloud.points.path
-        goes_on = path is not None and sum(p.model is not None for p in path.passages) > 1
+        goes_on = (
+            path is not None and len(path.passages) > 2
+        )  # the first is noise, the second this prediction
         if goes_on and isinstance(origin, Prediction) and origin.before is not None:
             return cls(origin.before, lost, model, density.t, earlier=origin.legs)
         return cls(before, lost, model, density.t)
@@ -223,12 +225,7 @@ class Prediction(NamedTuple):
         assert self.before is not None
         return self.from_density(self.before, config, n_particles)
 
-    def from_density(
-        self,
-        density: ParticleDensity,
-        config: SolverConfig | FilterConfig,
-        n_particles: int | Literal["auto"],
-    ) -> ParticleDensity:
+    def from_density(self, density: ParticleDensity, config: Any, n_particles: Any) -> ParticleDensity:
         """What the prediction makes of a density instead."""
         for model, t in self.legs:
             options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}
