@@ -36,7 +36,6 @@ __all__ = [
     "even",
     "gone",
     "gone_again",
-    "key_at",
     "moved_points",
     "normals",
     "points_of_gaussian",
@@ -52,7 +51,7 @@ __all__ = [
 _MOST, _NUMBERS = 24, 2**22
 #: Parts of nets that are of none of these: what leads points to a reading; and the first of starts' own.
 LED, _START = 30, 31
-READING = 2  # of the key of a time: a reading of a cloud; and of its shadow the next
+READING = 2  # of the key of an age: a reading of a cloud; and of its shadow the next
 #: Least part of a start's spread that is noise. Measured: with a quarter and a half, evaluations of two
 #: scenes are 1 to 1.15 times as many, errors .9 to 1.15 times as large.
 _SPREAD = 1.0 / 3.0
@@ -109,18 +108,13 @@ def moved_points(
 
 
 def age_of(density: Any) -> int:
-    """Predictions since the start, where a density remembers them; else a number of its time, 0 at 0."""
+    """Predictions since the start, where a density remembers them; else a number of its time, 0 at 0.
+
+    It is the key of what happens then, whatever the density: evidence is smooth in a model's parameters.
+    """
     if density.needs is not None:
         return int(density.needs.age)
     return int(np.array([density.t + 0.0]).view(np.uint64)[0]) >> 1  # a sign that integers have not
-
-
-def key_at(age: int, number: int) -> int:
-    """The key of what happens after so many predictions, whatever the density and the clock.
-
-    Evidence is smooth in a model's parameters.
-    """
-    return stored_key(age, number)
 
 
 def sub_key(key: Any, number: int) -> Any:

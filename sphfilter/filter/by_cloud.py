@@ -14,7 +14,7 @@ from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
 from ..density.cloud import systematic
 from ..density.particle_density import ParticleDensity
-from ..density.passage import READING, key_at, moved_points
+from ..density.passage import READING, moved_points, stored_key
 from ..density.points import CloudState, Points, Told
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
@@ -86,10 +86,10 @@ class CloudReading(NamedTuple):
 
 def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading | None:
     """A cloud and its shadow times a likelihood; None where that is zero at all points."""
-    found = weighed(state.points, sensor, key_at(state.age, READING))
+    found = weighed(state.points, sensor, stored_key(state.age, READING))
     if not math.isfinite(found.log_evidence):
         return None
-    beside = weighed(state.shadow, sensor, key_at(state.age, READING + 1))
+    beside = weighed(state.shadow, sensor, stored_key(state.age, READING + 1))
     shadow, told = beside.points, state.told
     if math.isfinite(beside.log_evidence):
         sums = found.moments, beside.moments
@@ -129,8 +129,8 @@ def error_added(
     moved, age = _part_of(points, many), before.age
     for model, end in legs:
         steps = Steps(1) if model.linear else Steps(max(math.ceil((end - t) / step), 1), stiff)
-        moved, t, age = moved_points(moved, model, t, end, steps, many, key_at(age, 1)), end, age + 1
-    beside = weighed(moved, sensor, key_at(age, READING + 1))
+        moved, t, age = moved_points(moved, model, t, end, steps, many, stored_key(age, 1)), end, age + 1
+    beside = weighed(moved, sensor, stored_key(age, READING + 1))
     if not math.isfinite(beside.log_evidence):
         return math.nan
     off = squared_differences(after.points, beside.points, sensor.domain, (moments, beside.moments))

@@ -13,7 +13,7 @@ from ..density.cloud import points_of
 from ..density.family import OF_MISFIT, Family, gaussian_family, moments_apart, node_moments
 from ..density.family_posterior import FamilyPosterior, family_posterior
 from ..density.particle_density import ParticleDensity
-from ..density.passage import age_of, key_at
+from ..density.passage import age_of, stored_key
 from ..errors import PropagationError
 from ..model.measurements import block, is_gaussian
 from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
@@ -22,7 +22,7 @@ __all__ = ["by_family", "error_beyond_nodes", "family_update"]
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
-_ELSEWHERE = 4  # of the key of a time: these points
+_ELSEWHERE = 4  # of the key of an age: these points
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
 _HIGHEST, _LOST = 700.0, 1e3  # logarithm of a weight, and an error, that are as bad as any
 
@@ -105,7 +105,7 @@ def error_beyond_nodes(
         A state explains the reading as well and is nowhere near, or too few points lie where the posterior is
         to tell.
     """
-    key = key_at(age_of(density), _ELSEWHERE)
+    key = stored_key(age_of(density), _ELSEWHERE)
     X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key)
     weight = asked.weight_on(density.domain)
     (log_prior, (mean, cov)), (log_posterior, (own_mean, own_cov)) = prior, posterior

@@ -18,10 +18,10 @@ from ..density.particle_density import ParticleDensity
 from ..density.passage import (
     age_of,
     chosen_steps,
-    key_at,
     moved_points,
     points_of_gaussian,
     points_of_sample,
+    stored_key,
 )
 from ..density.points import CloudState, Pace, Points, moments
 from ..errors import PropagationError, StoppedError
@@ -111,7 +111,7 @@ def carried_cloud(
     steps, pace = _steps(state, model, span, scheme.max_steps, target)
     ends, sums, lost = [], [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, shadow_size(count)))):
-        begun, key = unrolled_about_mean(points, domain), key_at(state.age, k)
+        begun, key = unrolled_about_mean(points, domain), stored_key(state.age, k)
         moved = moved_points(begun, model, t0, t1, steps, many, key)
         moved, gone = without_runaways(moved, domain)
         lost = gone if k == 0 else lost
@@ -137,7 +137,7 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         shadow = density.mass[few] / density.mass[few].sum()
         points = Points(density.x, density.mass)
         return CloudState(points, Points(density.x[few], shadow), density.n_particles, age=age)
-    clouds = [(n, key_at(age, k)) for k, n in enumerate((count, shadow_size(count)))]
+    clouds = [(n, stored_key(age, k)) for k, n in enumerate((count, shadow_size(count)))]
     if density.family is not None and density.family.degree == 2:
         mean, cov = moments_on_line(density)
         points, shadow = (points_of_gaussian(mean, cov, n, key, k) for k, (n, key) in enumerate(clouds))
@@ -190,7 +190,7 @@ def _steps(
         return Steps(_enough(number, most, span), stiff), pace
     told = state.told.errors.mean
     allowed = bias_allowed(told, len(points.w), state.inherited, DOUBTFUL, target, legs)
-    about = Steps(number, stiff), (least, most), allowed, key_at(state.age, 0)
+    about = Steps(number, stiff), (least, most), allowed, stored_key(state.age, 0)
     steps, bias, lost = chosen_steps(points, model, span, *about)
     if lost > 2.0 * MOST_LOST:  # of a few: all need not be asked, each of which takes long
         raise PropagationError(_blow_up(model, points, *span))

@@ -19,7 +19,7 @@ from ..core.cloud.noise import LANES
 from ..core.limits import TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities
-from ..density.passage import along, change_of, key_at, leg_of, stored_key
+from ..density.passage import along, change_of, leg_of, stored_key
 from ..density.points import CloudState, Points, moments
 from ..errors import PropagationError
 from ..info import PredictInfo
@@ -39,7 +39,7 @@ from .cloud import (
 __all__ = ["UNLIKELY", "Way", "carried_with_jumps", "suits"]
 
 UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
-_KEY = 40  # of the key of a time: the jumps of a cloud, and of its shadow the next
+_KEY = 40  # of the key of an age: the jumps of a cloud, and of its shadow the next
 #: Of a line, by which points in any run follow each other evenly: one over the golden ratio, (√5 - 1) / 2.
 _SECTION = 0.5 * (math.sqrt(5.0) - 1.0)
 
@@ -184,7 +184,7 @@ class _Sources:
         state, share = stayed.state, self.w[j] * self._way.staying(j) / forward[-1][j]
         clouds, sums, inherited = [], [], share * state.inherited**2
         for k, points in enumerate((state.points, state.shadow)):
-            key = stored_key(key_at(stayed.state.age, _KEY + k), j)
+            key = stored_key(stored_key(stayed.state.age, _KEY + k), j)
             if share < 1.0:
                 came, before = self._came(forward, j, share, k, key)
                 x, w = np.concatenate([points.x, came.x]), [share * points.w, (1.0 - share) * came.w]

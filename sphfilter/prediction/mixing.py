@@ -35,7 +35,7 @@ from ..density.gathering import merged_families
 from ..density.memory import MOST_POINTS, Memory, min_nodes
 from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
-from ..density.passage import key_at
+from ..density.passage import age_of, stored_key
 from ..density.pieces import HEAVY, Pieces, light, root_of
 from ..density.points import moments_of_sum
 from ..density.resample import logarithm
@@ -55,7 +55,7 @@ _CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: as
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
 _TRIES, _FINER = 6, 2  # lattices, and times the nodes of the one before
-_POINTS = 5  # of the key of a time: the points of a part, and of the next
+_POINTS = 5  # of the key of an age: the points of a part, and of the next
 _SEEDS = 1e-4  # of the heaviest node of a part: those by which a lattice finds all of its pieces
 
 
@@ -343,15 +343,14 @@ def _nodes(parts: Sequence[Part]) -> list[tuple[Floats, Floats]]:
 
 def _as_cloud(parts: Sequence[Part], about: ParticleDensity, target: float) -> ParticleDensity:
     """The points of all; of what is no cloud, as many as its share says."""
-    needs = about.needs or Memory()
-    count = min(needs.cloud(target), MOST_POINTS)
+    count = min((about.needs or Memory()).cloud(target), MOST_POINTS)
     x, mass = [], []
     for k, part in enumerate(parts):
         density, w = part.density, math.exp(part.log_w)
         points, weights = density.x, density.mass
         if density.read_out != "cloud":
             many = max(math.ceil(w * count), 1000)
-            points, weights = points_of(density, many, key_at(needs.age, _POINTS + k))
+            points, weights = points_of(density, many, stored_key(age_of(about), _POINTS + k))
         x.append(points)
         mass.append(w * weights)
     return cloud_density(about, np.concatenate(x), np.concatenate(mass)).noted(needs=about.needs)

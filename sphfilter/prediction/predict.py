@@ -208,9 +208,7 @@ class Prediction(NamedTuple):
     ) -> "Prediction":
         """The prediction that led from one density to another, where the first one is of this origin."""
         path = None if density.cloud is None else density.cloud.points.path
-        goes_on = (
-            path is not None and len(path.passages) > 2
-        )  # the first is noise, the second this prediction
+        goes_on = path is not None and len(path.passages) > 2  # noise, and more than this prediction
         if goes_on and isinstance(origin, Prediction) and origin.before is not None:
             return cls(origin.before, lost, model, density.t, earlier=origin.legs)
         return cls(before, lost, model, density.t)

@@ -41,7 +41,7 @@ _WRITTEN = ast.Constant | ast.Name | ast.Attribute | ast.expr_context | ast.Call
 _WRITTEN |= ast.Tuple | ast.List | ast.Set | ast.Dict
 #: What a row may count: a little above what there is. Lower one that can be; raise one and say why.
 BOUNDS = {
-    "lines of sphfilter": 36_765,
+    "lines of sphfilter": 36_750,
     "lines of reference_filters": 5_300,
     "lines of experiments": 13_200,
     "lines of tests": 27_000,

@@ -200,12 +200,6 @@ def _keep(v, A, rows, matrices, j):
 
 
 @jit
-def _key_at(age, number):
-    """The key of what happens after so many predictions; see `density.passage.key_at`."""
-    return stored(np.uint64(age), number)
-
-
-@jit
 def _change(changes, j, n):
     """Φ, offset and L of an interval; none has any, of a model that is not linear."""
     flow, offset, lower = changes
@@ -231,7 +225,7 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
     dt, told = span[1] - span[0], error_by(s.mean)
     allowed = bias_allowed(told, s.w.size, 0.0, bounds.doubtful, bounds.target, 1)
     number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED
-    about = s.x, s.w, _key_at(s.age, 0), *curve, number, s.stiff, least, bounds.most, allowed
+    about = s.x, s.w, stored(s.age, 0), *curve, number, s.stiff, least, bounds.most, allowed
     steps, stiff, bias, lost = _chosen_at(parts[5])(leg, stiff_flow, span, *about)
     own = over(leg, stiff_flow if stiff else leg.flow, span[0], span[1], steps)
     if lost > 2.0 * MOST_LOST or steps > bounds.most:
@@ -243,9 +237,9 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
 @jit
 def _both(about, s, nets, curve):
     """A cloud and its shadow after a cycle; the shadow is of no worth where the cloud is not."""
-    keys = _key_at(s.age, 0), _key_at(s.age + 1, 2)
+    keys = stored(s.age, 0), stored(s.age + 1, 2)
     one = _cycled(about, (s.x, s.w, s.lineage), nets[0], keys, curve)
-    keys = _key_at(s.age, 1), _key_at(s.age + 1, 3)
+    keys = stored(s.age, 1), stored(s.age + 1, 3)
     return one, _cycled(about, (s.few_x, s.few_w, s.few_lineage), nets[1], keys, curve)
 
 
