@@ -280,7 +280,7 @@ def _rows(path):
 )
 @pytest.mark.usefixtures("compiled")
 def test_command_writes_its_files_and_resumes(options, name, reference, n_parts, tmp_path, capsys):
-    command = ["stress", *options, "--out", str(tmp_path)]
+    command = ["stress", *options, "--limit", "1800", "--out", str(tmp_path)]  # compiling beside others takes
     assert main(command) == 0
     said = capsys.readouterr().out
     (row,) = _rows(tmp_path / f"{name}.csv")
