@@ -56,8 +56,7 @@ def block_roots(x):
     """Lower roots (blocks, n, n) of the covariances of blocks of consecutive points of x (N, n)."""
     N, n = x.shape
     size, c = block_size(N), centres(x)
-    L = np.zeros((c.shape[0], n, n))
-    S = np.empty((n, n))
+    L, S = np.zeros((c.shape[0], n, n)), np.empty((n, n))
     for b in range(c.shape[0]):
         first, last = b * size, min((b + 1) * size, N)
         for a in range(n):
@@ -82,8 +81,8 @@ def block_roots(x):
 def distances(x, lineage):
     """Distances (blocks,) of points x (N, n) in their blocks, over the block's standard deviation.
 
-    Points of one `lineage` (N,) come from one point of before. As far as they have not moved apart since, it
-    is lineages that fill a block, and their distance that counts.
+    Points of one `lineage` (N,) that have not moved apart count as one. As many states part points far, which
+    would smooth a density, no variance is more than that of the mean of a block's K points, 1 / K.
     """
     N, n = x.shape
     size, count = block_size(N), lineage.max() + 1
@@ -118,7 +117,8 @@ def distances(x, lineage):
         # of as many points as lineages the means part by chance, too
         chance = lineages / K
         ratio = min(max((ratio - chance) / max(1.0 - chance, 1e-9), 0.0), 1.0) if lineages < K else 0.0
-        out[b] = min(math.sqrt(max(K ** (-2.0 / n), ratio * lineages ** (-2.0 / n))), 1.0)
+        power = max(2.0 / n, 1.0)
+        out[b] = min(math.sqrt(max(K**-power, ratio * lineages**-power)), 1.0)
     return out
 
 

@@ -36,7 +36,7 @@ def blocks_of(count):
 
 @jit
 def begin(x, w, lineage, count, key, net, table, bits):
-    """Begin the way of a cloud: points in order, each standing for a Gaussian as wide as their distance.
+    """Begin the way of a cloud: points in order, each for a Gaussian no wider than their distance.
 
     They are drawn anew where too few of them weigh anything, those far out more often than they weigh.
     Copies of a point part by its Gaussian, whatever the noise of the model. Blocks keep their mean and
