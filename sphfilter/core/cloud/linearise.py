@@ -78,11 +78,11 @@ def block_roots(x):
 
 
 @jit
-def distances(x, lineage):
+def distances(x, lineage, power):
     """Distances (blocks,) of points x (N, n) in their blocks, over the block's standard deviation.
 
-    Points of one `lineage` (N,) that have not moved apart count as one. As many states part points far, which
-    would smooth a density, no variance is more than that of the mean of a block's K points, 1 / K.
+    Points of one `lineage` (N,) that have not moved apart count as one. Squares of K are K^-power: with 2 / n
+    as far as they are apart; with 1 they smooth a density by no more than K draws miss it.
     """
     N, n = x.shape
     size, count = block_size(N), lineage.max() + 1
@@ -117,7 +117,6 @@ def distances(x, lineage):
         # of as many points as lineages the means part by chance, too
         chance = lineages / K
         ratio = min(max((ratio - chance) / max(1.0 - chance, 1e-9), 0.0), 1.0) if lineages < K else 0.0
-        power = max(2.0 / n, 1.0)
         out[b] = min(math.sqrt(max(K**-power, ratio * lineages**-power)), 1.0)
     return out
 

@@ -71,11 +71,12 @@ def begin(x, w, lineage, count, key, net, table, bits):
     if count != N or effective(w) < _FEW * count:
         chosen, w = for_moments(x, w, mean, cov, count, uniform(np.uint64(key), np.uint64(_CUT)))
         order, x = order[chosen], x[chosen]
-    part = distances(x, lineage[order] if lineage.size > 0 else order)
+    # what a reading has left is smoothed each time; a density that becomes points is smoothed once
+    known, power = (lineage[order], max(2.0 / n, 1.0)) if lineage.size > 0 else (order, 2.0 / n)
+    part = distances(x, known, power)
     block, middle, lower = blocks_of(count), centres(x), block_roots(x)
-    u = even_normals(net, np.uint64(stored(key, KERNEL)))
+    u, flow = even_normals(net, np.uint64(stored(key, KERNEL))), np.zeros(lower.shape)
     start = shrunk(x, middle, np.sqrt(1.0 - part**2))
-    flow = np.zeros(lower.shape)
     for b in range(len(lower)):
         for a in range(n):
             flow[b, a, a] = 1.0
