@@ -7,14 +7,15 @@ from scipy import stats
 import sphfilter as sf
 from sphfilter.core.cloud.curve import along_curve, places
 from sphfilter.core.cloud.guide import look_ahead, spread
-from sphfilter.core.cloud.linearise import distances, linearise, lower_and_rows
+from sphfilter.core.cloud.linearise import linearise, lower_and_rows, widths
 from sphfilter.core.cloud.move import move
 from sphfilter.core.cloud.noise import LANES, even_normals, fill_noise, rotation
 from sphfilter.core.cloud.pace import moved_twice
 from sphfilter.core.cloud.way import blocks_of
 from sphfilter.core.cloud.weights import compared, systematic
 from sphfilter.density.nets import net
-from sphfilter.density.passage import leg_of
+from sphfilter.density.passage import leg_of, points_of_sample
+from sphfilter.density.points import Points
 
 WELLS = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[1.6]])
 KEY = np.uint64(7)
@@ -185,14 +186,30 @@ def test_two_clouds_are_compared_whatever_the_units():
     np.testing.assert_allclose(again, (first, second, most), rtol=1e-6)
 
 
+def test_what_readings_leave_keeps_its_bend_where_it_begins_again():
+    def bend(x):
+        off = x - x.mean(axis=0)
+        return np.mean(off[:, 0] ** 2 * off[:, 1])
+
+    rng, kept, each = np.random.default_rng(3), [], np.arange(4096)
+    for draw in range(3):
+        x = rng.standard_normal((4096, 6))
+        x[:, 1] += x[:, 0] ** 2
+        points = Points(x, np.full(4096, 1.0 / 4096), lineage=each)
+        for k in range(12):
+            points = points_of_sample(points, 4096, 100 * draw + k)._replace(path=None, lineage=each)
+        kept.append(bend(points.x) / bend(x))
+    assert np.mean(kept) == pytest.approx(1.0, abs=0.06)  # .79 with Gaussians as wide as points are apart
+
+
 def test_copies_of_few_points_stand_for_more_than_their_distance():
     rng = np.random.default_rng(5)
     few = rng.standard_normal((16, 2))
     lineage = np.repeat(np.arange(16), 16)
-    alone = distances(rng.standard_normal((256, 2)), np.arange(256), 1.0)
-    copies = distances(few[lineage] + 1e-6 * rng.standard_normal((256, 2)), lineage, 1.0)
-    apart = distances(few[lineage] + 5.0 * rng.standard_normal((256, 2)), lineage, 1.0)
-    wide = distances(rng.standard_normal((256, 4)), np.arange(256), 0.5)
+    alone = widths(rng.standard_normal((256, 2)), np.arange(256), 1.0)
+    copies = widths(few[lineage] + 1e-6 * rng.standard_normal((256, 2)), lineage, 1.0)
+    apart = widths(few[lineage] + 5.0 * rng.standard_normal((256, 2)), lineage, 1.0)
+    wide = widths(rng.standard_normal((256, 4)), np.arange(256), 0.5)
     np.testing.assert_allclose(wide, 64**-0.25)
     np.testing.assert_allclose(alone, 64**-0.5)
     assert np.all(copies > 0.4) and np.all(apart < 0.2)

@@ -280,7 +280,8 @@ def _rows(path):
 )
 @pytest.mark.usefixtures("compiled")
 def test_command_writes_its_files_and_resumes(options, name, reference, n_parts, tmp_path, capsys):
-    command = ["stress", *options, "--limit", "1800", "--out", str(tmp_path)]  # compiling beside others takes
+    # seconds a run: compiling beside other work has taken more than the minute that is usual
+    command = ["stress", *options, "--limit", "1800", "--out", str(tmp_path)]
     assert main(command) == 0
     said = capsys.readouterr().out
     (row,) = _rows(tmp_path / f"{name}.csv")

@@ -20,11 +20,11 @@ __all__ = [
     "block_roots",
     "block_size",
     "centres",
-    "distances",
     "linearise",
     "linearise_at",
     "lower_and_rows",
     "shrunk",
+    "widths",
 ]
 
 _TERMS = 4  # of an exponential at half a norm, (1/2)⁴ / 4! = 2.6e-3 of what only guides is left out
@@ -78,8 +78,8 @@ def block_roots(x):
 
 
 @jit
-def distances(x, lineage, power):
-    """Distances (blocks,) of points x (N, n) in their blocks, over the block's standard deviation.
+def widths(x, lineage, power):
+    """Widths (blocks,) of what points x (N, n) stand for, over the standard deviation of their block.
 
     Points of one `lineage` (N,) that have not moved apart count as one. Squares of K are K^-power: with 2 / n
     as far as they are apart; with 1 they smooth a density by no more than K draws miss it.

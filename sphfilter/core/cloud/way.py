@@ -8,10 +8,10 @@ from .linearise import (
     block_roots,
     block_size,
     centres,
-    distances,
     linearise_at,
     lower_and_rows,
     shrunk,
+    widths,
 )
 from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
@@ -46,7 +46,7 @@ def begin(x, w, lineage, count, key, net, table, bits):
     ----------
     x, w : ndarray, shapes (N, n), (N,)
     lineage : ndarray of int, shape (N,) or (0,)
-        Points of a number come from one point of before; without any, each is its own.
+        Points of a number come from one point of before; without any, each is its own, not yet smoothed.
     count : int
         Points afterwards.
     key : int
@@ -73,7 +73,7 @@ def begin(x, w, lineage, count, key, net, table, bits):
         order, x = order[chosen], x[chosen]
     # what a reading has left is smoothed each time; a density that becomes points is smoothed once
     known, power = (lineage[order], max(2.0 / n, 1.0)) if lineage.size > 0 else (order, 2.0 / n)
-    part = distances(x, known, power)
+    part = widths(x, known, power)
     block, middle, lower = blocks_of(count), centres(x), block_roots(x)
     u, flow = even_normals(net, np.uint64(stored(key, KERNEL))), np.zeros(lower.shape)
     start = shrunk(x, middle, np.sqrt(1.0 - part**2))
