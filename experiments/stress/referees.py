@@ -30,6 +30,11 @@ _GRID_REACH = 5.0
 #: Particles in each of several clouds: to check a grid, then as few and as many as are needed, unless the few
 #: are so far apart that the many will be, too.
 _CLOUDS, _CHECK, _SIZES, _HOPELESS = 4, 20_000, (60_000, 250_000), 4.0
+#: Clouds of usual steps against which fine ones are held, and bias times √particles that fine steps may
+#: have: a 64th of the usual, so that steps are four times as many at least (order three; eight of order
+#: two). A sharp reading may ask for few paths of many, where the bias falls with the first power of the
+#: step: fine clouds are off by a third at most of what they and usual ones are apart by.
+_USUAL, _FINE, _STILL_OFF = 2, 0.4 / 64, 1.0 / 3.0
 #: Standard errors by which a grid and clouds may differ.
 _SIGMAS = 5.0
 
@@ -63,7 +68,8 @@ def referee(problem, seed):
     """Return the first reference that is good to the end, or the one that is good for most epochs.
 
     A closed form or the Kalman filter; two grids (one or two states, noise that does not depend on the state)
-    that agree with each other and with small clouds; four clouds of particles that agree.
+    that agree with each other and with small clouds; four clouds of particles that agree with each other
+    and with clouds of coarser steps.
     """
     found, reasons = Referee(), []
     for make in (_exact, _grids, _few_or_many):
@@ -189,13 +195,27 @@ def _few_or_many(problem, seed):
 
 
 def _clouds(problem, seed, size):
-    """Mean of independent clouds, and its standard error: the larger of an epoch's own and the record's."""
-    runs = []
-    for k in range(_CLOUDS):
-        how = {"n_particles": size, "rng": np.random.default_rng([seed, size, k]), "resampling": "ess"}
-        runs.append(_rows(ParticleFilter(*problem.start, **how), problem))
-    middle = tuple(np.mean(values, axis=0) for values in zip(*runs, strict=True))
-    apart = np.array([errors_of(*run, Referee("", *middle)) for run in runs])
-    own = np.sqrt(np.square(apart).sum(axis=0) / (_CLOUDS - 1) / _CLOUDS)
-    usual = np.sqrt(np.mean(np.square(own), axis=1, keepdims=True))
-    return _trusted(f"{_CLOUDS} clouds of {size:,}", *middle, np.maximum(own, 0.5 * usual))
+    """Mean of independent clouds of fine steps, with its sampling error and what its steps are off by.
+
+    Each error is the larger of an epoch's own and half of the record's.
+    """
+    usual = [_cloud(problem, size, None, [seed, size, 1, k]) for k in range(_USUAL)]
+    fine = [_cloud(problem, size, _FINE / np.sqrt(size), [seed, size, 0, k]) for k in range(_CLOUDS)]
+    middle = _middle(fine)
+    apart = np.array([errors_of(*run, Referee("", *middle)) for run in fine])
+    sampling = np.square(apart).sum(axis=0) / (_CLOUDS - 1) / _CLOUDS
+    bias = _STILL_OFF * errors_of(*_middle(usual), Referee("", *middle))
+    own = np.sqrt(sampling + bias**2)
+    of_record = np.sqrt(np.mean(np.square(own), axis=1, keepdims=True))
+    return _trusted(f"{_CLOUDS} clouds of {size:,}", *middle, np.maximum(own, 0.5 * of_record))
+
+
+def _cloud(problem, size, tolerance, seed):
+    """Rows of a particle filter whose steps may be off by the tolerance (None: its default)."""
+    how = {"n_particles": size, "rng": np.random.default_rng(seed), "resampling": "ess"}
+    return _rows(ParticleFilter(*problem.start, **how, tolerance=tolerance), problem)
+
+
+def _middle(runs):
+    """Means, covariances and evidences in the middle of several runs."""
+    return tuple(np.mean(values, axis=0) for values in zip(*runs, strict=True))
