@@ -81,10 +81,13 @@ def _trial(scheme, x, t, h, functions, constants, work):
     change, moved, bend = work[0], work[1], work[2]
     if scheme == PLATEN:
         _general_trial(x, t, h, functions, p, L, work)
+        rms, largest = _in_deviations(change, moved, variance, unit)
+        by_drift, by_drift_largest = _in_deviations(bend, moved, variance, unit)
+        rms, largest = np.sqrt(rms**2 + by_drift), np.sqrt(largest**2 + by_drift_largest)
         bend = moved
     else:
         _additive_trial(x, t, h, functions, p, L, work)
-    rms, largest = _in_deviations(change, moved, variance, unit)
+        rms, largest = _in_deviations(change, moved, variance, unit)
     if not np.isfinite(rms):
         return np.inf, np.inf, np.inf
     rate = _largest_ratio(change, bend, unit)
@@ -157,24 +160,30 @@ def _additive_trial(x, t, h, functions, p, L, work):
 
 @jit
 def _general_trial(x, t, h, functions, p, L, work):
-    """Fill the changes of h f and √h σ over an Euler step, and the move that this step is."""
+    """Fill the changes of h f and √h σ over an Euler step, the move that this step is, and the change of h f
+    over the step without noise, which is of second order in h where the noise is small."""
     drift, noise = functions
-    change, moved, y, k, k_new = work[0], work[1], work[2], work[3], work[4]
+    change, moved, by_drift, y, k = work[0], work[1], work[2], work[3], work[4]
     N, n, m = x.shape[0], x.shape[1], L.shape[0]
     signs, raw, b, b_new = _signs(m, N), np.empty((N, n * m)), np.empty((N, n * m)), np.empty((N, n * m))
     drift(x, t, p, k)
     root_noise(noise, x, t, p, L, raw, b)
     for i in range(N):
         for a in range(n):
+            y[i, a] = x[i, a] + h * k[i, a]
+    drift(y, t + h, p, by_drift)
+    for i in range(N):
+        for a in range(n):
             moved[i, a] = h * k[i, a]
             for j in range(m):
                 moved[i, a] += np.sqrt(h) * signs[j, i] * b[i, a * m + j]
             y[i, a] = x[i, a] + moved[i, a]
-    drift(y, t + h, p, k_new)
+            by_drift[i, a] = h * (by_drift[i, a] - k[i, a])
+    drift(y, t + h, p, change)
     root_noise(noise, y, t + h, p, L, raw, b_new)
     for i in range(N):
         for a in range(n):
-            change[i, a] = h * (k_new[i, a] - k[i, a])
+            change[i, a] = h * (change[i, a] - k[i, a])
             for j in range(m):
                 change[i, a] += np.sqrt(h) * signs[j, i] * (b_new[i, a * m + j] - b[i, a * m + j])
 

@@ -31,10 +31,9 @@ _GRID_REACH = 5.0
 #: are so far apart that the many will be, too.
 _CLOUDS, _CHECK, _SIZES, _HOPELESS = 4, 20_000, (60_000, 250_000), 4.0
 #: Clouds of usual steps against which fine ones are held, and bias times √particles that fine steps may
-#: have: a 64th of the usual, so that steps are four times as many at least (order three; eight of order
-#: two). A sharp reading may ask for few paths of many, where the bias falls with the first power of the
-#: step: fine clouds are off by a third at most of what they and usual ones are apart by.
-_USUAL, _FINE, _STILL_OFF = 2, 0.4 / 64, 1.0 / 3.0
+#: have: a 16th of the usual. Of what both are apart by, fine ones are said to be off by a third, as if they
+#: had a quarter of the usual bias.
+_USUAL, _FINE, _STILL_OFF = 2, 0.4 / 16, 1.0 / 3.0
 #: Standard errors by which a grid and clouds may differ.
 _SIGMAS = 5.0
 

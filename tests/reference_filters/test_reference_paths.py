@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from density_cases import whitened
+from scipy.integrate import solve_ivp
 
 from reference_filters._blocks import standard_normals
 from reference_filters._normals import LANES
@@ -82,6 +83,16 @@ def test_noise_that_depends_on_the_state():
     Paths(model).move(x, 0.0, 1.0, np.zeros(1), 1e-3, np.random.default_rng(1))
     error = np.sqrt((np.exp(1.2) - np.exp(0.4)) / len(x))  # E x⁴ = exp(6 σ²)
     assert abs(np.mean(x**2) - np.exp(0.2)) < 4.5 * error + 1e-3
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
+def test_steps_are_short_enough_where_little_noise_depends_on_the_state(tolerance):
+    model = SDE.from_expressions(["x"], ["1.7*sin(x) - 0.222*x"], [["1e-6/(1 + x**2)"]])
+    x = np.random.default_rng(4).normal(0.0, 4.0, (2000, 1))
+    span, starts = (0.0, 2.0), x[:, 0].copy()
+    Paths(model).move(x, *span, x.var(axis=0), tolerance, np.random.default_rng(5))
+    exact = solve_ivp(lambda t, x: 1.7 * np.sin(x) - 0.222 * x, span, starts, rtol=1e-8, atol=1e-8).y[:, -1]
+    assert np.sqrt(np.mean((x[:, 0] - exact) ** 2)) < tolerance * exact.std()
 
 
 def test_linear_models_take_their_exact_transition():
