@@ -2,8 +2,9 @@
 
 import signal
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from sphfilter.errors import SphfilterError
 
 from .records import follow
 
-__all__ = ["LIMITS", "Referee", "errors_of", "referee"]
+__all__ = ["LIMITS", "SIZES", "Referee", "errors_of", "referee"]
 
 #: Errors that are wrong: of the mean in posterior standard deviations, of a variance relative to itself, of
 #: the log-evidence of the record in nats. And the share of them that a reference's own error may have.
@@ -28,8 +29,8 @@ _NODES, _GRID_SECONDS = {1: 256, 2: 64}, 20.0
 #: well inside the prior to be right.
 _GRID_REACH = 5.0
 #: Particles in each of several clouds: to check a grid, then as few and as many as are needed, unless the few
-#: are so far apart that the many will be, too.
-_CLOUDS, _CHECK, _SIZES, _HOPELESS = 4, 20_000, (60_000, 250_000), 4.0
+#: are so far apart that the many will be, too, or these take too many seconds.
+_CLOUDS, _CHECK, SIZES, _HOPELESS, _SECONDS = 4, 20_000, (60_000, 250_000), 4.0, 120.0
 #: Clouds of usual steps against which fine ones are held, and bias times √particles that fine steps may
 #: have: a 16th of the usual. Of what both are apart by, fine ones are said to be off by a third, as if they
 #: had a quarter of the usual bias.
@@ -63,7 +64,7 @@ class Referee:
     why: str = ""
 
 
-def referee(problem, seed):
+def referee(problem, seed, sizes=SIZES):
     """Return the first reference that is good to the end, or the one that is good for most epochs.
 
     A closed form or the Kalman filter; two grids (one or two states, noise that does not depend on the state)
@@ -71,12 +72,12 @@ def referee(problem, seed):
     and with clouds of coarser steps.
     """
     found, reasons = Referee(), []
-    for make in (_exact, _grids, _few_or_many):
+    for name, make in {"exact": _exact, "grids": _grids, "clouds": partial(_few_or_many, sizes)}.items():
         try:
             other = make(problem, seed)
         # the referees are not on trial: whatever stops one, there is none
         except Exception as trouble:
-            reasons.append(f"{make.__name__.strip('_')}: {trouble}")
+            reasons.append(f"{name}: {trouble}")
             continue
         if other is None:
             continue
@@ -186,11 +187,13 @@ def _grids(problem, seed):
     return found
 
 
-def _few_or_many(problem, seed):
-    few = _clouds(problem, seed, _SIZES[0])
+def _few_or_many(sizes, problem, seed):
+    few = _clouds(problem, seed, sizes[0])
     if few.n_trusted == len(problem.times) or (few.own[:, :1] > _HOPELESS * _ALLOWED).any():
         return few
-    return max(few, _clouds(problem, seed, _SIZES[1]), key=lambda r: r.n_trusted)
+    with suppress(SphfilterError), _at_most(_SECONDS):
+        return max(few, _clouds(problem, seed, sizes[1]), key=lambda r: r.n_trusted)
+    return few
 
 
 def _clouds(problem, seed, size):

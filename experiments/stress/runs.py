@@ -21,8 +21,8 @@ __all__ = ["judged", "problem_of", "walk"]
 _REFERENCE_LIMIT, _COMPILE_LIMIT = 240.0, 1800.0
 #: Between the name of a filter and the number of a relation, in the name of a part of a case.
 _RELATION = " relation "
-#: Examples whose references are made to compile what these need.
-_EXAMPLES = 4
+#: Examples whose references are made to compile what these need, and particles in their clouds.
+_EXAMPLES, _EXAMPLE_SIZES = 4, (1000, 1000)
 
 
 def walk(console, cases, filters, args):
@@ -75,8 +75,12 @@ def _warm_up(console, examples, parts):
 
 def _compile(task):
     examples, part = task
-    for case in examples[:_EXAMPLES] if part == REFERENCE else examples:
-        _made(case, part, "")
+    if part == REFERENCE:
+        for case in examples[:_EXAMPLES]:
+            referee(_problem(case), case.seed, _EXAMPLE_SIZES)
+    else:
+        for case in examples:
+            _made(case, part, "")
 
 
 def _limit(seconds, task):
