@@ -13,18 +13,38 @@ from numba import types
 
 from sphfilter.core._addresses import ADDRESS, function_at
 from sphfilter.core._jit import MATRIX, VECTOR, jit, jit_for
-from sphfilter.core.sde_steps import platen_steps, shifted_path_steps, split_steps
+from sphfilter.core.sde_steps import jump, platen_steps, root_now, runge_kutta, shifted_path_steps
 
 from ._normals import LANES, fill_normals, seed_lanes
 from ._step_length import MOST_STEPS, SHIFTED_PATH, SPLIT, step_length
 
-__all__ = ["fill_rows", "move_blocks", "standard_normals"]
+__all__ = ["fill_rows", "move_blocks", "split_steps", "standard_normals"]
 
 #: Steps between two looks at the step length.
 _STEPS_PER_LOOK = 4
 #: Moves within a look, over standard deviation and mean move, from which steps were too long; how much
 #: shorter ones are tried then, and how often.
 _OUT, _SHORTER, _TRIES = 25.0, 0.1, 4
+
+
+@jit
+def split_steps(x, t0, dt, drift, noise, p, L, normals):
+    """Strang splitting: noise in jumps, drift by RK4 between them; of weak order 2.
+
+    The jump that ends a step and the one that begins the next are one: there is one row of normals more than
+    there are steps, normals (steps + 1, m, N), and the first and the last row make half a jump.
+    """
+    N, n, m = x.shape[0], x.shape[1], L.shape[0]
+    nothing, work = np.zeros((N, n)), np.empty((5, N, n))
+    g, sigma = np.empty((1, n * m)), np.empty((n, m))
+    last = normals.shape[0] - 1
+    for s in range(last + 1):
+        t = t0 + s * dt
+        root_now(noise, x, t, p, L, g, sigma)
+        sigma *= np.sqrt(0.5 * dt if s == 0 or s == last else dt)
+        jump(sigma, normals[s], work, x)
+        if s < last:
+            runge_kutta(x, t, dt, drift, p, (nothing, nothing, nothing), work)
 
 
 @jit

@@ -13,14 +13,8 @@ from numba import types
 from ._jit import BATCH_FUNCTION, jit, jit_for
 
 __all__ = [
-    "normals_per_step",
-    "platen_steps",
-    "root_noise",
-    "root_now",
-    "scaled_noise",
-    "shifted_path_steps",
-    "split_steps",
-    "steps",
+    "jump", "normals_per_step", "platen_steps", "root_noise", "root_now", "runge_kutta", "scaled_noise",
+    "shifted_path_steps", "steps",
 ]  # fmt: skip
 
 _SIGNATURE = types.void(
@@ -84,7 +78,7 @@ def scaled_noise(sigma, w, out):
 
 
 @jit
-def _runge_kutta(x, t, dt, drift, p, slopes, work):
+def runge_kutta(x, t, dt, drift, p, slopes, work):
     """Move x over dt along the drift plus slopes, three of (N, n) at begin, middle and end: classical RK4."""
     y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
     X, Y = x.reshape(-1), y.reshape(-1)
@@ -109,7 +103,7 @@ def _runge_kutta(x, t, dt, drift, p, slopes, work):
 
 
 @jit
-def _jump(sigma, w, work, x):
+def jump(sigma, w, work, x):
     """Add σ w_i to every path, w (m, N)."""
     scaled_noise(sigma, w, work[0])
     X, change = x.reshape(-1), work[0].reshape(-1)
@@ -152,35 +146,15 @@ def shifted_path_steps(x, t0, dt, drift, noise, p, L, normals):
         for i in range(3):
             root_now(noise, x, t + 0.5 * i * dt, p, L, g, sigma[i])
         _draw_path(normals[s], dt, path)
-        _jump(sigma[0], path[0], work, x)
+        jump(sigma[0], path[0], work, x)
         scaled_noise(sigma[0], path[1], slopes[0])
         middle = end = slopes[0]
         if np.any(sigma[1] != sigma[0]) or np.any(sigma[2] != sigma[0]):
             middle, end = slopes[1], slopes[2]
             scaled_noise(sigma[1], path[1], middle)
             scaled_noise(sigma[2], path[1], end)
-        _runge_kutta(x, t, dt, drift, p, (slopes[0], middle, end), work)
-        _jump(sigma[2], path[2], work, x)
-
-
-@jit
-def split_steps(x, t0, dt, drift, noise, p, L, normals):
-    """Strang splitting: noise in jumps, drift by RK4 between them; of weak order 2.
-
-    The jump that ends a step and the one that begins the next are one: there is one row of normals more than
-    there are steps, normals (steps + 1, m, N), and the first and the last row make half a jump.
-    """
-    N, n, m = x.shape[0], x.shape[1], L.shape[0]
-    nothing, work = np.zeros((N, n)), np.empty((5, N, n))
-    g, sigma = np.empty((1, n * m)), np.empty((n, m))
-    last = normals.shape[0] - 1
-    for s in range(last + 1):
-        t = t0 + s * dt
-        root_now(noise, x, t, p, L, g, sigma)
-        sigma *= np.sqrt(0.5 * dt if s == 0 or s == last else dt)
-        _jump(sigma, normals[s], work, x)
-        if s < last:
-            _runge_kutta(x, t, dt, drift, p, (nothing, nothing, nothing), work)
+        runge_kutta(x, t, dt, drift, p, (slopes[0], middle, end), work)
+        jump(sigma[2], path[2], work, x)
 
 
 # --- any noise ---

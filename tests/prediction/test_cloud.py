@@ -302,3 +302,12 @@ def test_steps_that_throw_points_out_are_seen_to_be_too_long():
     (mean, cov), (true, P) = (moments(ends.x, ends.w) for ends in (coarse, fine))
     np.testing.assert_allclose(mean, true, atol=0.03)
     np.testing.assert_allclose(cov, P, atol=0.03)
+
+
+@pytest.mark.parametrize("key", range(4))
+def test_chance_of_noise_that_depends_on_the_state_is_no_bias(key):
+    """Means are exact after steps of order two; points with a noise each would ask for 11 to 168."""
+    model = sf.SDE.from_expressions(["x", "h"], ["0", "-0.5*(h + 1)"], [["exp(h/2)", "0"], ["0", "0.7"]])
+    points = points_of_gaussian([0.0, -1.0], np.diag([0.1, 0.4]), 4096, key)
+    steps, bias, _ = chosen_steps(points, model, (0.0, 0.5), Steps(1), (1, 10_000), 0.002)
+    assert steps.number <= 10 and bias <= 0.002 and not steps.stiff

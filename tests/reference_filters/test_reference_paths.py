@@ -5,11 +5,11 @@ import pytest
 from density_cases import whitened
 from scipy.integrate import solve_ivp
 
-from reference_filters._blocks import standard_normals
+from reference_filters._blocks import split_steps, standard_normals
 from reference_filters._normals import LANES
 from reference_filters._paths import Paths
 from sphfilter import consistency
-from sphfilter.core.sde_steps import normals_per_step, shifted_path_steps, split_steps
+from sphfilter.core.sde_steps import normals_per_step, shifted_path_steps
 from sphfilter.errors import PropagationError
 from sphfilter.model.sde import SDE, LinearSDE
 
