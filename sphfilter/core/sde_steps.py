@@ -47,9 +47,6 @@ def steps(additive):
     return jit_for(_SIGNATURE, loop.py_func)
 
 
-# --- additive noise ---
-
-
 @jit
 def root_now(noise, x, t, p, L, g, sigma):
     """Fill σ = g L (n, m) at time t, for noise that does not depend on the state; g (1, n m) is scratch."""
@@ -155,9 +152,6 @@ def shifted_path_steps(x, t0, dt, drift, noise, p, L, normals):
             scaled_noise(sigma[2], path[1], end)
         runge_kutta(x, t, dt, drift, p, (slopes[0], middle, end), work)
         jump(sigma[2], path[2], work, x)
-
-
-# --- any noise ---
 
 
 @jit

@@ -130,6 +130,8 @@ def error_added(
     for model, end in legs:
         steps = Steps(1) if model.linear else Steps(max(math.ceil((end - t) / step), 1), stiff)
         moved, t, age = moved_points(moved, model, t, end, steps, many, stored_key(age, 1)), end, age + 1
+    if not np.isfinite(moved.x).all():
+        return math.nan
     beside = weighed(moved, sensor, stored_key(age, READING + 1))
     if not math.isfinite(beside.log_evidence):
         return math.nan

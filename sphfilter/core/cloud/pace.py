@@ -201,15 +201,16 @@ def parted(coarse, fine, groups):
 def moved_twice(leg, half, x, key):
     """Points x (K, n) at the end of a leg, and of one in steps of half the length along the same noise.
 
-    The noise of a step is that of the two that are its halves. Neighbours have mirrored noise, so that what
-    is odd in any of it, most of what paths are apart by, hardly moves their mean.
+    The noise of a step is that of the two that are its halves. Where it depends on the state, neighbours have
+    it mirrored: what is odd in any noise, most of what such paths are apart by, hardly moves their mean.
     """
     d, m = leg.steps * leg.root.shape[0], leg.root.shape[0]
     state, fine, Z = np.empty(LANES, np.uint64), np.empty((3, 2 * d, LANES)), np.empty((3, d, LANES))
     ends, middle, room = x.copy(), x.copy(), new_room(m)
     for k in range(0, len(x), LOOK):
         fill_noise(key, np.uint64(k // LOOK), leg.additive, state, fine)
-        _mirror(fine, m)
+        if not leg.additive:
+            _mirror(fine, m)
         for r in range(d):
             one = 2 * (r // m) * m + r % m
             for i in range(LANES):
