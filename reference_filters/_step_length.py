@@ -81,13 +81,12 @@ def _trial(scheme, x, t, h, functions, constants, work):
     change, moved, bend = work[0], work[1], work[2]
     if scheme == PLATEN:
         _general_trial(x, t, h, functions, p, L, work)
-        rms, largest = _in_deviations(change, moved, variance, unit)
-        by_drift, by_drift_largest = _in_deviations(bend, moved, variance, unit)
-        rms, largest = np.sqrt(rms**2 + by_drift), np.sqrt(largest**2 + by_drift_largest)
-        bend = moved
     else:
         _additive_trial(x, t, h, functions, p, L, work)
-        rms, largest = _in_deviations(change, moved, variance, unit)
+    rms, largest = _in_deviations(change, moved, variance, unit)
+    if scheme == PLATEN:
+        by_drift, by_drift_largest = _in_deviations(bend, moved, variance, unit)
+        rms, largest, bend = np.sqrt(rms**2 + by_drift), np.sqrt(largest**2 + by_drift_largest), moved
     if not np.isfinite(rms):
         return np.inf, np.inf, np.inf
     rate = _largest_ratio(change, bend, unit)

@@ -10,7 +10,7 @@ from experiments.terminal.running import status
 
 from .pool import Lost, run_tasks
 from .records import FILTERS, Record, record_of
-from .referees import Referee, referee
+from .referees import SIZES, Referee, referee
 from .relations import chosen_relations, related
 from .store import REFERENCE, load, save
 from .verdicts import judge
@@ -75,12 +75,8 @@ def _warm_up(console, examples, parts):
 
 def _compile(task):
     examples, part = task
-    if part == REFERENCE:
-        for case in examples[:_EXAMPLES]:
-            referee(_problem(case), case.seed, _EXAMPLE_SIZES)
-    else:
-        for case in examples:
-            _made(case, part, "")
+    for case in examples[:_EXAMPLES] if part == REFERENCE else examples:
+        _made(case, part, "", _EXAMPLE_SIZES)
 
 
 def _limit(seconds, task):
@@ -110,10 +106,10 @@ def _task(task):
     save(out, case, part, _made(case, part, out))
 
 
-def _made(case, part, out):
-    """A part of a case."""
+def _made(case, part, out, sizes=SIZES):
+    """A part of a case; the clouds of a reference have one of two numbers of particles."""
     if part == REFERENCE:
-        return referee(_problem(case), case.seed)
+        return referee(_problem(case), case.seed, sizes)
     name, _, number = part.partition(_RELATION)
     problem, make = problem_of(case, name), partial(FILTERS[name], seed=case.seed)
     if not number:
