@@ -8,7 +8,7 @@ import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.density.passage import Steps, chosen_steps, moved_points, points_of_gaussian
-from sphfilter.density.points import moments
+from sphfilter.density.points import Points, moments
 from sphfilter.density.storage import from_bytes, to_bytes
 
 CLOUD = sf.FilterConfig(scheme="cloud")
@@ -288,6 +288,21 @@ def test_steps_are_short_enough_for_the_narrowest_part_of_a_density():
     (x, P, _), *others = found
     off = [np.linalg.solve(np.linalg.cholesky(P), own - x) for own, *_ in others]
     assert np.sqrt(np.mean(np.square(off))) < 2.0 * np.sqrt(np.mean([told**2 for *_, told in others]))
+
+
+@pytest.mark.parametrize("far", [8.0, 20.0])
+def test_steps_are_short_enough_for_the_farthest_of_many_points(far):
+    """A few dozen of 4,097 points do not see the one that their steps would throw out."""
+    x = np.append(0.1 * stats.norm.ppf((np.arange(4096) + 0.5) / 4096), far)[:, None]
+    points, model, span = (
+        Points(x, np.full(4097, 1.0 / 4097)),
+        line("-x*(1 + 20*x**2/(25 + x**2))"),
+        (0.0, 1.0),
+    )
+    steps, bias, _ = chosen_steps(points, model, span, Steps(4), (1, 10_000), 0.01)
+    ends = moved_points(points, model, *span, steps, 4097, 1)
+    assert bias < 0.01 and not steps.stiff
+    assert np.abs(ends.x).max() < 2.0  # 4 steps: 7e4 and 1e6
 
 
 def test_steps_that_throw_points_out_are_seen_to_be_too_long():

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import jit
-from ..limits import LOOK, TINY
+from ..limits import LOOK, ROUNDING, TINY
 from ..step_control import HELPED, MORE
 from .curve import along_curve
 from .noise import LANES, fill_noise, mixed
@@ -31,6 +31,7 @@ _CHANCE = 0.25  # of the square by chance, the least that counts: χ² of four i
 _ASTRAY, _PARTS = 0.5, 64
 ORDER = 3.0  # of the steps' bias, of additive noise: measured by tests/core/test_cloud_core.py
 MOST_LOST = 0.1  # probability of points that were given up
+_AS_STIFF = 6  # steps that take as long as one of a stiff drift (measured on a fast turn)
 FIRST_TRIED = 4  # steps tried first, of stiff drifts, too; measured: 2 and 8 take .92 to 1.06 times the work
 
 
@@ -103,18 +104,24 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
 def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, most, allowed):
     """The result of `chosen` over one span, and whether no steps do because paths part."""
     every, x, before, again, astray = x, few(x, w, LOOK, table, bits), np.inf, False, False
-    best = number
+    far, best = farthest(every, w), number
     number, own = max(least, number), mixed(np.uint64(key), np.uint64(PILOT))
     while number <= most:
         flow = stiff_flow if stiff else leg.flow
         steps, half = over(leg, flow, *span, number), over(leg, flow, *span, 2 * number)
-        coarse, fine = moved_twice(steps, half, x, own)
+        coarse, fine = moved_twice(steps, half, np.concatenate((x, every[far])), own)
+        alone = 0.0 if stiff else thrown(coarse, fine, w[far])
+        coarse, fine = coarse[: len(x)], fine[: len(x)]
         apart, chance = parted(coarse, fine, _GROUPS)
         bias = _BEYOND * apart
         too_much = bias / allowed
         more = math.ceil(number * min(max(too_much ** (1.0 / ORDER), 1.2), MORE))
         if too_much > 1.0 and _may_be_chance(len(x), len(every), number, more, apart, chance, allowed):
             x, before, again = few(every, w, 4 * len(x), table, bits), np.inf, False  # a new look
+            continue
+        if not too_much > 1.0 and alone > allowed:
+            number, stiff = 2 * number, 2 * number > _AS_STIFF * max(least, FIRST_TRIED)
+            number, before, again = max(least, FIRST_TRIED) if stiff else number, np.inf, False
             continue
         astray = too_much > 1.0 and chance * math.sqrt(len(x) / _GROUPS) > _ASTRAY
         if not too_much > 1.0 or (stiff and (2 * number > most or not bias < HELPED * before)):
@@ -144,6 +151,45 @@ def few(x, w, count, table, bits):
     """A number of points of x (N, n) with weights w (N,), in order along the curve."""
     x = x[systematic(w, count, 0.5)]
     return x[along_curve(x, np.full(count, 1.0 / count), table, bits)]
+
+
+@jit
+def farthest(x, w):
+    """Numbers (2 n,) of the least and the greatest of points x (N, n), with weights w (N,), in each state."""
+    N, n = x.shape
+    far = np.full(2 * n, np.argmax(w))
+    for i in range(N):
+        if w[i] > 0.0:
+            for a in range(n):
+                if x[i, a] < x[far[2 * a], a]:
+                    far[2 * a] = i
+                if x[i, a] > x[far[2 * a + 1], a]:
+                    far[2 * a + 1] = i
+    return far
+
+
+@jit
+def thrown(coarse, fine, w):
+    """Part of a variance that coarse steps add by one of the last points, whose weights are w (k,), at most.
+
+    It is of what their ends (K, n) lie beyond all of the fine ones. A few dozen points do not see what steps
+    do to the farthest of many: those that are too long for a drift that pulls harder there throw them out.
+    """
+    K, n = fine.shape
+    most, ends = 0.0, np.empty(K)
+    for a in range(n):
+        ends[:] = fine[:, a]
+        ends.sort()
+        spread = max(ends[K - 1 - K // 8] - ends[K // 8], ROUNDING * abs(ends[K // 2]), TINY)
+        low, high = np.inf, -np.inf
+        for i in range(K):
+            if abs(ends[i] - ends[K // 2]) < AWAY * spread:  # else it is given up
+                low, high = min(low, ends[i]), ends[i]
+        for j in range(K - w.size, K):
+            off = max(low - coarse[j, a], coarse[j, a] - high) / spread
+            if low <= fine[j, a] <= high and not off <= 0.0:
+                most = max(most, w[j - K + w.size] * off * off if off < np.inf else np.inf)
+    return most
 
 
 @jit
@@ -207,8 +253,8 @@ def moved_twice(leg, half, x, key):
     d, m = leg.steps * leg.root.shape[0], leg.root.shape[0]
     state, fine, Z = np.empty(LANES, np.uint64), np.empty((3, 2 * d, LANES)), np.empty((3, d, LANES))
     ends, middle, room = x.copy(), x.copy(), new_room(m)
-    for k in range(0, len(x), LOOK):
-        fill_noise(key, np.uint64(k // LOOK), leg.additive, state, fine)
+    for k in range(0, len(x), LANES):
+        fill_noise(key, np.uint64(k // LANES), leg.additive, state, fine)
         if not leg.additive:
             _mirror(fine, m)
         for r in range(d):
@@ -219,8 +265,8 @@ def moved_twice(leg, half, x, key):
                 Z[1, r, i] = math.sqrt(0.125) * (fine[1, one, i] + fine[1, one + m, i])
                 Z[1, r, i] += math.sqrt(0.375) * (first - second)
                 Z[2, r, i] = fine[2, one, i]
-        walk(leg, middle[k : k + LOOK], Z, False, room)
-        walk(half, ends[k : k + LOOK], fine, False, room)
+        walk(leg, middle[k : k + LANES], Z, False, room)
+        walk(half, ends[k : k + LANES], fine, False, room)
     return middle, ends
 
 
