@@ -77,10 +77,9 @@ class Family(NamedTuple):
         return node_weights(self.basis, self.A, self.c @ self.basis.V)
 
     @property
-    def astray(self) -> bool:
-        """Are the moments not those of the frame, as where the polynomial rises far out?"""
-        off = moved(*node_moments(self.basis.xi, self.weighted()[0]))
-        return not off < ASTRAY
+    def astray(self) -> float:
+        """How far the moments are from those of the frame at most, as where the polynomial rises far out."""
+        return moved(*node_moments(self.basis.xi, self.weighted()[0]))
 
     def normalised(self) -> "Family":
         """The family with an integral of one."""

@@ -40,6 +40,8 @@ def by_lattice(
             gaussian,
             None if gaussian else asked.search(density, config),
         )
+        if found.off.edge > config.most_left_out and config.scheme == "auto":
+            raise PropagationError("it ends where the likelihood becomes zero, and polynomials do not")
         evidence_error = found.off.log_mass
         if gaussian:  # a closed form knows better than a sum over nodes
             summed, log_evidence = log_evidence, asked.gaussian_evidence

@@ -25,6 +25,7 @@ class Misfit(NamedTuple):
     residual: float  # mean over the mass of |p / p' - 1|
     mean: float  # error of the mean, in standard deviations
     log_mass: float  # error of the logarithm of the integral
+    edge: float = 0.0  # part of the mass that they put where there is none
 
 
 def misfit(laid: LatticeDensity, log_p: OfStates) -> Misfit:
@@ -55,6 +56,7 @@ def misfit(laid: LatticeDensity, log_p: OfStates) -> Misfit:
     highest = max(asked.max(), fitted.max())
     p, q = np.exp(asked - highest), np.exp(np.maximum(fitted - highest, -NOTHING))
     off = np.abs(q - p)[within].sum() / max(p[within].sum(), TINY)
+    edge = q[within & (p == 0.0)].sum() / max(p[within].sum(), TINY)
     p, q = p * part, q * part
     if not p.sum() > 0.0:
         return Misfit(1.0, 1.0, 1.0)
@@ -65,7 +67,7 @@ def misfit(laid: LatticeDensity, log_p: OfStates) -> Misfit:
     whitened = np.linalg.solve(np.linalg.cholesky(laid.cov), apart)
     integral = highest + np.log(p.sum() * abs(np.linalg.det(laid.field.A)))
     log_mass = max(abs(float(np.log(p.sum() / q.sum()))), abs(float(integral)))
-    return Misfit(residual, float(np.linalg.norm(whitened, axis=0).max()), log_mass)
+    return Misfit(residual, float(np.linalg.norm(whitened, axis=0).max()), log_mass, float(edge))
 
 
 class Beside(NamedTuple):

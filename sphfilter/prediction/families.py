@@ -128,7 +128,7 @@ class _Marches:
             if self._left < 0.0:
                 raise PropagationError("more families would be needed than a cloud takes points")
             moved = Family(y[:n], y[n : n + n * n].reshape(n, n), y[n + n * n :])
-            if STATUS[report.code] != "ok" or not np.isfinite(y).all() or moved.astray:
+            if STATUS[report.code] != "ok" or not np.isfinite(y).all() or not moved.astray < ASTRAY:
                 failed.append(k)
                 continue
             off = OF_RESIDUAL * (report.residual + report.stepping) * self._part(one)

@@ -14,7 +14,7 @@ from ..core.family.march import STATUS, Control, Report, march
 from ..core.family.rates import RATES, Flow
 from ..core.family.rules import degrees
 from ..density.as_family import family_density, family_of
-from ..density.family import OF_MISFIT, Family
+from ..density.family import ASTRAY, OF_MISFIT, Family
 from ..density.particle_density import ParticleDensity
 from ..errors import ConfigError, PropagationError, StoppedError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
@@ -111,9 +111,11 @@ def carried_family(
     if STATUS[report.code] != "ok":
         raise _given_up(model, y, report, density.t, t1)
     moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()
-    residual = math.hypot(OF_RESIDUAL * report.residual, OF_RESIDUAL * report.stepping, OF_MISFIT * misfit)
+    astray = moved.astray
+    told = OF_RESIDUAL * report.residual, OF_RESIDUAL * report.stepping, OF_MISFIT * misfit
+    residual = math.hypot(*told, astray)
     error = math.hypot(density.error, residual)
-    if not residual < most or moved.astray:
+    if not residual < most or not astray < ASTRAY:
         raise PropagationError(
             f"prediction from {density.t:g} to {t1:g}: {_NOT_FOLLOWED}; the mean would be off by {error:.2g} "
             f"standard deviations"

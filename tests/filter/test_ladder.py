@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import sphfilter as sf
 from experiments.scene.scenario import load_scenario
@@ -122,6 +123,36 @@ def test_whoever_knows_no_family_is_given_a_lattice():
     np.testing.assert_allclose(told.densities[-1].mean(), ends[0], atol=1e-3)
     states = start.spread()
     np.testing.assert_allclose(states.w @ states.X, [1.0], atol=1e-3)
+
+
+def test_a_family_that_rises_far_out_is_seen_to_be_off():
+    """Moments go through a linear model exactly; polynomials that rise far out add a quarter to a P."""
+    model = sf.LinearSDE([[-0.124]], noise=[[0.4431]])
+    sensor = sf.GaussianMeasurement(lambda x, t: (x[0] ** 2,), [[0.157]])
+    flt = sf.SPHFilter(model, sensor, [0.82], [[0.041]], n_particles="auto")
+    flow, _, Q = model.discretize(0.467)
+    for z in (0.741, 1.243, 1.421):
+        P = flt.P
+        info = flt.predict(0.467)
+        np.testing.assert_allclose(flt.P, flow @ P @ flow.T + Q, rtol=max(6.0 * info.error, 0.003))
+        flt.update(z)
+
+
+@pytest.mark.parametrize("count", ["auto", 200])
+def test_readings_that_leave_nothing_outside_cut_the_density_there(count):
+    """A prior that does not spread is cut to an interval by every reading: to a cut Gaussian."""
+    model = sf.LinearSDE([[-0.23]], noise=[[0.0]])
+    inside = lambda z, X, t: np.where(abs(z[0] - X[:, 0]) <= 0.072, 0.0, -np.inf)  # noqa: E731
+    sensor = sf.LikelihoodMeasurement(inside, 1)
+    flt, low, high = sf.SPHFilter(model, sensor, [-1.6], [[0.016]], n_particles=count), -np.inf, np.inf
+    for t, z in ((0.19, -1.44), (0.57, -1.296), (0.96, -1.152), (1.37, -1.008)):
+        flt.predict(t=t)
+        info, flow = flt.update(z), np.exp(-0.23 * t)
+        low, high = max(low, (z - 0.072) / flow), min(high, (z + 0.072) / flow)
+        scale = np.sqrt(0.016)
+        exact = stats.truncnorm((low + 1.6) / scale, (high + 1.6) / scale, -1.6 * flow, scale * flow)
+        assert abs(flt.x[0] - exact.mean()) < 3.0 * info.error * exact.std()
+        assert abs(flt.P[0, 0] / exact.var() - 1.0) < 6.0 * info.error
 
 
 def test_records_are_smoothed_on_lattices():
