@@ -28,8 +28,8 @@ from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
 from ..model.sde import SDE
-from ..model.simulate import rate_of_time
 from ._shared import blow_up, carried_off, skip_notes
+from .time_slices import slices_at
 
 __all__ = [
     "Carried",
@@ -195,7 +195,7 @@ def _steps(
     if lost > 2.0 * MOST_LOST:  # of a few: all need not be asked, each of which takes long
         raise PropagationError(_blow_up(model, points, *span))
     _enough(steps.number, most, span)
-    next_step = step_after(dt * shorter, steps.number, least, bias / allowed)
+    next_step = step_after(dt * shorter, steps.number, bias / allowed)
     bias = pace.bias + (bias if math.isfinite(bias) else 0.0)
     return steps, Pace(next_step, steps.stiff, legs, bias)
 
@@ -204,7 +204,7 @@ def least_steps(model: SDE, x: Floats, span: tuple[float, float]) -> int:
     """Steps of a span that a model's own bound asks for, and how it changes with time at points x (N, n)."""
     dt = span[1] - span[0]
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
-    return least if model.autonomous else max(least, math.ceil(dt * rate_of_time(model, x[:LOOK], *span)))
+    return max(least, slices_at(model, x, *span))
 
 
 def _beside_walls(model: SDE, points: Points, t: float) -> float:

@@ -1,19 +1,22 @@
 """How many equal steps see a model change in time, where it does not say so itself."""
 
-from collections.abc import Callable
+import math
 
 import numpy as np
 
-from .._types import Floats
+from .._types import BatchFunction, Floats
+from ..core.limits import SAID
 from ..density.particle_density import ParticleDensity
+from ..model.compile import surfacing
 from ..model.derived import scales
 from ..model.sde import SDE
 
-__all__ = ["drift_slices", "noise_samples"]
+__all__ = ["drift_slices", "noise_samples", "slices_at"]
 
 _SLICES = (17, 37, 79, 167, 347, 709)  # odd and without common factors, so that oscillations hide from none
 _FINE = _SLICES[-2]  # a pulse of a hundredth of the interval has 347 / 100 = 3.5 of its times
 _ERROR = 1e-3  # of an integral up to any time, by the middles of the steps
+_FEWER, _STATES = (1, 2, 3, 5, 9), 8  # steps of a cloud, too; and states of it that are asked
 
 
 def noise_samples(model: SDE, t0: float, t1: float, around: Floats | None = None) -> tuple[Floats, int]:
@@ -24,46 +27,63 @@ def noise_samples(model: SDE, t0: float, t1: float, around: Floats | None = None
     origin = np.zeros((1, model.dim)) if around is None else around[None]
     if model.constant_diffusion:
         return model.diffusion(origin, t0), _SLICES[0]
-    D, slices = _sampled(lambda t: model.diffusion(origin, t)[0], t0, t1, _of_noise)
-    return D, slices
+    D = _over_time(model.diffusion_batch, model, origin, t0, t1, model.dim**2)
+    return D.reshape(-1, model.dim, model.dim), _slices(*_of_noise(D), _SLICES)
 
 
 def drift_slices(model: SDE, density: ParticleDensity, t1: float) -> int:
     """Return how many equal steps to time t1 see the drift change where the density is."""
     mean, std = density.mean(), np.sqrt(np.diag(density.cov()))
     around = np.concatenate([mean[None], mean + np.diag(std), mean - np.diag(std)])
-    span = t1 - density.t
+    return _slices(*_of_drift(model, around, density.t, t1, std), _SLICES)
 
-    def moved(f: Floats) -> tuple[Floats, float]:
-        f = f * span / std
-        return f, 1.0 + float(np.abs(f).mean(axis=0).max())
 
-    return _sampled(lambda t: model.drift(around, t), density.t, t1, moved)[1]
+def slices_at(model: SDE, x: Floats, t0: float, t1: float) -> int:
+    """Return how many equal steps see drift and noise change with time at some of the states x (N, n)."""
+    if model.autonomous:
+        return 1
+    X, slices = np.ascontiguousarray(x[:: -(-len(x) // _STATES)]), (*_FEWER, *_SLICES)
+    found = _slices(*_of_drift(model, X, t0, t1, x.std(axis=0)), slices, SAID)
+    if model.constant_diffusion:
+        return found
+    D = _over_time(model.diffusion_batch, model, X, t0, t1, model.dim**2)
+    return max(found, _slices(*_of_noise(D), slices, SAID))
+
+
+def _over_time(batch: BatchFunction, model: SDE, X: Floats, t0: float, t1: float, columns: int) -> Floats:
+    """Values (S, N, columns) of a function of a model at states X (N, n), at many times."""
+    values = np.empty((_FINE, len(X), columns))
+    with surfacing():
+        for value, share in zip(values, _middles(_FINE).tolist(), strict=True):
+            batch(X, t0 + (t1 - t0) * share, model.p, value)
+    return _known(values)
+
+
+def _of_drift(model: SDE, X: Floats, t0: float, t1: float, std: Floats) -> tuple[Floats, float]:
+    """Ways (S, N, n) that the drift would move states X in the interval, in deviations; and their size."""
+    per_std = (t1 - t0) / np.where(std > 0.0, std, 1.0)
+    f = _over_time(model.drift_batch, model, X, t0, t1, model.dim) * per_std
+    return f, 1.0 + float(np.abs(f).mean(axis=0).max())
 
 
 def _of_noise(D: Floats) -> tuple[Floats, float]:
-    d = scales(np.abs(D).mean(axis=0))
-    scaled = D / np.outer(d, d)
+    """Values (S, N, n²) of D in units of their sizes, and how large they are then."""
+    n = math.isqrt(D.shape[-1])
+    d = scales(np.abs(D).mean(axis=(0, 1)).reshape(n, n))
+    scaled = D / np.outer(d, d).ravel()
     return scaled, float(np.abs(scaled).mean(axis=0).max())
 
 
-def _sampled(
-    ask: Callable[[float], Floats],
-    t0: float,
-    t1: float,
-    sized: Callable[[Floats], tuple[Floats, float]],
-) -> tuple[Floats, int]:
-    """Values at the middles of many steps, and the fewest steps whose middles have their running integral."""
-    fine = _known(np.array([ask(t0 + (t1 - t0) * s) for s in _middles(_FINE)]))
-    values, size = sized(fine)
-    whole = _running(values)
-    for slices in _SLICES:
-        if slices < _FINE:
-            coarse = _running(_between(values, _middles(slices) * _FINE - 0.5))
-            exact = _between(whole, np.linspace(0.0, _FINE, slices + 1))
-            if np.abs(coarse - exact).max() <= _ERROR * size:
-                return fine, slices
-    return fine, _SLICES[-1]
+def _slices(values: Floats, size: float, slices: tuple[int, ...], error: float = _ERROR) -> int:
+    """The fewest steps whose middles have the running integral of values (S, ...), as all more of them do."""
+    whole, fewest = _running(values), slices[-1]
+    for count in (count for count in reversed(slices) if count < _FINE):
+        coarse = _running(_between(values, _middles(count) * _FINE - 0.5))
+        exact = _between(whole, np.linspace(0.0, _FINE, count + 1))
+        if not np.abs(coarse - exact).max() <= error * size:
+            break
+        fewest = count
+    return fewest
 
 
 def _known(values: Floats) -> Floats:

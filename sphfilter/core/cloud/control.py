@@ -123,10 +123,9 @@ def bias_allowed(error, count, inherited, most, target, legs):
 
 
 @register_jitable
-def step_after(dt, number, least, over):
+def step_after(dt, number, over):
     """Length of the next step after so many over a time, whose bias was so much of what is allowed."""
-    longest = number * min(over / _AIMED, 1.0) ** (1.0 / STEPS_ORDER)
-    return dt / max(longest, float(least))
+    return dt / max(number * min(over / _AIMED, 1.0) ** (1.0 / STEPS_ORDER), 1.0)
 
 
 @register_jitable

@@ -230,7 +230,7 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
     own = over(leg, stiff_flow if stiff else leg.flow, span[0], span[1], steps)
     if lost > 2.0 * MOST_LOST or steps > bounds.most:
         return own, s.step, np.inf
-    step = step_after(dt, steps, least, bias / allowed)
+    step = step_after(dt, steps, bias / allowed)
     return own, step, bias if bias < np.inf else 0.0
 
 
