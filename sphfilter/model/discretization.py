@@ -67,12 +67,6 @@ def transition(A: Floats, b: Floats, spread: Floats, dt: float) -> tuple[Floats,
         Covariance that noise adds in a second.
     dt : float
         Seconds, >= 0.
-
-    Returns
-    -------
-    Phi : ndarray, shape (n, n)
-    offset : ndarray, shape (n,)
-    Qd : ndarray, shape (n, n)
     """
     n = len(A)
     # in units in which the rows of A are like its columns: norms say nothing in those of the states

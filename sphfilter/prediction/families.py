@@ -22,7 +22,7 @@ from ..model.compile import surfacing
 from ..model.sde import SDE
 from .family import OF_RESIDUAL, flow_of, longest_step
 
-__all__ = ["LEVELS", "bent", "carried_families", "degree_of_parts"]
+__all__ = ["LEVELS", "bent", "carried_families"]
 
 _HIGHEST = 5  # degree of parts: higher ones stall more often than they follow better
 LEVELS = 2  # of splits
@@ -33,20 +33,9 @@ _LIGHT = 0.03  # of the error that may be added, over the share of a part that i
 def carried_families(
     density: ParticleDensity, model: SDE, t1: float, allowed: float, most: float, levels: int = LEVELS
 ) -> tuple[ParticleDensity, PredictInfo]:
-    """Carry several families to time t1, or one that does not follow, by its parts.
+    """Carry several families to time t1, or one that does not follow, by its parts, split up to `levels` times.
 
-    Parameters
-    ----------
-    density : ParticleDensity
-    model : SDE
-    t1 : float
-        Seconds.
-    allowed : float
-        Error that may be added, standard deviations.
-    most : float
-        Nodes of all parts at which the model may be asked.
-    levels : int
-        Of splits.
+    They may add an error, in standard deviations, and ask the model at so many nodes of all parts at most.
 
     Raises
     ------
@@ -87,18 +76,13 @@ def bent(density: ParticleDensity, model: SDE, t1: float) -> bool:
     return bool(bend * (t1 - density.t) > ASTRAY)
 
 
-def degree_of_parts(n: int) -> int:
-    """Degree of the families of n states that a density is the sum of."""
-    return max(d for d in degrees(n) if d <= _HIGHEST)
-
-
 class _Marches:
     """Parts that are carried one by one, and the work that took."""
 
     def __init__(self, density: ParticleDensity, model: SDE, t1: float, allowed: float, most: float) -> None:
         self._model, self._flow, self._span = model, flow_of(model), (density.t, t1)
         self._longest, self._allowed, self._left = longest_step(model, density, t1), allowed, most
-        self._degree = degree_of_parts(density.dim)
+        self._degree = max(d for d in degrees(density.dim) if d <= _HIGHEST)
         self._back = np.linalg.inv(np.linalg.cholesky(density.cov()))
         self._done: list[tuple[float, Family, float]] = []  # log of the weight, family, and its error
         self._odd, self._plain, self._lost, self.steps, self.evaluations = 0.0, 0.0, 0.0, 0, 0

@@ -1,7 +1,7 @@
 """Sums of densities as one density: what the modes of a model become where states switch between them.
 
-A sum is kept as one where Gaussians or families are added, whose middles are merged as far as an error allows
-it. Others are laid on a new lattice by the logarithm of the sum, or go on as the points of all.
+A sum is kept as one where Gaussians are added, which are merged as far as an error allows it. Others become one
+family, where one holds them, or lie on a new lattice by the logarithm of the sum, or go on as points.
 """
 
 import math
@@ -14,7 +14,6 @@ import numpy as np
 from scipy.special import logsumexp
 
 from .._types import Floats, OfStates
-from ..core.family.basis import size
 from ..core.family.rules import degrees
 from ..core.field.walls import NO_WALLS
 from ..core.limits import LITTLE
@@ -22,21 +21,18 @@ from ..core.step_control import HELPED
 from ..density.as_cloud import cloud_density
 from ..density.as_family import (
     as_polynomials,
-    families_density,
     family_density,
     moments_on_line,
     pieces_density,
 )
 from ..density.cloud import points_of
-from ..density.families import Families
 from ..density.families_posterior import AWAY
-from ..density.family import OF_MISFIT, fitted, gaussian_family, moments_apart, node_moments
-from ..density.gathering import merged_families
+from ..density.family import OF_MISFIT, fitted, moments_apart, node_moments
 from ..density.memory import MOST_POINTS, Memory, min_nodes
 from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.passage import age_of, stored_key
-from ..density.pieces import HEAVY, Pieces, light, root_of
+from ..density.pieces import Pieces, light, root_of
 from ..density.points import moments_of_sum
 from ..density.resample import logarithm
 from ..errors import PropagationError
@@ -46,7 +42,6 @@ from ..lattice.level_set import lattice_reach, lay
 from ..model.domain import Domain
 from . import family
 from .again import MOST
-from .families import degree_of_parts
 from .ladder import first_degree, prefers_cloud
 
 __all__ = ["Part", "mixed"]
@@ -96,7 +91,7 @@ def mixed(parts: Sequence[Part], target: float, errors: tuple[float, float]) -> 
     if len(parts) == 1:
         return first.noted(error=error)
     first = first.noted(error=error, needs=_needs(parts))
-    for way in (_as_pieces, _as_family, _as_families):
+    for way in (_as_pieces, _as_family):
         found = way(parts, first, allowed)
         if found is not None:
             return found
@@ -205,45 +200,6 @@ def _as_family(parts: Sequence[Part], about: ParticleDensity, allowed: float) ->
             error = math.hypot(about.error, added)
             return family_density(about, found, error=error, gaussian=False).noted(needs=about.needs)
     return None
-
-
-def _as_families(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
-    """Families, all of them, gathered; None where a part is none, or a lattice does as well."""
-    if about.domain is not None or about.dim <= 2:
-        return None
-    known = [p.density.families or p.density.family or p.density.pieces for p in parts]
-    if not all(known):
-        return None
-    several, misfits = zip(*(_families_of(part, degree_of_parts(about.dim)) for part in parts), strict=True)
-    union = Families(*(np.concatenate(part) for part in zip(*several, strict=True)))
-    off = OF_MISFIT * float(np.exp([part.log_w for part in parts]) @ misfits)
-    try:
-        families, change = merged_families(union, allowed, HEAVY)
-    except np.linalg.LinAlgError:
-        return None
-    error = math.hypot(about.error, change, off)
-    return families_density(about, families, error=error).noted(needs=about.needs)
-
-
-def _families_of(part: Part, degree: int) -> tuple[Families, float]:
-    """Families of a degree that a part is the sum of, and the misfit of one whose degree is higher."""
-    density, n, misfit = part.density, part.density.dim, 0.0
-    if density.families is not None:
-        own = density.families
-        mu, A, c, log_w = own.mu, own.A, own.c, own.log_w
-    elif density.family is not None:
-        one = density.family
-        if one.degree > degree:
-            one, misfit = fitted(one.log_p, *moments_on_line(density), degree)
-        mu, A, c = (np.array([value]) for value in one)
-        log_w = np.zeros(1)
-    else:
-        pieces = _pieces_of(part)
-        several = [gaussian_family(*about, degree) for about in zip(pieces.mean, pieces.cov, strict=True)]
-        mu, A, c = (np.array(value) for value in zip(*several, strict=True))
-        log_w = pieces.log_w - part.log_w
-    more = np.zeros((len(c), size(n, degree) - c.shape[1]))  # higher powers come last
-    return Families(log_w + part.log_w, mu, A, np.hstack([c, more])), misfit
 
 
 def _turned(parts: Sequence[Part]) -> list[Floats]:

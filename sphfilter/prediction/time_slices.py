@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from .._types import BatchFunction, Floats
-from ..core.limits import SAID
+from ..core.limits import LOOK, SAID
 from ..density.particle_density import ParticleDensity
 from ..model.compile import surfacing
 from ..model.derived import scales
@@ -13,10 +13,10 @@ from ..model.sde import SDE
 
 __all__ = ["drift_slices", "noise_samples", "slices_at"]
 
-_SLICES = (17, 37, 79, 167, 347, 709)  # odd and without common factors, so that oscillations hide from none
+#: Five of clouds, then odd ones without common factors, so that oscillations hide from none.
+_SLICES = (1, 2, 3, 5, 9, 17, 37, 79, 167, 347, 709)
 _FINE = _SLICES[-2]  # a pulse of a hundredth of the interval has 347 / 100 = 3.5 of its times
 _ERROR = 1e-3  # of an integral up to any time, by the middles of the steps
-_FEWER, _STATES = (1, 2, 3, 5, 9), 8  # steps of a cloud, too; and states of it that are asked
 
 
 def noise_samples(model: SDE, t0: float, t1: float, around: Floats | None = None) -> tuple[Floats, int]:
@@ -26,28 +26,28 @@ def noise_samples(model: SDE, t0: float, t1: float, around: Floats | None = None
     """
     origin = np.zeros((1, model.dim)) if around is None else around[None]
     if model.constant_diffusion:
-        return model.diffusion(origin, t0), _SLICES[0]
+        return model.diffusion(origin, t0), _SLICES[5]
     D = _over_time(model.diffusion_batch, model, origin, t0, t1, model.dim**2)
-    return D.reshape(-1, model.dim, model.dim), _slices(*_of_noise(D), _SLICES)
+    return D.reshape(-1, model.dim, model.dim), _slices(*_of_noise(D), _SLICES[5:])
 
 
 def drift_slices(model: SDE, density: ParticleDensity, t1: float) -> int:
     """Return how many equal steps to time t1 see the drift change where the density is."""
     mean, std = density.mean(), np.sqrt(np.diag(density.cov()))
     around = np.concatenate([mean[None], mean + np.diag(std), mean - np.diag(std)])
-    return _slices(*_of_drift(model, around, density.t, t1, std), _SLICES)
+    return _slices(*_of_drift(model, around, density.t, t1, std), _SLICES[5:])
 
 
 def slices_at(model: SDE, x: Floats, t0: float, t1: float) -> int:
     """Return how many equal steps see drift and noise change with time at some of the states x (N, n)."""
     if model.autonomous:
         return 1
-    X, slices = np.ascontiguousarray(x[:: -(-len(x) // _STATES)]), (*_FEWER, *_SLICES)
-    found = _slices(*_of_drift(model, X, t0, t1, x.std(axis=0)), slices, SAID)
+    X = np.ascontiguousarray(x[:: -(-len(x) // LOOK)])
+    found = _slices(*_of_drift(model, X, t0, t1, x.std(axis=0)), _SLICES, SAID)
     if model.constant_diffusion:
         return found
     D = _over_time(model.diffusion_batch, model, X, t0, t1, model.dim**2)
-    return max(found, _slices(*_of_noise(D), slices, SAID))
+    return max(found, _slices(*_of_noise(D), _SLICES, SAID))
 
 
 def _over_time(batch: BatchFunction, model: SDE, X: Floats, t0: float, t1: float, columns: int) -> Floats:

@@ -31,7 +31,6 @@ _CHANCE = 0.25  # of the square by chance, the least that counts: χ² of four i
 _ASTRAY, _PARTS = 0.5, 64
 ORDER = 3.0  # of the steps' bias, of additive noise: measured by tests/core/test_cloud_core.py
 MOST_LOST = 0.1  # probability of points that were given up
-_AS_STIFF = 6  # steps that take as long as one of a stiff drift (measured on a fast turn)
 FIRST_TRIED = 4  # steps tried first, of stiff drifts, too; measured: 2 and 8 take .92 to 1.06 times the work
 
 
@@ -120,7 +119,7 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
             x, before, again = few(every, w, 4 * len(x), table, bits), np.inf, False  # a new look
             continue
         if not too_much > 1.0 and alone > allowed:
-            number, stiff = 2 * number, 2 * number > _AS_STIFF * max(least, FIRST_TRIED)
+            number, stiff = 2 * number, 2 * number > MORE * max(least, FIRST_TRIED)
             number, before, again = max(least, FIRST_TRIED) if stiff else number, np.inf, False
             continue
         astray = too_much > 1.0 and chance * math.sqrt(len(x) / _GROUPS) > _ASTRAY
