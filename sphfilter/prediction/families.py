@@ -33,7 +33,7 @@ _LIGHT = 0.03  # of the error that may be added, over the share of a part that i
 def carried_families(
     density: ParticleDensity, model: SDE, t1: float, allowed: float, most: float, levels: int = LEVELS
 ) -> tuple[ParticleDensity, PredictInfo]:
-    """Carry several families to time t1, or one that does not follow, by its parts, split up to `levels` times.
+    """Carry families to time t1, or one that does not follow, by its parts, split up to `levels` times.
 
     They may add an error, in standard deviations, and ask the model at so many nodes of all parts at most.
 

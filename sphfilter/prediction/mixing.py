@@ -1,6 +1,6 @@
 """Sums of densities as one density: what the modes of a model become where states switch between them.
 
-A sum is kept as one where Gaussians are added, which are merged as far as an error allows it. Others become one
+A sum is kept as one where Gaussians are added, which are merged as far as an error allows. Others become one
 family, where one holds them, or lie on a new lattice by the logarithm of the sum, or go on as points.
 """
 
