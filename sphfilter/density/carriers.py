@@ -2,10 +2,14 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from .._types import Floats, Ints
 from ..core.cloud.weights import carriers
 
-__all__ = ["Carried"]
+__all__ = ["NO_LINES", "Carried"]
+
+NO_LINES = np.empty((0, 0), np.int64)  # of points each its own
 
 
 class Carried(NamedTuple):
@@ -13,7 +17,7 @@ class Carried(NamedTuple):
 
     x: Floats
     w: Floats
-    lineage: Ints  # (N,)
+    lineage: Ints  # (readings, N): ancestors among the prior's points, and those of readings before
     log_evidence: float
     mean: Floats  # (n,)
     cov: Floats  # (n, n)
@@ -21,6 +25,9 @@ class Carried(NamedTuple):
     lineages: float  # for the evidence
 
     @classmethod
-    def of(cls, x: Floats, log_w: Floats, lineage: Ints) -> "Carried":
-        """States with log-weights (N,) whose sum is the evidence, and the ancestor (N,) of each."""
-        return cls(*carriers(x, log_w, lineage))
+    def of(cls, x: Floats, log_w: Floats, ancestor: Ints, older: Ints = NO_LINES) -> "Carried":
+        """States with log-weights (N,) whose sum is the evidence, and each one's ancestor (N,) in the prior.
+
+        The prior's points may have lineages (readings, M).
+        """
+        return cls(*carriers(x, log_w, ancestor, older))

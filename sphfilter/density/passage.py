@@ -22,6 +22,7 @@ from ..model.compile import surfacing
 from ..model.discretization import linear_transition
 from ..model.sde import SDE
 from ..model.simulate import noise_root
+from .carriers import NO_LINES
 from .nets import net
 from .points import CloudState, Pace, Passage, Path, Points, Told
 
@@ -55,7 +56,7 @@ READING = 2  # of the key of an age: a reading of a cloud; and of its shadow the
 #: Least part of a start's spread that is noise. Measured: with a quarter and a half, evaluations of two
 #: scenes are 1 to 1.15 times as many, errors .9 to 1.15 times as large.
 _SPREAD = 1.0 / 3.0
-_EACH_ITS_OWN, _NO_ROWS = np.empty(0, np.int64), np.empty((1, 0, 0))
+_NO_ROWS = np.empty((1, 0, 0))
 _NO_CHANGES = np.empty((0, 0, 0)), np.empty((0, 0)), np.empty((0, 0, 0))
 
 
@@ -81,9 +82,10 @@ def points_of_sample(points: Points, count: int, key: int) -> Points:
     """Weighted points of any density as the begin of a path of `count` points."""
     n = points.x.shape[1]
     about = _lineage_of(points), count, key, net(count, n, 0), *places(n)
-    start, y, u, w, block, middle, lower, flow = begin(as_compiled(points.x), as_compiled(points.w), *about)
+    begun = begin(as_compiled(points.x), as_compiled(points.w), *about)
+    start, y, u, w, block, middle, lower, flow, older = begun
     kernel = Passage(None, stored_key(key, KERNEL), middle, middle, flow, lower, _NO_ROWS)
-    return Points(y, w, Path(start, block, (kernel,), (u,)))
+    return Points(y, w, Path(start, block, (kernel,), (u,), older))
 
 
 def moved_points(
@@ -95,7 +97,7 @@ def moved_points(
         points = points_of_sample(points, count, key)
         path = points.path
         assert path is not None
-    (start, block, passages, U), leg = path, None
+    (start, block, passages, U, _), leg = path, None
     about = points.x, block, net(count, model.dim, len(passages)), key
     if model.linear:
         x, u, *linear = carry_linear(change_of(model, t1 - t0), *about)
@@ -104,7 +106,7 @@ def moved_points(
         with surfacing():
             x, u, *linear = carry(leg, *about)
     passage = Passage(leg, key, *linear)._replace(model=model, span=(t0, t1), steps=steps)
-    return Points(x, points.w, Path(start, block, (*passages, passage), (*U, u)))
+    return Points(x, points.w, Path(start, block, (*passages, passage), (*U, u), path.older))
 
 
 def age_of(density: Any) -> int:
@@ -198,8 +200,8 @@ def _state_of(standing: Standing) -> CloudState:
 
 
 def _lineage_of(points: Points) -> Ints:
-    """Numbers (N,) of what points come from; none, where each is its own."""
-    return _EACH_ITS_OWN if points.lineage is None else points.lineage
+    """Numbers (readings, N) of what points come from; none, where each is its own."""
+    return NO_LINES if points.lineage is None else points.lineage
 
 
 def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:
@@ -215,7 +217,7 @@ def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:
         x = gone(passage, x, u, path.block, False)
         passages.append(passage)
         U.append(u)
-    return Path(path.x, path.block, tuple(passages), tuple(U))
+    return Path(path.x, path.block, tuple(passages), tuple(U), path.older)
 
 
 def even(count: int, dim: int, key: int, part: int) -> Floats:

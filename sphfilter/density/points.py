@@ -9,6 +9,7 @@ from .._types import Floats, Ints
 from ..core.cloud.control import decisive, error_by, expected_square, smoothed, square_of_more
 from ..core.cloud.steps import Leg
 from ..core.cloud.weights import weighted_moments
+from .carriers import NO_LINES
 
 __all__ = ["CloudState", "Pace", "Passage", "Path", "Points", "Prior", "Told", "moments", "moments_of_sum"]
 
@@ -38,6 +39,7 @@ class Path(NamedTuple):
     block: Ints  # (N,), of each point, never decreasing
     passages: tuple[Passage, ...]
     u: tuple[Floats, ...]  # (N, n) each: standard normals that moved the ends of each passage
+    older: Ints = NO_LINES  # (readings, N): where those came from
 
 
 class Prior(NamedTuple):
@@ -55,8 +57,14 @@ class Points(NamedTuple):
     w: Floats
     path: Path | None = None  # since the last reading
     prior: Prior | None = None  # before the readings of this time
-    #: (N,): points of a number come from one point of the prior; None: each its own.
+    #: (readings, N): points of a number in the first row come from one point of the prior, in the second from
+    #: one of the prior of the reading before; None: each its own.
     lineage: Ints | None = None
+
+    @property
+    def older(self) -> Ints:
+        """Lineages (readings, N) of a prior's points."""
+        return NO_LINES if self.path is None else self.path.older
 
 
 class Told(NamedTuple):

@@ -19,6 +19,7 @@ from ..errors import ModelError
 from ..model.domain import Domain
 from ..model.sde import SDE
 from .as_cloud import cloud_density, cloud_of
+from .carriers import NO_LINES
 from .families import Families
 from .family import Family
 from .memory import Memory
@@ -134,7 +135,7 @@ def _stored_cloud(state: CloudState) -> Arrays:
             arrays[f"{name}.family"] = points.lineage
         if points.path is None:
             continue
-        arrays[f"{name}.path"] = points.path.x
+        arrays |= under(name, {"path": points.path.x, "older": points.path.older})
         for k, passage in enumerate(points.path.passages):
             known: Arrays = {"key": np.array(passage.key)}
             if passage.model is None:
@@ -160,7 +161,8 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) ->
 
 def _points_from(arrays: Arrays, models: Sequence[SDE]) -> Points:
     """The points of a cloud, with their path where models are given."""
-    points = Points(arrays["x"], arrays["w"], lineage=arrays.get("family"))
+    family = arrays.get("family")  # older files have one row
+    points = Points(arrays["x"], arrays["w"], lineage=None if family is None else np.atleast_2d(family))
     passages: list[Passage] = []
     while f"{len(passages)}.key" in arrays:
         known = part(str(len(passages)), arrays)
@@ -168,7 +170,8 @@ def _points_from(arrays: Arrays, models: Sequence[SDE]) -> Points:
     predictions = sum(p.span[1] > p.span[0] for p in passages)
     if not passages or predictions > len(models) > 1 or not (models or predictions == 0):
         return points
-    path = Path(arrays["path"], blocks_of(len(points.w)), tuple(passages), ())
+    begun = arrays["path"], blocks_of(len(points.w)), tuple(passages), ()
+    path = Path(*begun, arrays.get("older", NO_LINES))
     own = tuple(models) if len(models) > 1 else tuple(models) * predictions
     return points._replace(path=gone_again(path, own))
 

@@ -78,7 +78,7 @@ def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
     found = _best(points, sensor, key)
     x, w, lineage = found.x, found.w, found.lineage
     if not found.lineages > 0.0:
-        x, w, lineage = points.x, points.w, np.arange(len(points.w))
+        x, w, lineage = points.x, points.w, np.arange(len(points.w))[None]
     after = Points(x, w, None, Prior(points, sensor.asked, found.log_evidence), lineage)
     return Weighed.of(found, after, before)
 
@@ -122,14 +122,14 @@ def _at_once(points: Points, sensor: Stacked, key: int) -> Carried | None:
     nets = net(count, n, LED), net(count, n, 0), net(count, n, 1)
     with surfacing():
         *found, wrong = weigh(reader, *about, kernel, moved, *path.u, nets, key)
-    return None if wrong else Carried.of(*found)
+    return None if wrong else Carried.of(*found, path.older)
 
 
 def _in_turn(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Stacked]:
     """The posterior of the first pass, or of both where that is uneven; and the sensor with its guide."""
     h = None if sensor.hidden else sensor.predict(points.x)
     log_l = sensor.log_likelihood(points.x, h)
-    best = Carried.of(points.x, prior_times(points.w, log_l), np.arange(len(points.w)))
+    best = Carried.of(points.x, prior_times(points.w, log_l), np.arange(len(points.w)), points.older)
     if points.path is None or best.lineages >= ALIKE * effective(points.w):
         return best, sensor
     if sensor.hidden:
@@ -142,7 +142,7 @@ def _twice(points: Points, log_l: Floats, h: Floats, sensor: Stacked, key: int) 
     """The posterior of both passes, with readings h (N, k) of the first; None where no guide can be made."""
     path = points.path
     assert path is not None
-    x, w, (x0, block, passages, U) = points.x, points.w, path
+    x, w, (x0, block, passages, U, _) = points.x, points.w, path
     (count, n), own = x.shape, sub_key(key, GUIDE)
     rows, u, HL, r, R = seen(sensor, passages, x0, x, U, w, block, h, WIDER, WIDER * OWN)
     ancestor, u, log_ratio = look_ahead(r, u, w, block, HL, R, net(count, n, LED), own)
@@ -153,8 +153,8 @@ def _twice(points: Points, log_l: Floats, h: Floats, sensor: Stacked, key: int) 
     for passage, v in zip(passages, V, strict=True):
         y = gone(passage, y, v, block, True)
     log_l = np.concatenate([log_l, sensor.log_likelihood(y)])
-    lineage = np.concatenate([np.arange(count), ancestor])
-    return Carried.of(np.concatenate([x, y]), over_both(log_l, log_ratio, w), lineage)
+    log_w, own = over_both(log_l, log_ratio, w), np.concatenate([np.arange(count), ancestor])
+    return Carried.of(np.concatenate([x, y]), log_w, own, points.older)
 
 
 def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: Any) -> list[Floats]:

@@ -96,7 +96,7 @@ def tempered(points: Points, log_likelihood: OfStates, key: int) -> Carried | No
     path, N = points.path, len(points.w)
     assert path is not None
     ways, log_w, passes = _drawn(points, log_likelihood, key)
-    log_evidence, b, steps = 0.0, 0.0, _Steps()
+    log_evidence, b, steps, older = 0.0, 0.0, _Steps(), np.tile(points.older, passes)
     if ways is None:
         return None
     while b < 1.0:
@@ -114,7 +114,7 @@ def tempered(points: Points, log_likelihood: OfStates, key: int) -> Carried | No
             found = Carried.of(ways.end, log_w + log_evidence, ways.lineage)
             if b < 1.0 or found.effective >= LOOK or passes + _MOVES > _PASSES:
                 break
-    return found
+    return Carried.of(ways.end, log_w + log_evidence, ways.lineage, older)
 
 
 def _risen(log_w: Floats, log_l: Floats, rise: float) -> Floats:

@@ -191,7 +191,7 @@ def test_what_readings_leave_keeps_its_bend_where_it_begins_again():
         off = x - x.mean(axis=0)
         return np.mean(off[:, 0] ** 2 * off[:, 1])
 
-    rng, kept, each = np.random.default_rng(3), [], np.arange(4096)
+    rng, kept, each = np.random.default_rng(3), [], np.arange(4096)[None]
     for draw in range(3):
         x = rng.standard_normal((4096, 6))
         x[:, 1] += x[:, 0] ** 2

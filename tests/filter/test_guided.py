@@ -7,7 +7,7 @@ from scipy.stats import norm
 import sphfilter as sf
 from sphfilter.core.cloud.guide import look_ahead
 from sphfilter.core.cloud.weights import carriers
-from sphfilter.density.carriers import Carried
+from sphfilter.density.carriers import NO_LINES, Carried
 from sphfilter.density.passage import Steps, moved_points, points_of_gaussian
 from sphfilter.density.points import moments
 from sphfilter.filter.guided import weighed
@@ -244,15 +244,26 @@ def test_a_key_gives_the_same_bits(sharp):
 def test_copies_carry_no_more_than_what_they_are_copies_of():
     x = np.random.default_rng(0).standard_normal((400, 2))
     log_w = np.log(np.full(400, 1.0 / 400.0))
-    mean, evidence = carriers(x, log_w, np.arange(400))[-2:]
+    mean, evidence = carriers(x, log_w, np.arange(400), NO_LINES)[-2:]
     assert evidence == pytest.approx(400.0)
     assert mean == pytest.approx(400.0, rel=0.02)
     copied = np.repeat(x[:20], 20, axis=0)
-    mean, evidence = carriers(copied, log_w, np.repeat(np.arange(20), 20))[-2:]
+    mean, evidence = carriers(copied, log_w, np.repeat(np.arange(20), 20), NO_LINES)[-2:]
     assert evidence == pytest.approx(20.0)
     assert mean == pytest.approx(20.0, rel=0.1)
-    mean, evidence = carriers(x, log_w, np.zeros(400, np.int64))[-2:]
+    mean, evidence = carriers(x, log_w, np.zeros(400, np.int64), NO_LINES)[-2:]
     assert (mean, evidence) == (pytest.approx(1.0), pytest.approx(1.0))
+
+
+def test_what_came_from_few_points_a_reading_before_is_as_wrong_as_they_are():
+    x, each = np.random.default_rng(0).standard_normal((20_000, 2)), np.arange(20_000)
+    log_w = np.log(np.full(20_000, 5e-5))
+    copied, first = np.repeat(x[:200], 100, axis=0), np.repeat(np.arange(200), 100)[None]
+    _, _, lineage, *_, few, evidence = carriers(copied, log_w, each, first)
+    assert np.array_equal(lineage, [each, first[0]])
+    assert (few, evidence) == (pytest.approx(200.0, rel=0.02), pytest.approx(20_000.0))
+    parted = carriers(copied + 9.0 * x, log_w, each, first)[-2]  # what noise has parted knows more
+    assert parted > 4000.0
 
 
 def test_weights_that_are_no_numbers_are_left_out():

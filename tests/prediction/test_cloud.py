@@ -241,7 +241,10 @@ def test_a_cloud_comes_back_to_a_lattice_that_holds_it():
 
 
 def test_copies_of_few_points_are_not_taken_for_as_many():
-    """A state that hardly moves, read again and again: points that a reading left out do not come back."""
+    """A state that hardly moves, read again and again: points that a reading left out do not come back.
+
+    A cloud and its shadow tell half of that, and lineages of one reading no more.
+    """
     model = sf.LinearSDE(np.zeros((3, 3)), noise=1e-3 * np.eye(3))
     sensors = [sf.GaussianMeasurement(np.eye(3)[[k]], [[0.03]]) for k in range(3)]
     config = sf.FilterConfig(scheme=sf.CloudScheme(n_points=20_000))
@@ -260,7 +263,7 @@ def test_copies_of_few_points_are_not_taken_for_as_many():
             info = flt.update(z, sensors[k])
         off.append((flt.x - mean) / np.sqrt(exact))
         told.append(info.error)
-    assert 1.0 / 3.0 < np.sqrt(np.mean(np.square(told)) / np.mean(np.square(off))) < 3.0
+    assert 0.6 < np.sqrt(np.mean(np.square(told)) / np.mean(np.square(off))) < 1.6
 
 
 def test_steps_are_short_enough_for_the_narrowest_part_of_a_density():

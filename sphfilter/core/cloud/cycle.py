@@ -53,16 +53,16 @@ FEW = 0.25
 #: How a record ends: all is put through; the next cloud has another number of points; what the last reading
 #: left is to be judged; the next one is unusual, or something is to be said of it, and is not put through.
 ALL, MORE, JUDGE, UNUSUAL, REFUSED = range(5)
-_INTS, _KEY = types.int64[::1], types.int64
+_INTS, _LINES, _KEY = types.int64[::1], types.int64[:, ::1], types.int64
 _NET = types.Array(types.float64, 2, "C", readonly=True)
 _TABLE = types.uint32[::1], types.int64
 _MOVED = types.NamedTuple([MATRIX, MATRIX, CUBE, CUBE, CUBE], Part)
 _WAY = LEG, types.boolean, _KEY, MATRIX, MATRIX, VECTOR, _INTS, _MOVED, _MOVED, MATRIX, MATRIX
-_BEGIN = Entry(begin, (MATRIX, VECTOR, _INTS, types.int64, _KEY, _NET, *_TABLE))
+_BEGIN = Entry(begin, (MATRIX, VECTOR, _LINES, types.int64, _KEY, _NET, *_TABLE))
 _CARRY = Entry(carry, (LEG, MATRIX, _INTS, _NET, _KEY))
 _LINEAR = Entry(carry_linear, (types.Tuple([MATRIX, VECTOR, MATRIX]), MATRIX, _INTS, _NET, _KEY))
 _WEIGH = Entry(weigh, (READER, *_WAY, types.UniTuple(_NET, 3), _KEY))
-_CARRIED = Entry(carriers, (MATRIX, VECTOR, _INTS))
+_CARRIED = Entry(carriers, (MATRIX, VECTOR, _INTS, _LINES))
 _SPAN, _STEPS = types.UniTuple(types.float64, 2), (types.int64, types.boolean, types.int64, types.int64)
 _CHOSEN = Entry(chosen, (LEG, ADDRESS, _SPAN, MATRIX, VECTOR, _KEY, *_TABLE, *_STEPS, types.float64))
 #: What a record is put through, each compiled by itself.
@@ -245,12 +245,12 @@ def _both(about, s, nets, curve):
 
 @jit
 def _cycled(about, cloud, nets, keys, curve):
-    """A cloud x (N, n), w (N,) of lineages (N,) over an interval and a reading."""
+    """A cloud x (N, n), w (N,) of lineages (readings, N) over an interval and a reading."""
     parts, leg, change, reader = about
     first, second = nets[1], nets[2]
     (count, n), key = first.shape, keys[0]
     begun = _begin_at(parts[0])(cloud[0], cloud[1], cloud[2], count, key, first, *curve)
-    start, x, u, w, block, middle, lower, flow = begun
+    start, x, u, w, block, middle, lower, flow, older = begun
     kernel = Part(middle, middle, flow, lower, np.empty((1, 0, 0)))
     linear = leg.drift == NOWHERE_AT
     if linear:
@@ -259,10 +259,10 @@ def _cycled(about, cloud, nets, keys, curve):
         y, v, middle, end, flow, lower, rows = _carry_at(parts[1])(leg, x, block, second, key)
     moved = Part(middle, end, flow, lower, rows)
     way = reader, leg, linear, key, start, y, w, block, kernel, moved, u, v, nets, keys[1]
-    z, log_w, lineage, wrong = y, np.full(count, -np.inf), np.empty(0, np.int64), 1
+    z, log_w, ancestor, wrong = y, np.full(count, -np.inf), np.empty(0, np.int64), 1
     if near_others(y, AWAY)[1]:  # else what reads may be asked where no state is
-        z, log_w, lineage, wrong = _weigh_at(parts[3])(*way)
-    found = _carried_at(parts[4])(z, log_w, lineage)
+        z, log_w, ancestor, wrong = _weigh_at(parts[3])(*way)
+    found = _carried_at(parts[4])(z, log_w, ancestor, older)
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(y, w, mean, cov)
     enough = found[7] >= min(FEW * count, ALIKE * effective(w))

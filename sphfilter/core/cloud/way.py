@@ -17,12 +17,26 @@ from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
 from .weights import effective, for_moments, weighted_moments
 
-__all__ = ["AGAIN", "FIRST", "KERNEL", "PILOT", "begin", "blocks_of", "carry", "carry_linear", "everywhere"]
+__all__ = [
+    "AGAIN",
+    "FIRST",
+    "KERNEL",
+    "LINES",
+    "PILOT",
+    "begin",
+    "blocks_of",
+    "carry",
+    "carry_linear",
+    "everywhere",
+]
 
 # what numbers of a key are for
 _CUT, FIRST, AGAIN, PILOT, KERNEL = range(5)
 #: Effective part of points, below which they are drawn anew.
 _FEW = 0.5
+#: Readings over which lineages are known. Measured: of 507 errors of means 28 were told to a third at most with
+#: one, 20, 16, 14 and 13 with two, three, six and eight.
+LINES = 6
 
 
 @jit
@@ -45,7 +59,7 @@ def begin(x, w, lineage, count, key, net, table, bits):
     Parameters
     ----------
     x, w : ndarray, shapes (N, n), (N,)
-    lineage : ndarray of int, shape (N,) or (0,)
+    lineage : ndarray of int, shape (readings, N)
         Points of a number come from one point of before; without any, each is its own, not yet smoothed.
     count : int
         Points afterwards.
@@ -62,6 +76,8 @@ def begin(x, w, lineage, count, key, net, table, bits):
     w, block : ndarray, shape (count,)
     middle, lower : ndarray, shapes (blocks, n), (blocks, n, n)
         Of the blocks: centres, and lower roots of the Gaussians' covariances.
+    older : ndarray of int, shape (at most LINES - 1, count)
+        The lineages of the points.
     """
     N, n = x.shape
     mean, cov = np.empty(n), np.empty((n, n))
@@ -72,7 +88,7 @@ def begin(x, w, lineage, count, key, net, table, bits):
         chosen, w = for_moments(x, w, mean, cov, count, uniform(np.uint64(key), np.uint64(_CUT)))
         order, x = order[chosen], x[chosen]
     # what a reading has left is smoothed each time; a density that becomes points is smoothed once
-    known, power = (lineage[order], max(2.0 / n, 1.0)) if lineage.size > 0 else (order, 2.0 / n)
+    known, power = (lineage[0][order], max(2.0 / n, 1.0)) if lineage.size > 0 else (order, 2.0 / n)
     part = widths(x, known, power)
     block, middle, lower = blocks_of(count), centres(x), block_roots(x)
     u, flow = even_normals(net, np.uint64(stored(key, KERNEL))), np.zeros(lower.shape)
@@ -82,7 +98,12 @@ def begin(x, w, lineage, count, key, net, table, bits):
             flow[b, a, a] = 1.0
             for e in range(n):
                 lower[b, a, e] *= part[b]
-    return start, affine(start, u, block, middle, middle, flow, lower), u, w, block, middle, lower, flow
+    older = np.empty((min(len(lineage), LINES - 1), count), np.int64)
+    for k in range(len(older)):
+        for i in range(count):
+            older[k, i] = lineage[k, order[i]]
+    y = affine(start, u, block, middle, middle, flow, lower)
+    return start, y, u, w, block, middle, lower, flow, older
 
 
 @jit

@@ -166,12 +166,14 @@ def prior_times(w, log_l):
 
 
 @jit
-def carriers(x, log_w, lineage):
+def carriers(x, log_w, ancestor, older):
     """Points that weigh something, and of how many independent ones they are an average.
 
     Lineages are independent of each other, so that the variance of the mean is the sum of the squares of what
     each adds to it (Chan & Lai 2013); over that of one point that is the mean's number. The evidence knows of
-    no more than the lineages' weights.
+    no more than the lineages' weights. What came from few points some readings ago is as wrong as those were,
+    until noise has parted it: the mean's number is the least by lineages of one reading and of more (Olsson &
+    Douc 2019).
 
     Parameters
     ----------
@@ -179,13 +181,15 @@ def carriers(x, log_w, lineage):
         States; one that is no number weighs nothing.
     log_w : ndarray, shape (N,)
         Logarithms of weights whose sum is the evidence.
-    lineage : ndarray of int, shape (N,)
-        The ancestor of each.
+    ancestor : ndarray of int, shape (N,)
+        Of each among the points of the prior.
+    older : ndarray of int, shape (readings, M)
+        Of each of the prior's M points, among those of the reading before, of the one before that, and so on.
 
     Returns
     -------
-    x, w, lineage : ndarray
-        Those with weights, of sum one; all, without weights, where none has any.
+    x, w, lineage : ndarray, shapes (N, n), (N,), (1 + readings, N)
+        Those with weights, of sum one, and their ancestors; all, without weights, where none has any.
     log_evidence : float
     mean, cov : ndarray, shapes (n,), (n, n)
     effective, lineages : float
@@ -199,30 +203,46 @@ def carriers(x, log_w, lineage):
                 log_w[i] = -np.inf
     log_evidence = normalise(log_w, w)
     if not abs(log_evidence) < np.inf:
-        return x, w, lineage, -np.inf, mean, cov, 0.0, 0.0
+        return x, w, _lines(ancestor, older), -np.inf, mean, cov, 0.0, 0.0
     heavy = 0
     for i in range(N):
         heavy += w[i] > 0.0
     if heavy < N:
-        x, w, lineage = _heavy(x, w, lineage, heavy)
+        x, w, ancestor = _heavy(x, w, ancestor, heavy)
     weighted_moments(x, w, mean, cov)
-    squares, part = _squares(x, w, lineage, mean, cov)
+    added = _added(x, w, ancestor, mean)
+    squares, part = _squares(added, cov)
     lineages = 1.0 / squares
     number = lineages
     if part > 0.0:
         # few lineages may agree by chance, and one agrees with itself: a variance seen L - 1 times
         number = max(lineages, min(effective(w), (1.0 - squares) / part, lineages * lineages))
-    return x, w, lineage, log_evidence, mean, cov, number, lineages
+    for own in older:
+        together, part = _squares(_gathered(added, own), cov)
+        if part > 0.0 and 1.0 - together > ROUNDING:  # else one has left all, and tells nothing
+            number = min(number, max((1.0 - together) / part, 1.0))
+    return x, w, _lines(ancestor, older), log_evidence, mean, cov, number, lineages
 
 
 @jit
-def _heavy(x, w, lineage, count):
-    """The points, so many, that weigh anything, their weights and lineages."""
+def _lines(ancestor, older):
+    """Ancestors (1 + readings, N) of points, from those (N,) of the last reading and theirs."""
+    out = np.empty((1 + older.shape[0], ancestor.size), np.int64)
+    for i in range(ancestor.size):
+        out[0, i] = ancestor[i]
+        for k in range(older.shape[0]):
+            out[k + 1, i] = older[k, ancestor[i]]
+    return out
+
+
+@jit
+def _heavy(x, w, ancestor, count):
+    """The points, so many, that weigh anything, their weights and ancestors."""
     n, j = x.shape[1], 0
     y, v, own = np.empty((count, n)), np.empty(count), np.empty(count, np.int64)
     for i in range(w.size):
         if w[i] > 0.0:
-            v[j], own[j] = w[i], lineage[i]
+            v[j], own[j] = w[i], ancestor[i]
             for a in range(n):
                 y[j, a] = x[i, a]
             j += 1
@@ -230,29 +250,51 @@ def _heavy(x, w, lineage, count):
 
 
 @jit
-def _squares(x, w, lineage, mean, cov):
-    """Squares of what lineages add: of their weights, and to the mean, over one point's variances."""
+def _added(x, w, lineage, mean):
+    """What lineages add to the mean (n,) and to the weight: (lineages, n + 1)."""
     (N, n), last = x.shape, 0
     for i in range(N):
         last = max(last, lineage[i])
-    L, added, squares, part = np.empty((n, n)), np.zeros((last + 1, n + 1)), 0.0, 0.0
+    out = np.zeros((last + 1, n + 1))
     for i in range(N):
         k = lineage[i]
-        added[k, n] += w[i]
+        out[k, n] += w[i]
         for a in range(n):
-            added[k, a] += w[i] * (x[i, a] - mean[a])
+            out[k, a] += w[i] * (x[i, a] - mean[a])
+    return out
+
+
+@jit
+def _gathered(added, older):
+    """What those that lineages come from, older (lineages,), add."""
+    size, last = added.shape[1], 0
+    for k in range(added.shape[0]):
+        last = max(last, older[k])
+    out = np.zeros((last + 1, size))
+    for k in range(added.shape[0]):
+        if added[k, size - 1] > 0.0:
+            for a in range(size):
+                out[older[k], a] += added[k, a]
+    return out
+
+
+@jit
+def _squares(added, cov):
+    """Squares of what lineages add: of their weights, and to the mean, over one point's variances."""
+    n, squares, part = cov.shape[0], 0.0, 0.0
+    L, S = np.empty((n, n)), np.zeros((n, n))
     for k in range(added.shape[0]):
         squares += added[k, n] * added[k, n]
+        for a in range(n):
+            for b in range(n):
+                S[a, b] += added[k, a] * added[k, b]
     if not cholesky(cov, L):
         return squares, np.nan
-    v = np.empty(n)
-    for k in range(added.shape[0]):
-        if added[k, n] > 0.0:
-            for a in range(n):
-                v[a] = added[k, a]
-            whiten(L, v)
-            for a in range(n):
-                part += v[a] * v[a] / n
+    W = invert_lower(L)
+    for a in range(n):
+        for b in range(a + 1):
+            for c in range(a + 1):
+                part += W[a, b] * S[b, c] * W[a, c] / n
     return squares, part
 
 
