@@ -13,7 +13,8 @@ from ..errors import PropagationError
 from .families import Families, QuadratureMoments, at_nodes, log_total, looked_at, shares
 from .family import ASTRAY, OF_MISFIT, Family, moments_apart
 from .family_posterior import turned
-from .splitting import NARROWER, NEGLIGIBLE, Front, bent_along, children
+from .pieces import Pieces
+from .splitting import NARROWER, NEGLIGIBLE, bent_along, narrower
 
 __all__ = ["AWAY", "FamiliesPosterior", "families_posterior", "split", "strongest_bend"]
 
@@ -90,8 +91,7 @@ def split(whole: Families, k: int, bends: OfStates, degree: int, least: float) -
     """
     one = whole.one(k)
     v = strongest_bend(one, bends)[0]
-    start = Front(np.zeros(1), one.mu[None], one.A[None], np.zeros(1, int))
-    front = children(start, v[None], np.array([NARROWER]))
+    front = narrower(Pieces(np.zeros(1), one.mu[None], one.A[None]), v, NARROWER)
     axis = v @ np.linalg.inv(one.A)
     square = 1.0 / NARROWER**2 - 1.0  # one over the square of a window's width
     middle = (front.mean - one.mu) @ axis * (1.0 + 1.0 / square)
@@ -113,8 +113,7 @@ def split(whole: Families, k: int, bends: OfStates, degree: int, least: float) -
 def strongest_bend(one: Family, bends: OfStates) -> tuple[Floats, float]:
     """Direction (n,) in a family's frame along which a function of the state bends most, and by how much."""
     rule = one.basis
-    v, bend = bent_along((bends(one.nodes) @ np.linalg.inv(one.A).T)[None], rule.xi, rule.u)
-    return v[0], float(bend[0])
+    return bent_along(bends(one.nodes) @ np.linalg.inv(one.A).T, rule.xi, rule.u)
 
 
 def _product(

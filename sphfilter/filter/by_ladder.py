@@ -25,8 +25,6 @@ from .reading_at_prior import ReadingAtPrior, amplified_in_tail
 __all__ = ["by_ladder"]
 
 _TRIES, _MOST_NODES = 3, 20_000
-#: Nodes of pieces, over the points of a cloud that has the same error; and so many that are always tried.
-_NODES, _NODES_MORE, _FEW_NODES = {1: 0.2, 2: 0.2}, 2.0, 20_000
 _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
 
 Posterior = tuple[ParticleDensity, dict[str, Any]]
@@ -47,9 +45,8 @@ def by_ladder(
     found = _on_families(density, asked, target, needs) or _on_family(density, asked, target, needs)
     if found is not None and by_cloud and found[1]["error"] > tolerated_excess(density.dim) * target:
         found = None  # what the reading made of the prior's error, no family tells
-    missed = found is None or found[1]["error"] > target
-    if missed and density.families is None:
-        found = _on_pieces(density, asked, target, needs) or found
+    if density.pieces is not None and asked.linear:
+        found = _on_pieces(density, asked, target, needs)
     if found is not None:
         return found
     if by_cloud:
@@ -97,20 +94,11 @@ def _on_families(
     return new.noted(needs=needs), _flagged_if_missed(said, target)
 
 
-def _on_pieces(
-    density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory
-) -> Posterior | None:
-    """The posterior as Gaussians; None where those would be too many. One family follows where it will do."""
-    most = int(_NODES.get(density.dim, _NODES_MORE) * needs.cloud(target))
-    try:
-        new, said = by_pieces(density, asked, target, max(most, _FEW_NODES))
-    except PropagationError:
-        return None
-    if said["error"] > tolerated_excess(density.dim) * target:
-        return None
-    if new.pieces is not None:
-        one = as_polynomials(new, first_degree(new.dim, needs), error_budget(new.error, target))
-        new = new if one is None else one
+def _on_pieces(density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory) -> Posterior:
+    """The posterior of a sum of Gaussians, as one family where that will do."""
+    new, said = by_pieces(density, asked, target)
+    one = as_polynomials(new, first_degree(new.dim, needs), error_budget(new.error, target))
+    new = new if one is None else one
     return replace(new, needs=needs), _flagged_if_missed(said | {"error": new.error}, target)
 
 

@@ -121,8 +121,8 @@ def _at_once(points: Points, sensor: Stacked, key: int) -> Carried | None:
     about = leg, leg is NO_LEG, path.passages[1].key, path.x, points.x, points.w, path.block
     nets = net(count, n, LED), net(count, n, 0), net(count, n, 1)
     with surfacing():
-        *found, wrong = weigh(reader, *about, kernel, moved, *path.u, nets, key)
-    return None if wrong else Carried.of(*found, path.older)
+        x, log_w, ancestor, wrong = weigh(reader, *about, kernel, moved, *path.u, nets, key)
+    return None if wrong else Carried.of(x, log_w, ancestor, path.older)
 
 
 def _in_turn(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Stacked]:

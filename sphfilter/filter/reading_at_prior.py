@@ -8,11 +8,11 @@ from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
-from ..core.limits import LOG_2_PI, TINY
+from ..core.limits import TINY
 from ..density.as_family import moments_on_line
 from ..density.particle_density import ParticleDensity
 from ..density.points import moments
-from ..errors import ModelError, PropagationError
+from ..errors import ModelError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code
 from ..lattice.resolved import Search
 from ..model.domain import Domain
@@ -71,27 +71,6 @@ class ReadingAtPrior(NamedTuple):
     def numbers(self) -> Floats:
         """z as numbers (k,), NaN where none came."""
         return Reading.of(self.z).z
-
-    def whitened(self) -> tuple[OfStates, float]:
-        """The measurement less its reading in units of its noise, (M, k) at states (M, n); and the
-        log of the noise's density at zero.
-
-        Raises
-        ------
-        PropagationError
-            The sensor is none with Gaussian noise.
-        """
-        if not is_gaussian(self.measurement):
-            raise PropagationError("the sensor has no reading, but a likelihood only")
-        sensor, z, both = self.measurement, self.numbers, np.ix_(self.seen, self.seen)
-        factor = np.linalg.cholesky(sensor.noise_cov[both])
-        back = np.linalg.inv(factor).T
-
-        def white(X: Floats) -> Floats:
-            off = sensor.residual(z, sensor.predict(X, self.t))[:, self.seen]
-            return np.asarray(off @ back)
-
-        return white, -float(np.log(np.diag(factor)).sum()) - len(factor) * (0.5 * LOG_2_PI)
 
     @property
     def linear(self) -> bool:

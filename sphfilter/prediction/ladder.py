@@ -146,11 +146,10 @@ def propagate(
     by_cloud = not model.domain.walled.any() and prefers_cloud(density.dim, needs, target)
     if density.read_out == "cloud":
         return _by_cloud(density, model, t1, target, needs)
-    if density.pieces is not None or density.families is not None:
-        if density.pieces is None:
-            found = _by_families(density, model, t1, target, needs, families.LEVELS)
-        else:
-            found = _by_pieces(density, model, t1, target, needs)
+    if density.pieces is not None and model.linear and model.domain.unbounded:
+        return _by_pieces(density, model, t1, target, needs)
+    if density.families is not None:
+        found = _by_families(density, model, t1, target, needs, families.LEVELS)
         if found is not None:
             return found
     elif needs.waits > 0:
@@ -220,17 +219,12 @@ def _by_families(
 
 def _by_pieces(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory
-) -> tuple[ParticleDensity, PredictInfo] | None:
+) -> tuple[ParticleDensity, PredictInfo]:
     """Carry Gaussians each by itself; one family takes their place where it holds what they become."""
     allowed = error_budget(density.error, target)
-    try:
-        moved, info = pieces.carried_pieces(density, model, t1, allowed)
-    except PropagationError:
-        return None
-    if moved.pieces is not None:
-        one = as_polynomials(moved, first_degree(moved.dim, needs), allowed)
-        moved = moved if one is None else one
-    return moved.noted(needs=needs), info
+    moved, info = pieces.carried_pieces(density, model, t1, allowed)
+    one = as_polynomials(moved, first_degree(moved.dim, needs), allowed)
+    return (moved if one is None else one).noted(needs=needs), info
 
 
 def _by_cloud(

@@ -199,7 +199,7 @@ def test_a_reading_of_two_modes_climbs_and_one_of_none_comes_down():
     size = sf.GaussianMeasurement.from_expressions(["x"], ["abs(x)"], [[0.01]])
     direct = sf.GaussianMeasurement([[1.0]], [[0.05]])
     flt = sf.SPHFilter(well, size, [0.1], [[1.0]], n_particles="auto")
-    assert flt.update([1.0]).rung == "pieces"
+    assert flt.update([1.0]).rung == "lattice"
     assert flt.density.probability(lambda X: X[:, 0] > 0.0) == pytest.approx(0.55, abs=0.03)  # exp(0.2) to 1
     flt.update([1.0], direct)
     flt.predict(0.5)
@@ -212,7 +212,7 @@ def test_where_densities_are_asked_for_states_are_few_and_lattices_are_laid():
     size = sf.GaussianMeasurement.from_expressions(["x"], ["abs(x)"], [[0.01]])
     config = sf.FilterConfig(density_error=0.01)
     flt = sf.SPHFilter(well, size, [0.1], [[1.0]], config=config)
-    assert flt.update([1.0]).rung in ("pieces", "lattice")
+    assert flt.update([1.0]).rung == "lattice"
     assert flt.density.pdf([[0.9], [-0.9]]).min() > 0.3
     assert sf.FilterConfig.from_toml(config.to_toml()) == config
     assert "density_error" not in repr(sf.FilterConfig())
