@@ -17,6 +17,7 @@ from ..lattice.level_set import LatticeDensity
 from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
 from . import statistics
+from .answer_errors import error_of
 from .cloud import Cloud
 from .families import Families
 from .family import Exponential, Family
@@ -371,6 +372,29 @@ class ParticleDensity(Noted):
         In [0, 1]: the square is half the integral of (√p - √q)². A smaller cloud beside it tells.
         """
         return statistics.pdf_error(self)
+
+    def error_of(self, question: Callable[["ParticleDensity"], Any]) -> Any:
+        """Estimated standard error of an answer of this density, a float or an array of the answer's shape.
+
+        Parameters
+        ----------
+        question : callable
+            Of a density; returns a number or an array. Of a cloud parts of it are asked, whose answers
+            differ; of any other density the same one moved and stretched, as far as its `error` says.
+
+        Examples
+        --------
+        >>> import sphfilter as sf
+        >>> config = sf.FilterConfig(scheme=sf.CloudScheme(n_points=4096))
+        >>> model, sensor = sf.LinearSDE([[-1.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[1.0]])
+        >>> flt = sf.SPHFilter(model, sensor, x0=[0.0], P0=[[1.0]], config=config)
+        >>> info = flt.predict(1.0), flt.update([0.5])
+        >>> error = flt.density.error_of(lambda p: p.probability(lambda X: X[:, 0] > 1.0))
+        >>> print(f"{flt.density.probability(lambda X: X[:, 0] > 1.0):.2f}", error < 0.01)
+        0.09 True
+        """
+        found = error_of(self, question)
+        return found if found.ndim else float(found)
 
     def mode(self) -> Floats:
         """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
