@@ -17,7 +17,6 @@ from ..lattice.level_set import LatticeDensity
 from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
 from . import statistics
-from .answer_errors import error_of
 from .cloud import Cloud
 from .families import Families
 from .family import Exponential, Family
@@ -393,7 +392,7 @@ class ParticleDensity(Noted):
         >>> print(f"{flt.density.probability(lambda X: X[:, 0] > 1.0):.2f}", error < 0.01)
         0.09 True
         """
-        found = error_of(self, question)
+        found = statistics.error_of(self, question)
         return found if found.ndim else float(found)
 
     def mode(self) -> Floats:

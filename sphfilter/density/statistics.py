@@ -1,24 +1,24 @@
-"""Numbers and regions of a density: expectations, quantiles, entropy, where it is highest.
+"""Numbers and regions of a density: expectations, quantiles, entropy, where it is highest, and errors of them.
 
 All are sums over states that stand for the density as it is read: its particles, points in each of its
 kernels, or points in each cell of its lattice and beyond.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, Ints, OfStates
-from ..core.cloud.control import SHADOW
+from ..core.cloud.control import SHADOW, error_by
 from ..core.limits import TINY
 from ..errors import ModelError
 from ..validate import state_rows
 from . import weighted
-from .cloud import smoothing_length
+from .cloud import KERNEL, points_of, smoothing_length
 from .points import moments
 from .weighted import WeightedStates
 
@@ -29,6 +29,7 @@ __all__ = [
     "Region",
     "checked_axes",
     "entropy",
+    "error_of",
     "expectation",
     "highest_region",
     "hpd_rank",
@@ -44,6 +45,10 @@ _SUBPOINTS = 128  # points that stand for one kernel where an integral over it h
 _FEW_SUBPOINTS = 16  # where the density at each is wanted
 _FINE = 16  # points of a distribution function in a smoothing length or a cell
 _MOST_FINE = 2**17  # in all: 8 bytes each = 1 MB
+#: States that stand for a density. The same ones are moved, so that a change is known to 1 / √4096 = .016.
+_POINTS = 4096
+
+Answer = Callable[["ParticleDensity"], Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,24 +177,6 @@ def spread(density: "ParticleDensity") -> WeightedStates:
     return WeightedStates(X, w, density.logpdf)
 
 
-def pdf_error(density: "ParticleDensity") -> float:
-    """Hellinger distance of a cloud's pdf from the true one, as that from its shadow's pdf tells it; or NaN.
-
-    The distance of kernels of fourth order falls as N^(-4/(n + 8)), and squares of both clouds' add up.
-    """
-    if density.cloud is None or density.read_out != "cloud":
-        return math.nan
-    x, w = density.cloud.shadow[:2]
-    h = smoothing_length(w / w.sum(), moments(x, w)[1])
-    x = x if density.domain is None else density.domain.wrap(x)
-    shadow = replace(density, x=x, mass=w, h=h, cloud=None)
-    X, w = states(density, _FEW_SUBPOINTS)
-    with np.errstate(invalid="ignore"):
-        off = np.expm1(0.5 * (shadow.logpdf(X) - density.logpdf(X)))
-    square = 0.5 * (w @ np.where(np.isnan(off), 0.0, off) ** 2)  # none of either beyond a wall
-    return math.sqrt(square / (1.0 + SHADOW ** (8.0 / (density.dim + 8))))
-
-
 def hpd_rank(density: "ParticleDensity", X: ArrayLike) -> Floats:
     """Probability of the region where the density is higher than at each state of X (M, n), shape (M,)."""
     return weighted.hpd_rank(spread(density), state_rows("X", X, density.dim))
@@ -234,3 +221,79 @@ def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:
     F = integrate.cumulative_simpson(one.pdf(y[:, None]), x=y, initial=0.0)
     F = np.maximum.accumulate(F)  # parabolas through nothing but zeros and a first value undershoot
     return y, F / F[-1]
+
+
+def error_of(density: "ParticleDensity", question: Answer) -> Floats:
+    """Standard error of what a question is answered with, of its shape."""
+
+    def answer(p: "ParticleDensity") -> Floats:
+        return np.asarray(question(p), dtype=float)
+
+    if density.cloud is not None and density.read_out == "cloud":
+        return _by_parts(density, answer)
+    return _by_moving(density, answer)
+
+
+def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
+    """Of a cloud: by how much parts of it differ, none of which has an ancestor in common with another.
+
+    Parts are SHADOW in number, and errors fall with the number of points as those of a shadow do. What they
+    have in common from readings before is taken for as large a part of the answer's as of the mean's. Kernels
+    of a part are wider, and what that changes falls as N^(-4/(n + 8)).
+    """
+    assert density.cloud is not None
+    points = density.cloud.points
+    part = (np.arange(len(points.w)) if points.lineage is None else points.lineage[0]) % SHADOW
+    some = [_cloud(density, points.x[part == k], points.w[part == k]) for k in range(SHADOW)]
+    means, answers = np.array([p.mean() for p in some]), np.array([answer(p) for p in some])
+    if density.domain is not None:
+        means = density.domain.nearest(means - density.mean())
+    variances = np.maximum(np.diag(density.cov()), np.finfo(float).tiny)
+    own = error_by(float(np.mean(np.var(means, axis=0, ddof=1) / variances)))
+    scale = error_by(1.0) * max(density.error / own if own > 0.0 else 1.0, 1.0)
+    smoothed = (answers.mean(axis=0) - answer(density)) / (SHADOW ** (4.0 / (density.dim + 8.0)) - 1.0)
+    return np.hypot(scale * np.std(answers, axis=0, ddof=1), smoothed)
+
+
+def _by_moving(density: "ParticleDensity", answer: Answer) -> Floats:
+    """Of a density without points of its own: by how much it changes as mean and variances are off.
+
+    Along each of its principal axes the mean by the error told, and the variance by √2 of it: a change of the
+    logarithm by a Hermite polynomial of the second degree does that which shifts a mean by as much.
+    """
+    x, w = points_of(density, _POINTS, 0)
+    mean, cov = (density.mean(), density.cov()) if density.domain is not None else moments(x, w)
+    values, axes = np.linalg.eigh(cov)
+    off = x - mean if density.domain is None else density.domain.nearest(x - mean)
+    here = answer(_cloud(density, x, w))
+    square = np.zeros_like(here)
+    if math.isnan(density.error):
+        return np.full_like(here, math.nan)
+    for value, axis in zip(np.maximum(values, 0.0), axes.T, strict=True):
+        along = np.outer(off @ axis, axis)
+        for change in (density.error * math.sqrt(value) * axis, density.error * math.sqrt(0.5) * along):
+            square = square + (answer(_cloud(density, x + change, w)) - here) ** 2
+    return np.asarray(np.sqrt(square))
+
+
+def pdf_error(density: "ParticleDensity") -> float:
+    """Hellinger distance of a cloud's pdf from the true one, as that from its shadow's pdf tells it; or NaN.
+
+    The distance of kernels of fourth order falls as N^(-4/(n + 8)), and squares of both clouds' add up.
+    """
+    if density.cloud is None or density.read_out != "cloud":
+        return math.nan
+    shadow = _cloud(density, *density.cloud.shadow[:2])
+    X, w = states(density, _FEW_SUBPOINTS)
+    with np.errstate(invalid="ignore"):
+        off = np.expm1(0.5 * (shadow.logpdf(X) - density.logpdf(X)))
+    square = 0.5 * (w @ np.where(np.isnan(off), 0.0, off) ** 2)  # none of either beyond a wall
+    return math.sqrt(square / (1.0 + SHADOW ** (8.0 / (density.dim + 8))))
+
+
+def _cloud(density: "ParticleDensity", x: Floats, w: Floats) -> "ParticleDensity":
+    """Weighted points as a density of the same time and domain."""
+    x = x if density.domain is None else density.domain.wrap(x)
+    about: dict[str, Any] = {"t": density.t, "domain": density.domain, "error": density.error}
+    h = smoothing_length(w / w.sum(), moments(x, w)[1])
+    return type(density)(x=x, mass=w / w.sum(), h=h, kernel=KERNEL, read_out="cloud", **about)
