@@ -1,4 +1,4 @@
-"""Numbers and regions of a density: expectations, quantiles, entropy, where it is highest, and errors of them.
+"""Numbers and regions of a density: expectations, quantiles, entropy, where it is highest, errors of these.
 
 All are sums over states that stand for the density as it is read: its particles, points in each of its
 kernels, or points in each cell of its lattice and beyond.
