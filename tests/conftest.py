@@ -15,7 +15,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 _TESTS = Path(__file__).parent
-_SHORT = {"first_filter", "two_modes"}  # notebooks that run by default: each is a process that compiles anew
+_SHORT = {"first_filter"}  # notebooks that run by default: each is a process that compiles anew
 #: Marks of all tests in a folder; what compiles are tests that carry densities, of many models.
 MARKS = {
     "adapters": ["compiles", "stonesoup"],

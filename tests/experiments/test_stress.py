@@ -43,7 +43,7 @@ def test_cases_have_unique_names_and_the_same_bits_each_time():
     every = hard_cases(1)
     assert len({case.name for case in every}) == len(set(every)) > 200
     hard = [chosen(seed, ["unstable/growth/5"])[0] for seed in (1, 1, 2)]
-    drawn = [RandomCase(*pair) for pair in ((1, 3), (1, 3), (2, 3), (1, 4))]
+    drawn = [RandomCase(*pair) for pair in ((1, 3), (1, 3), (2, 3))]
     for first, again, *others in (hard, drawn):
         one, two = first.problem(), again.problem()
         assert str(one) == str(two) and np.array_equal(one.z[0], two.z[0])

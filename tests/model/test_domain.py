@@ -47,7 +47,7 @@ def test_the_seam_of_a_circle_can_lie_anywhere():
     assert results[0] == pytest.approx(results[1], rel=1e-9)
 
 
-@pytest.mark.parametrize("config", [sf.SolverConfig(), SUMS])
+@pytest.mark.parametrize("config", [sf.SolverConfig(), pytest.param(SUMS, marks=pytest.mark.slow)])
 def test_a_pendulum_comes_to_the_gibbs_density(config):
     damping, intensity = 1.0, 2.0
     domain = sf.Domain(("periodic", -np.pi, np.pi), None)

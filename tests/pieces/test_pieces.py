@@ -169,3 +169,14 @@ def test_a_sum_of_too_many_gaussians_is_merged_further_and_that_is_told():
     assert change > 5e-3
     np.testing.assert_allclose(few.moments()[1], many.moments()[1], rtol=1e-9)
     assert few.log_p(many.mean) == pytest.approx(many.log_p(many.mean), abs=0.3)
+
+
+def test_a_reading_that_only_one_part_explains_leaves_the_others_out():
+    apart = Pieces(np.log([0.5, 0.5, 1e-9]), np.array([[0.0], [80.0], [0.1]]), np.ones((3, 1, 1)))
+    density = pieces_density(sf.initialize(sf.Gaussian([0.0], [[1.0]]), "auto"), apart)
+    asked = ReadingAtPrior.of(density, sf.GaussianMeasurement([[1.0]], [[1e-4]]), [0.0])
+    new, said = by_pieces(density, asked, 0.01)
+    assert new.gaussian and new.mean()[0] == pytest.approx(0.0, abs=1e-6)  # one is no sum
+    assert said["log_evidence"] == pytest.approx(
+        np.log(0.5) + norm.logpdf(0.0, 0.0, np.sqrt(1.0001)), abs=1e-6
+    )
