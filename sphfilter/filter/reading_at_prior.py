@@ -159,20 +159,38 @@ def reading_of(
 
 
 def info_fields(
-    asked: ReadingAtPrior, scheme: str, log_evidence: float, error: float, evidence_error: float
+    prior: ParticleDensity, asked: ReadingAtPrior, scheme: str, log_evidence: float, error: float, own: float
 ) -> dict[str, Any]:
-    """Fields of the info of an update by families or Gaussians, with a flag where the mean is in doubt."""
+    """Fields of the info of an update by families or Gaussians, with a flag where the mean is in doubt.
+
+    Of the evidence's error that is `own` which the update makes, beside that of the prior.
+    """
     code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
     return {
         "accepted": True,
         "log_evidence": log_evidence,
         "reason": asked.outlying,
         "error": error,
-        "evidence_error": evidence_error,
+        "evidence_error": math.hypot(own, _evidence_error_of(prior, asked)),
         "status": status,
         "code": code,
         "scheme": scheme,
     }
+
+
+def _evidence_error_of(prior: ParticleDensity, asked: ReadingAtPrior) -> float:
+    """Error of the log-evidence, nats, by what the prior's mean and variances may be off by along each axis.
+
+    That is its error, in standard deviations, and √2 of it: what a Hermite polynomial of the second degree in
+    log p makes of a variance, where one of the first shifts a mean by as much.
+    """
+    if not prior.error > 0.0 or asked.innovation is None:
+        return 0.0
+    assert asked.S is not None and asked.cross is not None
+    seen = np.linalg.solve(np.linalg.cholesky(moments_on_line(prior)[1]), asked.cross)
+    pull = seen @ np.linalg.solve(asked.S, asked.innovation)
+    known = np.einsum("ak,ka->a", seen, np.linalg.solve(asked.S, seen.T))
+    return float(prior.error * np.sqrt(np.sum(pull**2 + 0.5 * (pull**2 - known) ** 2)))
 
 
 def error_left_by_update(prior: ParticleDensity, posterior: ParticleDensity) -> float:
