@@ -379,7 +379,8 @@ class ParticleDensity(Noted):
         ----------
         question : callable
             Of a density; returns a number or an array. Of a cloud parts of it are asked, whose answers
-            differ; of any other density the same one moved and stretched, as far as its `error` says.
+            differ; of any other density the same one moved and stretched, as far as its `error` says. NaN of
+            kernels, of which nothing tells an error.
 
         Examples
         --------
@@ -413,7 +414,7 @@ class ParticleDensity(Noted):
         if axes == list(range(self.dim)):
             return self
         domain = None if self.domain is None else Domain(*[self.domain.axes[axis] for axis in axes])
-        about: dict[str, Any] = {"t": self.t, "domain": domain}
+        about: dict[str, Any] = {"t": self.t, "domain": domain, "error": self.error}
         given = self.form.marginal(axes)
         if "field" in given:
             return ParticleDensity(**given, **about, gaussian=self.gaussian)

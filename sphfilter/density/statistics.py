@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, Ints, OfStates
 from ..core.cloud.control import SHADOW, error_by
-from ..core.limits import TINY
+from ..core.limits import LITTLE, TINY
 from ..errors import ModelError
 from ..validate import state_rows
 from . import weighted
@@ -266,14 +266,14 @@ def _by_moving(density: "ParticleDensity", answer: Answer) -> Floats:
     values, axes = np.linalg.eigh(cov)
     off = x - mean if density.domain is None else density.domain.nearest(x - mean)
     here = answer(_cloud(density, x, w))
-    square = np.zeros_like(here)
-    if math.isnan(density.error):
+    square, step = np.zeros_like(here), max(density.error, LITTLE)  # of less, few points tell the change
+    if math.isnan(density.error) or density.read_out in ("points", "mixture"):  # of kernels nothing tells it
         return np.full_like(here, math.nan)
     for value, axis in zip(np.maximum(values, 0.0), axes.T, strict=True):
         along = np.outer(off @ axis, axis)
-        for change in (density.error * math.sqrt(value) * axis, density.error * math.sqrt(0.5) * along):
+        for change in (step * math.sqrt(value) * axis, step * math.sqrt(0.5) * along):
             square = square + (answer(_cloud(density, x + change, w)) - here) ** 2
-    return np.asarray(np.sqrt(square))
+    return np.asarray(density.error / step * np.sqrt(square))
 
 
 def pdf_error(density: "ParticleDensity") -> float:
