@@ -18,7 +18,6 @@ from .quasi_random import spread_evenly
 
 __all__ = [
     "ENTRIES",
-    "HEAVY",
     "NEAR",
     "GaussianPieces",
     "Pieces",
@@ -32,8 +31,6 @@ __all__ = [
 ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
 _STATES = 2**15  # that stand for the density: random ones would have its mean within 1 / √_STATES = .006
 NEAR = 2.5  # widths of a piece within which neighbours' middles lie: 2 Φ(-2.5) = .012 of it lies beyond
-#: Share of a part, below which it may be off by more: by HEAVY / share. Measured: half, twice change no run.
-HEAVY = 0.1
 _OF_ONE = 5  # nodes of one state: Gauss's rule of so many is exact to degree 2 · 5 - 1 = 9
 
 

@@ -248,7 +248,7 @@ def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
     means, answers = np.array([p.mean() for p in some]), np.array([answer(p) for p in some])
     if density.domain is not None:
         means = density.domain.nearest(means - density.mean())
-    variances = np.maximum(np.diag(density.cov()), np.finfo(float).tiny)
+    variances = np.maximum(np.diag(density.cov()), TINY)
     own = error_by(float(np.mean(np.var(means, axis=0, ddof=1) / variances)))
     scale = error_by(1.0) * max(density.error / own if own > 0.0 else 1.0, 1.0)
     smoothed = (answers.mean(axis=0) - answer(density)) / (SHADOW ** (4.0 / (density.dim + 8.0)) - 1.0)

@@ -5,10 +5,10 @@ from typing import Any
 
 from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, families_density, moments_on_line
+from ..density.families import HEAVY
 from ..density.families_posterior import AWAY, families_posterior
 from ..density.gathering import merged_families
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import HEAVY
 from .by_family import error_beyond_nodes
 from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
 

@@ -12,7 +12,7 @@ from ..density.memory import error_budget
 from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, root_of
-from ..model.measurements import is_gaussian
+from ..model.measurements import block, is_gaussian
 from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
 
 __all__ = ["by_pieces"]
@@ -34,10 +34,10 @@ def by_pieces(
     target : float
         Standard deviations, rms over the states.
     """
-    prior, sensor, both = density.pieces, asked.measurement, np.ix_(asked.seen, asked.seen)
+    prior, sensor = density.pieces, asked.measurement
     assert prior is not None and is_gaussian(sensor) and sensor.H is not None
     off = sensor.residual(asked.numbers, sensor.predict(prior.mean, density.t))[:, asked.seen]
-    H, R = sensor.H[asked.seen], sensor.noise_cov[both]
+    H, R = sensor.H[asked.seen], block(sensor.noise_cov, asked.seen)
     cross = prior.cov @ H.T
     S = H @ cross + R
     gain = np.linalg.solve(S, cross.transpose(0, 2, 1)).transpose(0, 2, 1)

@@ -252,10 +252,8 @@ def _heavy(x, w, ancestor, count):
 @jit
 def _added(x, w, lineage, mean):
     """What lineages add to the mean (n,) and to the weight: (lineages, n + 1)."""
-    (N, n), last = x.shape, 0
-    for i in range(N):
-        last = max(last, lineage[i])
-    out = np.zeros((last + 1, n + 1))
+    N, n = x.shape
+    out = np.zeros((lineage.max() + 1, n + 1))
     for i in range(N):
         k = lineage[i]
         out[k, n] += w[i]
@@ -267,10 +265,8 @@ def _added(x, w, lineage, mean):
 @jit
 def _gathered(added, older):
     """What those that lineages come from, older (lineages,), add."""
-    size, last = added.shape[1], 0
-    for k in range(added.shape[0]):
-        last = max(last, older[k])
-    out = np.zeros((last + 1, size))
+    size = added.shape[1]
+    out = np.zeros((older[: added.shape[0]].max() + 1, size))
     for k in range(added.shape[0]):
         if added[k, size - 1] > 0.0:
             for a in range(size):
