@@ -14,13 +14,13 @@ from time import monotonic
 from numba import config, njit
 from numba.core import event
 
-__all__ = ["PATIENCE", "find_folder", "listen"]
+__all__ = ["PATIENCE", "code_folder", "find_folder", "listen"]
 
 _LOGGER = logging.getLogger("sphfilter")
 PATIENCE = 1.0  # seconds that pass without a word: longer ones break a train of thought (Nielsen 1993, ch. 5)
 _COMPILING = (
-    "compiling: up to a minute the first time that a scheme is used, once for all models; kept in %s "
-    "(elsewhere: set NUMBA_CACHE_DIR)"
+    "compiling: up to a minute the first time that a scheme is used, once for all models, and seconds for "
+    "each model in text; kept in %s (elsewhere: set NUMBA_CACHE_DIR)"
 )
 _TEMPORARY = (
     "compiled code is kept in %s, as neither the installation nor the home can be written to; "
@@ -73,6 +73,11 @@ def find_folder():
     except RuntimeError:  # no locator available
         config.CACHE_DIR = str(_own_folder())
         _LOGGER.warning(_TEMPORARY, config.CACHE_DIR)
+
+
+def code_folder():
+    """The folder in which numba keeps the compiled code of this one."""
+    return Path(njit(cache=True)(_probe).stats.cache_path)
 
 
 def _own_folder():

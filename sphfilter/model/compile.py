@@ -24,8 +24,9 @@ from ..core._jit import BATCH
 from ..errors import ModelError
 from .asking import noted
 
-__all__ = ["NO_DATA", "Data", "Maker", "StateFunction", "arguments_of", "batch", "compile_rows",
-           "compile_source", "probe", "probe_states", "reads_argument", "shared", "surfacing"]  # fmt: skip
+__all__ = ["NO_DATA", "Data", "Maker", "StateFunction", "arguments_of", "batch", "batch_source",
+           "compile_rows", "compile_source", "probe", "probe_states", "reads_argument", "shared",
+           "surfacing"]  # fmt: skip
 
 #: A user's function of (x), (x, t), (x, t, p) or (x, t, p, u): of one state in numba's types, or of rows of
 #: states.
@@ -186,11 +187,15 @@ def compile_rows(
 
 def compile_source(before: Sequence[str], per_row: Sequence[str], **names: Any) -> BatchFunction:
     """Compile a batch function from lines of source written by this package (never a user's text)."""
-    body = ["def fill(x, t, p, out):", *(f"    {line}" for line in before), "    for i in range(x.shape[0]):"]
-    body += [f"        {line}" for line in per_row]
     namespace = dict(names)
-    exec("\n".join(body), namespace)
+    exec(batch_source(before, per_row), namespace)
     return batch(namespace["fill"])
+
+
+def batch_source(before: Sequence[str], per_row: Sequence[str]) -> str:
+    """Source of a batch function ``fill``, of lines that run once and lines that run for each row i."""
+    body = ["def fill(x, t, p, out):", *(f"    {line}" for line in before), "    for i in range(x.shape[0]):"]
+    return "\n".join([*body, *(f"        {line}" for line in per_row)])
 
 
 def _python(function: Any) -> Any:

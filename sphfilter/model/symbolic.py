@@ -13,13 +13,15 @@ from .. import validate
 from .._types import BatchFunction, Floats
 from ..core._views import flat
 from ..core.elementary import FAST
+from ..core.interpolation import linear, previous, slope
 from ..errors import ExpressionError, ModelError, nearest
 from . import derived
-from .compile import Maker, compile_source, shared
+from .compile import Maker, batch_source, shared
 from .expressions import Names, parse
+from .kept import kept
 from .noise import constant_root
 from .symbols import Abs, Ge, Gt, Linear, Max, Min, Previous, Sign, source
-from .tables import Table, linear, previous, slope
+from .tables import Table
 
 __all__ = ["Vocabulary", "symbolic_model", "symbolic_rows"]
 
@@ -286,7 +288,8 @@ def _maker(name: str, matrix: sp.Matrix, names: Names) -> Maker:
 @lru_cache
 def _compiled(before: tuple[str, ...], per_row: tuple[str, ...]) -> BatchFunction:
     """Compile a batch function of printed code; models whose code is the same share the last ones made."""
-    return compile_source(before, per_row, np=FAST, flat=flat, linear=linear, previous=previous, slope=slope)
+    words = {"np": FAST, "flat": flat, "linear": linear, "previous": previous, "slope": slope}
+    return kept(batch_source(before, per_row), words)
 
 
 def _has_symbolic_power(v: sp.Expr) -> bool:

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from .. import validate
 from .._types import Floats
 from ..errors import ModelError, nearest
 
-__all__ = ["Table", "Tables", "linear", "previous", "slope", "tables_of"]
+__all__ = ["Table", "Tables", "tables_of"]
 
 Kind: TypeAlias = Literal["linear", "previous"]
 
@@ -124,42 +123,3 @@ def _table(name: str, given: Any) -> Table:
             f"table {name!r} must be a Table or (arguments, values), got {validate.short(given)}"
         )
     return Table(*given)
-
-
-@njit(cache=True, error_model="numpy")
-def linear(p, start, count, x):  # type: ignore[no-untyped-def]
-    """Straight lines between the values of a table that stands in p from `start` on."""
-    k = _place(p, start, count, x)
-    value = p[start + count + k]
-    if k + 1 == count or x <= p[start]:
-        return value
-    return value + slope(p, start, count, x) * (x - p[start + k])
-
-
-@njit(cache=True, error_model="numpy")
-def slope(p, start, count, x):  # type: ignore[no-untyped-def]
-    """Slope of `linear`."""
-    k = _place(p, start, count, x)
-    if k + 1 == count or x < p[start]:
-        return 0.0
-    rise = p[start + count + k + 1] - p[start + count + k]
-    return rise / (p[start + k + 1] - p[start + k])
-
-
-@njit(cache=True, error_model="numpy")
-def previous(p, start, count, x):  # type: ignore[no-untyped-def]
-    """Values of a table, each held until the next."""
-    return p[start + count + _place(p, start, count, x)]
-
-
-@njit(cache=True, error_model="numpy")
-def _place(p, start, count, x):  # type: ignore[no-untyped-def]
-    """Number of the last argument that is not above x; zero before the first."""
-    low, high = 0, count
-    while high - low > 1:
-        middle = (low + high) // 2
-        if p[start + middle] <= x:
-            low = middle
-        else:
-            high = middle
-    return low
