@@ -34,13 +34,16 @@ def kept(source: str, words: Mapping[str, Any]) -> BatchFunction:
         The compiled functions of the core that it calls, by name.
     """
     namespace = {"__name__": __name__, **words}  # numba looks for the module when it loads code
-    path = _folder() / f"{sha256(source.encode()).hexdigest()[:32]}.txt"
+    name = sha256(source.encode()).hexdigest()[:32]
+    path = _folder() / f"{name}.txt"
     exec(compile(source, path, "exec"), namespace)
+    fill = namespace["fill"]
+    fill.__name__ += f"_{name}"  # code of two processes is linked by name and a count of each process
     try:
         new = _write(path, source)
-        compiled = jit_for(BATCH, namespace["fill"])
+        compiled = jit_for(BATCH, fill)
     except (OSError, RuntimeError):  # a full disk, a folder that has gone
-        return batch(namespace["fill"])
+        return batch(fill)
     if new:
         with suppress(OSError):  # another process deletes, too
             _forget(path.parent, Path(compiled.stats.cache_path))

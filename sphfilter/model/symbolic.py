@@ -1,7 +1,7 @@
 """From the texts of a model to its batch functions and structure flags, with symbolic derivatives."""
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -285,9 +285,9 @@ def _maker(name: str, matrix: sp.Matrix, names: Names) -> Maker:
     return make
 
 
-@lru_cache
+@cache
 def _compiled(before: tuple[str, ...], per_row: tuple[str, ...]) -> BatchFunction:
-    """Compile a batch function of printed code; models whose code is the same share the last ones made."""
+    """Compile a batch function of printed code; models whose code is the same share it."""
     words = {"np": FAST, "flat": flat, "linear": linear, "previous": previous, "slope": slope}
     return kept(batch_source(before, per_row), words)
 

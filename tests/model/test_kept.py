@@ -12,27 +12,42 @@ from sphfilter.model import kept as module
 from sphfilter.model.kept import kept
 
 _PROGRAM = """
+import sys
+import numpy as np
+from numba import njit
+from sphfilter.core._addresses import address_of, function_at
 from sphfilter.model.symbolic import symbolic_rows
-rows = symbolic_rows(["x", "v"], ["sin(x)*v + {number}"], "h")
-print(*(sum(found.values()) for found in (rows.stats.cache_hits, rows.stats.cache_misses)))
+
+@njit
+def fill(at, x, out):
+    function_at(at)(x, 0.0, x[0], out)
+
+x, out = np.full((1, 2), 2.0), np.empty((1, 1))
+each = {number: symbolic_rows(["x", "v"], [f"x*v + {number}"], "h") for number in sys.argv[1:]}
+for number, rows in each.items():
+    fill(address_of(rows), x, out)
+    assert out[0, 0] == 4.0 + float(number), (number, out)
+    print(*(sum(found.values()) for found in (rows.stats.cache_hits, rows.stats.cache_misses)))
 """
 
 
-def loaded_and_compiled(number, folder):
+def loaded_and_compiled(numbers, folder):
+    """How often a process loads and compiles for texts of these numbers, whose values it checks."""
     done = subprocess.run(
-        [sys.executable, "-c", _PROGRAM.format(number=number)],
+        [sys.executable, "-c", _PROGRAM, *map(str, numbers)],
         env=os.environ | {"NUMBA_CACHE_DIR": str(folder)},
         capture_output=True,
         text=True,
-        check=True,
+        check=False,
     )
-    return [int(word) for word in done.stdout.split()]
+    assert done.returncode == 0, done.stderr
+    return [tuple(map(int, line.split())) for line in done.stdout.splitlines()]
 
 
-def test_the_next_process_loads_what_one_compiled_and_nothing_else(tmp_path):
-    assert loaded_and_compiled(1, tmp_path) == [0, 1]
-    assert loaded_and_compiled(1, tmp_path) == [1, 0]
-    assert loaded_and_compiled(2, tmp_path) == [0, 1]
+def test_a_process_loads_what_another_compiled_and_nothing_else(tmp_path):
+    """An address is looked up by name, and a count of each process tells no two names apart."""
+    assert loaded_and_compiled([1, 2, 3], tmp_path) == [(0, 1)] * 3
+    assert loaded_and_compiled([4, 5, 6, 3, 2, 1], tmp_path) == [(0, 1)] * 3 + [(1, 0)] * 3
 
 
 def scaled_by(number):
