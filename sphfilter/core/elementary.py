@@ -1,4 +1,4 @@
-"""Sine, cosine, exponential and hyperbolic tangent without branches or calls, which become vector code.
+"""Sine, cosine, exponential, logarithm and hyperbolic tangent without branches or calls: vector code.
 
 Those of the C library are called state by state: five to fifteen times the time. Polynomials are those of
 fdlibm, Taylor's for the exponential, and Lambert's fraction; errors are below 1e-15, and of angles an ulp of
@@ -22,6 +22,8 @@ _PER_QUARTER, _PER_OCTAVE = 2.0 / math.pi, 1.0 / math.log(2.0)
 _QUARTER = 1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21
 _OCTAVE = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 = their sum
 _LEAST, _MOST = -708.0, 709.0  # exp(-708) and exp(709) are the last whole ones that are normal numbers
+_NORMAL, _SCALE, _SCALED = 2.0**-1022, 2.0**54, 54  # smaller numbers have no bits of an exponent
+_ROOT_HALF = int(np.float64(math.sqrt(0.5)).view(np.int64))  # mantissas are between √½ and √2
 _NEAR = 0.25  # to zero, where 1 - 2 / (exp(2 x) + 1) cancels; the fraction is right to 2e-16 up to a half
 
 
@@ -71,6 +73,25 @@ def _exp(x):
 
 
 @njit(**_OPTIONS)
+def _log(x):
+    x = np.float64(x)
+    small = x < _NORMAL
+    bits = np.float64(x * _SCALE if small else x).view(np.int64)
+    k = (bits - _ROOT_HALF) >> 52
+    f = np.int64(bits - (k << 52)).view(np.float64) - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    p = 3.999999999940941908e-01 + z * (2.857142874366239149e-01 + z * 2.222219843214978396e-01)
+    q = 1.818357216161805012e-01 + z * (1.531383769920937332e-01 + z * 1.479819860511658591e-01)
+    p = z * (6.666666666666735130e-01 + z * (p + z * z * z * q))
+    half = 0.5 * f * f
+    e = np.float64(k - _SCALED if small else k)
+    value = e * _OCTAVE[0] - ((half - (s * (half + p) + e * _OCTAVE[1])) - f)
+    value = value if x < np.inf else x
+    return value if x > 0.0 else (-np.inf if x == 0.0 else np.nan)
+
+
+@njit(**_OPTIONS)
 def _tanh(x):
     x = np.float64(x)
     z = x * x
@@ -82,4 +103,4 @@ def _tanh(x):
 #: What numpy has, with the functions of this module in their places.
 FAST = ModuleType("numpy_in_lanes")
 FAST.__dict__.update({name: getattr(np, name) for name in np.__all__ if name != "__version__"})
-FAST.__dict__.update({"sin": _sin, "cos": _cos, "exp": _exp, "tanh": _tanh})
+FAST.__dict__.update({"sin": _sin, "cos": _cos, "exp": _exp, "log": _log, "tanh": _tanh})

@@ -183,7 +183,8 @@ class _Run:
             if not added <= MISSED * target:
                 return False
         needs = needs._replace(legs=0, age=done.state.age).told(told, target, done.state.size)
-        row = _row(*moved.moments, *done.moments, done.log_evidence, done.error, y, S)
+        said = done.log_evidence, done.evidence_error, done.error
+        row = _row(*moved.moments, *done.moments, *said, y, S)
         self.reached = self.reached.and_on(done.state, needs, [row], span[1])
         return True
 
@@ -263,7 +264,15 @@ def _rows(sensor: Any, Z: Floats, times: Floats, columns: tuple[Floats, ...]) ->
 
 
 def _row(
-    m: Floats, P: Floats, x: Floats, C: Floats, log_evidence: float, error: float, y: Floats, S: Floats
+    m: Floats,
+    P: Floats,
+    x: Floats,
+    C: Floats,
+    log_evidence: float,
+    evidence_error: float,
+    error: float,
+    y: Floats,
+    S: Floats,
 ) -> Any:
     """Row of a result for a reading that is usual."""
     row = {
@@ -272,6 +281,7 @@ def _row(
         "x": x,
         "P": C,
         "log_evidence": float(log_evidence),
+        "evidence_error": float(evidence_error),
         "error": float(error),
     }
     return row | {"flagged": False, "accepted": True, "innovation": y, "innovation_cov": S}

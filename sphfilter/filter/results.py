@@ -42,6 +42,8 @@ class FilterResult:
         log-evidence of the run.
     accepted : ndarray of bool, shape (T,)
         False where a measurement came and the filter rejected it.
+    evidence_error : ndarray, shape (T,)
+        Estimated error of `log_evidence`, nats; NaN where the filter does not say.
     error : ndarray, shape (T,)
         Estimated error of the posterior mean, in posterior standard deviations; NaN where the filter does not
         say.
@@ -80,6 +82,7 @@ class FilterResult:
     hpd_rank: Floats = None  # type: ignore[assignment]
     error: Floats = None  # type: ignore[assignment]
     flagged: Bools = None  # type: ignore[assignment]
+    evidence_error: Floats = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         lead, n = np.shape(self.x)[:-1], np.shape(self.x)[-1]
@@ -128,6 +131,7 @@ def shapes(n: int, k: int) -> dict[str, tuple[int, ...]]:
         "hpd_rank": (),
         "error": (),
         "flagged": (),
+        "evidence_error": (),
     }
 
 
@@ -231,6 +235,6 @@ def _epoch(
         y, S = predicted if info.innovation is None else (y, S)
     row |= {"x": filt.x.copy(), "P": filt.P.copy(), "log_evidence": filt.log_likelihood}
     said = predicted_by, info  # filters of others say nothing
-    row["error"] = getattr(info, "error", np.nan)
+    row |= {name: getattr(info, name, np.nan) for name in ("error", "evidence_error")}
     row["flagged"] = any(getattr(step, "flagged", False) for step in said)
     return row | {"accepted": info.accepted, "innovation": y, "innovation_cov": S}

@@ -22,6 +22,7 @@ from .control import (
     decisive,
     error_by,
     expected_square,
+    few_error,
     least_error,
     next_points,
     points_for,
@@ -141,13 +142,14 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     standing, before : tuple
         The values of a `Standing` after the last of them, and before it.
     rows : tuple of ndarray
-        Of each reading mean and covariance before it and after it, the log-evidence, the error of the mean,
-        and the innovation with its covariance.
+        Of each reading mean and covariance before it and after it, the log-evidence and its error, the error
+        of the mean, and the innovation with its covariance.
     """
     (leg, stiff_flow, changes), (reader, Z), (times, least) = motion, sensor, spans
     (K, k), n, count = Z.shape, standing.x.shape[1], nets[0][0].shape[0]
     m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))
-    evidence, error, off, S = np.empty(K), np.empty(K), np.empty((K, k)), np.empty((K, k, k))
+    evidence, unsure, error = np.empty(K), np.empty(K), np.empty(K)
+    off, S = np.empty((K, k)), np.empty((K, k, k))
     before, end, done = standing, ALL, 0
     while done < K and end == ALL:
         j, s, span = done, standing, (times[done], times[done + 1])
@@ -164,6 +166,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         _keep(one.mean, one.cov, m, P, j)
         _keep(one.found[4], one.found[5], x, C, j)
         evidence[j] = one.found[3]
+        unsure[j] = max(error_by(squares[2]), few_error(one.found[7]))
         error[j] = both(max(error_by(squares[0]), least_error(one.found[6], count)), bias)
         away, spread = foreseen(about[3], one.y, one.w, one.mean, one.cov)
         _keep(away, spread, off, S, j)
@@ -179,7 +182,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         before, standing = s, Standing(a, b, c, d, e, f, count, *squares, *paced)
         done += 1
         end = JUDGE if max(error[j], told) > bounds.missed else MORE if points != count else ALL
-    return end, done, _bare(standing), _bare(before), (m, P, x, C, evidence, error, off, S)
+    return end, done, _bare(standing), _bare(before), (m, P, x, C, evidence, unsure, error, off, S)
 
 
 @jit

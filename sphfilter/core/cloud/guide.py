@@ -9,10 +9,11 @@ import math
 import numpy as np
 
 from .._jit import jit
+from ..elementary import FAST
 from ..limits import LARGEST_EXPONENT, LOG_2_PI
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
 from .noise import even_normals, uniform
-from .weights import systematic
+from .weights import summed, systematic
 
 __all__ = [
     "NEAR",
@@ -43,9 +44,11 @@ def without_noise(y, x, u, L, Phi, block):
     for i in range(N):
         b = block[i]
         for a in range(n):
-            s = y[i, a]
+            out[i, a], s = 0.0, y[i, a]
             for e in range(n):
-                s -= L[b, a, e] * u[i, e] + Phi[b, a, e] * x[i, e]
+                flowed = Phi[b, a, e] * x[i, e]
+                out[i, a] += flowed
+                s -= L[b, a, e] * u[i, e] + flowed
             rest[i, a] = s
     while first < N:
         b, end = block[first], first + 1
@@ -58,10 +61,7 @@ def without_noise(y, x, u, L, Phi, block):
                 s = -rest[i, a]
                 for k in range(low, high):
                     s += rest[k, a]
-                s *= share
-                for e in range(n):
-                    s += Phi[b, a, e] * x[i, e]
-                out[i, a] = s
+                out[i, a] += s * share
         first = end
     return out
 
@@ -107,10 +107,9 @@ def over_both(log_l, log_ratio, w):
     N, out = w.size, np.empty(log_l.size)
     for j in range(out.size):
         base = w[j] if j < N else 1.0 / (out.size - N)
-        ratio = math.exp(min(max(log_ratio[j], -LARGEST_EXPONENT), LARGEST_EXPONENT))
-        out[j] = -np.inf
-        if base > 0.0 and log_l[j] > -np.inf:
-            out[j] = log_l[j] + math.log(base / (1.0 + ratio))
+        ratio = FAST.exp(min(max(log_ratio[j], -LARGEST_EXPONENT), LARGEST_EXPONENT))
+        own = log_l[j] + FAST.log(base / (1.0 + ratio))
+        out[j] = own if base > 0.0 and log_l[j] > -np.inf else -np.inf
     return out
 
 
@@ -287,10 +286,9 @@ def look_ahead(r, u, w, block, HL, R, net, key):
     log_ratio, new = np.empty(N + count), np.empty((count, n))
     if top == -np.inf:
         return np.empty(0, np.int64), new, log_ratio
-    total = 0.0
     for i in range(N):
-        a[i] = math.exp(a[i] - top)
-        total += a[i]
+        a[i] = FAST.exp(a[i] - top)
+    total = summed(a)
     ancestor, known = systematic(a, count, cut), top + math.log(total)
     for j in range(count):
         i, b = ancestor[j], block[ancestor[j]]

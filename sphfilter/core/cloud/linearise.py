@@ -41,13 +41,14 @@ def centres(x):
     """Means (blocks, n) of blocks of consecutive points of x (N, n)."""
     N, n = x.shape
     size = block_size(N)
-    c = np.zeros((-(-N // size), n))
-    for i in range(N):
-        for a in range(n):
-            c[i // size, a] += x[i, a]
+    c = np.empty((-(-N // size), n))
     for b in range(c.shape[0]):
+        first, last = b * size, min((b + 1) * size, N)
         for a in range(n):
-            c[b, a] /= min(size, N - b * size)
+            s = 0.0
+            for i in range(first, last):
+                s += x[i, a]
+            c[b, a] = s / (last - first)
     return c
 
 
@@ -126,9 +127,10 @@ def shrunk(x, c, part):
     """Points of x (N, n) drawn to the centres c (blocks, n) of their blocks, to a part (blocks,)."""
     N, n = x.shape
     size, y = block_size(N), np.empty((N, n))
-    for i in range(N):
-        for a in range(n):
-            y[i, a] = c[i // size, a] + part[i // size] * (x[i, a] - c[i // size, a])
+    for b in range(len(c)):
+        for i in range(b * size, min((b + 1) * size, N)):
+            for a in range(n):
+                y[i, a] = c[b, a] + part[b] * (x[i, a] - c[b, a])
     return y
 
 

@@ -48,15 +48,20 @@ def steer(V, block, u, W, along):
 @jit
 def affine(x, u, block, start, end, flow, lower):
     """Points (N, n) end + Φ (x - start) + L u of their blocks."""
-    N, n = x.shape
+    (N, n), first = x.shape, 0
     y = np.empty((N, n))
-    for i in range(N):
-        b = block[i]
+    while first < N:
+        b, last = block[first], first + 1
+        while last < N and block[last] == b:
+            last += 1
         for a in range(n):
-            s = end[b, a]
+            for i in range(first, last):
+                y[i, a] = end[b, a]
             for e in range(n):
-                s += flow[b, a, e] * (x[i, e] - start[b, e]) + lower[b, a, e] * u[i, e]
-            y[i, a] = s
+                on, drawn, about = flow[b, a, e], lower[b, a, e], start[b, e]
+                for i in range(first, last):
+                    y[i, a] += on * (x[i, e] - about) + drawn * u[i, e]
+        first = last
     return y
 
 

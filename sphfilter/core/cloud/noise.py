@@ -102,14 +102,14 @@ def even_normals(z, key):
     """The points of a net z (N, n), turned and shifted cyclically by a key."""
     N, n = z.shape
     turn, shift = rotation(key, n), int(uniform(key, np.uint64(2**40)) * N)
-    out = np.empty((N, n))
-    for i in range(N):
-        j = i + shift if i + shift < N else i + shift - N
-        for a in range(n):
-            s = 0.0
-            for e in range(n):
-                s += turn[a, e] * z[j, e]
-            out[i, a] = s
+    out = np.zeros((N, n))
+    for a in range(n):
+        for e in range(n):
+            part = turn[a, e]
+            for i in range(N - shift):
+                out[i, a] += part * z[i + shift, e]
+            for i in range(N - shift, N):
+                out[i, a] += part * z[i + shift - N, e]
     return out
 
 

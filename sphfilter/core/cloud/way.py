@@ -32,8 +32,8 @@ _LINES = 6
 def blocks_of(count):
     """Numbers (count,) of the blocks of as many points."""
     out, size = np.empty(count, np.int64), block_size(count)
-    for i in range(count):
-        out[i] = i // size
+    for b in range(-(-count // size)):
+        out[b * size : (b + 1) * size] = b
     return out
 
 

@@ -7,6 +7,7 @@ from numba import njit
 
 from .._jit import jit
 from .._views import rows_at
+from ..elementary import FAST
 from ..limits import LOOK, ROUNDING
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
 from .noise import LANES
@@ -23,6 +24,7 @@ __all__ = [
     "near_others",
     "normalise",
     "prior_times",
+    "summed",
     "systematic",
     "weighted_moments",
 ]
@@ -122,12 +124,20 @@ def compared(mean, cov, other, own):
 def finite_rows(x):
     """Which rows of x (N, n) are numbers, (N,), and whether all are."""
     N, n = x.shape
-    fine, every = np.ones(N, np.bool_), True
-    for i in range(N):
+    fine, every = np.ones(N, np.bool_), _nothing(x.reshape(-1)) == 0.0
+    for i in range(0 if every else N):
         for a in range(n):
-            if not abs(x[i, a]) < np.inf:
-                fine[i] = every = False
+            fine[i] &= abs(x[i, a]) < np.inf
     return fine, every
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+def _nothing(x):
+    """Zero, or no number, if any of numbers (N,) is not finite."""
+    total = 0.0
+    for i in range(x.size):
+        total += 0.0 * x[i]
+    return total
 
 
 @jit
@@ -161,7 +171,7 @@ def prior_times(w, log_l):
     """Logarithms (N,) of weights w (N,) times likelihoods."""
     out = np.empty(w.size)
     for i in range(w.size):
-        out[i] = log_l[i] + math.log(w[i]) if w[i] > 0.0 else -np.inf
+        out[i] = log_l[i] + FAST.log(w[i]) if w[i] > 0.0 else -np.inf
     return out
 
 
@@ -197,10 +207,9 @@ def carriers(x, log_w, ancestor, older):
     """
     N, n = x.shape
     log_w, w, mean, cov = log_w.copy(), np.zeros(N), np.zeros(n), np.zeros((n, n))
-    for i in range(N):
-        for a in range(n):
-            if not abs(x[i, a]) < np.inf:
-                log_w[i] = -np.inf
+    fine, every = finite_rows(x)
+    for i in range(0 if every else N):
+        log_w[i] = log_w[i] if fine[i] else -np.inf
     log_evidence = normalise(log_w, w)
     if not abs(log_evidence) < np.inf:
         return x, w, _lines(ancestor, older), -np.inf, mean, cov, 0.0, 0.0
@@ -210,7 +219,7 @@ def carriers(x, log_w, ancestor, older):
     if heavy < N:
         x, w, ancestor = _heavy(x, w, ancestor, heavy)
     weighted_moments(x, w, mean, cov)
-    added = _added(x, w, ancestor, mean)
+    added, member = _added(x, w, ancestor, mean)
     squares, part = _squares(added, cov)
     lineages = 1.0 / squares
     number = lineages
@@ -218,7 +227,8 @@ def carriers(x, log_w, ancestor, older):
         # few lineages may agree by chance, and one agrees with itself: a variance seen L - 1 times
         number = max(lineages, min(effective(w), (1.0 - squares) / part, lineages * lineages))
     for own in older:
-        together, part = _squares(_gathered(added, own), cov)
+        added, member = _gathered(added, member, own)
+        together, part = _squares(added, cov)
         if part > 0.0 and 1.0 - together > ROUNDING:  # else one has left all, and tells nothing
             number = min(number, max((1.0 - together) / part, 1.0))
     return x, w, _lines(ancestor, older), log_evidence, mean, cov, number, lineages
@@ -228,9 +238,9 @@ def carriers(x, log_w, ancestor, older):
 def _lines(ancestor, older):
     """Ancestors (1 + readings, N) of points, from those (N,) of the last reading and theirs."""
     out = np.empty((1 + older.shape[0], ancestor.size), np.int64)
-    for i in range(ancestor.size):
-        out[0, i] = ancestor[i]
-        for k in range(older.shape[0]):
+    out[0] = ancestor
+    for k in range(older.shape[0]):
+        for i in range(ancestor.size):
             out[k + 1, i] = older[k, ancestor[i]]
     return out
 
@@ -251,27 +261,39 @@ def _heavy(x, w, ancestor, count):
 
 @jit
 def _added(x, w, lineage, mean):
-    """What lineages add to the mean (n,) and to the weight: (lineages, n + 1)."""
+    """What lineages add to the mean (n,) and to the weight, (lineages, n + 1), and the number of each."""
     N, n = x.shape
-    out = np.zeros((lineage.max() + 1, n + 1))
+    out, member, count = np.zeros((lineage.max() + 1, n + 1)), np.empty(N, np.int64), 0
     for i in range(N):
         k = lineage[i]
         out[k, n] += w[i]
         for a in range(n):
             out[k, a] += w[i] * (x[i, a] - mean[a])
-    return out
+    for k in range(len(out)):
+        if out[k, n] > 0.0:
+            member[count] = k
+            for a in range(n + 1):
+                out[count, a] = out[k, a]
+            count += 1
+    return out[:count], member[:count]
 
 
 @jit
-def _gathered(added, older):
-    """What those that lineages come from, older (lineages,), add."""
-    size = added.shape[1]
-    out = np.zeros((older[: added.shape[0]].max() + 1, size))
-    for k in range(added.shape[0]):
-        if added[k, size - 1] > 0.0:
-            for a in range(size):
-                out[older[k], a] += added[k, a]
-    return out
+def _gathered(added, member, older):
+    """What those that lineages come from add, in place of these; and the number of a member of each."""
+    place, count = np.full(older.max() + 1, -1), 0
+    for k in range(len(member)):
+        own = older[member[k]]
+        j = place[own]
+        if j < 0:
+            place[own], member[count] = count, member[k]
+            for a in range(added.shape[1]):
+                added[count, a] = added[k, a]
+            count += 1
+        else:
+            for a in range(added.shape[1]):
+                added[j, a] += added[k, a]
+    return added[:count], member[:count]
 
 
 @jit
@@ -282,7 +304,7 @@ def _squares(added, cov):
     for k in range(added.shape[0]):
         squares += added[k, n] * added[k, n]
         for a in range(n):
-            for b in range(n):
+            for b in range(a + 1):
                 S[a, b] += added[k, a] * added[k, b]
     if not cholesky(cov, L):
         return squares, np.nan
@@ -290,17 +312,14 @@ def _squares(added, cov):
     for a in range(n):
         for b in range(a + 1):
             for c in range(a + 1):
-                part += W[a, b] * S[b, c] * W[a, c] / n
+                part += W[a, b] * S[max(b, c), min(b, c)] * W[a, c] / n
     return squares, part
 
 
 @jit
 def effective(w):
     """Effective number of points of weights (N,), (Σ w)² / Σ w²."""
-    total = squares = 0.0
-    for i in range(w.size):
-        total += w[i]
-        squares += w[i] * w[i]
+    total, squares = summed(w), summed(w * w)
     return total * total / squares if squares > 0.0 else 0.0
 
 
@@ -310,19 +329,33 @@ def normalise(log_w, w):
 
     Without a weight above zero the sum's logarithm is -inf, and the weights are nothing.
     """
-    top = -np.inf
-    for i in range(log_w.size):
-        if log_w[i] > top:
-            top = log_w[i]
+    top = _largest(log_w)
     if not np.isfinite(top):
         return -np.inf
-    total = 0.0
     for i in range(log_w.size):
-        w[i] = np.exp(log_w[i] - top) if log_w[i] > -np.inf else 0.0
-        total += w[i]
+        w[i] = FAST.exp(log_w[i] - top) if log_w[i] > -np.inf else 0.0
+    total = summed(w)
     for i in range(log_w.size):
         w[i] /= total
-    return top + np.log(total)
+    return top + math.log(total)
+
+
+@jit
+def _largest(log_w):
+    """The largest of logarithms (N,), NaN apart."""
+    top = -np.inf
+    for i in range(log_w.size):
+        top = log_w[i] if log_w[i] > top else top
+    return top
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+def summed(w):
+    """The sum of numbers (N,), in any order."""
+    total = 0.0
+    for i in range(w.size):
+        total += w[i]
+    return total
 
 
 @jit
@@ -332,12 +365,10 @@ def systematic(w, count, shift):
     One shift on [0, 1) moves all strata; what rounding may have lost at the end of the weights goes to the
     last point that has any.
     """
-    N, last = w.size, w.size - 1
+    last = w.size - 1
     while last > 0 and w[last] == 0.0:
         last -= 1
-    total = 0.0
-    for i in range(N):
-        total += w[i]
+    total = summed(w)
     out, j, passed = np.empty(count, np.int64), 0, w[0]
     for i in range(count):
         position = (i + shift) / count * total
