@@ -344,16 +344,26 @@ def _compile_vectorized(
 
 
 def _through_python(call: Callable[..., None]) -> BatchFunction:
-    """Batch function that enters the interpreter; with no rows there is nothing to ask."""
-    index = len(_BLACK_BOXES)
+    """Batch function that enters the interpreter."""
+    index, ask = len(_BLACK_BOXES), _asking()
     _BLACK_BOXES.append(call)
 
     def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
+        ask(index, x, t, p, out)
+
+    return batch(fill)
+
+
+@functools.cache
+def _asking() -> Any:
+    """Compiled code's way to the functions of Python; with no rows there is nothing to ask."""
+
+    def ask(index: int, x: Floats, t: float, p: Floats, out: Floats) -> None:
         if x.shape[0] > 0:
             with objmode():
                 _call_black_box(index, x, t, p, out)
 
-    return batch(fill)
+    return njit(types.void(types.int64, *BATCH.args), error_model="numpy")(ask)
 
 
 def _call_black_box(index: int, x: Floats, t: float, p: Floats, out: Floats) -> None:

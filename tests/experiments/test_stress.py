@@ -288,7 +288,7 @@ def _rows(path):
 @pytest.mark.parametrize(
     "options, name, reference, n_parts",
     [
-        (["--random-case", "1:12"], "random", "grid", 4),
+        pytest.param(["--random-case", "1:12"], "random", "grid", 4, marks=pytest.mark.slow),
         (["--only", "repeated_times/linear/1", "--methods", "pf1e4"], "stress", "Kalman filter", 2),
     ],
 )

@@ -58,7 +58,7 @@ def against_kalman(n, R, seed, steps=8):
 @pytest.mark.parametrize("R", [1.0, 0.05])
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
 def test_a_linear_model_is_right_within_the_errors_that_are_told(n, R):
-    records = [against_kalman(n, R, seed) for seed in range(1, 25)]
+    records = [against_kalman(n, R, seed) for seed in range(1, 25 if n < 3 else 13)]
     error, told, evidence, evidence_told = np.sqrt(np.mean(np.square(records), axis=0))
     assert told < 0.02
     assert told / 3.0 < error < 3.0 * told
