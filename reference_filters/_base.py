@@ -37,6 +37,8 @@ class ReferenceFilter(ABC):
 
     #: The model of a filter that has one; set before `__init__` is called.
     model = None
+    #: Whether what it tells is exact; any other filter does not say how far off it is.
+    exact = False
     #: Whether predictions are made with `driven`.
     takes_inputs = False
 
@@ -113,7 +115,8 @@ class ReferenceFilter(ABC):
         if np.any(measurement.observed(z)):
             z = np.atleast_1d(np.asarray(validate.unmasked(z), dtype=float))
             belief, facts = self._updated(self._belief, z, measurement)
-            info = UpdateInfo(accepted=True, **facts)
+            untold = 0.0 if self.exact else np.nan
+            info = UpdateInfo(accepted=True, **{"error": untold, "evidence_error": untold} | facts)
         else:
             belief, info = self._belief, UpdateInfo(accepted=True, log_evidence=0.0, reason="missing")
         x, P = self._finite_moments(belief, "update", self.t)

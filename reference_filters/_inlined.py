@@ -39,8 +39,8 @@ _NAMES = {f"U{k}": np.uint64(k) for k in range(64)} | {"unit_noise": unit_noise,
 
 def fits(model):
     """Whether steps can be compiled: the noise does not depend on the state, the drift is no Python code."""
-    inside = set(model.drift_batch.py_func.__code__.co_names)
-    return not model.state_dependent_noise and not inside & {"objmode", "again"}
+    code = model.drift_batch.py_func.__code__
+    return not model.state_dependent_noise and not {*code.co_names, *code.co_freevars} & {"ask", "again"}
 
 
 def pattern_of(model):

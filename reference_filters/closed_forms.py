@@ -139,6 +139,8 @@ class BenesFilter(ReferenceFilter):
         Seconds.
     """
 
+    exact = True
+
     def __init__(self, measurement, m=0.0, s=0.0, t0=0.0, dt=None):
         if s < 0 or not np.isfinite(m + s):
             raise ModelError(f"the Beneš start needs a finite m and s >= 0; got m = {m}, s = {s}")

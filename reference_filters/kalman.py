@@ -72,6 +72,8 @@ class KalmanFilter(_GaussianFilter):
         Interval of `predict()` without arguments.
     """
 
+    exact = True
+
     def __init__(self, model, measurement, x0, P0, t0=0.0, dt=None):
         if not model.linear:
             raise ModelError(f"KalmanFilter needs a linear model, not {model!r}; take ExtendedKalmanFilter")

@@ -39,4 +39,5 @@ def by_families(
     if one is None:
         few, change = merged_families(found.families, allowed, HEAVY)
         one = families_density(new, few, error=math.hypot(error, change))
-    return one, info_fields(density, asked, "pieces", found.log_evidence, one.error, found.evidence_error)
+    told = found.log_evidence, one.error, found.evidence_error
+    return one, info_fields((density, one), asked, "pieces", *told)

@@ -68,7 +68,7 @@ def family_update(
     left = error_left_by_update(density, new) if density.error or misfit else 0.0  # of nothing
     added = math.hypot(left * OF_MISFIT * misfit, added)
     error = math.hypot(left * density.error, added)
-    said = info_fields(density, asked, "family", found.log_evidence, error, found.evidence_error)
+    said = info_fields((density, new), asked, "family", found.log_evidence, error, found.evidence_error)
     return new.noted(error=error), said | {"residual": found.misfit}, added
 
 

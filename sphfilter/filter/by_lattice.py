@@ -17,7 +17,7 @@ from ..lattice.field import extrapolated_mass, inside_lattice
 from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
 from .by_cloud import by_cloud
-from .reading_at_prior import ReadingAtPrior, error_left_by_update
+from .reading_at_prior import ReadingAtPrior, error_left_by_update, evidence_error_of
 
 __all__ = ["by_lattice"]
 
@@ -66,10 +66,11 @@ def by_lattice(
         new = replace(new, error=math.hypot(error, far.mean), lost=left * density.lost)
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     left_out = cut.mass if found is None else max(cut.mass, found.left_out)
+    inherited = 0.0 if unknown else evidence_error_of(density, new)
     return new, {
         "residual": new.residual or 0.0,
         "error": float(np.hypot(new.error, cut.mean)),
-        "evidence_error": evidence_error if gaussian else math.hypot(evidence_error, left_out),
+        "evidence_error": math.hypot(evidence_error, 0.0 if gaussian else left_out, inherited),
         "mass_left_out": left_out,
         "accepted": not unknown,
         "log_evidence": log_evidence,

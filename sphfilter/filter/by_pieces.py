@@ -50,4 +50,5 @@ def by_pieces(
     pieces, change = merged(found, error_budget(density.error, target) / OF_CHANGE)
     new = pieces_density(density, pieces)
     error = math.hypot(error_left_by_update(density, new) * density.error, OF_CHANGE * change)
-    return new.noted(error=error), info_fields(density, asked, "pieces", float(logsumexp(log_w)), error, 0.0)
+    told = float(logsumexp(log_w)), error, 0.0
+    return new.noted(error=error), info_fields((density, new), asked, "pieces", *told)

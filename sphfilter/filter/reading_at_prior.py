@@ -25,6 +25,7 @@ __all__ = [
     "ReadingAtPrior",
     "amplified_in_tail",
     "error_left_by_update",
+    "evidence_error_of",
     "info_fields",
     "predicted_reading",
     "reading_of",
@@ -159,11 +160,17 @@ def reading_of(
 
 
 def info_fields(
-    prior: ParticleDensity, asked: ReadingAtPrior, scheme: str, log_evidence: float, error: float, own: float
+    densities: tuple[ParticleDensity, ParticleDensity],
+    asked: ReadingAtPrior,
+    scheme: str,
+    log_evidence: float,
+    error: float,
+    own: float,
 ) -> dict[str, Any]:
-    """Fields of the info of an update by families or Gaussians, with a flag where the mean is in doubt.
+    """Fields of the info of an update of a prior to a posterior, with a flag where the mean is in doubt.
 
-    Of the evidence's error that is `own` which the update makes, beside that of the prior.
+    Both are families or Gaussians. Of the evidence's error that is `own` which the update makes, beside that
+    of the prior.
     """
     code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
     return {
@@ -171,26 +178,28 @@ def info_fields(
         "log_evidence": log_evidence,
         "reason": asked.outlying,
         "error": error,
-        "evidence_error": math.hypot(own, _evidence_error_of(prior, asked)),
+        "evidence_error": math.hypot(own, evidence_error_of(*densities)),
         "status": status,
         "code": code,
         "scheme": scheme,
     }
 
 
-def _evidence_error_of(prior: ParticleDensity, asked: ReadingAtPrior) -> float:
+def evidence_error_of(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     """Error of the log-evidence, nats, by what the prior's mean and variances may be off by along each axis.
 
     That is its error, in standard deviations, and √2 of it: what a Hermite polynomial of the second degree in
-    log p makes of a variance, where one of the first shifts a mean by as much.
+    log p makes of a variance, where one of the first shifts a mean by as much. A shift of the prior changes
+    the evidence by the mean of the posterior, along the prior's axes, and a wider one by its mean square
+    less one: that of a Gaussian, whatever the sensor.
     """
-    if not prior.error > 0.0 or asked.innovation is None:
+    if not prior.error > 0.0:
         return 0.0
-    assert asked.S is not None and asked.cross is not None
-    seen = np.linalg.solve(np.linalg.cholesky(moments_on_line(prior)[1]), asked.cross)
-    pull = seen @ np.linalg.solve(asked.S, asked.innovation)
-    known = np.einsum("ak,ka->a", seen, np.linalg.solve(asked.S, seen.T))
-    return float(prior.error * np.sqrt(np.sum(pull**2 + 0.5 * (pull**2 - known) ** 2)))
+    (mean, cov), (own_mean, own_cov) = moments_on_line(prior), moments_on_line(posterior)
+    white = np.linalg.inv(np.linalg.cholesky(cov))
+    shift, spread = white @ (own_mean - mean), white @ own_cov @ white.T
+    wider = np.diag(spread) + shift**2 - 1.0
+    return float(prior.error * np.sqrt(np.sum(shift**2 + 0.5 * wider**2)))
 
 
 def error_left_by_update(prior: ParticleDensity, posterior: ParticleDensity) -> float:

@@ -92,6 +92,11 @@ class FilterResult:
                 blank = False if name in TRUTHS else np.nan
                 object.__setattr__(self, name, np.full((*lead, *shape), blank))
 
+    @property
+    def total_evidence_error(self) -> Floats:
+        """Estimated error of the log-evidence of a run, or of each, nats: of errors that are independent."""
+        return np.sqrt(np.sum(np.square(self.evidence_error), axis=-1))
+
     def __repr__(self) -> str:
         *lead, n = np.shape(self.x)
         names = ", ".join(f.name for f in fields(self))

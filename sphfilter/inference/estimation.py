@@ -87,6 +87,11 @@ class ParameterFit:
         return tuple(self.estimate)
 
     @property
+    def evidence_error(self) -> float:
+        """Estimated error of the log-evidence, nats; NaN where the filter does not say."""
+        return float(self.result.total_evidence_error)
+
+    @property
     def correlation(self) -> Floats:
         """Correlations of the estimates, shape (n, n)."""
         s = np.sqrt(np.diag(self.covariance))
@@ -107,7 +112,8 @@ class ParameterFit:
 
     def __str__(self) -> str:
         rows = [f"{k} = {v:.5g} ± {self.standard_error[k]:.2g}" for k, v in self.estimate.items()]
-        return "\n".join([*rows, f"log-evidence {self.log_evidence:.3f} nat; {self.status}"])
+        evidence = f"log-evidence {self.log_evidence:.3f} ± {self.evidence_error:.1g} nat"
+        return "\n".join([*rows, f"{evidence}; {self.status}"])
 
 
 def fit_parameters(
@@ -176,7 +182,7 @@ def fit_parameters(
     >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
     >>> print(sf.fit_parameters(flt, times, z, guess={"a": 0.5}))
     a = 0.84... ± 0.41
-    log-evidence -34.05... nat; the maximum was found...
+    log-evidence -34.05... ± ... nat; the maximum was found...
 
     The noise of the sensor, by a function that makes filters:
 

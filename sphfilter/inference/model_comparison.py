@@ -44,6 +44,8 @@ class ModelComparison:
         First and last time, seconds.
     data : str
         Fingerprint of times, measurements and inputs.
+    evidence_error : ndarray, shape (M,)
+        Estimated errors of the log-evidences, nats, by what filters approximate; NaN where one does not say.
 
     Examples
     --------
@@ -69,6 +71,7 @@ class ModelComparison:
     n_readings: int
     span: tuple[float, float]
     data: str
+    evidence_error: Floats
 
     __repr__ = in_a_line
 
@@ -103,6 +106,7 @@ class ModelComparison:
         """Numbers and words by model, for files."""
         columns = {
             "log_evidence": self.log_evidence,
+            "evidence_error": self.evidence_error,
             "n_parameters": self.n_parameters,
             "n_rejected": self.n_rejected,
             "aic": self.aic,
@@ -117,15 +121,14 @@ class ModelComparison:
 
     def __str__(self) -> str:
         width = max(len("model"), *map(len, self.names))
-        lines = [f"{'model':{width}}  log-evidence  fitted  rejected       AIC       BIC  log Bayes factor"]
-        rows = (self.log_evidence, self.n_parameters, self.n_rejected, self.aic, self.bic)
-        for name, value, k, rejected, aic, bic, factor, word in zip(
-            self.names, *rows, self.log_bayes_factor, self.words, strict=True
+        heads = "log-evidence    error  fitted  rejected       AIC       BIC  log Bayes factor"
+        lines = [f"{'model':{width}}  {heads}"]
+        counts, criteria = (self.n_parameters, self.n_rejected), (self.aic, self.bic, self.log_bayes_factor)
+        for name, value, error, fitted, rejected, aic, bic, factor, word in zip(
+            self.names, self.log_evidence, self.evidence_error, *counts, *criteria, self.words, strict=True
         ):
-            lines.append(
-                f"{name:{width}}  {value:12.3f}  {k:6d}  {rejected:8d}  {aic:8.2f}  {bic:8.2f}  "
-                f"{factor:16.3f}  {word}"
-            )
+            told = f"{name:{width}}  {value:12.3f}  {error:7.2g}  {fitted:6d}  {rejected:8d}"
+            lines.append(f"{told}  {aic:8.2f}  {bic:8.2f}  {factor:16.3f}  {word}")
         first, last = self.span
         return "\n".join([*lines, f"{self.n_readings} readings from {first:g} to {last:g} ({self.data})"])
 
@@ -171,9 +174,9 @@ def compare_models(
     >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
     >>> wanders = sf.SPHFilter(model.with_parameters(a=0.0), level, x0=[0.0], P0=[[0.1]], n_particles=50)
     >>> print(sf.compare_models({"wanders": wanders, "returns": flt}, times, z))
-    model    log-evidence  fitted  rejected       AIC       BIC  log Bayes factor
-    returns       -34.237       0         0     68.47     68.47             0.000  the best
-    wanders       -36.378       0         0     72.76     72.76            -2.141  positive
+    model    log-evidence    error  fitted  rejected       AIC       BIC  log Bayes factor
+    returns       -34.237  ...       0         0     68.47     68.47             0.000  the best
+    wanders       -36.378  ...       0         0     72.76     72.76            -2.141  positive
     30 readings from 0.4 to 12 (...)
     """
     candidates = dict(candidates)
@@ -188,7 +191,7 @@ def compare_models(
     ]
     readings, span = n_readings(numbers), np.asarray(times, dtype=float)
     rows.sort(key=lambda row: row[2] * np.log(max(readings, 1)) - 2.0 * row[1])
-    names, evidence, n_parameters, n_rejected = zip(*rows, strict=True)
+    names, evidence, errors, n_parameters, n_rejected = zip(*rows, strict=True)
     return ModelComparison(
         names=names,
         log_evidence=np.array(evidence),
@@ -197,6 +200,7 @@ def compare_models(
         n_readings=readings,
         span=(float(span[0]), float(span[-1])),
         data=data,
+        evidence_error=np.array(errors),
     )
 
 
@@ -207,8 +211,8 @@ def _judged(
     measurements: Rows,
     inputs: InputRecord | None,
     data: str,
-) -> tuple[float, int, int]:
-    """Log-evidence, number of fitted parameters, and measurements not used."""
+) -> tuple[float, float, int, int]:
+    """Log-evidence and its error, number of fitted parameters, and measurements not used."""
     if isinstance(candidate, ParameterFit):
         if candidate.data != data:
             raise ModelError(
@@ -222,4 +226,5 @@ def _judged(
         result, fitted = copy.deepcopy(candidate).run(times, measurements, **given), 0
     else:
         raise ModelError(f"{name!r} must be a filter or a ParameterFit, got {short(candidate)}")
-    return float(np.sum(result.log_evidence)), fitted, int(np.count_nonzero(~result.accepted))
+    evidence = float(np.sum(result.log_evidence)), float(result.total_evidence_error)
+    return *evidence, fitted, int(np.count_nonzero(~result.accepted))

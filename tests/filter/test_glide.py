@@ -21,7 +21,10 @@ def record(scene, target, n):
     return made, np.array(case.times[:n]), np.array(case.z[:n], dtype=float)
 
 
-NAMES = "x", "P", "x_prior", "P_prior", "log_evidence", "error", "flagged", "innovation", "innovation_cov"
+NAMES = (
+    "x", "P", "x_prior", "P_prior", "log_evidence", "evidence_error", "error", "flagged", "innovation",
+    "innovation_cov",
+)  # fmt: skip
 
 
 def step_by_step(flt, times, z):
@@ -31,7 +34,7 @@ def step_by_step(flt, times, z):
         prior = flt.x, flt.P
         updated = flt.update(reading)
         flagged = updated.flagged or (predicted is not None and predicted.flagged)
-        said = flt.log_likelihood, updated.error, flagged, flt.y, flt.S
+        said = flt.log_likelihood, updated.evidence_error, updated.error, flagged, flt.y, flt.S
         values = flt.x, flt.P, *prior, *said
         for name, value in zip(NAMES, values, strict=True):
             found[name].append(value)

@@ -7,6 +7,8 @@ from oscillators import DUFFING, OSCILLATOR, POSITION, START, TIMES, exact, read
 import sphfilter as sf
 from reference_filters.kalman import KalmanFilter
 
+CLOUD = sf.FilterConfig(scheme=sf.CloudScheme(n_points=1024))
+
 
 @pytest.fixture(scope="module")
 def z():
@@ -52,6 +54,23 @@ def test_rejected_measurements_count(z):
     wide = sf.SPHFilter(OSCILLATOR, POSITION.changed(noise_cov=1e4), *START, n_particles=200)
     found = sf.compare_models({"narrow": narrow, "wide": wide}, times, wild)
     assert found.names == ("wide", "narrow") and list(found.n_rejected) == [0, 1]
+
+
+def test_errors_of_the_evidence_are_told(z):
+    """A cloud is off by what it tells, at eight clocks; Kalman's filter is exact; a fit tells its own."""
+    kalman = sf.compare_models({"exact": exact({})}, TIMES, z)
+    assert kalman.evidence_error[0] == 0.0
+    off, told = [], []
+    for t0 in range(8):
+        cloud = sf.SPHFilter(OSCILLATOR, POSITION, *START, t0=float(t0), config=CLOUD)
+        found = sf.compare_models({"cloud": cloud}, TIMES + t0, z)
+        off.append(found.log_evidence[0] - kalman.log_evidence[0])
+        told.append(found.evidence_error[0])
+    assert 1 / 3 < np.sqrt(np.mean(np.square(told)) / np.mean(np.square(off))) < 3
+    few = sf.SPHFilter(OSCILLATOR, POSITION, *START, n_particles=60)
+    fit = sf.fit_parameters(few, TIMES, z, {"k": 0.8})
+    assert fit.evidence_error == fit.result.total_evidence_error < 0.01
+    assert f"± {fit.evidence_error:.1g} nat" in str(fit)
 
 
 def test_models_are_compared_on_the_same_data_only(z):
