@@ -112,13 +112,14 @@ class ReferenceFilter(ABC):
         if measurement is None:
             raise ModelError("update needs a measurement model: give one here or at construction")
         measurement, z = driven(measurement, getattr(self.driven, "inputs", {})), numbers_of(measurement, z)
+        untold = 0.0 if self.exact else np.nan
         if np.any(measurement.observed(z)):
             z = np.atleast_1d(np.asarray(validate.unmasked(z), dtype=float))
             belief, facts = self._updated(self._belief, z, measurement)
-            untold = 0.0 if self.exact else np.nan
             info = UpdateInfo(accepted=True, **{"error": untold, "evidence_error": untold} | facts)
         else:
-            belief, info = self._belief, UpdateInfo(accepted=True, log_evidence=0.0, reason="missing")
+            belief, facts = self._belief, {"log_evidence": 0.0, "reason": "missing"}
+            info = UpdateInfo(accepted=True, **facts, error=untold)
         x, P = self._finite_moments(belief, "update", self.t)
         if not np.isfinite(info.log_evidence):
             raise PropagationError(

@@ -249,7 +249,7 @@ class UpdateInfo(_Marked):
         Estimated error of the posterior mean, in posterior standard deviations, accumulated over the record;
         NaN where a scheme makes no estimate.
     evidence_error : float
-        Estimated error of `log_evidence`, in nats.
+        Estimated error of `log_evidence`, in nats; NaN where a scheme makes no estimate.
     mass_left_out : float
         Probability that lies beyond the cut of the posterior, remote modes that were found included.
     status : str

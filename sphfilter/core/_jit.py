@@ -15,7 +15,8 @@ from numba import get_num_threads, njit, types
 
 from ._compiling import find_folder, listen
 
-__all__ = ["BATCH", "BATCH_FUNCTION", "MATRIX", "VECTOR", "jit", "jit_for", "parallel_jit", "start_threads"]
+__all__ = ["BATCH", "BATCH_FUNCTION", "MATRIX", "VECTOR", "fingerprint", "jit", "jit_for", "parallel_jit",
+           "start_threads"]  # fmt: skip
 
 find_folder()
 listen()
@@ -33,7 +34,7 @@ VECTOR, MATRIX = types.float64[::1], types.float64[:, ::1]
 
 
 @cache
-def _fingerprint(package):
+def fingerprint(package):
     """Short hash of the sources that a function of a package may call: the core's, and the package's own."""
     core, own = Path(__file__).parent, getattr(sys.modules.get(package), "__path__", ())
     folders = [core, *(Path(folder) for folder in own if Path(folder) != core.parent)]
@@ -54,7 +55,7 @@ def _named_for_the_cache(function):
     Numba notices when the file of a function changes, not when a file it calls into does: after an update
     of the package it would run old code, and crash where the layout of the arguments has changed.
     """
-    function.__qualname__ += f"_{_fingerprint(function.__module__.partition('.')[0])}"
+    function.__qualname__ += f"_{fingerprint(function.__module__.partition('.')[0])}"
     return function
 
 

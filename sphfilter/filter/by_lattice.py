@@ -66,7 +66,7 @@ def by_lattice(
         new = replace(new, error=math.hypot(error, far.mean), lost=left * density.lost)
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     left_out = cut.mass if found is None else max(cut.mass, found.left_out)
-    inherited = 0.0 if unknown else evidence_error_of(density, new)
+    inherited = math.nan if unknown else evidence_error_of(density, new)  # unknown, it is a guess
     return new, {
         "residual": new.residual or 0.0,
         "error": float(np.hypot(new.error, cut.mean)),

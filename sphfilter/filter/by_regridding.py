@@ -32,6 +32,8 @@ def by_regridding(
         "accepted": accepted,
         "log_evidence": log_evidence,
         "reason": reason,
+        "error": np.nan,
+        "evidence_error": np.nan,
         "kernel_ratio": _kernel_ratio(new),
         "resample": resampled,
         "scheme": getattr(config.scheme, "name", config.scheme),

@@ -36,6 +36,9 @@ _AHEAD = 64  # readings that are looked at
 #: Points of all readings of one call of compiled code, which nothing interrupts: some tenth of a second.
 _POINTS = 2**16
 _NONE = np.empty(0)
+_COLUMNS = (
+    "x_prior", "P_prior", "x", "P", "log_evidence", "evidence_error", "error", "innovation", "innovation_cov",
+)  # fmt: skip
 
 
 class Glide:
@@ -263,25 +266,8 @@ def _rows(sensor: Any, Z: Floats, times: Floats, columns: tuple[Floats, ...]) ->
     return rows
 
 
-def _row(
-    m: Floats,
-    P: Floats,
-    x: Floats,
-    C: Floats,
-    log_evidence: float,
-    evidence_error: float,
-    error: float,
-    y: Floats,
-    S: Floats,
-) -> Any:
-    """Row of a result for a reading that is usual."""
-    row = {
-        "x_prior": m,
-        "P_prior": P,
-        "x": x,
-        "P": C,
-        "log_evidence": float(log_evidence),
-        "evidence_error": float(evidence_error),
-        "error": float(error),
-    }
-    return row | {"flagged": False, "accepted": True, "innovation": y, "innovation_cov": S}
+def _row(*told: Any) -> dict[str, Any]:
+    """Row of a result for a reading that is usual, of columns as compiled code makes them."""
+    row = zip(_COLUMNS, told, strict=True)
+    known = {name: float(value) if np.ndim(value) == 0 else value for name, value in row}
+    return known | {"flagged": False, "accepted": True}

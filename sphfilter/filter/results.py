@@ -95,7 +95,8 @@ class FilterResult:
     @property
     def total_evidence_error(self) -> Floats:
         """Estimated error of the log-evidence of a run, or of each, nats: of errors that are independent."""
-        return np.sqrt(np.sum(np.square(self.evidence_error), axis=-1))
+        told = np.nan if self.evidence_error is None else self.evidence_error  # of a pickle of before
+        return np.sqrt(np.sum(np.square(told), axis=-1))
 
     def __repr__(self) -> str:
         *lead, n = np.shape(self.x)

@@ -89,7 +89,7 @@ class ParameterFit:
     @property
     def evidence_error(self) -> float:
         """Estimated error of the log-evidence, nats; NaN where the filter does not say."""
-        return float(self.result.total_evidence_error)
+        return float(getattr(self.result, "total_evidence_error", np.nan))
 
     @property
     def correlation(self) -> Floats:

@@ -190,7 +190,7 @@ def compare_models(
         for name, candidate in candidates.items()
     ]
     readings, span = n_readings(numbers), np.asarray(times, dtype=float)
-    rows.sort(key=lambda row: row[2] * np.log(max(readings, 1)) - 2.0 * row[1])
+    rows.sort(key=lambda row: row[3] * np.log(max(readings, 1)) - 2.0 * row[1])
     names, evidence, errors, n_parameters, n_rejected = zip(*rows, strict=True)
     return ModelComparison(
         names=names,
@@ -226,5 +226,5 @@ def _judged(
         result, fitted = copy.deepcopy(candidate).run(times, measurements, **given), 0
     else:
         raise ModelError(f"{name!r} must be a filter or a ParameterFit, got {short(candidate)}")
-    evidence = float(np.sum(result.log_evidence)), float(result.total_evidence_error)
+    evidence = float(np.sum(result.log_evidence)), float(getattr(result, "total_evidence_error", np.nan))
     return *evidence, fitted, int(np.count_nonzero(~result.accepted))

@@ -13,13 +13,16 @@ from pathlib import Path
 from time import time_ns
 from typing import Any
 
+from numba import njit
+
 from .._types import BatchFunction
 from ..core._compiling import code_folder
-from ..core._jit import BATCH, jit_for
+from ..core._jit import BATCH, fingerprint, jit_for
 from .compile import batch
 
 __all__ = ["kept"]
 
+_PACKAGE = __name__.partition(".")[0]
 _MOST = 3000  # functions of some 30 kB each with their code, below 100 MB of them
 
 
@@ -33,21 +36,29 @@ def kept(source: str, words: Mapping[str, Any]) -> BatchFunction:
     words : mapping
         The compiled functions of the core that it calls, by name.
     """
-    namespace = {"__name__": __name__, **words}  # numba looks for the module when it loads code
-    name = sha256(source.encode()).hexdigest()[:32]
-    path = _folder() / f"{name}.txt"
-    exec(compile(source, path, "exec"), namespace)
-    fill = namespace["fill"]
-    fill.__name__ += f"_{name}"  # code of two processes is linked by name and a count of each process
+    name = sha256((fingerprint(_PACKAGE) + source).encode()).hexdigest()[:32]
     try:
-        new = _write(path, source)
-        compiled = jit_for(BATCH, fill)
+        path = _folder() / f"{name}.txt"
+        new, fill = _write(path, source), _function(source, name, words, path)
+        code = Path(njit(cache=True)(fill).stats.cache_path)
     except (OSError, RuntimeError):  # a full disk, a folder that has gone
+        return batch(_function(source, name, words, Path(name)))
+    try:
+        compiled = jit_for(BATCH, fill)
+    except Exception:  # code that was not written to its end cannot be loaded, or the disk is full now
+        _delete({name}, code)
         return batch(fill)
     if new:
-        with suppress(OSError):  # another process deletes, too
-            _forget(path.parent, Path(compiled.stats.cache_path))
+        _forget(path.parent, code)
     return compiled
+
+
+def _function(source: str, name: str, words: Mapping[str, Any], path: Path) -> Any:
+    """The function of a source, under a name of its own: addresses are looked up by name."""
+    namespace = {"__name__": __name__, **words}  # numba looks for the module when it loads code
+    exec(compile(source, path, "exec"), namespace)
+    namespace["fill"].__name__ += f"_{name}"
+    return namespace["fill"]
 
 
 @cache
@@ -62,17 +73,22 @@ def _write(path: Path, source: str) -> bool:
         with path.open("x") as file:
             file.write(source)
     except FileExistsError:
-        os.utime(path, ns=(time_ns(), path.stat().st_mtime_ns))  # numba compiles anew what was modified
+        with suppress(PermissionError):  # of another user's
+            os.utime(path, ns=(time_ns(), path.stat().st_mtime_ns))  # numba compiles anew what was modified
         return False
     return True
 
 
 def _forget(texts: Path, code: Path) -> None:
     """Delete the half that was used longest ago, once there are too many."""
-    used = {path.stem: path.stat().st_atime_ns for path in texts.glob("*.txt")}
-    if len(used) <= _MOST:
-        return
-    old = set(sorted(used, key=used.__getitem__)[: len(used) // 2])
-    for path in (*texts.glob("*.txt"), *code.iterdir()):
-        if path.name.partition(".")[0] in old:
-            path.unlink(missing_ok=True)
+    with suppress(OSError):  # another process deletes, too
+        used = {path.stem: path.stat().st_atime_ns for path in texts.glob("*.txt")}
+        if len(used) > _MOST:
+            _delete(set(sorted(used, key=used.__getitem__)[: len(used) // 2]), texts, code)
+
+
+def _delete(names: set[str], *folders: Path) -> None:
+    for folder in folders:
+        for path in folder.glob("*"):
+            if path.name.partition(".")[0] in names:
+                path.unlink(missing_ok=True)

@@ -1,5 +1,7 @@
 """Models compared by evidence: the right one wins, on the same data only, rejected measurements counted."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from oscillators import DUFFING, OSCILLATOR, POSITION, START, TIMES, exact, readings
@@ -71,6 +73,17 @@ def test_errors_of_the_evidence_are_told(z):
     fit = sf.fit_parameters(few, TIMES, z, {"k": 0.8})
     assert fit.evidence_error == fit.result.total_evidence_error < 0.01
     assert f"± {fit.evidence_error:.1g} nat" in str(fit)
+
+
+def test_a_filter_of_ones_own_need_not_tell_errors(z):
+    """Nor has its result to be one of the library's."""
+
+    class Own:
+        def run(self, times, measurements):
+            return SimpleNamespace(log_evidence=-np.ones(len(times)), accepted=np.ones(len(times), bool))
+
+    found = sf.compare_models({"own": Own(), "exact": exact({})}, TIMES, z)
+    assert np.isnan(found.evidence_error[found.names.index("own")]) and "nan" in str(found)
 
 
 def test_models_are_compared_on_the_same_data_only(z):

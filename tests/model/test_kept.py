@@ -87,3 +87,21 @@ def test_without_a_folder_that_can_be_written_to_it_is_compiled_all_the_same(tmp
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(module, "_folder", lambda: tmp_path / "file" / "models")
     assert value_of(scaled_by(5)) == 10.0
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_code_that_was_not_written_to_its_end_is_compiled_anew(folder, ending):
+    code = Path(scaled_by(6).stats.cache_path)
+    for path in code.glob(f"*.{ending}"):
+        path.write_bytes(b"")
+    assert value_of(scaled_by(6)) == 12.0  # the damaged file goes
+    assert value_of(scaled_by(6)) == 12.0
+    assert sum(scaled_by(6).stats.cache_hits.values()) == 1
+
+
+def test_a_text_is_another_one_by_another_core(folder, monkeypatch):
+    """Else code of every version that there was would be kept as long as the last one is used."""
+    scaled_by(7)
+    monkeypatch.setattr(module, "fingerprint", lambda package: "of another core")
+    assert value_of(scaled_by(7)) == 14.0
+    assert len([*folder.glob("*.txt")]) == 2
