@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..core.cloud.control import WRONG, both, few_error, least_error
+from ..core.cloud.control import WRONG, both, evidence_error, least_error
 from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
@@ -103,8 +103,8 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
     own = both(max(told.errors.mean, least), state.pace.bias)
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
-    evidence_error = max(told.errors.log_evidence, few_error(found.lineages))
-    return CloudReading(state, found.moments, found.log_evidence, evidence_error, own)
+    unsure = evidence_error(told.log_evidence, found.lineages, state.size, len(found.moments[0]))
+    return CloudReading(state, found.moments, found.log_evidence, unsure, own)
 
 
 def error_added(

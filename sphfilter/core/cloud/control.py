@@ -20,8 +20,8 @@ __all__ = [
     "both",
     "decisive",
     "error_by",
+    "evidence_error",
     "expected_square",
-    "few_error",
     "least_error",
     "next_points",
     "points_for",
@@ -97,19 +97,24 @@ def both(one, other):
 
 
 @register_jitable
-def few_error(number):
-    """Error of an average of so many independent points, where a shadow sees the same few and tells none."""
-    return 1.0 / math.sqrt(number) if number < LOOK else 0.0
-
-
-@register_jitable
 def least_error(number, size):
     """Error at least of an average of so many independent points among those of a cloud.
 
     Where a small part of the points carries a posterior, it is no more even than if it were drawn at random;
     and a shadow sees the same few.
     """
-    return max(few_error(number), _OF_RANDOM * max(1.0 - number / size, 0.0) / math.sqrt(number))
+    if number < LOOK:
+        return 1.0 / math.sqrt(number)
+    return _OF_RANDOM * max(1.0 - number / size, 0.0) / math.sqrt(number)
+
+
+@register_jitable
+def evidence_error(square, lineages, size, n):
+    """Error of the log-evidence, nats: what the shadow shows, and at least that of so many lineages.
+
+    In the order of one state points are strata, which leave far less than points at random.
+    """
+    return max(error_by(square), least_error(lineages, size if n > 1 else lineages))
 
 
 @register_jitable

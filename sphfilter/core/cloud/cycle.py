@@ -21,8 +21,8 @@ from .control import (
     both,
     decisive,
     error_by,
+    evidence_error,
     expected_square,
-    few_error,
     least_error,
     next_points,
     points_for,
@@ -166,7 +166,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         _keep(one.mean, one.cov, m, P, j)
         _keep(one.found[4], one.found[5], x, C, j)
         evidence[j] = one.found[3]
-        unsure[j] = max(error_by(squares[2]), few_error(one.found[7]))
+        unsure[j] = evidence_error(squares[2], one.found[7], count, n)
         error[j] = both(max(error_by(squares[0]), least_error(one.found[6], count)), bias)
         away, spread = foreseen(about[3], one.y, one.w, one.mean, one.cov)
         _keep(away, spread, off, S, j)
