@@ -116,10 +116,10 @@ class ReferenceFilter(ABC):
         if np.any(measurement.observed(z)):
             z = np.atleast_1d(np.asarray(validate.unmasked(z), dtype=float))
             belief, facts = self._updated(self._belief, z, measurement)
-            info = UpdateInfo(accepted=True, **{"error": untold, "evidence_error": untold} | facts)
+            facts = {"evidence_error": untold} | facts
         else:
             belief, facts = self._belief, {"log_evidence": 0.0, "reason": "missing"}
-            info = UpdateInfo(accepted=True, **facts, error=untold)
+        info = UpdateInfo(accepted=True, **{"error": untold} | facts)
         x, P = self._finite_moments(belief, "update", self.t)
         if not np.isfinite(info.log_evidence):
             raise PropagationError(

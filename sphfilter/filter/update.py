@@ -68,9 +68,14 @@ def update(
     target, bound = target_of(density, config, n_particles), max_particles_of(density, n_particles)
     asked = ReadingAtPrior.of(density, measurement, z)
     if not asked.seen.any():
-        known: dict[str, Any] = {"n_particles": density.n_particles, "error": density.error}
-        said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
-        return density, UpdateInfo(seconds=perf_counter() - began, **known, **said)
+        return density, UpdateInfo(
+            accepted=True,
+            log_evidence=0.0,
+            reason=NOTHING_CAME,
+            n_particles=density.n_particles,
+            error=density.error,
+            seconds=perf_counter() - began,
+        )
     if target is not None and config.scheme == "auto" and not config.acceptance.enabled:
         posterior, said = by_ladder(density, asked, target, config)
     elif isinstance(config.scheme, FamilyScheme):

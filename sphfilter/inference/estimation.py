@@ -17,7 +17,7 @@ from ..errors import EstimationError, ModelError, nearest
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..model.named import InputRecord
-from .evidence import Bound, Builder, Evidence, Progress, checked_guess
+from .evidence import Bound, Builder, Evidence, Progress, checked_guess, error_of_run
 from .maximum import NEAR, ROUND, climbed, off_bounds, polished, ridge, room, searched
 from .quadratic import Quadratic, quadratic, roughness, step_for
 
@@ -89,7 +89,7 @@ class ParameterFit:
     @property
     def evidence_error(self) -> float:
         """Estimated error of the log-evidence, nats; NaN where the filter does not say."""
-        return float(getattr(self.result, "total_evidence_error", np.nan))
+        return error_of_run(self.result)
 
     @property
     def correlation(self) -> Floats:

@@ -19,7 +19,7 @@ from ..filter.sph_filter import SPHFilter
 from ..model.measurements import Reading
 from ..model.named import InputRecord, each_input
 
-__all__ = ["Evidence", "checked_guess", "fingerprint", "n_readings"]
+__all__ = ["Evidence", "checked_guess", "error_of_run", "fingerprint", "n_readings"]
 
 #: Makes a filter, at the start of the measurements, of parameters by name.
 Builder: TypeAlias = Callable[[dict[str, float]], AnyFilter]
@@ -183,6 +183,11 @@ def _shape(filt: SPHFilter, start: Callable[..., SPHFilter], evidence: Evidence)
             degree = max(degree, trial.density.family.degree)
     scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE)
     return {"config": replace(filt.config, scheme=scheme)}
+
+
+def error_of_run(result: Any) -> float:
+    """Error of a run's log-evidence, nats; NaN where the result, of a filter of one's own, tells none."""
+    return float(getattr(result, "total_evidence_error", np.nan))
 
 
 def n_readings(measurements: Rows) -> int:

@@ -16,7 +16,7 @@ from ..filter.results import AnyFilter
 from ..model.named import InputRecord
 from ..validate import short
 from .estimation import ParameterFit
-from .evidence import fingerprint, n_readings
+from .evidence import error_of_run, fingerprint, n_readings
 
 __all__ = ["ModelComparison", "compare_models"]
 
@@ -226,5 +226,5 @@ def _judged(
         result, fitted = copy.deepcopy(candidate).run(times, measurements, **given), 0
     else:
         raise ModelError(f"{name!r} must be a filter or a ParameterFit, got {short(candidate)}")
-    evidence = float(np.sum(result.log_evidence)), float(getattr(result, "total_evidence_error", np.nan))
-    return *evidence, fitted, int(np.count_nonzero(~result.accepted))
+    unused = int(np.count_nonzero(~result.accepted))
+    return float(np.sum(result.log_evidence)), error_of_run(result), fitted, unused

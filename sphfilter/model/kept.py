@@ -22,7 +22,6 @@ from .compile import batch
 
 __all__ = ["kept"]
 
-_PACKAGE = __name__.partition(".")[0]
 _MOST = 3000  # functions of some 30 kB each with their code, below 100 MB of them
 
 
@@ -36,20 +35,19 @@ def kept(source: str, words: Mapping[str, Any]) -> BatchFunction:
     words : mapping
         The compiled functions of the core that it calls, by name.
     """
-    name = sha256((fingerprint(_PACKAGE) + source).encode()).hexdigest()[:32]
+    name = sha256((fingerprint(__name__.partition(".")[0]) + source).encode()).hexdigest()[:32]
     try:
         path = _folder() / f"{name}.txt"
         new, fill = _write(path, source), _function(source, name, words, path)
-        code = Path(njit(cache=True)(fill).stats.cache_path)
     except (OSError, RuntimeError):  # a full disk, a folder that has gone
         return batch(_function(source, name, words, Path(name)))
     try:
         compiled = jit_for(BATCH, fill)
     except Exception:  # code that was not written to its end cannot be loaded, or the disk is full now
-        _delete({name}, code)
+        _delete({name}, _code_folder(fill))
         return batch(fill)
     if new:
-        _forget(path.parent, code)
+        _forget(path.parent, _code_folder(fill))
     return compiled
 
 
@@ -64,6 +62,10 @@ def _function(source: str, name: str, words: Mapping[str, Any], path: Path) -> A
 @cache
 def _folder() -> Path:
     return code_folder() / "models"
+
+
+def _code_folder(fill: Any) -> Path:
+    return Path(njit(cache=True)(fill).stats.cache_path)
 
 
 def _write(path: Path, source: str) -> bool:

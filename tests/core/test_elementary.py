@@ -8,23 +8,9 @@ from sphfilter.core.elementary import FAST
 
 NAMES = "sin", "cos", "exp", "log", "tanh"
 WILD = [
-    0.0,
-    -0.0,
-    1e-300,
-    -1e-9,
-    0.25,
-    5e-324,
-    1e-310,
-    1e5,
-    -3e7,
-    np.inf,
-    -np.inf,
-    np.nan,
-    708.5,
-    -707.5,
-    800.0,
-    -800.0,
-]
+    0.0, -0.0, 5e-324, 1e-310, 1e-300, -1e-9, 0.25, 1e5, -3e7, np.inf, -np.inf, np.nan, 708.5, -707.5,
+    800.0, -800.0,
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NAMES)

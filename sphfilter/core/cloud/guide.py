@@ -12,6 +12,7 @@ from .._jit import jit
 from ..elementary import FAST
 from ..limits import LARGEST_EXPONENT, LOG_2_PI
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
+from .linearise import end_of_block
 from .noise import even_normals, uniform
 from .weights import summed, systematic
 
@@ -51,9 +52,7 @@ def without_noise(y, x, u, L, Phi, block):
                 s -= L[b, a, e] * u[i, e] + flowed
             rest[i, a] = s
     while first < N:
-        b, end = block[first], first + 1
-        while end < N and block[end] == b:
-            end += 1
+        b, end = block[first], end_of_block(block, first)
         for i in range(first, end):
             low, high = max(i - NEAR, first), min(i + NEAR + 1, end)
             share = 1.0 / max(high - low - 1, 1)

@@ -20,6 +20,7 @@ __all__ = [
     "block_roots",
     "block_size",
     "centres",
+    "end_of_block",
     "linearise",
     "linearise_at",
     "lower_and_rows",
@@ -34,6 +35,15 @@ _TERMS = 4  # of an exponential at half a norm, (1/2)⁴ / 4! = 2.6e-3 of what o
 def block_size(N):
     """Points in a block of a cloud of N: they tell directions, and so few blocks cost a tenth."""
     return max(LOOK, -(-N // LOOK))
+
+
+@jit
+def end_of_block(block, first):
+    """Number after the last of the points that are in the block of one; `block` (N,) never decreases."""
+    end = first + 1
+    while end < block.size and block[end] == block[first]:
+        end += 1
+    return end
 
 
 @jit

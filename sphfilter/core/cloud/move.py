@@ -6,6 +6,7 @@ from numba import types
 from .._addresses import Entry
 from .._jit import MATRIX, jit
 from .._views import rows_at
+from .linearise import end_of_block
 from .noise import LANES, fill_noise
 from .steps import CUBE, LEG, new_room, walk
 
@@ -21,9 +22,7 @@ def steer(V, block, u, W, along):
     (_, n, d), K, begin = V.shape, u.shape[1], 0
     flat = W.reshape(-1)
     while begin < K:
-        b, end = block[begin], begin + 1
-        while end < K and block[end] == b:
-            end += 1
+        b, end = block[begin], end_of_block(block[:K], begin)
         size = end - begin
         for a in range(n):
             for i in range(size):
@@ -51,9 +50,7 @@ def affine(x, u, block, start, end, flow, lower):
     (N, n), first = x.shape, 0
     y = np.empty((N, n))
     while first < N:
-        b, last = block[first], first + 1
-        while last < N and block[last] == b:
-            last += 1
+        b, last = block[first], end_of_block(block, first)
         for a in range(n):
             for i in range(first, last):
                 y[i, a] = end[b, a]

@@ -15,7 +15,7 @@ from .linearise import (
 )
 from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
-from .weights import effective, for_moments, weighted_moments
+from .weights import effective, for_moments, of_points, weighted_moments
 
 __all__ = ["AGAIN", "FIRST", "KERNEL", "PILOT", "begin", "blocks_of", "carry", "carry_linear", "everywhere"]
 
@@ -87,10 +87,7 @@ def begin(x, w, lineage, count, key, net, table, bits):
             flow[b, a, a] = 1.0
             for e in range(n):
                 lower[b, a, e] *= part[b]
-    older = np.empty((min(len(lineage), _LINES - 1), count), np.int64)
-    for k in range(len(older)):
-        for i in range(count):
-            older[k, i] = lineage[k, order[i]]
+    older = of_points(lineage[: _LINES - 1], order)
     y = affine(start, u, block, middle, middle, flow, lower)
     return start, y, u, w, block, middle, lower, flow, older
 

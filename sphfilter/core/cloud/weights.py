@@ -23,6 +23,7 @@ __all__ = [
     "for_moments",
     "near_others",
     "normalise",
+    "of_points",
     "prior_times",
     "summed",
     "systematic",
@@ -124,20 +125,11 @@ def compared(mean, cov, other, own):
 def finite_rows(x):
     """Which rows of x (N, n) are numbers, (N,), and whether all are."""
     N, n = x.shape
-    fine, every = np.ones(N, np.bool_), _nothing(x.reshape(-1)) == 0.0
+    fine, every = np.ones(N, np.bool_), summed(0.0 * x.reshape(-1)) == 0.0
     for i in range(0 if every else N):
         for a in range(n):
             fine[i] &= abs(x[i, a]) < np.inf
     return fine, every
-
-
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})
-def _nothing(x):
-    """Zero, or no number, if any of numbers (N,) is not finite."""
-    total = 0.0
-    for i in range(x.size):
-        total += 0.0 * x[i]
-    return total
 
 
 @jit
@@ -237,11 +229,16 @@ def carriers(x, log_w, ancestor, older):
 @jit
 def _lines(ancestor, older):
     """Ancestors (1 + readings, N) of points, from those (N,) of the last reading and theirs."""
-    out = np.empty((1 + older.shape[0], ancestor.size), np.int64)
-    out[0] = ancestor
-    for k in range(older.shape[0]):
-        for i in range(ancestor.size):
-            out[k + 1, i] = older[k, ancestor[i]]
+    return np.concatenate((ancestor.copy().reshape(1, -1), of_points(older, ancestor)))
+
+
+@jit
+def of_points(lines, number):
+    """Of lineages (readings, N) those of points by their number (M,): (readings, M)."""
+    out = np.empty((len(lines), number.size), np.int64)
+    for k in range(len(lines)):
+        for i in range(number.size):
+            out[k, i] = lines[k, number[i]]
     return out
 
 
@@ -329,7 +326,9 @@ def normalise(log_w, w):
 
     Without a weight above zero the sum's logarithm is -inf, and the weights are nothing.
     """
-    top = _largest(log_w)
+    top = -np.inf
+    for i in range(log_w.size):
+        top = log_w[i] if log_w[i] > top else top
     if not np.isfinite(top):
         return -np.inf
     for i in range(log_w.size):
@@ -338,15 +337,6 @@ def normalise(log_w, w):
     for i in range(log_w.size):
         w[i] /= total
     return top + math.log(total)
-
-
-@jit
-def _largest(log_w):
-    """The largest of logarithms (N,), NaN apart."""
-    top = -np.inf
-    for i in range(log_w.size):
-        top = log_w[i] if log_w[i] > top else top
-    return top
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})
