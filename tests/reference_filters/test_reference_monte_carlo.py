@@ -78,7 +78,7 @@ def test_steps_of_given_length_have_their_bias():
 
 def test_noise_that_depends_on_state_and_time():
     """dx = t x dW: E x² = x₀² exp(t³ / 3)."""
-    model = SDE(lambda x: (0.0,), 1, lambda x, t: ((t * x[0],),), [[1.0]])
+    model = SDE.from_expressions(["x"], ["0"], [["t*x"]])
     found = simulate_statistics(model, [1.2], [0.6, 1.0], moments=[(2,)], n_paths=50_000, tolerance=3e-3)
     assert np.abs(found.pivot(1.44 * np.exp([[0.072], [1 / 3]]))).max() < 2.65
 
