@@ -290,12 +290,7 @@ def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
     return {k: _without_none(v) if isinstance(v, dict) else v for k, v in tree.items() if v is not None}
 
 
-SCHEMES = {
-    "log_density": LogDensityScheme,
-    "paper": PaperScheme,
-    "cloud": CloudScheme,
-    "family": FamilyScheme,
-}
+SCHEMES = {scheme.name: scheme for scheme in (LogDensityScheme, PaperScheme, CloudScheme, FamilyScheme)}
 #: Names become settings: of these a configuration holds "auto" only.
 _Name = Literal["auto", "log_density", "paper", "cloud", "family"]
 _Settled = LogDensityScheme | PaperScheme | CloudScheme | FamilyScheme

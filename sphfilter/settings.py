@@ -39,19 +39,9 @@ def settings(cls: type[Made]) -> type[Made]:
 
 
 def from_table(cls: type[Made], table: Mapping[str, Any], source: str | PathLike[str] = "") -> Made:
-    """Make settings from a table read from a file or a command line.
+    """Make settings, of a class that `settings` made, from a table read from a file or a command line.
 
-    Parameters
-    ----------
-    cls : type
-        A class that `settings` made.
-    table : mapping of str to value
-    source : str or Path
-        What errors start with, such as the file's name. They name keys as the table does.
-
-    Raises
-    ------
-    ConfigError
+    The errors, `ConfigError`, start with `source`, such as the file's name, and name keys as the table does.
     """
     made = object.__new__(cls)
     try:

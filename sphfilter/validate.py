@@ -15,25 +15,8 @@ from numpy.typing import ArrayLike
 from ._types import Floats, Seed
 from .errors import ModelError, nearest
 
-__all__ = [
-    "array",
-    "choice",
-    "column",
-    "count",
-    "covariance",
-    "generator",
-    "keywords",
-    "onwards",
-    "positive",
-    "real",
-    "row",
-    "seconds",
-    "short",
-    "square",
-    "state_rows",
-    "times",
-    "unmasked",
-]  # fmt: skip
+__all__ = ["array", "choice", "column", "count", "covariance", "generator", "keywords", "onwards", "positive",
+           "real", "row", "seconds", "short", "square", "state_rows", "times", "unmasked"]  # fmt: skip
 
 Word = TypeVar("Word")
 Given = ParamSpec("Given")
@@ -43,22 +26,10 @@ _ROUNDING = 16 * float(np.finfo(float).eps)  # of a time that is a sum of interv
 
 
 def array(name: str, value: object, shape: tuple[int | None, ...], what: str = "") -> Floats:
-    """Return `value` as a new C-contiguous float64 array of `shape`, all finite.
+    """Return `value` as a new C-contiguous float64 array of `shape`, of which None leaves an axis free.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument, for the message.
-    value : array_like
-    shape : tuple of int or None
-        Required shape; None leaves an axis free.
-    what : str
-        What its axes hold, for the message.
-
-    Raises
-    ------
-    ModelError
-        Not numeric, wrong shape, NaN or infinite.
+    The argument's name, and what its axes hold, are for the message. Raises `ModelError` if it is not
+    numeric, of another shape, NaN or infinite.
     """
     try:
         given = np.asanyarray(value)
@@ -83,11 +54,7 @@ def keywords(
 ) -> Callable[Given, Returned]:
     """Let a method say what may have been meant by a keyword that it has not; and end by Ctrl-C as such.
 
-    Parameters
-    ----------
-    method : callable
-    others : mapping of str to str
-        Keywords of other libraries, and what to give instead.
+    `others` are keywords of other libraries, and what to give instead.
     """
     known = inspect.signature(method).parameters
 
@@ -125,10 +92,8 @@ def column(value: Any) -> Any:
 def covariance(name: str, value: object, dim: int | None = None, definite: bool = True) -> Floats:
     """Return a symmetric positive (semi)definite matrix, shape (dim, dim); a number stands for 1 × 1.
 
-    Raises
-    ------
-    ModelError
-        Not square, wrong size, not symmetric, or an eigenvalue that is negative (zero, if `definite`).
+    Raises `ModelError` if it is not square, of another size, not symmetric, or has an eigenvalue that is
+    negative (zero, if `definite`).
     """
     a = square(name, value, dim)
     scale = np.abs(a).max(initial=0.0)

@@ -20,10 +20,13 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # threads sum in an order of their own
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
+import sphfilter as sf
+
+ROOT = Path(sys.path[0])
 CLOCK = ("seconds", "run_time", "time_s", "run time", "wall", "duration")
 CASES = {}
 
@@ -36,8 +39,6 @@ def case(make):
 
 def flat(prefix, value):
     """Numbers of a value, whatever it holds, as pairs of a name and an array."""
-    import sphfilter as sf
-
     if isinstance(value, sf.ParticleDensity):
         yield from answers(prefix, value)
     elif is_dataclass(value) and not isinstance(value, type):
@@ -90,8 +91,6 @@ def questions(prefix, p):
 
 
 def text(states, drift, noise=(("0",), ("1",)), Q=((1.0,),), parameters=None, **options):
-    import sphfilter as sf
-
     return sf.SDE.from_expressions(states, drift, noise, Q, parameters or {}, **options)
 
 
@@ -117,15 +116,11 @@ def cart():
 
 
 def position(n=2, R=0.2):
-    import sphfilter as sf
-
     return sf.GaussianMeasurement(h=np.eye(1, n), noise_cov=[[R]])
 
 
 def told(name, model, sensor, x0, P0, times, seed=1, outlier=None, **options):
     """All epochs of a filter's run."""
-    import sphfilter as sf
-
     times = np.asarray(times, dtype=float)
     _, z = sf.simulate(model, sensor, x0=x0, times=times, rng=seed)
     if outlier is not None:
@@ -146,8 +141,6 @@ def told(name, model, sensor, x0, P0, times, seed=1, outlier=None, **options):
 
 @case
 def filters_2d():
-    import sphfilter as sf
-
     start = [3.0, 0.0], np.diag([0.2, 1.0])
     every = np.arange(0.0, 17.0, 2.0)
     schemes = {
@@ -165,8 +158,6 @@ def filters_2d():
 
 @case
 def filters_other():
-    import sphfilter as sf
-
     def numba_drift(x, t):
         return x[1], -0.4 * x[1] - x[0] * (-1.0 + 0.1 * x[0] ** 2)
 
@@ -223,8 +214,6 @@ def filters_other():
 
 def switching():
     """Three modes of one state, two of them not linear."""
-    import sphfilter as sf
-
     double = text(["x"], ["x - x**3"], [["1"]], [[0.3]])
     middle = text(["x"], ["-2*x"], [["1"]], [[0.6]])
     right = text(["x"], ["1.5*x - x**3 + 0.5"], [["1"]], [[0.6]])
@@ -234,7 +223,6 @@ def switching():
 
 def drifting():
     """Two linear modes of two states with an input."""
-    import sphfilter as sf
 
     def mode(v):
         A, B = [[0.0, 1.0], [0.0, -0.5]], [[0.0], [1.0]]
@@ -255,8 +243,6 @@ def shown(prefix, flt):
 
 @case
 def modes():
-    import sphfilter as sf
-
     level, every = position(1, 0.04), np.arange(1.0, 7.0)
     settings = {"default": {}, "particles": {"n_particles": 80}}
     settings["window"] = {"window": 3, "config": sf.FilterConfig(target_error=0.02)}
@@ -272,14 +258,14 @@ def modes():
         if "window" in options:
             yield from flat(f"{name}.late", flt.update_late(0.2, flt.t - 1.3))
             yield from shown(f"{name}.late", flt)
-    yield from _steered(sf)
+    yield from _steered()
     run = sf.JumpMarkovFilter(switching(), level, [0.0], [[0.1]]).run(
         every, drawn.z[1:], truth=drawn.truth[1:]
     )
     yield from flat("run", run)
 
 
-def _steered(sf):
+def _steered():
     """Inputs, several sensors by mode, calls that fail, files."""
 
     def several(noise):
@@ -325,8 +311,6 @@ def _steered(sf):
 
 @case
 def transients():
-    import sphfilter as sf
-
     start = sf.initialize(sf.Gaussian([2.0, 0.0], 0.3 * np.eye(2)), 300)
     every = [0.5, 1.0, 3.0]
     configs = {
@@ -372,8 +356,6 @@ def transients():
 
 @case
 def inference():
-    import sphfilter as sf
-
     model, sensor = duffing(), position()
     times = np.arange(0.0, 12.0, 1.0)
     truth, z = sf.simulate(model, sensor, x0=[3.0, 0.0], times=times, rng=4)
@@ -405,8 +387,6 @@ class Scene:
     name = "duffing"
 
     def draw(self, rng):
-        import sphfilter as sf
-
         times = np.arange(1.0, 7.0)
         start = np.array([3.0, 0.0]), np.diag([0.2, 1.0])
         x0 = rng.multivariate_normal(*start)
@@ -416,7 +396,6 @@ class Scene:
 
 @case
 def campaigns():
-    import sphfilter as sf
     from reference_filters.kalman import ExtendedKalmanFilter
 
     def sph(case, rng):
@@ -491,7 +470,6 @@ def adapters():
 
 @case
 def references():
-    import sphfilter as sf
     from reference_filters.grid import GridFilter
     from reference_filters.kalman import ExtendedKalmanFilter, UnscentedKalmanFilter
     from reference_filters.particle import ParticleFilter
@@ -635,7 +613,6 @@ def main():
     given = parser.parse_args()
     if given.what == "compare":
         return min(compare(*given.folders), 1)
-    sys.path.insert(0, str(ROOT))
     record(given.folders[0], given.only.split(","))
     return 0
 

@@ -190,9 +190,8 @@ def _outcome(
         if wrong:
             shapes = f"{arrays[wrong[0]].shape}, not {blank[wrong[0]].shape}"
             raise ModelError(f"the filter's result has {wrong[0]} of shape {shapes}")
-        for name in [
-            name for name in blank if name not in arrays
-        ]:  # what a filter of one's own need not tell
+        # what a filter of one's own need not tell
+        for name in [name for name in blank if name not in arrays]:
             value = np.asarray(getattr(result, name, blank[name]), blank[name].dtype)
             arrays[name] = value.reshape(blank[name].shape) if value.size == blank[name].size else blank[name]
         if ranks and observer is None:

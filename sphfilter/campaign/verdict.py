@@ -16,24 +16,12 @@ _MANY = 0.2
 
 
 def verdict(numbers: FilterReport, labels: Sequence[str], referee: FilterReport | None = None) -> str:
-    """Say whether a filter is consistent, and if not in what.
+    """Say whether a filter is consistent, and if not in what; `labels` name the n states.
 
     What is tested holds of every filter that is right, Gaussian or not: that ranks of measurements and truths
     are uniform, that errors have no sign and successive innovations no correlation; and that the NEES leaves
-    its interval no more often than a referee's, if there is one. All together such a filter is faulted with a
-    probability of one per cent.
-
-    Parameters
-    ----------
-    numbers : FilterReport
-    labels : sequence of str, length n
-        Names of the states.
-    referee : FilterReport, optional
-        Of the filter that is right: runs that it lost too were bad luck.
-
-    Returns
-    -------
-    str
+    its interval no more often than that of a `referee`, a filter that is right, if there is one: runs that it
+    lost too were bad luck. All together a right filter is faulted with a probability of one per cent.
     """
     if numbers.n_failed == numbers.n_runs:
         return f"failed in all of {numbers.n_runs} runs"

@@ -110,14 +110,7 @@ def more_lost(count: int, of_referee: int, total: int) -> float:
 def holm(p_values: ArrayLike, level: float = 0.01) -> Bools:
     """Which hypotheses are refused, all of them right with probability 1 − level at least: Holm's method.
 
-    Parameters
-    ----------
-    p_values : array_like, shape (K,)
-        NaN: not tested.
-
-    Returns
-    -------
-    ndarray of bool, shape (K,)
+    Of p-values (K,), NaN where a hypothesis was not tested.
     """
     p = np.asarray(p_values, dtype=float)
     out = np.zeros(len(p), dtype=bool)

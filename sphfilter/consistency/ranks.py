@@ -75,23 +75,13 @@ class Ranker:
 def ranked_reading(
     spread: WeightedStates, sensor: NoisySensor, z: ArrayLike, t: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Rank a measurement in its predictive density, and tell its innovation.
-
-    Parameters
-    ----------
-    spread : WeightedStates
-        The prediction.
-    sensor : GaussianMeasurement or Sensors
-    z : array_like, shape (k,)
-        NaN where a component is missing.
-    t : float
-        Seconds.
+    """Rank a measurement z (k,) of time t, seconds, in its predictive density, and tell its innovation.
 
     Returns
     -------
     pit : ndarray, shape (k,)
         Probability that the prediction gave to a lower reading, each component alone; of an angle, counted
-        from the far side of the predicted direction. NaN where it is missing.
+        from the far side of the predicted direction. NaN where it is missing, as it is in z.
     innovation, innovation_cov : ndarray, shapes (k,), (k, k)
         z minus its expectation, and the covariance of the prediction plus R, its mean
         where it differs from state to state.
@@ -116,16 +106,8 @@ def gaussian_ranks(
 ) -> dict[str, Floats]:
     """The ranks of a filter that has a mean and a covariance only, taken at its word: Gaussian.
 
-    Parameters
-    ----------
-    truth, mean : ndarray, shape (T, n)
-    cov : ndarray, shape (T, n, n)
-    innovation, innovation_cov : ndarray, shapes (T, k), (T, k, k)
-
-    Returns
-    -------
-    dict of str to ndarray
-        ``pit``, ``state_pit`` and ``hpd_rank``, as in `FilterResult`.
+    Of truth and mean (T, n), cov (T, n, n), innovation (T, k) and its covariance (T, k, k): ``pit``,
+    ``state_pit`` and ``hpd_rank``, as in `FilterResult`.
     """
     truth = np.asarray(truth, dtype=float)
     variance = np.diagonal(innovation_cov, axis1=-2, axis2=-1)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats
+from .defect import Defect, defect_of
 from .families import Families, particles_of_families
 from .family import (
     OF_MISFIT,
@@ -23,6 +24,7 @@ from .resample import logarithm
 
 __all__ = [
     "as_polynomials",
+    "defect_in",
     "families_density",
     "family_density",
     "family_of",
@@ -53,6 +55,19 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     return family, max(moments_apart(shift, own - np.eye(len(mean))) / OF_MISFIT, misfit)
 
 
+def defect_in(density: ParticleDensity, family: Family, misfit: float = 0.0) -> Defect:
+    """The defect of the family, of a misfit, that stands for a density: see `family_of`."""
+    if density.family is not None and density.defect is not None:
+        if density.family is family:
+            return density.defect
+        old, defect = density.family, density.defect
+        return defect_of(family, lambda X: old.log_p(X) + defect.at(old, X), defect)
+    known = Defect.none(family, math.hypot(density.error, OF_MISFIT * misfit))
+    if density.field is None or density.gaussian:
+        return known
+    return defect_of(family, logarithm(density), known)
+
+
 def moments_on_line(density: ParticleDensity) -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) on the line: of a periodic axis it is not turned back."""
     return density.moments or (density.mass @ density.x, density.cov())
@@ -67,7 +82,7 @@ def as_polynomials(density: ParticleDensity, degree: int, most: float) -> Partic
     if found is None or not OF_MISFIT * found[1] <= most:
         return None
     error = math.hypot(density.error, OF_MISFIT * found[1])
-    new = family_density(density, found[0], error=error)
+    new = family_density(density, found[0], error=error, defect=defect_in(density, *found))
     return new if _agree(density, new, most) else None
 
 

@@ -11,8 +11,7 @@ from ..core.family.basis import Basis, basis, bound, values_at
 from ..core.family.together import nodes_of, own_logs
 from ..errors import PropagationError
 from .families import Families, QuadratureMoments, at_nodes, log_total, looked_at, shares
-from .family import ASTRAY, OF_MISFIT, Family, moments_apart
-from .family_posterior import turned
+from .family import ASTRAY, OF_MISFIT, Family, moments_apart, turned
 from .pieces import Pieces
 from .splitting import NARROWER, NEGLIGIBLE, bent_along, narrower
 

@@ -29,7 +29,7 @@ __all__ = [
     "node_moments",
     "node_weights",
     "particles_of",
-    "turn",
+    "turned",
 ]
 
 ASTRAY = 0.3  # of the moments in a frame, from which a family does not hold a density
@@ -94,7 +94,7 @@ def degree_of(n: int, M: int) -> int:
     return next(d for d in range(2, M) if size(n, d) == M)
 
 
-def node_weights(rule: Basis, A: Floats, log_p: Floats) -> tuple[Floats, float]:
+def node_weights(rule: Any, A: Floats, log_p: Floats) -> tuple[Floats, float]:
     """Probabilities (N,) of nodes with log-densities (N,), and the log of the integral over the states."""
     w, n = np.empty(len(rule.xi)), len(A)
     total = weigh(rule.log_w, n, np.ascontiguousarray(log_p), w)
@@ -125,15 +125,18 @@ def moments_apart(shift: Floats, change: Floats) -> float:
 
 
 @cache
-def turn(n: int) -> Floats:
-    """A turn (n, n) in every plane of two axes that follow one another: of the nodes of a second opinion."""
-    whole = np.eye(n)
+def turned(n: int, degree: int) -> Basis:
+    """The rule turned in every plane of two axes that follow one another; of one state, with a point more."""
+    rule, whole = basis(n, degree), np.eye(n)
+    if n == 1:
+        more = basis(1, degree + 1)
+        return rule._replace(xi=more.xi, u=more.u, log_w=more.log_w)
     for a in range(n - 1):
         plane = np.eye(n)
         plane[a, a] = plane[a + 1, a + 1] = math.cos(_TURN)
         plane[a, a + 1], plane[a + 1, a] = -math.sin(_TURN), math.sin(_TURN)
         whole = whole @ plane
-    return whole
+    return rule._replace(xi=np.ascontiguousarray(rule.xi @ whole.T))
 
 
 def gaussian_family(mean: Floats, cov: Floats, degree: int) -> Family:

@@ -1,32 +1,29 @@
 """Bayes' rule on one exponential family: a frame that fits the posterior, and a second opinion of it."""
 
-import math
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from .._types import Floats, OfStates
-from ..core.family.basis import Basis, basis, bound, values_at
 from ..core.family.frame import moved, root_between
 from ..core.limits import TINY
 from ..errors import PropagationError
-from .family import ASTRAY, OF_MISFIT, Family, moments_apart, node_moments, node_weights, turn
+from .family import ASTRAY, Family, moments_apart, node_moments, node_weights, turned
 
-__all__ = ["FamilyPosterior", "family_posterior", "turned"]
+__all__ = ["FamilyPosterior", "family_posterior"]
 
 _SETTLED, _ROUNDS = 1e-3, 8  # of the moments in the frame; rounds
 _LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
 
 
 class FamilyPosterior(NamedTuple):
-    """A posterior, the log of its integral before it was normalised, and how far both may be off."""
+    """A posterior, the log of its integral before it was normalised, and how far two rules are apart."""
 
     family: Family
     log_evidence: float
-    misfit: float  # rms over the mass of log p less its polynomial
-    error: float  # of the mean, in standard deviations
-    evidence_error: float  # nats
+    products: Floats  # (N,) logarithms of prior times likelihood, normalised, at the nodes of both rules
+    apart: float  # of mean and covariance, standard deviations
+    evidence_apart: float  # nats
 
 
 def family_posterior(
@@ -67,22 +64,13 @@ def family_posterior(
         raise PropagationError(
             f"one family of degree {prior.degree} does not hold the posterior: its frame does not settle"
         )
-    found = Family(mu, np.ascontiguousarray(A), log_p @ rule.F)
-    misfit = _rms(w, log_p - found.c @ rule.V)
-    seen = _Seen(b, C, log_evidence, misfit)
-    other = _second_opinion(prior, log_weight, found)
-    apart = _apart(seen, other)
-    error = max(apart[0], OF_MISFIT * max(misfit, other.misfit))
-    return FamilyPosterior(found.normalised(), log_evidence, max(misfit, other.misfit), error, apart[1])
-
-
-class _Seen(NamedTuple):
-    """A posterior as the nodes of one rule see it."""
-
-    b: Floats
-    C: Floats
-    log_evidence: float
-    misfit: float
+    found, more = Family(mu, np.ascontiguousarray(A), log_p @ rule.F), turned(len(mu), prior.degree)
+    again = _product(prior, log_weight, mu + more.xi @ A.T)
+    w, own_evidence = node_weights(more, A, again)
+    own_b, own_C = node_moments(more.xi, w)
+    apart = moments_apart(b - own_b, C - own_C), abs(log_evidence - own_evidence)
+    products = np.concatenate([log_p, again]) - log_evidence
+    return FamilyPosterior(found.normalised(), log_evidence, products, *apart)
 
 
 def _product(prior: Family, log_weight: OfStates, X: Floats) -> Floats:
@@ -91,33 +79,3 @@ def _product(prior: Family, log_weight: OfStates, X: Floats) -> Floats:
     if np.count_nonzero(np.isfinite(log_p)) < len(log_p):
         raise PropagationError("one family does not hold the posterior: the likelihood is zero at its nodes")
     return log_p
-
-
-def _second_opinion(prior: Family, log_weight: OfStates, found: Family) -> _Seen:
-    """Density and moments of a posterior at nodes that it was not fitted to."""
-    rule = turned(len(found.mu), found.degree)
-    log_p = _product(prior, log_weight, found.mu + rule.xi @ found.A.T)
-    w, log_evidence = node_weights(rule, found.A, log_p)
-    fitted = np.empty(len(log_p))
-    values_at(rule.power, found.c, rule.xi, bound(len(found.mu)), fitted)
-    return _Seen(*node_moments(rule.xi, w), log_evidence, _rms(w, log_p - fitted))
-
-
-def _apart(one: _Seen, other: _Seen) -> tuple[float, float]:
-    """How far two opinions are apart: in the mean, standard deviations, and in the evidence, nats."""
-    apart = moments_apart(one.b - other.b, one.C - other.C)
-    return apart, abs(one.log_evidence - other.log_evidence)
-
-
-def _rms(w: Floats, off: Floats) -> float:
-    return math.sqrt(float(w @ off**2))
-
-
-@cache
-def turned(n: int, degree: int) -> Basis:
-    """The rule turned in every plane of two axes that follow one another; of one state, with a point more."""
-    rule = basis(n, degree)
-    if n == 1:
-        more = basis(1, degree + 1)
-        return rule._replace(xi=more.xi, u=more.u, log_w=more.log_w)
-    return rule._replace(xi=np.ascontiguousarray(rule.xi @ turn(n).T))

@@ -18,6 +18,7 @@ from ..model.domain import Domain
 from ..validate import array, choice, generator, row, state_rows
 from . import statistics
 from .cloud import Cloud
+from .defect import Defect
 from .families import Families
 from .family import Exponential, Family
 from .marginal import around
@@ -87,6 +88,8 @@ class ParticleDensity(Noted):
         density; NaN where a scheme on the way made no estimate.
     family : Family or None
         Frame and coefficients of the polynomial that log p is, where the density is one family.
+    defect : Defect or None
+        What the family leaves out, where that is known.
     pieces : Pieces or None
         Gaussians that the density is the sum of.
     families : Families or None
@@ -132,6 +135,7 @@ class ParticleDensity(Noted):
     lost: float = 0.0
     cloud: CloudState | None = None
     family: Family | None = None
+    defect: Defect | None = None
     pieces: Pieces | None = None
     families: Families | None = None
     needs: Memory | None = None

@@ -9,9 +9,22 @@ from .._types import Floats, Ints
 from ..core.cloud.control import decisive, error_by, expected_square, smoothed, square_of_more
 from ..core.cloud.steps import Leg
 from ..core.cloud.weights import weighted_moments
+from ..core.small_matrices import cholesky, invert_lower
 from .carriers import NO_LINES
 
-__all__ = ["CloudState", "Pace", "Passage", "Path", "Points", "Prior", "Told", "moments", "moments_of_sum"]
+__all__ = [
+    "CloudState",
+    "Origin",
+    "Pace",
+    "Passage",
+    "Path",
+    "Points",
+    "Prior",
+    "Told",
+    "moments",
+    "moments_of_sum",
+    "whitener",
+]
 
 
 class Passage(NamedTuple):
@@ -109,6 +122,16 @@ class Pace(NamedTuple):
     bias: float = 0.0  # that their steps have had, in standard deviations
 
 
+class Origin(NamedTuple):
+    """The family that points began as, and its defect; and what of it the readings have left."""
+
+    family: Any
+    defect: Any
+    unsigned: float  # part of the inherited error of the mean that has no sign
+    off: Floats | None = None  # (N,) log of how much too light points of the first reading's prior were
+    log_mass: float = 0.0  # mean of these now
+
+
 class CloudState(NamedTuple):
     """State of a cloud: points, a smaller cloud beside them, the errors that it tells, the pace of steps."""
 
@@ -119,6 +142,7 @@ class CloudState(NamedTuple):
     pace: Pace = Pace()
     inherited: float = 0.0  # error of the mean before it became points, as far as readings have left it
     age: int = 0  # predictions since the start: its random numbers hang on it, and on no clock
+    origin: Origin | None = None  # as long as lineages go back to it
 
 
 def moments_of_sum(w: Floats, means: Any, covs: Any) -> tuple[Floats, Floats]:
@@ -126,6 +150,12 @@ def moments_of_sum(w: Floats, means: Any, covs: Any) -> tuple[Floats, Floats]:
     mean = w @ means
     off = means - mean
     return mean, np.einsum("k,kab->ab", w, covs) + np.einsum("k,ka,kb->ab", w, off, off)
+
+
+def whitener(cov: Floats) -> Floats:
+    """The matrix W (n, n) for which W C W^T = I; zero where a state has no variance."""
+    lower = np.empty(cov.shape)
+    return invert_lower(lower) if cholesky(np.ascontiguousarray(cov), lower) else np.zeros(cov.shape)
 
 
 def moments(x: Floats, w: Floats) -> tuple[Floats, Floats]:

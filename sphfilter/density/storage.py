@@ -20,13 +20,14 @@ from ..model.domain import Domain
 from ..model.sde import SDE
 from .as_cloud import cloud_density, cloud_of
 from .carriers import NO_LINES
+from .defect import Defect
 from .families import Families
 from .family import Family
 from .memory import Memory
 from .particle_density import ParticleDensity
 from .passage import gone_again
 from .pieces import Pieces
-from .points import CloudState, Pace, Passage, Path, Points, Told, moments
+from .points import CloudState, Origin, Pace, Passage, Path, Points, Told, moments
 
 __all__ = [
     "FORMAT",
@@ -57,13 +58,15 @@ def stored(density: ParticleDensity) -> Arrays:
         arrays |= {"moments.mean": density.moments[0], "moments.cov": density.moments[1]}
     if density.family is not None:
         arrays |= under("family", density.family._asdict())
+    if density.defect is not None:
+        arrays["defect"] = density.defect.packed
     if density.pieces is not None:
         arrays |= under("pieces", density.pieces._asdict())
     if density.families is not None:
         arrays |= under("families", density.families._asdict())
     if density.cloud is not None:
         arrays = _stored_cloud(density.cloud)
-    special = {*_ARRAYS, "field", "moments", "domain", "family", "pieces", "families", "cloud"}
+    special = {*_ARRAYS, "field", "moments", "domain", "family", "defect", "pieces", "families", "cloud"}
     about: dict[str, Any] = {
         f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
     }
@@ -100,6 +103,8 @@ def density_from(arrays: Arrays, models: Sequence[SDE] = ()) -> ParticleDensity:
         about["field"] = build_field(mu, A, node, kept.item(), log_p, stencils(n))
     if "family.mu" in arrays:
         about["family"] = Family(**part("family", arrays))
+    if "defect" in arrays:
+        about["defect"] = Defect.of(arrays["defect"], about["family"].mu.size)
     if "pieces.mean" in arrays:
         about["pieces"] = Pieces(**part("pieces", arrays))
     if "families.mu" in arrays:
@@ -129,6 +134,10 @@ def _stored_cloud(state: CloudState) -> Arrays:
     arrays = {"told": np.array(state.told), "pace": np.array([*map(float, state.pace)])}
     numbers = {"size": state.size, "inherited": state.inherited, "age": state.age}
     arrays |= {name: np.array(value) for name, value in numbers.items()}
+    if state.origin is not None:
+        family, defect, unsigned, off, log_mass = state.origin
+        own = family._asdict() | {"defect": defect.packed, "about": np.array([unsigned, log_mass])}
+        arrays |= under("origin", own if off is None else own | {"off": off})
     for name, points in (("points", state.points), ("shadow", state.shadow)):
         arrays |= under(name, {"x": points.x, "w": points.w})
         if points.lineage is not None:
@@ -153,10 +162,18 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) ->
     points, shadow = (_points_from(part(name, arrays), models) for name in ("points", "shadow"))
     size = arrays["size"].item() or len(points.w)  # older files have none where a reading began the cloud
     inherited, age = float(arrays.get("inherited", 0.0)), int(arrays.get("age", 0))  # older files have none
-    state = CloudState(points, shadow, size, Told(*arrays["told"].tolist()), pace, inherited, age)
+    origin = _origin_from(part("origin", arrays)) if "origin.mu" in arrays else None
+    state = CloudState(points, shadow, size, Told(*arrays["told"].tolist()), pace, inherited, age, origin)
     del about["read_out"], about["kernel"]
     begun = ParticleDensity(x=points.x[:1], mass=np.ones(1), h=np.ones(1), **about)
     return cloud_of(begun, state, moments(points.x, points.w), **about)
+
+
+def _origin_from(arrays: Arrays) -> Origin:
+    family = Family(arrays["mu"], arrays["A"], arrays["c"])
+    unsigned, log_mass = arrays["about"].tolist()
+    defect = Defect.of(arrays["defect"], len(family.mu))
+    return Origin(family, defect, unsigned, arrays.get("off"), log_mass)
 
 
 def _points_from(arrays: Arrays, models: Sequence[SDE]) -> Points:

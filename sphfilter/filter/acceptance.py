@@ -21,18 +21,8 @@ def test_measurement(
 ) -> Acceptance:
     """Compare the expected posterior along each measured state with the prior's domain (002 (60)-(62)).
 
-    Parameters
-    ----------
-    density : ParticleDensity
-        The prior.
-    z, variance : ndarray, shape (k,)
-        Measured values of the states and their noise variances.
-    states : ndarray of int, shape (k,)
-    settings : AcceptanceTest
-
-    Returns
-    -------
-    Acceptance
+    z and variance (k,) are the measured values of the states of these numbers (k,), and their noise
+    variances.
     """
     mean, prior_variance = density.mean()[states], np.diag(density.cov())[states]
     total = prior_variance + variance

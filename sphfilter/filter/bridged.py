@@ -38,19 +38,8 @@ _MISSED = 8.0
 def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried | None:
     """A posterior by guides over ever shorter rests of the way since the last reading.
 
-    Parameters
-    ----------
-    points : Points
-        The prior, with the path that its points came.
-    sensor : Stacked
-    key : int
-    least : float
-        Number of the prior's points, below which no more is tried: what moves them later parts only those.
-
-    Returns
-    -------
-    Carried or None
-        None where the first guide chooses fewer, or a later one none.
+    The prior's points have the path that they came. None where the first guide chooses fewer than `least` of
+    the points, or a later one none: what moves points later parts only those that were chosen.
     """
     path: Any = points.path
     x, y, block, passages, u = path.x, points.x, path.block, path.passages, path.u

@@ -37,10 +37,7 @@ _SHORT = 1e-3  # of the interval: a prediction that compiles and does little els
 class Budget:
     """Wall-clock time of a step: a predict, and the updates before the next one.
 
-    Parameters
-    ----------
-    seconds : float or None
-        What a step may take; None for no budget, where time is measured and nothing hangs on it.
+    With `seconds` it is what a step may take; with None time is measured and nothing hangs on it.
 
     Attributes
     ----------
@@ -100,15 +97,9 @@ class Budget:
     def end(self, what: str, info: Info, n_particles: int, repeated: bool) -> Info:
         """A call has ended: note what a particle has cost, and say what the step has taken.
 
-        Parameters
-        ----------
-        what : "predict", "update" or ""
-            Whose cost is to be noted; a call that had nothing to do has none.
-        info : PredictInfo or UpdateInfo
-        n_particles : int
-            Of the density that came out.
-        repeated : bool
-            Whether the call made other predictions or updates again, so that it says nothing of a particle.
+        `what` is "predict" or "update", on `n_particles`, those of the density that came out; it is empty
+        where a call had nothing to do, and so no cost. One that made other predictions or updates again
+        (`repeated`) says nothing of a particle.
         """
         took = clock() - self._began
         info, self.spent = info.noted(seconds=took), self.spent + took
@@ -137,19 +128,9 @@ class Budget:
 def rehearse(twin: Any, budget: Budget, dt: float) -> float:
     """Predict and update a twin of a filter until all is compiled and the cost of a step is known.
 
-    Parameters
-    ----------
-    twin : SPHFilter
-        Stands where the filter to be prepared stands, and lives on its own.
-    budget : Budget
-        The twin's, which takes the costs.
-    dt : float
-        Interval, seconds.
-
-    Returns
-    -------
-    float
-        Seconds that the last step took; NaN if it could not be made.
+    The twin stands where the filter to be prepared stands, and lives on its own; `budget` is the twin's,
+    which takes the costs. Returns the seconds that the last step took, to predict by `dt` seconds and update;
+    NaN if it could not be made.
     """
     seconds = math.nan
     with suppress(PropagationError):  # the filter itself will tell when it happens there

@@ -12,6 +12,7 @@ from ..core.cloud.control import WRONG, both, evidence_error, least_error
 from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
+from ..density.as_family import moments_on_line
 from ..density.cloud import systematic
 from ..density.particle_density import ParticleDensity
 from ..density.passage import READING, moved_points, stored_key
@@ -20,7 +21,8 @@ from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.cloud import as_points, shadow_size, squared_differences
 from .guided import weighed
-from .reading_at_prior import ReadingAtPrior, error_left_by_update
+from .inherited import inherited
+from .reading_at_prior import ReadingAtPrior
 from .stacked import Stacked
 
 __all__ = ["CloudReading", "by_cloud", "cloud_times_likelihood", "error_added"]
@@ -39,8 +41,7 @@ def by_cloud(
             "unit and its noise"
         )
     new = cloud_of(density, found.state, found.moments, capacity=n_particles, lost=density.lost)
-    if found.state.inherited > 0.0:
-        found = found.left(error_left_by_update(density, new))
+    found = found.inheriting(state, moments_on_line(density))
     error, doubt, code = found.error, found.doubt, Code.CLOUD
     new = new.noted(cloud=found.state, error=error)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
@@ -77,11 +78,17 @@ class CloudReading(NamedTuple):
         """By how much of itself the variance may be off."""
         return 2.0 * self.state.told.errors.variance
 
-    def left(self, part: float) -> "CloudReading":
-        """With that part of the inherited error; without what its own hides."""
-        inherited = self.state.inherited * part
-        inherited = inherited if inherited > LITTLE * self.own else 0.0
-        return self._replace(state=self.state._replace(inherited=inherited))
+    def inheriting(self, before: CloudState, prior: tuple[Floats, Floats]) -> "CloudReading":
+        """With what the reading leaves of an error that there was before there were points.
+
+        It is counted as long as the cloud's own does not hide it. `prior` is mean (n,) and covariance (n, n).
+        """
+        if not before.inherited > 0.0:
+            return self
+        error, nats, origin = inherited(before, self.state.points, (prior, self.moments))
+        error, origin = (error, origin) if error > LITTLE * self.own else (0.0, None)
+        state = self.state._replace(inherited=error, origin=origin)
+        return self._replace(state=state, evidence_error=math.hypot(self.evidence_error, nats))
 
 
 def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading | None:

@@ -10,7 +10,8 @@ from ..density.families_posterior import AWAY, families_posterior
 from ..density.gathering import merged_families
 from ..density.particle_density import ParticleDensity
 from .by_family import error_beyond_nodes
-from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
+from .inherited import left_by_update
+from .reading_at_prior import ReadingAtPrior, info_fields
 
 __all__ = ["by_families"]
 
@@ -33,11 +34,12 @@ def by_families(
     if not asked.linear:
         both = (prior.log_p, moments_on_line(density)), (found.families.log_p, moments_on_line(new))
         missed = error_beyond_nodes(density, asked, *both, found.log_evidence)
-    error = math.hypot(error_left_by_update(density, new) * density.error, found.error, missed)
+    left, evidence_error = left_by_update(density, new)
+    error = math.hypot(left, found.error, missed)
     new = new.noted(error=error)
     one = as_polynomials(new, degree, allowed)
     if one is None:
         few, change = merged_families(found.families, allowed, HEAVY)
         one = families_density(new, few, error=math.hypot(error, change))
-    told = found.log_evidence, one.error, found.evidence_error
-    return one, info_fields((density, one), asked, "pieces", *told)
+    told = found.log_evidence, one.error, math.hypot(found.evidence_error, evidence_error)
+    return one, info_fields(asked, "pieces", *told)

@@ -8,15 +8,17 @@ import numpy as np
 
 from .._types import Floats, OfStates
 from ..core.limits import ALIKE
-from ..density.as_family import family_density, family_of, moments_on_line
+from ..density.as_family import defect_in, family_density, family_of, moments_on_line
 from ..density.cloud import points_of
-from ..density.family import OF_MISFIT, Family, gaussian_family, moments_apart, node_moments
-from ..density.family_posterior import FamilyPosterior, family_posterior
+from ..density.defect import OF_UNSIGNED, after_reading, read_out
+from ..density.family import Family, gaussian_family, moments_apart, node_moments
+from ..density.family_posterior import family_posterior
 from ..density.particle_density import ParticleDensity
 from ..density.passage import age_of, stored_key
 from ..errors import PropagationError
 from ..model.measurements import block, is_gaussian
-from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
+from .inherited import evidence_error_by, evidence_error_of, shift_left_by_update
+from .reading_at_prior import ReadingAtPrior, info_fields
 
 __all__ = ["by_family", "error_beyond_nodes", "family_update"]
 
@@ -51,29 +53,44 @@ def family_update(
         raise PropagationError(
             "one family does not hold this density, which has no smooth logarithm; use another scheme"
         )
-    missed = misfit = 0.0
-    found = _kalman(density, asked, degree)
-    if found is None:
-        prior, misfit = family_of(density, degree)
-        found = family_posterior(prior, asked.weight_on(density.domain), _linearised(density, asked))
+    closed = _kalman(density, asked, degree)
+    if closed is not None:
+        return _in_closed_form(density, asked, *closed, n_particles)
+    prior, misfit = family_of(density, degree)
+    found = family_posterior(prior, asked.weight_on(density.domain), _linearised(density, asked))
+    missed = 0.0
     if not asked.linear:
         both = (prior.log_p, _moments(prior)), (found.family.log_p, _moments(found.family))
         missed = error_beyond_nodes(density, asked, *both, found.log_evidence)
-    added = math.hypot(found.error, missed)
+    new = family_density(density, found.family, capacity=n_particles, gaussian=False)
+    moments, before = (moments_on_line(density), moments_on_line(new)), defect_in(density, prior, misfit)
+    left = after_reading(prior, before, found.family, found.products, moments)
+    told = read_out(found.family, left.defect, left.rest)
+    error = math.hypot(told.error, found.apart, OF_UNSIGNED * missed)
+    added = math.sqrt(max(error**2 - density.error**2, 0.0))
     if not added <= most:
         raise PropagationError(f"one family of degree {degree} is off by {added:.2g} after the reading")
-    new = family_density(
-        density, found.family, capacity=n_particles, gaussian=density.gaussian and asked.linear
+    evidence_error = evidence_error_by(read_out(prior, before), left.log_mass, density, new)
+    said = info_fields(
+        asked, "family", found.log_evidence, error, math.hypot(evidence_error, found.evidence_apart)
     )
-    left = error_left_by_update(density, new) if density.error or misfit else 0.0  # of nothing
-    added = math.hypot(left * OF_MISFIT * misfit, added)
-    error = math.hypot(left * density.error, added)
-    said = info_fields((density, new), asked, "family", found.log_evidence, error, found.evidence_error)
-    return new.noted(error=error), said | {"residual": found.misfit}, added
+    defect = left.defect._replace(U=left.defect.U + missed**2 * moments[1][1])
+    return new.noted(error=error, defect=defect), said | {"residual": left.rest}, added
 
 
-def _kalman(density: ParticleDensity, asked: ReadingAtPrior, degree: int) -> FamilyPosterior | None:
-    """A Gaussian times the likelihood of a linear sensor, in closed form; None where there is none."""
+def _in_closed_form(
+    density: ParticleDensity, asked: ReadingAtPrior, found: Family, log_evidence: float, n_particles: int
+) -> tuple[ParticleDensity, dict[str, Any], float]:
+    """A Gaussian posterior, which a linear sensor leaves of a Gaussian; it adds no error."""
+    new = family_density(density, found, capacity=n_particles, gaussian=True)
+    left = shift_left_by_update(density.cov(), new.cov(), True) if density.error else 0.0  # of nothing
+    error = left * density.error
+    said = info_fields(asked, "family", log_evidence, error, evidence_error_of(density, new))
+    return new.noted(error=error), said | {"residual": 0.0}, 0.0
+
+
+def _kalman(density: ParticleDensity, asked: ReadingAtPrior, degree: int) -> tuple[Family, float] | None:
+    """A Gaussian times the likelihood of a linear sensor, and the log-evidence; None where there is none."""
     if not (density.gaussian and density.domain is None and asked.linear and is_gaussian(asked.measurement)):
         return None
     evidence = asked.gaussian_evidence
@@ -88,7 +105,7 @@ def _kalman(density: ParticleDensity, asked: ReadingAtPrior, degree: int) -> Fam
         found = gaussian_family(mean + gain @ asked.innovation, 0.5 * (cov + cov.T), degree)
     except np.linalg.LinAlgError:
         return None
-    return FamilyPosterior(found, evidence, 0.0, 0.0, 0.0) if math.isfinite(evidence) else None
+    return (found, evidence) if math.isfinite(evidence) else None
 
 
 def error_beyond_nodes(

@@ -20,7 +20,8 @@ from .by_families import by_families
 from .by_family import family_update
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
-from .reading_at_prior import ReadingAtPrior, amplified_in_tail
+from .inherited import left_by_update
+from .reading_at_prior import ReadingAtPrior
 
 __all__ = ["by_ladder"]
 
@@ -119,9 +120,12 @@ def _on_lattice(
     """The posterior on a lattice, of more nodes where the error asks for it."""
     nodes, before = needs.nodes or min_nodes(density.dim), math.inf
     for left in range(1 if config.time_budget else _TRIES, 0, -1):
-        laid = on_lattice(density, nodes)
+        laid, known = on_lattice(density, nodes), density.family is not None and not density.gaussian
+        if known:  # what its defect tells of, too, and better
+            laid = laid.noted(error=math.sqrt(max(laid.error**2 - density.error**2, 0.0)))
         new, said = by_lattice(laid, asked, nodes, config)
-        new, said = _with_tail(density, new, said)
+        if known and said["accepted"]:
+            new, said = _with_inherited(new, said, *left_by_update(density, new))
         over = said["error"] / target
         if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= _MOST_NODES:
             break  # met, or the prior itself is coarse
@@ -129,20 +133,13 @@ def _on_lattice(
     return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes)
 
 
-def _with_tail(density: ParticleDensity, new: ParticleDensity, said: dict[str, Any]) -> Posterior:
-    """A posterior on a lattice, and what is said of it, with what a prior's family got wrong in its tail.
-
-    That is taken for the lowest polynomials that are a shape, of degree three and four (measured, at four
-    standard deviations: 27 times the family's error, of which 37 came).
-    """
-    if density.family is None or density.gaussian or not said["accepted"]:
-        return new, said
-    tail = density.error * amplified_in_tail(density, new, 3)
-    error = math.hypot(said["error"], tail)
-    said = said | {"error": error, "evidence_error": math.hypot(said["evidence_error"], tail)}
+def _with_inherited(new: ParticleDensity, said: dict[str, Any], left: float, of_evidence: float) -> Posterior:
+    """A posterior on a lattice, and what is said of it, with the errors that a prior's family brings."""
+    error = math.hypot(said["error"], left)
+    said = said | {"error": error, "evidence_error": math.hypot(said["evidence_error"], of_evidence)}
     if error > DOUBTFUL:
         said |= {"code": said["code"] | Code.UNRESOLVED, "status": MAY_BE_OFF.format(3.0 * error)}
-    return new.noted(error=math.hypot(new.error, tail)), said
+    return new.noted(error=math.hypot(new.error, left)), said
 
 
 def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:

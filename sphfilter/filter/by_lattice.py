@@ -17,7 +17,8 @@ from ..lattice.field import extrapolated_mass, inside_lattice
 from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
 from .by_cloud import by_cloud
-from .reading_at_prior import ReadingAtPrior, error_left_by_update, evidence_error_of
+from .inherited import evidence_error_of, shift_left_by_update
+from .reading_at_prior import ReadingAtPrior
 
 __all__ = ["by_lattice"]
 
@@ -47,7 +48,7 @@ def by_lattice(
             summed, log_evidence = log_evidence, asked.gaussian_evidence
             evidence_error = abs(summed - log_evidence)
         unsure = 0.0 if density.gaussian else _extrapolated(density, new)
-        left = error_left_by_update(density, new)
+        left = shift_left_by_update(density.cov(), new.cov(), new.gaussian)
         error = math.hypot(left * density.error, found.off.mean, unsure)
         unknown = _beyond(density, new)
     except PropagationError as problem:

@@ -13,7 +13,8 @@ from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, root_of
 from ..model.measurements import block, is_gaussian
-from .reading_at_prior import ReadingAtPrior, error_left_by_update, info_fields
+from .inherited import left_by_update
+from .reading_at_prior import ReadingAtPrior, info_fields
 
 __all__ = ["by_pieces"]
 
@@ -49,6 +50,7 @@ def by_pieces(
     found = found.some(found.heavy(_LIGHT)).normalised()
     pieces, change = merged(found, error_budget(density.error, target) / OF_CHANGE)
     new = pieces_density(density, pieces)
-    error = math.hypot(error_left_by_update(density, new) * density.error, OF_CHANGE * change)
-    told = float(logsumexp(log_w)), error, 0.0
-    return new.noted(error=error), info_fields((density, new), asked, "pieces", *told)
+    left, evidence_error = left_by_update(density, new)
+    error = math.hypot(left, OF_CHANGE * change)
+    told = float(logsumexp(log_w)), error, evidence_error
+    return new.noted(error=error), info_fields(asked, "pieces", *told)

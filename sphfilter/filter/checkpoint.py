@@ -60,10 +60,7 @@ def _of_particles(state: FilterState[Any], filt: Any) -> Arrays:
 def restored(path: str | PathLike[str], model: SDE, measurement: Sensor | None) -> Restored:
     """Read what `write` wrote of an `SPHFilter`: arguments that make it, its attributes, parts of its state.
 
-    Raises
-    ------
-    ModelError
-        The file cannot be read or holds no filter.
+    Raises `ModelError` if the file cannot be read or holds no filter.
     """
     arrays = load_arrays(path)
     if "adapts" not in arrays:
@@ -130,10 +127,7 @@ def _of_modes(state: FilterState[Any], filt: Any) -> Arrays:
 def restored_modes(path: str | PathLike[str], model: JumpMarkovModel, _measurement: object) -> Restored:
     """Read what `write` wrote of a `JumpMarkovFilter`, as `restored` does.
 
-    Raises
-    ------
-    ModelError
-        The file cannot be read, holds no such filter, or one of other modes or states.
+    Raises `ModelError` if the file cannot be read, holds no such filter, or one of other modes or states.
     """
     arrays = load_arrays(path)
     if "switching" not in arrays:

@@ -25,7 +25,7 @@ from ..model.measurements import GaussianMeasurement
 from ..prediction.cloud import carried_cloud, least_steps, shadow_size
 from .by_cloud import cloud_times_likelihood, error_added
 from .read_only import read_only as as_found
-from .reading_at_prior import OUTLYING, ReadingAtPrior, reading_of, shift_left_by_update
+from .reading_at_prior import OUTLYING, ReadingAtPrior, reading_of
 from .stacked import Stacked
 from .state import FilterState
 
@@ -176,8 +176,7 @@ class _Run:
         done = cloud_times_likelihood(moved.state, stacked) if usual else None
         if done is None:
             return False
-        if done.state.inherited > 0.0:
-            done = done.left(shift_left_by_update(moved.moments[1], done.moments[1]))
+        done = done.inheriting(moved.state, moved.moments)
         if not done.error <= FLAGGED * target or not done.error < DOUBTFUL or done.doubt > WRONG:
             return False
         told = done.state.told.decisive(target, model.dim)

@@ -58,18 +58,8 @@ class Weighed(NamedTuple):
 def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
     """Prior times the likelihood of all readings of one time.
 
-    Parameters
-    ----------
-    points : Points
-        The prior; or the posterior of readings of the same time before, whose prior is taken.
-    sensor : Stacked
-        What was read now.
-    key : int
-
-    Returns
-    -------
-    Weighed
-        Its evidence is that of these readings, given those before.
+    The prior may be the posterior of readings of the same time before, whose prior is taken then. The
+    evidence is that of the readings of `sensor`, given those before.
     """
     before = 0.0
     if points.prior is not None:

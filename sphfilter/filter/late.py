@@ -5,7 +5,7 @@ from copy import copy, deepcopy
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import or_
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -20,28 +20,14 @@ __all__ = ["Step", "StepHistory"]
 
 @dataclass(frozen=True)
 class Step:
-    """A prediction of a filter and the updates after it, as they were asked for.
+    """A prediction of a filter and the updates after it, as they were asked for."""
 
-    Attributes
-    ----------
-    before : FilterState
-        What the prediction began with.
-    start, end : float
-        Seconds.
-    interval : mapping
-        ``dt`` or ``t`` of the prediction; empty where the filter began.
-    inputs : mapping of str to float, or None
-        As they were given.
-    actions : tuple of (str, mapping)
-        What was asked for after it: methods by name, and their arguments.
-    """
-
-    before: Any
-    start: float
+    before: Any  # the FilterState that the prediction began with
+    start: float  # seconds
     end: float
-    interval: Mapping[str, Any]
-    inputs: Mapping[str, float] | None = None
-    actions: tuple[tuple[str, Mapping[str, Any]], ...] = ()
+    interval: Mapping[str, Any]  # ``dt`` or ``t`` of the prediction; empty where the filter began
+    inputs: Mapping[str, float] | None = None  # as they were given
+    actions: tuple[tuple[str, Mapping[str, Any]], ...] = ()  # methods by name, and their arguments
 
 
 class StepHistory:
@@ -118,7 +104,10 @@ class StepHistory:
             )
         first = self._steps[0]
         if at < first.start:
-            self._refuse_older(at, first.start)
+            raise ModelError(
+                f"the reading is of t = {at:g}, but the {self._window} steps that the filter keeps begin at "
+                f"{first.start:g}: make it with a larger window="
+            )
         k = max(k for k, step in enumerate(self._steps) if step.start <= at and (step.start < at or k == 0))
         twin = copy(self)
         info = twin._put(k, at, {"z": z, "measurement": measurement})
@@ -129,12 +118,6 @@ class StepHistory:
         """A time, or that of a step from which it differs by rounding alone."""
         ends = [*(step.end for step in self._steps), self._state.t]
         return next((end for end in ends if onwards(np.array([t]), end)[0] == end), t)
-
-    def _refuse_older(self, t: float, start: float) -> NoReturn:
-        raise ModelError(
-            f"the reading is of t = {t:g}, but the {self._window} steps that the filter keeps begin at "
-            f"{start:g}: make it with a larger window="
-        )
 
     def _put(self, k: int, t: float, late: dict[str, Any]) -> UpdateInfo:
         """Take step k and those after it again, with a reading at a time in that step."""

@@ -77,13 +77,7 @@ _NEAR = 0.75
 def check_assigned(name: str, cls: type, base: type) -> None:
     """Raise `ModelError` if a filter of a class must not be given an attribute of this name.
 
-    Parameters
-    ----------
-    name : str
-    cls : type
-        The filter's: subclasses of `base` may carry what attributes they like.
-    base : type
-        The library's own filter.
+    `base` is the library's own filter: subclasses of it may carry what attributes they like.
     """
     if name.startswith("_") or name in _SETTABLE:
         return

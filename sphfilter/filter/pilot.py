@@ -21,18 +21,8 @@ _NARROWEST = 1e-12  # part of a prior's variance that rounding leaves
 def piloted(sensor: Stacked, points: Points, log_l: Floats) -> Stacked:
     """The sensors with linear readings beside them, in place of those that say nothing but a likelihood.
 
-    Parameters
-    ----------
-    sensor : Stacked
-    points : Points
-        The prior.
-    log_l : ndarray, shape (N,)
-        Log-likelihood of all readings at the points.
-
-    Returns
-    -------
-    Stacked
-        The same where too few points can have been read to tell how they lie, or none lie closer.
+    `log_l` (N,) is the log-likelihood of all readings at the prior's points. The sensors are the same where
+    too few points can have been read to tell how they lie, or none lie closer.
     """
     before, after = np.empty(len(points.w)), np.empty(len(points.w))
     known = sensor.log_weights(points.x, sensor.guides) if sensor.guides else np.zeros(len(points.w))

@@ -1,6 +1,5 @@
 """A reading beside a prior: its likelihood, and how far it is from what was predicted."""
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,8 +7,6 @@ from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
-from ..core.limits import TINY
-from ..density.as_family import moments_on_line
 from ..density.particle_density import ParticleDensity
 from ..density.points import moments
 from ..errors import ModelError
@@ -23,16 +20,11 @@ from .solutions import solutions
 __all__ = [
     "OUTLYING",
     "ReadingAtPrior",
-    "amplified_in_tail",
-    "error_left_by_update",
-    "evidence_error_of",
     "info_fields",
     "predicted_reading",
     "reading_of",
-    "shift_left_by_update",
 ]
 
-_LEFT = 0.25  # least part of an error² left; measured: half: no change, twice: .95, 1.06 times the work
 OUTLYING = 5.0  # standard deviations from its prediction: 2 Φ(-5) = 6e-7 of numbers read lie so far out
 
 
@@ -160,81 +152,17 @@ def reading_of(
 
 
 def info_fields(
-    densities: tuple[ParticleDensity, ParticleDensity],
-    asked: ReadingAtPrior,
-    scheme: str,
-    log_evidence: float,
-    error: float,
-    own: float,
+    asked: ReadingAtPrior, scheme: str, log_evidence: float, error: float, evidence_error: float
 ) -> dict[str, Any]:
-    """Fields of the info of an update of a prior to a posterior, with a flag where the mean is in doubt.
-
-    Both are families or Gaussians. Of the evidence's error that is `own` which the update makes, beside that
-    of the prior.
-    """
+    """Fields of the info of an update to families or Gaussians, with a flag where the mean is in doubt."""
     code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
     return {
         "accepted": True,
         "log_evidence": log_evidence,
         "reason": asked.outlying,
         "error": error,
-        "evidence_error": math.hypot(own, evidence_error_of(*densities)),
+        "evidence_error": evidence_error,
         "status": status,
         "code": code,
         "scheme": scheme,
     }
-
-
-def evidence_error_of(prior: ParticleDensity, posterior: ParticleDensity) -> float:
-    """Error of the log-evidence, nats, by what the prior's mean and variances may be off by along each axis.
-
-    That is its error, in standard deviations, and √2 of it: what a Hermite polynomial of the second degree in
-    log p makes of a variance, where one of the first shifts a mean by as much. A shift of the prior changes
-    the evidence by the mean of the posterior, along the prior's axes, and a wider one by its mean square
-    less one: that of a Gaussian, whatever the sensor.
-    """
-    if not prior.error > 0.0:
-        return 0.0
-    (mean, cov), (own_mean, own_cov) = moments_on_line(prior), moments_on_line(posterior)
-    white = np.linalg.inv(np.linalg.cholesky(cov))
-    shift, spread = white @ (own_mean - mean), white @ own_cov @ white.T
-    wider = np.diag(spread) + shift**2 - 1.0
-    return float(prior.error * np.sqrt(np.sum(shift**2 + 0.5 * wider**2)))
-
-
-def error_left_by_update(prior: ParticleDensity, posterior: ParticleDensity) -> float:
-    """Part of an error of the mean, in standard deviations, that an update leaves of it.
-
-    What is wrong with the weights of a density's pieces, or its shape, no reading forgets as fast as a shift.
-    """
-    left = shift_left_by_update(prior.cov(), posterior.cov(), posterior.gaussian)
-    if prior.family is None or prior.gaussian:
-        return left
-    out = max(left, amplified_in_tail(prior, posterior, prior.family.degree + 1))
-    n = prior.dim  # and it is along one direction
-    return math.sqrt(((n - 1) * left**2 + out**2) / n)
-
-
-def shift_left_by_update(prior: Floats, posterior: Floats, gaussian: bool = False) -> float:
-    """Part of a shift of the mean that a reading leaves, by covariances (n, n) before and after it."""
-    ratio = float(np.linalg.solve(prior, posterior).trace()) / len(prior)
-    return math.sqrt(min(max(ratio, 0.0 if gaussian else _LEFT), 1.0))
-
-
-def amplified_in_tail(prior: ParticleDensity, posterior: ParticleDensity, degree: int) -> float:
-    """Part of an error of the mean that a reading makes of what is wrong with a prior's shape, along its way.
-
-    That is taken for Hermite's polynomials of a degree and the next: where a reading leads far out, they are
-    steep, and what was wrong with a tail is wrong with the mean.
-    """
-    (mean, cov), (own_mean, own_cov) = moments_on_line(prior), moments_on_line(posterior)
-    way = np.linalg.solve(np.linalg.cholesky(cov), (posterior.x - mean).T)
-    shift = posterior.mass @ way.T
-    along = (shift / max(float(np.linalg.norm(shift)), TINY)) @ way
-    y = np.linalg.solve(np.linalg.cholesky(own_cov), (posterior.x - own_mean).T)
-    below, last = np.ones_like(along), along  # of degrees zero and one
-    for k in range(1, degree + 1):
-        below, last = last, last * along - below * k
-    size = [math.sqrt(math.factorial(k)) for k in (degree, degree + 1)]
-    out = (y * posterior.mass) @ (np.array([below, last]).T / size)
-    return math.sqrt(float((out * out).sum(axis=0).max()))

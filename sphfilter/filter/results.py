@@ -169,10 +169,6 @@ def run_filter(
         Called with the filter after every update.
     inputs : array_like (T, m), or mapping of str to array_like (T,), optional
         What the inputs of the filter's model are over the interval that ends at each time.
-
-    Returns
-    -------
-    FilterResult
     """
     times = np.asarray(times, dtype=float)
     if times.ndim != 1 or len(times) != len(measurements):

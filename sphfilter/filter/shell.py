@@ -49,9 +49,8 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
 
     _base: ClassVar[type]  # the library's own class: users' subclasses may have what attributes they like
     _of_state: ClassVar[tuple[str, ...]] = ("log_evidence",)  # parts of it that may be set
-    _restored: ClassVar[
-        Callable[..., Restored]
-    ]  # what makes a filter again: of a file, model and measurement
+    #: What makes a filter again: of a file, model and measurement.
+    _restored: ClassVar[Callable[..., Restored]]
     _state: FilterState[Carried]
 
     x: Final[Floats] = _shown("x", "Mean, shape (n,).")

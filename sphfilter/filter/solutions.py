@@ -18,21 +18,9 @@ _DAMPED = 1e-6  # of the largest curvature; measured: with 1e-8, 1e-4 errors are
 def solutions(sensor: GaussianSensor, z: Floats, x: Floats, cell: Floats, t: float) -> Floats | None:
     """States of a reading, by Gauss-Newton from every node; None where the nodes resolve the likelihood.
 
-    Parameters
-    ----------
-    sensor : GaussianSensor
-    z : ndarray, shape (k,)
-        NaN where nothing came.
-    x : ndarray, shape (N, n)
-        Nodes.
-    cell : ndarray, shape (n, n)
-        Vectors of the lattice, in columns.
-    t : float
-
-    Returns
-    -------
-    ndarray, shape (N, n), or None
-        Where the iteration ended, whether or not the reading is explained there.
+    The reading z (k,) is NaN where nothing came, the nodes are x (N, n), the columns of `cell` (n, n) the
+    vectors of their lattice. Returns where the iteration ended, shape (N, n), whether or not the reading is
+    explained there.
     """
     seen, n = np.isfinite(z), x.shape[1]
     whiten = np.linalg.inv(np.linalg.cholesky(block(sensor.noise_cov, seen))).T

@@ -98,15 +98,11 @@ class FilterState(Noted, Generic[Carried]):
         used, same = density is not prior, prior is self.density
         x_prior, P_prior = (self.x, self.P) if same else _moments(prior)
         x, P = _moments(density)
+        moments = {"x": x, "P": P, "x_prior": x_prior, "P_prior": P_prior, "x_post": x, "P_post": P}
         return self.noted(
             density=density,
             origin=origin if used else self.origin if same else None,
-            x=x,
-            P=P,
-            x_prior=x_prior,
-            P_prior=P_prior,
-            x_post=x,
-            P_post=P,
+            **moments,
             **said_of_reading(measurement, z, info),
             log_likelihood=info.log_evidence,
             log_evidence=self.log_evidence + info.log_evidence,

@@ -78,20 +78,10 @@ class _Steps(NamedTuple):
 
 
 def tempered(points: Points, log_likelihood: OfStates, key: int) -> Carried | None:
-    """A posterior by ever higher powers of a likelihood.
+    """A posterior by ever higher powers of a likelihood, of a prior with the path that its points came.
 
-    Parameters
-    ----------
-    points : Points
-        The prior, with the path that its points came.
-    log_likelihood : callable
-        Of states (M, n), shape (M,).
-    key : int
-
-    Returns
-    -------
-    Carried or None
-        None where no draw of the prior can have been read.
+    The log-likelihood is a function of states (M, n), shape (M,). None where no draw of the prior can have
+    been read.
     """
     path, N = points.path, len(points.w)
     assert path is not None

@@ -31,6 +31,9 @@ __all__ = ["Update", "prediction_of", "update_or_predict_again"]
 
 _LADDER = Ladder(deeper=0.7)
 
+#: Prior, posterior, and what the update says.
+Read = tuple[ParticleDensity, ParticleDensity, UpdateInfo]
+
 
 class Update(NamedTuple):
     """The last update of a filter: where its density comes from."""
@@ -77,26 +80,9 @@ def update_or_predict_again(
     """Update; if the posterior hangs on what the prediction lost, or on too few points, predict again.
 
     A prediction cuts off what lies below a level of the density, and loses some of what is near. There a
-    measurement may find the state.
-
-    Parameters
-    ----------
-    prediction : Prediction
-        What led to the prior, with readings of the same time before this one.
-    prior : ParticleDensity
-    model : SDE
-    measurement : GaussianMeasurement or LikelihoodMeasurement
-    z : array_like, shape (k,), or None
-    config : FilterConfig
-    n_particles : int or "auto"
-        Upper bound of the posterior's.
-    fits : callable, optional
-        fits(n_particles) says whether there is time for one more prediction on so many.
-
-    Returns
-    -------
-    Outcome
-        It begins with the prior that was used.
+    measurement z (k,) may find the state. `prediction` is what led to the prior, with readings of the same
+    time before this one; `n_particles` bounds the posterior's, and fits(n_particles) says whether there is
+    time for one more prediction on so many. The `Outcome` begins with the prior that was used.
     """
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
@@ -104,6 +90,9 @@ def update_or_predict_again(
     if posterior.read_out == "cloud" and (before is not None or prior.read_out != "cloud"):
         once = prior, posterior, info
         return Outcome(*_on_more_points(prediction, once, measurement, z, config), bound)
+    if before is not None and prior.family is not None and not prior.gaussian:
+        once = prior, posterior, info
+        return Outcome(*_without_family(prediction, once, measurement, z, config), bound)
     known = prior.field is None or prior.gaussian or info.extrapolated < SAID
     if known or prediction.readings or before is None or before.field is None:
         return Outcome(prior, posterior, info, bound)
@@ -130,13 +119,40 @@ def update_or_predict_again(
     return Outcome(prior, posterior, info, bound)
 
 
-def _on_more_points(
+def _without_family(
+    prediction: Prediction, once: Read, measurement: Sensor, z: ArrayLike | None, config: FilterConfig
+) -> Read:
+    """Predict and update again as something else, where a reading makes too much of a family's error."""
+    (prior, _, info), before = once, prediction.before
+    assert before is not None
+    target, known = target_of(prior, config, None), before.needs
+    if target is None or known is None or config.time_budget or not info.error > MISSED * target:
+        return once
+    start = before.noted(needs=known._replace(waits=max(known.waits, 1)))
+    try:
+        again = _again(prediction, start, measurement, z, config)
+    except PropagationError:
+        return once
+    return again if again[2].error < info.error else once
+
+
+def _again(
     prediction: Prediction,
-    once: tuple[ParticleDensity, ParticleDensity, UpdateInfo],
+    start: ParticleDensity,
     measurement: Sensor,
     z: ArrayLike | None,
     config: FilterConfig,
-) -> tuple[ParticleDensity, ParticleDensity, UpdateInfo]:
+) -> Read:
+    """Predict from a start, and update by the readings of the time that this leads to."""
+    prior = start if prediction.before is None else prediction.from_density(start, config, "auto")
+    for sensor, numbers in prediction.readings:
+        prior, _ = update(prior, sensor, numbers, config, n_particles="auto")
+    return prior, *update(prior, measurement, z, config, n_particles="auto")
+
+
+def _on_more_points(
+    prediction: Prediction, once: Read, measurement: Sensor, z: ArrayLike | None, config: FilterConfig
+) -> Read:
     """Predict and update again where a reading finds too few points, or points that know no way to be led.
 
     Readings of the same time are used once more; without a prediction, the prior itself is drawn anew.
@@ -150,7 +166,8 @@ def _on_more_points(
         cloud = posterior.cloud
         if cloud is None:  # the ladder has found something cheaper than so many points
             break
-        error = _deciding(posterior, info, target)
+        led = before is None or prior.read_out == "cloud"
+        error = _deciding(posterior, info, target, 0.0 if led else cloud.inherited)
         if error > MISSED * target and before is not None and before.cloud is not None:
             assert cloud.points.prior is not None
             seen = Stacked.of(cloud.points.prior.readings, prior.domain)
@@ -158,16 +175,11 @@ def _on_more_points(
             added = error_added(before.cloud, cloud, *about)
             error = added if added < error else error  # what was there before, no points cure
         more = points_for(cloud.size, error, target) if error > MISSED * target else 0
-        led = before is None or prior.read_out == "cloud"
         if more <= cloud.size and (tries > 0 or led):
             break
-        prior = start.noted(needs=known._replace(points=more or known.points, waits=max(known.waits, 1)))
+        wanted = known._replace(points=more or known.points, waits=max(known.waits, 1))
         try:
-            if before is not None:
-                prior = prediction.from_density(prior, config, "auto")
-            for sensor, numbers in prediction.readings:
-                prior, _ = update(prior, sensor, numbers, config, n_particles="auto")
-            posterior, info = update(prior, measurement, z, config, n_particles="auto")
+            prior, posterior, info = _again(prediction, start.noted(needs=wanted), measurement, z, config)
         except PropagationError:  # what there is already is better than none
             break
         helped = _deciding(posterior, info, target) < HELPED * _deciding(*best[1:], target)
@@ -186,7 +198,10 @@ def _on_more_points(
     return prior, posterior, info
 
 
-def _deciding(posterior: ParticleDensity, info: UpdateInfo, target: float) -> float:
-    """Error that decides whether a reading is made again on more points, in standard deviations."""
+def _deciding(posterior: ParticleDensity, info: UpdateInfo, target: float, inherited: float = 0.0) -> float:
+    """Error that decides whether a reading is made again on more points, in standard deviations.
+
+    Without what was inherited of a density that will not be there again.
+    """
     told = math.nan if posterior.cloud is None else posterior.cloud.told.decisive(target, posterior.dim)
-    return max(info.error, told)
+    return max(math.sqrt(max(info.error**2 - inherited**2, 0.0)), told)

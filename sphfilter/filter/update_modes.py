@@ -19,7 +19,7 @@ from ..density.points import moments_of_sum
 from ..errors import PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
 from ..model.measurements import Sensor
-from .reading_at_prior import error_left_by_update
+from .inherited import shift_left_by_update
 from .update import update
 
 __all__ = ["ModesUpdateInfo", "update_modes"]
@@ -46,27 +46,11 @@ def update_modes(
     config: FilterConfig,
     n_particles: Any,
 ) -> tuple[ModeDensities, ModesUpdateInfo]:
-    """Multiply the density of every mode by the likelihood of z, and its probability by its evidence.
+    """Multiply the density of every mode by the likelihood of z (k,), and its probability by its evidence.
 
-    Parameters
-    ----------
-    modes : ModeDensities
-    sensors : mapping of str to measurement
-        Of all modes, in their order.
-    z : array_like, shape (k,), or None
-    config : FilterConfig
-    n_particles : int or "auto"
-        As of `update`.
-
-    Returns
-    -------
-    ModeDensities, ModesUpdateInfo
-        A mode in which the reading cannot have come about has no probability left.
-
-    Raises
-    ------
-    PropagationError
-        The reading cannot have come about in any mode.
+    The sensors are those of all modes, in their order; `n_particles`, a number or "auto", is as of `update`.
+    A mode in which the reading cannot have come about has no probability left; `PropagationError` is raised
+    if it cannot have in any.
     """
     names = list(sensors)
     if not any(sensor.observed(z).any() for sensor in sensors.values()):
@@ -85,7 +69,8 @@ def update_modes(
         log_w[i], densities[i] = own + infos[i].log_evidence, new
         fresh, brought_out = _off(modes, i, sensors[names[i]], z, infos[i].log_evidence)
         before = math.sqrt(max(splitting[i] ** 2 - fresh**2, 0.0))
-        splitting[i] = math.hypot(error_left_by_update(density, new) * before, brought_out)
+        left = shift_left_by_update(density.cov(), new.cov(), new.gaussian)
+        splitting[i] = math.hypot(left * before, brought_out)
     if problem is not None and not infos:
         raise problem
     log_evidence = float(logsumexp(log_w))

@@ -41,27 +41,9 @@ def update_or_predict_modes_again(
 ) -> tuple[ModeDensities, ModeDensities, ModesUpdateInfo]:
     """Update; if the posterior hangs on what the prediction got wrong of the jumps, predict again.
 
-    Parameters
-    ----------
-    prediction : ModesPrediction or None
-        What led to the prior; None where nothing was predicted, or it cannot be made again.
-    prior : ModeDensities
-    sensors : mapping of str to measurement
-        Of all modes, in their order.
-    z : array_like, shape (k,), or None
-    config : FilterConfig
-    n_particles : int or "auto"
-        As of `update`.
-
-    Returns
-    -------
-    ModeDensities, ModeDensities, ModesUpdateInfo
-        The prior that was used, and the posterior.
-
-    Raises
-    ------
-    PropagationError
-        The reading cannot have come about in any mode, or a prediction that was made again failed.
+    `prediction` is what led to the prior: None where nothing was predicted, or it cannot be made again.
+    Returns the prior that was used, the posterior, and what `update_modes` says. Raises `PropagationError` as
+    that does, or if a prediction that was made again failed.
     """
     target = config.target_error
     modes, info = update_modes(prior, sensors, z, config, n_particles)

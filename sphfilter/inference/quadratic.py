@@ -63,23 +63,10 @@ def scales(
     high: Floats,
     names: Sequence[str],
 ) -> Floats:
-    """Steps (n,) along each axis over which a function falls by about a nat.
+    """Steps (n,) along each axis over which a function of points (n,) falls by about a nat.
 
-    Parameters
-    ----------
-    function : callable
-        Of points (n,).
-    centre : ndarray, shape (n,)
-        Near its largest `value`, off the bounds low, high (n,).
-    first : ndarray, shape (n,)
-        Where to begin.
-    names : sequence of str
-        For errors.
-
-    Raises
-    ------
-    EstimationError
-        The function does not fall along an axis.
+    `centre` is near its largest `value`, off the bounds low and high; steps `first` are where to begin.
+    Raises `EstimationError` if it does not fall along an axis, of which there are names.
     """
     found = np.empty(len(centre))
     for k, name in enumerate(names):
@@ -103,10 +90,7 @@ def scales(
 def quadratic(function: Function, centre: Floats, value: float, root: Floats, h: float) -> Quadratic:
     """Gradient and Hessian by differences over h columns of `root` (n, n).
 
-    Raises
-    ------
-    EstimationError
-        The function is not finite at one of the points.
+    Raises `EstimationError` if the function is not finite at one of the points.
     """
 
     def at(*steps: tuple[int, float]) -> float:

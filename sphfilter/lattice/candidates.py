@@ -57,24 +57,10 @@ class Candidate(NamedTuple):
 
 
 def best_candidate(sought: Sought, n_particles: int, scheme: PaperScheme) -> tuple[Candidate, int, float]:
-    """The best of the central discretisation and its neighbours (002 4.7.3).
+    """The best of the central discretisation and its neighbours (002 4.7.3), on `n_particles` nodes at most.
 
-    Parameters
-    ----------
-    sought : Sought
-    n_particles : int
-        Nodes kept at most.
-    scheme : PaperScheme
-
-    Returns
-    -------
-    Candidate, int, float
-        The best, the number tried, and the part of the lattice's box that the posterior fills.
-
-    Raises
-    ------
-    PropagationError
-        No lattice of so few particles has three nodes along every axis.
+    With it the number tried, and the part of the lattice's box that the posterior fills. Raises
+    `PropagationError` if no lattice of so few particles has three nodes along every axis.
     """
     low, high, volume_fraction = _extents(sought, n_particles, scheme)
     candidates = _candidates(sought, (low, high), volume_fraction, n_particles, scheme)
@@ -111,9 +97,8 @@ def _extents(sought: Sought, n_particles: int, scheme: PaperScheme) -> tuple[Flo
     least = _least_nodes(n_particles, sought.x.shape[1])
     kept = sought.x[heaviest(sought.raw, scheme.domain_mass)]
     low, high = kept.min(axis=0), kept.max(axis=0)
-    widen = np.maximum(
-        0.5 * (sought.support - (high - low)), 0.0
-    )  # a single row of particles still has width
+    # a single row of particles still has width
+    widen = np.maximum(0.5 * (sought.support - (high - low)), 0.0)
     low, high = low - widen, high + widen
     if sought.domain is not None:
         low, high = sought.domain.within(low, high, sought.support)

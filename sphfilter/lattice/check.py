@@ -29,18 +29,7 @@ class Misfit(NamedTuple):
 
 
 def misfit(laid: LatticeDensity, log_p: OfStates) -> Misfit:
-    """Compare a lattice's polynomials with what was laid, in the middles of its cells.
-
-    Parameters
-    ----------
-    laid : Laid
-    log_p : callable
-        States (M, n) to the logarithms (M,) that were laid.
-
-    Returns
-    -------
-    Misfit
-    """
+    """Compare a lattice's polynomials with what was laid, `log_p`, in the middles of its cells."""
     n = laid.x.shape[1]
     steps = range(-1, 3) if laid.walls[0].size else range(2)  # integrals to a wall see cells beyond it
     corners = np.array(list(itertools.product(steps, repeat=n)))
@@ -97,16 +86,8 @@ class Remote(NamedTuple):
 def remote(mean: Floats, cov: Floats, x: Floats, mass: Floats) -> Remote:
     """What is too little to count as probability may be far enough away to count in a mean and variance.
 
-    Parameters
-    ----------
-    mean, cov : ndarray, shape (n,), (n, n)
-        Of the density on the lattice.
-    x, mass : ndarray, shape (N, n), (N,)
-        States beyond it, and their probabilities.
-
-    Returns
-    -------
-    Remote
+    Of a density on a lattice, mean (n,) and cov (n, n), and of states x (N, n) beyond it with their
+    probabilities, mass (N,).
     """
     d = np.linalg.solve(np.linalg.cholesky(cov), (x - mean).T)
     return Remote(float(np.linalg.norm(d @ mass)), float(np.linalg.eigvalsh((d * mass) @ d.T)[-1]))
@@ -125,18 +106,9 @@ def left_out(field: Field, walls: Walls = NO_WALLS) -> float:
 def deep_enough(log_p: Floats, mass: Floats, n: int, depth: float, beyond: float = 0.0) -> float:
     """Depth at which to cut a density so that no more is left out than `depth` leaves out of a Gaussian.
 
-    Pieces of it may be far lower than its highest, though not negligible, and its tails heavier.
-
-    Parameters
-    ----------
-    log_p, mass : ndarray, shape (N,)
-        Of its cells.
-    n : int
-        States.
-    depth : float
-        Nats below the highest value, for a Gaussian.
-    beyond : float
-        Probability beyond these cells, in tails that end at about that depth.
+    Pieces of it may be far lower than its highest, though not negligible, and its tails heavier. Its cells
+    have `log_p` and `mass` (N,); both depths are nats below the highest value, and `beyond` is the
+    probability beyond these cells, in tails that end at about that depth.
     """
     allowed = gammaincc(0.5 * n, depth)
     lowest_first = np.argsort(log_p)

@@ -88,6 +88,8 @@ def lay(
 ) -> LatticeDensity:
     """Put a density on a lattice of at most `n_particles` nodes, and at least about half of that.
 
+    Raises `PropagationError` if no spacing gives a lattice with complete nodes.
+
     Parameters
     ----------
     log_p : callable
@@ -96,7 +98,6 @@ def lay(
         Origin, and the lower factor of a covariance: the coordinates that are whitened.
     seeds : ndarray, shape (S, n)
         States at least one of which lies in every piece of the region.
-    n_particles : int
     depth : float
         Z²/2.
     volume : float, optional
@@ -104,15 +105,6 @@ def lay(
     walls : tuple of ndarray, optional
         Where the density ends, low and high, shape (n,) each. A few cells further log_p is asked for its
         smooth continuation.
-
-    Returns
-    -------
-    Laid
-
-    Raises
-    ------
-    PropagationError
-        No spacing gives a lattice with complete nodes.
     """
     n, sten = len(mean), stencils(len(mean))
     if np.any(np.sqrt((factor**2).sum(axis=1)) < _ROUNDED * np.spacing(np.abs(mean))):

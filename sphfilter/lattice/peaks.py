@@ -49,14 +49,9 @@ def along_axes(product: OfStates, log_weight: OfStates, start: Floats, std: Floa
 def peaks(product: OfStates, X: Floats, values: Floats, factor: Floats) -> list[Peak]:
     """The highest peaks that states lie on, none twice.
 
-    Parameters
-    ----------
-    product : callable
-        States (M, n) to the logarithms (M,) of an unnormalised density.
-    X, values : ndarray, shape (M, n), (M,)
-        States to climb from, and the logarithms there.
-    factor : ndarray, shape (n, n)
-        Lower factor of a covariance that the peaks are not wider than.
+    `product` gives logarithms (M,) of an unnormalised density at states (M, n). The climb begins at X (M, n),
+    where they are `values` (M,); peaks are no wider than the covariance whose lower factor is `factor` (n,
+    n).
     """
     found: list[Peak] = []
     for _ in range(_MOST):

@@ -39,7 +39,7 @@ def posterior(
 
     The likelihood is raised to a power under which it is wide enough for the points at hand, the product is
     laid, and its nodes are the points of the next, higher power: the lattice closes in on the posterior, all
-    its pieces at once.
+    its pieces at once. Its `log_mass` is the log-evidence.
 
     Parameters
     ----------
@@ -47,17 +47,10 @@ def posterior(
         Points of the prior.
     log_prior, log_weight : callable
         States (M, n) to (M,); the weight may be minus infinity.
-    n_particles : int
-    depth : float
     cell : ndarray, shape (n, n), or None
         Lattice vectors of the points, in columns, if they lie on a lattice.
-    walls : tuple of ndarray
-        Where the density ends; see `lay`.
-
-    Returns
-    -------
-    Laid
-        Its log_mass is the log-evidence.
+    n_particles, depth, walls
+        As of `lay`.
     """
     n = x.shape[1]
     counting = (4.0 * math.pi) ** (n / 2) / gaussian_volume(n, depth)  # effective part of a Gaussian's nodes
@@ -75,8 +68,7 @@ def posterior(
             )
         on_lattice: Any = None if cell is None else np.linalg.solve(cell, x.T).T
         power = _power(log_mass, weight, power, enough, on_lattice)
-        heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
-        w = np.exp(heavy - heavy.max())
+        w = _weights(log_mass, weight, power)
         effective = w.sum() ** 2 / (w @ w)
         w /= w.sum()
         mean = w @ x
@@ -108,6 +100,12 @@ def posterior(
     raise PropagationError("the likelihood is too sharp to close in on; check the measurement's noise")
 
 
+def _weights(log_mass: Floats, weight: Floats, power: float) -> Floats:
+    """Weights (N,), the largest one, of points of the prior under a power of the likelihood."""
+    heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
+    return np.exp(heavy - heavy.max())
+
+
 def _power(log_mass: Floats, weight: Floats, reached: float, enough: float, y: Floats | None) -> float:
     """Largest power of the likelihood under which enough points count; more than reached before.
 
@@ -115,8 +113,7 @@ def _power(log_mass: Floats, weight: Floats, reached: float, enough: float, y: F
     """
 
     def effective(power: float) -> float:
-        heavy = log_mass + power * np.where(weight > -np.inf, weight, -1e300)
-        w = np.exp(heavy - heavy.max())
+        w = _weights(log_mass, weight, power)
         count = w.sum() ** 2 / (w @ w)
         if y is None or count < enough:
             return count

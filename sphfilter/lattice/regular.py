@@ -93,20 +93,11 @@ class Lattice:
 
 @dataclass(frozen=True)
 class GaussianPlacement:
-    """Trimmed lattice for a Gaussian: 002 (39)-(42).
-
-    Attributes
-    ----------
-    lattice : Lattice
-    kept : ndarray of bool
-        Nodes of the lattice that carry a particle: core and buffer.
-    core : ndarray of bool
-        Nodes inside the core ellipsoid.
-    """
+    """Trimmed lattice for a Gaussian: 002 (39)-(42)."""
 
     lattice: Lattice
-    kept: Bools
-    core: Bools
+    kept: Bools  # nodes of the lattice that carry a particle: core and buffer
+    core: Bools  # nodes inside the core ellipsoid
 
 
 def place_gaussian(mean: Floats, cov: Floats, n_particles: int, scheme: PaperScheme) -> GaussianPlacement:
@@ -116,12 +107,7 @@ def place_gaussian(mean: Floats, cov: Floats, n_particles: int, scheme: PaperSch
     ellipsoid's semi-axes grow by the width of the layers: for equal variances this is (42). They grow by one
     standard deviation at most: every lattice published in 002 stays within that, but on a few hundred
     particles (42) would reach out to seven, where densities differ so much from node to node that smoothing
-    lengths collapse within a step.
-
-    Raises
-    ------
-    ModelError
-        `n_particles` is too small for a lattice of this dimension.
+    lengths collapse within a step. Raises `ModelError` if n_particles is too small for so many states.
     """
     from scipy import stats  # on use: import time
 
@@ -224,16 +210,8 @@ def fit_support(
 ) -> SupportFit:
     """Choose the one initial h whose mixture density is nearest to the target (002 4.6.1).
 
-    Parameters
-    ----------
-    lattice : Lattice
-    mass : ndarray, shape (M,)
-        Mass on every node, zero where no particle is.
-    target, target_between : ndarray
-        Density wanted on the nodes and on the half-shifted nodes.
-    interior, interior_between : ndarray of bool
-        Nodes that count.
-    scheme : PaperScheme
+    The nodes have masses (M,), zero where no particle is. The density that is wanted on them is `target`, on
+    the half-shifted ones `target_between`; those that count are marked in `interior`, `interior_between`.
     """
     kernel = Kernel.of(scheme.kernel, len(lattice.dims))
     dx = lattice.cell_volume ** (1.0 / len(lattice.dims))

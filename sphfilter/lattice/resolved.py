@@ -78,27 +78,15 @@ def resolved(
 ) -> Resolved:
     """Check a posterior against what is found between and beyond its nodes, and lay it again if need be.
 
+    Returns the first lattice that holds and resolves all that was found, or the best of all. Where there was
+    none so far, the error that says why stands in its place; it is raised if nothing is found.
+
     Parameters
     ----------
-    laid : Laid or PropagationError
-        The posterior, or why there is none so far.
-    prior : tuple
-        States (N, n) and masses (N,) of the prior, and its field or None.
     product, log_weight : callable
         States (M, n) to the logarithms (M,) of prior times likelihood, and of the likelihood.
     bounds : tuple
         Number of particles, and depth.
-    search : Search
-
-    Returns
-    -------
-    Resolved
-        The first lattice that holds and resolves all that was found, or the best of all.
-
-    Raises
-    ------
-    PropagationError
-        As given, if nothing is found.
     """
     x, mass, _ = prior
     tail = float(gammaincc(0.5 * x.shape[1], bounds[1]))  # beyond the cut of a Gaussian
@@ -154,9 +142,8 @@ def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> float:
     left = left if left > SAID + _BESIDE * tail else 0.0
     logs = [min(part.log_mass - laid.log_mass, LARGEST_EXPONENT) for part in parts]
     odds = [_missing(laid, part) * math.exp(log) for part, log in zip(parts, logs, strict=True)]
-    tops = sum(
-        o for o, part in zip(odds, parts, strict=True) if len(part.x) == 1
-    )  # each apart from the others
+    # each apart from the others
+    tops = sum(o for o, part in zip(odds, parts, strict=True) if len(part.x) == 1)
     most = max(tops, *odds)
     return max(left, most / (1.0 + most))
 

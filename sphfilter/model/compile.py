@@ -86,10 +86,7 @@ def batch(function: Callable[..., None]) -> BatchFunction:
 def arguments_of(function: object, name: str, data: Data = NO_DATA) -> tuple[str, ...]:
     """Return what to pass to a user's function: x; x, t; x, t, p; with inputs also x, t, u or x, t, p, u.
 
-    Raises
-    ------
-    ModelError
-        It cannot be called, or takes another number of arguments.
+    Raises `ModelError` if it cannot be called, or takes another number of arguments.
     """
     forms: tuple[tuple[str, ...], ...] = (("x",), ("x", "t"), ("x", "t", "p"))
     if data.u.size:
@@ -141,8 +138,10 @@ def compile_rows(
     data: Data = NO_DATA,
     vectorized: bool = False,
 ) -> BatchFunction:
-    """Compile a user's function into a batch function.
+    """Compile a user's function into a batch function, whose out has one column per number, row-major.
 
+    Raises `ModelError` for wrong arguments, a wrong number of values, an index beyond the state, or where
+    numba cannot compile it.
     Parameters
     ----------
     function : callable
@@ -156,16 +155,6 @@ def compile_rows(
         Length of the state; None when not known yet (nothing is tried then).
     data : Data
         Values of parameters and inputs; the function sees as many of p as these.
-
-    Returns
-    -------
-    dispatcher
-        Of signature `BATCH`; out has one column per number, row-major.
-
-    Raises
-    ------
-    ModelError
-        Wrong arguments, wrong number of values, an index beyond the state, or numba cannot compile it.
     """
     arguments = arguments_of(function, name, data)
     if dim is not None:
@@ -286,10 +275,7 @@ def probe(
 ) -> None:
     """Try a function once, uncompiled, for what compiled code would not notice: sizes and indices.
 
-    Raises
-    ------
-    ModelError
-        It reads beyond the state or the parameters, or returns the wrong number of values.
+    Raises `ModelError` if it reads beyond the state or the parameters, or returns the wrong number of values.
     """
     states, names = probe_states(dim), arguments_of(function, name, data)
     arguments = data.given(names, states if vectorized else states[0], 0.0, np.concatenate(data))

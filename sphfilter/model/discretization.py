@@ -22,10 +22,7 @@ _TERMS = 15  # of a Taylor series of a matrix of norm 1/2: 2⁻¹⁵ / 15! = 2e-
 def linear_transition(model: "SDE", dt: float) -> tuple[Floats, Floats, Floats]:
     """The exact transition of a model that is linear, which never changes; read-only.
 
-    Raises
-    ------
-    PropagationError
-        It grows beyond the finite numbers.
+    Raises `PropagationError` if it grows beyond the finite numbers.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = model.to_linear().discretize(dt)
@@ -55,18 +52,10 @@ def exponential(X: Floats) -> Floats:
 
 
 def transition(A: Floats, b: Floats, spread: Floats, dt: float) -> tuple[Floats, Floats, Floats]:
-    """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly.
+    """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly; dt >= 0, seconds.
 
-    Van Loan's block exponential over a part of dt short enough for its growing block, then doubling.
-
-    Parameters
-    ----------
-    A, b : ndarray, shapes (n, n), (n,)
-        Drift A x + b.
-    spread : ndarray, shape (n, n)
-        Covariance that noise adds in a second.
-    dt : float
-        Seconds, >= 0.
+    The drift is A x + b; `spread` (n, n) is the covariance that noise adds in a second. Van Loan's block
+    exponential over a part of dt short enough for its growing block, then doubling.
     """
     n = len(A)
     # in units in which the rows of A are like its columns: norms say nothing in those of the states

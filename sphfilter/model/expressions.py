@@ -39,12 +39,8 @@ _NO_TABLES: Mapping[str, Table] = MappingProxyType({})
 class Names:
     """The names a text may use, and the symbols that stand for them.
 
-    Parameters
-    ----------
-    states, parameters : sequence of str
-        Inputs are parameters here.
-    tables : mapping of str to Table
-        What ``table("name", ...)`` may call.
+    States and parameters, inputs among these, and the `tables` that ``table("name", ...)`` may call. Raises
+    `ExpressionError` for a name that is no identifier, is reserved, or is given twice.
 
     Attributes
     ----------
@@ -52,11 +48,6 @@ class Names:
         Names that a text has used so far.
     data : ndarray
         Arguments and values of all tables, as they follow the parameters' values in p.
-
-    Raises
-    ------
-    ExpressionError
-        A name that is no identifier, is reserved, or is given twice.
     """
 
     def __init__(
@@ -96,19 +87,10 @@ class Names:
 
 
 def parse(text: str | float, names: Names, where: str = "expression") -> sp.Expr:
-    """Return the sympy tree of a text (or of a number).
+    """Return the sympy tree of a text (or of a number); `where` says what it is, for messages.
 
-    Parameters
-    ----------
-    text : str or float
-    names : Names
-    where : str
-        What the text is, for messages.
-
-    Raises
-    ------
-    ExpressionError
-        Unknown name, forbidden syntax, a constant that is not finite, or a text beyond the limits.
+    Raises `ExpressionError` for an unknown name, forbidden syntax, a constant that is not finite, or a text
+    beyond the limits.
     """
     if isinstance(text, int | float) and not isinstance(text, bool):
         return _number(text, where)

@@ -210,10 +210,7 @@ def _states(modes: Mapping[str, SDE]) -> tuple[str, ...]:
 def mode_probabilities(given: ArrayLike | Mapping[str, float] | None, model: JumpMarkovModel) -> Floats:
     """Probabilities (M,) of the modes, checked; the stationary ones if none are given.
 
-    Raises
-    ------
-    ModelError
-        Another number of them, a name of no mode, negative ones, or a sum that is not one.
+    Raises `ModelError` for another number of them, an unknown name, negative ones, or a sum that is not one.
     """
     if given is None:
         return model.stationary

@@ -28,12 +28,8 @@ _MOST = 3000  # functions of some 30 kB each with their code, below 100 MB of th
 def kept(source: str, words: Mapping[str, Any]) -> BatchFunction:
     """Compile a batch function, or load its code if the same source was compiled before.
 
-    Parameters
-    ----------
-    source : str
-        Source of a function ``fill``, printed by this package; nothing that stands in a file is run.
-    words : mapping
-        The compiled functions of the core that it calls, by name.
+    The source is that of a function ``fill``, printed by this package; nothing that stands in a file is run.
+    `words` are the compiled functions of the core that it calls, by name.
     """
     name = sha256((fingerprint(__name__.partition(".")[0]) + source).encode()).hexdigest()[:32]
     try:

@@ -35,10 +35,7 @@ class Reading(NamedTuple):
     def of(cls, z: ArrayLike | None, k: int | None = None, name: str = "") -> "Reading":
         """Return a measurement, of a sensor of that name, as a reading of k numbers; None: nothing came.
 
-        Raises
-        ------
-        ModelError
-            It is not k numbers or NaN, or infinite.
+        Raises `ModelError` if it is not k numbers or NaN, or infinite.
         """
         if z is None:
             return cls(np.full(k or 1, np.nan), np.zeros(k or 1, dtype=bool))

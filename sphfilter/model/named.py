@@ -83,10 +83,7 @@ def changed(
 ) -> dict[str, float]:
     """Values by name with some of them changed.
 
-    Raises
-    ------
-    ModelError
-        Unknown name (the nearest is named), or a value that is not one finite number.
+    Raises `ModelError` for an unknown name (the nearest is named), or a value that is not one finite number.
     """
     known_as = {plain(name): name for name in known}
     own = {known_as.get(plain(name), name): value for name, value in changes.items()}
@@ -148,10 +145,7 @@ class Adjustable:
 def input_values(known: Mapping[str, float], u: InputValues, whose: str = "The model") -> dict[str, float]:
     """Values of inputs, given in their order or by name; those that a mapping does not name stay.
 
-    Raises
-    ------
-    ModelError
-        Unknown name, another number of values, or one that is not finite.
+    Raises `ModelError` for an unknown name, another number of values, or one that is not finite.
     """
     if isinstance(u, Mapping):
         return changed("input", known, u, whose)
@@ -167,10 +161,8 @@ def input_values(known: Mapping[str, float], u: InputValues, whose: str = "The m
 def each_input(names: Iterable[str], record: InputRecord | None, count: int) -> list[dict[str, float] | None]:
     """Values of inputs by name, for each of `count` intervals; None each where nothing is given.
 
-    Raises
-    ------
-    ModelError
-        Another number of rows or columns, a name that is no input, or values that are not finite.
+    Raises `ModelError` for another number of rows or columns, a name that is no input, or values that are not
+    finite.
     """
     if record is None:
         return [None] * count

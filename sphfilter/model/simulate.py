@@ -179,13 +179,9 @@ def advance(
     A linear model takes one exact step. Otherwise the step is `max_step` or less, in equal parts; without it,
     0.05 (additive noise) or 0.01 (any other) of the model's fastest time scale, which is looked at every 16
     steps: norm of the drift's Jacobian, at the states and where the noise may carry them meanwhile, squared
-    norm of the noise's derivative, and the rate of change with time. With steps of
-    that size the second moments of a double well and of a geometric model were right to 1e-5, relative.
-
-    Raises
-    ------
-    PropagationError
-        A state that is not finite, or more than ten million steps.
+    norm of the noise's derivative, and the rate of change with time. With steps of that size the second
+    moments of a double well and of a geometric model were right to 1e-5, relative. Raises `PropagationError`
+    for a state that is not finite, or more than ten million steps.
     """
     x = np.array(x, dtype=float, order="C", ndmin=2)
     if model.linear:

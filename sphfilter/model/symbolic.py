@@ -107,21 +107,16 @@ def symbolic_rows(
     states: Sequence[str],
     texts: Sequence[str | float],
     name: str | Sequence[str],
-    words: Vocabulary | Names | None = None,
+    words: Names | None = None,
 ) -> BatchFunction:
     """Return the batch function of k expressions of the states and t: rows of states in, k columns out.
 
-    Parameters
-    ----------
-    states, texts : sequence of str
-    name : str, or sequence of k str
-        What the expressions, or each of them, are, for messages.
-    words : Vocabulary or Names
-        Names whose values the function takes.
+    `name`, or k of them, says what the expressions are, for messages; the function takes the values of
+    `words`.
     """
     if isinstance(states, str) or isinstance(texts, str):
         raise ModelError(f'states and {name} are lists of text, for instance {name}=["x**2"].')
-    names = words if isinstance(words, Names) else (words or Vocabulary()).with_states(states)
+    names = words or Names(states)
     each = [f"{name}[{i}]" for i in range(len(texts))] if isinstance(name, str) else name
     rows = sp.Matrix([parse(text, names, where) for text, where in zip(texts, each, strict=True)])
     return _maker(name if isinstance(name, str) else name[0], rows, names)(None)

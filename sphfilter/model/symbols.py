@@ -144,10 +144,7 @@ _CALLS = {
 def source(e: Any) -> str:
     """Return Python source of a symbolic tree; functions are those of numpy, named ``np``.
 
-    Raises
-    ------
-    ValueError
-        A node without a real finite value, such as 1/(x - x).
+    Raises `ValueError` for a node without a real finite value, such as 1/(x - x).
     """
     if e.is_Symbol:
         return e.name

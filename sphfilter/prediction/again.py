@@ -89,16 +89,8 @@ def or_as_cloud(
 ) -> Outcome[PredictInfo]:
     """Predict; where ``scheme="auto"`` is refused, go on as a cloud, which says what the problem was.
 
-    Parameters
-    ----------
-    predicted : callable
-        A configuration to the `Outcome` of a prediction.
-    config : SolverConfig or FilterConfig
-
-    Raises
-    ------
-    PropagationError
-        What was refused, if a cloud is refused too.
+    `predicted` makes the `Outcome` of a prediction of a configuration. What was refused is raised if a cloud
+    is refused too.
     """
     try:
         return predicted(config)
@@ -134,21 +126,8 @@ def predict_from_finer(
 ) -> Outcome[PredictInfo]:
     """Predict; if the density is too coarse for that, repeat what led to it on more particles.
 
-    Parameters
-    ----------
-    predicted : callable
-        A ParticleDensity to the `Outcome` of its prediction.
-    model : SDE
-    density : ParticleDensity
-    origin : Update, Prediction or None
-        The step that the density comes from.
-    config : SolverConfig or FilterConfig
-    n_particles : int
-        Upper bound of the number of particles.
-
-    Returns
-    -------
-    Outcome
+    `predicted` makes the `Outcome` of a prediction of a density, and `origin` is the step that the density
+    comes from, made with `n_particles` at most.
     """
     try:
         return predicted(density)

@@ -41,15 +41,10 @@ def propagate(
     allowed: float = 0.0,
     most_work: float = math.inf,
 ) -> tuple[ParticleDensity, PredictInfo]:
-    """Carry a density to time t1 by the log-density where that can be, else as a cloud.
+    """Carry a density to time t1, seconds, by the log-density where that can be, else as a cloud.
 
     Parameters
     ----------
-    density : ParticleDensity
-    model : SDE
-    t1 : float
-        Seconds.
-    n_particles : int
     most : int, optional
         Particles at most where the log-density needs more than `n_particles`.
     allowed : float
@@ -57,10 +52,6 @@ def propagate(
     most_work : float
         Evaluations of the drift, after which the log-density is given up: whoever bounds them goes on with a
         cloud, which knows its error.
-
-    Returns
-    -------
-    ParticleDensity, PredictInfo
     """
     if density.read_out == "cloud":
         laid = _on_lattice(density, n_particles)

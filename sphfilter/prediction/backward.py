@@ -76,17 +76,10 @@ def likelihood_field(field: Field, values: Floats) -> Field:
 
 
 def carried_back(model: SDE, found: Field, prior: ParticleDensity, t1: float) -> OfStates:
-    """Return λ at the time of a density as a function of states (M, n), from that at t1.
+    """Return λ at the time of a prior, where it is asked for, as a function of states (M, n).
 
-    Parameters
-    ----------
-    model : SDE
-    found : Field
-        As `likelihood_field` made it.
-    prior : ParticleDensity
-        Where and when λ is asked for.
-    t1 : float
-        Seconds, one step of the noise later. The model may jump at both ends of the step.
+    `found` is λ at t1, seconds, one step of the noise later, as `likelihood_field` made it. The model may
+    jump at both ends of the step.
     """
     n, mean, begin, end = model.dim, prior.mean(), prior.t, t1
     for before, after in (beside(stop, prior.t, t1) for stop in model.breaks(prior.t, t1)):

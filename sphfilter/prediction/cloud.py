@@ -14,6 +14,7 @@ from ..core.limits import LOOK, SAID
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
 from ..density.cloud import points_of
+from ..density.defect import read_out
 from ..density.particle_density import ParticleDensity
 from ..density.passage import (
     age_of,
@@ -23,7 +24,7 @@ from ..density.passage import (
     points_of_sample,
     stored_key,
 )
-from ..density.points import CloudState, Pace, Points, moments
+from ..density.points import CloudState, Origin, Pace, Points, moments
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
@@ -122,7 +123,9 @@ def carried_cloud(
     told = state.told.of(count / state.size)
     off = squared_differences(ends[0], ends[1], domain, sums)
     error = math.hypot(told.after(*off).errors.mean, pace.bias, state.inherited)
-    state = CloudState(ends[0], ends[1], count, told, pace, state.inherited, state.age + 1)
+    state = state._replace(
+        points=ends[0], shadow=ends[1], size=count, told=told, pace=pace, age=state.age + 1
+    )
     return Carried(state, sums[0], error, lost, steps.number)
 
 
@@ -143,7 +146,11 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         points, shadow = (points_of_gaussian(mean, cov, n, key, k) for k, (n, key) in enumerate(clouds))
     else:
         points, shadow = (points_of_sample(Points(*points_of(density, n, key)), n, key) for n, key in clouds)
-    return CloudState(points, shadow, count, inherited=density.error, age=age)
+    origin = None
+    if density.family is not None and density.defect is not None:
+        unsigned = read_out(density.family, density.defect).unsigned
+        origin = Origin(density.family, density.defect, unsigned)
+    return CloudState(points, shadow, count, inherited=density.error, age=age, origin=origin)
 
 
 def shadow_size(count: int) -> int:

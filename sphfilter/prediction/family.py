@@ -9,12 +9,13 @@ import numpy as np
 
 from ..config import FamilyScheme
 from ..core._addresses import address_of
-from ..core.family.basis import basis
+from ..core.family.basis import basis, beyond
 from ..core.family.march import STATUS, Control, Report, march
-from ..core.family.rates import RATES, Flow
+from ..core.family.rates import DEFECT, RATES, Flow
 from ..core.family.rules import degrees
-from ..density.as_family import family_density, family_of
-from ..density.family import ASTRAY, OF_MISFIT, Family
+from ..density.as_family import defect_in, family_density, family_of
+from ..density.defect import OF_UNSIGNED, Defect, read_out
+from ..density.family import ASTRAY, Family
 from ..density.particle_density import ParticleDensity
 from ..errors import ConfigError, PropagationError, StoppedError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
@@ -38,6 +39,7 @@ __all__ = [
 HIGHEST = 6  # degree that is taken unless another is asked for
 OF_RESIDUAL = 0.3  # part of what the polynomials cannot follow, that errors are estimated by
 _LOST = 1.0  # standard deviations that the mean may be off by
+_MOST_MISSED = 1.0  # of log p, as rms: density missed is more than there is, as exp(1) - 1 > 1
 _NOT_FOLLOWED = (
     "no polynomial of this degree follows the logarithm of the density; predict over a shorter interval, or "
     "use another scheme"
@@ -103,26 +105,27 @@ def carried_family(
     n, degree = density.dim, scheme.degree
     assert degree is not None
     start, misfit = family_of(density, degree)
+    packed = defect_in(density, start, misfit).packed
     y = np.concatenate([start.mu, start.A.ravel(), start.c])
     longest = longest_step(model, density, t1)
-    control = Control(density.t, t1, scheme.tolerance, longest, scheme.max_steps, most / OF_RESIDUAL)
+    control = Control(density.t, t1, scheme.tolerance, longest, scheme.max_steps, _MOST_MISSED)
     with surfacing():
-        report = march(flow_of(model), basis(n, degree), control, y)
+        report = march(flow_of(model), basis(n, degree), beyond(n, degree), control, y, packed)
     if STATUS[report.code] != "ok":
         raise _given_up(model, y, report, density.t, t1)
     moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()
-    astray = moved.astray
-    told = OF_RESIDUAL * report.residual, OF_RESIDUAL * report.stepping, OF_MISFIT * misfit
-    residual = math.hypot(*told, astray)
-    error = math.hypot(density.error, residual)
-    if not residual < most or not astray < ASTRAY:
+    defect, astray = Defect.of(packed, n), moved.astray
+    of_steps = OF_RESIDUAL / OF_UNSIGNED * report.stepping
+    defect = defect._replace(U=defect.U + of_steps**2 * moved.A @ moved.A.T)
+    error = math.hypot(read_out(moved, defect).error, astray)
+    if not error < math.hypot(most, density.error) or not astray < ASTRAY:
         raise PropagationError(
             f"prediction from {density.t:g} to {t1:g}: {_NOT_FOLLOWED}; the mean would be off by {error:.2g} "
             f"standard deviations"
         )
     gaussian = density.gaussian and model.linear
     return family_density(
-        density, moved, t=float(t1), capacity=n_particles, error=error, gaussian=gaussian
+        density, moved, t=float(t1), capacity=n_particles, error=error, gaussian=gaussian, defect=defect
     ), _info(model, report, error)
 
 
@@ -146,6 +149,7 @@ def flow_of(model: SDE) -> Flow:
         not constant and not model.state_dependent_noise,
         model.state_dependent_noise,
         address_of(RATES),
+        address_of(DEFECT),
     )
 
 

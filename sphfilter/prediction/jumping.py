@@ -108,20 +108,8 @@ def carried_with_jumps(
 ) -> tuple[ModeDensities, dict[int, PredictInfo]]:
     """Carry the densities of all modes over an interval as clouds; and what is said of each, by its number.
 
-    Parameters
-    ----------
-    modes : ModeDensities
-    model : JumpMarkovModel
-    way : Way
-    count : int
-        Points that stay in each mode.
-    target : float
-        Error of the mean that is asked for, in standard deviations.
-
-    Raises
-    ------
-    PropagationError
-        A mode that is not unlikely cannot be carried; the sentence says why.
+    Of the points `count` stay in each mode; `target` is the error of the mean that is asked for, in standard
+    deviations. Raises `PropagationError` if a mode that is not unlikely cannot be carried; it says why.
     """
     sources = _Sources(modes, model, way, count, target)
     forward, log_w = way.forward(sources.w), np.full(len(modes.w), -math.inf)
@@ -195,7 +183,7 @@ class _Sources:
         off = squared_differences(clouds[0], clouds[1], self._domain, sums)
         inherited = math.sqrt(inherited)
         error = math.hypot(state.told.after(*off).errors.mean, state.pace.bias, inherited)
-        state = state._replace(points=clouds[0], shadow=clouds[1], inherited=inherited)
+        state = state._replace(points=clouds[0], shadow=clouds[1], inherited=inherited, origin=None)
         return state, sums[0], error
 
     def _came(self, forward: list[Floats], j: int, share: float, k: int, key: int) -> tuple[Points, float]:

@@ -26,6 +26,7 @@ from ..density.as_family import (
     pieces_density,
 )
 from ..density.cloud import points_of
+from ..density.defect import Defect, defect_of
 from ..density.families_posterior import AWAY
 from ..density.family import OF_MISFIT, fitted, moments_apart, node_moments
 from ..density.memory import MOST_POINTS, Memory, min_nodes
@@ -90,7 +91,7 @@ def mixed(parts: Sequence[Part], target: float, errors: tuple[float, float]) -> 
     first = parts[0].density
     if len(parts) == 1:
         return first.noted(error=error)
-    first = first.noted(error=error, needs=_needs(parts))
+    first = first.noted(error=error, defect=None, needs=_needs(parts))
     for way in (_as_pieces, _as_family):
         found = way(parts, first, allowed)
         if found is not None:
@@ -198,7 +199,9 @@ def _as_family(parts: Sequence[Part], about: ParticleDensity, allowed: float) ->
         added = max(OF_MISFIT * off, moments_apart(b, C - np.eye(len(mean))))
         if added <= allowed:
             error = math.hypot(about.error, added)
-            return family_density(about, found, error=error, gaussian=False).noted(needs=about.needs)
+            defect = defect_of(found, log_p, Defect.none(found, error))
+            new = family_density(about, found, error=error, gaussian=False, defect=defect)
+            return new.noted(needs=about.needs)
     return None
 
 

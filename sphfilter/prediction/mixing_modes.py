@@ -26,16 +26,9 @@ def summed(
 ) -> ModeDensities:
     """In every mode the sum of densities, as one density.
 
-    Parameters
-    ----------
-    log_w : ndarray, shape (K, M)
-        Logarithms of the weights of K densities in each of M modes, but for a constant.
-    densities : sequence of sequence of ParticleDensity or None, K by M
-        None only where the weight is zero.
-    splitting : ndarray, shape (K, M)
-        Their errors that come from jumps.
-    target, allowed : float, tuple of float
-        As of `mixed`.
+    Of K densities in each of M modes, `log_w` (K, M) are logarithms of their weights but for a constant, and
+    `splitting` (K, M) their errors that come from jumps. A density may be None where the weight is zero.
+    `target` and `allowed` are as of `mixed`.
     """
     own_w, own = [], []
     for i in range(log_w.shape[1]):
@@ -51,17 +44,8 @@ def summed(
 def mixture(parts: Sequence[tuple[float, ModeDensities]], config: FilterConfig) -> ModeDensities:
     """p(x, i) = Σ_k b_k p_k(x, i): what explanations with probabilities b_k leave of the modes together.
 
-    Parameters
-    ----------
-    parts : sequence of (float, ModeDensities)
-        Weights b_k, whose sum may be any, and densities of one time; those of zero weight are left out.
-    config : FilterConfig
-        Whose target error says how far sums are merged.
-
-    Raises
-    ------
-    PropagationError
-        Nothing holds a sum.
+    The parts are weights b_k, whose sum may be any, and densities of one time; those of zero weight are left
+    out. The target error says how far sums are merged. Raises `PropagationError` if nothing holds a sum.
     """
     parts = [part for part in parts if part[0] > 0.0]
     if len(parts) == 1:

@@ -40,16 +40,9 @@ def propagate(
     """Carry a density to time t1 with v = f - div D - D grad p / p.
 
     Steps that have become too small mean that particles have run together (002 section 5.1): they are put on
-    a new lattice of at most `n_particles`, the paper's own remedy, and the march goes on.
-
-    Returns
-    -------
-    ParticleDensity, PredictInfo
-
-    Raises
-    ------
-    PropagationError
-        The state or its velocity is no longer finite, or re-gridding did not help; says when and where.
+    a new lattice of at most `n_particles`, the paper's own remedy, and the march goes on. Raises
+    `PropagationError` if a state or its velocity is no longer finite, or re-gridding did not help; it says
+    when and where.
     """
     start, progress, n_regrids = density.t, packed(Progress(density.t, t1)), 0
     n_discarded, share_kept, status = 0, 1.0, ""

@@ -27,19 +27,11 @@ class Remeshing:
     """When the particles of a transient solution are put on a new lattice.
 
     It follows from the density alone: a solution that was stopped goes on as it would have.
-
-    Attributes
-    ----------
-    when : str or float
-        `SolverConfig.remesh`.
-    scheme : "auto" or a scheme
-    n_particles : int
-        Upper bound of a new lattice's.
     """
 
-    when: RemeshRule
+    when: RemeshRule  # `SolverConfig.remesh`
     scheme: Scheme
-    n_particles: int
+    n_particles: int  # upper bound of a new lattice's
 
     def applies(self, density: ParticleDensity, model: SDE) -> bool:
         """Do sums over kernels carry the density from here? A log-density is on a lattice at every step."""
@@ -64,13 +56,7 @@ class Remeshing:
     def renewed(self, density: ParticleDensity, model: SDE, t: float) -> tuple[ParticleDensity, str, bool]:
         """The density on a new lattice if it is time for one, before it is carried to time t.
 
-        Returns
-        -------
-        ParticleDensity
-        str
-            Why it has one, or why not if it should; empty if nothing was to be done.
-        bool
-            Whether it has one.
+        Then why it has one, or why not if it should, empty if nothing was to be done; and whether it has one.
         """
         reason = self._reason(density) if t > density.t and self.applies(density, model) else ""
         if not reason:

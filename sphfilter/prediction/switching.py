@@ -80,32 +80,19 @@ def predict_modes(
     finer: float = 1.0,
     apart: float = 1.0,
 ) -> tuple[ModeDensities, ModesInfo]:
-    """Carry the densities of all modes to time t1.
+    """Carry the densities of all modes to time t1, seconds, later than they are.
+
+    Raises `PropagationError` if a mode that is not unlikely cannot be carried; it says why.
 
     Parameters
     ----------
-    modes : ModeDensities
-    model : JumpMarkovModel
-    t1 : float
-        Seconds, later than the densities.
-    config : FilterConfig
     n_particles : int or "auto"
         As of `predict`.
     n_substeps : int, optional
         Steps of the splitting; as many as its error asks for if not given.
-    finer : float
-        Times less, that the error of the splitting is to be than usual.
-    apart : float
-        Times less, that mergers of Gaussians are to change than usual.
-
-    Returns
-    -------
-    ModeDensities, ModesInfo
-
-    Raises
-    ------
-    PropagationError
-        A mode that is not unlikely cannot be carried; the sentence says why.
+    finer, apart : float
+        Times less than usual, that the error of the splitting is to be, and that mergers of Gaussians are to
+        change.
     """
     t0, target, jumps = modes.heaviest.t, config.target_error, model.rates.any()
     steps, off = 1, [no_ripple(model.dim) for _ in model.names]

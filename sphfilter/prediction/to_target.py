@@ -47,12 +47,13 @@ def carried_to_target(
 ) -> tuple[ParticleDensity, PredictInfo, int]:
     """Predict on a lattice, again with more nodes where the estimated error is above the target.
 
+    Returns what was predicted, and the number of nodes for the next step. Raises `PropagationError` if the
+    first try could not be made, or the one that the target asks for next is too much work.
+
     Parameters
     ----------
-    density : ParticleDensity
-        That the prediction begins with.
     predicted : callable
-        A number of nodes to a prediction.
+        A number of nodes to a prediction of the density.
     target : float
         Standard deviations.
     n_particles : int
@@ -61,16 +62,6 @@ def carried_to_target(
         What a time budget leaves.
     most_work : float
         Evaluations of the drift that all tries may take together.
-
-    Returns
-    -------
-    ParticleDensity, PredictInfo, int
-        With the number of nodes for the next step.
-
-    Raises
-    ------
-    PropagationError
-        The first try could not be made, or the one that the target asks for next is too much work.
     """
     best: tuple[ParticleDensity, PredictInfo, int] | None = None
     ratio, allowed, work = math.inf, error_budget(density.error, target), 0.0

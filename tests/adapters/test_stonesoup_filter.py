@@ -145,12 +145,8 @@ def test_bearings_wrap():
     model = CombinedLinearGaussianTransitionModel([ConstantVelocity(0.05), ConstantVelocity(0.05)])
     predictor, found = SPHPredictor(model, n_particles=600), []
     for turned in (False, True):
-        sensor = CartesianToBearingRange(
-            ndim_state=4,
-            mapping=(0, 2),
-            noise_covar=np.diag([0.01, 0.25]),
-            translation_offset=np.zeros((2, 1)),
-        )
+        noise = np.diag([0.01, 0.25])
+        sensor = CartesianToBearingRange(4, (0, 2), noise, translation_offset=np.zeros((2, 1)))
         mean, z = [-10.0, 0.0, 0.3, -0.5], [Bearing(-np.pi + 0.02), 10.2]
         if turned:  # a quarter turn to the left: (x, y) to (-y, x), bearings pi / 2 more
             mean, z = [-0.3, 0.5, -10.0, 0.0], [Bearing(-np.pi + 0.02 + np.pi / 2), 10.2]

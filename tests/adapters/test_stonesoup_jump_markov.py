@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from density_cases import moving as linear
 from stonesoup_cases import Recorded, at, gaussian, seen
 
 import sphfilter as sf
@@ -42,13 +43,6 @@ from sphfilter.adapters.stonesoup import (
 RATES = [[-0.1, 0.1], [0.2, -0.2]]
 SENSOR = LinearGaussian(1, [0], np.array([[0.04]]))
 START = gaussian((0.0,), (0.1,))
-
-
-def linear():
-    drift = {"rest": 0.0, "moving": 1.0}
-    return sf.JumpMarkovModel(
-        {name: sf.LinearSDE([[0.0]], [v], noise=[[0.2]]) for name, v in drift.items()}, RATES
-    )
 
 
 def bent():

@@ -26,10 +26,7 @@ def test_bearing_and_range_of_each_detection_are_their_own():
     walk = sf.LinearSDE(np.zeros((2, 2)), noise=np.eye(2))
     predictor, updater = SPHPredictor(walk, n_particles=400), SPHUpdater()
     track = Track([gaussian(mean=(-3.0, 0.2), variances=(0.5, 0.5))])
-    detections = {
-        seen(3.1, 3.2, seconds=0.5, model=model),
-        seen(-3.0, 4.5, seconds=0.5, model=model),
-    }
+    detections = {seen(3.1, 3.2, seconds=0.5, model=model), seen(-3.0, 4.5, seconds=0.5, model=model)}
     hypotheses = EvidenceHypothesiser(predictor, updater, 0.1, 0.9, 1).hypothesise(track, detections, at(0.5))
     posterior = updater.update(hypotheses)
     weight = np.full(len(GRID), 0.1)

@@ -132,10 +132,8 @@ def test_truth_is_needed_once():
 def test_rows_text_and_json():
     r = report(campaign(ekf=histories(np.full((2, 5, 2), 0.25)), sph=histories(np.full((2, 5, 2), 0.5))))
     rows = dict(r.rows())
-    assert rows["RMS error (state 2)"] == {"ekf": 0.25, "sph": 0.5} and rows["Runs failed"] == {
-        "ekf": 0,
-        "sph": 0,
-    }
+    assert rows["RMS error (state 2)"] == {"ekf": 0.25, "sph": 0.5}
+    assert rows["Runs failed"] == {"ekf": 0, "sph": 0}
     text = str(r).splitlines()
     assert text[0] == "scene: 2 runs of 5 updates" and text[1].split() == ["ekf", "sph"]
     assert any(line.split() == ["RMS", "error", "(state", "1)", "0.25", "0.5"] for line in text)

@@ -56,6 +56,15 @@ def duffing(Q=0.5):
     return text(["x", "v"], DUFFING, Q=[[Q]])
 
 
+def drifting(velocity, noise=0.2):
+    return sf.LinearSDE([[0.0]], [velocity], noise=[[noise]])
+
+
+def moving(rates=((-0.1, 0.1), (0.2, -0.2))):
+    """Rest, and motion of unit velocity."""
+    return sf.JumpMarkovModel({"rest": drifting(0.0), "moving": drifting(1.0)}, rates)
+
+
 def quadrature(p, n_nodes=400):
     """Nodes and weights over six deviations around a density of two states."""
     u = np.linspace(-6, 6, n_nodes)

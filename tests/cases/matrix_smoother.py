@@ -39,12 +39,8 @@ def smoothed_by_matrix(drift, diffusion, axes, start, log_likelihood, times, rea
     """
     X = np.stack([x.ravel() for x in np.meshgrid(*axes, indexing="ij")], axis=1)
     L, off = _matrix(drift, diffusion, axes, X), X - start[0]
-    p, log_evidence, before, filtered = (
-        np.exp(-0.5 * np.sum(off @ np.linalg.inv(start[1]) * off, 1)),
-        0.0,
-        0.0,
-        [],
-    )
+    p = np.exp(-0.5 * np.sum(off @ np.linalg.inv(start[1]) * off, 1))
+    log_evidence, before, filtered = 0.0, 0.0, []
     weights = [np.exp(log_likelihood(z, X)) for z in readings]
     p /= p.sum()
     for t, weight in zip(times, weights, strict=True):

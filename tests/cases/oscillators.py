@@ -6,21 +6,13 @@ import sphfilter as sf
 from reference_filters.kalman import KalmanFilter
 
 OSCILLATOR = sf.SDE.from_expressions(
-    states=["x", "v"],
-    drift=["v", "-k*x - c*v"],
-    noise=[["0"], ["s"]],
-    spectral_density=[[1.0]],
-    parameters={"k": 1.0, "c": 0.4, "s": 1.2},
+    ["x", "v"], ["v", "-k*x - c*v"], [["0"], ["s"]], [[1.0]], {"k": 1.0, "c": 0.4, "s": 1.2}
 )
 POSITION = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])
 START = np.array([1.0, 0.0]), np.eye(2)
 TIMES = 0.7 * np.arange(1, 21)
 DUFFING = sf.SDE.from_expressions(
-    states=["x", "v"],
-    drift=["v", "-c*v - x*(g + e*x**2)"],
-    noise=[["0"], ["1"]],
-    spectral_density=[[1.6]],
-    parameters={"c": 0.4, "g": -1.0, "e": 0.1},
+    ["x", "v"], ["v", "-c*v - x*(g + e*x**2)"], [["0"], ["1"]], [[1.6]], {"c": 0.4, "g": -1.0, "e": 0.1}
 )
 
 

@@ -4,6 +4,7 @@ import datetime
 
 import numpy as np
 import pytest
+from oscillators import DUFFING
 
 import sphfilter as sf
 
@@ -31,13 +32,7 @@ def at(seconds):
 
 def duffing():
     """A Duffing oscillator with two wells, as text."""
-    return sf.SDE.from_expressions(
-        states=["x", "v"],
-        drift=["v", "-c*v - x*(g + e*x**2)"],
-        noise=[["0"], ["1"]],
-        spectral_density=[[1.6]],
-        parameters={"c": 0.4, "g": -1.0, "e": 0.1},
-    )
+    return DUFFING
 
 
 def position(variance=0.2):

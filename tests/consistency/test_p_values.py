@@ -21,10 +21,7 @@ def correlated(rng, n_runs, n_epochs, a):
 def test_p_values_of_what_is_right_are_uniform(n_runs, n_epochs, a):
     rng = np.random.default_rng(1)
     draws = [correlated(rng, n_runs, n_epochs, a) for _ in range(150)]
-    for p_values in (
-        [s.uniform_runs(ndtr(e)) for e in draws],
-        [s.same_mean(e, 0.0) for e in draws],
-    ):
+    for p_values in ([s.uniform_runs(ndtr(e)) for e in draws], [s.same_mean(e, 0.0) for e in draws]):
         refused = np.sum(np.array(p_values) < 0.05)
         assert stats.binomtest(int(refused), 150, 0.05).pvalue > 1e-3
     # epochs taken for independent would be refused far too often

@@ -7,10 +7,7 @@ import pytest
 
 import sphfilter as sf
 
-SCHEMES = {
-    "paper": sf.SolverConfig(scheme=sf.PaperScheme(kernel="gaussian")),
-    "default": sf.SolverConfig(),
-}
+SCHEMES = {"paper": sf.SolverConfig(scheme=sf.PaperScheme(kernel="gaussian")), "default": sf.SolverConfig()}
 
 
 def lattice(n=2, n_particles=None, scheme="paper", cov=None):

@@ -24,12 +24,7 @@ def cloud(log_p, low, high, spacing, kernel="wendland_c2", support=3.5, **more):
     h = np.full(len(x), support * spacing / kernels.RADIUS[kernels.KINDS.index(kernel)])
     kept = values > values.max() - 14.0
     return sf.ParticleDensity(
-        x=x[kept],
-        mass=np.exp(values[kept]),
-        h=h[kept],
-        kernel=kernel,
-        log_density=values[kept],
-        **more,
+        x=x[kept], mass=np.exp(values[kept]), h=h[kept], kernel=kernel, log_density=values[kept], **more
     )
 
 

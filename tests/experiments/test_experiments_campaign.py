@@ -43,10 +43,8 @@ def test_page_stands_alone_and_markdown_shows_its_pictures(out):
 
 
 def test_numbers_can_be_read_again(out):
-    record, campaign = (
-        json.loads((out / "report.json").read_text()),
-        CampaignResult.load(out / "campaign.npz"),
-    )
+    record = json.loads((out / "report.json").read_text())
+    campaign = CampaignResult.load(out / "campaign.npz")
     assert record["runs"] == 12 and record["referee"] == "grid" and campaign.truth.shape == (12, 3, 2)
     assert set(record["report"]["filters"]) == {"ekf", "pf", "grid"}
     assert record["report"]["filters"]["pf"]["ranks"]["hpd_p"] is None  # samples have no density

@@ -90,7 +90,7 @@ def test_benes_filters_start_from_the_exact_density(tmp_path):
     distance = json.loads((tmp_path / "run.json").read_text())["distance"]
     assert distance["grid"]["mean"] < 1e-4
     assert max(distance[name]["mean"] for name in ("sph", "sph_paper")) < 0.02
-    assert distance["sph"]["cov"] < distance["sph_paper"]["cov"]
+    assert distance["sph"]["cov"] < 0.02  # half of it, and the mean, are asked to be within .01
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -28,16 +28,8 @@ def test_every_scenario_builds_and_draws(name):
 
 
 def test_scenarios_of_the_issue_are_there():
-    wanted = {
-        "linear_underdamped",
-        "linear_critical",
-        "van_der_pol",
-        "duffing",
-        "cart_linear",
-        "cart",
-        "benes",
-    }
-    assert wanted <= set(scenario_names())
+    wanted = "linear_underdamped linear_critical van_der_pol duffing cart_linear cart benes"
+    assert set(wanted.split()) <= set(scenario_names())
 
 
 @pytest.mark.parametrize(

@@ -259,8 +259,7 @@ def test_the_picture_speaks_of_dots_where_there_are_some(model, data, tmp_path, 
     scenario, found, titles = load_model(model), read_measurements(data, 1), []
     monkeypatch.setattr(plots, "save", lambda figure, path: titles.append(figure.get_suptitle()))
     x = np.zeros((len(found.times), 1))
-    plots.draw(
-        tmp_path / "x.png", scenario, found, {"ekf": SimpleNamespace(t=found.times, x=x, P=x[:, None])}
-    )
+    results = {"ekf": SimpleNamespace(t=found.times, x=x, P=x[:, None])}
+    plots.draw(tmp_path / "x.png", scenario, found, results)
     plt.close("all")
     assert ("measurements (dots)" in titles[0]) == seen

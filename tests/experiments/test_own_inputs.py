@@ -243,9 +243,8 @@ def test_the_picture_shows_inputs_and_dots_of_each_sensor(model, data, tmp_path,
     assert np.isnan(readings(scenario.measurement, found.z, 0)).tolist() == [False, True, False, True]
     monkeypatch.setattr(plots, "save", lambda figure, path: kept.append(figure))
     x = np.zeros((4, 1))
-    plots.draw(
-        tmp_path / "x.png", scenario, found, {"ekf": SimpleNamespace(t=found.times, x=x, P=x[:, None])}
-    )
+    results = {"ekf": SimpleNamespace(t=found.times, x=x, P=x[:, None])}
+    plots.draw(tmp_path / "x.png", scenario, found, results)
     line = kept[0].axes[1].get_lines()[0]
     assert line.get_ydata().tolist() == [0.2, -0.1, 9.0, 0.4] and line.get_drawstyle() == "steps-pre"
     assert kept[0].axes[1].get_xlabel() == "t" and "measurements (dots)" in kept[0].get_suptitle()

@@ -326,13 +326,8 @@ def unavailable(name):
 
 @pytest.mark.usefixtures("undrawn")
 def test_what_was_discarded_is_told(own, tmp_path, capsys):
-    scheme = {
-        "name": "paper",
-        "smoothing": "newton",
-        "discard_unconverged": True,
-        "cfl": "fixed",
-        "dt_max": 0.05,
-    }
+    steps = {"cfl": "fixed", "dt_max": 0.05}
+    scheme = {"name": "paper", "smoothing": "newton", "discard_unconverged": True} | steps
     changes = {
         "model.parameters": {},
         "model.drift": ["where(x > 1.5, 20*(x - 1.5), 0)", "0"],

@@ -109,16 +109,8 @@ def test_filters_agree_and_a_filter_without_the_inputs_does_not(path):
 
 def test_a_campaign_writes_a_scenario_that_runs_again(path, tmp_path, capsys):
     out = tmp_path / "out"
-    words = [
-        "--runs",
-        "3",
-        "--filters",
-        "ekf,ukf",
-        "--out",
-        str(out),
-        "--set",
-        "sensors.speed.parameters.r=0.1",
-    ]
+    words = ["--runs", "3", "--filters", "ekf,ukf", "--out", str(out)]
+    words += ["--set", "sensors.speed.parameters.r=0.1"]
     assert main(["campaign", str(path), *words]) == 0
     assert "failed" not in capsys.readouterr().err
     found = sf.CampaignResult.load(out / "campaign.npz")
@@ -192,13 +184,11 @@ def test_estimate_builds_filters_with_parameters_of_model_and_sensors(path):
     problem = problem_of(path, ["c", "s", "r"], {}, 0, n_particles=100)
     assert problem.values == {"c": 0.4, "s": 1.0, "r": 0.3} and problem.inputs.shape == (60, 2)
     filt = problem.build({"s": 2.0, "r": 0.7, "c": 0.1})
-    assert dict(filt.measurement.parameters) == {"s": 2.0, "r": 0.7} and dict(filt.model.parameters) == {
-        "c": 0.1
-    }
+    assert dict(filt.measurement.parameters) == {"s": 2.0, "r": 0.7}
+    assert dict(filt.model.parameters) == {"c": 0.1}
     text = TEXT[: TEXT.index("[sensors.gps]")] + TEXT[TEXT.index("[sensors.speed]") :]
-    path.write_text(
-        text.replace("[sensors.speed]", "[sensor]").replace("r = 0.3", "R = 0.3").replace('"r"', '"R"')
-    )
+    text = text.replace("[sensors.speed]", "[sensor]").replace("r = 0.3", "R = 0.3").replace('"r"', '"R"')
+    path.write_text(text)
     problem = problem_of(path, ["R"], {}, 0, n_particles=100)
     assert dict(problem.build({"R": 0.5}).measurement.parameters) == {"s": 1.0, "R": 0.5}
 

@@ -307,9 +307,8 @@ def test_command_writes_its_files_and_resumes(options, name, reference, n_parts,
     assert name == "random" or (tmp_path / "stress.png").stat().st_size > 5000
     stamps = [p.stat().st_mtime_ns for p in sorted(tmp_path.rglob("*.npz"))]
     assert main(command) == 0
-    assert (
-        stamps == [p.stat().st_mtime_ns for p in sorted(tmp_path.rglob("*.npz"))] and len(stamps) == n_parts
-    )
+    assert stamps == [p.stat().st_mtime_ns for p in sorted(tmp_path.rglob("*.npz"))]
+    assert len(stamps) == n_parts
 
 
 def test_command_refuses_what_does_not_go_together(capsys):
@@ -360,31 +359,15 @@ def test_every_verdict_of_every_filter_can_be_drawn(tmp_path):
 
 #: Cases of the reduced grid that take a second or less, most with an exact reference.
 _WALK = [
-    "process_noise/linear",
-    "no_noise/decay",
-    "noise_on_some_rows",
-    "unstable",
-    "dimension/linear_chain/[13]",
-    "sensor_noise/linear/100",
-    "interval/linear",
-    "near-singular_start/linear*",
-    "badly_scaled_start/linear/1e-06",
-    "units",
-    "outlier/tanh_drift",
-    "outlier/linear/3",
-    "missing_data/linear",
-    "long_run/linear",
-    "repeated_times",
-]
+    "process_noise/linear", "no_noise/decay", "noise_on_some_rows", "unstable", "dimension/linear_chain/[13]",
+    "sensor_noise/linear/100", "interval/linear", "near-singular_start/linear*",
+    "badly_scaled_start/linear/1e-06", "units", "outlier/tanh_drift", "outlier/linear/3",
+    "missing_data/linear", "long_run/linear", "repeated_times",
+]  # fmt: skip
 _PAPER = [
-    "no_noise/decay/6",
-    "units/states/1e+06",
-    "outlier/linear/20",
-    "unstable/growth/1",
-    "missing_data/linear/1",
-    "particles/linear/20",
-    "blow-up/square/0.7",
-]
+    "no_noise/decay/6", "units/states/1e+06", "outlier/linear/20", "unstable/growth/1",
+    "missing_data/linear/1", "particles/linear/20", "blow-up/square/0.7",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("case", chosen(1, _WALK, quick=True), ids=str)

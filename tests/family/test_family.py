@@ -263,6 +263,8 @@ def test_what_a_step_missed_is_told():
     _, rough = sf.predict(start, WELL, 0.5, sf.FilterConfig(scheme=sf.FamilyScheme(degree=3)))
     _, fine = sf.predict(start, WELL, 0.5, FAMILY)
     assert rough.residual > 2.0 * fine.residual > 0.0 and rough.error > fine.error
-    doubted = replace(start, error=0.2)
-    _, info = sf.predict(doubted, WELL, 0.5, FAMILY)
-    assert info.error > 0.2 and sf.Code.UNRESOLVED in info.code and "may be off" in info.status
+    doubted, off = replace(start, error=0.2), sf.initialize(sf.Gaussian([1.0 + 0.2 * 0.3**0.5], [[0.3]]), 100)
+    (right, _), (wrong, _), (_, info) = (sf.predict(one, WELL, 0.5, FAMILY) for one in (start, off, doubted))
+    made = abs(wrong.mean() - right.mean())[0] / right.cov()[0, 0] ** 0.5
+    assert info.error == pytest.approx(made, rel=0.2)  # a drift that goes back makes less of it
+    assert info.error > DOUBTFUL and sf.Code.UNRESOLVED in info.code and "may be off" in info.status

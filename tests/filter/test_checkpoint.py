@@ -9,20 +9,8 @@ DUFFING = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"
 POSITION = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])
 TIMES = np.arange(2.0, 17.0, 2.0)
 _, Z = sf.simulate(DUFFING, POSITION, x0=[3.0, 0.0], times=np.append(0.0, TIMES), rng=1)
-KEPT = (
-    "x",
-    "P",
-    "x_prior",
-    "P_prior",
-    "x_post",
-    "P_post",
-    "z",
-    "y",
-    "S",
-    "log_likelihood",
-    "log_evidence",
-    "t",
-)
+KEPT = "x", "P", "x_prior", "P_prior", "x_post", "P_post", "z", "y", "S"
+KEPT += "log_likelihood", "log_evidence", "t"
 
 
 def made(**options):

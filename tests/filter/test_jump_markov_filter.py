@@ -5,6 +5,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from density_cases import drifting, moving
 from scipy.linalg import expm
 
 import sphfilter as sf
@@ -15,14 +16,6 @@ from sphfilter.prediction.switching import predict_modes
 SMOOTH = sf.FilterConfig(density_error=0.01)  # as modes are carried
 CLOUDS = sf.FilterConfig(scheme=sf.CloudScheme(n_points=20_000))
 READING = sf.GaussianMeasurement([[1.0]], [[0.04]])
-
-
-def drifting(velocity, noise=0.2):
-    return sf.LinearSDE([[0.0]], [velocity], noise=[[noise]])
-
-
-def moving(rates=((-0.1, 0.1), (0.2, -0.2))):
-    return sf.JumpMarkovModel({"rest": drifting(0.0), "moving": drifting(1.0)}, rates)
 
 
 def wells():
@@ -272,8 +265,8 @@ def test_equal_modes_are_one():
     well = wells().modes["double"]
     model = sf.JumpMarkovModel({"one": well, "other": well}, [[-0.5, 0.5], [0.2, -0.2]])
     times, z, _ = record(model, 6)
-    found = run(model, times, z)
     fine = sf.FilterConfig(target_error=1e-3, density_error=1e-3)
+    found = run(model, times, z, config=fine)
     alone = sf.SPHFilter(well, READING, [0.0], [[0.1]], config=fine).run(times, z)
     assert np.abs((found.x - alone.x) / np.sqrt(alone.P[:, 0])).max() < 0.01  # as asked
     np.testing.assert_allclose(found.P, alone.P, rtol=0.02)
@@ -313,11 +306,7 @@ def test_one_prediction_or_eight():
         ([[-0.1, 0.1], [0.1, -0.1]], {"mode_probabilities": [1.0, 0.0]}, 0.01),
         ([[0.0, 0.0], [0.5, -0.5]], {"mode_probabilities": {"moving": 1.0}}, 0.01),
         ([[-0.1, 0.1], [0.1, -0.1]], {"n_particles": 100}, 0.01),
-        (
-            [[-0.1, 0.1], [0.1, -0.1]],
-            {"config": CLOUDS},
-            0.01,
-        ),
+        ([[-0.1, 0.1], [0.1, -0.1]], {"config": CLOUDS}, 0.01),
     ],
     ids=["fast", "slow", "certain", "absorbing", "a number", "clouds"],
 )

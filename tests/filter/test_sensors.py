@@ -92,10 +92,7 @@ def test_fits_comparison_and_smoothing_take_them():
     _, z = sf.simulate(MODEL, GAUSSIAN, [0.0, 0.0], np.append(0.0, times), rng=1)
     z = z[1:]
     z[::2, 0] = math.nan
-    records = {
-        "place": (times[1::2], z[1::2, 0]),
-        "speed": (times, z[:, 1]),
-    }
+    records = {"place": (times[1::2], z[1::2, 0]), "speed": (times, z[:, 1])}
     np.testing.assert_equal(GAUSSIAN.merged(records)[1], z)
     smoothed = sf.smooth(made(GAUSSIAN), times, z)
     assert np.ptp(smoothed.log_evidence) < 0.05

@@ -106,13 +106,8 @@ def test_outlier_is_rejected_and_the_prior_kept():
 
 @pytest.mark.parametrize("z", [-9999.0, 1e4, 30.0])
 def test_a_wild_reading_is_not_used_and_the_filter_goes_on(z):
-    flt = sf.SPHFilter(
-        sf.SDE.from_expressions(["x", "v"], ["v", "-x - x**3"], noise=[[0], [1]]),
-        SENSOR,
-        PRIOR.mean,
-        PRIOR.cov,
-        n_particles=200,
-    )
+    model = sf.SDE.from_expressions(["x", "v"], ["v", "-x - x**3"], noise=[[0], [1]])
+    flt = sf.SPHFilter(model, SENSOR, PRIOR.mean, PRIOR.cov, n_particles=200)
     flt.predict(0.1)
     before = flt.density
     info = flt.update([z])

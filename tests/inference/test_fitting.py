@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from density_cases import text
 from oscillators import DUFFING, OSCILLATOR, POSITION, START, TIMES, exact, readings
 from scipy.optimize import minimize
 
@@ -156,12 +157,8 @@ def test_the_profile_of_a_gaussian_evidence_is_a_parabola():
 
 
 def test_parameters_that_the_measurements_do_not_determine_are_refused(z):
-    redundant = sf.SDE.from_expressions(
-        states=["x", "v"],
-        drift=["v", "-a*b*x - 0.4*v + 0*d"],
-        noise=[["0"], ["1.2"]],
-        parameters={"a": 1.0, "b": 1.0, "d": 1.0},
-    )
+    drift = ["v", "-a*b*x - 0.4*v + 0*d"]
+    redundant = text(["x", "v"], drift, [["0"], ["1.2"]], a=1.0, b=1.0, d=1.0)
 
     def build(p):
         return KalmanFilter(redundant.with_parameters(**p), POSITION, *START)

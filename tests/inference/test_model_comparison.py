@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from density_cases import text
 from oscillators import DUFFING, OSCILLATOR, POSITION, START, TIMES, exact, readings
 
 import sphfilter as sf
@@ -21,13 +22,7 @@ def test_the_right_model_wins():
     """Duffing against the best linear oscillator, on data drawn from the one and from the other."""
     start = np.array([3.0, 0.0]), np.diag([0.2, 1.0])
     times = 2.0 * np.arange(1, 26)
-    linear = sf.SDE.from_expressions(
-        states=["x", "v"],
-        drift=["v", "-c*v - k*x"],
-        noise=[["0"], ["1"]],
-        spectral_density=[[1.6]],
-        parameters={"c": 0.4, "k": 1.0},
-    )
+    linear = text(["x", "v"], ["v", "-c*v - k*x"], Q=[[1.6]], c=0.4, k=1.0)
 
     def of_linear(p):
         return KalmanFilter(linear.with_parameters(**p), POSITION, *start)

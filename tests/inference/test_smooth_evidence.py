@@ -1,26 +1,19 @@
 """The log-evidence as a function of a parameter: nothing that lattices decide may show."""
 
 import numpy as np
+from oscillators import DUFFING, POSITION
 
 import sphfilter as sf
 
 
 def test_the_log_evidence_is_smooth_in_a_parameter():
     """Jumps are below 1e-3 nat: the distance from a quartic through values a thousandth apart."""
-    model = sf.SDE.from_expressions(
-        states=["x", "v"],
-        drift=["v", "-c*v - x*(g + e*x**2)"],
-        noise=[["0"], ["1"]],
-        spectral_density=[[1.6]],
-        parameters={"c": 0.4, "g": -1.0, "e": 0.1},
-    )
-    sensor = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])
     times = np.arange(0.0, 17.0, 2.0)
-    _, z = sf.simulate(model, sensor, x0=[3.0, 0.0], times=times, rng=1)
+    _, z = sf.simulate(DUFFING, POSITION, x0=[3.0, 0.0], times=times, rng=1)
 
     def log_evidence(c):
         start = {"x0": [3.0, 0.0], "P0": np.diag([0.2, 1.0]), "n_particles": 400}
-        return float(np.sum(sf.SPHFilter(model.with_parameters(c=c), sensor, **start)
+        return float(np.sum(sf.SPHFilter(DUFFING.with_parameters(c=c), POSITION, **start)
                             .run(times[1:], z[1:]).log_evidence))  # fmt: skip
 
     change = np.linspace(-0.01, 0.01, 21)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from density_cases import off
+from density_cases import off, text
 
 import sphfilter as sf
 from reference_filters.grid_smoother import smooth_on_grid
@@ -15,16 +15,10 @@ POSITION = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.2]])
 VELOCITY = sf.GaussianMeasurement(h=[[0.0, 1.0]], noise_cov=[[0.5]])
 START = np.array([1.0, 0.0]), np.eye(2)
 
-DOUBLE_WELL = sf.SDE.from_expressions(
-    states=["x"], drift=["x - x**3"], noise=[["1"]], spectral_density=[[0.5]]
-)
+DOUBLE_WELL = text(["x"], ["x - x**3"], [["1"]], [[0.5]])
 LEVEL = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
-DUFFING = sf.SDE.from_expressions(
-    states=["x", "v"], drift=["v", "-0.4*v + x - 0.1*x**3"], noise=[["0"], ["1"]], spectral_density=[[1.6]]
-)
-VAN_DER_POL = sf.SDE.from_expressions(
-    states=["x", "v"], drift=["v", "-x + 0.2*(1 - x**2)*v"], noise=[["0"], ["1"]], spectral_density=[[0.2]]
-)
+DUFFING = text(["x", "v"], ["v", "-0.4*v + x - 0.1*x**3"], Q=[[1.6]])
+VAN_DER_POL = text(["x", "v"], ["v", "-x + 0.2*(1 - x**2)*v"], Q=[[0.2]])
 
 
 def distance(x, P, exact_x, exact_P):
@@ -163,11 +157,7 @@ def test_smoothing_says_what_it_does_not_support():
     for config in (sf.FilterConfig.paper(), sf.FilterConfig(scheme="cloud")):
         with pytest.raises(sf.ModelError, match="log_density"):
             sf.smooth(sf.SPHFilter(LINEAR, POSITION, *START, config=config), [1.0], [[0.1]])
-    angle = sf.SDE.from_expressions(
-        states=["a", "v"],
-        drift=["v", "-sin(a)"],
-        noise=[["0"], ["1"]],
-        domain=[("periodic", -np.pi, np.pi), None],
-    )
+    circle = [("periodic", -np.pi, np.pi), None]
+    angle = sf.SDE.from_expressions(["a", "v"], ["v", "-sin(a)"], [["0"], ["1"]], domain=circle)
     with pytest.raises(sf.ModelError, match="domain"):
         sf.smooth(sf.SPHFilter(angle, POSITION, *START), [1.0], [[0.1]])

@@ -33,11 +33,8 @@ def assert_smoothed(model, sensor, start, readings, n_particles, exact, close):
 
 
 def test_the_matrix_smoother_is_exact_where_there_is_an_exact_one():
-    model, start, z = (
-        sf.LinearSDE(A=[[-1.0]], b=[0.3], noise=[[0.6]]),
-        (np.ones(1), 0.2 * np.eye(1)),
-        [[1.3], [0.2], [-0.4], [0.9]],
-    )
+    model, start = sf.LinearSDE(A=[[-1.0]], b=[0.3], noise=[[0.6]]), (np.ones(1), 0.2 * np.eye(1))
+    z = [[1.3], [0.2], [-0.4], [0.9]]
     axes = [np.linspace(-4.0, 4.0, 161)]
     found = by_matrix(lambda X: 0.3 - X, lambda X: np.full((len(X), 1, 1), 0.18), axes, start, LEVEL, z)
     for value, exact in zip(found, smooth_linear(model, LEVEL, start, TIMES, z), strict=True):
@@ -104,10 +101,8 @@ def test_two_states(name):
 def test_three_states_apart():
     """Each is smoothed as if it were alone. Measured: 4e-3, 1.2e-3, the evidence 4.3e-3."""
     f, g, _, drift, D, ends, x0 = LINES["ito"]
-    names, z = (
-        ["x", "y", "v"],
-        np.array([[1.3, 0.4, -0.2], [0.2, 1.0, 0.9], [-0.4, 0.1, 0.0], [0.6, 0.9, -0.8]]),
-    )
+    names = ["x", "y", "v"]
+    z = np.array([[1.3, 0.4, -0.2], [0.2, 1.0, 0.9], [-0.4, 0.1, 0.0], [0.6, 0.9, -0.8]])
     noise = [[g[0][0].replace("x", name) if name == other else "0" for other in names] for name in names]
     model = sf.SDE.from_expressions(names, [f.replace("x", name) for name in names], noise)
     sensor = sf.GaussianMeasurement(h=np.eye(3), noise_cov=0.1 * np.eye(3))

@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
+from density_cases import drifting
 from scipy.linalg import expm
 
 import sphfilter as sf
 
 RATES = [[-0.5, 0.3, 0.2], [1.0, -1.2, 0.2], [0.0, 2.0, -2.0]]
-
-
-def drifting(velocity, noise=0.2):
-    return sf.LinearSDE([[0.0]], [velocity], noise=[[noise]])
 
 
 def three():

@@ -39,10 +39,7 @@ def test_settings_are_frozen_and_pickle():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            "[scheme]\nkernl = 'lucy'",
-            r"FilterConfig.scheme: unknown key kernl \(did you mean 'kernel'\?\)",
-        ),
+        ("[scheme]\nkernl = 'lucy'", r"FilterConfig.scheme: unknown key kernl \(did you mean 'kernel'\?\)"),
         ("[schema]\n", r"unknown key FilterConfig.schema \(did you mean 'scheme'\?\)"),
         ("exact-linear = true\n", r"unknown key FilterConfig.exact-linear \(did you mean 'exact_linear'\?\)"),
         ("[scheme]\nkernel = 'lucky'", "'lucy'"),

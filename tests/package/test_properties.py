@@ -85,11 +85,8 @@ def test_mildly_nonlinear_problems_are_solved_or_refused(seed, strength, sharp, 
     A = -0.4 * np.eye(2) + 0.4 * rng.standard_normal((2, 2)) + turn * np.array([[0, 1], [-1, 0]])
     drift = "a*x0 + b*x1 + e*sin(x0)", "c*x0 + d*x1 - e*tanh(x1)"
     numbers = dict(zip("abcd", A.ravel(), strict=True)) | {"e": strength}
-    model, H, R = (
-        equation(drift, np.sqrt(0.3) * np.eye(2), **numbers),
-        rng.standard_normal((1, 2)),
-        10.0**sharp,
-    )
+    model = equation(drift, np.sqrt(0.3) * np.eye(2), **numbers)
+    H, R = rng.standard_normal((1, 2)), 10.0**sharp
     x0, P0, times = rng.standard_normal(2), _turned(rng, np.array([1.0, 0.1])), 0.4 * np.arange(1, 4)
     _check(_problem(rng, model, H, R, x0, P0, times), "grid")
 

@@ -136,10 +136,8 @@ class TestPosterior:
         assert said["error"] < 1e-6
 
     def test_what_did_not_come_is_not_read(self):
-        both, one = (
-            sf.GaussianMeasurement(np.eye(2), [[0.2, 0.1], [0.1, 0.5]]),
-            sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]]),
-        )
+        both = sf.GaussianMeasurement(np.eye(2), [[0.2, 0.1], [0.1, 0.5]])
+        one = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
         asked = [ReadingAtPrior.of(DENSITY, sensor, z) for sensor, z in ((both, [0.7, np.nan]), (one, [0.7]))]
         (new, said), (other, known) = (by_pieces(DENSITY, a, 1e-6) for a in asked)
         np.testing.assert_allclose(new.mean(), other.mean(), rtol=1e-12)

@@ -275,15 +275,8 @@ def test_steps_are_short_enough_for_the_narrowest_part_of_a_density():
     found = []
     clouds = [sf.FilterConfig(scheme=sf.CloudScheme(n_points=N)) for N in range(11_057, 12_000, 200)]
     for config, count in (sf.FilterConfig(scheme="log_density"), 800), *((c, 200) for c in clouds):
-        flt = sf.SPHFilter(
-            scenario.model,
-            scenario.measurement,
-            case.x0,
-            case.P0,
-            t0=case.t0,
-            n_particles=count,
-            config=config,
-        )
+        given = {"t0": case.t0, "n_particles": count, "config": config}
+        flt = sf.SPHFilter(scenario.model, scenario.measurement, case.x0, case.P0, **given)
         for t, z in zip(case.times[:2], case.z[:2], strict=True):
             flt.predict(t=t)
             info = flt.update(z)
@@ -297,11 +290,8 @@ def test_steps_are_short_enough_for_the_narrowest_part_of_a_density():
 def test_steps_are_short_enough_for_the_farthest_of_many_points(far):
     """A few dozen of 4,097 points do not see the one that their steps would throw out."""
     x = np.append(0.1 * stats.norm.ppf((np.arange(4096) + 0.5) / 4096), far)[:, None]
-    points, model, span = (
-        Points(x, np.full(4097, 1.0 / 4097)),
-        line("-x*(1 + 20*x**2/(25 + x**2))"),
-        (0.0, 1.0),
-    )
+    points, span = Points(x, np.full(4097, 1.0 / 4097)), (0.0, 1.0)
+    model = line("-x*(1 + 20*x**2/(25 + x**2))")
     steps, bias, _ = chosen_steps(points, model, span, Steps(4), (1, 10_000), 0.01)
     ends = moved_points(points, model, *span, steps, 4097, 1)
     assert bias < 0.01 and not steps.stiff

@@ -232,13 +232,8 @@ def test_duffing_stays_a_density():
     model = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[0.8]])
     start = sf.Gaussian([0.0, 10.0], np.eye(2) / 4)
     density = solve(800, 1.5, model=model, start=start).densities[0]
-    paths, _ = sf.simulate(
-        model,
-        None,
-        np.random.default_rng(1).multivariate_normal(start.mean, start.cov, 20_000),
-        [0.0, 1.5],
-        rng=2,
-    )
+    x0 = np.random.default_rng(1).multivariate_normal(start.mean, start.cov, 20_000)
+    paths, _ = sf.simulate(model, None, x0, [0.0, 1.5], rng=2)
     sample = paths[:, -1]
     standard_error = sample.std(axis=0) / np.sqrt(len(sample))
     off = np.abs(density.mean() - sample.mean(axis=0))

@@ -30,12 +30,7 @@ def test_moments_and_probabilities_along_the_way():
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {"config": sf.SolverConfig(scheme="paper")},
-        {"domain": [("periodic", -9, 9), None]},
-    ],
+    "options", [{}, {"config": sf.SolverConfig(scheme="paper")}, {"domain": [("periodic", -9, 9), None]}]
 )
 def test_a_solution_read_from_a_file_goes_on_to_the_last_bit(tmp_path, options):
     config = options.get("config")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from density_cases import whitened
+from referee_cases import OSCILLATOR, P0, POSITION, X0, errors
 from scipy.integrate import solve_ivp
 
 from reference_filters.closed_forms import BenesFilter, DuffingSteadyState
@@ -10,16 +10,11 @@ from reference_filters.grid import GridFilter
 from reference_filters.grid_density import Box, GridDensity
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
-from sphfilter import consistency
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.model.likelihood import LikelihoodMeasurement
 from sphfilter.model.measurements import GaussianMeasurement
 from sphfilter.model.sde import SDE, LinearSDE
 from sphfilter.model.simulate import simulate
-
-OSCILLATOR = LinearSDE(A=[[0.0, 1.0], [-1.0, -0.2]], noise=[[0.0], [1.0]], spectral_density=[[0.8]])
-POSITION = GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.4]])
-X0, P0 = np.array([1.0, -0.5]), np.array([[0.5, 0.1], [0.1, 0.7]])
 
 #: 002 Tables 6 and 8: model, measurement, interval, number of updates.
 VAN_DER_POL = (
@@ -36,21 +31,12 @@ DUFFING = (
 )
 
 
-def _errors(result, truth):
-    """Largest errors of mean (standard deviations), covariance (relative) and log-evidence (nats)."""
-    return (
-        consistency.distance(result.x, truth.x, truth.P).max(),
-        np.abs(whitened(result.P, truth.P)).max(),
-        np.abs(result.log_evidence - truth.log_evidence).max(),
-    )
-
-
 def test_linear_oscillator_equals_kalman():
     """Irregular and repeated times, a missing reading, an outlier of four standard deviations."""
     times, readings = [0.0, 0.8, 0.8, 2.0, 4.5], [[1.5], [0.4], [5.0], None, [-1.9]]
     truth = KalmanFilter(OSCILLATOR, POSITION, X0, P0).run(times, readings)
     result = GridFilter(OSCILLATOR, POSITION, X0, P0, size=64).run(times, readings)
-    assert max(_errors(result, truth)) < 1e-4
+    assert max(errors(result, truth)) < 1e-4
 
 
 def test_steps_are_of_fourth_order():
@@ -58,13 +44,13 @@ def test_steps_are_of_fourth_order():
     exact = KalmanFilter(OSCILLATOR, None, X0, P0)
     exact.predict(2.4)
     grid = GridFilter(OSCILLATOR, None, X0, P0, size=64)
-    errors = []
+    off = []
     for n_steps in (4, 8):
         density, dt = grid.density, 2.4 / n_steps
         for i in range(n_steps):
             density, _ = grid._step(density, i * dt, dt)
-        errors.append(np.linalg.norm(density.moments()[1] - exact.P))
-    assert 10 < errors[0] / errors[1] < 24
+        off.append(np.linalg.norm(density.moments()[1] - exact.P))
+    assert 10 < off[0] / off[1] < 24
 
 
 def test_benes_one_dimension():
@@ -75,7 +61,7 @@ def test_benes_one_dimension():
     grid = GridFilter(model, sensor, density=start, size=128, tol=2e-5)
     times, readings = [0.5, 1.5, 1.7], [[1.0], [-2.0], [4.0]]
     truth, result = exact.run(times, readings), grid.run(times, readings)
-    assert max(_errors(result, truth)) < 2e-5
+    assert max(errors(result, truth)) < 2e-5
     x = np.linspace(-6, 6, 301)
     np.testing.assert_allclose(grid.density.pdf(x[:, None]), exact.pdf(x), atol=1e-5)
 
@@ -144,7 +130,7 @@ def test_a_box_of_ones_own_gives_the_same_answer():
     times, readings = [1.0, 2.0], [[0.5], [-0.4]]
     truth = KalmanFilter(OSCILLATOR, POSITION, X0, P0).run(times, readings)
     grid = GridFilter(OSCILLATOR, POSITION, X0, P0, size=96, box=limits)
-    assert max(_errors(grid.run(times, readings), truth)) < 1e-4
+    assert max(errors(grid.run(times, readings), truth)) < 1e-4
     np.testing.assert_array_equal(grid.density.box.centre, [0.0, 0.0])
 
 
@@ -159,7 +145,7 @@ def test_half_the_spacing_and_half_the_steps_change_nothing(scene, share):
         GridFilter(model, sensor, [1.0, 1.0], np.diag([0.3, 1.5]), size=size, tol=tol).run(times, readings)
         for size, tol in ((64, 1e-3), (128, 1.25e-4))  # the local error is of third order
     )
-    mean, cov, evidence = _errors(coarse, fine)
+    mean, cov, evidence = errors(coarse, fine)
     assert 0.0 < mean < 5e-4
     assert cov < 1e-3
     assert evidence < 5e-4
@@ -171,7 +157,7 @@ def test_particles_agree_with_the_grid_where_no_closed_form_exists():
     n = 40_000
     grid = GridFilter(model, sensor, [1.0, 1.0], np.diag([0.3, 1.5]), size=64).run(times, readings)
     cloud = ParticleFilter(model, sensor, [1.0, 1.0], np.diag([0.3, 1.5]), n_particles=n, rng=2)
-    mean, cov, evidence = _errors(cloud.run(times, readings), grid)
+    mean, cov, evidence = errors(cloud.run(times, readings), grid)
     noise = 5 / np.sqrt(n / 20)  # five standard errors for a twentieth; 24 seeds: .09 at most
     assert mean < noise
     assert cov < 3 * noise
@@ -204,7 +190,7 @@ def test_a_coarse_grid_still_filters():
         GridFilter(model, sensor, [1.0, 1.0], np.diag([0.3, 1.5]), size=m, tol=tol).run(times, readings)
         for m, tol in ((32, 1e-2), (64, 1e-3))
     )
-    assert max(_errors(coarse, fine)) < 2e-2
+    assert max(errors(coarse, fine)) < 2e-2
 
 
 def test_models_out_of_reach_are_refused():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from referee_cases import P0, POSITION, X0
 from scipy.integrate import solve_ivp
 from scipy.stats import multivariate_normal
 
@@ -16,8 +17,6 @@ A = np.array([[0.0, 1.0], [-1.0, -0.2]])
 B = np.array([0.1, -0.3])
 OSCILLATOR = LinearSDE(A=A, b=B, noise=[[0.0], [1.0]], spectral_density=[[0.8]])
 BOTH = GaussianMeasurement(h=[[1.0, 0.0], [0.5, 1.0]], noise_cov=[[0.4, 0.1], [0.1, 0.3]])
-POSITION = GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.4]])
-X0, P0 = np.array([1.0, -0.5]), np.array([[0.5, 0.1], [0.1, 0.7]])
 TIMES = np.array([0.0, 0.7, 0.7, 2.0, 3.1])
 READINGS = [[1.1, -0.2], [0.6, np.nan], [np.nan, 0.4], None, [-0.9, -1.2]]
 FILTERS = [KalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from density_cases import whitened
 from filterpy.monte_carlo import systematic_resample
+from referee_cases import OSCILLATOR, P0, POSITION, X0
 from scipy.special import logsumexp
 
 from reference_filters._weights import ancestors, condition
@@ -14,11 +15,8 @@ from sphfilter.core.cloud.weights import weighted_moments
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.model.likelihood import LikelihoodMeasurement
 from sphfilter.model.measurements import GaussianMeasurement
-from sphfilter.model.sde import SDE, LinearSDE
+from sphfilter.model.sde import SDE
 
-OSCILLATOR = LinearSDE(A=[[0.0, 1.0], [-1.0, -0.2]], noise=[[0.0], [1.0]], spectral_density=[[0.8]])
-POSITION = GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.4]])
-X0, P0 = np.array([1.0, -0.5]), np.array([[0.5, 0.1], [0.1, 0.7]])
 TIMES, READINGS = [0.0, 0.8, 0.8, 2.0, 3.0], [[1.5], [0.4], [0.7], None, [-1.9]]
 MODES = ["always", "ess"]
 

@@ -106,9 +106,8 @@ def _sensor_text(sensor: GaussianMeasurement) -> str:
 
 def _sensor_from(text: str) -> GaussianMeasurement:
     parts = json.loads(text)
-    return (
-        GaussianMeasurement.from_expressions(**parts) if "states" in parts else GaussianMeasurement(**parts)
-    )
+    make: Any = GaussianMeasurement.from_expressions if "states" in parts else GaussianMeasurement
+    return make(**parts)
 
 
 def _refused(sensor: object) -> NoReturn:

@@ -11,11 +11,24 @@ from .._jit import MATRIX, VECTOR, jit
 from ..monomials import up_to
 from .rules import rule
 
-__all__ = ["BASIS", "Basis", "averages", "basis", "size", "values_at"]
+__all__ = [
+    "BASIS",
+    "Basis",
+    "averages",
+    "basis",
+    "beyond",
+    "bound",
+    "fit",
+    "polynomials",
+    "size",
+    "values_at",
+]
 
 #: Points at a time: tables of seven powers of four states, 7 * 4 * 64 * 8 bytes = 14 KB.
 _AT_ONCE = 64
 _BEYOND = 1.6  # standard deviations beyond √n: P(χ_n > √n + 1.6) = .009 to .012 of a Gaussian lies there
+#: Least singular value of polynomials that nodes tell apart; measured: all are above .001 or below 1e-13.
+_TOLD_APART = 1e-6
 _FALL = 0.15  # least fall of log p out there, a square of a deviation
 
 
@@ -42,6 +55,36 @@ def size(n, degree):
 def basis(n, degree):
     """The `Basis` of n states and a degree."""
     xi, u = (np.array(part) for part in rule(n, degree))
+    power, below, root, V = polynomials(n, degree, xi)
+    log_w = np.log(u) + 0.5 * (xi**2).sum(axis=1)
+    return Basis(power, below, root, xi, u, log_w, V, (V * u).T.copy(), _lower(n, degree))
+
+
+@cache
+def beyond(n, degree):
+    """Polynomials of one or two degrees more at the nodes of the `basis` of n states and a degree.
+
+    F fits the lower ones as there, and the higher ones by themselves, as far as the nodes tell them apart. A
+    symmetric model leaves a quadratic of one state, or of many, nothing of the next degree.
+    """
+    own, more = basis(n, degree), degree + (2 if degree == 2 or n == 1 else 1)
+    power, below, root, V = polynomials(n, more, own.xi)
+    F = np.ascontiguousarray(np.concatenate([own.F.T, fit(V[len(own.power) :], own.u)]).T)
+    return own._replace(power=power, below=below, root=root, V=V, F=F, lower=_lower(n, more))
+
+
+def _lower(n, degree):
+    return np.array([size(n, degree - 1), size(n, degree - 2)])
+
+
+def fit(V, u):
+    """Matrix (M, N) of a least-squares fit to values at nodes of weights u, of what these tell apart."""
+    root = np.sqrt(u)
+    return np.linalg.pinv((V * root).T, rcond=_TOLD_APART) * root
+
+
+def polynomials(n, degree, xi):
+    """Powers (M, n), the numbers and factors of derivatives (n, M), and values (M, N) at points xi (N, n)."""
     powers = up_to(degree, n)
     number = {a: j for j, a in enumerate(powers)}
     below, root = np.full((n, len(powers)), -1), np.zeros((n, len(powers)))
@@ -50,13 +93,10 @@ def basis(n, degree):
             if a[axis]:
                 below[axis, j] = number[*a[:axis], a[axis] - 1, *a[axis + 1 :]]
                 root[axis, j] = math.sqrt(a[axis])
-    power, square = np.array(powers), (xi**2).sum(axis=1)
-    V = np.empty((len(powers), len(xi)))
+    power, V = np.array(powers), np.empty((len(powers), len(xi)))
     for j, unit in enumerate(np.eye(len(powers))):
         values_at(power, unit, xi, math.inf, V[j])
-    lower = np.array([size(n, degree - 1), size(n, degree - 2)])
-    log_w = np.log(u) + 0.5 * square
-    return Basis(power, below, root, xi, u, log_w, V, (V * u).T.copy(), lower)
+    return power, below, root, V
 
 
 @jit

@@ -9,7 +9,7 @@ from ..limits import LOG_2_PI
 from ..small_matrices import eigen
 from .basis import values_at
 
-__all__ = ["FAR", "inverse", "moments_of", "moved", "reframed", "root_between", "weigh"]
+__all__ = ["FAR", "inverse", "moments_of", "moved", "refitted", "reframed", "root_between", "weigh"]
 
 #: Of moments in a frame: so far it follows a density at once, and from there on it knows nothing of it.
 FAR = 3.0
@@ -114,6 +114,24 @@ def root_between(C, low, high, out):
 @jit
 def reframed(basis, mu, A, c, b, root):
     """Put a family into the frame mu + A b, A root: exactly, as polynomials stay of their degree."""
+    n = mu.size
+    refitted(basis, c, b, root)
+    step, own = np.empty(n), A.copy()
+    for a in range(n):
+        step[a] = 0.0
+        for k in range(n):
+            step[a] += own[a, k] * b[k]
+    for a in range(n):
+        mu[a] += step[a]
+        for k in range(n):
+            A[a, k] = 0.0
+            for e in range(n):
+                A[a, k] += own[a, e] * root[e, k]
+
+
+@jit
+def refitted(basis, c, b, root):
+    """Put a polynomial into the frame of mean b and factor `root`, by its values at the nodes there."""
     N, n = basis.xi.shape
     points, values = np.empty((N, n)), np.empty(N)
     for i in range(N):
@@ -122,18 +140,6 @@ def reframed(basis, mu, A, c, b, root):
             for k in range(n):
                 points[i, a] += root[a, k] * basis.xi[i, k]
     values_at(basis.power, c, points, np.inf, values)
-    step = np.empty(n)
-    for a in range(n):
-        step[a] = 0.0
-        for k in range(n):
-            step[a] += A[a, k] * b[k]
-    own = A.copy()
-    for a in range(n):
-        mu[a] += step[a]
-        for k in range(n):
-            A[a, k] = 0.0
-            for e in range(n):
-                A[a, k] += own[a, e] * root[e, k]
     for j in range(c.size):
         c[j] = 0.0
         for i in range(N):

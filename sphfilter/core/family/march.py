@@ -9,8 +9,8 @@ from .. import dormand_prince as dp
 from .._jit import jit
 from ..limits import TINY
 from ..step_control import GROW, SHRINK, next_step
-from .frame import FAR, inverse, moments_of, moved, reframed, root_between, weigh
-from .rates import RATES, work
+from .frame import FAR, inverse, moments_of, moved, refitted, reframed, root_between, weigh
+from .rates import DEFECT, RATES, work
 
 __all__ = ["STATUS", "Control", "Report", "march"]
 
@@ -21,7 +21,9 @@ STATUS = "ok", "stalled", "too many steps", "not finite", "astray"
 _OFF = 0.15  # of the moments in the frame, from which it follows
 _TRIES = 5  # steps refused one after the other: each a fifth of the last or less, 5^-5 = 3e-4 of the first
 
-rates_at = RATES.at
+_MOST = 0.7  # norm of a defect's polynomial: of exp(.7) - 1 the second order is a quarter
+
+rates_at, defect_at = RATES.at, DEFECT.at
 
 
 class Control(NamedTuple):
@@ -48,16 +50,23 @@ class Report(NamedTuple):
 
 
 @jit
-def march(flow, basis, control, y):
-    """Carry y = (mu, A, c) from t to t1, in place; returns a `Report`."""
-    own, n, rates = work(basis, flow.state_dependent), basis.xi.shape[1], rates_at(flow.rates)
+def march(flow, basis, beyond, control, y, defect):
+    """Carry y = (mu, A, c) and its defect from t to t1, in place; returns a `Report`.
+
+    A defect is what `defect_rates` describes, or of size zero where none is asked for. It goes by exponential
+    steps of second order (Cox and Matthews 2002), which do not decide how long they are.
+    """
+    own, n, rates = work(beyond, flow.state_dependent), basis.xi.shape[1], rates_at(flow.rates)
     k, trial, error = np.empty((7, y.size)), np.empty(y.size), np.empty(y.size)
+    slope, other, told = np.empty((2, defect.size)), np.empty((2, defect.size)), defect.size > 0
     t, residual, stepping, steps, rejected, refused, asked = control.t, 0.0, 0.0, 0, 0, 0, 1
     before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
     speed = _norm(own, n, k[0])
     if not math.isfinite(speed):
         return Report(NOT_FINITE, t, 0, 0, 1, 0.0, 0.0)
     h = min(control.t1 - t, control.longest, control.tolerance**0.2 / max(speed, TINY))
+    if told:
+        defect_at(flow.defect)(flow, basis, beyond, own, y, k[0], defect, slope)
     while t < control.t1:
         if steps + rejected >= control.max_steps:
             return Report(TOO_MANY, t, steps, rejected, asked, residual, stepping)
@@ -82,8 +91,16 @@ def march(flow, basis, control, y):
         t, steps, refused = control.t1 if last else t + h, steps + 1, 0
         for e in range(y.size):
             y[e] = trial[e]
+        if told:
+            for e in range(defect.size):
+                defect[e] += h * _phi(h * slope[1, e])[0] * slope[0, e]
+            defect_at(flow.defect)(flow, basis, beyond, own, y, k[6], defect, other)
+            for e in range(defect.size):
+                z = h * slope[1, e]
+                defect[e] += h * _phi(z)[1] * (other[0, e] - math.exp(-z) * slope[0, e])
+            _bounded(defect[: beyond.V.shape[0]])
         h = min(next_step(h, off, 5.0), control.longest)
-        followed = _follow(basis, y, 0.0 if t >= control.t1 else _OFF)
+        followed = _follow(basis, beyond, y, defect, 0.0 if t >= control.t1 else _OFF)
         if followed < 0 or not residual < control.most_residual:
             return Report(ASTRAY, t, steps, rejected, asked, residual, stepping)
         if followed > 0 and t < control.t1:
@@ -93,6 +110,8 @@ def march(flow, basis, control, y):
             before = after
             for e in range(y.size):  # not k[0] = k[6]: numba compiles forty functions for that
                 k[0, e] = k[6, e]
+        if told and t < control.t1:
+            defect_at(flow.defect)(flow, basis, beyond, own, y, k[0], defect, slope)
     return Report(OK, t, steps, rejected, asked, residual, stepping)
 
 
@@ -107,6 +126,27 @@ def _step(flow, basis, own, t, h, y, k, trial):
                 trial[e] += h * dp.A[s, r] * k[r, e]
         left = rates(flow, basis, own, t + dp.C[s] * h, trial, k[s])
     return math.sqrt(left)
+
+
+@jit
+def _phi(z):
+    """(1 - exp(-z)) / z, and one less that, over z."""
+    if abs(z) < 1e-6:
+        return 1.0 - 0.5 * z, 0.5 - z / 6.0
+    first = -math.expm1(-z) / z
+    return first, (1.0 - first) / z
+
+
+@jit
+def _bounded(e):
+    """Shorten a defect's polynomial, but for its constant, to where its first order says something."""
+    square = 0.0
+    for j in range(1, e.size):
+        square += e[j] ** 2
+    if not square <= _MOST**2:
+        part = _MOST / math.sqrt(square) if square < np.inf else 0.0
+        for j in range(e.size):
+            e[j] *= part
 
 
 @jit
@@ -125,7 +165,7 @@ def _norm(own, n, d):
 
 
 @jit
-def _follow(basis, y, least):
+def _follow(basis, beyond, y, defect, least):
     """Move the frame to the density where it is off by more than `least`; 1 if it was, -1 if that fails."""
     N, n = basis.xi.shape
     mu, A, c = y[:n], y[n : n + n * n].reshape((n, n)), y[n + n * n :]
@@ -142,4 +182,6 @@ def _follow(basis, y, least):
         return 0
     root_between(C, SHRINK, GROW, root)
     reframed(basis, mu, A, c, b, root)
+    if defect.size > 0:
+        refitted(beyond, defect[: beyond.V.shape[0]], b, root)
     return 1

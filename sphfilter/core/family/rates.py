@@ -9,17 +9,18 @@ and weights u of the rule:
 in the ordinary terms of Ito. What the polynomials cannot follow is R less its projection.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import typeof, types
 
 from .._addresses import NOWHERE_AT, Entry, function_at
-from .._jit import VECTOR, jit
+from .._jit import MATRIX, VECTOR, jit
 from .basis import BASIS
 from .frame import inverse
 
-__all__ = ["RATES", "Flow", "Work", "rates", "work"]
+__all__ = ["DEFECT", "RATES", "Flow", "Work", "defect_rates", "rates", "work"]
 
 
 class Flow(NamedTuple):
@@ -35,6 +36,7 @@ class Flow(NamedTuple):
     time_dependent: bool  # D depends on time
     state_dependent: bool  # D depends on the state
     rates: int = NOWHERE_AT  # address of the function of that name
+    defect: int = NOWHERE_AT  # and of `defect_rates`
 
 
 class Work(NamedTuple):
@@ -52,13 +54,15 @@ class Work(NamedTuple):
     bend: np.ndarray  # (M,) those of second derivatives
     row: np.ndarray  # (N,)
     R: np.ndarray  # (N,)
+    m: np.ndarray  # (n,)
+    S: np.ndarray  # (n, n)
     K: np.ndarray  # (n, n)
     inverse: np.ndarray  # (n, n) of A
 
 
 @jit
 def work(basis, state_dependent):
-    """New arrays."""
+    """New arrays, for the polynomials of a basis or fewer."""
     (N, n), M = basis.xi.shape, basis.V.shape[0]
     rows = N if state_dependent else 1
     return Work(
@@ -74,6 +78,8 @@ def work(basis, state_dependent):
         np.empty(M),
         np.empty(N),
         np.empty(N),
+        np.empty(n),
+        np.empty((n, n)),
         np.empty((n, n)),
         np.empty((n, n)),
     )
@@ -84,24 +90,93 @@ def rates(flow, basis, own, t, y, dy):
     """Rates dy of y = (mu, A, c) at time t; returns the mean square of R that the family cannot follow."""
     n = basis.xi.shape[1]
     A, dA = y[n : n + n * n].reshape((n, n)), dy[n : n + n * n].reshape((n, n))
-    m, dmu = np.empty(n), dy[:n]
+    dmu = dy[:n]
     inverse(A, own.inverse)
     _ask(flow, basis, own, t, y[:n], A)
-    _linear_part(flow, basis, own, m)
-    _gradient(basis, own, y[n + n * n :])
-    _residual(flow, basis, own, m)
+    _linear_part(flow, basis, own)
     if flow.state_dependent:
-        _add_noise(basis, own)
-    else:
-        _add_curvature(basis, own)
+        _less_noise(own)
+    _of_density(flow, basis, own, y[n + n * n :])
     for a in range(n):
         dmu[a] = 0.0
         for b in range(n):
-            dmu[a] += A[a, b] * m[b]
+            dmu[a] += A[a, b] * own.m[b]
             dA[a, b] = 0.0
             for k in range(n):
                 dA[a, b] += A[a, k] * own.K[k, b]
     return _projected(basis, own.R, dy[n + n * n :])
+
+
+@jit
+def _of_density(flow, basis, own, c):
+    """R at the nodes, of a density that has coefficients c in a basis, for the drift that `own` has."""
+    _gradient(basis, own, c)
+    _residual(flow, basis, own)
+    if flow.state_dependent:
+        _add_noise(basis, own)
+    else:
+        _add_curvature(basis, own)
+
+
+@jit
+def defect_rates(flow, basis, beyond, own, y, dy, s, ds):
+    """Rates ds[0] of the defect s of a family y, which changes by dy, and ds[1] how fast noise forgets it.
+
+    `own` must be as `rates` has left it.
+
+    A defect is in one array: what log p is beyond the family, in the polynomials of `beyond`; a covariance
+    (n, n) of errors of the mean without a sign; and the size of what those polynomials do not follow either.
+    The first goes as the density does that has both polynomials, the second as the drift bends on average,
+    G U + U G^T, and noise forgets the third. Of polynomials noise forgets more the higher they are.
+    """
+    n, (M, N) = basis.xi.shape[1], beyond.V.shape
+    first = n + n * n
+    A, c, dc, whole = y[n:first].reshape((n, n)), y[first:], dy[first:], s[:M].copy()
+    for j in range(c.size):
+        whole[j] += c[j]
+    _of_density(flow, beyond, own, whole)
+    for j in range(c.size):
+        for i in range(N):
+            own.R[i] -= dc[j] * basis.V[j, i]
+    for e in range(s.size):
+        ds[0, e], ds[1, e] = 0.0, 0.0
+    for i in range(N):
+        for j in range(M):
+            ds[0, j] += beyond.F[i, j] * own.R[i]
+    for j in range(M):
+        for i in range(N):
+            own.R[i] -= ds[0, j] * beyond.V[j, i]
+    lost, last = 0.0, s.size - 1
+    for i in range(N):
+        lost += basis.u[i] * own.R[i] ** 2
+    for a in range(n):
+        noise = own.K[a, a] - own.S[a, a]
+        ds[1, last] += (beyond.power[M - 1].sum() + 1) * noise / n
+        for j in range(M):
+            ds[1, j] += beyond.power[j, a] * noise
+    ds[0, last] = math.sqrt(lost) - ds[1, last] * s[last]
+    _sheared(own, A, s[M:last].reshape((n, n)), ds[0, M:last].reshape((n, n)))
+
+
+@jit
+def _sheared(own, A, U, dU):
+    """dU = G U + U G^T for the mean gradient G = A S A^-1 of the drift."""
+    half = _product(A, _product(own.S, _product(own.inverse, U)))
+    for a in range(U.shape[0]):
+        for b in range(U.shape[0]):
+            dU[a, b] = half[a, b] + half[b, a]
+
+
+@jit
+def _product(X, Y):
+    """X Y, of square matrices."""
+    n = X.shape[0]
+    out = np.zeros((n, n))
+    for a in range(n):
+        for k in range(n):
+            for b in range(n):
+                out[a, b] += X[a, k] * Y[k, b]
+    return out
 
 
 @jit
@@ -194,8 +269,8 @@ def _dot(x, y):
 
 
 @jit
-def _linear_part(flow, basis, own, m):
-    """Mean m of the drift in the frame and its symmetric gradient K, with that of the noise."""
+def _linear_part(flow, basis, own):
+    """Mean m and gradient S of the drift in the frame, and K with that of the noise."""
     N, n = basis.xi.shape
     for a in range(n):
         for b in range(n):
@@ -207,11 +282,23 @@ def _linear_part(flow, basis, own, m):
     for a in range(n):
         for i in range(N):
             own.row[i] = basis.u[i] * own.v[a, i]
-        m[a] = _dot(own.row, basis.V[0])
+        own.m[a] = _dot(own.row, basis.V[0])
         for b in range(n):
-            half = 0.5 * _dot(own.row, basis.V[1 + b])
-            own.K[a, b] += half
-            own.K[b, a] += half
+            own.S[a, b] = _dot(own.row, basis.V[1 + b])
+            own.K[a, b] += 0.5 * own.S[a, b]
+            own.K[b, a] += 0.5 * own.S[a, b]
+
+
+@jit
+def _less_noise(own):
+    """Take 2 div D from the drift in the frame: what is left moves the density."""
+    n, N = own.v.shape
+    for k in range(n):
+        for i in range(N):
+            own.row[i] = 2.0 * own.e[i, k]
+        for a in range(n):
+            for i in range(N):
+                own.v[a, i] -= own.inverse[a, k] * own.row[i]
 
 
 @jit
@@ -238,7 +325,7 @@ def _add(basis, c, count, out):
 
 
 @jit
-def _residual(flow, basis, own, m):
+def _residual(flow, basis, own):
     """R but for second derivatives of L, and for noise that depends on the state."""
     N, n = basis.xi.shape
     for i in range(N):
@@ -246,15 +333,9 @@ def _residual(flow, basis, own, m):
     if flow.state_dependent:
         for i in range(N):
             own.R[i] += own.curvature[i, 0]
-        for k in range(n):  # the drift less 2 div D moves the density
-            for i in range(N):
-                own.row[i] = 2.0 * own.e[i, k]
-            for a in range(n):
-                for i in range(N):
-                    own.v[a, i] -= own.inverse[a, k] * own.row[i]
     for a in range(n):
         for i in range(N):
-            own.row[i] = m[a] - own.v[a, i]
+            own.row[i] = own.m[a] - own.v[a, i]
         for b in range(n):
             half = 0.0 if flow.state_dependent else 0.5 * own.D[0, a * n + b]
             for i in range(N):
@@ -301,6 +382,8 @@ def _add_noise(basis, own):
 
 _ROW, _ROWS = np.empty(1), np.empty((1, 1))
 _FLOW = typeof(Flow(*[NOWHERE_AT] * 5, _ROW, _ROWS, False, False))
-_WORK = types.NamedTuple([typeof(a) for a in [_ROWS] * 9 + [_ROW] * 3 + [_ROWS] * 2], Work)
+_WORK = types.NamedTuple([typeof(a) for a in [_ROWS] * 9 + [_ROW] * 4 + [_ROWS] * 3], Work)
 #: `rates` by its address.
 RATES = Entry(rates, (_FLOW, BASIS, _WORK, types.float64, VECTOR, VECTOR), types.float64)
+#: `defect_rates` by its address.
+DEFECT = Entry(defect_rates, (_FLOW, BASIS, BASIS, _WORK, *[VECTOR] * 3, MATRIX), types.void)

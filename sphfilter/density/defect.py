@@ -1,0 +1,216 @@
+"""What one family leaves out of a density: a polynomial with its sign, and errors that have none."""
+
+import math
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from .._types import Floats, OfStates
+from ..core.family.basis import Basis, basis, beyond, bound, fit, polynomials, values_at
+from ..core.limits import TINY
+from ..errors import PropagationError
+from .family import Family, moments_apart, node_moments, turned
+from .points import whitener
+
+__all__ = [
+    "OF_UNSIGNED",
+    "Defect",
+    "Moments",
+    "Told",
+    "after_reading",
+    "defect_of",
+    "read_out",
+    "read_out_after",
+    "steepness",
+    "told_at",
+]
+
+#: Mean (n,) and covariance (n, n) of prior and posterior.
+Moments = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
+
+#: Of the shift of a mean by a defect, of errors without a sign, and of what its polynomials leave: what the
+#: error told is made of. Measured on 30 models of three seeds: told over made 1.6, .79 to 5.5 (8 of 10), and
+#: .016 below a third; with .2 of the second .024 are.
+_OF_SHIFT, OF_UNSIGNED, _OF_REST = 1.2, 0.4, 0.15
+#: Standard deviations. Measured: .029 of 592 errors are told to a third at most and .46 to three times as
+#: much; with ten times .020 and .52, with none .16 and .33.
+_LEAST = 1e-5
+_MOST = 1.0  # variance of errors without a sign, over that of the density: they say nothing more
+
+
+@cache
+def at_both_rules(n: int, degree: int) -> Basis:
+    """The polynomials of a defect of n states at the nodes of a degree's rule, and at turned ones."""
+    rule, other, more = basis(n, degree), turned(n, degree), beyond(n, degree)
+    xi, u = np.concatenate([rule.xi, other.xi]), np.concatenate([rule.u, other.u])
+    V = polynomials(n, int(more.power[-1].sum()), xi)[-1]
+    return more._replace(xi=xi, u=u, log_w=np.concatenate([rule.log_w, other.log_w]), V=V, F=fit(V, u).T)
+
+
+class Defect(NamedTuple):
+    """What a family leaves out of the logarithm of a density."""
+
+    e: Floats  # (M,) in polynomials of a higher degree, in the family's frame
+    U: Floats  # (n, n) covariance of errors of the mean without a sign
+    rest: float  # size of what those polynomials do not follow either
+
+    @classmethod
+    def none(cls, family: Family, error: float = 0.0) -> "Defect":
+        """No defect but an error of the mean, standard deviations, of which nothing more is known."""
+        M = len(beyond(len(family.mu), family.degree).power)
+        return cls(np.zeros(M), family.A @ family.A.T * (error / OF_UNSIGNED) ** 2, error)
+
+    @classmethod
+    def of(cls, packed: Floats, n: int) -> "Defect":
+        """The defect that is in one array, as compiled code has it."""
+        M = len(packed) - n * n - 1
+        return cls(packed[:M].copy(), packed[M:-1].reshape(n, n).copy(), float(packed[-1]))
+
+    @property
+    def packed(self) -> Floats:
+        """All of it in one array."""
+        return np.concatenate([self.e, self.U.ravel(), [self.rest]])
+
+    def at(self, family: Family, X: Floats) -> Floats:
+        """Values (K,) at states X (K, n); what they are at the edge of the frame goes on beyond it."""
+        n, out = len(family.mu), np.empty(len(X))
+        xi = np.linalg.solve(family.A, (X - family.mu).T).T
+        far = np.sqrt((xi * xi).sum(axis=1))
+        xi = np.ascontiguousarray(xi * (np.minimum(far, bound(n)) / np.maximum(far, TINY))[:, None])
+        values_at(beyond(n, family.degree).power, self.e, xi, math.inf, out)
+        return out
+
+
+class Told(NamedTuple):
+    """What a defect tells of a density."""
+
+    error: float  # of the mean, in standard deviations, or half of that of the covariance if that is more
+    unsigned: float  # the part of it without a sign
+    log_mass: float  # mean of the defect's polynomial: what it adds to the log of the integral
+
+
+def read_out(family: Family, defect: Defect, rest: float = 0.0) -> Told:
+    """What a defect tells of its family, by the nodes of both rules; `rest` is the size of what it leaves.
+
+    What moments by these nodes are off from those by the family's own is an error, too: far out both rules
+    take a polynomial that rises for one that falls, and the own does not.
+    """
+    nodes = at_both_rules(len(family.mu), family.degree)
+    states = family.mu + nodes.xi @ family.A.T
+    w, (own_b, own_C) = _weights(family, states), node_moments(family.basis.xi, family.weighted()[0])
+    b, C = node_moments(nodes.xi, w)
+    if not whitener(C).any():
+        raise PropagationError("one family does not hold the density: few of its nodes have any weight")
+    told = told_at(states, w, defect.at(family, states), defect.U, rest)
+    apart = moments_apart(b - own_b, C - own_C)
+    return told._replace(error=math.hypot(told.error, apart), unsigned=math.hypot(told.unsigned, apart))
+
+
+def read_out_after(prior: Family, defect: Defect, points: tuple[Floats, Floats], moments: Moments) -> Told:
+    """What a prior's defect tells of a posterior, by states (N, n) and weights (N,) of that.
+
+    The moments are those of prior and posterior.
+    """
+    U, rest = _without_sign(prior, defect, moments)
+    return told_at(*points, defect.at(prior, points[0]), U, rest)
+
+
+def told_at(x: Floats, w: Floats, off: Floats, U: Floats, rest: float) -> Told:
+    """What a defect of values `off` (N,) at states x (N, n) of weights w tells.
+
+    To first order moments shift by their covariance with the defect. The square of the defect's own variance
+    stands for the second order. A state of no variance has no error.
+    """
+    n, (mean, cov), log_mass = x.shape[1], node_moments(x, w), float(w @ off)
+    heavy, away, white = w * (off - log_mass), x - mean, whitener(cov)
+    shift, square = white @ (heavy @ away), float(heavy @ (off - log_mass))
+    known = _OF_SHIFT * moments_apart(shift, white @ (away.T * heavy) @ away @ white.T)
+    parts = OF_UNSIGNED**2 * float((white @ U @ white.T).trace()) / n, (_OF_REST * rest) ** 2
+    unsigned = sum(parts) + square * square + _LEAST**2
+    return Told(math.sqrt(known**2 + unsigned), math.sqrt(unsigned), log_mass)
+
+
+def _weights(family: Family, states: Floats) -> Floats:
+    """Probabilities (N,) of the nodes of both rules, where these are."""
+    log_w = family.log_p(states) + at_both_rules(len(family.mu), family.degree).log_w
+    w = np.exp(log_w - log_w.max())
+    return np.asarray(w / w.sum(), np.float64)
+
+
+def defect_of(family: Family, log_p: OfStates, like: Defect) -> Defect:
+    """The defect of a family that stands for a density of logarithm log_p; `like` that has all else."""
+    nodes = at_both_rules(len(family.mu), family.degree)
+    X = family.mu + nodes.xi @ family.A.T
+    missed = log_p(X) - family.c @ nodes.V[: len(family.c)]
+    e = missed @ nodes.F
+    rest = math.sqrt(float(_weights(family, X) @ (missed - e @ nodes.V) ** 2))
+    return Defect(e, like.U, math.hypot(like.rest, rest))
+
+
+class AfterReading(NamedTuple):
+    """A defect that a reading leaves."""
+
+    defect: Defect
+    rest: float  # size of what its polynomials miss of the product with the likelihood
+    log_mass: float  # mean over the posterior of the prior's defect
+
+
+def after_reading(
+    prior: Family, defect: Defect, posterior: Family, products: Floats, moments: Moments
+) -> AfterReading:
+    """The defect of a posterior, whose logarithm is off as the prior's is, and by what its polynomial misses.
+
+    Parameters
+    ----------
+    prior : Family
+    defect : Defect
+        Of it.
+    posterior : Family
+        Normalised.
+    products : ndarray, shape (N,)
+        Logarithms of prior times likelihood over the evidence, at the posterior's nodes of both rules.
+    moments : tuple
+        Mean (n,) and covariance (n, n), before and after the reading.
+    """
+    nodes = at_both_rules(len(prior.mu), posterior.degree)
+    states = posterior.mu + nodes.xi @ posterior.A.T
+    off, w = defect.at(prior, states), _weights(posterior, states)
+    missed = products + off - posterior.c @ nodes.V[: len(posterior.c)]
+    e = missed @ nodes.F
+    left = Defect(e, *_without_sign(prior, defect, moments))
+    return AfterReading(left, math.sqrt(float(w @ (missed - e @ nodes.V) ** 2)), float(w @ off))
+
+
+def _without_sign(prior: Family, defect: Defect, moments: Moments) -> tuple[Floats, float]:
+    """What a reading leaves of errors of a prior's mean without a sign, and of its shape."""
+    (_, cov), (_, own_cov) = moments
+    n, degree = len(cov), prior.degree
+    gain = np.linalg.solve(cov, own_cov).T  # what a reading leaves of a shift
+    left = math.sqrt(min(float(np.trace(gain)) / n, 1.0))
+    size = math.hypot(float(np.linalg.norm(defect.e[len(prior.c) :])), defect.rest)
+    U = gain @ defect.U @ gain.T + own_cov * np.square(size * steepness(moments, degree)) / n
+    U *= min(1.0, _MOST * n / max(float(np.linalg.solve(own_cov, U).trace()), TINY))
+    return U, defect.rest * left ** (degree + 2)
+
+
+def steepness(moments: Moments, degree: int) -> float:
+    """How steep polynomials of the next degrees are where a reading leads.
+
+    Slopes of Hermite polynomials of the prior, over the posterior: along the way of the mean, and where it
+    stays but for the width that shrinks most.
+    """
+    (mean, cov), (own_mean, own_cov) = moments
+    white = whitener(cov)
+    shift, spread = white @ (own_mean - mean), white @ own_cov @ white.T
+    length, most = float(np.sqrt(shift @ shift)), 0.0
+    along = float(shift @ spread @ shift) / max(length * length, TINY)
+    for far, wide in ((length, along), (0.0, float(np.linalg.eigvalsh(spread)[0]))):
+        a = [1.0, far]  # means of Hermite's polynomials of N(far, wide)
+        for j in range(1, degree + 1):
+            a.append(far * a[j] + j * (wide - 1.0) * a[j - 1])
+        slopes = (
+            math.sqrt(wide * k / math.factorial(k - 1)) * abs(a[k - 1]) for k in (degree + 1, degree + 2)
+        )
+        most = max(most, *slopes)
+    return most
