@@ -8,9 +8,9 @@ from sphfilter.errors import ConfigError, nearest
 
 __all__ = ["AUTO", "FILTERS", "add_arguments", "check"]
 
-#: The filter that chooses its particles by its error; and all on trial, by name.
+#: What begins the names of filters that choose their particles by their error, .01 or .03; and all on trial.
 AUTO = "auto"
-FILTERS = ("default", "paper", "pf1e3", "pf1e4", AUTO)
+FILTERS = ("default", "paper", "pf1e3", "pf1e4", AUTO, f"{AUTO}.03")
 
 
 def add_arguments(add):
@@ -53,7 +53,13 @@ def _pair(text):
 def check(args):
     """Raise what is wrong with filters, or with options that do not go together; fill in the filters."""
     random = args.random or args.random_case
-    usual = [] if args.auto else ["default"] if random else [name for name in FILTERS if name != AUTO]
+    usual = (
+        []
+        if args.auto
+        else ["default"]
+        if random
+        else [name for name in FILTERS if not name.startswith(AUTO)]
+    )
     args.filters = list(dict.fromkeys([*(args.filters or usual), *([AUTO] if args.auto else [])]))
     for name in args.filters:
         if name not in FILTERS:

@@ -20,8 +20,9 @@ _COLOURS = {
     "wrong, silent": ("#c0392b", "white"),
 }
 _SAID = {"crash": "crash, or stopped after the time limit"}
-_NAMES = {"default": "SPH, given particles", "auto": "SPH, default", "paper": "SPH, as published",
-          "pf1e3": "particle filter, 1,000", "pf1e4": "particle filter, 10,000"}  # fmt: skip
+_NAMES = {"default": "SPH, given particles", "auto": "SPH, default", "auto.03": "SPH, target .03",
+          "paper": "SPH, as published", "pf1e3": "particle filter, 1,000",
+          "pf1e4": "particle filter, 10,000"}  # fmt: skip
 _INK, _FAINT = "#1f2a33", "#4a5560"
 #: Inches: width and height of a square, what stands left of the panels and above, the gap between panels.
 _WIDE, _HIGH, _LEFT, _TOP, _GAP = 0.44, 0.25, 3.6, 0.85, 0.3

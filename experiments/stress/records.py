@@ -34,8 +34,11 @@ class Record:
         Of the exception.
     x, P, log_evidence : ndarray, shapes (k, n), (k, n, n), (k,)
         After every epoch up to the end; log p of the readings of the epoch.
-    error : ndarray, shape (k,)
-        `info.error` after every epoch, NaN where the filter did not say.
+    told : ndarray, shape (3, k)
+        Errors of the mean, the variance and the evidence so far that the filter told after every epoch, in
+        the units of `referees.LIMITS`; NaN where it did not say.
+    held : ndarray of str, shape (k,)
+        What held the posterior.
     flagged : ndarray of bool, shape (k,)
         Whether the epoch had a flag of its own.
     said : str
@@ -51,7 +54,8 @@ class Record:
     x: np.ndarray = field(default_factory=lambda: np.empty((0, 1)))
     P: np.ndarray = field(default_factory=lambda: np.empty((0, 1, 1)))
     log_evidence: np.ndarray = field(default_factory=lambda: np.empty(0))
-    error: np.ndarray = field(default_factory=lambda: np.empty(0))
+    told: np.ndarray = field(default_factory=lambda: np.empty((3, 0)))
+    held: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=str))
     flagged: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
     said: str = ""
     schemes: str = ""
@@ -80,8 +84,16 @@ def _particles(n, problem, seed=0):
     return ParticleFilter(*problem.start, n_particles=n, rng=np.random.default_rng([seed, n]))
 
 
-_MAKERS = default_filter, _paper, partial(_particles, 1000), partial(_particles, 10_000), default_filter
-#: Filters on trial: make(problem, seed). The last is given problems whose number of particles is "auto".
+_LOOSE = partial(default_filter, config=sf.FilterConfig(target_error=0.03))
+_MAKERS = (
+    default_filter,
+    _paper,
+    partial(_particles, 1000),
+    partial(_particles, 10_000),
+    default_filter,
+    _LOOSE,
+)
+#: Filters on trial: make(problem, seed). The last two are given problems whose number of particles is "auto".
 FILTERS = dict(zip(NAMES, _MAKERS, strict=True))
 
 
@@ -99,7 +111,6 @@ def record_of(problem, make=default_filter):
     Record
     """
     rows, words, end, sentence, watched = [], ({}, {}), "finished", "", None
-    started = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -110,20 +121,22 @@ def record_of(problem, make=default_filter):
             end, sentence = "refused", str(refusal)
         except Exception as crash:  # a finding, not an accident
             end, sentence = "crash", f"{type(crash).__name__}: {crash}"
-    seconds = time.perf_counter() - started
-    names = "x", "P", "log_evidence", "error", "flagged"
+    names = "x", "P", "log_evidence", "told", "held", "flagged"
     columns = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)) if rows else {}
+    if rows:
+        columns["told"] = columns["told"].T
+        columns["told"][2] = np.sqrt(np.cumsum(columns["told"][2] ** 2))  # of the evidence so far
     said, schemes = ("; ".join(found) for found in words)
-    fault = _fault(watched, columns.get("P"))
+    fault, seconds = _fault(watched, columns.get("P")), watched.seconds if watched else 0.0
     record = Record(end, sentence, **columns, said=said, schemes=schemes, seconds=seconds, fault=fault)
     return _moved_back(problem, record)
 
 
 class _Watched:
-    """A filter of which a step that raises must leave it as it was."""
+    """A filter whose steps are timed, and of which one that raises must leave it as it was."""
 
     def __init__(self, filt):
-        self.filter, self.changed = filt, ""
+        self.filter, self.changed, self.seconds = filt, "", 0.0
 
     def __getattr__(self, name):
         return getattr(self.filter, name)
@@ -135,7 +148,7 @@ class _Watched:
         return self._checked(self.filter.update, *given)
 
     def _checked(self, verb, *args, **given):
-        before = self._state()
+        before, started = self._state(), time.perf_counter()
         try:
             return verb(*args, **given)
         except Exception:
@@ -143,6 +156,8 @@ class _Watched:
             if not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
                 self.changed = f"{verb.__name__} raised and left the filter changed"
             raise
+        finally:
+            self.seconds += time.perf_counter() - started
 
     def _state(self):
         f = self.filter
@@ -177,7 +192,7 @@ def follow(filt, problem, words=None, careful=False):
 
     Yields
     ------
-    x, P, log_evidence, error, flagged
+    x, P, log_evidence, told, held, flagged
     """
     words = words or ({}, {})
     for epoch, t in enumerate(problem.times):
@@ -189,12 +204,23 @@ def follow(filt, problem, words=None, careful=False):
         for sensor, z in zip(problem.sensors, problem.z, strict=True):
             infos.append(filt.update(z[epoch], sensor))
             log_evidence += infos[-1].log_evidence
-        error, flagged = getattr(infos[-1], "error", np.nan), False
+        told, flagged = _told(filt, infos, len(problem.sensors)), False
         for info in infos:
             if getattr(info, "flagged", False):
                 flagged = True
                 words[0][" / ".join(filter(None, (info.status, getattr(info, "reason", ""))))] = None
-        yield filt.x.copy(), filt.P.copy(), log_evidence, error, flagged or error > ERROR_FLAG
+        flagged = flagged or told[0] > ERROR_FLAG
+        yield filt.x.copy(), filt.P.copy(), log_evidence, told, getattr(infos[-1], "scheme", ""), flagged
+
+
+def _told(filt, infos, n_readings):
+    """Errors that a filter tells of its mean, its variances and the evidence of the last readings."""
+    error_of = getattr(getattr(filt, "density", None), "error_of", None)
+    if error_of is None:  # a reference
+        return np.array([getattr(infos[-1], "error", np.nan), np.nan, np.nan])
+    of_variance = error_of(lambda p: np.diag(p.cov())) / np.diag(filt.P)
+    of_evidence = np.linalg.norm([info.evidence_error for info in infos[-n_readings:]])
+    return np.array([infos[-1].error, of_variance.max(), of_evidence])
 
 
 def _even(t0, t1, parts):

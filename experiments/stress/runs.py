@@ -97,7 +97,7 @@ def _problem(case):
 
 def problem_of(case, name):
     """The problem of a case, as a filter is given it."""
-    return replace(_problem(case), n_particles="auto") if name == AUTO else _problem(case)
+    return replace(_problem(case), n_particles="auto") if name.startswith(AUTO) else _problem(case)
 
 
 def _task(task):

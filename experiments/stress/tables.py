@@ -34,7 +34,7 @@ def row_of(case, name, problem, record, referee, verdict):
         "states": len(problem.x0), "verdict": verdict.verdict, "sentence": " ".join(verdict.sentence.split()),
         **dict(zip((f"{name}_error" for name in LIMITS), worst, strict=True)),
         "last_mean_error": verdict.errors[0, -1] if last else np.nan,
-        "info_error": record.error[-1] if len(record.x) else np.nan,
+        "info_error": record.told[0, -1] if len(record.x) else np.nan,
         "flagged": bool(record.flagged.any()), "said": " ".join(record.said.split()),
         "schemes": record.schemes, "seconds": record.seconds, "epochs": len(record.x),
         "reference": referee.name or "none", "judged": k,
@@ -131,14 +131,14 @@ def sentences():
     return [limits, *(f"{verdict}: {what}." for verdict, what in VERDICTS.items())]
 
 
-def write(path, rows, args):
-    """Write all rows as CSV; beside it in markdown tables, and every case that is not right."""
+def write(path, rows, more, args):
+    """Write all rows as CSV; beside it tables, `more` among them, and every case that is not right."""
     write_rows(path, rows)
     text = ["# Stress", "", *(f"- {sentence}" for sentence in sentences()), ""]
     text += [f"At most {args.limit:g} s a run; {', '.join(f'{k} {v}' for k, v in versions().items())}.", ""]
     filters = _by(rows, "filter")
     for part in (rows, *(filters.values() if len(filters) > 1 else ())):
-        for title, headings, lines in sections(part):
+        for title, headings, lines in [*sections(part), *(more if part is rows else ())]:
             text += [f"## {title}", "", *tables.markdown(headings, lines), ""]
     text += ["Again: `python -m experiments stress` with `--random-case`, or `--only` and `--seed`.", ""]
     for verdict, found in ((v, own) for v, own in _by(rows, "verdict").items() if v in _LISTED):

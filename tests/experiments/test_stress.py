@@ -142,7 +142,7 @@ def test_the_judge_tells_right_from_wrong(kind, verdict):
 
 def _record(**changes):
     x, P = np.zeros((3, 1)), np.ones((3, 1, 1))
-    quiet = {"error": np.zeros(3), "flagged": np.zeros(3, dtype=bool)}
+    quiet = {"told": np.zeros((3, 3)), "flagged": np.zeros(3, dtype=bool)}
     return Record(**({"end": "finished", "x": x, "P": P, "log_evidence": np.zeros(3)} | quiet | changes))
 
 

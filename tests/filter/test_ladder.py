@@ -188,7 +188,7 @@ def test_a_tail_that_a_family_got_wrong_and_a_reading_asks_for_is_predicted_agai
         (auto, predicted, updated), (exact, _, _) = found
         assert predicted.rung == "family" != updated.rung
         off = np.sqrt(np.mean((auto.x - exact.x) ** 2 / np.diag(exact.P)))
-        assert off < min(2.0 * updated.error, 1.2 * target) and not updated.flagged
+        assert off < 2.0 * min(updated.error, target) and not updated.flagged
 
 
 def test_a_reading_of_two_modes_climbs_and_one_of_none_comes_down():

@@ -1,0 +1,77 @@
+"""Errors that filters told of themselves over those they made: by what held the posterior, and by states."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.show.style import COLOURS, INK, grid, legend_below, panels, save
+from experiments.show.tables import number
+
+from .referees import LIMITS
+
+__all__ = ["HEADINGS", "Told", "draw", "lines", "told_of"]
+
+HEADINGS = "error of", "held by", "states", "errors", "median", "10 %", "90 %", "below a third", "above three"
+#: Own errors of a reference by which an error that is made must stand out, to be counted.
+_STANDS_OUT = 2.5
+#: Errors that are not told well: as shares of, and as many times what is made.
+_FAR = 3.0
+_ALL = "all"
+_COLOURS = dict(zip(("cloud", "family", "lattice", "gaussian"), COLOURS.values(), strict=False))
+_ENDS = np.array([1e-6, 1.0])
+
+
+class Told(NamedTuple):
+    """An error that was told and the one that was made, in the units of `LIMITS`."""
+
+    what: str
+    held: str
+    states: int
+    told: float
+    made: float
+
+
+def told_of(problem, record, referee, verdict):
+    """All errors of a record that its reference can tell and its filter told, as a list of `Told`."""
+    k, n = verdict.errors.shape[1], len(problem.x0)
+    made, told = verdict.errors, record.told[:, :k]
+    good = (made > _STANDS_OUT * referee.own[:, :k]) & np.isfinite(told)
+    names = list(LIMITS)
+    return [Told(names[i], str(record.held[j]), n, told[i, j], made[i, j]) for i, j in np.argwhere(good)]
+
+
+def lines(found):
+    """Lines of a table: of all that hold posteriors, and of each in all and each number of states."""
+    groups = {}
+    for one in found:
+        for held, states in {(_ALL, _ALL), (one.held, _ALL), (one.held, one.states)}:
+            groups.setdefault((one.what, held, str(states)), []).append(one.told / one.made)
+    order = sorted(groups, key=lambda g: (list(LIMITS).index(g[0]), g[1] != _ALL, g[1], g[2] != _ALL, g[2]))
+    return [(*group, *_cells(np.array(groups[group]))) for group in order]
+
+
+def _cells(ratios):
+    shares = np.mean(ratios < 1.0 / _FAR), np.mean(ratios > _FAR)
+    return str(len(ratios)), *(number(v, ".2g") for v in (*np.quantile(ratios, [0.5, 0.1, 0.9]), *shares))
+
+
+def draw(path, found):
+    """Draw errors made against errors told, a panel an error, a point an epoch, into a file."""
+    figure, axes = panels(1, len(LIMITS), (10.5, 4.2), sharex=True, sharey=True)
+    for ax, what in zip(axes.flat, LIMITS, strict=True):
+        for held, colour in _COLOURS.items():
+            pairs = np.array([(o.told, o.made) for o in found if (o.what, o.held) == (what, held)]).reshape(
+                -1, 2
+            )
+            ax.scatter(*pairs.T, s=7, color=colour, alpha=0.5, lw=0, zorder=3, label=held)
+        ax.fill_between(
+            _ENDS, _ENDS / _FAR, _FAR * _ENDS, color=INK, alpha=0.08, lw=0, label="within three times"
+        )
+        ax.plot(_ENDS, _ENDS, color=INK, lw=0.9)
+        ax.set(xscale="log", yscale="log", xlim=_ENDS, ylim=_ENDS, xlabel="told")
+        ax.set_title(what, loc="left", fontsize=9.5, fontweight="bold")
+        grid(ax)
+    axes[0, 0].set_ylabel("made")
+    figure.suptitle("Errors made against errors told, at every reading of random models", fontsize=11)
+    legend_below(figure, *axes.flat, columns=5, fontsize=8.5)
+    return save(figure, path)
