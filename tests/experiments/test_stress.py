@@ -23,7 +23,7 @@ from stress_cases import (
 
 import sphfilter as sf
 from experiments.__main__ import main
-from experiments.stress import picture, pool, referees, runs
+from experiments.stress import picture, pool, referees, runs, told
 from experiments.stress.equations import Equation
 from experiments.stress.hard_cases import chosen, hard_cases
 from experiments.stress.hard_systems import line, position
@@ -280,6 +280,18 @@ def compiled(monkeypatch):
     monkeypatch.setattr(runs, "_warm_up", lambda *given: None)
 
 
+def test_errors_told_are_counted_beside_those_made_that_stand_out_of_the_reference():
+    """Of three means off by 0, .25 and .02, the reference's own error .01, the second is told to a fifth."""
+    off, own = np.array([0.0, 0.25, 0.02]), np.full((3, 3), 0.01)
+    record = _record(x=off[:, None], told=np.full((3, 3), 0.05), held=np.array(["family", "cloud", "cloud"]))
+    reference = replace(_EXACT, own=own)
+    found = told.told_of(oscillator(), record, reference, judge(record, reference))
+    assert found == [("mean", "cloud", 2, 0.05, 0.25)]
+    shares = ("0.2", "0.2", "0.2", "1", "0")
+    lines = [("mean", held, states, "1", *shares) for held, states in (("all", "all"), ("cloud", "all"))]
+    assert told.lines(found) == [*lines, ("mean", "cloud", "2", "1", *shares)]
+
+
 def _rows(path):
     with open(path, encoding="utf-8") as file:
         return list(csv.DictReader(file))
@@ -323,7 +335,9 @@ def test_command_refuses_what_does_not_go_together(capsys):
 def test_the_default_filter_is_judged_beside_the_one_of_so_many_particles(tmp_path, capsys):
     assert main(["stress", "--random-case", "1:12", "--out", str(tmp_path)]) == 0
     assert main(["stress", "--random-case", "1:12", "--out", str(tmp_path), "--auto"]) == 0
-    assert "auto particles" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "auto particles" in out and "errors told over errors made" in out
+    assert (tmp_path / "random_told.png").exists()
     (row,) = _rows(tmp_path / "random.csv")
     assert row["n_particles"] == "auto" and row["verdict"] == "right"
     assert len(list(tmp_path.rglob("reference.npz"))) == 1  # the same for either
