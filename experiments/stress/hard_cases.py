@@ -147,20 +147,10 @@ def hard_cases(seed):
 
 
 def chosen(seed, patterns=(), quick=False):
-    """Cases whose name fits one of the patterns (all without a pattern).
+    """Cases whose name fits one of the patterns (all without a pattern), or of the reduced grid alone.
 
-    Parameters
-    ----------
-    seed : int
-    patterns : sequence of str
-        With ``*`` and ``?`` as in file names; a family alone means all of it.
-    quick : bool
-        Of the reduced grid only.
-
-    Raises
-    ------
-    ConfigError
-        A pattern that fits no case.
+    A pattern has ``*`` and ``?`` as in file names; a family alone means all of it. Raises `ConfigError` for
+    one that fits no case.
     """
     every = [case for case in hard_cases(seed) if case.quick or not quick]
     found = {} if patterns else dict.fromkeys(every)

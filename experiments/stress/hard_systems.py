@@ -99,17 +99,8 @@ def square(dim, R):
 def drawn(rng, model, reader, x0, P0, *, interval, n_updates=6, t0=0.0, step=0.05, **more):
     """A problem whose truth and readings are drawn from its own start, model and sensor.
 
-    Parameters
-    ----------
-    rng : Generator
-    model : Equation
-    reader : GaussianReader
-    interval : float
-        Seconds from the start to the first reading, and between readings.
-    step : float
-        Longest step of the simulated truth, seconds.
-    **more
-        Further attributes of the `Problem`.
+    A reading after every `interval` seconds, of a truth in steps of at most `step`; `more` are further
+    attributes of the `Problem`.
     """
     x0, P0 = np.asarray(x0, dtype=float), np.asarray(P0, dtype=float)
     times = t0 + interval * np.arange(n_updates + 1)

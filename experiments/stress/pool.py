@@ -25,18 +25,10 @@ class Lost:
 
 
 def run_tasks(function, tasks, n_jobs, limit, done):
-    """Call function(task) for every task, in separate processes, and done(task, result) here.
+    """Call function(task) for every task, in order, in separate processes, and done(task, result) here.
 
-    Parameters
-    ----------
-    function : callable, importable by name
-    tasks : iterable
-        Picklable; taken in order.
-    n_jobs : int
-    limit : callable
-        limit(task) -> seconds after which it is given up.
-    done : callable
-        Gets `Lost` in place of the result of a task that was given up.
+    After limit(task) seconds a task is given up, and done gets `Lost` in place of its result. What runs
+    elsewhere can be imported by name, tasks can be pickled.
     """
     queue = list(tasks)[::-1]
     workers = [_Worker(function) for _ in range(min(n_jobs, len(queue)))]

@@ -8,21 +8,9 @@ __all__ = ["random_equation"]
 
 
 def random_equation(rng, n, horizon, interval):
-    """Draw a model.
+    """Draw a model of n states; its drift in words, and the `Equation`.
 
-    Parameters
-    ----------
-    rng : Generator
-    n : int
-        States.
-    horizon, interval : float
-        Seconds that it will be followed, and seconds between readings.
-
-    Returns
-    -------
-    kind : str
-        The drift in words.
-    equation : Equation
+    It will be followed for `horizon` seconds and read after every `interval`.
     """
     states = tuple(f"x{i}" for i in range(n))
     linear = rng.random() < 0.2

@@ -98,18 +98,7 @@ FILTERS = dict(zip(NAMES, _MAKERS, strict=True))
 
 
 def record_of(problem, make=default_filter):
-    """Run a filter over all readings; never raises what the filter raises.
-
-    Parameters
-    ----------
-    problem : Problem
-    make : callable
-        make(problem) -> filter with predict(t=), update(z, sensor), x, P and t.
-
-    Returns
-    -------
-    Record
-    """
+    """The `Record` of a filter make(problem) over all readings; never raises what the filter raises."""
     rows, words, end, sentence, watched = [], ({}, {}), "finished", "", None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -181,18 +170,8 @@ def _fault(watched, P):
 def follow(filt, problem, words=None, careful=False):
     """Predict to every time, in parts, use the readings of all sensors, and yield a row of each epoch.
 
-    Parameters
-    ----------
-    filt : filter
-    problem : Problem
-    words : pair of dict, optional
-        Gather what was unusual, and the schemes.
-    careful : bool
-        Whether to stop often enough to see every change with the clock.
-
-    Yields
-    ------
-    x, P, log_evidence, told, held, flagged
+    A row is x, P, log_evidence, told, held, flagged. The pair of dicts `words` gathers what was unusual, and
+    the schemes; with `careful` there are stops enough to see every change with the clock.
     """
     words = words or ({}, {})
     for epoch, t in enumerate(problem.times):

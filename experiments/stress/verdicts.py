@@ -51,21 +51,10 @@ class Verdict:
 
 
 def judge(record, referee, partners=(), truth=None):
-    """Judge a case.
+    """Judge the `Record` of a case by its `Referee`.
 
-    Parameters
-    ----------
-    record : Record
-        Of the filter on trial.
-    referee : Referee
-    partners : dict of str to Record
-        The same filter on related problems, in the coordinates and with the evidence of the first.
-    truth : ndarray, shape (T, n), or None
-        The states that were read, if their readings are what the model says.
-
-    Returns
-    -------
-    Verdict
+    `partners` are records of the same filter on related problems by relation, in the coordinates and with the
+    evidence of the first; `truth` (T, n) the states, if their readings are what the model says.
     """
     errors = errors_of(record.x, record.P, record.log_evidence, referee)[:, : referee.n_trusted]
     verdict, sentence = _alone(record, referee, errors, truth)
