@@ -35,7 +35,7 @@ class Record:
     x, P, log_evidence : ndarray, shapes (k, n), (k, n, n), (k,)
         After every epoch up to the end; log p of the readings of the epoch.
     told : ndarray, shape (3, k)
-        Errors of the mean, the variance and the evidence so far that the filter told after every epoch, in
+        Errors of the mean, the variance and the epoch's evidence that the filter told after every epoch, in
         the units of `referees.LIMITS`; NaN where it did not say.
     held : ndarray of str, shape (k,)
         What held the posterior.
@@ -114,7 +114,6 @@ def record_of(problem, make=default_filter):
     columns = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)) if rows else {}
     if rows:
         columns["told"] = columns["told"].T
-        columns["told"][2] = np.sqrt(np.cumsum(columns["told"][2] ** 2))  # of the evidence so far
     said, schemes = ("; ".join(found) for found in words)
     fault, seconds = _fault(watched, columns.get("P")), watched.seconds if watched else 0.0
     record = Record(end, sentence, **columns, said=said, schemes=schemes, seconds=seconds, fault=fault)

@@ -1,5 +1,6 @@
 """Errors that filters told of themselves over those they made: by what held the posterior, and by states."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,11 +10,15 @@ from experiments.show.tables import number
 
 from .referees import LIMITS
 
-__all__ = ["HEADINGS", "Told", "draw", "lines", "told_of"]
+__all__ = ["HEADINGS", "KINDS", "Told", "draw", "lines", "told_of"]
 
 HEADINGS = "error of", "held by", "states", "errors", "median", "10 %", "90 %", "below a third", "above three"
+#: Of what errors are: of the mean, the variance and the evidence of every reading, and that of the record.
+KINDS = (*LIMITS, "record's evidence")
 #: Own errors of a reference by which an error that is made must stand out, to be counted.
 _STANDS_OUT = 2.5
+#: Less than this is rounding: a ten-thousandth of what filters are asked for.
+_NOTHING = 1e-6
 #: Errors that are not told well: as shares of, and as many times what is made.
 _FAR = 3.0
 _ALL = "all"
@@ -34,10 +39,20 @@ class Told(NamedTuple):
 def told_of(problem, record, referee, verdict):
     """All errors of a record that its reference can tell and its filter told, as a list of `Told`."""
     k, n = verdict.errors.shape[1], len(problem.x0)
-    made, told = verdict.errors, record.told[:, :k]
-    good = (made > _STANDS_OUT * referee.own[:, :k]) & np.isfinite(told)
-    names = list(LIMITS)
-    return [Told(names[i], str(record.held[j]), n, told[i, j], made[i, j]) for i, j in np.argwhere(good)]
+    off = record.x[:k] - referee.x[:k]
+    made, told, own = verdict.errors.copy(), record.told[:, :k], referee.own[:, :k].copy()
+    # as `target_error` counts, in deviations of each state; one at random has so much of |L⁻¹ off|
+    made[0] = np.sqrt(np.mean(off**2 / np.diagonal(referee.P[:k], axis1=1, axis2=2), axis=1))
+    own[0] /= math.sqrt(n)
+    made[2] = np.abs(
+        record.log_evidence[:k] - referee.log_evidence[:k]
+    )  # the verdict's: of the record so far
+    good = (made > np.maximum(_STANDS_OUT * own, _NOTHING)) & np.isfinite(told)
+    found = [Told(KINDS[i], str(record.held[j]), n, told[i, j], made[i, j]) for i, j in np.argwhere(good)]
+    total = np.linalg.norm(told[2]) if k else np.nan
+    if np.isfinite(total) and verdict.errors[2, -1] > max(_STANDS_OUT * own[2, -1], _NOTHING):
+        found.append(Told(KINDS[-1], str(record.held[k - 1]), n, total, verdict.errors[2, -1]))
+    return found
 
 
 def lines(found):
@@ -46,7 +61,7 @@ def lines(found):
     for one in found:
         for held, states in {(_ALL, _ALL), (one.held, _ALL), (one.held, one.states)}:
             groups.setdefault((one.what, held, str(states)), []).append(one.told / one.made)
-    order = sorted(groups, key=lambda g: (list(LIMITS).index(g[0]), g[1] != _ALL, g[1], g[2] != _ALL, g[2]))
+    order = sorted(groups, key=lambda g: (KINDS.index(g[0]), g[1] != _ALL, g[1], g[2] != _ALL, g[2]))
     return [(*group, *_cells(np.array(groups[group]))) for group in order]
 
 
