@@ -188,7 +188,7 @@ def follow(filt, problem, words=None, careful=False):
                 flagged = True
                 words[0][" / ".join(filter(None, (info.status, getattr(info, "reason", ""))))] = None
         flagged = flagged or told[0] > ERROR_FLAG
-        yield filt.x.copy(), filt.P.copy(), log_evidence, told, getattr(infos[-1], "scheme", ""), flagged
+        yield filt.x.copy(), filt.P.copy(), log_evidence, told, getattr(infos[-1], "rung", ""), flagged
 
 
 def _told(filt, infos, n_readings):

@@ -22,7 +22,7 @@ _NOTHING = 1e-6
 #: Errors that are not told well: as shares of, and as many times what is made.
 _FAR = 3.0
 _ALL = "all"
-_COLOURS = dict(zip(("cloud", "family", "lattice", "gaussian"), COLOURS.values(), strict=False))
+_COLOURS = [COLOURS[name] for name in ("sph", "sph_paper", "pf", "ukf", "ekf", "kf")]
 _ENDS = np.array([1e-6, 1.0])
 
 
@@ -73,15 +73,15 @@ def _cells(ratios):
 def draw(path, found):
     """Draw errors made against errors told, a panel an error, a point an epoch, into a file."""
     figure, axes = panels(1, len(LIMITS), (10.5, 4.2), sharex=True, sharey=True)
+    names = sorted({one.held for one in found})
     for ax, what in zip(axes.flat, LIMITS, strict=True):
-        for held, colour in _COLOURS.items():
-            pairs = np.array([(o.told, o.made) for o in found if (o.what, o.held) == (what, held)]).reshape(
-                -1, 2
+        for held, colour in zip(names, _COLOURS, strict=False):
+            pairs = [(one.told, one.made) for one in found if (one.what, one.held) == (what, held)]
+            ax.scatter(
+                *np.reshape(pairs, (-1, 2)).T, s=7, color=colour, alpha=0.5, lw=0, zorder=3, label=held
             )
-            ax.scatter(*pairs.T, s=7, color=colour, alpha=0.5, lw=0, zorder=3, label=held)
-        ax.fill_between(
-            _ENDS, _ENDS / _FAR, _FAR * _ENDS, color=INK, alpha=0.08, lw=0, label="within three times"
-        )
+        band = _ENDS / _FAR, _ENDS * _FAR
+        ax.fill_between(_ENDS, *band, color=INK, alpha=0.08, lw=0, label="within three times")
         ax.plot(_ENDS, _ENDS, color=INK, lw=0.9)
         ax.set(xscale="log", yscale="log", xlim=_ENDS, ylim=_ENDS, xlabel="told")
         ax.set_title(what, loc="left", fontsize=9.5, fontweight="bold")

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, Ints, OfStates
-from ..core.family.basis import Basis, basis, bound, size, values_at
+from ..core.family.basis import Basis, basis, bound, polynomials, size, values_at
 from ..core.family.frame import inverse, moments_of, moved, weigh
 from ..core.limits import LOG_2_PI
 from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach, lay
@@ -119,9 +119,9 @@ def fitted(log_p: OfStates, mean: Floats, cov: Floats, degree: int) -> tuple[Fam
 
 
 def moments_apart(shift: Floats, change: Floats) -> float:
-    """How far moments are apart in a frame: rms of a shift (n,), half of a covariance's change (n, n)."""
+    """How far moments are apart in a frame: rms over the states of a shift (n,), half of a change (n, n)."""
     n, change = len(shift), change.ravel(order="K")
-    return max(math.sqrt(shift.dot(shift)) / math.sqrt(n), 0.5 * math.sqrt(change.dot(change)) / n)
+    return max(math.sqrt(shift.dot(shift)) / math.sqrt(n), 0.5 * math.sqrt(change.dot(change) / n))
 
 
 @cache
@@ -130,13 +130,19 @@ def turned(n: int, degree: int) -> Basis:
     rule, whole = basis(n, degree), np.eye(n)
     if n == 1:
         more = basis(1, degree + 1)
-        return rule._replace(xi=more.xi, u=more.u, log_w=more.log_w)
+        return _at(rule._replace(u=more.u, log_w=more.log_w), more.xi)
     for a in range(n - 1):
         plane = np.eye(n)
         plane[a, a] = plane[a + 1, a + 1] = math.cos(_TURN)
         plane[a, a + 1], plane[a + 1, a] = -math.sin(_TURN), math.sin(_TURN)
         whole = whole @ plane
-    return rule._replace(xi=np.ascontiguousarray(rule.xi @ whole.T))
+    return _at(rule, np.ascontiguousarray(rule.xi @ whole.T))
+
+
+def _at(rule: Basis, xi: Floats) -> Basis:
+    """The polynomials of a rule at other nodes xi (N, n)."""
+    V = polynomials(xi.shape[1], int(rule.power[-1].sum()), xi)[-1]
+    return rule._replace(xi=xi, V=V, F=np.ascontiguousarray((V * rule.u).T))
 
 
 def gaussian_family(mean: Floats, cov: Floats, degree: int) -> Family:

@@ -383,8 +383,8 @@ class ParticleDensity(Noted):
         ----------
         question : callable
             Of a density; returns a number or an array. Of a cloud parts of it are asked, whose answers
-            differ; of any other density the same one moved and stretched, as far as its `error` says. NaN of
-            kernels, of which nothing tells an error.
+            differ; of a family the same one with its defect; of any other the same one moved and stretched,
+            as far as its `error` says. NaN of kernels, of which nothing tells an error.
 
         Examples
         --------

@@ -19,6 +19,7 @@ from ..errors import ModelError
 from ..validate import state_rows
 from . import weighted
 from .cloud import KERNEL, points_of, smoothing_length
+from .defect import OF_SHIFT, read_out
 from .points import moments
 from .weighted import WeightedStates
 
@@ -47,6 +48,7 @@ _FINE = 16  # points of a distribution function in a smoothing length or a cell
 _MOST_FINE = 2**17  # in all: 8 bytes each = 1 MB
 #: States that stand for a density. The same ones are moved, so that a change is known to 1 / √4096 = .016.
 _POINTS = 4096
+_MOST_OFF = 1.0  # of log p: exp(1) - 1 is 1.7 times the first order, which is all that a defect is known to
 
 Answer = Callable[["ParticleDensity"], Any]
 
@@ -231,7 +233,24 @@ def error_of(density: "ParticleDensity", question: Answer) -> Floats:
 
     if density.cloud is not None and density.read_out == "cloud":
         return _by_parts(density, answer)
+    if density.defect is not None and density.family is not None:
+        return _by_defect(density, answer)
     return _by_moving(density, answer)
+
+
+def _by_defect(density: "ParticleDensity", answer: Answer) -> Floats:
+    """Of a family: by how much it changes as its points weigh what its defect says they should.
+
+    What its defect tells without a sign moves and stretches it.
+    """
+    family, defect = density.family, density.defect
+    assert family is not None and defect is not None
+    x, w = points_of(density, _POINTS, 0)
+    away = x - family.mu if density.domain is None else density.domain.nearest(x - family.mu)
+    off = defect.at(family, family.mu + away)
+    heavier = w * np.exp(np.clip(off - w @ off, -_MOST_OFF, _MOST_OFF))
+    known = OF_SHIFT * (answer(_cloud(density, x, heavier)) - answer(_cloud(density, x, w)))
+    return np.hypot(known, _by_moving(density.noted(error=read_out(family, defect).unsigned), answer))
 
 
 def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:

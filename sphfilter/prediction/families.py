@@ -106,7 +106,7 @@ class _Marches:
             most = self._allowed / OF_RESIDUAL * max(1.0, HEAVY / math.exp(log_w)) / self._part(one)
             control = Control(*self._span, LITTLE * self._allowed, self._longest, _STEPS, most)
             with surfacing():
-                report = march(self._flow, rule, beyond(n, one.degree), control, y, np.empty(0))
+                report = march(self._flow, rule, beyond(n, one.degree), rule, control, y, np.empty(0))
             self.steps, self.evaluations = self.steps + report.steps, self.evaluations + report.evaluations
             self._left -= report.evaluations * len(rule.xi)
             if self._left < 0.0:

@@ -15,7 +15,7 @@ from ..core.family.rates import DEFECT, RATES, Flow
 from ..core.family.rules import degrees
 from ..density.as_family import defect_in, family_density, family_of
 from ..density.defect import OF_UNSIGNED, Defect, read_out
-from ..density.family import ASTRAY, Family
+from ..density.family import ASTRAY, Family, turned
 from ..density.particle_density import ParticleDensity
 from ..errors import ConfigError, PropagationError, StoppedError
 from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
@@ -110,7 +110,9 @@ def carried_family(
     longest = longest_step(model, density, t1)
     control = Control(density.t, t1, scheme.tolerance, longest, scheme.max_steps, _MOST_MISSED)
     with surfacing():
-        report = march(flow_of(model), basis(n, degree), beyond(n, degree), control, y, packed)
+        report = march(
+            flow_of(model), basis(n, degree), beyond(n, degree), turned(n, degree), control, y, packed
+        )
     if STATUS[report.code] != "ok":
         raise _given_up(model, y, report, density.t, t1)
     moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()

@@ -46,6 +46,23 @@ def test_long_steps_are_as_good_as_short_ones():
     assert rough.error < 2.0 * fine.error < 0.01
 
 
+@pytest.mark.parametrize("n, degree", [(1, 4), (1, 6), (3, 4)])
+@pytest.mark.parametrize("steep", [1, 3, 6, 10])
+def test_a_bend_between_the_nodes_is_told(steep, n, degree):
+    """The steeper, the less of it the family's own nodes see: they told a thirtieth of what it makes."""
+    drift, noise = [f"-0.4*tanh({steep}*x)", "-0.5*v", "-0.3*u"][:n], [["0"], ["1"], ["0"]][:n]
+    model = sf.SDE.from_expressions(["x", "v", "u"][:n], drift, noise, [[0.3]])
+    start = sf.initialize(sf.Gaussian(np.eye(n)[0] * 0.4, np.eye(n) * 0.64), "auto")
+    found, info = sf.predict(start, model, 0.3, sf.SolverConfig(scheme=sf.FamilyScheme(degree=degree)))
+    x = np.linspace(-6.0, 6.8, 4001)
+    w = np.exp(-0.5 * (x - 0.4) ** 2 / 0.64) / np.exp(-0.5 * (x - 0.4) ** 2 / 0.64).sum()
+    moved = np.arcsinh(np.sinh(steep * x) * np.exp(-0.4 * steep * 0.3)) / steep  # no noise moves it
+    mean, variance = w @ moved, w @ (moved - w @ moved) ** 2
+    shift = abs(found.mean()[0] - mean) / np.sqrt(n * variance)
+    made = max(shift, abs(found.cov()[0, 0] / variance - 1.0) / (2.0 * n))
+    assert made / 1.3 < info.error < 4.0 * made
+
+
 def test_no_error_hangs_on_units():
     found = []
     for unit in (1.0, 1e3):

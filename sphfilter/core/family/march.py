@@ -50,13 +50,15 @@ class Report(NamedTuple):
 
 
 @jit
-def march(flow, basis, beyond, control, y, defect):
+def march(flow, basis, beyond, turned, control, y, defect):
     """Carry y = (mu, A, c) and its defect from t to t1, in place; returns a `Report`.
 
     A defect is what `defect_rates` describes, or of size zero where none is asked for. It goes by exponential
-    steps of second order (Cox and Matthews 2002), which do not decide how long they are.
+    steps of second order (Cox and Matthews 2002), which do not decide how long they are. What the nodes of a
+    rule see nothing of, such as a bend between two of them, those of the `turned` one tell at both ends.
     """
     own, n, rates = work(beyond, flow.state_dependent), basis.xi.shape[1], rates_at(flow.rates)
+    unseen = np.zeros(2)
     k, trial, error = np.empty((7, y.size)), np.empty(y.size), np.empty(y.size)
     slope, other, told = np.empty((2, defect.size)), np.empty((2, defect.size)), defect.size > 0
     t, residual, stepping, steps, rejected, refused, asked = control.t, 0.0, 0.0, 0, 0, 0, 1
@@ -66,6 +68,7 @@ def march(flow, basis, beyond, control, y, defect):
         return Report(NOT_FINITE, t, 0, 0, 1, 0.0, 0.0)
     h = min(control.t1 - t, control.longest, control.tolerance**0.2 / max(speed, TINY))
     if told:
+        _add_unseen(flow, turned, t, y, k[0], before, unseen)
         defect_at(flow.defect)(flow, basis, beyond, own, y, k[0], defect, slope)
     while t < control.t1:
         if steps + rejected >= control.max_steps:
@@ -112,7 +115,27 @@ def march(flow, basis, beyond, control, y, defect):
                 k[0, e] = k[6, e]
         if told and t < control.t1:
             defect_at(flow.defect)(flow, basis, beyond, own, y, k[0], defect, slope)
+    if told and steps > 0:
+        before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
+        _add_unseen(flow, turned, t, y, k[0], before, unseen)
+        span, last, A = t - control.t, defect.size - 1, y[n : n + n * n].reshape((n, n))
+        defect[last] += 0.5 * span * _phi(span * slope[1, last])[0] * unseen[1]
+        for a in range(n):
+            for b in range(n):
+                for e in range(n):
+                    defect[last - n * n + a * n + b] += (0.5 * span * unseen[0]) ** 2 * A[a, e] * A[b, e]
     return Report(OK, t, steps, rejected, asked, residual, stepping)
+
+
+@jit
+def _add_unseen(flow, turned, t, y, dy, left, unseen):
+    """Add by how much the nodes of another rule change the rates dy, in the frame, and leave more of them."""
+    own, n, there = work(turned, flow.state_dependent), turned.xi.shape[1], np.empty(y.size)
+    more = math.sqrt(rates_at(flow.rates)(flow, turned, own, t, y, there)) - left
+    for e in range(y.size):
+        there[e] -= dy[e]
+    unseen[0] += _norm(own, n, there)
+    unseen[1] += max(more, 0.0)
 
 
 @jit
