@@ -53,13 +53,8 @@ def _pair(text):
 def check(args):
     """Raise what is wrong with filters, or with options that do not go together; fill in the filters."""
     random = args.random or args.random_case
-    usual = (
-        []
-        if args.auto
-        else ["default"]
-        if random
-        else [name for name in FILTERS if not name.startswith(AUTO)]
-    )
+    given = [name for name in FILTERS if not name.startswith(AUTO)]
+    usual = [] if args.auto else ["default"] if random else given
     args.filters = list(dict.fromkeys([*(args.filters or usual), *([AUTO] if args.auto else [])]))
     for name in args.filters:
         if name not in FILTERS:

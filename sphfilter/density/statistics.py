@@ -233,24 +233,22 @@ def error_of(density: "ParticleDensity", question: Answer) -> Floats:
 
     if density.cloud is not None and density.read_out == "cloud":
         return _by_parts(density, answer)
-    if density.defect is not None and density.family is not None:
-        return _by_defect(density, answer)
-    return _by_moving(density, answer)
+    points = points_of(density, _POINTS, 0)
+    here = answer(_cloud(density, *points))
+    if density.defect is None or density.family is None:
+        return _by_moving(density, answer, points, here, density.error)
+    unsigned = read_out(density.family, density.defect).unsigned
+    known = OF_SHIFT * (answer(_cloud(density, *_reweighed(density, *points))) - here)
+    return np.hypot(known, _by_moving(density, answer, points, here, unsigned))
 
 
-def _by_defect(density: "ParticleDensity", answer: Answer) -> Floats:
-    """Of a family: by how much it changes as its points weigh what its defect says they should.
-
-    What its defect tells without a sign moves and stretches it.
-    """
+def _reweighed(density: "ParticleDensity", x: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """Points of a family that weigh what its defect says they should."""
     family, defect = density.family, density.defect
     assert family is not None and defect is not None
-    x, w = points_of(density, _POINTS, 0)
     away = x - family.mu if density.domain is None else density.domain.nearest(x - family.mu)
     off = defect.at(family, family.mu + away)
-    heavier = w * np.exp(np.clip(off - w @ off, -_MOST_OFF, _MOST_OFF))
-    known = OF_SHIFT * (answer(_cloud(density, x, heavier)) - answer(_cloud(density, x, w)))
-    return np.hypot(known, _by_moving(density.noted(error=read_out(family, defect).unsigned), answer))
+    return x, w * np.exp(np.clip(off - w @ off, -_MOST_OFF, _MOST_OFF))
 
 
 def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
@@ -274,25 +272,27 @@ def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
     return np.hypot(scale * np.std(answers, axis=0, ddof=1), smoothed)
 
 
-def _by_moving(density: "ParticleDensity", answer: Answer) -> Floats:
+def _by_moving(
+    density: "ParticleDensity", answer: Answer, points: tuple[Floats, Floats], here: Floats, error: float
+) -> Floats:
     """Of a density without points of its own: by how much it changes as mean and variances are off.
 
     Along each of its principal axes the mean by the error told, and the variance by √2 of it: a change of the
-    logarithm by a Hermite polynomial of the second degree does that which shifts a mean by as much.
+    logarithm by a Hermite polynomial of the second degree does that which shifts a mean by as much. `here` is
+    the answer of its points as they are.
     """
-    x, w = points_of(density, _POINTS, 0)
+    x, w = points
     mean, cov = (density.mean(), density.cov()) if density.domain is not None else moments(x, w)
     values, axes = np.linalg.eigh(cov)
     off = x - mean if density.domain is None else density.domain.nearest(x - mean)
-    here = answer(_cloud(density, x, w))
-    square, step = np.zeros_like(here), max(density.error, LITTLE)  # of less, few points tell the change
-    if math.isnan(density.error) or density.read_out in ("points", "mixture"):  # of kernels nothing tells it
+    square, step = np.zeros_like(here), max(error, LITTLE)  # of less, few points tell the change
+    if math.isnan(error) or density.read_out in ("points", "mixture"):  # of kernels nothing tells it
         return np.full_like(here, math.nan)
     for value, axis in zip(np.maximum(values, 0.0), axes.T, strict=True):
         along = np.outer(off @ axis, axis)
         for change in (step * math.sqrt(value) * axis, step * math.sqrt(0.5) * along):
             square = square + (answer(_cloud(density, x + change, w)) - here) ** 2
-    return np.asarray(density.error / step * np.sqrt(square))
+    return np.asarray(error / step * np.sqrt(square))
 
 
 def pdf_error(density: "ParticleDensity") -> float:

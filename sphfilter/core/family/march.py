@@ -106,9 +106,9 @@ def march(flow, basis, beyond, turned, control, y, defect):
         followed = _follow(basis, beyond, y, defect, 0.0 if t >= control.t1 else _OFF)
         if followed < 0 or not residual < control.most_residual:
             return Report(ASTRAY, t, steps, rejected, asked, residual, stepping)
-        if followed > 0 and t < control.t1:
+        if followed > 0 and (told or t < control.t1):
             before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
-            asked += 1
+            asked += t < control.t1  # at the end it tells an error, and is of no step
         else:
             before = after
             for e in range(y.size):  # not k[0] = k[6]: numba compiles forty functions for that
@@ -116,7 +116,6 @@ def march(flow, basis, beyond, turned, control, y, defect):
         if told and t < control.t1:
             defect_at(flow.defect)(flow, basis, beyond, own, y, k[0], defect, slope)
     if told and steps > 0:
-        before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
         _add_unseen(flow, turned, t, y, k[0], before, unseen)
         span, last, A = t - control.t, defect.size - 1, y[n : n + n * n].reshape((n, n))
         defect[last] += 0.5 * span * _phi(span * slope[1, last])[0] * unseen[1]
