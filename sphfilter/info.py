@@ -1,5 +1,6 @@
 """What a prediction, an update or a re-gridding did, as values."""
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
@@ -75,9 +76,13 @@ class _Marked(Noted):
     code: Code
     status: str
     scheme: str
+    error: float
+    variance_error: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "code", Code(self.code))  # files know it as a number
+        if math.isnan(self.variance_error):
+            object.__setattr__(self, "variance_error", math.sqrt(2.0) * self.error)
 
     def marked(self, code: Code, status: str) -> Self:
         """The info with another status, whose flags come to those it has."""
@@ -131,6 +136,9 @@ class PredictInfo(_Marked):
     error : float
         Estimated error of the mean after the prediction, in standard deviations, accumulated over the record;
         NaN where a scheme makes no estimate.
+    variance_error : float
+        Estimated error of the variances of the states, as a part of each, where it is most: √2 of `error`
+        unless more is known, as a Hermite polynomial in log p makes of a variance and of a mean.
     mass_left_out : float
         Probability that lies beyond the cut of the density.
     skipped : tuple of str
@@ -163,6 +171,7 @@ class PredictInfo(_Marked):
     mass_discarded: float = 0.0
     residual: float = 0.0
     error: float = 0.0
+    variance_error: float = math.nan
     mass_left_out: float = 0.0
     skipped: tuple[str, ...] = ()
     scheme: str = "paper"
@@ -197,7 +206,7 @@ class PredictInfo(_Marked):
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
 _WORDS = "skipped", "scheme", "status", "code"
-_LATEST = "residual", "error", "mass_left_out"  # of the last of several predictions
+_LATEST = "residual", "error", "variance_error", "mass_left_out"  # of the last of several predictions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,6 +257,8 @@ class UpdateInfo(_Marked):
     error : float
         Estimated error of the posterior mean, in posterior standard deviations, accumulated over the record;
         NaN where a scheme makes no estimate.
+    variance_error : float
+        Estimated error of the posterior variances, as of a prediction.
     evidence_error : float
         Estimated error of `log_evidence`, in nats; NaN where a scheme makes no estimate.
     mass_left_out : float
@@ -283,6 +294,7 @@ class UpdateInfo(_Marked):
     extrapolated: float = 0.0
     residual: float = 0.0
     error: float = 0.0
+    variance_error: float = math.nan
     evidence_error: float = 0.0
     mass_left_out: float = 0.0
     status: str = "ok"

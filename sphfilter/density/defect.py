@@ -89,6 +89,7 @@ class Told(NamedTuple):
     error: float  # of the mean, in standard deviations, or half of that of the covariance if that is more
     unsigned: float  # the part of it without a sign
     log_mass: float  # mean of the defect's polynomial: what it adds to the log of the integral
+    variance: float  # error of the variances as a part of each, where it is most
 
 
 def read_out(family: Family, defect: Defect, rest: float = 0.0) -> Told:
@@ -105,7 +106,9 @@ def read_out(family: Family, defect: Defect, rest: float = 0.0) -> Told:
         raise PropagationError("one family does not hold the density: few of its nodes have any weight")
     told = told_at(states, w, defect.at(family, states), defect.U, rest)
     apart = moments_apart(b - own_b, C - own_C)
-    return told._replace(error=math.hypot(told.error, apart), unsigned=math.hypot(told.unsigned, apart))
+    variance = math.hypot(told.variance, _most_of(C - own_C, C))
+    error, unsigned = math.hypot(told.error, apart), math.hypot(told.unsigned, apart)
+    return told._replace(error=error, unsigned=unsigned, variance=variance)
 
 
 def read_out_after(prior: Family, defect: Defect, points: tuple[Floats, Floats], moments: Moments) -> Told:
@@ -126,10 +129,17 @@ def told_at(x: Floats, w: Floats, off: Floats, U: Floats, rest: float) -> Told:
     n, (mean, cov), log_mass = x.shape[1], node_moments(x, w), float(w @ off)
     heavy, away, white = w * (off - log_mass), x - mean, whitener(cov)
     shift, square = white @ (heavy @ away), float(heavy @ (off - log_mass))
-    known = OF_SHIFT * moments_apart(shift, white @ (away.T * heavy) @ away @ white.T)
+    wider = (away.T * heavy) @ away
+    known = OF_SHIFT * moments_apart(shift, white @ wider @ white.T)
     parts = OF_UNSIGNED**2 * float((white @ U @ white.T).trace()) / n, (_OF_REST * rest) ** 2
     unsigned = sum(parts) + square * square + _LEAST**2
-    return Told(math.sqrt(known**2 + unsigned), math.sqrt(unsigned), log_mass)
+    variance = math.sqrt((OF_SHIFT * _most_of(wider, cov)) ** 2 + 2.0 * unsigned)
+    return Told(math.sqrt(known**2 + unsigned), math.sqrt(unsigned), log_mass, variance)
+
+
+def _most_of(change: Floats, cov: Floats) -> float:
+    """Change of the variances of a covariance (n, n), as a part of each, where it is most."""
+    return float((np.abs(change.diagonal()) / np.maximum(cov.diagonal(), TINY)).max())
 
 
 def _weights(family: Family, states: Floats) -> Floats:

@@ -52,6 +52,7 @@ def by_cloud(
         "log_evidence": found.log_evidence,
         "reason": asked.outlying,
         "error": error,
+        "variance_error": found.variance_error,
         "evidence_error": found.evidence_error,
         "status": f"{status}; {why}" if why else status,
         "code": code,
@@ -67,11 +68,17 @@ class CloudReading(NamedTuple):
     log_evidence: float
     evidence_error: float
     own: float  # error of the mean that is its own
+    of_variance: float  # error of the variances that is
 
     @property
     def error(self) -> float:
         """Error of the mean, in standard deviations, with what was wrong before there were points."""
         return math.hypot(self.own, self.state.inherited)
+
+    @property
+    def variance_error(self) -> float:
+        """Error of the variances as a part of each, where it is most."""
+        return math.hypot(self.of_variance, math.sqrt(2.0) * self.state.inherited)
 
     @property
     def doubt(self) -> float:
@@ -106,12 +113,13 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
-    least = least_error(found.effective, state.size)
-    own = both(max(told.errors.mean, least), state.pace.bias)
+    least, bias = least_error(found.effective, state.size), state.pace.bias
+    own = both(max(told.errors.mean, least), bias)
+    of_variance = both(max(told.errors.variance, math.sqrt(2.0) * least), math.sqrt(2.0) * bias)
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
     unsure = evidence_error(told.log_evidence, found.lineages, state.size, len(found.moments[0]))
-    return CloudReading(state, found.moments, found.log_evidence, unsure, own)
+    return CloudReading(state, found.moments, found.log_evidence, unsure, own, of_variance)
 
 
 def error_added(

@@ -66,7 +66,8 @@ def family_update(
     moments, before = (moments_on_line(density), moments_on_line(new)), defect_in(density, prior, misfit)
     left = after_reading(prior, before, found.family, found.products, moments)
     told = read_out(found.family, left.defect, left.rest)
-    error = math.hypot(told.error, found.apart, OF_UNSIGNED * missed)
+    unseen = math.hypot(found.apart, OF_UNSIGNED * missed)
+    error, of_variance = math.hypot(told.error, unseen), math.hypot(told.variance, math.sqrt(2.0) * unseen)
     added = math.sqrt(max(error**2 - density.error**2, 0.0))
     if not added <= most:
         raise PropagationError(f"one family of degree {degree} is off by {added:.2g} after the reading")
@@ -75,7 +76,8 @@ def family_update(
         asked, "family", found.log_evidence, error, math.hypot(evidence_error, found.evidence_apart)
     )
     defect = left.defect._replace(U=left.defect.U + missed**2 * moments[1][1])
-    return new.noted(error=error, defect=defect), said | {"residual": left.rest}, added
+    said |= {"residual": left.rest, "variance_error": of_variance}
+    return new.noted(error=error, defect=defect), said, added
 
 
 def _in_closed_form(

@@ -37,7 +37,8 @@ _AHEAD = 64  # readings that are looked at
 _POINTS = 2**16
 _NONE = np.empty(0)
 _COLUMNS = (
-    "x_prior", "P_prior", "x", "P", "log_evidence", "evidence_error", "error", "innovation", "innovation_cov",
+    "x_prior", "P_prior", "x", "P", "log_evidence", "evidence_error", "error", "variance_error",
+    "innovation", "innovation_cov",
 )  # fmt: skip
 
 
@@ -185,7 +186,7 @@ class _Run:
             if not added <= MISSED * target:
                 return False
         needs = needs._replace(legs=0, age=done.state.age).told(told, target, done.state.size)
-        said = done.log_evidence, done.evidence_error, done.error
+        said = done.log_evidence, done.evidence_error, done.error, done.variance_error
         row = _row(*moved.moments, *done.moments, *said, y, S)
         self.reached = self.reached.and_on(done.state, needs, [row], span[1])
         return True

@@ -47,6 +47,8 @@ class FilterResult:
     error : ndarray, shape (T,)
         Estimated error of the posterior mean, in posterior standard deviations; NaN where the filter does not
         say.
+    variance_error : ndarray, shape (T,)
+        Estimated error of the variances of the states, as a part of each, where it is most.
     flagged : ndarray of bool, shape (T,)
         True where prediction or update said that something was unusual: a status other than "ok", a reason.
     innovation, innovation_cov : ndarray, shapes (T, k), (T, k, k)
@@ -83,6 +85,7 @@ class FilterResult:
     error: Floats = None  # type: ignore[assignment]
     flagged: Bools = None  # type: ignore[assignment]
     evidence_error: Floats = None  # type: ignore[assignment]
+    variance_error: Floats = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         lead, n = np.shape(self.x)[:-1], np.shape(self.x)[-1]
@@ -138,6 +141,7 @@ def shapes(n: int, k: int) -> dict[str, tuple[int, ...]]:
         "error": (),
         "flagged": (),
         "evidence_error": (),
+        "variance_error": (),
     }
 
 
@@ -237,6 +241,6 @@ def _epoch(
         y, S = predicted if info.innovation is None else (y, S)
     row |= {"x": filt.x.copy(), "P": filt.P.copy(), "log_evidence": filt.log_likelihood}
     said = predicted_by, info  # filters of others say nothing
-    row |= {name: getattr(info, name, np.nan) for name in ("error", "evidence_error")}
+    row |= {name: getattr(info, name, np.nan) for name in ("error", "variance_error", "evidence_error")}
     row["flagged"] = any(getattr(step, "flagged", False) for step in said)
     return row | {"accepted": info.accepted, "innovation": y, "innovation_cov": S}

@@ -119,7 +119,8 @@ def carried_family(
     defect, astray = Defect.of(packed, n), moved.astray
     of_steps = OF_RESIDUAL / OF_UNSIGNED * report.stepping
     defect = defect._replace(U=defect.U + of_steps**2 * moved.A @ moved.A.T)
-    error = math.hypot(read_out(moved, defect).error, astray)
+    told = read_out(moved, defect)
+    error, of_variance = math.hypot(told.error, astray), math.hypot(told.variance, math.sqrt(2.0) * astray)
     if not error < math.hypot(most, density.error) or not astray < ASTRAY:
         raise PropagationError(
             f"prediction from {density.t:g} to {t1:g}: {_NOT_FOLLOWED}; the mean would be off by {error:.2g} "
@@ -128,7 +129,7 @@ def carried_family(
     gaussian = density.gaussian and model.linear
     return family_density(
         density, moved, t=float(t1), capacity=n_particles, error=error, gaussian=gaussian, defect=defect
-    ), _info(model, report, error)
+    ), _info(model, report, error, of_variance)
 
 
 @lru_cache(maxsize=64)
@@ -178,7 +179,7 @@ def _given_up(model: SDE, y: Any, report: Report, start: float, t1: float) -> Pr
     return PropagationError(f"{what}: {_NOT_FOLLOWED}")
 
 
-def _info(model: SDE, report: Report, error: float) -> PredictInfo:
+def _info(model: SDE, report: Report, error: float, of_variance: float) -> PredictInfo:
     code, status = Code.OK, "ok"
     if error > DOUBTFUL:
         code, status = Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)
@@ -188,6 +189,7 @@ def _info(model: SDE, report: Report, error: float) -> PredictInfo:
         n_evaluations=report.evaluations,
         residual=report.residual,
         error=error,
+        variance_error=of_variance,
         skipped=_skipped(model),
         scheme="family",
         status=status,

@@ -142,13 +142,13 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     standing, before : tuple
         The values of a `Standing` after the last of them, and before it.
     rows : tuple of ndarray
-        Of each reading mean and covariance before it and after it, the log-evidence and its error, the error
-        of the mean, and the innovation with its covariance.
+        Of each reading mean and covariance before it and after it, the log-evidence and its error, the errors
+        of the mean and the variances, and the innovation with its covariance.
     """
     (leg, stiff_flow, changes), (reader, Z), (times, least) = motion, sensor, spans
     (K, k), n, count = Z.shape, standing.x.shape[1], nets[0][0].shape[0]
     m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))
-    evidence, unsure, error = np.empty(K), np.empty(K), np.empty(K)
+    evidence, unsure, error, wider = np.empty(K), np.empty(K), np.empty(K), np.empty(K)
     off, S = np.empty((K, k)), np.empty((K, k, k))
     before, end, done = standing, ALL, 0
     while done < K and end == ALL:
@@ -167,7 +167,9 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         _keep(one.found[4], one.found[5], x, C, j)
         evidence[j] = one.found[3]
         unsure[j] = evidence_error(squares[2], one.found[7], count, n)
-        error[j] = both(max(error_by(squares[0]), least_error(one.found[6], count)), bias)
+        least_of, root = least_error(one.found[6], count), math.sqrt(2.0)
+        error[j] = both(max(error_by(squares[0]), least_of), bias)
+        wider[j] = both(max(error_by(squares[1]), root * least_of), root * bias)
         away, spread = foreseen(about[3], one.y, one.w, one.mean, one.cov)
         _keep(away, spread, off, S, j)
         if not _unremarkable(error[j], squares, away, spread, bounds):
@@ -182,7 +184,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         before, standing = s, Standing(a, b, c, d, e, f, count, *squares, *paced)
         done += 1
         end = JUDGE if max(error[j], told) > bounds.missed else MORE if points != count else ALL
-    return end, done, _bare(standing), _bare(before), (m, P, x, C, evidence, unsure, error, off, S)
+    return end, done, _bare(standing), _bare(before), (m, P, x, C, evidence, unsure, error, wider, off, S)
 
 
 @jit
