@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -82,21 +82,6 @@ class ModeDensities:
     def split(self, splitting: Floats, ripples: Sequence[SplittingError]) -> "ModeDensities":
         """Densities of the modes with other errors that come from jumps."""
         return ModeDensities(self.log_w, self.densities, splitting, ripples)
-
-    def needing(self, points: int) -> "ModeDensities":
-        """The same, whose next prediction is by no family, and on so many points if that is not zero."""
-        needs = [p and p.needs for p in self.densities]
-        return self._remembering(
-            [m and m._replace(waits=max(m.waits, 1), points=points or m.points) for m in needs]
-        )
-
-    def with_memory_of(self, other: "ModeDensities") -> "ModeDensities":
-        """The same densities, whose next steps begin where those of another would."""
-        return self._remembering([p and p.needs for p in other.densities])
-
-    def _remembering(self, needs: Sequence[Any]) -> "ModeDensities":
-        own = [p and p.noted(needs=m or p.needs) for p, m in zip(self.densities, needs, strict=True)]
-        return ModeDensities(self.log_w, own, self.splitting, self.ripples)
 
     @property
     def w(self) -> Floats:

@@ -31,7 +31,7 @@ def by_lattice(
 ) -> tuple[ParticleDensity, dict[str, Any]]:
     """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
     gaussian, flag = density.gaussian and asked.linear, asked.outlying
-    found, evidence_error, error, left = None, 0.0, 0.0, 1.0
+    found, evidence_error, error, left, unsure = None, 0.0, 0.0, 1.0, 0.0
     try:
         new, log_evidence, found = times_likelihood(
             density,
@@ -71,7 +71,7 @@ def by_lattice(
     return new, {
         "residual": new.residual or 0.0,
         "error": float(np.hypot(new.error, cut.mean)),
-        "evidence_error": math.hypot(evidence_error, 0.0 if gaussian else left_out, inherited),
+        "evidence_error": math.hypot(evidence_error, 0.0 if gaussian else left_out, inherited, unsure),
         "mass_left_out": left_out,
         "accepted": not unknown,
         "log_evidence": log_evidence,

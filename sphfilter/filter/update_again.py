@@ -142,9 +142,11 @@ def _again(
     measurement: Sensor,
     z: ArrayLike | None,
     config: FilterConfig,
+    target: float | None = None,
 ) -> Read:
-    """Predict from a start, and update by the readings of the time that this leads to."""
-    prior = start if prediction.before is None else prediction.from_density(start, config, "auto")
+    """Predict from a start, to another target if one is given, and update by the readings of that time."""
+    finer = config if target is None else replace(config, target_error=target)
+    prior = start if prediction.before is None else prediction.from_density(start, finer, "auto")
     for sensor, numbers in prediction.readings:
         prior, _ = update(prior, sensor, numbers, config, n_particles="auto")
     return prior, *update(prior, measurement, z, config, n_particles="auto")
@@ -179,7 +181,9 @@ def _on_more_points(
             break
         wanted = known._replace(points=more or known.points, waits=max(known.waits, 1))
         try:
-            prior, posterior, info = _again(prediction, start.noted(needs=wanted), measurement, z, config)
+            asked = target * min(target / error, 1.0) if error > MISSED * target else target
+            start = start.noted(needs=wanted)
+            prior, posterior, info = _again(prediction, start, measurement, z, config, asked)
         except PropagationError:  # what there is already is better than none
             break
         helped = _deciding(posterior, info, target) < HELPED * _deciding(*best[1:], target)

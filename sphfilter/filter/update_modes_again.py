@@ -1,4 +1,4 @@
-"""A prediction of all modes repeated, where a measurement hangs on what its steps, mergers or points lost."""
+"""A prediction of all modes repeated, where a measurement hangs on what its steps or mergers lost."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike
 
 from .._types import Floats
 from ..config import FilterConfig
-from ..core.step_control import HELPED, MORE, TRIES
-from ..density.memory import MISSED, points_for
+from ..core.step_control import MORE, TRIES
+from ..density.memory import MISSED
 from ..density.modes import ModeDensities
-from ..errors import PropagationError
 from ..info import Code, UpdateInfo
 from ..model.measurements import Sensor
 from ..prediction.switching import MOST_SUBSTEPS, ModesPrediction, predict_modes
@@ -31,9 +30,6 @@ _MERGED = "mergers of Gaussians leave {:.2g} nat of the log-evidence in doubt"
 _FAR = 3.0
 _IN_DOUBT = 0.05  # nats that mergers may change there; measured: half and twice change no run
 
-#: Prior, posterior, and what the update says.
-Read = tuple[ModeDensities, ModeDensities, ModesUpdateInfo]
-
 
 def update_or_predict_modes_again(
     prediction: ModesPrediction | None,
@@ -51,8 +47,6 @@ def update_or_predict_modes_again(
     """
     target = config.target_error
     modes, info = update_modes(prior, sensors, z, config, n_particles)
-    if prediction is not None and n_particles == "auto" and info.error > MISSED * target:
-        prior, modes, info = _with_more(prediction, (prior, modes, info), sensors, z, config)
     off = float(modes.w @ modes.splitting)
     far = _far(prior, modes.w, [info.modes.get(name) for name in sensors])
     if modes is prior or prediction is None or (off <= target and not far):
@@ -83,37 +77,6 @@ def update_or_predict_modes_again(
     for code, sentence in told:
         info = info.also(code, sentence)
     return prior, modes, replace(info, evidence_error=math.hypot(info.evidence_error, in_doubt))
-
-
-def _with_more(
-    prediction: ModesPrediction,
-    once: Read,
-    sensors: Mapping[str, Sensor],
-    z: ArrayLike | None,
-    config: FilterConfig,
-) -> Read:
-    """Predict and update again without families, on more points, as long as that helps.
-
-    What the reading asks for is its own: the next cloud has as many points as it would have had.
-    """
-    best, before, target = once, prediction.before, config.target_error
-    for _ in range(TRIES if config.scheme == "auto" and not config.time_budget else 0):
-        prior, modes, info = best
-        if not info.error > MISSED * target or modes is prior:
-            break
-        sizes = [p.cloud.size for _, _, p in modes.some if p.cloud is not None]
-        before = before.needing(points_for(max(sizes), info.error, target) if sizes else 0)
-        about = prediction.model, prior.heaviest.t, config, "auto"
-        try:
-            prior, _ = predict_modes(before, *about, n_substeps=prediction.n_substeps)
-            modes, info = update_modes(prior, sensors, z, config, "auto")
-        except PropagationError:  # what there is already is better than none
-            break
-        helped = info.error < HELPED * best[2].error
-        best = (prior, modes, info) if info.error < best[2].error else best
-        if not helped:
-            break
-    return best if best is once else (best[0], best[1].with_memory_of(once[1]), best[2])
 
 
 def _far(prior: ModeDensities, w: Floats, infos: Sequence[UpdateInfo | None]) -> float:

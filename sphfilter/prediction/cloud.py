@@ -7,7 +7,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
-from ..core.cloud.control import SHADOW, apart_by, bias_allowed, step_after
+from ..core.cloud.control import SHADOW, apart_by, bias_allowed, step_after, steps_of_shadow
 from ..core.cloud.pace import FIRST_TRIED, MOST_LOST, ORDER, Steps
 from ..core.cloud.weights import AWAY, compared, near_others
 from ..core.limits import LOOK, SAID
@@ -110,10 +110,15 @@ def carried_cloud(
     """Carry a cloud and its shadow over a span of time: what `propagate` does with densities."""
     (t0, t1), count = span, scheme.n_points
     steps, pace = _steps(state, model, span, scheme.max_steps, target)
+    alike = steps.stiff or model.domain.walled.any()
+    fewer = steps_of_shadow(steps.number, alike, least_steps(model, state.points.x, span))
+    if fewer < steps.number:
+        pace = pace._replace(bias=state.pace.bias)  # the shadow tells it
     ends, sums, lost = [], [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, shadow_size(count)))):
         begun, key = unrolled_about_mean(points, domain), stored_key(state.age, k)
-        moved = moved_points(begun, model, t0, t1, steps, many, key)
+        own = steps if k == 0 else steps._replace(number=fewer)
+        moved = moved_points(begun, model, t0, t1, own, many, key)
         moved, gone = without_runaways(moved, domain)
         lost = gone if k == 0 else lost
         if gone > MOST_LOST:

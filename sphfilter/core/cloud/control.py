@@ -29,11 +29,15 @@ __all__ = [
     "smoothed",
     "square_of_more",
     "step_after",
+    "steps_of_shadow",
 ]
 
 SHADOW = 8  # points of a cloud over those of its shadow, which costs an eighth of the time
 _ORDER = 0.6  # of errors in the number of points: measured as .45 to .82, .61 on average (CLOUD.md)
 _NEW = 0.4  # weight of the last squared difference; measured: half, twice change evaluations by .09 at most
+#: Times fewer steps of a shadow: what they and those of the cloud are off by is then to what both are apart by
+#: as errors of points are, and tells itself where a reading makes much of it.
+_FEWER = (1.0 + SHADOW**_ORDER) ** (1.0 / STEPS_ORDER)
 #: Error of a mean over that of as many points drawn at random: .3 to .65 after first readings of 90 random
 #: models. So much it is at least of few among many. Measured: with half errors are up to 1.6 times as large.
 _OF_RANDOM = 0.5
@@ -131,6 +135,12 @@ def bias_allowed(error, count, inherited, most, target, legs):
 def step_after(dt, number, over):
     """Length of the next step after so many over a time, whose bias was so much of what is allowed."""
     return dt / max(number * min(over / _AIMED, 1.0) ** (1.0 / STEPS_ORDER), 1.0)
+
+
+@register_jitable
+def steps_of_shadow(steps, alike, least):
+    """Steps of the shadow of a cloud that takes so many; `alike` where fewer might not be stable."""
+    return steps if alike else max(math.floor(steps / _FEWER + 0.5), least)
 
 
 @register_jitable

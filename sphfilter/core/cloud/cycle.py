@@ -29,6 +29,7 @@ from .control import (
     smoothed,
     square_of_more,
     step_after,
+    steps_of_shadow,
 )
 from .noise import stored
 from .pace import FIRST_TRIED, MOST_LOST, chosen, over
@@ -158,7 +159,10 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
             end = UNUSUAL
             break
         about = parts, own, _change(changes, j, n), _reads(reader, Z[j], span[1])
-        one, two = _both(about, s, nets, curve)
+        fewer = steps_of_shadow(own.steps, own.flow == stiff_flow, least[j])
+        bias = bias if fewer == own.steps else 0.0  # else the shadow tells it
+        few = over(own, own.flow, *span, fewer)
+        one, two = _both(about, few, s, nets, curve)
         ahead, squares = _told(s, one, two, count)
         if not (one.usual and two.usual and both(ahead, bias) < bounds.doubtful):
             end = UNUSUAL
@@ -240,11 +244,12 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
 
 
 @jit
-def _both(about, s, nets, curve):
-    """A cloud and its shadow after a cycle; the shadow is of no worth where the cloud is not."""
+def _both(about, few, s, nets, curve):
+    """A cloud, and its shadow in a leg of few steps, after a cycle; of no worth where the cloud is of none."""
     keys = stored(s.age, 0), stored(s.age + 1, 2)
     one = _cycled(about, (s.x, s.w, s.lineage), nets[0], keys, curve)
     keys = stored(s.age, 1), stored(s.age + 1, 3)
+    about = about[0], few, about[2], about[3]
     return one, _cycled(about, (s.few_x, s.few_w, s.few_lineage), nets[1], keys, curve)
 
 
