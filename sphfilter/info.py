@@ -308,8 +308,8 @@ class UpdateInfo(_Marked):
 
     @property
     def flagged(self) -> bool:
-        """Was anything unusual: refused, a status other than "ok", or a reason where a reading came."""
-        return not self.accepted or self.status != "ok" or self.reason not in ("", NOTHING_CAME)
+        """Was the reading refused, or the status other than "ok"? That a used one lies far out is no flag."""
+        return not self.accepted or self.status != "ok"
 
 
 def innovation_of(info: UpdateInfo, seen: Bools, k: int) -> tuple[Floats, Floats]:

@@ -99,6 +99,8 @@ class ParticleDensity(Noted):
         ``n_particles="auto"``; None where a number of particles does.
     lost : float
         Probability that lattices have gained on the way, or lost (negative), as far as it still matters.
+    rough : float
+        Size of what a family, which a lattice follows, may have got wrong of the shape of log p.
     cloud : CloudState or None
         How the points of a cloud came since the last reading, and a smaller cloud that tells the error.
 
@@ -133,6 +135,7 @@ class ParticleDensity(Noted):
     residual: float | None = None
     error: float = 0.0
     lost: float = 0.0
+    rough: float = 0.0
     cloud: CloudState | None = None
     family: Family | None = None
     defect: Defect | None = None

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..config import CloudScheme, FilterConfig
 from ..density.as_family import as_polynomials
+from ..density.defect import ROUGH
 from ..density.memory import FLAGGED, Memory, error_budget, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
@@ -20,7 +21,7 @@ from .by_families import by_families
 from .by_family import family_update
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
-from .inherited import left_by_update
+from .inherited import left_by_update, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior
 
 __all__ = ["by_ladder"]
@@ -123,9 +124,11 @@ def _on_lattice(
         laid, known = on_lattice(density, nodes), density.family is not None and not density.gaussian
         if known:  # what its defect tells of, too, and better
             laid = laid.noted(error=math.sqrt(max(laid.error**2 - density.error**2, 0.0)))
-        new, said = by_lattice(laid, asked, nodes, config)
+        new, said = by_lattice(laid.noted(rough=0.0) if known else laid, asked, nodes, config)
         if known and said["accepted"]:
             new, said = _with_inherited(new, said, *left_by_update(density, new))
+            left = shift_left_by_update(density.cov(), new.cov())
+            new = new.noted(rough=laid.rough * left**ROUGH)
         over = said["error"] / target
         if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= _MOST_NODES:
             break  # met, or the prior itself is coarse

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..config import FilterConfig
 from ..core.limits import ALIKE
+from ..density.defect import OF_UNSIGNED, ROUGH, steepness
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError
@@ -48,8 +49,11 @@ def by_lattice(
             summed, log_evidence = log_evidence, asked.gaussian_evidence
             evidence_error = abs(summed - log_evidence)
         unsure = 0.0 if density.gaussian else _extrapolated(density, new)
-        left = shift_left_by_update(density.cov(), new.cov(), new.gaussian)
-        error = math.hypot(left * density.error, found.off.mean, unsure)
+        moments = (density.mean(), density.cov()), (new.mean(), new.cov())
+        left, rough = shift_left_by_update(moments[0][1], moments[1][1], new.gaussian), 0.0
+        if density.rough > 0.0:
+            rough = OF_UNSIGNED * density.rough * steepness(moments, ROUGH - 1)
+        error = math.hypot(left * density.error, found.off.mean, unsure, rough)
         unknown = _beyond(density, new)
     except PropagationError as problem:
         if not flag and config.scheme == "auto":
@@ -64,7 +68,8 @@ def by_lattice(
         new = density
     else:
         far = far if gaussian else _remote(density, new, asked, log_evidence)
-        new = replace(new, error=math.hypot(error, far.mean), lost=left * density.lost)
+        of_before = {"lost": left * density.lost, "rough": left**ROUGH * density.rough}
+        new = replace(new, error=math.hypot(error, far.mean), **of_before)
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     left_out = cut.mass if found is None else max(cut.mass, found.left_out)
     inherited = math.nan if unknown else evidence_error_of(density, new)  # unknown, it is a guess

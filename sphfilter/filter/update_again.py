@@ -161,7 +161,7 @@ def _on_more_points(
     """
     (prior, posterior, info), best, before = once, once, prediction.before
     start = prior if before is None else before
-    target, known = target_of(prior, config, None), start.needs
+    target, known, finer = target_of(prior, config, None), start.needs, True
     if target is None or known is None or config.time_budget or info.reason == NOTHING_CAME:
         return once
     for tries in range(TRIES):
@@ -181,13 +181,16 @@ def _on_more_points(
             break
         wanted = known._replace(points=more or known.points, waits=max(known.waits, 1))
         try:
-            asked = target * min(target / error, 1.0) if error > MISSED * target else target
+            asked = target * min(target / error, 1.0) if more and led and finer else target  # of steps, too
             start = start.noted(needs=wanted)
             prior, posterior, info = _again(prediction, start, measurement, z, config, asked)
         except PropagationError:  # what there is already is better than none
             break
+        if posterior.cloud is None and asked < target and not info.error < best[2].error:
+            (prior, posterior, info), finer = best, False  # for so much less, lattices were taken for cheaper
+            continue
         helped = _deciding(posterior, info, target) < HELPED * _deciding(*best[1:], target)
-        if more or info.error < best[2].error:  # more points know better what they do not know
+        if (more and posterior.cloud) or info.error < best[2].error:  # more points know what they do not know
             best = prior, posterior, info
         if not helped:  # what is wrong was wrong before, and no points here cure it
             break

@@ -112,8 +112,6 @@ def carried_cloud(
     steps, pace = _steps(state, model, span, scheme.max_steps, target)
     alike = steps.stiff or model.domain.walled.any()
     fewer = steps_of_shadow(steps.number, alike, least_steps(model, state.points.x, span))
-    if fewer < steps.number:
-        pace = pace._replace(bias=state.pace.bias)  # the shadow tells it
     ends, sums, lost = [], [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, shadow_size(count)))):
         begun, key = unrolled_about_mean(points, domain), stored_key(state.age, k)

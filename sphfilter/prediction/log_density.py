@@ -38,6 +38,7 @@ from ..core.characteristics.step_choice import CHOOSE
 from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
 from ..core.limits import TINY
+from ..density.defect import ROUGH
 from ..density.memory import min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
@@ -180,8 +181,10 @@ def propagate(
         raise _given_up(kind(reason.format(**about)), (start, times[0], t1), counters)
     laid = LatticeDensity(x, mass, field, 0.0, float(state[VOLUME]), mean, cov, model.domain.walls)
     gaussian = density.gaussian and model.linear
-    error, lost = _carried(density, _kept(noise.G, t1 - start, cov), state)
+    kept = _kept(noise.G, t1 - start, cov)
+    error, lost = _carried(density, kept, state)
     known = {"residual": 0.0 if gaussian else float(state[RESIDUAL]), "error": error, "lost": lost}
+    known["rough"] = density.rough * kept**ROUGH
     moved = ParticleDensity.on_lattice(laid, float(t1), density.capacity, gaussian, density.domain, **known)
     return moved, _info(model, scheme, counters, moved, float(state[LOST_MASS]) - abs(density.lost), threads)
 

@@ -426,12 +426,12 @@ def test_files_of_other_filters_are_refused(tmp_path):
         sf.JumpMarkovFilter.load(path, moving(), READING)
 
 
-def test_a_mode_flagged_by_its_reason_alone_leaves_the_status_ok():
+def test_an_outlying_reading_is_a_reason_and_no_flag():
     still = moving(np.zeros((2, 2)))
     flt = sf.JumpMarkovFilter(still, READING, [0.0], [[0.1]], mode_probabilities=[0.9, 0.1])
     flt.predict(1.0)
     info = flt.update(-2.6)
-    assert info.flagged
+    assert not info.flagged
     assert "outlying" in info.reason
     assert info.status == "ok"
     assert info.code == sf.Code.OK

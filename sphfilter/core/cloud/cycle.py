@@ -160,7 +160,6 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
             break
         about = parts, own, _change(changes, j, n), _reads(reader, Z[j], span[1])
         fewer = steps_of_shadow(own.steps, own.flow == stiff_flow, least[j])
-        bias = bias if fewer == own.steps else 0.0  # else the shadow tells it
         few = over(own, own.flow, *span, fewer)
         one, two = _both(about, few, s, nets, curve)
         ahead, squares = _told(s, one, two, count)
@@ -245,7 +244,7 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
 
 @jit
 def _both(about, few, s, nets, curve):
-    """A cloud, and its shadow in a leg of few steps, after a cycle; of no worth where the cloud is of none."""
+    """Cloud and shadow after a cycle, of few steps for that; of no worth where the cloud is of none."""
     keys = stored(s.age, 0), stored(s.age + 1, 2)
     one = _cycled(about, (s.x, s.w, s.lineage), nets[0], keys, curve)
     keys = stored(s.age, 1), stored(s.age + 1, 3)
