@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 __all__ = [
-    "ALIKE", "DIFFERENCE", "EDGE", "LARGEST_EXPONENT", "LITTLE", "LOG_2_PI", "LOOK", "NOTHING", "ROUNDING",
-    "ROUNDS", "SAID", "TINY",
+    "ALIKE", "DIFFERENCE", "EDGE", "GOLDEN", "LARGEST_EXPONENT", "LITTLE", "LOG_2_PI", "LOOK", "NOTHING",
+    "ROUNDING", "ROUNDS", "SAID", "TINY",
 ]  # fmt: skip
 
 _EPS = float(np.finfo(float).eps)
@@ -16,6 +16,7 @@ DIFFERENCE = _EPS ** (1.0 / 3.0)  # step of differences: eps / h, rounding, is a
 NOTHING = -math.log(_EPS)  # nats below the largest, where a term adds nothing to a sum: exp(-NOTHING) = eps
 LARGEST_EXPONENT = 700.0  # nats: a thousand exponentials have a sum still, exp(700) = 1e304 < 2^1024 / 1000
 LOG_2_PI = math.log(2.0 * math.pi)
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # (√5 - 1) / 2: its multiples modulo one are spread evenly, in any run
 EDGE = 6.0  # standard deviations that hold a Gaussian: 2 (1 - Φ(6)) = 2e-9 of it lies beyond
 LOOK = 64  # points by which is judged what an eighth of a standard deviation does for: 1 / √64 = 1/8
 SAID = 0.01  # probability, from which it is said, and something done about it, that it was lost or guessed

@@ -27,7 +27,7 @@ def cloud_density(
     total = mass.sum()
     mass = mass.view() if abs(total - 1.0) <= SUMMED else mass / total
     summed = moments(x, mass) if summed is None else summed
-    names = ("t", "represented_mass", "capacity", "domain", "error", "lost")
+    names = ("t", "represented_mass", "capacity", "domain", "error", "lost", "rough")
     about = {name: getattr(density, name) for name in names} | changes
     h = smoothing_length(mass, summed[1])
     parts: dict[str, Any] = {"x": x.view(), "mass": mass, "h": h, "kernel": KERNEL, "read_out": "cloud"}

@@ -100,7 +100,7 @@ class ParticleDensity(Noted):
     lost : float
         Probability that lattices have gained on the way, or lost (negative), as far as it still matters.
     rough : float
-        Size of what a family, which a lattice follows, may have got wrong of the shape of log p.
+        Size of what a family, or one that a lattice follows, may have got wrong of the shape of log p.
     cloud : CloudState or None
         How the points of a cloud came since the last reading, and a smaller cloud that tells the error.
 

@@ -169,8 +169,8 @@ def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
     middles = density.pieces.mean if density.pieces else density.families.mu if density.families else None
     laid = family_on_lattice(whole.log_p, density.moments, n_particles, middles)
     about = density.t, density.capacity, density.gaussian, density.domain
-    rough = density.defect.rough(density.family) if density.family and density.defect else 0.0
-    return ParticleDensity.on_lattice(laid, *about, error=density.error, lost=density.lost, rough=rough)
+    new = ParticleDensity.on_lattice(laid, *about, error=density.error, lost=density.lost)
+    return new.noted(rough=density.rough)
 
 
 def regrid(

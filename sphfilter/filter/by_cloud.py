@@ -43,7 +43,7 @@ def by_cloud(
     new = cloud_of(density, found.state, found.moments, capacity=n_particles, lost=density.lost)
     found = found.inheriting(state, moments_on_line(density))
     error, doubt, code = found.error, found.doubt, Code.CLOUD
-    new = new.noted(cloud=found.state, error=error)
+    new = new.noted(cloud=found.state, error=error, rough=0.0)  # of which `inherited` knows
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
     if doubt > WRONG and error < DOUBTFUL:  # which is said of the mean already
         status, code = f"{status}, but the variance may be off by {doubt:.0%}", code | Code.UNRESOLVED

@@ -77,7 +77,7 @@ def family_update(
     )
     defect = left.defect._replace(U=left.defect.U + missed**2 * moments[1][1])
     said |= {"residual": left.rest, "variance_error": of_variance}
-    return new.noted(error=error, defect=defect), said, added
+    return new.noted(error=error, defect=defect, rough=defect.rough(found.family)), said, added
 
 
 def _in_closed_form(

@@ -127,8 +127,8 @@ def _on_lattice(
         new, said = by_lattice(laid.noted(rough=0.0) if known else laid, asked, nodes, config)
         if known and said["accepted"]:
             new, said = _with_inherited(new, said, *left_by_update(density, new))
-            left = shift_left_by_update(density.cov(), new.cov())
-            new = new.noted(rough=laid.rough * left**ROUGH)
+            rough = laid.rough * shift_left_by_update(density.cov(), new.cov()) ** ROUGH
+            new = new.noted(rough=rough)
         over = said["error"] / target
         if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= _MOST_NODES:
             break  # met, or the prior itself is coarse

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..config import FilterConfig
 from ..core.limits import ALIKE
-from ..density.defect import OF_UNSIGNED, ROUGH, steepness
+from ..density.defect import ROUGH
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError
@@ -18,7 +18,7 @@ from ..lattice.field import extrapolated_mass, inside_lattice
 from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
 from .by_cloud import by_cloud
-from .inherited import evidence_error_of, shift_left_by_update
+from .inherited import evidence_error_of, of_shape, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior
 
 __all__ = ["by_lattice"]
@@ -50,10 +50,8 @@ def by_lattice(
             evidence_error = abs(summed - log_evidence)
         unsure = 0.0 if density.gaussian else _extrapolated(density, new)
         moments = (density.mean(), density.cov()), (new.mean(), new.cov())
-        left, rough = shift_left_by_update(moments[0][1], moments[1][1], new.gaussian), 0.0
-        if density.rough > 0.0:
-            rough = OF_UNSIGNED * density.rough * steepness(moments, ROUGH - 1)
-        error = math.hypot(left * density.error, found.off.mean, unsure, rough)
+        left = shift_left_by_update(moments[0][1], moments[1][1], new.gaussian)
+        error = math.hypot(left * density.error, found.off.mean, unsure, of_shape(density.rough, moments))
         unknown = _beyond(density, new)
     except PropagationError as problem:
         if not flag and config.scheme == "auto":
@@ -68,8 +66,8 @@ def by_lattice(
         new = density
     else:
         far = far if gaussian else _remote(density, new, asked, log_evidence)
-        of_before = {"lost": left * density.lost, "rough": left**ROUGH * density.rough}
-        new = replace(new, error=math.hypot(error, far.mean), **of_before)
+        new = replace(new, error=math.hypot(error, far.mean), lost=left * density.lost)
+        new = new.noted(rough=left**ROUGH * density.rough)
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     left_out = cut.mass if found is None else max(cut.mass, found.left_out)
     inherited = math.nan if unknown else evidence_error_of(density, new)  # unknown, it is a guess

@@ -8,7 +8,7 @@ import numpy as np
 from .._types import Floats
 from ..core.cloud.way import LINES
 from ..density.as_family import defect_in, moments_on_line
-from ..density.defect import OF_UNSIGNED, Moments, Told, read_out, read_out_after, steepness, told_at
+from ..density.defect import OF_UNSIGNED, ROUGH, Moments, Told, read_out, read_out_after, steepness, told_at
 from ..density.particle_density import ParticleDensity
 from ..density.points import CloudState, Origin, Points, whitener
 
@@ -18,6 +18,7 @@ __all__ = [
     "evidence_error_of",
     "inherited",
     "left_by_update",
+    "of_shape",
     "shift_left_by_update",
 ]
 
@@ -75,6 +76,11 @@ def _left_of_shape(moments: Moments) -> float:
     return math.hypot(left, OF_UNSIGNED * steepness(moments, 2))
 
 
+def of_shape(rough: float, moments: Moments) -> float:
+    """Error of the mean by which a reading finds what a family got wrong of the shape of log p."""
+    return OF_UNSIGNED * rough * steepness(moments, ROUGH - 1) if rough > 0.0 else 0.0
+
+
 def shift_left_by_update(prior: Floats, posterior: Floats, gaussian: bool = False) -> float:
     """Part of a shift of the mean that a reading leaves, by covariances (n, n) before and after it."""
     white = whitener(prior)
@@ -100,10 +106,12 @@ def inherited(before: CloudState, after: Points, moments: Moments) -> Inherited:
     if origin is None or after.lineage is None:
         return Inherited(before.inherited * left, before.inherited * nats, None)
     (x, w, path, *_), (family, defect, unsigned, off, log_mass) = before.points, origin
+    unsigned *= left
     if off is None:
         off = defect.at(family, x if path is None else path.x)
         log_mass = float(w @ off)
+        unsigned = math.hypot(unsigned, of_shape(defect.rough(family), moments))
     told = told_at(after.x, after.w, off[after.lineage[-1] % len(off)], np.zeros((len(x[0]),) * 2), 0.0)
-    errors = math.hypot(told.error, unsigned * left), math.hypot(told.log_mass - log_mass, unsigned * nats)
-    origin = Origin(family, defect, unsigned * left, off, told.log_mass)
+    errors = math.hypot(told.error, unsigned), math.hypot(told.log_mass - log_mass, unsigned * nats / left)
+    origin = Origin(family, defect, unsigned, off, told.log_mass)
     return Inherited(*errors, origin if len(after.lineage) < LINES else None)

@@ -160,22 +160,17 @@ def _on_more_points(
     Readings of the same time are used once more; without a prediction, the prior itself is drawn anew.
     """
     (prior, posterior, info), best, before = once, once, prediction.before
-    start = prior if before is None else before
-    target, known, finer = target_of(prior, config, None), start.needs, True
+    start, finer, grown = prior if before is None else before, True, True
+    target, known = target_of(prior, config, None), start.needs
     if target is None or known is None or config.time_budget or info.reason == NOTHING_CAME:
         return once
     for tries in range(TRIES):
         cloud = posterior.cloud
-        if cloud is None:  # the ladder has found something cheaper than so many points
-            break
+        assert cloud is not None
         led = before is None or prior.read_out == "cloud"
         error = _deciding(posterior, info, target, 0.0 if led else cloud.inherited)
-        if error > MISSED * target and before is not None and before.cloud is not None:
-            assert cloud.points.prior is not None
-            seen = Stacked.of(cloud.points.prior.readings, prior.domain)
-            about = prediction.legs, before.t, seen, moments_of(posterior), target
-            added = error_added(before.cloud, cloud, *about)
-            error = added if added < error else error  # what was there before, no points cure
+        if error > MISSED * target:
+            error = _added(prediction, prior, posterior, error, target)
         more = points_for(cloud.size, error, target) if error > MISSED * target else 0
         if more <= cloud.size and (tries > 0 or led):
             break
@@ -186,13 +181,14 @@ def _on_more_points(
             prior, posterior, info = _again(prediction, start, measurement, z, config, asked)
         except PropagationError:  # what there is already is better than none
             break
-        if posterior.cloud is None and asked < target and not info.error < best[2].error:
-            (prior, posterior, info), finer = best, False  # for so much less, lattices were taken for cheaper
+        grown, better = posterior.cloud is not None, info.error < best[2].error
+        if not grown and not better and asked < target:  # for so much less, a lattice was taken for cheaper
+            (prior, posterior, info), finer = best, False
             continue
         helped = _deciding(posterior, info, target) < HELPED * _deciding(*best[1:], target)
-        if (more and posterior.cloud) or info.error < best[2].error:  # more points know what they do not know
+        if (more and grown) or better:  # more points know better what they do not know
             best = prior, posterior, info
-        if not helped:  # what is wrong was wrong before, and no points here cure it
+        if not helped or not grown:  # what is wrong was wrong before, and no points here cure it
             break
     prior, posterior, info = best
     cloud, needs = posterior.cloud, posterior.needs
@@ -203,6 +199,20 @@ def _on_more_points(
             usual = known._replace(calm=max(known.calm, 0)).told(told, target, cloud.size)
         posterior = posterior.noted(needs=needs._replace(points=usual.cloud(target), calm=usual.calm))
     return prior, posterior, info
+
+
+def _added(
+    prediction: Prediction, prior: ParticleDensity, posterior: ParticleDensity, error: float, target: float
+) -> float:
+    """The part of an error that prediction and reading have added: what was there before, no points cure."""
+    before, cloud = prediction.before, posterior.cloud
+    if before is None or before.cloud is None:
+        return error
+    assert cloud is not None and cloud.points.prior is not None
+    seen = Stacked.of(cloud.points.prior.readings, prior.domain)
+    about = prediction.legs, before.t, seen, moments_of(posterior), target
+    added = error_added(before.cloud, cloud, *about)
+    return added if added < error else error
 
 
 def _deciding(posterior: ParticleDensity, info: UpdateInfo, target: float, inherited: float = 0.0) -> float:

@@ -119,17 +119,17 @@ def carried_family(
     defect, astray = Defect.of(packed, n), moved.astray
     of_steps = OF_RESIDUAL / OF_UNSIGNED * report.stepping
     defect = defect._replace(U=defect.U + of_steps**2 * moved.A @ moved.A.T)
-    told = read_out(moved, defect)
-    error, of_variance = math.hypot(told.error, astray), math.hypot(told.variance, math.sqrt(2.0) * astray)
+    read = read_out(moved, defect)
+    error, of_variance = math.hypot(read.error, astray), math.hypot(read.variance, math.sqrt(2.0) * astray)
     if not error < math.hypot(most, density.error) or not astray < ASTRAY:
         raise PropagationError(
             f"prediction from {density.t:g} to {t1:g}: {_NOT_FOLLOWED}; the mean would be off by {error:.2g} "
             f"standard deviations"
         )
+    told = {"error": error, "defect": defect, "rough": defect.rough(moved)}
     gaussian = density.gaussian and model.linear
-    return family_density(
-        density, moved, t=float(t1), capacity=n_particles, error=error, gaussian=gaussian, defect=defect
-    ), _info(model, report, error, of_variance)
+    new = family_density(density, moved, t=float(t1), capacity=n_particles, gaussian=gaussian, **told)
+    return new, _info(model, report, error, of_variance)
 
 
 @lru_cache(maxsize=64)

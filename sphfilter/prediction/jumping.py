@@ -16,7 +16,7 @@ from ..config import CloudScheme
 from ..core.cloud.control import SHADOW
 from ..core.cloud.move import affine, move
 from ..core.cloud.noise import LANES
-from ..core.limits import TINY
+from ..core.limits import GOLDEN, TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities
 from ..density.passage import along, change_of, leg_of, stored_key
@@ -40,8 +40,6 @@ __all__ = ["UNLIKELY", "Way", "carried_with_jumps", "suits"]
 
 UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
 _KEY = 40  # of the key of an age: the jumps of a cloud, and of its shadow the next
-#: Of a line, by which points in any run follow each other evenly: one over the golden ratio, (√5 - 1) / 2.
-_SECTION = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 def suits(model: JumpMarkovModel) -> bool:
@@ -227,6 +225,6 @@ def _evenly(points: Points, count: int, key: int) -> Floats:
     """Points (count, n) as often as they weigh; those of any run lie evenly along the curve through all."""
     order = along(points.x, points.w)
     edges = np.cumsum(points.w[order])
-    place = (np.arange(count) * _SECTION + key * 2.0**-63) % 1.0
+    place = (np.arange(count) * GOLDEN + key * 2.0**-63) % 1.0
     at = np.searchsorted(edges / edges[-1], place, side="right")
     return np.asarray(points.x[order[np.minimum(at, len(order) - 1)]])

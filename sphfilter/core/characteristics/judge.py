@@ -13,13 +13,12 @@ from .._addresses import Entry
 from .._jit import MATRIX, VECTOR, jit
 from ..field.field import FIELD, evaluate
 from ..field.walls import fold, is_inside
-from ..limits import NOTHING
+from ..limits import GOLDEN, NOTHING
 from .expectation import BACK, STEP, back_in_halves
 
 __all__ = ["BETWEEN", "JUDGE", "between", "judged", "mean_ratio", "witnesses"]
 
 _WITNESSES = 12  # of as many drawn at random a mean would be known to 1 / √12 = .29 of their deviation
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # (√5 - 1) / 2: multiples modulo one are spread evenly
 
 
 @jit
@@ -39,7 +38,7 @@ def witnesses(m, ends, G, h):
             for a in range(n):
                 out[k, a] = ends[i, a]
             for j in range(G.shape[1]):
-                side = 2.0 * math.sqrt(3.0 * h) * (((k + 1) * (j + 1) * _GOLDEN) % 1.0 - 0.5)
+                side = 2.0 * math.sqrt(3.0 * h) * (((k + 1) * (j + 1) * GOLDEN) % 1.0 - 0.5)
                 for a in range(n):
                     out[k, a] += side * G[a, j]
             k += 1

@@ -87,25 +87,9 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
     leaves a bridge of the noise: drift and divergence are averaged over it, along `blur`. Noise that
     depends on the state has other slopes in the second half of a path, which has twice the parts.
 
-    Parameters
-    ----------
-    drift, divergence : function
-        Of signature `BATCH`.
-    noise : Noise
-    x : ndarray, shape (M, n)
-        States where the paths start.
-    f1 : ndarray, shape (M, n)
-    d1 : ndarray, shape (M, 1)
-        Drift and divergence there.
-    t, h : float
-        Seconds.
-    parts : int
-    pull : Pull
-        How noise displaces each path.
-    end : ndarray, shape (M, n), written
-        States where the paths end.
-    action : ndarray, shape (M,), written
-        Integral of the divergence along each path; if empty, the divergence is not asked.
+    Drift f1 (M, n) and divergence d1 (M, 1) are those at x; `pull` says how noise displaces each path. The
+    ends (M, n) are written, and the action (M,), the integral of the divergence along each path, unless it
+    is empty. Functions are of signature `BATCH`.
     """
     M, n = x.shape
     parts *= 2 if noise.state_dependent else 1

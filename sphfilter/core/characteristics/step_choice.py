@@ -48,31 +48,11 @@ class Choice(NamedTuple):
 
 @jit
 def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, counters):
-    """Choose a step from times[0].
+    """The `Choice` of a step from times[0] towards times[1], of a prediction over a `span`, all in seconds.
 
-    Parameters
-    ----------
-    drift, diffusion : function
-        Of signature `BATCH`.
-    noise : Noise
-        Its G is brought up to mid-step where noise depends on time.
-    x : ndarray, shape (N, n)
-        The density's nodes.
-    m : ndarray, shape (N,)
-        Their masses.
-    L, Q : ndarray, shape (n, n)
-        Lower factor of their covariance, and what `local_shape` adds to it.
-    times : ndarray, shape (2,)
-        Now, and the end of the prediction, seconds.
-    span : float
-        Of the whole prediction, seconds.
-    control : Control
-    state, counters : ndarray
-        Of the march; the steps that come next and the counters are brought up to date.
-
-    Returns
-    -------
-    Choice
+    Nodes x (N, n) have masses m (N,); L and Q (n, n) are the lower factor of their covariance, and what
+    `local_shape` adds to it. Where noise depends on time, its G is brought up to mid-step; so are the steps
+    that come next, and the counters. Functions are of signature `BATCH`.
     """
     n, t, left = x.shape[1], times[0], times[1] - times[0]
     mean, P, own, S = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))

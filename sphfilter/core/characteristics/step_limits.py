@@ -79,26 +79,9 @@ def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
     """Mean and covariance after a step: of the cloud undisturbed, and pushed to and fro by every noise.
 
     Straight pushes and bent ones: their covariance with each other is what keeps a thin density from being
-    taken for a still thinner one.
-
-    Parameters
-    ----------
-    drift : function
-        Of signature `BATCH`.
-    noise : Noise
-    x, f, ahead : ndarray, shape (N, n)
-        Nodes, the drift there, and where they go without noise.
-    m : ndarray, shape (N,)
-    t, h : float
-        Begin and length of the step, seconds.
-    parts : int
-        Runge-Kutta steps of a path.
-    mean, cov : ndarray, shapes (n,) and (n, n), written
-
-    Returns
-    -------
-    ndarray, shape ((4 m + 1) N, n)
-        All ends of paths: undisturbed, then one push after the other.
+    taken for a still thinner one. Nodes x of masses m, where the drift is f, go `ahead` without noise, by so
+    many Runge-Kutta parts of a step of h seconds. Mean (n,) and cov (n, n) are written; returns the ends of
+    all paths ((4 m + 1) N, n), undisturbed ones first, then one push after the other.
     """
     N, n = x.shape
     n_pushes = 4 * noise.G.shape[1]

@@ -58,34 +58,10 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     part whatever their steps, and means are apart by chance: those that have parted forget their bias, and it
     is looked at over the first part of the interval, in which they do not.
 
-    Parameters
-    ----------
-    leg : Leg
-        Of the model.
-    stiff_flow : int
-        What moves points along its drift where that is stiff.
-    span : tuple of float
-        Seconds, begin and end.
-    x, w : ndarray, shapes (N, n), (N,)
-    key : int
-    table, bits : ndarray, int
-        Of the curve.
-    number : int
-        Steps to begin with.
-    stiff : bool
-    least, most : int
-        Of all numbers; more than the most are returned where that is not enough.
-    allowed : float
-        Standard deviations.
-
-    Returns
-    -------
-    number, stiff : int, bool
-        As of `Steps`.
-    bias : float
-        Standard deviations.
-    lost : float
-        Part of the points that the model carries to infinity.
+    The span is begin and end, seconds; points x (N, n) have weights w (N,). It begins with a `number` of
+    steps that may be `stiff`, moved by `stiff_flow`; there are `least` and `most`, and more than these where
+    that is not enough. Returns number and `stiff` as of `Steps`, the bias in standard deviations, and the
+    part of the points that the model carries to infinity.
     """
     parts, part = 1, span
     while True:
