@@ -193,12 +193,10 @@ def follow(filt, problem, words=None, careful=False):
 
 def _told(filt, infos, n_readings):
     """Errors that a filter tells of its mean, its variances and the evidence of the last readings."""
-    error_of = getattr(getattr(filt, "density", None), "error_of", None)
-    if error_of is None:  # a reference
+    if not hasattr(infos[-1], "variance_error"):  # a reference
         return np.array([getattr(infos[-1], "error", np.nan), np.nan, np.nan])
-    of_variance = error_of(lambda p: np.diag(p.cov())) / np.diag(filt.P)
     of_evidence = np.linalg.norm([info.evidence_error for info in infos[-n_readings:]])
-    return np.array([infos[-1].error, of_variance.max(), of_evidence])
+    return np.array([infos[-1].error, infos[-1].variance_error, of_evidence])
 
 
 def _even(t0, t1, parts):

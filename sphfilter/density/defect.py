@@ -35,8 +35,8 @@ Moments = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 #: error told is made of. Measured on 30 models of three seeds: told over made 1.6, .79 to 5.5 (8 of 10), and
 #: .016 below a third; with .2 of the second .024 are.
 OF_SHIFT, OF_UNSIGNED, _OF_REST = 1.2, 0.4, 0.15
-#: Degree of the polynomials for which the shape is taken that others inherit of a family, as those have in one
-#: state. Measured: six tails are told .6 to 1.2 of what is made, with 5 .75 to 2.1, with 8 .3 to .7.
+#: Degree of the polynomials for which the shape is taken that others inherit of a family: what those have in
+#: one state. Measured: six tails are told .6 to 1.2 of what is made, with 5 .75 to 2.1, with 8 .3 to .7.
 ROUGH = 6
 #: Standard deviations. Measured: .029 of 592 errors are told to a third at most and .46 to three times as
 #: much; with ten times .020 and .52, with none .16 and .33.

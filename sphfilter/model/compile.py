@@ -94,6 +94,8 @@ def arguments_of(function: object, name: str, data: Data = NO_DATA) -> tuple[str
     shown = ", ".join(f"({', '.join(form)})" for form in forms)
     if not callable(function):
         raise ModelError(f"{name} must be a function of {shown}, got {function!r}.")
+    if isinstance(function, np.ufunc):  # whose second argument is an array to be written
+        return forms[0]
     try:
         parameters = inspect.signature(_python(function)).parameters.values()
     except (TypeError, ValueError):
@@ -194,8 +196,9 @@ def _python(function: Any) -> Any:
 def _compile_one(function: Any, arguments: Sequence[str], name: str) -> tuple[Any, Any]:
     """Return the compiled function of one state and the numba type it returns."""
     signature = tuple(types.float64 if argument == "t" else types.float64[::1] for argument in arguments)
-    core = function if hasattr(function, "py_func") else njit(function, error_model="numpy")
+    own = (lambda x: function(x)) if isinstance(function, np.ufunc) else function
     try:
+        core = own if hasattr(own, "py_func") else njit(own, error_model="numpy")
         core.compile(signature)
         return core, core.overloads[signature].signature.return_type
     except (NumbaError, NotImplementedError, TypeError, AttributeError, AssertionError) as error:

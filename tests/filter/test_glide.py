@@ -22,8 +22,8 @@ def record(scene, target, n):
 
 
 NAMES = (
-    "x", "P", "x_prior", "P_prior", "log_evidence", "evidence_error", "error", "flagged", "innovation",
-    "innovation_cov",
+    "x", "P", "x_prior", "P_prior", "log_evidence", "evidence_error", "error", "variance_error",
+    "flagged", "innovation", "innovation_cov",
 )  # fmt: skip
 
 
@@ -34,8 +34,8 @@ def step_by_step(flt, times, z):
         prior = flt.x, flt.P
         updated = flt.update(reading)
         flagged = updated.flagged or (predicted is not None and predicted.flagged)
-        said = flt.log_likelihood, updated.evidence_error, updated.error, flagged, flt.y, flt.S
-        values = flt.x, flt.P, *prior, *said
+        errors = updated.evidence_error, updated.error, updated.variance_error
+        values = flt.x, flt.P, *prior, flt.log_likelihood, *errors, flagged, flt.y, flt.S
         for name, value in zip(NAMES, values, strict=True):
             found[name].append(value)
     return found

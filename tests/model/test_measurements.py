@@ -51,6 +51,12 @@ def test_all_missing():
         assert not sensor.observed(z).any()
 
 
+@pytest.mark.parametrize("vectorized", [False, True])
+def test_functions_of_numpy_are_taken_as_they_are(vectorized):
+    sensor = GaussianMeasurement(np.tanh, np.diag([0.1, 0.2, 0.3]), vectorized=vectorized)
+    np.testing.assert_allclose(sensor.predict(X, 0.0), np.tanh(X))
+
+
 def test_function_of_state_and_time():
     compiled = GaussianMeasurement(lambda x, t: (x[0] ** 2, x[1] * t), np.diag([0.1, 0.2]))
     rows = GaussianMeasurement(

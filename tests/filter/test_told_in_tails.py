@@ -1,0 +1,42 @@
+"""Readings in tails of predictions: what steps of a cloud, and a family that was, get wrong there is told."""
+
+import numpy as np
+import pytest
+
+import sphfilter as sf
+from reference_filters.grid import GridFilter
+
+
+def off(flt, grid):
+    return np.sqrt(np.mean((flt.x - grid.x) ** 2 / np.diag(grid.P)))
+
+
+@pytest.mark.parametrize("z", [-3.4, 3.0])
+def test_a_cloud_tells_what_its_steps_get_wrong_of_a_tail_and_takes_more(z):
+    model = sf.SDE.from_expressions(["x", "v"], ["v", "x - x**3 - 0.3*v"], [["0"], ["1"]], [[0.25]])
+    sensor, start = sf.GaussianMeasurement([[1.0, 0.0]], [[0.04]]), ([0.3, 0.0], 0.1 * np.eye(2))
+    grid = GridFilter(model, sensor, *start, size=160, tol=1e-4)
+    flt = sf.SPHFilter(model, sensor, *start, config=sf.FilterConfig(target_error=0.03))
+    for each in (flt, grid):
+        each.predict(t=2.0)
+    info, exact = flt.update([z]), grid.update([z]).log_evidence
+    # of usual steps .29 and .15, told .022 and .032
+    assert info.rung == "cloud" and off(flt, grid) < 0.12
+    assert off(flt, grid) < 3.0 * info.error
+    assert abs(info.log_evidence - exact) < 3.0 * info.evidence_error
+
+
+@pytest.mark.parametrize("z", [1.03, 0.98, -1.0])
+def test_a_lattice_that_follows_a_family_tells_what_that_got_wrong_of_a_tail(z):
+    model = sf.SDE.from_expressions(["x"], ["-0.3*x/sqrt(1 + x**2)"], [["0.0642"]], [[1.0]])
+    sensor, start = sf.GaussianMeasurement(lambda x: np.tanh(x), [[0.0032]]), ([0.2], [[2.64]])
+    grid = GridFilter(model, sensor, *start, size=600, tol=1e-5)
+    grid.predict(t=2.95)
+    grid.update([z])
+    flt = sf.SPHFilter(model, sensor, *start)
+    rungs = [flt.predict(t=t).rung for t in (0.7375, 1.475, 2.2125, 2.95)]
+    info = flt.update([z])
+    assert rungs == ["family", "lattice", "lattice", "lattice"]
+    made = off(flt, grid), abs(flt.P[0, 0] / grid.P[0, 0] - 1.0)
+    for told, error in zip((info.error, info.variance_error), made, strict=True):
+        assert error / 3.0 < told < 3.0 * error
