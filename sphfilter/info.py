@@ -13,16 +13,17 @@ import numpy as np
 
 from ._lines import in_a_line
 from ._types import Bools, Floats, Noted
+from .core.limits import EDGE
 
 __all__ = [
     "DOUBTFUL",
-    "MAY_BE_OFF",
     "NOTHING_CAME",
     "Code",
     "PredictInfo",
     "ResampleInfo",
     "UpdateInfo",
     "innovation_of",
+    "may_be_off",
 ]
 
 
@@ -31,7 +32,13 @@ NOTHING_CAME = "no measurement came"
 #: Estimated error of a mean, in standard deviations, that is said in words: errors lie within three times
 #: what is estimated, and a fifth of a standard deviation is wrong.
 DOUBTFUL = 0.2 / 3.0
-MAY_BE_OFF = "the mean may be off by {:.2g} standard deviations"
+
+
+def may_be_off(error: float) -> str:
+    """Sentence on an estimated error of a mean, standard deviations, that is worth one."""
+    if not error < EDGE:
+        return "how far the mean is off is not known"
+    return f"the mean may be off by {3.0 * error:.2g} standard deviations"
 
 
 class Code(IntFlag):

@@ -93,8 +93,14 @@ def _tell(console, results, seconds):
             first = f"{result.t[np.argmax(result.flagged)]:g}"
             doubted = counted(int(result.flagged.sum()), "line")
             console.print(
-                f"• {name_of(name)} doubts its answer in {doubted}, the first at {first}: outlying readings, "
-                f"or an error above its target (columns flagged and error of {name}.csv)."
+                f"• {name_of(name)} doubts its answer in {doubted}, the first at {first}: an error above its "
+                f"target (columns flagged and error of {name}.csv)."
+            )
+        if result.outlying.any():
+            first = f"{result.t[np.argmax(result.outlying)]:g}"
+            console.print(
+                f"• {counted(int(result.outlying.sum()), 'reading')}, the first at {first}, more than five "
+                f"standard deviations from what {name_of(name)} predicted (column outlying of {name}.csv)."
             )
     console.print(
         "• The log-evidence is the log-density that a filter gave to all measurements before it saw them. "
@@ -116,6 +122,7 @@ def write_result(path, result, states, time_name="t"):
         heading += [name, f"{name}_std"]
     pairs = np.stack([result.x, std], axis=2).reshape(len(result.t), -1)
     numbers = np.column_stack([result.t, pairs, result.log_evidence]).tolist()
-    doubts = zip(result.accepted, result.error, result.flagged, strict=True)
-    rows = ([*row, int(used), e, int(flag)] for row, (used, e, flag) in zip(numbers, doubts, strict=True))
-    write_csv(path, [*heading, "log_evidence", "accepted", "error", "flagged"], rows)
+    said = "accepted", "error", "flagged", "variance_error", "outlying"
+    doubts = zip(*(getattr(result, name).tolist() for name in said), strict=True)
+    rows = ([*row, *(+d for d in doubt)] for row, doubt in zip(numbers, doubts, strict=True))
+    write_csv(path, [*heading, "log_evidence", *said], rows)

@@ -13,7 +13,7 @@ from ..density.memory import FLAGGED, Memory, error_budget, min_nodes, tolerated
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
-from ..info import DOUBTFUL, MAY_BE_OFF, Code
+from ..info import DOUBTFUL, Code, may_be_off
 from ..prediction.family import fits_density
 from ..prediction.ladder import best_family, first_degree, prefers_cloud
 from .by_cloud import by_cloud
@@ -141,7 +141,7 @@ def _with_inherited(new: ParticleDensity, said: dict[str, Any], left: float, of_
     error = math.hypot(said["error"], left)
     said = said | {"error": error, "evidence_error": math.hypot(said["evidence_error"], of_evidence)}
     if error > DOUBTFUL:
-        said |= {"code": said["code"] | Code.UNRESOLVED, "status": MAY_BE_OFF.format(3.0 * error)}
+        said |= {"code": said["code"] | Code.UNRESOLVED, "status": may_be_off(error)}
     return new.noted(error=math.hypot(new.error, left)), said
 
 

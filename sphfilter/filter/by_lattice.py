@@ -12,7 +12,7 @@ from ..density.defect import ROUGH
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError
-from ..info import DOUBTFUL, MAY_BE_OFF, Code
+from ..info import DOUBTFUL, Code, may_be_off
 from ..lattice.check import Remote, beside, remote
 from ..lattice.field import extrapolated_mass, inside_lattice
 from ..lattice.resolved import TOLERATED, Resolved
@@ -112,7 +112,7 @@ def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> 
     if wider > 1.0 - ALIKE:
         said.append(f"what little is left out far away would widen the density: its variance by {wider:.0%}")
     if error > DOUBTFUL:
-        said.append(MAY_BE_OFF.format(3.0 * error))
+        said.append(may_be_off(error))
     if wrong > TOLERATED or found.left_out > most_left_out or wider > 1.0 - ALIKE or error > DOUBTFUL:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}

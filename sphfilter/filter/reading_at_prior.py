@@ -10,7 +10,7 @@ from ..config import FilterConfig
 from ..density.particle_density import ParticleDensity
 from ..density.points import moments
 from ..errors import ModelError
-from ..info import DOUBTFUL, MAY_BE_OFF, Code
+from ..info import DOUBTFUL, Code, may_be_off
 from ..lattice.resolved import Search
 from ..model.domain import Domain
 from ..model.measurements import GaussianSensor, Reading, Sensor, block, is_gaussian
@@ -155,7 +155,7 @@ def info_fields(
     asked: ReadingAtPrior, scheme: str, log_evidence: float, error: float, evidence_error: float
 ) -> dict[str, Any]:
     """Fields of the info of an update to families or Gaussians, with a flag where the mean is in doubt."""
-    code, status = (Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)) if error > DOUBTFUL else (Code.OK, "ok")
+    code, status = (Code.UNRESOLVED, may_be_off(error)) if error > DOUBTFUL else (Code.OK, "ok")
     return {
         "accepted": True,
         "log_evidence": log_evidence,

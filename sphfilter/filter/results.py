@@ -15,6 +15,7 @@ from ..info import innovation_of
 from ..model.measurements import Reading
 from ..model.named import InputRecord, each_input
 from ..validate import onwards
+from .reading_at_prior import OUTLYING
 from .readings import rows_of
 
 __all__ = ["TRUTHS", "AnyFilter", "FilterResult", "run_filter", "shapes"]
@@ -100,6 +101,15 @@ class FilterResult:
         """Estimated error of the log-evidence of a run, or of each, nats: of errors that are independent."""
         told = np.nan if self.evidence_error is None else self.evidence_error  # of a pickle of before
         return np.sqrt(np.sum(np.square(told), axis=-1))
+
+    @property
+    def outlying(self) -> Bools:
+        """Epochs whose reading lies five standard deviations or more from its prediction."""
+        y, S = np.asarray(self.innovation), np.asarray(self.innovation_cov)
+        missing = np.isnan(y) | np.isnan(np.diagonal(S, axis1=-2, axis2=-1))
+        pairs = missing[..., :, None] | missing[..., None, :]
+        y, S = np.where(missing, 0.0, y), np.where(pairs, np.eye(y.shape[-1]), S)
+        return np.einsum("...k,...k->...", y, np.linalg.solve(S, y[..., None])[..., 0]) > OUTLYING**2
 
     def __repr__(self) -> str:
         *lead, n = np.shape(self.x)

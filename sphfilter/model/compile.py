@@ -196,7 +196,7 @@ def _python(function: Any) -> Any:
 def _compile_one(function: Any, arguments: Sequence[str], name: str) -> tuple[Any, Any]:
     """Return the compiled function of one state and the numba type it returns."""
     signature = tuple(types.float64 if argument == "t" else types.float64[::1] for argument in arguments)
-    own = (lambda x: function(x)) if isinstance(function, np.ufunc) else function
+    own: Any = (lambda x: function(x)) if isinstance(function, np.ufunc) else function
     try:
         core = own if hasattr(own, "py_func") else njit(own, error_model="numpy")
         core.compile(signature)

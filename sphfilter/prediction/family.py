@@ -18,7 +18,7 @@ from ..density.defect import OF_UNSIGNED, Defect, read_out
 from ..density.family import ASTRAY, Family, turned
 from ..density.particle_density import ParticleDensity
 from ..errors import ConfigError, PropagationError, StoppedError
-from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
+from ..info import DOUBTFUL, Code, PredictInfo, may_be_off
 from ..model.compile import surfacing
 from ..model.sde import SDE
 from ._shared import blow_up, skip_notes
@@ -182,7 +182,7 @@ def _given_up(model: SDE, y: Any, report: Report, start: float, t1: float) -> Pr
 def _info(model: SDE, report: Report, error: float, of_variance: float) -> PredictInfo:
     code, status = Code.OK, "ok"
     if error > DOUBTFUL:
-        code, status = Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)
+        code, status = Code.UNRESOLVED, may_be_off(error)
     return PredictInfo(
         n_steps=report.steps,
         n_rejected=report.rejected,

@@ -42,7 +42,7 @@ from ..density.defect import ROUGH
 from ..density.memory import min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
-from ..info import DOUBTFUL, MAY_BE_OFF, Code, PredictInfo
+from ..info import DOUBTFUL, Code, PredictInfo, may_be_off
 from ..lattice.check import beside, deep_enough, left_out
 from ..lattice.level_set import (
     LatticeDensity,
@@ -387,7 +387,7 @@ def _info(
     cut = beside(moved.field, moved.mean(), moved.cov(), moved.walls)
     error, code, status = math.hypot(moved.error, cut.mean), Code.OK, "ok"
     if error > DOUBTFUL:
-        code, status = Code.UNRESOLVED, MAY_BE_OFF.format(3.0 * error)
+        code, status = Code.UNRESOLVED, may_be_off(error)
     skipped = ["neighbour search: the lattice knows its neighbours", "gradients: the expectation needs none"]
     skipped += [note for note in skip_notes(model, 0) if "evaluation of D" in note]
     if model.linear:

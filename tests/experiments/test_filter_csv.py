@@ -82,7 +82,8 @@ class TestCommand:
         exact = textbook()
         for name in ("kf", "ekf"):
             heading, rows = numbers(out / f"{name}.csv")
-            assert heading == ["hour", "x", "x_std", "log_evidence", "accepted", "error", "flagged"]
+            told = ["accepted", "error", "flagged", "variance_error", "outlying"]
+            assert heading == ["hour", "x", "x_std", "log_evidence", *told]
             np.testing.assert_allclose(rows[:, :4], exact, rtol=1e-5, atol=1e-6)
         said = capsys.readouterr().out
         assert f"{exact[:, 3].sum():.2f}" in said and "1 value missing" in said
@@ -102,11 +103,11 @@ class TestCommand:
         words = ["filter", "--model", str(model), "--data", str(data), "--filters", "kf,sph"]
         assert main([*words, "--out", str(tmp_path)]) == 0
         said = " ".join(capsys.readouterr().out.split())
-        assert "SPH doubts its answer in 1 line, the first at 86400: outlying readings" in said
+        assert "1 reading, the first at 86400, more than five standard deviations from what SPH" in said
         assert "Dates are counted in seconds" in said
         heading, rows = numbers(tmp_path / "sph.csv")
         assert heading[0] == "day, s from 2024-05-01 00:00:00"
-        assert rows[:, heading.index("flagged")].tolist() == [0.0, 1.0, 0.0]
+        assert rows[:, heading.index("outlying")].tolist() == [0.0, 1.0, 0.0]
         assert np.isfinite(rows[:, heading.index("error")]).all()
 
     def test_start_before_the_first_measurement(self, model, data, tmp_path):

@@ -5,6 +5,7 @@ import pytest
 
 import sphfilter as sf
 from reference_filters.grid import GridFilter
+from sphfilter.info import may_be_off
 
 
 def off(flt, grid):
@@ -40,3 +41,8 @@ def test_a_lattice_that_follows_a_family_tells_what_that_got_wrong_of_a_tail(z):
     made = off(flt, grid), abs(flt.P[0, 0] / grid.P[0, 0] - 1.0)
     for told, error in zip((info.error, info.variance_error), made, strict=True):
         assert error / 3.0 < told < 3.0 * error
+
+
+def test_an_error_that_says_nothing_is_said_to_be_none():
+    assert may_be_off(0.1) == "the mean may be off by 0.3 standard deviations"
+    assert may_be_off(1e27) == may_be_off(np.nan) == "how far the mean is off is not known"

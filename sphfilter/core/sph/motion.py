@@ -62,24 +62,8 @@ def stable_step(cloud, v, near, work, options):
     """Step size of 002 (18), absolute or relative to the nearest neighbour, within the diffusion limit.
 
     The diffusion limit is that of an explicit step on kernels of variance c_K h^2 (unstable from about
-    2.7 c_K h^2 / D on).
-
-    Parameters
-    ----------
-    cloud : Cloud
-    v : ndarray, shape (N + G, n)
-        Velocities of the particles and, after them, of their images.
-    near : Near
-    work : Work
-        With D as it is now.
-    options : record
-
-    Returns
-    -------
-    dt : float
-        Seconds; NaN where a velocity is not finite.
-    int
-        The particle that limits it.
+    2.7 c_K h^2 / D on). v (N + G, n) are velocities of the particles and, after them, of their images; `work`
+    has D as it is now. Returns seconds, NaN where a velocity is not finite, and the particle that limits it.
     """
     (start, neighbors), r, D = near.lists, near.r, work.D
     N, n = cloud.x.shape
