@@ -159,6 +159,7 @@ SAID = [
     lambda: predicted(line("-x"), scheme=sf.PaperScheme(max_steps=1)),
     lambda: predicted(line("4*x", domain=WALLS), 2.0, "paper", domain=WALLS),
     lambda: predicted(line("-x"), -1.0),
+    lambda: sf.update(sf.initialize(UNIT, "auto").noted(error=20.0), HEIGHT, [0.3])[1].status,
     lambda: predicted(line("4*sin(3*x)", "0.5"), 3.0, "family"),
     lambda: predicted(line("-x", domain=WALLS), scheme="family", domain=WALLS),
     lambda: sf.predict(laid(ROUND), wells(), 1.0, sf.SolverConfig(scheme=sf.FamilyScheme(degree=8))),

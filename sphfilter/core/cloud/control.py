@@ -35,7 +35,7 @@ __all__ = [
 SHADOW = 8  # points of a cloud over those of its shadow, which costs an eighth of the time
 _ORDER = 0.6  # of errors in the number of points: measured as .45 to .82, .61 on average (CLOUD.md)
 _NEW = 0.4  # weight of the last squared difference; measured: half, twice change evaluations by .09 at most
-#: Times fewer steps of a shadow: 1.65³ - 1 = 8^.6, what both are apart by is to what the cloud's are off by as
+#: Times fewer steps of a shadow: 1.65³ - 1 = 8^.6, what both are apart by is to what the cloud is off by as
 #: for errors of points, and is seen where a reading makes much of it, as in a tail.
 _FEWER = (1.0 + SHADOW**_ORDER) ** (1.0 / STEPS_ORDER)
 #: Error of a mean over that of as many points drawn at random: .3 to .65 after first readings of 90 random
