@@ -140,6 +140,7 @@ def _with_inherited(new: ParticleDensity, said: dict[str, Any], left: float, of_
     """A posterior on a lattice, and what is said of it, with the errors that a prior's family brings."""
     error = math.hypot(said["error"], left)
     said = said | {"error": error, "evidence_error": math.hypot(said["evidence_error"], of_evidence)}
+    said["variance_error"] = math.hypot(said["variance_error"], math.sqrt(2.0) * left)
     if error > DOUBTFUL:
         said |= {"code": said["code"] | Code.UNRESOLVED, "status": may_be_off(error)}
     return new.noted(error=math.hypot(new.error, left)), said

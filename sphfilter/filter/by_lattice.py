@@ -74,6 +74,7 @@ def by_lattice(
     return new, {
         "residual": new.residual or 0.0,
         "error": float(np.hypot(new.error, cut.mean)),
+        "variance_error": math.hypot(math.sqrt(2.0) * math.hypot(new.error, cut.mean), far.variance),
         "evidence_error": math.hypot(evidence_error, 0.0 if gaussian else left_out, inherited, unsure),
         "mass_left_out": left_out,
         "accepted": not unknown,
