@@ -9,7 +9,7 @@ from ..density.families import HEAVY
 from ..density.families_posterior import AWAY, families_posterior
 from ..density.gathering import merged_families
 from ..density.particle_density import ParticleDensity
-from .by_family import error_beyond_nodes
+from .by_family import errors_beyond_nodes
 from .inherited import left_by_update
 from .reading_at_prior import ReadingAtPrior, info_fields
 
@@ -30,10 +30,10 @@ def by_families(
     assert prior is not None
     found = families_posterior(prior, asked.log_weight, LITTLE / AWAY * allowed)
     new = families_density(density, found.families)
-    missed = 0.0
+    missed, nats = 0.0, 0.0
     if not asked.linear:
         both = (prior.log_p, moments_on_line(density)), (found.families.log_p, moments_on_line(new))
-        missed = error_beyond_nodes(density, asked, *both, found.log_evidence)
+        missed, nats = errors_beyond_nodes(density, asked, *both, found.log_evidence)
     left, evidence_error = left_by_update(density, new)
     error = math.hypot(left, found.error, missed)
     new = new.noted(error=error)
@@ -41,5 +41,5 @@ def by_families(
     if one is None:
         few, change = merged_families(found.families, allowed, HEAVY)
         one = families_density(new, few, error=math.hypot(error, change))
-    told = found.log_evidence, one.error, math.hypot(found.evidence_error, evidence_error)
+    told = found.log_evidence, one.error, math.hypot(found.evidence_error, evidence_error, nats)
     return one, info_fields(asked, "pieces", *told)

@@ -20,7 +20,7 @@ from ..model.measurements import block, is_gaussian
 from .inherited import evidence_error_by, evidence_error_of, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior, info_fields
 
-__all__ = ["by_family", "error_beyond_nodes", "family_update"]
+__all__ = ["by_family", "errors_beyond_nodes", "family_update"]
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
@@ -58,10 +58,11 @@ def family_update(
         return _in_closed_form(density, asked, *closed, n_particles)
     prior, misfit = family_of(density, degree)
     found = family_posterior(prior, asked.weight_on(density.domain), _linearised(density, asked))
-    missed = 0.0
+    missed, of_evidence = 0.0, found.evidence_apart
     if not asked.linear:
         both = (prior.log_p, _moments(prior)), (found.family.log_p, _moments(found.family))
-        missed = error_beyond_nodes(density, asked, *both, found.log_evidence)
+        missed, nats = errors_beyond_nodes(density, asked, *both, found.log_evidence)
+        of_evidence = math.hypot(of_evidence, nats)
     new = family_density(density, found.family, capacity=n_particles, gaussian=False)
     moments, before = (moments_on_line(density), moments_on_line(new)), defect_in(density, prior, misfit)
     left = after_reading(prior, before, found.family, found.products, moments)
@@ -71,10 +72,10 @@ def family_update(
     added = math.sqrt(max(error**2 - density.error**2, 0.0))
     if not added <= most:
         raise PropagationError(f"one family of degree {degree} is off by {added:.2g} after the reading")
-    evidence_error = evidence_error_by(read_out(prior, before), left.log_mass, density, new)
-    said = info_fields(
-        asked, "family", found.log_evidence, error, math.hypot(evidence_error, found.evidence_apart)
+    of_evidence = math.hypot(
+        of_evidence, evidence_error_by(read_out(prior, before), left.log_mass, density, new)
     )
+    said = info_fields(asked, "family", found.log_evidence, error, of_evidence)
     defect = left.defect._replace(U=left.defect.U + missed**2 * moments[1][1])
     said |= {"residual": left.rest, "variance_error": of_variance}
     return new.noted(error=error, defect=defect, rough=defect.rough(found.family)), said, added
@@ -110,13 +111,14 @@ def _kalman(density: ParticleDensity, asked: ReadingAtPrior, degree: int) -> tup
     return (found, evidence) if math.isfinite(evidence) else None
 
 
-def error_beyond_nodes(
+def errors_beyond_nodes(
     density: ParticleDensity, asked: ReadingAtPrior, prior: Shape, posterior: Shape, log_evidence: float
-) -> float:
-    """Error of the posterior's family, standard deviations, as points of the prior see it.
+) -> tuple[float, float]:
+    """Errors of the posterior's family, standard deviations, and of the log-evidence, as points of the prior
+    see it.
 
     At these the posterior and its family weigh the prior, and the difference of the weights tells by how much
-    mean and covariance differ: in tails, too, which lie beyond all nodes.
+    mean, covariance and integral differ: in tails, too, which lie beyond all nodes.
 
     Raises
     ------
@@ -148,7 +150,7 @@ def error_beyond_nodes(
     y = (X - own_mean) @ root.T
     with np.errstate(over="ignore", invalid="ignore"):  # of a family that is nowhere near
         apart = moments_apart(off @ y, (y * off[:, None]).T @ y - off.sum() * np.eye(len(mean)))
-    return min(apart, _LOST)
+    return min(apart, _LOST), min(abs(float(off.sum())), _LOST)
 
 
 def _moments(family: Family) -> tuple[Floats, Floats]:

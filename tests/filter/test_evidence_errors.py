@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 import sphfilter as sf
 
@@ -27,3 +28,15 @@ def test_a_prior_that_is_off_along_each_axis(z):
             log_evidence(np.zeros(2), COV + 1e-3 * np.sqrt(2.0) * np.outer(along, along), z) - here
         ) ** 2
     assert told == pytest.approx(np.sqrt(square), rel=0.01)
+
+
+@pytest.mark.parametrize(("b", "z"), [(0.2, 0.3), (0.2, 1.0), (0.4, 0.3), (1.0, 0.3), (1.0, 2.0)])
+def test_a_family_tells_what_its_nodes_miss_of_the_integral(b, z):
+    """A likelihood with an edge, exp(-|z - x| / b) / 2 b: two halves of Gaussians."""
+    sensor = sf.LikelihoodMeasurement(lambda z, X, t: -np.abs(z[0] - X[:, 0]) / b - np.log(2.0 * b), 1)
+    start = sf.initialize(sf.Gaussian([0.0], [[1.0]]), "auto")
+    _, info = sf.update(start, sensor, [z], sf.FilterConfig(target_error=0.1))
+    halves = [0.5 / b**2 + side * z / b + norm.logcdf(-side * z - 1.0 / b) for side in (-1.0, 1.0)]
+    off = abs(info.log_evidence - np.logaddexp(*halves) + np.log(2.0 * b))
+    assert info.rung == "family"
+    assert 0.9 * off < info.evidence_error < 4.0 * off
