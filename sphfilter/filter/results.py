@@ -109,7 +109,7 @@ class FilterResult:
         missing = np.isnan(y) | np.isnan(np.diagonal(S, axis1=-2, axis2=-1))
         pairs = missing[..., :, None] | missing[..., None, :]
         y, S = np.where(missing, 0.0, y), np.where(pairs, np.eye(y.shape[-1]), S)
-        return np.einsum("...k,...k->...", y, np.linalg.solve(S, y[..., None])[..., 0]) > OUTLYING**2
+        return np.einsum("...j,...jk,...k->...", y, np.linalg.pinv(S, hermitian=True), y) > OUTLYING**2
 
     def __repr__(self) -> str:
         *lead, n = np.shape(self.x)

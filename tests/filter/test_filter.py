@@ -315,3 +315,14 @@ def test_a_filter_tells_itself_in_a_line(config):
     particles = f"{flt.density.n_particles} particles (at most 150)"
     for text in ("states=('x0', 'x1'), t=0.5, x=[", "std=[", particles, f"scheme='{name}'"):
         assert text in said
+
+
+def test_outlying_readings_are_told_by_epoch_whatever_is_missing():
+    model, sensor = (
+        sf.LinearSDE(-np.eye(2), noise=np.eye(2)),
+        sf.GaussianMeasurement(np.eye(2), 0.1 * np.eye(2)),
+    )
+    z = [[0.1, 0.0], [np.nan, 9.0], [np.nan, np.nan], [0.1, np.nan], [8.0, 0.1]]
+    result = sf.SPHFilter(model, sensor, [0.0, 0.0], np.eye(2)).run(np.arange(1.0, 6.0), z)
+    assert result.outlying.tolist() == [False, True, False, False, True]
+    assert not result.flagged.any() and result.accepted.all()
