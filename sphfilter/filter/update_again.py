@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
-from ..core.limits import SAID
+from ..core.limits import EDGE, SAID
 from ..core.step_control import HELPED, TRIES
 from ..density.cloud import moments_of
 from ..density.memory import MISSED, points_for
@@ -176,7 +176,7 @@ def _on_more_points(
             break
         wanted = known._replace(points=more or known.points, waits=max(known.waits, 1))
         try:
-            asked = target * min(target / error, 1.0) if more and led and finer else target  # of steps, too
+            asked = target * target / error if more and led and finer and error < EDGE else target
             start = start.noted(needs=wanted)
             prior, posterior, info = _again(prediction, start, measurement, z, config, asked)
         except PropagationError:  # what there is already is better than none

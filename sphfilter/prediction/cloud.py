@@ -9,7 +9,7 @@ from .._types import Floats
 from ..config import CloudScheme
 from ..core.cloud.control import SHADOW, apart_by, bias_allowed, step_after, steps_of_shadow
 from ..core.cloud.pace import FIRST_TRIED, MOST_LOST, ORDER, Steps
-from ..core.cloud.weights import AWAY, compared, near_others
+from ..core.cloud.weights import AWAY, any_beyond, compared, near_others
 from ..core.limits import LOOK, SAID
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
@@ -112,11 +112,14 @@ def carried_cloud(
     steps, pace = _steps(state, model, span, scheme.max_steps, target)
     alike = steps.stiff or model.domain.walled.any()
     fewer = steps_of_shadow(steps.number, alike, least_steps(model, state.points.x, span))
-    ends, sums, lost = [], [], 0.0
+    ends: list[Points] = []
+    sums, lost = [], 0.0
     for k, (points, many) in enumerate(((state.points, count), (state.shadow, shadow_size(count)))):
         begun, key = unrolled_about_mean(points, domain), stored_key(state.age, k)
         own = steps if k == 0 else steps._replace(number=fewer)
         moved = moved_points(begun, model, t0, t1, own, many, key)
+        if own.number < steps.number and any_beyond(moved.x, ends[0].x):
+            moved = moved_points(begun, model, t0, t1, steps, many, key)
         moved, gone = without_runaways(moved, domain)
         lost = gone if k == 0 else lost
         if gone > MOST_LOST:

@@ -46,3 +46,11 @@ def test_a_lattice_that_follows_a_family_tells_what_that_got_wrong_of_a_tail(z):
 def test_an_error_that_says_nothing_is_said_to_be_none():
     assert may_be_off(0.1) == "the mean may be off by 0.3 standard deviations"
     assert may_be_off(1e27) == may_be_off(np.nan) == "how far the mean is off is not known"
+
+
+def test_points_that_the_few_steps_of_a_shadow_throw_out_tell_nothing():
+    model = sf.SDE.from_expressions(["x", "v"], ["v", "0.845*(1 - x**2)*v - x"], [["0"], ["1"]], [[0.1]])
+    sensor = sf.GaussianMeasurement([[0.0, 1.0]], [[0.5]])
+    flt = sf.SPHFilter(model, sensor, [-1.0, 0.0], np.diag([6.25, 0.92]))
+    for t in (0.13, 0.26, 0.39):  # of a shadow of fewer steps .34 was told
+        assert flt.predict(t=t).error < 0.02 and flt.update([0.1]).error < 0.02

@@ -36,7 +36,7 @@ from .pace import FIRST_TRIED, MOST_LOST, chosen, over
 from .reading import READER, Part, Reader, foreseen, weigh
 from .steps import CUBE, LEG
 from .way import begin, carry, carry_linear
-from .weights import AWAY, carriers, compared, effective, near_others, weighted_moments
+from .weights import AWAY, any_beyond, carriers, compared, effective, near_others, weighted_moments
 
 __all__ = [
     "FEW",
@@ -248,8 +248,11 @@ def _both(about, few, s, nets, curve):
     keys = stored(s.age, 0), stored(s.age + 1, 2)
     one = _cycled(about, (s.x, s.w, s.lineage), nets[0], keys, curve)
     keys = stored(s.age, 1), stored(s.age + 1, 3)
-    about = about[0], few, about[2], about[3]
-    return one, _cycled(about, (s.few_x, s.few_w, s.few_lineage), nets[1], keys, curve)
+    cloud = s.few_x, s.few_w, s.few_lineage
+    two = _cycled((about[0], few, about[2], about[3]), cloud, nets[1], keys, curve)
+    if few.steps < about[1].steps and any_beyond(two.y, one.y):
+        two = _cycled(about, cloud, nets[1], keys, curve)
+    return one, two
 
 
 @jit

@@ -140,25 +140,13 @@ def joined(Phi, G, flow, lower):
 
 @jit
 def linear_reading(hy, x, u, w, block, start, Phi, L, H, R, angle, wider, misses):
-    """What a reading sees of a way of points, linearised in blocks: HL, and the noise that a guide takes.
+    """What a reading sees of a way of points, linearised in blocks: HL (blocks, k, n), and the noise
+    (blocks, k, k) that a guide takes.
 
     What linearity misses is half the mean square difference of neighbours' readings less their linear parts.
     Neighbours on the curve stand for the second derivatives of a block: what is the same for both cancels.
-
-    Parameters
-    ----------
-    hy : ndarray, shape (N, k)
-        Readings of the ends.
-    x, u, w, block : ndarray, shapes (N, n), (N, n), (N,), (N,)
-    start, Phi, L : ndarray, shapes (blocks, n), (blocks, n, n), (blocks, n, n)
-    H, R : ndarray, shapes (1 or blocks, k, n), (1 or blocks, k, k)
-    angle : ndarray of bool, shape (k,)
-    wider, misses : float
-        Times R, and times what linearity misses, that make the noise.
-
-    Returns
-    -------
-    HL, noise : ndarray, shapes (blocks, k, n), (blocks, k, k)
+    The noise is `wider` times R and `misses` times what linearity misses; H and R are of one or all blocks,
+    hy (N, k) are readings of the ends, and x, u, w, block of N points, start, Phi, L of blocks are a way's.
     """
     (N, k), n, nb = hy.shape, x.shape[1], start.shape[0]
     HL, HPhi = np.zeros((nb, k, n)), np.zeros((nb, k, n))

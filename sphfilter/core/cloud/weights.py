@@ -8,12 +8,13 @@ from numba import njit
 from .._jit import jit
 from .._views import rows_at
 from ..elementary import FAST
-from ..limits import LOOK, ROUNDING
+from ..limits import LITTLE, LOOK, ROUNDING
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
 from .noise import LANES
 
 __all__ = [
     "AWAY",
+    "any_beyond",
     "carriers",
     "compared",
     "effective",
@@ -130,6 +131,20 @@ def finite_rows(x):
         for a in range(n):
             fine[i] &= abs(x[i, a]) < np.inf
     return fine, every
+
+
+@jit
+def any_beyond(few, x):
+    """Whether one of few points (K, n) lies beyond all x (N, n): steps that are too long throw them."""
+    for a in range(x.shape[1]):
+        low, high = x[0, a], x[0, a]
+        for i in range(x.shape[0]):
+            low, high = min(low, x[i, a]), max(high, x[i, a])
+        reach = LITTLE * (high - low)
+        for i in range(few.shape[0]):
+            if not low - reach <= few[i, a] <= high + reach:
+                return True
+    return False
 
 
 @jit
