@@ -182,7 +182,7 @@ def follow(filt, problem, words=None, careful=False):
         for sensor, z in zip(problem.sensors, problem.z, strict=True):
             infos.append(filt.update(z[epoch], sensor))
             log_evidence += infos[-1].log_evidence
-        told, flagged = _told(filt, infos, len(problem.sensors)), False
+        told, flagged = _told(infos, len(problem.sensors)), False
         for info in infos:
             if getattr(info, "flagged", False):
                 flagged = True
@@ -191,7 +191,7 @@ def follow(filt, problem, words=None, careful=False):
         yield filt.x.copy(), filt.P.copy(), log_evidence, told, getattr(infos[-1], "rung", ""), flagged
 
 
-def _told(filt, infos, n_readings):
+def _told(infos, n_readings):
     """Errors that a filter tells of its mean, its variances and the evidence of the last readings."""
     if not hasattr(infos[-1], "variance_error"):  # a reference
         return np.array([getattr(infos[-1], "error", np.nan), np.nan, np.nan])

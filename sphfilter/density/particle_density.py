@@ -176,7 +176,7 @@ class ParticleDensity(Noted):
         domain: Domain | None = None,
         **known: float,
     ) -> "ParticleDensity":
-        """The density of a `level_set.Laid` at time t; known: its `residual`, `error`, `lost`."""
+        """The density of a `level_set.Laid` at time t; known: its `residual`, `error`, `lost`, `rough`."""
         about: dict[str, Any] = {"t": t, "capacity": capacity, "gaussian": gaussian, "domain": domain} | known
         return cls(**lattice_particles(laid), **about)
 

@@ -169,8 +169,8 @@ def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
     middles = density.pieces.mean if density.pieces else density.families.mu if density.families else None
     laid = family_on_lattice(whole.log_p, density.moments, n_particles, middles)
     about = density.t, density.capacity, density.gaussian, density.domain
-    new = ParticleDensity.on_lattice(laid, *about, error=density.error, lost=density.lost)
-    return new.noted(rough=density.rough)
+    error, lost, rough = density.error, density.lost, density.rough
+    return ParticleDensity.on_lattice(laid, *about, error=error, lost=lost, rough=rough)
 
 
 def regrid(

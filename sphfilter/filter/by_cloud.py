@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..core.cloud.control import WRONG, both, evidence_error, least_error
+from ..core.cloud.control import WRONG, errors_told, evidence_error, least_error
 from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
@@ -114,12 +114,11 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
     least, bias = least_error(found.effective, state.size), state.pace.bias
-    own = both(max(told.errors.mean, least), bias)
-    of_variance = both(max(told.errors.variance, math.sqrt(2.0) * least), math.sqrt(2.0) * bias)
+    errors = errors_told(told.mean, told.variance, least, bias)
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
     unsure = evidence_error(told.log_evidence, found.lineages, state.size, len(found.moments[0]))
-    return CloudReading(state, found.moments, found.log_evidence, unsure, own, of_variance)
+    return CloudReading(state, found.moments, found.log_evidence, unsure, *errors)
 
 
 def error_added(

@@ -66,8 +66,8 @@ def by_lattice(
         new = density
     else:
         far = far if gaussian else _remote(density, new, asked, log_evidence)
-        new = replace(new, error=math.hypot(error, far.mean), lost=left * density.lost)
-        new = new.noted(rough=left**ROUGH * density.rough)
+        before = left * density.lost, left**ROUGH * density.rough
+        new = replace(new, error=math.hypot(error, far.mean), lost=before[0], rough=before[1])
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     left_out = cut.mass if found is None else max(cut.mass, found.left_out)
     inherited = math.nan if unknown else evidence_error_of(density, new)  # unknown, it is a guess

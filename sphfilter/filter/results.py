@@ -51,7 +51,7 @@ class FilterResult:
     variance_error : ndarray, shape (T,)
         Estimated error of the variances of the states, as a part of each, where it is most.
     flagged : ndarray of bool, shape (T,)
-        True where prediction or update said that something was unusual: a status other than "ok", a reason.
+        True where prediction or update said that something was unusual: a status other than "ok", a refusal.
     innovation, innovation_cov : ndarray, shapes (T, k), (T, k, k)
         Measurement minus its prediction, and the covariance of the difference; NaN where no measurement came
         or the filter does not say.

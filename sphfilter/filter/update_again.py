@@ -160,7 +160,7 @@ def _on_more_points(
     Readings of the same time are used once more; without a prediction, the prior itself is drawn anew.
     """
     (prior, posterior, info), best, before = once, once, prediction.before
-    start, finer, grown = prior if before is None else before, True, True
+    start, finer = prior if before is None else before, True
     target, known = target_of(prior, config, None), start.needs
     if target is None or known is None or config.time_budget or info.reason == NOTHING_CAME:
         return once

@@ -109,14 +109,12 @@ def carried_cloud(
 ) -> Carried:
     """Carry a cloud and its shadow over a span of time: what `propagate` does with densities."""
     (t0, t1), count = span, scheme.n_points
-    steps, pace = _steps(state, model, span, scheme.max_steps, target)
-    alike = steps.stiff or model.domain.walled.any()
-    fewer = steps_of_shadow(steps.number, alike, least_steps(model, state.points.x, span))
+    steps, few, pace = _steps(state, model, span, scheme.max_steps, target)
+    clouds = (state.points, count, steps), (state.shadow, shadow_size(count), few)
     ends: list[Points] = []
     sums, lost = [], 0.0
-    for k, (points, many) in enumerate(((state.points, count), (state.shadow, shadow_size(count)))):
+    for k, (points, many, own) in enumerate(clouds):
         begun, key = unrolled_about_mean(points, domain), stored_key(state.age, k)
-        own = steps if k == 0 else steps._replace(number=fewer)
         moved = moved_points(begun, model, t0, t1, own, many, key)
         if own.number < steps.number and any_beyond(moved.x, ends[0].x):
             moved = moved_points(begun, model, t0, t1, steps, many, key)
@@ -189,18 +187,19 @@ def unrolled_about_mean(points: Points, domain: Domain | None) -> Points:
 
 def _steps(
     state: CloudState, model: SDE, span: tuple[float, float], most: int, target: float
-) -> tuple[Steps, Pace]:
-    """Steps whose bias is small beside the points' error, and the pace of the next."""
+) -> tuple[Steps, Steps, Pace]:
+    """Steps whose bias is small beside the points' error, those of the shadow, and the pace of the next."""
     pace = state.pace._replace(legs=state.pace.legs + 1)
     if model.linear:
-        return Steps(1), pace
+        return Steps(1), Steps(1), pace
     dt, (step, stiff, legs, _), points = span[1] - span[0], pace, state.points
     shorter = legs ** (1.0 / ORDER)  # biases of predictions without a reading between add up
     least = least_steps(model, points.x, span)
     number = math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else FIRST_TRIED
     if model.domain.walled.any():
         number = max(least, number, math.ceil(dt / _beside_walls(model, points, span[0])))
-        return Steps(_enough(number, most, span), stiff), pace
+        alike = Steps(_enough(number, most, span), stiff)
+        return alike, alike, pace
     told = state.told.errors.mean
     allowed = bias_allowed(told, len(points.w), state.inherited, DOUBTFUL, target, legs)
     about = Steps(number, stiff), (least, most), allowed, stored_key(state.age, 0)
@@ -210,7 +209,8 @@ def _steps(
     _enough(steps.number, most, span)
     next_step = step_after(dt * shorter, steps.number, bias / allowed)
     bias = pace.bias + (bias if math.isfinite(bias) else 0.0)
-    return steps, Pace(next_step, steps.stiff, legs, bias)
+    few = steps._replace(number=steps_of_shadow(steps.number, steps.stiff, least))
+    return steps, few, Pace(next_step, steps.stiff, legs, bias)
 
 
 def least_steps(model: SDE, x: Floats, span: tuple[float, float]) -> int:

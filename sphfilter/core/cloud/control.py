@@ -20,6 +20,7 @@ __all__ = [
     "both",
     "decisive",
     "error_by",
+    "errors_told",
     "evidence_error",
     "expected_square",
     "least_error",
@@ -110,6 +111,14 @@ def least_error(number, size):
     if number < LOOK:
         return 1.0 / math.sqrt(number)
     return _OF_RANDOM * max(1.0 - number / size, 0.0) / math.sqrt(number)
+
+
+@register_jitable
+def errors_told(mean, variance, least, bias):
+    """Errors of mean and variances: what a shadow shows (squares), at least that of few points, and steps."""
+    root = math.sqrt(2.0)  # of what a mean is off by, a variance is, where nothing more is known
+    of_variance = both(max(error_by(variance), root * least), root * bias)
+    return both(max(error_by(mean), least), bias), of_variance
 
 
 @register_jitable

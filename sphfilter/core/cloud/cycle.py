@@ -21,6 +21,7 @@ from .control import (
     both,
     decisive,
     error_by,
+    errors_told,
     evidence_error,
     expected_square,
     least_error,
@@ -170,9 +171,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         _keep(one.found[4], one.found[5], x, C, j)
         evidence[j] = one.found[3]
         unsure[j] = evidence_error(squares[2], one.found[7], count, n)
-        least_of, root = least_error(one.found[6], count), math.sqrt(2.0)
-        error[j] = both(max(error_by(squares[0]), least_of), bias)
-        wider[j] = both(max(error_by(squares[1]), root * least_of), root * bias)
+        error[j], wider[j] = errors_told(squares[0], squares[1], least_error(one.found[6], count), bias)
         away, spread = foreseen(about[3], one.y, one.w, one.mean, one.cov)
         _keep(away, spread, off, S, j)
         if not _unremarkable(error[j], squares, away, spread, bounds):

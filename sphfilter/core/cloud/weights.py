@@ -192,16 +192,9 @@ def carriers(x, log_w, ancestor, older):
     until noise has parted it: the mean's number is the least by lineages of one reading and of more (Olsson &
     Douc 2019).
 
-    Parameters
-    ----------
-    x : ndarray, shape (N, n)
-        States; one that is no number weighs nothing.
-    log_w : ndarray, shape (N,)
-        Logarithms of weights whose sum is the evidence.
-    ancestor : ndarray of int, shape (N,)
-        Of each among the points of the prior.
-    older : ndarray of int, shape (readings, M)
-        Of each of the prior's M points, among those of the reading before, of the one before that, and so on.
+    States x (N, n) that are no numbers weigh nothing; exp(log_w) (N,) have the evidence as their sum. Each
+    has an ancestor (N,) among the prior's M points, and these `older` ones (readings, M) among those of the
+    reading before, of the one before that, and so on.
 
     Returns
     -------
