@@ -50,6 +50,7 @@ from .inference.estimation import ParameterFit, fit_parameters, profile_evidence
 from .inference.model_comparison import ModelComparison, compare_models
 from .inference.smoother import SmoothedResult, smooth
 from .info import Code, PredictInfo, ResampleInfo, UpdateInfo
+from .model.discrete import DiscreteModel
 from .model.domain import Domain
 from .model.jump_markov import JumpMarkovModel
 from .model.likelihood import LikelihoodMeasurement
@@ -70,6 +71,7 @@ __all__ = [
     "CloudScheme",
     "Code",
     "ConfigError",
+    "DiscreteModel",
     "Domain",
     "EstimationError",
     "ExpressionError",

@@ -6,20 +6,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, Ints
-from ..core._addresses import address_of
+from ..core._addresses import NOWHERE_AT, address_of
 from ..core._views import as_compiled
 from ..core.cloud.curve import along_curve, places
 from ..core.cloud.cycle import PARTS, Bounds, Standing
 from ..core.cloud.cycle import put_through as through
 from ..core.cloud.linearise import LINEARISE, centres, linearise, lower_and_rows
+from ..core.cloud.maps import LINEARISE_MAP, MAPPED, linearise_map
 from ..core.cloud.move import MOVE, affine, move
-from ..core.cloud.noise import LANES, even_normals, mixed, stored
+from ..core.cloud.noise import ADDITIVE, LANES, NORMAL, OF_STATE, even_normals, mixed, stored
 from ..core.cloud.pace import Steps, chosen
 from ..core.cloud.reading import Reader
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, NO_LEG, STIFF_FLOW, Leg
 from ..core.cloud.way import AGAIN, FIRST, KERNEL, begin, blocks_of, carry, carry_linear, everywhere
 from ..model.compile import surfacing
+from ..model.discrete import DiscreteModel
 from ..model.discretization import linear_transition
+from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from ..model.simulate import noise_root
 from .carriers import NO_LINES
@@ -89,7 +92,7 @@ def points_of_sample(points: Points, count: int, key: int) -> Points:
 
 
 def moved_points(
-    points: Points, model: SDE, t0: float, t1: float, steps: Steps, count: int, key: int
+    points: Points, model: Dynamics, t0: float, t1: float, steps: Steps, count: int, key: int
 ) -> Points:
     """Points carried over an interval in steps; those of a new path are `count`."""
     path = points.path
@@ -147,7 +150,7 @@ class Through(NamedTuple):
 
 def put_through(
     state: CloudState,
-    model: SDE,
+    model: Dynamics,
     times: Floats,
     readings: tuple[Reader, Floats],
     least: Ints,
@@ -161,7 +164,7 @@ def put_through(
     ----------
     state : CloudState
         As a reading has left it, with errors that are its own.
-    model : SDE
+    model : SDE or DiscreteModel
     times : ndarray, shape (K + 1,)
         Seconds, first that of the cloud.
     readings : tuple of Reader, ndarray, shape (K, k)
@@ -204,7 +207,7 @@ def _lineage_of(points: Points) -> Ints:
     return NO_LINES if points.lineage is None else points.lineage
 
 
-def gone_again(path: Path, models: tuple[SDE, ...]) -> Path:
+def gone_again(path: Path, models: tuple[Dynamics, ...]) -> Path:
     """A path of which only what begins it is known, and of its predictions the models, spans and steps."""
     x, own = path.x, iter(models)
     passages: list[Passage] = []
@@ -240,29 +243,31 @@ def gone(passage: Passage, x: Floats, u: Floats, block: Ints, again: bool) -> Fl
     return x
 
 
-def leg_of(model: SDE, t0: float, t1: float, steps: int, stiff: bool = False) -> Leg:
+def leg_of(model: Dynamics, t0: float, t1: float, steps: int, stiff: bool = False) -> Leg:
     """A model over an interval, as compiled code takes it."""
     return _leg(model, stiff)._replace(t=t0, h=(t1 - t0) / steps, steps=steps)
 
 
 @lru_cache(maxsize=64)
-def _leg(model: SDE, stiff: bool) -> Leg:
+def _leg(model: Dynamics, stiff: bool) -> Leg:
     """A model over no time yet."""
-    additive, functions = not model.state_dependent_noise, (model.flow_drift_batch, model.flow_jacobian_batch)
-    own = STIFF_FLOW if stiff else FLOW, BESIDE if additive else BETWEEN, LINEARISE, MOVE
-    at = [address_of(function) for function in (*functions, model.noise_batch, *own)]
-    data, time = (model.p, _root(model), model.domain.codes), (0.0, 0.0, 0)
-    kinds = additive, model.constant_diffusion, "reflecting" in model.domain.kinds
-    return Leg._make([*at, *data, *time, *kinds])
+    own: tuple[Any, ...]
+    if isinstance(model, DiscreteModel):
+        own = model.step_batch, model.jacobian_batch, None, None, MAPPED, LINEARISE_MAP, MOVE
+        Q, kinds = model.covariance, (NORMAL, False, False)
+    else:
+        assert isinstance(model, SDE)
+        additive, flow = not model.state_dependent_noise, (model.flow_drift_batch, model.flow_jacobian_batch)
+        moves = STIFF_FLOW if stiff else FLOW, BESIDE if additive else BETWEEN, LINEARISE, MOVE
+        own, Q = (*flow, model.noise_batch, *moves), model.spectral_density
+        walls = "reflecting" in model.domain.kinds
+        kinds = ADDITIVE if additive else OF_STATE, model.constant_diffusion, walls
+    at = [NOWHERE_AT if function is None else address_of(function) for function in own]
+    return Leg._make([*at, model.p, noise_root(Q), model.domain.codes, 0.0, 0.0, 0, *kinds])
 
 
 @lru_cache(maxsize=64)
-def _root(model: SDE) -> Floats:
-    return noise_root(model.spectral_density)
-
-
-@lru_cache(maxsize=64)
-def change_of(model: SDE, dt: float) -> tuple[Floats, Floats, Floats]:
+def change_of(model: Dynamics, dt: float) -> tuple[Floats, Floats, Floats]:
     """Φ, offset and root of the noise of a linear model over a time, as compiled code takes them."""
     flow, offset, Q = linear_transition(model, dt)
     return flow.copy(), offset.copy(), noise_root(Q)
@@ -270,7 +275,7 @@ def change_of(model: SDE, dt: float) -> tuple[Floats, Floats, Floats]:
 
 def chosen_steps(
     points: Points,
-    model: SDE,
+    model: Dynamics,
     span: tuple[float, float],
     begin: Steps,
     bounds: tuple[int, int],
@@ -287,7 +292,7 @@ def chosen_steps(
     return Steps(number, stiff), bias, lost
 
 
-def _passage(model: SDE, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:
+def _passage(model: Dynamics, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:
     """A model over an interval, linearised about blocks of points x (N, n)."""
     start = centres(x)
     if model.linear:
@@ -312,11 +317,13 @@ def _linearised(leg: Leg, start: Floats) -> tuple[Floats, Floats, Floats, Floats
     """Ends of centres (blocks, n), Φ, L and V of a leg."""
     end = start.copy()
     with surfacing():
-        flow, B = linearise(leg, end)
+        flow, B = (linearise_map if leg.kind == NORMAL else linearise)(leg, end)
     return end, flow, *lower_and_rows(B)
 
 
-def _changed(model: SDE | None, key: int, start: Floats, change: tuple[Floats, Floats, Floats]) -> Passage:
+def _changed(
+    model: Dynamics | None, key: int, start: Floats, change: tuple[Floats, Floats, Floats]
+) -> Passage:
     """A change Φ x + offset + L u of points in blocks of these centres (blocks, n)."""
     end, flow, lower = everywhere(change, start)
     return Passage(None, key, start, end, flow, lower, _NO_ROWS, model)

@@ -17,7 +17,7 @@ from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
 from ..errors import ModelError
 from ..model.domain import Domain
-from ..model.sde import SDE
+from ..model.dynamics import Dynamics
 from .as_cloud import cloud_density, cloud_of
 from .carriers import NO_LINES
 from .defect import Defect
@@ -74,13 +74,13 @@ def stored(density: ParticleDensity) -> Arrays:
     return arrays | {"about": np.array(json.dumps(about))}
 
 
-def density_from(arrays: Arrays, models: Sequence[SDE] = ()) -> ParticleDensity:
+def density_from(arrays: Arrays, models: Sequence[Dynamics] = ()) -> ParticleDensity:
     """The density of arrays that `stored` made.
 
     Parameters
     ----------
     arrays : dict of str to ndarray
-    models : sequence of SDE
+    models : sequence of SDE or DiscreteModel
         Those of a cloud's predictions since the last reading, or one for all of them. Without any the points
         are there, and a reading weighs them, but does not lead them.
     """
@@ -123,7 +123,7 @@ def _needs_from(known: list[Any]) -> Memory:
     return Memory(*(known if same else known[:5]))
 
 
-def models_of(density: ParticleDensity) -> tuple[SDE, ...]:
+def models_of(density: ParticleDensity) -> tuple[Dynamics, ...]:
     """The models of a cloud's predictions since the last reading, which `density_from` needs."""
     path = None if density.cloud is None else density.cloud.points.path
     return () if path is None else tuple(p.model for p in path.passages if p.model is not None)
@@ -155,7 +155,7 @@ def _stored_cloud(state: CloudState) -> Arrays:
     return under("cloud", arrays)
 
 
-def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[SDE]) -> ParticleDensity:
+def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[Dynamics]) -> ParticleDensity:
     """The cloud of arrays that `_stored_cloud` made."""
     step, *_, stiff, legs, bias = arrays["pace"].tolist()  # older files had one more
     pace = Pace(step, bool(stiff), int(legs), bias)
@@ -176,7 +176,7 @@ def _origin_from(arrays: Arrays) -> Origin:
     return Origin(family, defect, unsigned, arrays.get("off"), log_mass)
 
 
-def _points_from(arrays: Arrays, models: Sequence[SDE]) -> Points:
+def _points_from(arrays: Arrays, models: Sequence[Dynamics]) -> Points:
     """The points of a cloud, with their path where models are given."""
     family = arrays.get("family")  # older files have one row
     points = Points(arrays["x"], arrays["w"], lineage=None if family is None else np.atleast_2d(family))

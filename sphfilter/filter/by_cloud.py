@@ -138,11 +138,14 @@ def error_added(
     NaN where it cannot be told.
     """
     points, (step, stiff, *_), many = before.points, after.pace, shadow_size(after.size)
-    if points.path is not None or not (step > 0.0 or all(model.linear for model, _ in legs)):
+    if points.path is not None:
         return math.nan
     moved, age = _part_of(points, many), before.age
     for model, end in legs:
-        steps = Steps(1) if model.linear else Steps(max(math.ceil((end - t) / step), 1), stiff)
+        own = model.own_steps(t, end)
+        if not own and not step > 0.0:
+            return math.nan
+        steps = Steps(own) if own else Steps(max(math.ceil((end - t) / step), 1), stiff)
         moved, t, age = moved_points(moved, model, t, end, steps, many, stored_key(age, 1)), end, age + 1
     if not np.isfinite(moved.x).all():
         return math.nan

@@ -10,10 +10,10 @@ from ..config import FilterConfig
 from ..density.modes import ModeDensities, SplittingError
 from ..density.storage import Arrays, density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import ModelError
+from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel
 from ..model.measurements import Sensor
 from ..model.named import driven
-from ..model.sde import SDE
 from ..prediction.predict import Prediction
 from ..prediction.switching import ModesPrediction
 from .read_only import read_only
@@ -57,7 +57,7 @@ def _of_particles(state: FilterState[Any], filt: Any) -> Arrays:
     return arrays | under("density", stored(state.density)) | under("origin", _stored_origin(state))
 
 
-def restored(path: str | PathLike[str], model: SDE, measurement: Sensor | None) -> Restored:
+def restored(path: str | PathLike[str], model: Dynamics, measurement: Sensor | None) -> Restored:
     """Read what `write` wrote of an `SPHFilter`: arguments that make it, its attributes, parts of its state.
 
     Raises `ModelError` if the file cannot be read or holds no filter.
@@ -99,7 +99,7 @@ def _stored_origin(state: FilterState[Any]) -> Arrays:
     return {}
 
 
-def _origin(arrays: Arrays, model: SDE, measurement: Sensor | None) -> Prediction | Update | None:
+def _origin(arrays: Arrays, model: Dynamics, measurement: Sensor | None) -> Prediction | Update | None:
     """The origin of arrays that `_stored_origin` made; None if there are none."""
     if not arrays:
         return None

@@ -22,6 +22,7 @@ from ..density.resample import max_particles_of, target_of
 from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL
 from ..model.measurements import GaussianMeasurement
+from ..model.sde import SDE
 from ..prediction.cloud import carried_cloud, least_steps, shadow_size
 from .by_cloud import cloud_times_likelihood, error_added
 from .read_only import read_only as as_found
@@ -100,7 +101,8 @@ class _Run:
         self.reached = _Reached(density.cloud, density.needs, [], filt.t)
         self._sensor, self._model = filt.measurement, filt.model
         self._target: Any = target_of(density, filt.config, "auto")
-        self._steady = filt.model.autonomous or filt.model.linear  # else steps follow how a model changes
+        model = filt.model
+        self._steady = model.autonomous or model.linear or not isinstance(model, SDE)
         self._known: Stacked | None = None
         self._raised = False
 
@@ -139,7 +141,7 @@ class _Run:
         K = min(len(Z), max(_POINTS // count, 1)) if self._steady else 1
         times, Z = times[: K + 1], Z[:K]
         spans = zip(times[:-1].tolist(), times[1:].tolist(), strict=True)
-        least = np.array([1 if model.linear else least_steps(model, state.points.x, span) for span in spans])
+        least = np.array([least_steps(model, state.points.x, span) for span in spans])
         bounds = target, MISSED * target, FLAGGED * target, DOUBTFUL, OUTLYING, CloudScheme().max_steps
         reader = self._stacked(Z[0], times[1]).reader
         assert reader is not None

@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike
 from .._types import Floats, Interval, Readings, Reported, Rows
 from ..errors import ModelError
 from ..model.compile import StateFunction
+from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel
 from ..model.measurements import GaussianMeasurement, Sensor
 from ..model.named import InputValues
-from ..model.sde import SDE
 from ..model.sensors import Sensors
 from ..validate import short
 
@@ -23,7 +23,7 @@ def sensor_of(
     own: Any,
     given: Sensor | ArrayLike | str | None,
     H: ArrayLike | StateFunction | None,
-    model: SDE | JumpMarkovModel,
+    model: Dynamics | JumpMarkovModel,
 ) -> Sensor:
     """The sensor of a reading: the filter's own, with another R or h, one of it by name, or one given."""
     if isinstance(given, str) and H is None and isinstance(own, Sensors):
@@ -46,7 +46,7 @@ def _numbers(given: Any) -> bool:
     return np.asarray(given).dtype.kind in "iuf"
 
 
-def checked_sensor(measurement: Any, model: SDE | JumpMarkovModel) -> Sensor:
+def checked_sensor(measurement: Any, model: Dynamics | JumpMarkovModel) -> Sensor:
     """Return a measurement that fits the model, or raise `ModelError`."""
     if not hasattr(measurement, "log_likelihood"):
         raise ModelError(

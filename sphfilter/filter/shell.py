@@ -14,8 +14,8 @@ from ..density.distributions import Gaussian
 from ..density.initialize import initialize
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError
+from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel
-from ..model.sde import SDE
 from ..validate import array, choice, column, count, covariance, positive, real, row, seconds
 from .checkpoint import Restored, write
 from .late import StepHistory
@@ -27,7 +27,7 @@ __all__ = ["RANKED", "DensityFilter"]
 RANKED = 2**14  # points of a cloud that a truth is ranked among: ranks are off by 1 / (2 √RANKED) = .004
 
 #: What a filter's densities obey, and the sensors that it is made with.
-Model = TypeVar("Model", SDE, JumpMarkovModel)
+Model = TypeVar("Model", Dynamics, JumpMarkovModel)
 Given = TypeVar("Given")
 
 

@@ -18,9 +18,9 @@ from ..density.weighted import WeightedStates
 from ..errors import ModelError
 from ..info import NOTHING_CAME, PredictInfo, UpdateInfo
 from ..model.compile import StateFunction
+from ..model.dynamics import Dynamics
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, driven
-from ..model.sde import SDE
 from ..prediction.again import MOST, Outcome, or_as_cloud, predict_from_finer
 from ..prediction.predict import Prediction, predict
 from ..prediction.to_target import Time
@@ -38,12 +38,12 @@ from .update_again import Update, prediction_of, update_or_predict_again
 __all__ = ["SPHFilter"]
 
 
-class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
+class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
     """A Bayes filter that carries the probability density on SPH particles (002).
 
     Parameters
     ----------
-    model : SDE
+    model : SDE or DiscreteModel
     measurement : GaussianMeasurement, LikelihoodMeasurement, Sensors or None
         The sensor `update` uses unless another is given.
     x0 : array_like, shape (n,)
@@ -117,7 +117,7 @@ class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
     @suggest_keyword
     def __init__(
         self,
-        model: SDE,
+        model: Dynamics,
         measurement: Sensor | None,
         x0: ArrayLike | None = None,
         P0: ArrayLike | None = None,
@@ -129,8 +129,8 @@ class SPHFilter(DensityFilter[ParticleDensity, SDE, Sensor | None]):
         dt: Interval | None = None,
         window: int = 0,
     ) -> None:
-        if not isinstance(model, SDE):
-            raise ModelError(f"model must be an SDE or LinearSDE, got {short(model)}")
+        if not isinstance(model, Dynamics):
+            raise ModelError(f"model must be an SDE or a DiscreteModel, got {short(model)}")
         self.model = model
         self.measurement = None if measurement is None else checked_sensor(measurement, model)
         known = max_particles(self._configure(config, n_particles, dt), self.config)

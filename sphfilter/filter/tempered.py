@@ -145,7 +145,7 @@ def _fresh(passages: Any, count: int, n: int, key: Any) -> tuple[Any, Any]:
 
 
 def _beside(p: Passage, count: int, key: Any) -> Floats | None:
-    return None if p.leg is None else np.asarray(noise_of(key, count, p.rows.shape[2], p.leg.additive))
+    return None if p.leg is None else np.asarray(noise_of(key, count, p.rows.shape[2], p.leg.kind))
 
 
 def _ends(passages: Any, x: Floats, block: Ints, u: Any, noise: Any) -> Floats:

@@ -19,8 +19,8 @@ from ..density.resample import max_particles_of, target_of
 from ..errors import PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
 from ..lattice.level_set import lattice_reach
+from ..model.dynamics import Dynamics
 from ..model.measurements import Sensor
-from ..model.sde import SDE
 from ..prediction.again import Ladder, Outcome
 from ..prediction.predict import Prediction, predict
 from .by_cloud import error_added
@@ -70,7 +70,7 @@ def prediction_of(origin: Any) -> Prediction:
 def update_or_predict_again(
     prediction: Prediction,
     prior: ParticleDensity,
-    model: SDE,
+    model: Dynamics,
     measurement: Sensor,
     z: ArrayLike | None,
     config: FilterConfig,

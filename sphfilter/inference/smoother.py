@@ -8,6 +8,7 @@ that is: by itself it need not have an end.
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +26,7 @@ from ..lattice.field import extrapolated_mass, nodes
 from ..lattice.level_set import lattice_reach
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, driven, each_input
+from ..model.sde import SDE
 from ..prediction.backward import carried_back, likelihood_field
 from ..prediction.log_density import why_not
 from ..validate import short
@@ -188,6 +190,8 @@ def _checked(
         raise ModelError(f"the first time {times[0]:g} is before the filter's own time {filt.t:g}")
     if not filt.model.domain.unbounded:
         raise ModelError("smooth takes no model with a domain: states have to be on the whole line")
+    if not isinstance(filt.model, SDE):
+        raise ModelError("smooth goes back along equations in continuous time; a DiscreteModel has none")
     scheme = filt.config.scheme
     reason = why_not(filt.model, filt.density, filt.n_particles)
     if not isinstance(scheme, str | LogDensityScheme):
@@ -281,7 +285,7 @@ def _one_back(
     """
     u = after.filt.inputs  # of the prediction between
     priors = _between(before.filt, after.filt.t, max(after.n_steps, 1), u)
-    model = before.filt.model.with_inputs(u)
+    model: Any = before.filt.model.with_inputs(u)
     for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
         log_beta = carried_back(model, found, prior, t)
         smoothed, future, _ = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)

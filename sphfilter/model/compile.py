@@ -25,8 +25,8 @@ from ..errors import ModelError
 from .asking import noted
 
 __all__ = ["NO_DATA", "Data", "Maker", "StateFunction", "arguments_of", "batch", "batch_source",
-           "compile_rows", "compile_source", "probe", "probe_states", "reads_argument", "shared",
-           "surfacing"]  # fmt: skip
+           "compile_rows", "compile_source", "compile_with_noise", "probe", "probe_states", "reads_argument",
+           "shared", "surfacing"]  # fmt: skip
 
 #: A user's function of (x), (x, t), (x, t, p) or (x, t, p, u): of one state in numba's types, or of rows of
 #: states.
@@ -174,6 +174,27 @@ def compile_rows(
     lines = ["try:", *(f"    {line}" for line in lines)]
     lines += ["except Exception:", "    again(x[i : i + 1], t, p, out[i : i + 1])"]
     return compile_source([], lines, f=core, again=_raised_again(core, arguments, data))
+
+
+def compile_with_noise(
+    function: Callable[..., Any], n: int, m: int, name: str, data: Data, vectorized: bool
+) -> BatchFunction:
+    """Compile a user's function of state and noise into a batch function of rows (x, w), n and m columns."""
+    try:
+        names = [*inspect.signature(_python(function)).parameters]
+    except (TypeError, ValueError) as problem:
+        raise ModelError(f"{name} must be a function of (x, w), (x, w, t) or (x, w, t, p).") from problem
+    if len(names) < 2:
+        raise ModelError(f"{name} takes {len(names)} arguments; write it as a function of (x, w, ...).")
+    rest, cut = ", ".join(names[2:]), ":, " if vectorized else ""
+    source = f"lambda x{', ' * bool(rest)}{rest}: f(x[{cut}:{n}], x[{cut}{n}:]{', ' * bool(rest)}{rest})"
+    arguments: Any = (n,), name, n + m, data, vectorized
+    whole = eval(source, {"f": _python(function)})
+    probe(whole, *arguments)
+    if not vectorized:
+        own = function if hasattr(function, "py_func") else njit(function, error_model="numpy")
+        whole, arguments = eval(source, {"f": own}), ((n,), name, None, data, False)
+    return compile_rows(whole, *arguments)
 
 
 def compile_source(before: Sequence[str], per_row: Sequence[str], **names: Any) -> BatchFunction:

@@ -18,8 +18,8 @@ from .compile import batch
 
 __all__ = [
     "constant_diffusion", "constant_noise", "diffusion_from_noise", "jacobian_from", "linear_divergence",
-    "linear_drift", "linear_jacobian", "noise_columns", "noise_from_diffusion", "row_divergence_from",
-    "scales", "stratonovich_drift", "trace_from", "zeros",
+    "linear_drift", "linear_jacobian", "noise_columns", "noise_from_diffusion", "noisy_map",
+    "row_divergence_from", "scales", "stratonovich_drift", "trace_from", "zeros",
 ]  # fmt: skip
 
 
@@ -224,6 +224,21 @@ def jacobian_from(f: BatchFunction, k: int) -> BatchFunction:
                     out[i, a * n + j] = df[i, a]
 
     return _using(fill, f)
+
+
+def noisy_map(f: BatchFunction, g: BatchFunction, n: int, m: int) -> BatchFunction:
+    """Return the batch function of f(x) + g(x) w of rows (x, w), n and m columns."""
+
+    def fill(x: Floats, t: float, p: Floats, out: Floats) -> None:
+        G, states = np.empty((x.shape[0], n * m)), x[:, :n].copy()
+        f(states, t, p, out)
+        g(states, t, p, G)
+        for i in range(x.shape[0]):
+            for a in range(n):
+                for k in range(m):
+                    out[i, a] += G[i, a * m + k] * x[i, n + k]
+
+    return batch(fill)
 
 
 def row_divergence_from(D: BatchFunction) -> BatchFunction:

@@ -11,7 +11,7 @@ from .._types import Floats
 from ..errors import PropagationError
 
 if TYPE_CHECKING:
-    from .sde import SDE
+    from .dynamics import Dynamics
 
 __all__ = ["exponential", "linear_transition", "transition"]
 
@@ -19,13 +19,13 @@ _TERMS = 15  # of a Taylor series of a matrix of norm 1/2: 2⁻¹⁵ / 15! = 2e-
 
 
 @lru_cache(maxsize=256)
-def linear_transition(model: "SDE", dt: float) -> tuple[Floats, Floats, Floats]:
+def linear_transition(model: "Dynamics", dt: float) -> tuple[Floats, Floats, Floats]:
     """The exact transition of a model that is linear, which never changes; read-only.
 
     Raises `PropagationError` if it grows beyond the finite numbers.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        found = model.to_linear().discretize(dt)
+        found = model.discretize(dt)
     if not all(np.isfinite(part).all() for part in found):
         raise PropagationError(
             f"the model blew up: within {dt:g} s its linear drift leaves the finite numbers. Check the drift "

@@ -3,7 +3,6 @@
 dX = f(X, t) dt + g(X, t) dW with E[dW dWᵀ] = Q dt, hence D = g Q gᵀ / 2 (002 (1)–(5) with the errata).
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, TypeAlias
 
@@ -14,10 +13,11 @@ from .. import validate
 from .._types import BatchFunction, Floats
 from ..errors import ModelError
 from . import derived
-from .compile import Data, Maker, StateFunction, compile_rows, shared, surfacing
+from .compile import Data, Maker, StateFunction, compile_rows, shared
 from .discretization import transition
-from .domain import Domain, DomainLike
-from .named import Adjustable, Inputs, Values
+from .domain import DomainLike
+from .dynamics import Dynamics, Functions, compiled
+from .named import Inputs, Values
 from .noise import Noise, constant_root, noise_parts, reads_time
 from .tables import Tables, tables_of
 from .timing import roots
@@ -30,16 +30,7 @@ _PART_OF_PERIOD = 1.0 / 8.0  # of a sine, that a step may take: one of order 4 m
 Texts: TypeAlias = Sequence[Sequence[str | float]] | Floats
 
 
-def _compiled(name: str, what: str) -> Any:
-    """A property: a compiled function of a model, made when it is first asked for."""
-
-    def function(model: "SDE") -> BatchFunction:
-        return model._functions[name]
-
-    return property(function, doc=what)
-
-
-class SDE(Adjustable):
+class SDE(Dynamics):
     """A stochastic differential equation, compiled once; parameters are data.
 
     Parameters
@@ -121,12 +112,6 @@ class SDE(Adjustable):
     >>> print(model.with_parameters(damping=1.0).drift([[0.0, 2.0]], t=0.0))
     [[ 2. -2.]]
     """
-
-    _called = "The model"
-    constant_diffusion: bool
-    state_dependent_noise: bool
-    autonomous: bool
-    linear: bool
 
     @validate.keywords
     def __init__(
@@ -254,11 +239,9 @@ class SDE(Adjustable):
         events: ArrayLike = (),
     ) -> None:
         """Set every attribute; the derived functions are compiled when first used."""
-        self._recipe, self._tail, self._flags = recipe, tail, flags
-        self.states, self.dim, self.n_noise = tuple(states), len(states), len(Q)
-        self.spectral_density, self.n_columns = Q, constant_root(0.5 * Q).shape[1]
+        self._made(recipe, states, len(Q), tail, domain)
+        self._flags, self.spectral_density, self.n_columns = flags, Q, constant_root(0.5 * Q).shape[1]
         Q.setflags(write=False)
-        self.domain = Domain.of(domain, self.dim)
         flags["linear"] = flags["linear"] and not self.domain.walled.any()
         self._functions = _Functions(makers, self.dim, Q, flags["state_dependent_noise"])
         self._longest = np.inf if max_step is None else validate.positive("max_step", max_step)
@@ -271,7 +254,6 @@ class SDE(Adjustable):
 
     def _set(self, values: Values) -> None:
         super()._set(values)
-        self.p = self._data(values.data)
         rows = np.array(self._flags.get("diffusion_rows", np.ones(self.dim, dtype=bool)))
         if self.constant_diffusion:
             rows = np.any(self.diffusion(np.zeros((1, self.dim)), 0.0)[0] != 0.0, axis=1)
@@ -279,10 +261,6 @@ class SDE(Adjustable):
         self.diffusion_rows = rows
         fastest = np.abs(self._at("frequencies", 0.0)).max(initial=0.0)
         self.max_step = min(self._longest, _PART_OF_PERIOD * 2.0 * np.pi / fastest if fastest else np.inf)
-
-    def _data(self, data: Data) -> Floats:
-        """Values and constants as compiled functions take them, writable: read-only is another type there."""
-        return np.concatenate([*data, self._tail])
 
     def _at(self, name: str, t: float) -> Floats:
         """What text knows about its times: "switches", "frequencies" or "tabled", all that it has of them."""
@@ -306,51 +284,37 @@ class SDE(Adjustable):
         tabled = zip(self._at("tabled", t), self._flags.get("tables", ()), strict=True)
         return np.concatenate([self._at("switches", t), *(own - at for own, at in tabled)])
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        constructor, arguments = self._recipe
-        if "parameters" in arguments:
-            arguments = arguments | {"parameters": dict(self.parameters), "inputs": dict(self.inputs)}
-        return _rebuild, (constructor, arguments, dict(self.inputs))
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}(states={self.states}, n_noise={self.n_noise})"
+    def own_steps(self, t0: float, t1: float) -> int:
+        """Return the steps of an interval, where accuracy has no say in them: one, if linear; else 0."""
+        return 1 if self.linear else 0
 
     # --- compiled functions ---
 
-    drift_batch: BatchFunction = _compiled("drift", "Itô drift f, (N, n).")
-    noise_batch: BatchFunction = _compiled("noise", "g, row-major, (N, n m).")
-    diffusion_batch: BatchFunction = _compiled("diffusion", "D, row-major, (N, n n).")
-    diffusion_divergence_batch: BatchFunction = _compiled(
+    drift_batch: BatchFunction = compiled("drift", "Itô drift f, (N, n).")
+    noise_batch: BatchFunction = compiled("noise", "g, row-major, (N, n m).")
+    diffusion_batch: BatchFunction = compiled("diffusion", "D, row-major, (N, n n).")
+    diffusion_divergence_batch: BatchFunction = compiled(
         "diffusion_divergence", "∇·D, (N, n); zeros for uniform D."
     )
-    diffusion_curvature_batch: BatchFunction = _compiled("diffusion_curvature", "∇·∇·D, (N, 1).")
-    jacobian_batch: BatchFunction = _compiled("jacobian", "∂f_a/∂x_j, row-major, (N, n n).")
-    divergence_batch: BatchFunction = _compiled("divergence", "∇·f, (N, 1).")
-    flow_drift_batch: BatchFunction = _compiled(
+    diffusion_curvature_batch: BatchFunction = compiled("diffusion_curvature", "∇·∇·D, (N, 1).")
+    jacobian_batch: BatchFunction = compiled("jacobian", "∂f_a/∂x_j, row-major, (N, n n).")
+    divergence_batch: BatchFunction = compiled("divergence", "∇·f, (N, 1).")
+    flow_drift_batch: BatchFunction = compiled(
         "flow_drift",
         "Stratonovich drift, (N, n): what moves states beside the noise, where this is smooth in time.",
     )
-    flow_jacobian_batch: BatchFunction = _compiled(
+    flow_jacobian_batch: BatchFunction = compiled(
         "flow_jacobian", "Jacobian of the Stratonovich drift, row-major, (N, n n)."
     )
-    flow_divergence_batch: BatchFunction = _compiled(
+    flow_divergence_batch: BatchFunction = compiled(
         "flow_divergence", "Divergence of the Stratonovich drift, (N, 1)."
     )
-    noise_columns_batch: BatchFunction = _compiled(
+    noise_columns_batch: BatchFunction = compiled(
         "noise_columns",
         "c = g R, row-major, with Q = R Rᵀ and R (m, r) of full rank; then ∇·c: (N, (n + 1) r).",
     )
 
     # --- evaluation from Python ---
-
-    def _evaluate(self, fill: BatchFunction, X: ArrayLike, t: float, *shape: int) -> Floats:
-        X = np.array(X, dtype=float, order="C", ndmin=2)
-        if X.ndim != 2 or X.shape[1] != self.dim:
-            raise ModelError(f"States have shape {np.shape(X)}, but the model needs (N, {self.dim}).")
-        out = np.empty((len(X), math.prod(shape)))
-        with surfacing():
-            fill(X, float(t), self.p, out)
-        return out.reshape(len(X), *shape)
 
     def drift(self, X: ArrayLike, t: float) -> Floats:
         """Return the Itô drift at X (N, n), shape (N, n)."""
@@ -389,6 +353,13 @@ class SDE(Adjustable):
         origin = np.zeros((1, self.dim))
         A, b, g = self.jacobian(origin[0], 0.0), self.drift(origin, 0.0)[0], self.noise(origin, 0.0)[0]
         return LinearSDE(A=A, b=b, noise=g, spectral_density=self.spectral_density)
+
+    def discretize(self, dt: float) -> tuple[Floats, Floats, Floats]:
+        """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), of a linear model.
+
+        Raises `ModelError` where the model is not known to be linear.
+        """
+        return self.to_linear().discretize(dt)
 
 
 class LinearSDE(SDE):
@@ -467,13 +438,12 @@ class LinearSDE(SDE):
         return transition(self.A, self.b, g @ self.spectral_density @ g.T, dt)
 
 
-class _Functions:
-    """Compiled functions by name, made when first asked for and shared by all parameter values."""
+class _Functions(Functions):
+    """Compiled functions of an equation, of which those of the `makers` are given."""
 
     def __init__(self, makers: dict[str, Maker], n: int, Q: Floats, by_state: bool) -> None:
-        self._made: dict[str, BatchFunction] = {}
         self._by_state = by_state
-        self._makers: dict[str, Maker] = {
+        derive: dict[str, Maker] = {
             "jacobian": lambda fs: derived.jacobian_from(fs["drift"], n),
             "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
             "flow_drift": lambda fs: derived.stratonovich_drift(fs["drift"], fs["noise"], -Q),
@@ -483,16 +453,10 @@ class _Functions:
                 derived.jacobian_from(fs["diffusion_divergence"], n)
             ),
             "noise_columns": lambda fs: derived.noise_columns(fs["noise"], constant_root(0.5 * Q)),
-            **makers,
         }
+        super().__init__(derive | makers)
 
-    def __getitem__(self, name: str) -> BatchFunction:
-        if not self._by_state:  # then Stratonovich's drift is Itô's
-            name = name.removeprefix("flow_")
-        if name not in self._made:
-            self._made[name] = self._makers[name](self)
-        return self._made[name]
-
-
-def _rebuild(constructor: Callable[..., SDE], arguments: dict[str, Any], inputs: dict[str, float]) -> SDE:
-    return constructor(**arguments).with_inputs(inputs)
+    def __missing__(self, name: str) -> BatchFunction:
+        plain = name if self._by_state else name.removeprefix("flow_")  # then Stratonovich's drift is Itô's
+        self[name] = self[plain] if plain != name else super().__missing__(name)
+        return self[name]

@@ -17,7 +17,9 @@ from ..core.sde_steps import normals_per_step, steps
 from ..errors import ModelError, PropagationError
 from .compile import surfacing
 from .derived import scales
+from .discrete import DiscreteModel
 from .domain import Domain
+from .dynamics import Dynamics
 from .jump_markov import JumpMarkovModel
 from .named import InputRecord, driven, each_driven
 from .sde import SDE
@@ -50,7 +52,7 @@ class Sampled(Protocol):
 
 @overload
 def simulate(
-    model: SDE | JumpMarkovModel,
+    model: Dynamics | JumpMarkovModel,
     measurement: Sampled,
     x0: ArrayLike,
     times: ArrayLike,
@@ -63,7 +65,7 @@ def simulate(
 
 @overload
 def simulate(
-    model: SDE | JumpMarkovModel,
+    model: Dynamics | JumpMarkovModel,
     measurement: None,
     x0: ArrayLike,
     times: ArrayLike,
@@ -75,7 +77,7 @@ def simulate(
 
 
 def simulate(
-    model: SDE | JumpMarkovModel,
+    model: Dynamics | JumpMarkovModel,
     measurement: Sampled | None,
     x0: ArrayLike,
     times: ArrayLike,
@@ -90,7 +92,7 @@ def simulate(
 
     Parameters
     ----------
-    model : SDE or JumpMarkovModel
+    model : SDE, DiscreteModel or JumpMarkovModel
         Of a model that switches, `simulate_modes` also tells the modes, and begins in a given one.
     measurement : GaussianMeasurement, LikelihoodMeasurement with a sampler, Sensors, or None
     x0 : array_like, shape (n,) or (R, n)
@@ -161,7 +163,7 @@ def drawn_readings(
     measurement: Sampled | None,
     truth: Floats,
     times: Floats,
-    models: Sequence[SDE | JumpMarkovModel],
+    models: Sequence[Dynamics | JumpMarkovModel],
     rng: np.random.Generator,
 ) -> Floats | None:
     """Return readings (R, T, k) of states (T, R, n), with the inputs that the models of each time have."""
@@ -172,21 +174,29 @@ def drawn_readings(
 
 
 def advance(
-    model: SDE, x: ArrayLike, t0: float, t1: float, rng: np.random.Generator, max_step: float | None = None
+    model: Dynamics,
+    x: ArrayLike,
+    t0: float,
+    t1: float,
+    rng: np.random.Generator,
+    max_step: float | None = None,
 ) -> Floats:
     """Return the states x (N, n) of time t0 moved to t1, each with noise of its own, shape (N, n).
 
-    A linear model takes one exact step. Otherwise the step is `max_step` or less, in equal parts; without it,
-    0.05 (additive noise) or 0.01 (any other) of the model's fastest time scale, which is looked at every 16
-    steps: norm of the drift's Jacobian, at the states and where the noise may carry them meanwhile, squared
-    norm of the noise's derivative, and the rate of change with time. With steps of that size the second
-    moments of a double well and of a geometric model were right to 1e-5, relative. Raises `PropagationError`
-    for a state that is not finite, or more than ten million steps.
+    A linear model takes one exact step, one in discrete time those it has. Otherwise the step is `max_step`
+    or less, in equal parts; without it, 0.05 (additive noise) or 0.01 (any other) of the model's fastest time
+    scale, which is looked at every 16 steps: norm of the drift's Jacobian, at the states and where the noise
+    may carry them meanwhile, squared norm of the noise's derivative, and the rate of change with time. With
+    steps of that size the second moments of a double well and of a geometric model were right to 1e-5,
+    relative. Raises `PropagationError` for a state that is not finite, or more than ten million steps.
     """
     x = np.array(x, dtype=float, order="C", ndmin=2)
     if model.linear:
         Phi, offset, root = _transition(model, t1 - t0)
         return x @ Phi.T + offset + rng.standard_normal(x.shape) @ root.T
+    if isinstance(model, DiscreteModel):
+        return model.drawn(x, t0, t1, noise_root(model.covariance), rng)
+    assert isinstance(model, SDE)
     for stop in model.breaks(t0, t1):
         before, after = beside(stop, t0, t1)
         if t0 < before:
@@ -217,9 +227,9 @@ def _advance(
 
 
 @lru_cache(maxsize=256)
-def _transition(model: SDE, dt: float) -> tuple[Floats, Floats, Floats]:
+def _transition(model: Dynamics, dt: float) -> tuple[Floats, Floats, Floats]:
     """Return the exact transition of a linear model and a root of its covariance; models never change."""
-    Phi, offset, Qd = model.to_linear().discretize(dt)
+    Phi, offset, Qd = model.discretize(dt)
     return Phi, offset, noise_root(Qd)
 
 

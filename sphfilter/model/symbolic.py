@@ -23,7 +23,7 @@ from .noise import constant_root
 from .symbols import Abs, Ge, Gt, Linear, Max, Min, Previous, Sign, source
 from .tables import Table
 
-__all__ = ["Vocabulary", "symbolic_model", "symbolic_rows"]
+__all__ = ["Vocabulary", "symbolic_model", "symbolic_rows", "symbolic_step"]
 
 #: Derivatives of a short text can be long; beyond this many operations compiling would take minutes.
 MAX_OPERATIONS = 20_000
@@ -101,6 +101,34 @@ def symbolic_model(
     flags = _flags(f, J, D if g is None else g, D, names) | {"breakpoints": times}
     flags["tables"] = [at for _, at in tabled]
     return makers, Q, names.data, flags | {name: len(found) for name, found in timing.items()}
+
+
+def symbolic_step(
+    states: Sequence[str],
+    transition: Sequence[str | float],
+    noise: Any,
+    m: int,
+    noises: Sequence[str] | None,
+    words: Vocabulary,
+) -> tuple[dict[str, Maker], Floats, bool]:
+    """Return (makers, tables, linear) of a step in text, of m noises; arguments as in `DiscreteModel`."""
+    if isinstance(states, str) or isinstance(transition, str):
+        raise ModelError('states and transition are lists of text, one per state: states=["x", "v"].')
+    n, own = len(states), words.with_states([*states, *(noises or ())])
+    if n == 0 or len(transition) != n:
+        raise ModelError(f"transition has {len(transition)} expressions for {n} states; give one for each.")
+    step = sp.Matrix([parse(text, own, f"transition[{i}]") for i, text in enumerate(transition)])
+    g = None if noises else _matrix(noise, own, "noise", n)
+    words.check_used(own)
+    if g is not None:  # noises without names, which no text can use
+        names = words.with_states([*states, *(f"_noise_{k}" for k in range(m))])
+        if g.shape[1] != m:
+            raise ModelError(f"noise has {g.shape[1]} columns, but covariance is {m} × {m}.")
+        step += g * sp.Matrix(names.x[n:])
+        own = names
+    J = step.jacobian(own.x)
+    makers = {"step": _maker("transition", step, own), "jacobian": _maker("jacobian", J, own)}
+    return makers, own.data, _is_affine(step, J, own)
 
 
 def symbolic_rows(

@@ -8,6 +8,7 @@ import numpy as np
 from .._types import Floats
 from ..core._addresses import address_of
 from ..core.equations import Equations
+from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 
 __all__ = ["blow_up", "carried_off", "equations_of", "skip_notes"]
@@ -30,8 +31,10 @@ def equations_of(model: SDE) -> Equations:
 
 
 @lru_cache(maxsize=64)
-def skip_notes(model: SDE, bypassed: int) -> tuple[str, ...]:
+def skip_notes(model: Dynamics, bypassed: int) -> tuple[str, ...]:
     """Sentences for `PredictInfo.skipped`: work that the model's structure or valid neighbour lists saved."""
+    if not isinstance(model, SDE):
+        return ()
     zero = np.flatnonzero(~model.diffusion_rows)
     notes = []
     if zero.size:

@@ -8,6 +8,7 @@ from ..config import CloudScheme, FilterConfig, SolverConfig
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code, PredictInfo, UpdateInfo
+from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 
 __all__ = ["FINEST", "MOST", "MOST_WORK", "Ladder", "Outcome", "Rung", "or_as_cloud", "predict_from_finer"]
@@ -118,7 +119,7 @@ class Origin(Protocol):
 
 def predict_from_finer(
     predicted: Callable[[ParticleDensity], Outcome[PredictInfo]],
-    model: SDE,
+    model: Dynamics,
     density: ParticleDensity,
     origin: Origin | None,
     config: SolverConfig | FilterConfig,
@@ -132,7 +133,9 @@ def predict_from_finer(
     try:
         return predicted(density)
     except (LatticeError, UnresolvedError) as problem:
-        noisy = model.diffusion_rows.any()  # else nothing ever smooths what is too coarse
+        noisy = (
+            not isinstance(model, SDE) or model.diffusion_rows.any()
+        )  # else nothing smooths what is coarse
         if origin is None or origin.before is None or origin.before.field is None or not noisy:
             raise
         rung, outcome = Ladder().climbed(

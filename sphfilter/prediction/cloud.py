@@ -28,6 +28,7 @@ from ..density.points import CloudState, Origin, Pace, Points, moments
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
+from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from ._shared import blow_up, carried_off, skip_notes
 from .time_slices import slices_at
@@ -50,7 +51,7 @@ _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step be
 
 def propagate(
     density: ParticleDensity,
-    model: SDE,
+    model: Dynamics,
     t1: float,
     scheme: CloudScheme,
     n_particles: int | None = None,
@@ -64,7 +65,7 @@ def propagate(
     Parameters
     ----------
     density : ParticleDensity
-    model : SDE
+    model : SDE or DiscreteModel
     t1 : float
         Seconds.
     scheme : CloudScheme
@@ -101,7 +102,7 @@ class Carried(NamedTuple):
 
 def carried_cloud(
     state: CloudState,
-    model: SDE,
+    model: Dynamics,
     span: tuple[float, float],
     scheme: CloudScheme,
     target: float = 0.0,
@@ -186,12 +187,14 @@ def unrolled_about_mean(points: Points, domain: Domain | None) -> Points:
 
 
 def _steps(
-    state: CloudState, model: SDE, span: tuple[float, float], most: int, target: float
+    state: CloudState, model: Dynamics, span: tuple[float, float], most: int, target: float
 ) -> tuple[Steps, Steps, Pace]:
     """Steps whose bias is small beside the points' error, those of the shadow, and the pace of the next."""
     pace = state.pace._replace(legs=state.pace.legs + 1)
-    if model.linear:
-        return Steps(1), Steps(1), pace
+    own = model.own_steps(*span)
+    if own:
+        return Steps(own), Steps(own), pace
+    assert isinstance(model, SDE)
     dt, (step, stiff, legs, _), points = span[1] - span[0], pace, state.points
     shorter = legs ** (1.0 / ORDER)  # biases of predictions without a reading between add up
     least = least_steps(model, points.x, span)
@@ -213,9 +216,12 @@ def _steps(
     return steps, few, Pace(next_step, steps.stiff, legs, bias)
 
 
-def least_steps(model: SDE, x: Floats, span: tuple[float, float]) -> int:
-    """Steps of a span that a model's own bound asks for, and how it changes with time at points x (N, n)."""
-    dt = span[1] - span[0]
+def least_steps(model: Dynamics, x: Floats, span: tuple[float, float]) -> int:
+    """Least steps of a span: a model's own, or by its bound and how it changes in time at points x (N, n)."""
+    own, dt = model.own_steps(*span), span[1] - span[0]
+    if own:
+        return own
+    assert isinstance(model, SDE)
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
     return max(least, slices_at(model, x, *span))
 
@@ -251,14 +257,16 @@ def without_runaways(points: Points, domain: Domain | None) -> tuple[Points, flo
     return points._replace(x=x, w=w / w.sum()), lost
 
 
-def _blow_up(model: SDE, points: Points, t0: float, t1: float) -> str:
+def _blow_up(model: Dynamics, points: Points, t0: float, t1: float) -> str:
     """Sentence for points of which many left the finite numbers."""
+    if not isinstance(model, SDE):
+        return f"the model blew up: from t = {t0:g} to {t1:g} its steps lead to no finite numbers"
     x = points.x if points.path is None else points.path.x
     x = x[np.argsort(np.abs(model.drift(x, t0)).sum(axis=1))[-LOOK:]]
     return carried_off(model, x, t0, t1) or blow_up(model, x[-1], t0, t0, t1)
 
 
-def info_of(model: SDE, count: int, steps: int, lost: float, error: float) -> PredictInfo:
+def info_of(model: Dynamics, count: int, steps: int, lost: float, error: float) -> PredictInfo:
     """Info of a prediction of a cloud."""
     status = f"on a cloud of {count} points: the mean is good to {error:.2g} standard deviations"
     code = Code.CLOUD
@@ -267,7 +275,7 @@ def info_of(model: SDE, count: int, steps: int, lost: float, error: float) -> Pr
         code |= Code.UNRESOLVED
     return PredictInfo(
         n_steps=steps,
-        n_evaluations=4 * steps,
+        n_evaluations=(4 if isinstance(model, SDE) else 1) * steps,
         mass_error=lost,
         error=error,
         skipped=tuple(note for note in skip_notes(model, 0) if "evaluation of D" in note),

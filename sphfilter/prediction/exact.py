@@ -10,7 +10,7 @@ from ..density.particle_density import ParticleDensity
 from ..info import PredictInfo
 from ..lattice.level_set import lattice_reach, lay
 from ..model.discretization import linear_transition
-from ..model.sde import SDE
+from ..model.dynamics import Dynamics
 
 __all__ = ["propagate_exactly"]
 
@@ -18,7 +18,7 @@ _GAUSSIAN = 1e-2  # largest distance of log p from a quadratic: exp(.01) = 1.01,
 
 
 def propagate_exactly(
-    density: ParticleDensity, model: SDE, t1: float, n_particles: int
+    density: ParticleDensity, model: Dynamics, t1: float, n_particles: int
 ) -> tuple[ParticleDensity, PredictInfo] | None:
     """Return (density, info) at t1 by the matrix exponential, or None where the density is not Gaussian."""
     if density.field is None:

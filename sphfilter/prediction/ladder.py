@@ -23,6 +23,7 @@ from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.discretization import linear_transition
+from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from . import automatic, cloud, families, family, pieces
 from .again import MOST_WORK
@@ -115,14 +116,14 @@ def best_family(
 
 
 def propagate(
-    density: ParticleDensity, model: SDE, t1: float, target: float, time: Time
+    density: ParticleDensity, model: Dynamics, t1: float, target: float, time: Time
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1 as cheaply as the target error allows.
 
     Parameters
     ----------
     density : ParticleDensity
-    model : SDE
+    model : SDE or DiscreteModel
     t1 : float
         Seconds.
     target : float
@@ -143,11 +144,11 @@ def propagate(
     needs = (density.needs or Memory()).gone_on()
     if density.gaussian and model.linear and model.domain.unbounded:
         return _closed_form(density, model, t1, needs)
-    by_cloud = not model.domain.walled.any() and prefers_cloud(density.dim, needs, target)
-    if density.read_out == "cloud":
-        return _by_cloud(density, model, t1, target, needs)
     if density.pieces is not None and model.linear and model.domain.unbounded:
         return _by_pieces(density, model, t1, target, needs)
+    if density.read_out == "cloud" or not isinstance(model, SDE):
+        return _by_cloud(density, model, t1, target, needs)
+    by_cloud = not model.domain.walled.any() and prefers_cloud(density.dim, needs, target)
     if density.families is not None:
         found = _by_families(density, model, t1, target, needs, families.LEVELS)
         if found is not None:
@@ -167,7 +168,7 @@ def propagate(
 
 
 def _closed_form(
-    density: ParticleDensity, model: SDE, t1: float, needs: Memory
+    density: ParticleDensity, model: Dynamics, t1: float, needs: Memory
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Move a Gaussian by a linear model."""
     mean, cov = moments_on_line(density)
@@ -218,7 +219,7 @@ def _by_families(
 
 
 def _by_pieces(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory
+    density: ParticleDensity, model: Dynamics, t1: float, target: float, needs: Memory
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry Gaussians each by itself; one family takes their place where it holds what they become."""
     allowed = error_budget(density.error, target)
@@ -228,7 +229,7 @@ def _by_pieces(
 
 
 def _by_cloud(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory
+    density: ParticleDensity, model: Dynamics, t1: float, target: float, needs: Memory
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry as many points as the target asks for."""
     points = needs.cloud(target)

@@ -10,13 +10,13 @@ from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, pieces_of, root_of
 from ..info import PredictInfo
 from ..model.discretization import linear_transition
-from ..model.sde import SDE
+from ..model.dynamics import Dynamics
 
 __all__ = ["carried_exactly", "carried_pieces"]
 
 
 def carried_pieces(
-    density: ParticleDensity, model: SDE, t1: float, allowed: float
+    density: ParticleDensity, model: Dynamics, t1: float, allowed: float
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry pieces to time t1, and merge those that noise has made alike."""
     assert density.pieces is not None
@@ -28,7 +28,7 @@ def carried_pieces(
     return pieces_density(density, pieces, t=float(t1), error=error), told
 
 
-def carried_exactly(density: ParticleDensity, model: SDE, t1: float) -> ParticleDensity:
+def carried_exactly(density: ParticleDensity, model: Dynamics, t1: float) -> ParticleDensity:
     """Carry a Gaussian or pieces to time t1 by a linear model, and merge none."""
     pieces = density.pieces or pieces_of(*moments_on_line(density))
     return pieces_density(density, _linearly(pieces, model, t1 - density.t), t=float(t1)).noted(
@@ -36,7 +36,7 @@ def carried_exactly(density: ParticleDensity, model: SDE, t1: float) -> Particle
     )
 
 
-def _linearly(pieces: Pieces, model: SDE, dt: float) -> Pieces:
+def _linearly(pieces: Pieces, model: Dynamics, dt: float) -> Pieces:
     flow, offset, Q = linear_transition(model, dt)
     cov = np.einsum("ab,kbc,dc->kad", flow, pieces.cov, flow) + Q
     return Pieces(pieces.log_w, pieces.mean @ flow.T + offset, root_of(cov))

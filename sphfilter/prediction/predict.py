@@ -22,6 +22,7 @@ from ..errors import LatticeError, ModelError, UnresolvedError
 from ..info import PredictInfo
 from ..model.asking import asked_before, tell_of
 from ..model.domain import Domain
+from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from ..model.timing import beside
 from ..validate import count, onwards, real, seconds
@@ -35,7 +36,7 @@ __all__ = ["Prediction", "load", "predict"]
 
 def predict(
     density: ParticleDensity,
-    model: SDE,
+    model: Dynamics,
     dt: Interval | None = None,
     config: SolverConfig | FilterConfig | None = None,
     *,
@@ -50,7 +51,8 @@ def predict(
     Parameters
     ----------
     density : ParticleDensity
-    model : SDE
+    model : SDE or DiscreteModel
+        One in discrete time goes over whole steps, as a cloud or in closed form.
     dt : float or timedelta, optional
         Interval, seconds, >= 0.
     config : SolverConfig or FilterConfig, optional
@@ -103,6 +105,8 @@ def predict(
     density = _in_domain(density, model.domain)
     config = config or SolverConfig()
     scheme = config.scheme
+    if not isinstance(model, SDE):
+        _check_steps(model, scheme, density.t, end)
     if end == density.t:
         name = scheme if isinstance(scheme, str) else scheme.name
         return density, PredictInfo(scheme=name, skipped=("everything: the interval is empty",))
@@ -133,9 +137,19 @@ def predict(
     return density, PredictInfo.joined(infos).noted(seconds=took)
 
 
+def _check_steps(model: Dynamics, scheme: Any, t0: float, t1: float) -> None:
+    """Refuse what no step of a model in discrete time can do: part of one, or a scheme that has none."""
+    if not isinstance(scheme, CloudScheme | str):
+        raise ModelError(
+            f"a model in discrete time has no equation that the scheme {scheme.name!r} could solve: leave "
+            f"the scheme to the default, or give scheme='cloud'"
+        )
+    model.own_steps(t0, t1)
+
+
 def _to_target(
     density: ParticleDensity,
-    model: SDE,
+    model: Dynamics,
     t1: float,
     config: SolverConfig | FilterConfig,
     target: float,
@@ -143,7 +157,7 @@ def _to_target(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1, up to which the model does not jump, with a target error."""
     scheme = config.scheme
-    if not isinstance(scheme, LogDensityScheme):
+    if not isinstance(scheme, LogDensityScheme) or not isinstance(model, SDE):
         return ladder.propagate(density, model, t1, target, time)
 
     def on(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
@@ -163,7 +177,7 @@ def _to_target(
 
 def _on_particles(
     density: ParticleDensity,
-    model: SDE,
+    model: Dynamics,
     t1: float,
     config: SolverConfig | FilterConfig,
     n_particles: int,
@@ -171,12 +185,16 @@ def _on_particles(
     goes_on: bool,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1, up to which the model does not jump, on a number of particles."""
-    as_it_is = isinstance(config.scheme, FamilyScheme | CloudScheme)
+    as_it_is = isinstance(config.scheme, FamilyScheme | CloudScheme) or not isinstance(model, SDE)
     density = density if as_it_is else on_lattice(density, n_particles)
     if config.exact_linear and model.linear:
         exact = propagate_exactly(density, model, t1, n_particles)
         if exact is not None:
             return exact
+
+    if not isinstance(model, SDE):
+        points = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
+        return cloud.propagate(density, model, t1, points, n_particles)
 
     def predicted(config: SolverConfig | FilterConfig) -> Outcome[PredictInfo]:
         if config.scheme == "auto":
@@ -195,16 +213,16 @@ class Prediction(NamedTuple):
 
     before: ParticleDensity | None = None  # that it began with; None if there was none
     lost: float = 0.0  # probability that the lattices lost
-    model: SDE | None = None
+    model: Dynamics | None = None
     t: float = 0.0  # seconds, where it ended
     readings: tuple[Any, ...] = ()  # used since: pairs of sensor and numbers
     #: Models of predictions before it, and where each ended, seconds: what carries points goes back to the
     #: last reading.
-    earlier: tuple[tuple[SDE, float], ...] = ()
+    earlier: tuple[tuple[Dynamics, float], ...] = ()
 
     @classmethod
     def after(
-        cls, origin: Any, before: ParticleDensity, lost: float, model: SDE, density: ParticleDensity
+        cls, origin: Any, before: ParticleDensity, lost: float, model: Dynamics, density: ParticleDensity
     ) -> "Prediction":
         """The prediction that led from one density to another, where the first one is of this origin."""
         path = None if density.cloud is None else density.cloud.points.path
@@ -214,7 +232,7 @@ class Prediction(NamedTuple):
         return cls(before, lost, model, density.t)
 
     @property
-    def legs(self) -> tuple[tuple[SDE, float], ...]:
+    def legs(self) -> tuple[tuple[Dynamics, float], ...]:
         """Models and ends of the predictions since `before`, this one the last."""
         return () if self.model is None else (*self.earlier, (self.model, self.t))
 
@@ -232,11 +250,13 @@ class Prediction(NamedTuple):
 
 
 def load(
-    model: SDE, density: ParticleDensity, config: SolverConfig | FilterConfig
+    model: Dynamics, density: ParticleDensity, config: SolverConfig | FilterConfig
 ) -> CloudScheme | PaperScheme | None:
     """Compile what predictions call only now and then; returns the scheme they may fall back on, or None."""
     if isinstance(config.scheme, PaperScheme | CloudScheme | FamilyScheme):
         return None
+    if not isinstance(model, SDE):
+        return CloudScheme()
     if not log_density.why_not(model, density, density.n_particles):
         log_density.load(model)
     if config.scheme != "auto":

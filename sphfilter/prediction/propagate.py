@@ -17,7 +17,7 @@ from ..density.resample import max_particles_of
 from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
 from ..errors import ModelError
 from ..info import Code, PredictInfo
-from ..model.sde import SDE
+from ..model.dynamics import Dynamics
 from ..validate import array, onwards
 from .again import Outcome, or_as_cloud, predict_from_finer
 from .predict import Prediction, predict
@@ -89,7 +89,7 @@ def _plain(value: NDArray[Any]) -> Any:
 
 def propagate(
     density: ParticleDensity,
-    model: SDE,
+    model: Dynamics,
     times: ArrayLike,
     config: SolverConfig | FilterConfig | None = None,
     *,
@@ -106,7 +106,7 @@ def propagate(
     ----------
     density : ParticleDensity
         Made by `initialize`.
-    model : SDE
+    model : SDE or DiscreteModel
     times : array_like, shape (T,)
         Times at which the density is wanted, seconds, not decreasing.
     config : SolverConfig or FilterConfig, optional
@@ -156,7 +156,7 @@ def propagate(
 
 def _piecewise(
     density: ParticleDensity,
-    model: SDE,
+    model: Dynamics,
     t: float,
     config: SolverConfig | FilterConfig,
     remeshing: Remeshing,
@@ -180,7 +180,7 @@ def _piecewise(
 
 def _carried(
     density: ParticleDensity,
-    model: SDE,
+    model: Dynamics,
     t: float,
     n_particles: int,
     origin: Prediction | None,

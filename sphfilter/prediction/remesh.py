@@ -11,6 +11,7 @@ from ..density.health import health
 from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
 from ..errors import PropagationError
+from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from .automatic import SUMMED
 from .log_density import why_not
@@ -39,13 +40,13 @@ class Remeshing:
             return False
         return self.scheme != "auto" or bool(why_not(model, density, self.n_particles))
 
-    def stop(self, density: ParticleDensity, model: SDE, t: float) -> float:
+    def stop(self, density: ParticleDensity, model: Dynamics, t: float) -> float:
         """Time at which to look again, at most t, seconds.
 
         Neighbours part by about their distance in the time that the drift needs to turn or strain the density
         by one: that is how often its health is looked at.
         """
-        if not self.applies(density, model):
+        if not isinstance(model, SDE) or not self.applies(density, model):
             return t
         if isinstance(self.when, str):
             span, rate = t - density.t, _strain(density, model)
@@ -53,12 +54,15 @@ class Remeshing:
         count = math.floor(density.t / self.when + _ON_TIME) + 1
         return t if count * self.when > t - _ON_TIME * self.when else count * self.when
 
-    def renewed(self, density: ParticleDensity, model: SDE, t: float) -> tuple[ParticleDensity, str, bool]:
+    def renewed(
+        self, density: ParticleDensity, model: Dynamics, t: float
+    ) -> tuple[ParticleDensity, str, bool]:
         """The density on a new lattice if it is time for one, before it is carried to time t.
 
         Then why it has one, or why not if it should, empty if nothing was to be done; and whether it has one.
         """
-        reason = self._reason(density) if t > density.t and self.applies(density, model) else ""
+        applies = t > density.t and isinstance(model, SDE) and self.applies(density, model)
+        reason = self._reason(density) if applies else ""
         if not reason:
             return density, "", False
         try:

@@ -32,7 +32,7 @@ from .control import (
     step_after,
     steps_of_shadow,
 )
-from .noise import stored
+from .noise import NORMAL, stored
 from .pace import FIRST_TRIED, MOST_LOST, chosen, over
 from .reading import READER, Part, Reader, foreseen, weigh
 from .steps import CUBE, LEG
@@ -229,6 +229,8 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
     """
     if leg.drift == NOWHERE_AT:
         return leg, s.step, 0.0
+    if leg.kind == NORMAL:  # a map has the steps that it has
+        return over(leg, leg.flow, span[0], span[1], least), s.step, 0.0
     dt, told = span[1] - span[0], error_by(s.mean)
     allowed = bias_allowed(told, s.w.size, 0.0, bounds.doubtful, bounds.target, 1)
     number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED

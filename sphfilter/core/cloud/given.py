@@ -19,12 +19,12 @@ def uniforms(key, count):
 
 
 @jit
-def noise_of(key, count, d, additive):
+def noise_of(key, count, d, kind):
     """Noise (3, d, count) of so many points, as `walk` takes it."""
     out, Z, state = np.empty((3, d, count)), np.zeros((3, d, LANES)), np.empty(LANES, np.uint64)
     for c in range(-(-count // LANES)):
         begin, end = c * LANES, min((c + 1) * LANES, count)
-        fill_noise(key, np.uint64(c), additive, state, Z)
+        fill_noise(key, np.uint64(c), kind, state, Z)
         out[:, :, begin:end] = Z[:, :, : end - begin]
     return out
 

@@ -13,10 +13,12 @@ from .._addresses import Entry, function_at
 from .._jit import MATRIX, jit
 from .._views import rows_at
 from ..limits import LOOK, ROUNDING
+from .noise import OF_STATE
 from .steps import CUBE, LEG, flow, new_room, scaled, times_root
 
 __all__ = [
     "LINEARISE",
+    "backwards",
     "block_roots",
     "block_size",
     "centres",
@@ -211,21 +213,21 @@ def linearise(leg, c):
             for a in range(n):
                 middle[b, a] += 0.5 * c[b, a]
         function_at(leg.jacobian)(middle, t + 0.5 * h, leg.p, J)
-        if not leg.additive:
+        if leg.kind == OF_STATE:
             function_at(leg.noise)(middle, t + 0.5 * h, leg.p, g)
         elif s == 0 or not leg.constant:
             scaled(leg, c, t + 0.5 * h, sigma)
         for b in range(nb):
             own = rows_at(steps, (s * nb + b) * n * n, n, n)
             _flow_matrices(rows_at(slopes, b * n * n, n, n), h, own, N, term, new)
-            if not leg.additive:
+            if leg.kind == OF_STATE:
                 times_root(g[b], leg.root, sigma)
             for a in range(n):
                 for k in range(m):
                     A[s, b, a, k] = 0.0
                     for e in range(n):
                         A[s, b, a, k] += math.sqrt(h) * N[a, e] * sigma[e, k]
-    return _backwards(M, A)
+    return backwards(M, A)
 
 
 LINEARISE = Entry(linearise, (LEG, MATRIX), types.UniTuple(CUBE, 2))
@@ -233,7 +235,7 @@ linearise_at = LINEARISE.at
 
 
 @jit
-def _backwards(M, A):
+def backwards(M, A):
     """Φ (blocks, n, n) and B (blocks, n, steps m) from those of all steps, from the last one back."""
     steps, nb, n, m = A.shape
     Phi, B, row = np.zeros((nb, n, n)), np.empty((nb, n, steps * m)), np.empty(n)

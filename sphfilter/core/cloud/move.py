@@ -94,7 +94,7 @@ def move(leg, x, u, V, block, key, first, last):
     state, Z = np.empty(LANES, np.uint64), np.empty((3, V.shape[2], LANES))
     room = chunk_room(x.shape[1], leg.root.shape[0])
     for c in range(first, last):
-        fill_noise(key, np.uint64(c), leg.additive, state, Z)
+        fill_noise(key, np.uint64(c), leg.kind, state, Z)
         move_chunk(leg, c, x, u, V, block, Z, room)
 
 

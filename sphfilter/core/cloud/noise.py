@@ -1,4 +1,4 @@
-"""Random numbers of a key: three-point noise in lanes, rotations and shifts of a net."""
+"""Random numbers of a key: three-point and normal noise in lanes, rotations and shifts of a net."""
 
 import math
 
@@ -6,11 +6,23 @@ import numpy as np
 
 from .._jit import jit
 
-__all__ = ["LANES", "even_normals", "fill_noise", "mixed", "stored", "uniform"]
+__all__ = [
+    "ADDITIVE",
+    "LANES",
+    "NORMAL",
+    "OF_STATE",
+    "even_normals",
+    "fill_noise",
+    "mixed",
+    "stored",
+    "uniform",
+]
 
 #: Points that are moved together: of four states, 8 numbers each in a step, they fill the first-level cache,
 #: 128 * 4 * 8 * 8 bytes = 32 KB.
 LANES = 128
+#: Noise of a leg: it depends on the state, or stands beside the drift; or is that of a map, and normal.
+OF_STATE, ADDITIVE, NORMAL = range(3)
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / ((1 + √5) / 2), made odd
 #: Ends of the sixths of 2^32 at either side, whose numbers become minus and plus the root of three.
@@ -82,11 +94,31 @@ def fill_signs(state, out):
 
 
 @jit
-def fill_noise(key, stream, additive, state, Z):
+def fill_normals(state, out):
+    """Fill out (K, LANES) with normals, by Box and Muller."""
+    low = np.empty(state.size)
+    for r in range(0, out.shape[0], 2):
+        _next(state)
+        for i in range(state.size):
+            low[i] = (np.float64(state[i] >> np.uint64(12)) + 0.5) * 2.0**-52
+        _next(state)
+        for i in range(state.size):
+            turn = 2.0 * math.pi * (np.float64(state[i] >> np.uint64(12)) + 0.5) * 2.0**-52
+            far = math.sqrt(-2.0 * math.log(low[i]))
+            out[r, i] = far * math.cos(turn)
+            if r + 1 < out.shape[0]:
+                out[r + 1, i] = far * math.sin(turn)
+
+
+@jit
+def fill_noise(key, stream, kind, state, Z):
     """Fill Z (3, d, LANES) for `walk` with stream number `stream` of a key; `state` (LANES,) is scratch."""
     seed_lanes(key, stream, state)
+    if kind == NORMAL:
+        fill_normals(state, Z[0])
+        return
     fill_three_points(state, Z[0])
-    if additive:
+    if kind == ADDITIVE:
         fill_three_points(state, Z[1])
     fill_signs(state, Z[2])
 

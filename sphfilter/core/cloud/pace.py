@@ -9,7 +9,7 @@ from .._jit import jit
 from ..limits import LOOK, ROUNDING, TINY
 from ..step_control import HELPED, MORE
 from .curve import along_curve
-from .noise import LANES, fill_noise, mixed
+from .noise import LANES, OF_STATE, fill_noise, mixed
 from .steps import Leg, new_room, walk
 from .way import PILOT
 from .weights import AWAY, finite_rows, systematic
@@ -45,7 +45,7 @@ class Steps(NamedTuple):
 def over(leg, flow, t0, t1, steps):
     """A leg's model over a span of time, along its drift as `flow` follows it."""
     fixed = leg.drift, leg.jacobian, leg.noise, flow, leg.walk, leg.linearise, leg.move
-    data, kinds = (leg.p, leg.root, leg.domain), (leg.additive, leg.constant, leg.walls)
+    data, kinds = (leg.p, leg.root, leg.domain), (leg.kind, leg.constant, leg.walls)
     return Leg(*fixed, *data, t0, (t1 - t0) / steps, steps, *kinds)
 
 
@@ -229,8 +229,8 @@ def moved_twice(leg, half, x, key):
     state, fine, Z = np.empty(LANES, np.uint64), np.empty((3, 2 * d, LANES)), np.empty((3, d, LANES))
     ends, middle, room = x.copy(), x.copy(), new_room(m)
     for k in range(0, len(x), LANES):
-        fill_noise(key, np.uint64(k // LANES), leg.additive, state, fine)
-        if not leg.additive:
+        fill_noise(key, np.uint64(k // LANES), leg.kind, state, fine)
+        if leg.kind == OF_STATE:
             _mirror(fine, m)
         for r in range(d):
             one = 2 * (r // m) * m + r % m

@@ -18,7 +18,7 @@ from .._views import rows_at
 from ..domain import DOMAIN, REFLECTING, Domain, bounce
 from ..limits import TINY
 from ..step_control import next_step
-from .noise import LANES, uniform
+from .noise import ADDITIVE, LANES, uniform
 
 __all__ = [
     "BESIDE",
@@ -58,18 +58,18 @@ class Leg(NamedTuple):
     t: float  # seconds, begin
     h: float  # step, seconds
     steps: int
-    additive: bool  # noise does not depend on the state
-    constant: bool  # nor on time
+    kind: int  # of the noise
+    constant: bool  # noise depends on neither state nor time
     walls: bool  # some axis reflects
 
 
-_NUMBERS = [types.float64, types.float64, types.int64, types.boolean, types.boolean, types.boolean]
+_NUMBERS = [types.float64, types.float64, types.int64, types.int64, types.boolean, types.boolean]
 #: Numba's type of `Leg`.
 LEG = types.NamedTuple([*[ADDRESS] * 7, VECTOR, MATRIX, DOMAIN, *_NUMBERS], Leg)
 _EMPTY = np.empty(0)
 _ANYWHERE = Domain(np.empty(0, np.int64), _EMPTY, _EMPTY)
 #: Stands for a leg of a linear model, of which nothing is called.
-NO_LEG = Leg(*[NOWHERE_AT] * 7, _EMPTY, np.empty((0, 0)), _ANYWHERE, 0.0, 0.0, 0, True, True, False)
+NO_LEG = Leg(*[NOWHERE_AT] * 7, _EMPTY, np.empty((0, 0)), _ANYWHERE, 0.0, 0.0, 0, ADDITIVE, True, False)
 CUBE = types.float64[:, :, ::1]
 #: The room of a chunk: points, a state between, slopes of the drift and of the noise, the points before.
 #: Parts are a constant apart, by which the compiler sees that they do not overlap; no power of two, for the
