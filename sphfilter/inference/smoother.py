@@ -8,7 +8,7 @@ that is: by itself it need not have an end.
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,9 +24,10 @@ from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..lattice.field import extrapolated_mass, nodes
 from ..lattice.level_set import lattice_reach
+from ..model.discrete import DiscreteModel
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, driven, each_input
-from ..model.sde import SDE
+from ..prediction import chapman_kolmogorov
 from ..prediction.backward import carried_back, likelihood_field
 from ..prediction.log_density import why_not
 from ..validate import short
@@ -190,10 +191,11 @@ def _checked(
         raise ModelError(f"the first time {times[0]:g} is before the filter's own time {filt.t:g}")
     if not filt.model.domain.unbounded:
         raise ModelError("smooth takes no model with a domain: states have to be on the whole line")
-    if not isinstance(filt.model, SDE):
-        raise ModelError("smooth goes back along equations in continuous time; a DiscreteModel has none")
-    scheme = filt.config.scheme
-    reason = why_not(filt.model, filt.density, filt.n_particles)
+    scheme, model = filt.config.scheme, cast(Any, filt.model)
+    if isinstance(model, DiscreteModel):
+        reason = chapman_kolmogorov.why_not(model, filt.density)
+    else:
+        reason = why_not(model, filt.density, filt.n_particles)
     if not isinstance(scheme, str | LogDensityScheme):
         reason = f"the filter's scheme is {scheme.name!r}; leave it to the default"
     if reason:
@@ -287,7 +289,10 @@ def _one_back(
     priors = _between(before.filt, after.filt.t, max(after.n_steps, 1), u)
     model: Any = before.filt.model.with_inputs(u)
     for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
-        log_beta = carried_back(model, found, prior, t)
+        if isinstance(model, DiscreteModel):
+            log_beta = chapman_kolmogorov.integrated_back(model, found, prior)
+        else:
+            log_beta = carried_back(model, found, prior, t)
         smoothed, future, _ = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
         X = nodes(_field(smoothed))
         values = log_beta(X)

@@ -65,6 +65,8 @@ class DiscreteModel(Dynamics):
     period : float
     linear : bool
         The step is affine in state and noise with constant coefficients (provably).
+    gaussian_noise : bool
+        The step is affine in the noise (provably).
 
     Raises
     ------
@@ -114,7 +116,8 @@ class DiscreteModel(Dynamics):
             whole = compile_with_noise(transition, n, len(Q), "transition", values.data, vectorized)
             makers = {"step": lambda fs: whole}
         names = [f"x{i}" for i in range(n)]
-        self._assemble((DiscreteModel, recipe), names, values, Q, makers, tail, domain, period)
+        parts = makers, tail, {"linear": False, "gaussian_noise": noises is None}
+        self._assemble((DiscreteModel, recipe), names, values, Q, parts, domain, period)
 
     @classmethod
     @validate.keywords
@@ -176,9 +179,9 @@ class DiscreteModel(Dynamics):
             Q = np.eye(np.shape(noise)[-1]) if Q is None else Q
         else:
             Q = _own_noise(noise, covariance, len(noises))
-        makers, tail, linear = symbolic_step(states, transition, noise, len(Q), noises, words)
+        makers, tail, flags = symbolic_step(states, transition, noise, len(Q), noises, words)
         self, made = cls.__new__(cls), (DiscreteModel.from_expressions, recipe)
-        self._assemble(made, states, values, Q, makers, tail, domain, period, linear)
+        self._assemble(made, states, values, Q, (makers, tail, flags), domain, period)
         return self
 
     @classmethod
@@ -225,20 +228,20 @@ class DiscreteModel(Dynamics):
         states: Sequence[str],
         values: Values,
         Q: Floats,
-        makers: dict[str, Maker],
-        tail: Floats,
+        parts: tuple[dict[str, Maker], Floats, dict[str, bool]],
         domain: DomainLike,
         period: float,
-        linear: bool = False,
     ) -> None:
         """Set every attribute; what follows from the step is compiled when first used."""
+        makers, tail, flags = parts
         self._made(recipe, states, len(Q), tail, domain)
         if self.domain.walled.any():
             raise ModelError(
                 f"the domain of a model in discrete time may have periodic axes only, got {self.domain}: "
                 f"write what happens at an end into the transition, such as max(x, 0)"
             )
-        self.covariance, self.period, self.linear = Q, validate.positive("period", period), linear
+        self.covariance, self.period = Q, validate.positive("period", period)
+        self.linear, self.gaussian_noise = flags["linear"], flags["gaussian_noise"]
         Q.setflags(write=False)
         n = self.dim
         self._functions = Functions({"jacobian": lambda fs: derived.jacobian_from(fs["step"], n), **makers})
@@ -268,6 +271,12 @@ class DiscreteModel(Dynamics):
         shape = len(X), self.n_noise
         W = np.zeros(shape) if W is None else validate.array("W", W, shape, "a row for each state")
         return self._filled(self.step_batch, np.hstack([X, W]), t, self.dim)
+
+    def jacobian(self, X: ArrayLike, t: float) -> Floats:
+        """Return ∂x'/∂(x, w) without noise at X (N, n), shape (N, n, n + m)."""
+        X = validate.state_rows("X", X, self.dim)
+        shape = self.dim, self.dim + self.n_noise
+        return self._filled(self.jacobian_batch, np.pad(X, ((0, 0), (0, self.n_noise))), t, *shape)
 
     def breaks(self, t0: float, t1: float) -> Floats:
         """Return an empty array: between steps there is nothing to see."""
@@ -310,9 +319,9 @@ class DiscreteModel(Dynamics):
         """
         if not self.linear:
             raise ModelError(f"{self!r} is not known to be linear; write it as DiscreteModel.from_matrices")
-        n, zero = self.dim, np.zeros((1, self.dim + self.n_noise))
-        J = self._filled(self.jacobian_batch, zero, 0.0, n, n + self.n_noise)[0]
-        F, b, G = J[:, :n], self._filled(self.step_batch, zero, 0.0, n)[0], J[:, n:]
+        n, zero = self.dim, np.zeros((1, self.dim))
+        J, b = self.jacobian(zero, 0.0)[0], self.transition(zero, 0.0)[0]
+        F, G = J[:, :n], J[:, n:]
         Phi, offset, Qd, Q = np.eye(n), np.zeros(n), np.zeros((n, n)), G @ self.covariance @ G.T
         for _ in range(self.own_steps(0.0, validate.real("dt", dt))):
             Phi, offset, Qd = F @ Phi, F @ offset + b, F @ Qd @ F.T + Q

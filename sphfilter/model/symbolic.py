@@ -110,8 +110,8 @@ def symbolic_step(
     m: int,
     noises: Sequence[str] | None,
     words: Vocabulary,
-) -> tuple[dict[str, Maker], Floats, bool]:
-    """Return (makers, tables, linear) of a step in text, of m noises; arguments as in `DiscreteModel`."""
+) -> tuple[dict[str, Maker], Floats, dict[str, bool]]:
+    """Return (makers, tables, flags) of a step in text, of m noises; arguments as in `DiscreteModel`."""
     if isinstance(states, str) or isinstance(transition, str):
         raise ModelError('states and transition are lists of text, one per state: states=["x", "v"].')
     n, own = len(states), words.with_states([*states, *(noises or ())])
@@ -128,7 +128,8 @@ def symbolic_step(
         own = names
     J = step.jacobian(own.x)
     makers = {"step": _maker("transition", step, own), "jacobian": _maker("jacobian", J, own)}
-    return makers, own.data, _is_affine(step, J, own)
+    gaussian = not J[:, n:].free_symbols & set(own.x[n:])
+    return makers, own.data, {"linear": _is_affine(step, J, own), "gaussian_noise": gaussian}
 
 
 def symbolic_rows(

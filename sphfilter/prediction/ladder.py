@@ -22,10 +22,11 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
 from ..info import DOUBTFUL, Code, PredictInfo
+from ..model.discrete import DiscreteModel
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
-from . import automatic, cloud, families, family, pieces
+from . import automatic, chapman_kolmogorov, cloud, families, family, pieces
 from .again import MOST_WORK
 from .to_target import Time, carried_to_target
 
@@ -146,8 +147,11 @@ def propagate(
         return _closed_form(density, model, t1, needs)
     if density.pieces is not None and model.linear and model.domain.unbounded:
         return _by_pieces(density, model, t1, target, needs)
-    if density.read_out == "cloud" or not isinstance(model, SDE):
+    if density.read_out == "cloud":
         return _by_cloud(density, model, t1, target, needs)
+    if isinstance(model, DiscreteModel):
+        return _by_sums(density, model, t1, target, needs, time)
+    assert isinstance(model, SDE)
     by_cloud = not model.domain.walled.any() and prefers_cloud(density.dim, needs, target)
     if density.families is not None:
         found = _by_families(density, model, t1, target, needs, families.LEVELS)
@@ -235,6 +239,25 @@ def _by_cloud(
     points = needs.cloud(target)
     moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points), target=target)
     return moved.noted(needs=needs), as_asked(info)
+
+
+def _by_sums(
+    density: ParticleDensity, model: DiscreteModel, t1: float, target: float, needs: Memory, time: Time
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density by a model in discrete time: by sums over a lattice, or as points."""
+
+    def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
+        return chapman_kolmogorov.propagate(density, model, t1, nodes)
+
+    by_cloud = model.dim > 1 and prefers_cloud(model.dim, needs, target)
+    if by_cloud or chapman_kolmogorov.why_not(model, density):
+        return _by_cloud(density, model, t1, target, needs)
+    try:
+        first = needs.nodes or min_nodes(density.dim)
+        moved, info, nodes = carried_to_target(density, predicted, target, first, time)
+    except PropagationError:
+        return _by_cloud(density, model, t1, target, needs)
+    return moved.noted(needs=needs._replace(nodes=nodes), capacity=nodes), as_asked(info)
 
 
 def _by_lattice(

@@ -18,15 +18,16 @@ from ..config import (
 from ..density.memory import Memory
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of, on_lattice, target_of
-from ..errors import LatticeError, ModelError, UnresolvedError
+from ..errors import LatticeError, ModelError, PropagationError, UnresolvedError
 from ..info import PredictInfo
 from ..model.asking import asked_before, tell_of
+from ..model.discrete import DiscreteModel
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from ..model.timing import beside
 from ..validate import count, onwards, real, seconds
-from . import automatic, cloud, family, ladder, log_density, paper
+from . import automatic, chapman_kolmogorov, cloud, family, ladder, log_density, paper
 from .again import Ladder, Outcome, or_as_cloud
 from .exact import propagate_exactly
 from .to_target import ALWAYS, Time, carried_to_target
@@ -139,10 +140,10 @@ def predict(
 
 def _check_steps(model: Dynamics, scheme: Any, t0: float, t1: float) -> None:
     """Refuse what no step of a model in discrete time can do: part of one, or a scheme that has none."""
-    if not isinstance(scheme, CloudScheme | str):
+    if not isinstance(scheme, CloudScheme | LogDensityScheme | str):
         raise ModelError(
             f"a model in discrete time has no equation that the scheme {scheme.name!r} could solve: leave "
-            f"the scheme to the default, or give scheme='cloud'"
+            f"the scheme to the default, or give scheme='cloud' or scheme='log_density'"
         )
     model.own_steps(t0, t1)
 
@@ -157,11 +158,14 @@ def _to_target(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1, up to which the model does not jump, with a target error."""
     scheme = config.scheme
-    if not isinstance(scheme, LogDensityScheme) or not isinstance(model, SDE):
+    if not isinstance(scheme, LogDensityScheme):
         return ladder.propagate(density, model, t1, target, time)
 
     def on(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         allowed = time.for_lattices(density, target)
+        if isinstance(model, DiscreteModel):
+            return chapman_kolmogorov.propagate(density, model, t1, nodes)
+        assert isinstance(model, SDE)
         return log_density.propagate(on_lattice(density, nodes), model, t1, scheme, nodes, allowed)
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
@@ -185,16 +189,15 @@ def _on_particles(
     goes_on: bool,
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density to time t1, up to which the model does not jump, on a number of particles."""
-    as_it_is = isinstance(config.scheme, FamilyScheme | CloudScheme) or not isinstance(model, SDE)
+    as_it_is = isinstance(config.scheme, FamilyScheme | CloudScheme) or isinstance(model, DiscreteModel)
     density = density if as_it_is else on_lattice(density, n_particles)
     if config.exact_linear and model.linear:
         exact = propagate_exactly(density, model, t1, n_particles)
         if exact is not None:
             return exact
-
-    if not isinstance(model, SDE):
-        points = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
-        return cloud.propagate(density, model, t1, points, n_particles)
+    if isinstance(model, DiscreteModel):
+        return _in_steps(density, model, t1, config.scheme, n_particles)
+    assert isinstance(model, SDE)
 
     def predicted(config: SolverConfig | FilterConfig) -> Outcome[PredictInfo]:
         if config.scheme == "auto":
@@ -206,6 +209,23 @@ def _on_particles(
 
     outcome = or_as_cloud(predicted, config) if goes_on else predicted(config)
     return outcome.density, outcome.info
+
+
+def _in_steps(
+    density: ParticleDensity, model: DiscreteModel, t1: float, scheme: Any, n_particles: int
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density by a model in discrete time: on a lattice of so many nodes, or as a cloud."""
+    if not isinstance(scheme, CloudScheme):
+        reason = chapman_kolmogorov.why_not(model, density)
+        try:
+            if not reason:
+                return chapman_kolmogorov.propagate(density, model, t1, n_particles)
+        except PropagationError as problem:
+            reason = str(problem)
+        if scheme != "auto":
+            raise PropagationError(reason)
+    points = scheme if isinstance(scheme, CloudScheme) else CloudScheme()
+    return cloud.propagate(density, model, t1, points, n_particles)
 
 
 class Prediction(NamedTuple):

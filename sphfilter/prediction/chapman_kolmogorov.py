@@ -1,0 +1,161 @@
+"""A step of a model in discrete time on a lattice, by the equation of Chapman and Kolmogorov.
+
+p'(x') = ∫ N(x'; F(x), S(x)) p(x) dx is a sum over the nodes of p: so many Gaussians, which a new lattice then
+stands for. A sum over a lattice is an integral but for what has the lattice's own frequencies: of a Gaussian
+of covariance S about F, nodes that are the columns of A apart, the part Σ_k exp(-2 π² |M^-T k|²) over whole
+numbers k, where M = L⁻¹ F' A is the spacing after the step in units of the noise, S = L Lᵀ (Poisson).
+"""
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from .._types import Floats, OfStates
+from ..config import LogDensityScheme
+from ..core.field.field import Field
+from ..core.limits import LOG_2_PI, NOTHING, TINY
+from ..density.as_family import pieces_density
+from ..density.particle_density import ParticleDensity
+from ..density.pieces import Pieces
+from ..density.resample import on_lattice, times_likelihood
+from ..errors import PropagationError
+from ..info import DOUBTFUL, PredictInfo
+from ..lattice.field import nodes
+from ..model.discrete import DiscreteModel
+
+__all__ = ["integrated_back", "propagate", "why_not"]
+
+_STATES = 2  # K Gaussians at some K nodes: of three states K² = 10⁸ numbers are more work than points
+_MOST = 2_000  # nodes of a sum, in as much time as a cloud of 2^13 points; the most frequent has 60 to 300
+_GRAIN = 1e-4  # of a density, that a sum may be uneven by; errors of means are less, measured: a tenth
+_SCHEME = LogDensityScheme()
+_TOO_LITTLE = "the noise of a step is too small for a sum over nodes"
+
+__all__ = ["integrated_back", "propagate", "why_not"]
+
+_STATES = 2  # a sum of K Gaussians at K nodes: of three states some 10⁴ times 10⁵ are more work than points
+_GRAIN = 1e-4  # of a density, that a sum may be uneven by: measured, errors of means are a tenth of it
+
+
+def why_not(model: DiscreteModel, density: ParticleDensity) -> str:
+    """Can sums over a lattice carry the density? Returns a reason why not, empty if they can."""
+    if model.dim > _STATES:
+        return f"sums over lattices are too much work in {model.dim} states"
+    if not model.domain.unbounded:
+        return "sums of Gaussians know no domain"
+    if not model.gaussian_noise:
+        return "the noise of a step is not Gaussian"
+    if density.field is None and density.family is None:
+        return "the density has no smooth logarithm"
+    return ""
+
+
+def propagate(
+    density: ParticleDensity, model: DiscreteModel, t1: float, n_particles: int
+) -> tuple[ParticleDensity, PredictInfo]:
+    """Carry a density to time t1, seconds, on lattices of about so many nodes.
+
+    Raises `PropagationError` where noise is too small for sums over nodes, or no lattice holds the density.
+    """
+    steps, moved, asked = model.own_steps(density.t, t1), on_lattice(density, n_particles), 0
+    for k in range(steps):
+        moved, evaluations = _stepped(moved, model, density.t + k * model.period, n_particles)
+        asked += evaluations
+    skipped = ("everything but sums: a step is the integral over the last density",)
+    info = PredictInfo(
+        n_steps=steps, n_evaluations=asked, error=moved.error, skipped=skipped, scheme="log_density"
+    )
+    return moved.noted(t=float(t1)), info
+
+
+def _stepped(
+    density: ParticleDensity, model: DiscreteModel, t: float, n_particles: int
+) -> tuple[ParticleDensity, int]:
+    """The density after a step, and how often the model was asked at each node."""
+    (J, L), asked = _derivatives(model, density.x, t), 2
+    waves = _waves(J, L, density.field)
+    many = _enough(waves, density)
+    if many > density.n_particles:
+        known = {"error": density.error, "lost": density.lost, "rough": density.rough}
+        density = times_likelihood(density, _even, many, _SCHEME)[0].noted(**known)
+        (J, L), asked = _derivatives(model, density.x, t), 4
+        waves = _waves(J, L, density.field)
+    grain = _grain(waves, density.mass)
+    if grain > DOUBTFUL:
+        raise PropagationError(_TOO_LITTLE)
+    mean = model.transition(density.x, t)
+    summed = pieces_density(density, Pieces(np.log(density.mass), mean, L).normalised())
+    new, _, found = times_likelihood(summed, _even, n_particles, _SCHEME)
+    left = density.error * _kept(density, new, mean)
+    return new.noted(error=math.hypot(left, found.off.mean, grain), lost=density.lost), asked
+
+
+def integrated_back(model: DiscreteModel, found: Field, prior: ParticleDensity) -> OfStates:
+    """Return λ a step earlier, at the time of a prior, as a function of states (M, n).
+
+    exp λ(x) is the integral of N(x'; F(x), S(x)) exp λ'(x'), a sum over the nodes of `found`, which is λ'
+    after the step, as `backward.likelihood_field` makes it.
+    """
+    at, t = nodes(found), prior.t
+    values = found.log_p + np.linalg.slogdet(found.A)[1] - 0.5 * model.dim * LOG_2_PI
+    one = np.broadcast_to(np.eye(model.dim), (len(prior.x), model.dim, model.dim))
+    if _grain(_waves(one, _derivatives(model, prior.x, t)[1], found), prior.mass) > DOUBTFUL:
+        raise PropagationError(_TOO_LITTLE)
+
+    def log_expected(X: Floats) -> Floats:
+        L = _derivatives(model, X, t)[1]
+        off = at - model.transition(X, t)[:, None]
+        square = (np.linalg.solve(L, off.swapaxes(1, 2)) ** 2).sum(axis=1)
+        peak = np.linalg.slogdet(L)[1][:, None]
+        return np.asarray(logsumexp(values - 0.5 * square - peak, axis=1))
+
+    return log_expected
+
+
+def _even(X: Floats) -> Floats:
+    return np.zeros(len(X))
+
+
+def _derivatives(model: DiscreteModel, X: Floats, t: float) -> tuple[Floats, Floats]:
+    """F' (M, n, n) at states (M, n), and lower roots L (M, n, n) of the noise there."""
+    J, n = model.jacobian(X, t), model.dim
+    G = J[:, :, n:]
+    try:
+        L = np.asarray(np.linalg.cholesky(G @ model.covariance @ G.swapaxes(1, 2)), np.float64)
+    except np.linalg.LinAlgError:
+        raise PropagationError(_TOO_LITTLE) from None
+    return J[:, :, :n], L
+
+
+def _waves(J: Floats, L: Floats, field: Any) -> Floats:
+    """The exponents 2 π² |M^-T k|² of each node of a lattice, for whole numbers k next to zero."""
+    whole = np.array([k for k in itertools.product((-1.0, 0.0, 1.0), repeat=J.shape[1]) if any(k)])
+    _, width, axes = np.linalg.svd(np.linalg.solve(L, J @ field.A))
+    along = (axes @ whole.T) / np.maximum(width, TINY)[..., None]
+    return np.asarray(2.0 * np.pi**2 * np.minimum((along**2).sum(axis=1), NOTHING))
+
+
+def _grain(waves: Floats, mass: Floats, finer: float = 1.0) -> float:
+    """By which part a sum over nodes, so many times finer along each axis, is uneven on average."""
+    return float(mass @ np.exp(-(finer**2) * waves).sum(axis=1))
+
+
+def _enough(waves: Floats, density: ParticleDensity) -> int:
+    """Nodes whose sum is even enough; raises `PropagationError` where they are too many."""
+    many = density.n_particles
+    while _grain(waves, density.mass, (many / density.n_particles) ** (1.0 / density.dim)) > _GRAIN:
+        many = math.ceil(1.2 * many)
+        if many > _MOST:
+            raise PropagationError(_TOO_LITTLE)
+    return many
+
+
+def _kept(before: ParticleDensity, after: ParticleDensity, moved: Floats) -> float:
+    """What of an error of the mean a step leaves, in standard deviations, by regression on where nodes go."""
+    cross = (moved * before.mass[:, None]).T @ (before.x - before.mean())
+    roots = np.linalg.cholesky(before.cov()), np.linalg.cholesky(after.cov())
+    part = np.linalg.solve(roots[1], np.linalg.solve(roots[0], cross.T).T)
+    return float(np.linalg.norm(part)) / math.sqrt(before.dim)
