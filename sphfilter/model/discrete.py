@@ -10,11 +10,11 @@ from .. import validate
 from .._types import BatchFunction, Floats
 from ..errors import ModelError, PropagationError
 from . import derived
-from .compile import Maker, StateFunction, compile_rows, compile_with_noise
+from .compile import Maker, StateFunction, compile_rows, compile_with_noise, reads_argument
 from .domain import DomainLike
 from .dynamics import Dynamics, Functions, compiled
 from .named import Inputs, Values
-from .noise import Noise, noise_parts
+from .noise import Noise, noise_parts, reads_time
 from .tables import Tables, tables_of
 
 __all__ = ["DiscreteModel"]
@@ -67,6 +67,8 @@ class DiscreteModel(Dynamics):
         The step is affine in state and noise with constant coefficients (provably).
     gaussian_noise : bool
         The step is affine in the noise (provably).
+    autonomous : bool
+        The step does not depend on time (provably).
 
     Raises
     ------
@@ -86,6 +88,8 @@ class DiscreteModel(Dynamics):
     ...     predicted, updated = flt.predict(), flt.update(z)
     >>> print(f"P(x > 0) = {flt.density.probability(lambda X: X[:, 0] > 0):.2f}")
     """
+
+    gaussian_noise: bool
 
     @validate.keywords
     def __init__(
@@ -109,14 +113,16 @@ class DiscreteModel(Dynamics):
             noise, given = _noise_of(noise, covariance, n)
             about = n, values.data, vectorized
             F = compile_rows(transition, (n,), "transition", *about)
-            makers, Q, tail, _ = noise_parts(noise, given, None, *about)
+            makers, Q, tail, known = noise_parts(noise, given, None, *about)
+            timed = not known["autonomous"] or reads_time(transition, "transition", values.data)
             makers["step"] = lambda fs: derived.noisy_map(F, fs["noise"], n, len(Q))
         else:
             Q = _own_noise(noise, covariance, validate.count("noises", noises))
             whole = compile_with_noise(transition, n, len(Q), "transition", values.data, vectorized)
-            makers = {"step": lambda fs: whole}
+            makers, timed = {"step": lambda fs: whole}, reads_argument(transition, 2)
         names = [f"x{i}" for i in range(n)]
-        parts = makers, tail, {"linear": False, "gaussian_noise": noises is None}
+        flags = {"linear": False, "gaussian_noise": noises is None, "autonomous": not timed}
+        parts = makers, tail, flags
         self._assemble((DiscreteModel, recipe), names, values, Q, parts, domain, period)
 
     @classmethod
@@ -241,11 +247,12 @@ class DiscreteModel(Dynamics):
                 f"write what happens at an end into the transition, such as max(x, 0)"
             )
         self.covariance, self.period = Q, validate.positive("period", period)
-        self.linear, self.gaussian_noise = flags["linear"], flags["gaussian_noise"]
+        for name in ("linear", "gaussian_noise", "autonomous"):
+            setattr(self, name, flags[name])
         Q.setflags(write=False)
         n = self.dim
         self._functions = Functions({"jacobian": lambda fs: derived.jacobian_from(fs["step"], n), **makers})
-        self.autonomous, self.events, self.max_step = False, np.empty(0), np.inf
+        self.events, self.max_step = np.empty(0), np.inf
         self._set(values)
         self._functions["step"]  # what is wrong with a transition should show now, not in a first step
 

@@ -65,7 +65,8 @@ class JumpMarkovModel:
         for name, mode in modes.items():
             if not isinstance(name, str) or not isinstance(mode, SDE):
                 raise ModelError(
-                    f"modes must be models by their names, got {validate.short(name)}: {validate.short(mode)}"
+                    f"modes must be equations (SDE) by their names, got {validate.short(name)}: "
+                    f"{validate.short(mode)}"
                 )
         self.modes: Mapping[str, SDE] = MappingProxyType(dict(modes))
         self.names = tuple(modes)

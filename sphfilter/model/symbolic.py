@@ -128,8 +128,9 @@ def symbolic_step(
         own = names
     J = step.jacobian(own.x)
     makers = {"step": _maker("transition", step, own), "jacobian": _maker("jacobian", J, own)}
-    gaussian = not J[:, n:].free_symbols & set(own.x[n:])
-    return makers, own.data, {"linear": _is_affine(step, J, own), "gaussian_noise": gaussian}
+    flags = {"linear": _is_affine(step, J, own), "autonomous": own.t not in step.free_symbols}
+    flags["gaussian_noise"] = not J[:, n:].free_symbols & set(own.x[n:])
+    return makers, own.data, flags
 
 
 def symbolic_rows(

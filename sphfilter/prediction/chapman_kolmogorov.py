@@ -16,28 +16,28 @@ from scipy.special import logsumexp
 from .._types import Floats, OfStates
 from ..config import LogDensityScheme
 from ..core.field.field import Field
+from ..core.field.walls import NO_WALLS
 from ..core.limits import LOG_2_PI, NOTHING, TINY
-from ..density.as_family import pieces_density
+from ..density.nets import net
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces
 from ..density.resample import on_lattice, times_likelihood
 from ..errors import PropagationError
-from ..info import DOUBTFUL, PredictInfo
+from ..info import PredictInfo
+from ..lattice.check import misfit
 from ..lattice.field import nodes
+from ..lattice.level_set import lattice_reach
+from ..lattice.posterior import posterior
 from ..model.discrete import DiscreteModel
 
 __all__ = ["integrated_back", "propagate", "why_not"]
 
 _STATES = 2  # K Gaussians at some K nodes: of three states K² = 10⁸ numbers are more work than points
 _MOST = 2_000  # nodes of a sum, in as much time as a cloud of 2^13 points; the most frequent has 60 to 300
-_GRAIN = 1e-4  # of a density, that a sum may be uneven by; errors of means are less, measured: a tenth
+_GRAIN = 1e-4  # of a density, that a sum over nodes may be uneven by
+_UNEVEN = 0.1  # from which a lattice does not stand for a sum: that of points sees each of them
 _SCHEME = LogDensityScheme()
 _TOO_LITTLE = "the noise of a step is too small for a sum over nodes"
-
-__all__ = ["integrated_back", "propagate", "why_not"]
-
-_STATES = 2  # a sum of K Gaussians at K nodes: of three states some 10⁴ times 10⁵ are more work than points
-_GRAIN = 1e-4  # of a density, that a sum may be uneven by: measured, errors of means are a tenth of it
 
 
 def why_not(model: DiscreteModel, density: ParticleDensity) -> str:
@@ -48,7 +48,7 @@ def why_not(model: DiscreteModel, density: ParticleDensity) -> str:
         return "sums of Gaussians know no domain"
     if not model.gaussian_noise:
         return "the noise of a step is not Gaussian"
-    if density.field is None and density.family is None:
+    if density.field is None and density.family is None and density.read_out != "cloud":
         return "the density has no smooth logarithm"
     return ""
 
@@ -74,23 +74,29 @@ def propagate(
 def _stepped(
     density: ParticleDensity, model: DiscreteModel, t: float, n_particles: int
 ) -> tuple[ParticleDensity, int]:
-    """The density after a step, and how often the model was asked at each node."""
-    (J, L), asked = _derivatives(model, density.x, t), 2
-    waves = _waves(J, L, density.field)
-    many = _enough(waves, density)
-    if many > density.n_particles:
-        known = {"error": density.error, "lost": density.lost, "rough": density.rough}
-        density = times_likelihood(density, _even, many, _SCHEME)[0].noted(**known)
-        (J, L), asked = _derivatives(model, density.x, t), 4
-        waves = _waves(J, L, density.field)
-    grain = _grain(waves, density.mass)
-    if grain > DOUBTFUL:
-        raise PropagationError(_TOO_LITTLE)
+    """The density after a step, and how often the model was asked at each node, or point of a cloud."""
+    (J, L), grain, asked = _derivatives(model, density.x, t), 0.0, 2
+    if density.field is not None:
+        many = _enough(_waves(J, L, density.field), density)
+        if many > density.n_particles:
+            known = {"error": density.error, "lost": density.lost}
+            density = times_likelihood(density, _even, many, _SCHEME)[0].noted(**known)
+            (J, L), asked = _derivatives(model, density.x, t), 4
+        grain = _grain(_waves(J, L, density.field), density.mass)
     mean = model.transition(density.x, t)
-    summed = pieces_density(density, Pieces(np.log(density.mass), mean, L).normalised())
-    new, _, found = times_likelihood(summed, _even, n_particles, _SCHEME)
+    log_p = Pieces(np.log(np.maximum(density.mass, TINY)), mean, L).log_p
+    about = mean + np.einsum("kab,kb->ka", L, net(len(mean), model.dim)), density.mass, log_p, _even
+    laid = posterior(*about, n_particles, 0.5 * lattice_reach(_SCHEME, model.dim) ** 2, None, NO_WALLS)
+    off = misfit(laid, log_p)
+    if max(grain, off.residual) > _UNEVEN:
+        raise PropagationError(_TOO_LITTLE)
+    new = ParticleDensity.on_lattice(laid, density.t, n_particles, residual=off.residual, lost=density.lost)
     left = density.error * _kept(density, new, mean)
-    return new.noted(error=math.hypot(left, found.off.mean, grain), lost=density.lost), asked
+    return new.noted(error=math.hypot(left, off.mean, grain), needs=density.needs), asked
+
+
+def _even(X: Floats) -> Floats:
+    return np.zeros(len(X))
 
 
 def integrated_back(model: DiscreteModel, found: Field, prior: ParticleDensity) -> OfStates:
@@ -102,7 +108,7 @@ def integrated_back(model: DiscreteModel, found: Field, prior: ParticleDensity) 
     at, t = nodes(found), prior.t
     values = found.log_p + np.linalg.slogdet(found.A)[1] - 0.5 * model.dim * LOG_2_PI
     one = np.broadcast_to(np.eye(model.dim), (len(prior.x), model.dim, model.dim))
-    if _grain(_waves(one, _derivatives(model, prior.x, t)[1], found), prior.mass) > DOUBTFUL:
+    if _grain(_waves(one, _derivatives(model, prior.x, t)[1], found), prior.mass) > _UNEVEN:
         raise PropagationError(_TOO_LITTLE)
 
     def log_expected(X: Floats) -> Floats:
@@ -113,10 +119,6 @@ def integrated_back(model: DiscreteModel, found: Field, prior: ParticleDensity) 
         return np.asarray(logsumexp(values - 0.5 * square - peak, axis=1))
 
     return log_expected
-
-
-def _even(X: Floats) -> Floats:
-    return np.zeros(len(X))
 
 
 def _derivatives(model: DiscreteModel, X: Floats, t: float) -> tuple[Floats, Floats]:

@@ -11,8 +11,8 @@ from ...density.particle_density import ParticleDensity
 from ...errors import ModelError, PropagationError
 from ...filter.reading_at_prior import predicted_reading
 from ...info import Code
+from ...model.discrete import DiscreteModel
 from ...model.measurements import Sensor, is_gaussian
-from ...model.sde import SDE
 
 __all__ = ["ON_FAILURE", "OnFailure", "linearised", "merged", "multiplied", "said"]
 
@@ -27,10 +27,17 @@ def said(problem: PropagationError, what: str) -> dict[str, Any]:
     return {"status": f"{what}: {problem}", "code": Code.FALLBACK}
 
 
-def linearised(density: ParticleDensity, model: SDE, dt: float) -> Gaussian:
+def linearised(density: ParticleDensity, model: Any, dt: float) -> Gaussian:
     """The Gaussian that the model, linearised along its mean, makes of a density, as an extended Kalman
     filter predicts: dm/dt = f(m), dP/dt = F P + P F' + 2 D(m). Refused if that is infinite, or no Gaussian.
     """
+    if isinstance(model, DiscreteModel):
+        m, P, t = density.mean(), density.cov(), density.t
+        for k in range(model.own_steps(t, t + dt)):
+            F, G = np.split(model.jacobian(m, t + k * model.period)[0], [model.dim], axis=1)
+            m = model.transition(m, t + k * model.period)[0]
+            P = F @ P @ F.T + G @ model.covariance @ G.T
+        return _gaussian(m, P)
     from scipy.integrate import solve_ivp  # on use: import time
 
     n = density.dim

@@ -20,9 +20,9 @@ from ...density.modes import ModeDensities
 from ...density.particle_density import ParticleDensity
 from ...errors import ConfigError, ModelError, PropagationError
 from ...info import PredictInfo
+from ...model.dynamics import Dynamics
 from ...model.jump_markov import JumpMarkovModel
 from ...model.jump_markov import mode_probabilities as checked_probabilities
-from ...model.sde import SDE
 from ...prediction.again import Outcome, or_as_cloud, predict_from_finer
 from ...prediction.jumping import suits
 from ...prediction.predict import Prediction as Origin
@@ -124,7 +124,7 @@ class SPHPredictor(DensityPredictor):
 
     Parameters
     ----------
-    transition_model : SDETransitionModel, SDE, or linear Gaussian model
+    transition_model : SDETransitionModel, SDE, DiscreteModel, or linear Gaussian model
         Stone Soup's ConstantVelocity, OrnsteinUhlenbeck, Singer and combinations of them are turned into the
         linear equations whose transitions they are; others have to be given as an equation.
     n_particles : int
@@ -139,7 +139,7 @@ class SPHPredictor(DensityPredictor):
     """
 
     transition_model: TransitionModel = Property(
-        doc="An SDETransitionModel, an SDE or a linear Gaussian model."
+        doc="An SDETransitionModel, an SDE, a DiscreteModel or a linear Gaussian model."
     )
     n_particles: int = Property(default=200, doc="Upper bound of the number of particles.")
     config: FilterConfig = Property(default=None, doc="Settings; the default is the best measured scheme.")
@@ -148,7 +148,7 @@ class SPHPredictor(DensityPredictor):
     )
 
     @transition_model.setter  # type: ignore[no-redef]  # Stone Soup makes a property of it
-    def transition_model(self, model: SDETransitionModel | SDE | TransitionModel) -> None:
+    def transition_model(self, model: SDETransitionModel | Dynamics | TransitionModel) -> None:
         self._property_transition_model = transition_of(model)
 
     @property

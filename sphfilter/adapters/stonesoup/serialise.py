@@ -16,7 +16,9 @@ from ...density.particle_density import ParticleDensity
 from ...density.storage import from_bytes, to_bytes
 from ...errors import ModelError, SphfilterError
 from ...info import PredictInfo, ResampleInfo, UpdateInfo
+from ...model.discrete import DiscreteModel
 from ...model.domain import Domain
+from ...model.dynamics import Dynamics
 from ...model.jump_markov import JumpMarkovModel
 from ...model.likelihood import LikelihoodMeasurement
 from ...model.measurements import GaussianMeasurement
@@ -84,10 +86,10 @@ def _density_from(text: str) -> ParticleDensity:
     return from_bytes(base64.decodebytes(text.encode()))
 
 
-def _model_text(model: SDE) -> str:
+def _model_text(model: Dynamics) -> str:
     _, (constructor, arguments, inputs) = model.__reduce__()
-    if constructor == SDE:
-        raise ModelError(_CODE.format("the drift of this SDE"))
+    if constructor in (SDE, DiscreteModel):
+        raise ModelError(_CODE.format(f"a function of this {constructor.__name__}"))
     if isinstance(model, LinearSDE):
         arguments = arguments | {"u": inputs}
     return _json(arguments)
@@ -166,6 +168,7 @@ def _plain(name: str, value: Any) -> Any:
 _FORMS: dict[type, tuple[Callable[[Any], str], Callable[[str], Any]]] = {
     ParticleDensity: (_density_text, _density_from),
     SDE: (_model_text, lambda text: SDE.from_expressions(**json.loads(text))),
+    DiscreteModel: (_model_text, lambda text: DiscreteModel.from_expressions(**json.loads(text))),
     LinearSDE: (_model_text, _linear_from),
     GaussianMeasurement: (_sensor_text, _sensor_from),
     LikelihoodMeasurement: (_refused, _refused),

@@ -17,9 +17,11 @@ from stonesoup.types.state import State
 
 from ..._types import Floats
 from ...errors import ModelError
+from ...model.discrete import DiscreteModel
 from ...model.discretization import exponential
+from ...model.dynamics import Dynamics
 from ...model.jump_markov import JumpMarkovModel
-from ...model.sde import SDE, LinearSDE
+from ...model.sde import LinearSDE
 from ...model.simulate import advance
 from ...validate import generator, short
 
@@ -40,7 +42,8 @@ class SDETransitionModel(TransitionModel):
 
     Parameters
     ----------
-    sde : SDE
+    sde : SDE or DiscreteModel
+        One in discrete time goes over intervals of whole steps.
     epoch : datetime.datetime, optional
         Where the model's time is zero; needed if drift or noise depend on time.
     seed : int, optional
@@ -53,7 +56,7 @@ class SDETransitionModel(TransitionModel):
     of the transition are known for linear models only.
     """
 
-    sde: SDE = Property(doc="The stochastic differential equation.")
+    sde: Dynamics = Property(doc="The equation, or model in discrete time.")
     epoch: datetime.datetime = Property(
         default=None, doc="Where the model's time is zero; needed if drift or noise depend on time."
     )
@@ -61,8 +64,8 @@ class SDETransitionModel(TransitionModel):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        if not isinstance(self.sde, SDE):
-            raise ModelError(f"sde must be an SDE or LinearSDE, got {short(self.sde)}")
+        if not isinstance(self.sde, Dynamics):
+            raise ModelError(f"sde must be an SDE or a DiscreteModel, got {short(self.sde)}")
         if self.epoch is None and not self.sde.autonomous:
             raise ModelError(
                 "drift or noise may depend on time: give epoch=, the datetime of the model's t = 0"
@@ -103,12 +106,17 @@ class SDETransitionModel(TransitionModel):
 
     def _flow(self, X: Floats, t: float, dt: float) -> Floats:
         """States (N, n) moved along the drift alone."""
-        if self.sde.linear:
-            Phi, offset, _ = self.sde.to_linear().discretize(dt)
+        sde: Any = self.sde
+        if sde.linear:
+            Phi, offset, _ = sde.discretize(dt)
             return X @ Phi.T + offset
+        if isinstance(sde, DiscreteModel):
+            for k in range(sde.own_steps(t, t + dt)):
+                X = sde.transition(X, t + k * sde.period)
+            return X
 
         def rate(s: float, flat: Floats) -> Floats:
-            return self.sde.drift(flat.reshape(X.shape), s).ravel()
+            return sde.drift(flat.reshape(X.shape), s).ravel()
 
         path = solve_ivp(rate, (t, t + dt), X.ravel(), rtol=_FLOW_TOLERANCE, atol=_FLOW_TOLERANCE)
         return path.y[:, -1].reshape(X.shape)
@@ -118,7 +126,7 @@ class SDETransitionModel(TransitionModel):
             raise ModelError(
                 "the transition density of this model is not Gaussian: function(noise=True) draws from it"
             )
-        return self.sde.to_linear().discretize(dt)
+        return self.sde.discretize(dt)
 
     def jacobian(self, state: State, *, time_interval: datetime.timedelta, **kwargs: Any) -> Floats:
         """Derivative (n, n) of where a state goes without noise."""
@@ -150,13 +158,13 @@ class SDETransitionModel(TransitionModel):
         return p[0] if len(p) == 1 else p
 
 
-def transition_of(model: SDETransitionModel | SDE | TransitionModel) -> SDETransitionModel:
+def transition_of(model: SDETransitionModel | Dynamics | TransitionModel) -> SDETransitionModel:
     """A transition model as `SDETransitionModel`: as it is, from an SDE, or from a linear Gaussian model."""
     if isinstance(model, SDETransitionModel):
         return model
     if isinstance(model, JumpMarkovModel):
         raise ModelError("a JumpMarkovModel switches between modes: JumpMarkovPredictor carries them")
-    return SDETransitionModel(model if isinstance(model, SDE) else linear_sde(model))
+    return SDETransitionModel(model if isinstance(model, Dynamics) else linear_sde(model))
 
 
 def switching(model: JumpMarkovModel) -> JumpMarkovModel:
