@@ -10,7 +10,9 @@ from ..validate import Given, Returned
 __all__ = ["check_assigned", "check_read", "suggest_keyword"]
 
 
-_IN_MODEL = "dynamics belong to the model: SDE(drift=...) or LinearSDE(A), in continuous time"
+_IN_MODEL = (
+    "dynamics belong to the model: SDE, LinearSDE(A), in discrete time DiscreteModel.from_matrices(F, Q)"
+)
 _MADE_OF = "the model and the sensor say it: SPHFilter(model, measurement, x0, P0)"
 _SIGMAS = "a filter that carries the density has no sigma points"
 _LINEARISED = "nothing is linearised: give h alone, update(z, R, h), or as the h of a GaussianMeasurement"
@@ -21,9 +23,9 @@ _FILTERPY = {
     "R": "give update(z, R=...), or a measurement=GaussianMeasurement(h, noise_cov=R), its noise_cov",
     "H": "give update(z, R, H), or a measurement=GaussianMeasurement(h=H, noise_cov=R), its H",
     "hx": "give update(z, R, hx), or a measurement=GaussianMeasurement(h=hx, noise_cov=R)",
-    "Q": "process noise belongs to the model: SDE(..., noise=g, spectral_density=Q)",
+    "Q": "process noise belongs to the model: SDE(..., spectral_density=Q), DiscreteModel(..., covariance=Q)",
     "F": _IN_MODEL,
-    "fx": "dynamics belong to the model: SDE(drift=fx, ...), in continuous time",
+    "fx": "dynamics belong to the model: DiscreteModel(fx, dim, covariance=Q), or an SDE in continuous time",
     "B": _INPUTS,
     "u": _INPUTS,
     "dim_u": _INPUTS,

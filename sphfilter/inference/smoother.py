@@ -193,7 +193,7 @@ def _checked(
         raise ModelError("smooth takes no model with a domain: states have to be on the whole line")
     scheme, model = filt.config.scheme, cast(Any, filt.model)
     if isinstance(model, DiscreteModel):
-        reason = chapman_kolmogorov.why_not(model, filt.density)
+        reason = chapman_kolmogorov.why_not(model)
     else:
         reason = why_not(model, filt.density, filt.n_particles)
     if not isinstance(scheme, str | LogDensityScheme):

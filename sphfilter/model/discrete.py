@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from .. import validate
 from .._types import BatchFunction, Floats
+from ..core.limits import ROUNDING
 from ..errors import ModelError, PropagationError
 from . import derived
 from .compile import Maker, StateFunction, compile_rows, compile_with_noise, reads_argument
@@ -18,8 +19,6 @@ from .noise import Noise, noise_parts, reads_time
 from .tables import Tables, tables_of
 
 __all__ = ["DiscreteModel"]
-
-_WHOLE = 1e-6  # of a step, that an interval may be off from a whole number: times of 1e9 s know it to 1e-7
 
 
 class DiscreteModel(Dynamics):
@@ -87,6 +86,7 @@ class DiscreteModel(Dynamics):
     >>> for z in (4.0, 12.0):
     ...     predicted, updated = flt.predict(), flt.update(z)
     >>> print(f"P(x > 0) = {flt.density.probability(lambda X: X[:, 0] > 0):.2f}")
+    P(x > 0) = 0.99
     """
 
     gaussian_noise: bool
@@ -298,7 +298,8 @@ class DiscreteModel(Dynamics):
             It is no whole number.
         """
         steps = (t1 - t0) / self.period
-        if abs(steps - round(steps)) > _WHOLE:
+        known = float(np.spacing(max(abs(t0), abs(t1)))) / self.period  # of times, a step's part
+        if abs(steps - round(steps)) > ROUNDING + 2.0 * known:
             raise ModelError(
                 f"the model moves in steps of {self.period:g} s, but from t = {t0:g} to {t1:g} there are "
                 f"{steps:.6g} of them: predict over whole steps, or give the model another period="

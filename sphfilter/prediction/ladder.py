@@ -150,11 +150,11 @@ def propagate(
         return _closed_form(density, model, t1, needs)
     if density.pieces is not None and model.linear and model.domain.unbounded:
         return _by_pieces(density, model, t1, target, needs)
+    if density.read_out == "cloud":
+        return _by_cloud(density, model, t1, target, needs)
     if isinstance(model, DiscreteModel):
         return _by_sums(density, model, t1, target, needs, time)
     assert isinstance(model, SDE)
-    if density.read_out == "cloud":
-        return _by_cloud(density, model, t1, target, needs)
     by_cloud = not model.domain.walled.any() and prefers_cloud(density.dim, needs, target)
     if density.families is not None:
         found = _by_families(density, model, t1, target, needs, families.LEVELS)
@@ -253,7 +253,7 @@ def _by_sums(
         return chapman_kolmogorov.propagate(density, model, t1, nodes)
 
     by_cloud = needs.cloud(target) <= _AS_SUMS.get(model.dim, MOST_POINTS)
-    if by_cloud or chapman_kolmogorov.why_not(model, density):
+    if by_cloud or chapman_kolmogorov.why_not(model):
         return _by_cloud(density, model, t1, target, needs)
     try:
         first = needs.nodes or min_nodes(density.dim)

@@ -216,7 +216,7 @@ def _in_steps(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density by a model in discrete time: on a lattice of so many nodes, or as a cloud."""
     if not isinstance(scheme, CloudScheme):
-        reason = chapman_kolmogorov.why_not(model, density)
+        reason = chapman_kolmogorov.why_not(model)
         try:
             if not reason:
                 return chapman_kolmogorov.propagate(density, model, t1, n_particles)

@@ -16,14 +16,14 @@ from reference_filters.discrete import BootstrapFilter, GridOfSteps
 
 #: States, transition, covariance, what is read, its variance, mean and variance of the start.
 SCENES = {
-    "growth": (["x"], ["x/2 + 25*x/(1 + x**2) + 8*cos(1.2*t)"], [10.0], ["x**2/20"], 1.0, [0.1], 2.0),
-    "wells": (["x", "v"], ["x + 0.4*v", "0.9*v + 0.4*(2*tanh(2*x) - x)"], [0.02, 0.1], ["x**2"], 0.2, [0.5, 0], 0.5),
+    "growth": ("x", "x/2 + 25*x/(1 + x**2) + 8*cos(1.2*t)", [10.0], "x**2/20", 1.0, [0.1], 2.0),
+    "wells": ("x v", "x + 0.4*v; 0.9*v + 0.4*(2*tanh(2*x) - x)", [0.02, 0.1], "x**2", 0.2, [0.5, 0.0], 0.5),
     "predators": (
-        ["a", "b"], ["a + 0.2*(1 - exp(b))", "b + 0.2*(exp(a) - 1)"], [0.01, 0.01], ["exp(a)"], 0.05, [0.5, 0.0], 0.1,
+        "a b", "a + 0.2*(1 - exp(b)); b + 0.2*(exp(a) - 1)", [0.01] * 2, "exp(a)", 0.05, [0.5, 0.0], 0.1
     ),
     "turning": (
-        ["x", "y", "s", "h"], ["x + s*cos(h)", "y + s*sin(h)", "s", "h"], [0.01, 0.01, 0.01, 0.02],
-        ["sqrt(x**2 + y**2)", "x - y"], 0.1, [3.0, 2.0, 1.0, 0.0], 0.2,
+        "x y s h", "x + s*cos(h); y + s*sin(h); s; h", [0.01] * 3 + [0.02], "sqrt(x**2 + y**2); x - y", 0.1,
+        [3.0, 2.0, 1.0, 0.0], 0.2,
     ),
 }  # fmt: skip
 TIMES, SEEDS = np.arange(1.0, 31.0), range(4)
@@ -31,6 +31,7 @@ TIMES, SEEDS = np.arange(1.0, 31.0), range(4)
 
 def problem(name):
     states, transition, Q, h, R, x0, variance = SCENES[name]
+    states, transition, h = states.split(), transition.split("; "), h.split("; ")
     model = sf.DiscreteModel.from_expressions(states, transition, covariance=np.diag(Q))
     sensor = sf.GaussianMeasurement.from_expressions(states, h, R * np.eye(len(h)))
     _, z = sf.simulate(model, sensor, x0, np.append(0.0, TIMES), rng=1)

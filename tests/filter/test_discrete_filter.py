@@ -117,7 +117,7 @@ def test_stochastic_volatility_and_the_fit_of_its_memory():
         model = VOLATILITY.with_parameters(a=a)
         return GridOfSteps(model, log_likelihood, (0.0, 0.7), 6.0, z, nodes=201).log_evidence
 
-    best = max(np.linspace(0.85, 0.99, 57), key=evidence)
+    best = max(np.linspace(0.7, 0.99, 59), key=evidence)
     assert abs(fit.estimate["a"] - best) < 0.005
 
 

@@ -41,16 +41,16 @@ _WRITTEN = ast.Constant | ast.Name | ast.Attribute | ast.expr_context | ast.Call
 _WRITTEN |= ast.Tuple | ast.List | ast.Set | ast.Dict
 #: What a row may count: a little above what there is. Lower one that can be; raise one and say why.
 BOUNDS = {
-    "lines of sphfilter": 36_750,
+    "lines of sphfilter": 38_250,  # models in discrete time, forecasts, plots: 1,500 more
     "lines of reference_filters": 5_300,
     "lines of experiments": 13_200,
-    "lines of tests": 27_000,
+    "lines of tests": 27_700,  # and 700 that hold them to grids and closed forms
     "  median length": 6,
     "  longer than 40 lines": 16,
-    "  with more than 8 arguments": 27,
-    "module-level numbers": 388,
+    "  with more than 8 arguments": 29,  # two constructors more
+    "module-level numbers": 392,  # sums over lattices: which, how many nodes, how even
     "  without derivation or measurement": 173,
-    "places that ask which representation": 100,
+    "places that ask which representation": 101,  # one more: what has no lattice is no sum over its nodes
     "  files with such places": 38,
     "floors of imports": 29,
     "  of the highest room": 12,
