@@ -42,6 +42,7 @@ from .errors import (
     PropagationError,
     SphfilterError,
 )
+from .filter.forecast import Forecast
 from .filter.jump_markov_filter import JumpMarkovFilter, JumpMarkovResult
 from .filter.results import FilterResult
 from .filter.sph_filter import SPHFilter
@@ -78,6 +79,7 @@ __all__ = [
     "FamilyScheme",
     "FilterConfig",
     "FilterResult",
+    "Forecast",
     "Gaussian",
     "GaussianMeasurement",
     "Health",

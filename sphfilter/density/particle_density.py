@@ -8,6 +8,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import drawing
 from .._types import Floats, Noted, ReadOut, Seed
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
@@ -406,6 +407,24 @@ class ParticleDensity(Noted):
     def mode(self) -> Floats:
         """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
         return statistics.mode(self)
+
+    def plot(self, axes: Sequence[int] | None = None, ax: Any = None) -> Any:
+        """Draw the density; needs matplotlib.
+
+        Parameters
+        ----------
+        axes : sequence of int, optional
+            States that are drawn, all if not given: one as a line, two as a map with the smallest regions
+            that hold .5, .9 and .99, more as all pairs.
+        ax : matplotlib Axes, or an array (k, k) of these, optional
+            A new figure if not given.
+
+        Returns
+        -------
+        Axes, or an array of these
+        """
+        own = list(range(self.dim)) if axes is None else statistics.checked_axes(axes, self.dim)
+        return drawing.density(self, [f"x{a}" for a in range(self.dim)], own, ax)
 
     def sample(self, size: int, rng: Seed = None) -> Floats:
         """Draw states, shape (size, n), from the density; `rng` is a numpy Generator or a seed."""

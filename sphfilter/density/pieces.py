@@ -10,8 +10,6 @@ import numpy as np
 from scipy.special import logsumexp
 
 from .._types import Bools, Floats, Ints
-from ..core._views import as_compiled
-from ..core.cloud.kernels import log_sum
 from ..core.family.rules import rule as family_rule
 from ..core.limits import LOG_2_PI
 from ..errors import PropagationError
@@ -19,6 +17,7 @@ from .points import moments_of_sum
 from .quasi_random import spread_evenly
 
 __all__ = [
+    "ENTRIES",
     "NEAR",
     "GaussianPieces",
     "Pieces",
@@ -29,6 +28,7 @@ __all__ = [
     "root_of",
 ]
 
+ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
 _STATES = 2**15  # that stand for the density: random ones would have its mean within 1 / √_STATES = .006
 NEAR = 2.5  # widths of a piece within which neighbours' middles lie: 2 Φ(-2.5) = .012 of it lies beyond
 _OF_ONE = 5  # nodes of one state: Gauss's rule of so many is exact to degree 2 · 5 - 1 = 9
@@ -77,12 +77,10 @@ class Pieces(NamedTuple):
         return peak - 0.5 * np.einsum("kma,kma->mk", z, z)
 
     def log_p(self, X: Floats) -> Floats:
-        """Logarithm of the density at states (M, n), shape (M,), to 1e-6."""
-        back, out = np.linalg.inv(self.root), np.empty(len(X))
-        peak = self.log_w + np.linalg.slogdet(back)[1] - 0.5 * self.mean.shape[1] * LOG_2_PI
-        middle = np.ascontiguousarray(np.einsum("kab,kb->ak", back, self.mean))
-        log_sum(as_compiled(X), peak, middle, np.ascontiguousarray(np.moveaxis(back, 0, -1)), out)
-        return out
+        """Logarithm of the density at states (M, n), shape (M,)."""
+        step = max(1, ENTRIES // self.mean.size)
+        parts = [logsumexp(self.log_each(X[i : i + step]), axis=1) for i in range(0, len(X), step)]
+        return np.concatenate(parts) if parts else np.empty(0)
 
 
 def light(w: Floats, means: Floats, covs: Floats, least: float, away: float = 1.0) -> Bools:

@@ -1,6 +1,6 @@
 """Results of a filter's run, and the one loop that every filter's ``run`` calls."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from os import PathLike
 from typing import Any, Protocol
@@ -8,13 +8,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import drawing
 from .._types import Bools, Floats, Readings
 from ..consistency.ranks import Ranker, gaussian_ranks
 from ..errors import ModelError
 from ..info import innovation_of
 from ..model.measurements import Reading
 from ..model.named import InputRecord, each_input
-from ..validate import onwards
+from ..validate import array, onwards
 from .reading_at_prior import OUTLYING
 from .readings import rows_of
 
@@ -110,6 +111,33 @@ class FilterResult:
         pairs = missing[..., :, None] | missing[..., None, :]
         y, S = np.where(missing, 0.0, y), np.where(pairs, np.eye(y.shape[-1]), S)
         return np.einsum("...j,...jk,...k->...", y, np.linalg.pinv(S, hermitian=True), y) > OUTLYING**2
+
+    def plot(
+        self, truth: ArrayLike | None = None, states: Sequence[str] | None = None, ax: Any = None
+    ) -> Any:
+        """Draw means with twice their deviations over time, and the epochs that were flagged.
+
+        Needs matplotlib.
+
+        Parameters
+        ----------
+        truth : array_like, shape (T, n), optional
+            Drawn beside them.
+        states : sequence of str, optional
+            Names of the n states, "x0", "x1", ... if not given.
+        ax : matplotlib Axes, or an array of these, optional
+            One for each state; a new figure if not given.
+
+        Returns
+        -------
+        Axes, or an array of these
+        """
+        n = np.shape(self.x)[-1]
+        names = [f"x{a}" for a in range(n)] if states is None else list(states)
+        if len(names) != n:
+            raise ModelError(f"states names {len(names)} states, but the result has {n}")
+        known = None if truth is None else array("truth", truth, np.shape(self.x))
+        return drawing.result(self, names, range(n), known, ax)
 
     def __repr__(self) -> str:
         *lead, n = np.shape(self.x)

@@ -1,13 +1,14 @@
 """The shell of all filters around their density: settings, names, what they show, calls and files."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import drawing
 from .._types import Floats, Interval, Reported
 from ..config import FilterConfig, checked_filter_config
 from ..density.distributions import Gaussian
@@ -16,8 +17,10 @@ from ..density.particle_density import ParticleDensity
 from ..errors import ModelError
 from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel
+from ..model.named import InputRecord
 from ..validate import array, choice, column, count, covariance, positive, real, row, seconds
 from .checkpoint import Restored, write
+from .forecast import Event, Forecast, forecast
 from .late import StepHistory
 from .names import check_assigned, check_read
 from .state import Carried, FilterState
@@ -87,6 +90,9 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
         model: Model
         config: FilterConfig
         dt: float | None
+
+        @property
+        def density(self) -> ParticleDensity: ...
     else:  # a checker would take every name for one that is there
 
         def __getattr__(self, name: str) -> Any:
@@ -129,6 +135,47 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
     def _read(self, z: Reported, given: Any, H: Any) -> tuple[FilterState[Carried], Any]:
         """The state after a reading, of another sensor if one is given, or its R and H; and what it says."""
         raise NotImplementedError
+
+    def forecast(
+        self,
+        times: ArrayLike,
+        quantiles: ArrayLike = (0.05, 0.5, 0.95),
+        events: Mapping[str, Event] | None = None,
+        inputs: InputRecord | None = None,
+    ) -> Forecast:
+        """Return what the density becomes at times to come, a `Forecast`; the filter stays where it is.
+
+        Parameters
+        ----------
+        times : array_like, shape (K,)
+            Not decreasing, seconds, none before the filter's own.
+        quantiles : array_like, shape (q,)
+            Probabilities between 0 and 1.
+        events : mapping of str to callable, optional
+            Regions by name: functions of states X (M, n) that return booleans (M,), or numbers that are
+            positive inside, by which first passages are known better.
+        inputs : array_like (K, m), or mapping of str to array_like (K,), optional
+            What the model's inputs are over the interval that ends at each time.
+        """
+        return forecast(self, times, quantiles, events, inputs)
+
+    def plot(self, states: Sequence[str] | None = None, ax: Any = None) -> Any:
+        """Draw the density now; needs matplotlib.
+
+        Parameters
+        ----------
+        states : sequence of str, optional
+            Names of the states that are drawn, all if not given: one as a line, two as a map with the
+            smallest regions that hold .5, .9 and .99, more as all pairs.
+        ax : matplotlib Axes, or an array (k, k) of these, optional
+            A new figure if not given.
+
+        Returns
+        -------
+        Axes, or an array of these
+        """
+        names = self.model.states
+        return drawing.density(self.density, names, drawing.chosen(names, states), ax)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the filter as it stands to an npz file; model and sensors, which are code, are not in it."""

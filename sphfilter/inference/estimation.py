@@ -8,10 +8,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import drawing
 from .._types import Bools, Floats, Readings
 from ..errors import EstimationError, ModelError, nearest
 from ..filter.results import FilterResult
@@ -106,6 +108,22 @@ class ParameterFit:
     def bic(self) -> float:
         """Schwarz' criterion: n log(readings) − 2 log-evidence."""
         return len(self.estimate) * float(np.log(self.n_readings)) - 2.0 * self.log_evidence
+
+    def plot(self, parameters: Sequence[str] | None = None, ax: Any = None) -> Any:
+        """Draw the estimates with ellipses of one and two standard errors; needs matplotlib.
+
+        Parameters
+        ----------
+        parameters : sequence of str, optional
+            Names of those that are drawn, all if not given.
+        ax : matplotlib Axes, or an array (k, k) of these, optional
+            A new figure if not given.
+
+        Returns
+        -------
+        Axes, or an array of these
+        """
+        return drawing.fit(self, self.names, drawing.chosen(self.names, parameters), ax)
 
     def __repr__(self) -> str:
         return f"ParameterFit({'; '.join(str(self).splitlines())})"

@@ -15,12 +15,13 @@ from scipy.special import logsumexp
 
 from .._types import Floats, OfStates
 from ..config import LogDensityScheme
+from ..core._views import as_compiled
+from ..core.cloud.kernels import log_sum
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS
 from ..core.limits import LOG_2_PI, NOTHING, TINY
 from ..density.nets import net
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import Pieces
 from ..density.resample import on_lattice, times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, PredictInfo
@@ -82,7 +83,7 @@ def _stepped(
         (J, L), asked = _derivatives(model, density.x, t), 4
     grain = _grain(_waves(J, L, density), density.mass)
     mean = model.transition(density.x, t)
-    log_p = Pieces(np.log(density.mass), mean, L).log_p
+    log_p = _log_sum(np.log(density.mass), mean, L)
     about = mean + np.einsum("kab,kb->ka", L, net(len(mean), model.dim)), density.mass, log_p, _even
     laid = posterior(*about, n_particles, 0.5 * lattice_reach(_SCHEME, model.dim) ** 2, None, NO_WALLS)
     off = misfit(laid, log_p)
@@ -91,6 +92,20 @@ def _stepped(
     new = ParticleDensity.on_lattice(laid, density.t, n_particles, residual=off.residual, lost=density.lost)
     left = density.error * _kept(density, new, mean)
     return new.noted(error=math.hypot(left, off.mean, grain), needs=density.needs), asked
+
+
+def _log_sum(log_w: Floats, mean: Floats, L: Floats) -> OfStates:
+    """Logarithm of a sum of Gaussians, by weights (K,), means (K, n) and lower roots (K, n, n), to 1e-7."""
+    back = np.linalg.inv(L)
+    peak = log_w + np.linalg.slogdet(back)[1] - 0.5 * mean.shape[1] * LOG_2_PI
+    parts = peak, np.einsum("kab,kb->ak", back, mean).copy(), np.moveaxis(back, 0, -1).copy()
+
+    def log_p(X: Floats) -> Floats:
+        out = np.empty(len(X))
+        log_sum(as_compiled(X), *parts, out)
+        return out
+
+    return log_p
 
 
 def _even(X: Floats) -> Floats:

@@ -12,15 +12,13 @@ from ..density.as_family import moments_on_line
 from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.nets import net
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import NEAR, Pieces, root_of
+from ..density.pieces import ENTRIES, NEAR, Pieces, root_of
 from ..density.points import moments_of_sum
 from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
 
 __all__ = ["jump_times", "splitting_error"]
-
-_ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
 
 
 def jump_times(steps: int, jumps: float) -> tuple[Floats, Floats]:
@@ -146,7 +144,7 @@ def _absolute(mean: Floats, cov: Floats, w: Floats) -> SplittingError:
     several, w = Pieces(np.zeros(own.sum()), mean[own], root_of(cov[own])), w[own]
     each, n = math.ceil(LOOK**2 / max(len(w), LOOK)), mean.shape[1]
     X = (several.mean[:, None] + net(each, n) @ several.root.transpose(0, 2, 1)).reshape(-1, n)
-    step = max(1, _ENTRIES // several.mean.size)
+    step = max(1, ENTRIES // several.mean.size)
     ratio = np.concatenate([_balance(several, w, X[i : i + step]) for i in range(0, len(X), step)])
     return SplittingError(X, np.repeat(np.abs(w) / each, each) * ratio)
 

@@ -144,5 +144,5 @@ def test_seeds_and_refusals():
     ]
     np.testing.assert_array_equal(drawn[0], drawn[1])
     assert (drawn[0] != drawn[2]).all()
-    with pytest.raises(sf.ModelError, match="an SDE or LinearSDE"):
+    with pytest.raises(sf.ModelError, match="an SDE or a DiscreteModel"):
         SDETransitionModel("x")

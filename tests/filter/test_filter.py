@@ -269,7 +269,7 @@ def test_bad_arguments(config, arguments, message):
 @pytest.mark.parametrize(
     ("model", "measurement", "message"),
     [
-        ("x", POSITION, "model must be an SDE or LinearSDE, got 'x'"),
+        ("x", POSITION, "model must be an SDE or a DiscreteModel, got 'x'"),
         (OSCILLATOR, 3, "measurement must be a GaussianMeasurement or LikelihoodMeasurement, got 3"),
         (OSCILLATOR, sf.GaussianMeasurement([[1.0, 0.0, 0.0]], 0.2), "h is of 3 states, but the state has 2"),
         (OSCILLATOR, sf.GaussianMeasurement(lambda x: (x[2],), 0.2), r"beyond the state \(dim=2\)"),

@@ -92,7 +92,7 @@ def test_simulate_takes_them_too():
     ("modes", "rates", "sentence"),
     [
         ({}, [[0.0]], "mapping of names to models"),
-        ({"a": 3}, [[0.0]], "models by their names"),
+        ({"a": 3}, [[0.0]], "by their names"),
         ({"a": drifting(0.0)}, [[0.0, 0.0]], "from each of 1 modes to each"),
         ({"a": drifting(0.0), "b": drifting(1.0)}, [[1.0, -1.0], [1.0, -1.0]], "from 'a' to 'b'"),
         ({"a": drifting(0.0), "b": drifting(1.0)}, [[0.0, 1.0], [1.0, -1.0]], "must be minus .* -1"),

@@ -25,7 +25,7 @@ fields, then its methods and properties. [Recipes by problem](RECIPES.md) have t
 QUESTIONS = {
     "Write down a model": "SDE LinearSDE DiscreteModel Domain Table simulate",
     "Say what a sensor reads": "GaussianMeasurement LikelihoodMeasurement Sensors",
-    "Filter": "SPHFilter PredictInfo UpdateInfo Code FilterResult",
+    "Filter": "SPHFilter PredictInfo UpdateInfo Code FilterResult Forecast",
     "Ask the density": "ParticleDensity",
     "Solve without measurements": "Gaussian Uniform initialize propagate Trajectory predict update "
     "resample ResampleInfo health Health",

@@ -1,0 +1,184 @@
+"""First passages: the probability that a state has been in a region by a time.
+
+Points go on their way, and are taken out where they are seen inside. Between two looks at g, which is
+positive inside, noise of variance s² a second takes a point from g₁ < 0 to g₂ < 0 over the border with
+probability exp(-2 g₁ g₂ / (s² h)), whatever the drift (Brownian bridge; exact where g is linear and the noise
+constant): so much of its weight goes, too.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._types import Floats
+from ..core.cloud.control import SHADOW
+from ..core.cloud.pace import FIRST_TRIED, Steps
+from ..core.limits import DIFFERENCE, LITTLE, TINY
+from ..density.cloud import points_of
+from ..density.particle_density import ParticleDensity
+from ..density.passage import age_of, chosen_steps, moved_points, points_of_sample, stored_key
+from ..density.points import Points
+from ..model.discrete import DiscreteModel
+from ..model.domain import Domain
+from ..model.dynamics import Dynamics
+from ..model.simulate import noise_root
+from ..model.timing import beside
+from ..prediction.cloud import least_steps, without_runaways
+
+__all__ = ["Event", "inside", "passed"]
+
+#: A region of states X (M, n): booleans (M,), or numbers that are positive inside.
+Event: TypeAlias = Callable[[Floats], ArrayLike]
+
+_POINTS = 2**15  # measured: probabilities of .1 to .8 are within .001 where g is numbers
+_LEGS = 20  # looks between which points keep their order; then they begin anew, as a cloud does after 24
+_MOST_LOOKS = 2**11  # measured: of Brownian motion and booleans .55 is then .005 off, in two seconds
+_GOOD = 2e-3  # what twice as many looks may move a probability by: what points miss, 2^15^-.6 = .002
+_SLOPE = 1.0 / math.sqrt(2.0 * math.pi)  # of a probability, by a shift of standard deviations, at most: φ(0)
+
+
+def inside(event: Event) -> Callable[[Floats], Any]:
+    """An event as a function of states that returns booleans."""
+
+    def booleans(X: Floats) -> Any:
+        found = np.asarray(event(X))
+        return found if found.dtype == bool else found > 0.0
+
+    return booleans
+
+
+def passed(
+    density: ParticleDensity, models: Sequence[Dynamics], times: Floats, event: Event
+) -> tuple[Floats, Floats]:
+    """Probabilities (K,) that an event has been by each of the times, and their standard errors.
+
+    Models are those of the intervals that end at the times.
+    """
+    bridged = _numbers(event, density.x[:1], density.domain) is not None
+    found: list[Floats] = []
+    apart, before, looks = [], np.full(len(times), np.nan), 1
+    while True:
+        few, many = (_absorbed(density, models, times, event, looks, n) for n in (_POINTS // SHADOW, _POINTS))
+        found.append(many)
+        apart.append((many - few) / SHADOW**0.6)
+        best = np.mean(found[-2:], axis=0) if bridged else _limit(found)
+        late = np.abs(best - before).max()
+        if isinstance(models[0], DiscreteModel) or late < _GOOD or 2 * looks * len(times) > _MOST_LOOKS:
+            break
+        before, looks = best, 2 * looks
+    of_looks = 0.0 if len(found) == 1 else 0.5 * (best - before)
+    of_points = np.sqrt(np.mean(np.square(apart), axis=0))
+    error = np.sqrt(of_points**2 + of_looks**2 + (_SLOPE * density.error) ** 2)
+    return np.clip(np.maximum.accumulate(best), 0.0, 1.0), error
+
+
+def _limit(found: Sequence[Floats]) -> Floats:
+    """The limit of numbers at looks that are twice as often each time: by the rate at which they change.
+
+    What booleans miss goes as the root of the time between two looks where noise moves a state over the
+    border, and up to the square where all is smooth: changes fall by √2 to 4.
+    """
+    if len(found) < 3:
+        return found[-1]
+    before, after = found[-2] - found[-3], found[-1] - found[-2]
+    rate = np.clip(np.sum(before * after) / max(np.sum(after * after), TINY), math.sqrt(2.0), 4.0)
+    return np.asarray(found[-1] + after / (rate - 1.0))
+
+
+def _absorbed(
+    density: ParticleDensity, models: Sequence[Dynamics], times: Floats, event: Event, looks: int, count: int
+) -> Floats:
+    """Parts (K,) of so many points that have been seen in a region by each time.
+
+    Looks in each interval are so many, or one after every step of a model in discrete time.
+    """
+    age, domain, t = age_of(density), density.domain, density.t
+    key = stored_key(age, count)
+    points = points_of_sample(Points(*points_of(density, count, key)), count, key)
+    points, left, out = *_taken_out(points, inside(event), domain), np.empty(len(times))
+    for k, (model, end) in enumerate(zip(models, times.tolist(), strict=True)):
+        own = model.own_steps(t, end) if isinstance(model, DiscreteModel) else looks
+        ways = _ways(model, np.linspace(t, end, own + 1))
+        steps = None
+        for begin, stop in ways if left > 0.0 else []:
+            age += 1
+            key = stored_key(age, count)
+            steps = steps or _steps(points, model, (begin, stop), key)
+            if points.path is None or len(points.path.passages) > _LEGS:
+                points = points_of_sample(points._replace(path=None), count, key)
+            new = moved_points(points, model, begin, stop, steps, count, stored_key(key, 1))
+            new, _ = without_runaways(new, domain)
+            part = _missed(points.x, new.x, model, (begin, stop), event, domain)
+            new, kept = _taken_out(new, inside(event), domain, part)
+            points, left = new, left * kept
+        t, out[k] = end, 1.0 - left
+    return out
+
+
+def _ways(model: Dynamics, at: Floats) -> list[tuple[float, float]]:
+    """Spans between looks, cut where the model jumps."""
+    spans: list[tuple[float, float]] = []
+    for begin, end in pairwise(at.tolist()):
+        first = begin
+        for stop in model.breaks(begin, end) if end > begin else ():
+            before, after = beside(stop, begin, end)
+            spans += [(first, before)] if first < before else []
+            first = after
+        spans += [(first, end)] if first < end else []
+    return spans
+
+
+def _steps(points: Points, model: Dynamics, span: tuple[float, float], key: int) -> Any:
+    """Steps of a span whose bias is little beside what points miss."""
+    least = least_steps(model, points.x, span)
+    if model.own_steps(*span):
+        return Steps(least)
+    allowed = LITTLE * len(points.w) ** -0.5
+    first = Steps(min(least, FIRST_TRIED))
+    return chosen_steps(points, model, span, first, (least, 64 * max(least, FIRST_TRIED)), allowed, key)[0]
+
+
+def _missed(
+    before: Floats,
+    after: Floats,
+    model: Any,
+    span: tuple[float, float],
+    event: Event,
+    domain: Domain | None,
+) -> Floats:
+    """Probabilities (N,) that points have been in a region between two looks; none, where nothing tells."""
+    if isinstance(model, DiscreteModel):
+        return np.zeros(len(after))
+    g = [_numbers(event, X, domain) for X in (before, after)]
+    if g[0] is None or g[1] is None:
+        return np.zeros(len(after))
+    columns = model.noise(before, span[0]) @ noise_root(model.spectral_density)
+    size = np.maximum(np.abs(columns).max(axis=(1, 2)), TINY)
+    step = DIFFERENCE * np.maximum(1.0, np.abs(before).max(axis=1)) / size
+    square = np.zeros(len(before))
+    for k in range(columns.shape[2]):
+        to = step[:, None] * columns[:, :, k]
+        there, back = (_numbers(event, before + sign * to, domain) for sign in (1.0, -1.0))
+        square += ((there - back) / (2.0 * step)) ** 2
+    way = -2.0 * g[0] * g[1] / np.maximum(square * (span[1] - span[0]), TINY)
+    return np.where((g[0] < 0.0) & (g[1] < 0.0), np.exp(np.minimum(way, 0.0)), 0.0)
+
+
+def _numbers(event: Event, X: Floats, domain: Domain | None) -> Any:
+    """The numbers of an event at states; None of one that is booleans."""
+    found = np.asarray(event(X if domain is None else domain.wrap(X)))
+    return None if found.dtype == bool else found.astype(float)
+
+
+def _taken_out(
+    points: Points, within: Callable[[Floats], Any], domain: Domain | None, missed: Floats | float = 0.0
+) -> tuple[Points, float]:
+    """Points without what is in a region, or has been, and the part that is left."""
+    X = points.x if domain is None else domain.wrap(points.x)
+    w = np.where(np.asarray(within(X), dtype=bool), 0.0, points.w * (1.0 - missed))
+    left = float(w.sum())
+    return (points._replace(w=w / left) if left > 0.0 else points), left
