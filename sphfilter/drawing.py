@@ -11,10 +11,6 @@ from .errors import ModelError, nearest
 __all__ = ["chosen", "density", "fit", "forecast", "result"]
 
 _COLOUR, _OTHER = "#009E73", "#D55E00"  # Okabe & Ito's, that the colour-blind tell apart
-_TAIL, _WIDER = 5e-4, 0.08  # of a state's probability beyond a picture, and what is left beside it
-_FINE = 400, 120  # points of a line, and of each side of a map
-_HELD = 0.99, 0.9, 0.5  # probabilities that the shades of a map hold
-_LARGEST = 6  # states of a picture of all pairs
 
 
 def _pyplot() -> Any:
@@ -57,11 +53,12 @@ def _finish(ax: Any, xlabel: str, ylabel: str) -> None:
 
 def density(p: Any, names: Sequence[str], axes: Sequence[int], ax: Any = None) -> Any:
     """Draw the density of some states: a line, a map with the smallest regions, or all pairs."""
-    if len(axes) > _LARGEST:
-        raise ModelError(f"a picture has {_LARGEST} states at most, got {len(axes)}; choose some by states=")
+    if len(axes) > 6:
+        raise ModelError(f"a picture has six states at most, got {len(axes)}; choose some by states=")
     if len(axes) <= 2:
         ax = ax or _pyplot().subplots(figsize=(5.5, 4.2), layout="constrained")[1]
         _one_or_two(p, names, axes, ax)
+        ax.set_title(f"t = {p.t:g}", loc="left", fontsize=9)
         return ax
     return _pairs(names, axes, ax, lambda own, panel: _one_or_two(p, names, own, panel))
 
@@ -70,18 +67,18 @@ def _one_or_two(p: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> N
     own = p if list(axes) == list(range(p.dim)) else p.marginal(list(axes))
     ranges = [_range(own, a) for a in range(own.dim)]
     if own.dim == 1:
-        x = np.linspace(*ranges[0], _FINE[0])
+        x = np.linspace(*ranges[0], 400)
         y = own.pdf(x[:, None])
         ax.fill_between(x, y, alpha=0.2, color=_COLOUR, lw=0)
         ax.plot(x, y, color=_COLOUR)
         ax.set_ylim(bottom=0.0)
         _finish(ax, names[axes[0]], "density")
         return
-    x, y = (np.linspace(*ends, _FINE[1]) for ends in ranges)
+    x, y = (np.linspace(*ends, 120) for ends in ranges)
     values = own.pdf(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(len(y), len(x))
     ordered = np.sort(values.ravel())[::-1]
     held = np.cumsum(ordered) / max(ordered.sum(), 1e-300)
-    levels = [float(ordered[min(np.searchsorted(held, part), held.size - 1)]) for part in _HELD]
+    levels = [float(ordered[min(np.searchsorted(held, part), held.size - 1)]) for part in (0.99, 0.9, 0.5)]
     levels = [*np.unique([v for v in levels if v > 0.0]), float(ordered[0])]
     if len(np.unique(levels)) > 1:
         shades = [(0.0, 0.62, 0.45, 0.18 + 0.25 * k) for k in range(len(levels) - 1)]
@@ -93,8 +90,8 @@ def _one_or_two(p: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> N
 
 
 def _range(p: Any, axis: int) -> tuple[float, float]:
-    low, high = p.quantile(axis, [_TAIL, 1.0 - _TAIL])
-    beside = _WIDER * (high - low) + 1e-12 * max(abs(low), abs(high), 1e-300)
+    low, high = p.quantile(axis, [5e-4, 1.0 - 5e-4])
+    beside = 0.08 * (high - low) + 1e-12 * max(abs(low), abs(high), 1e-300)
     return low - beside, high + beside
 
 
@@ -170,7 +167,7 @@ def forecast(ahead: Any, axes: Sequence[int], ax: Any) -> Any:
                     color=line.get_color(),
                     label=f"{name}, by then",
                 )
-        panel.set_ylim(-0.02, 1.02)
+        panel.set_ylim(bottom=0.0)
         _finish(panel, "t (s)", "probability")
         panel.legend(loc="best", frameon=False, fontsize=8)
     return ax
@@ -188,14 +185,14 @@ def fit(found: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> Any:
     def draw(own: list[int], panel: Any) -> None:
         a, b = own[0], own[-1]
         if a == b:
-            x = middle[a] + np.linspace(-4.0, 4.0, _FINE[0]) * wide[a]
+            x = middle[a] + np.linspace(-4.0, 4.0, 400) * wide[a]
             y = np.exp(-0.5 * ((x - middle[a]) / wide[a]) ** 2)
             panel.fill_between(x, y, alpha=0.2, color=_COLOUR, lw=0)
             panel.plot(x, y, color=_COLOUR)
             panel.set_yticks([])
             _finish(panel, names[a], "")
             return
-        angle = np.linspace(0.0, 2.0 * np.pi, _FINE[1])
+        angle = np.linspace(0.0, 2.0 * np.pi, 120)
         root = np.linalg.cholesky(cov[np.ix_(own, own)])
         ring = root @ np.stack([np.cos(angle), np.sin(angle)])
         for errors in (1.0, 2.0):

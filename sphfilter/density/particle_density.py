@@ -417,11 +417,7 @@ class ParticleDensity(Noted):
             States that are drawn, all if not given: one as a line, two as a map with the smallest regions
             that hold .5, .9 and .99, more as all pairs.
         ax : matplotlib Axes, or an array (k, k) of these, optional
-            A new figure if not given.
-
-        Returns
-        -------
-        Axes, or an array of these
+            A new figure if not given; returned either way.
         """
         own = list(range(self.dim)) if axes is None else statistics.checked_axes(axes, self.dim)
         return drawing.density(self, [f"x{a}" for a in range(self.dim)], own, ax)

@@ -31,6 +31,7 @@ from .points import CloudState, Pace, Passage, Path, Points, Told
 
 __all__ = [
     "LED",
+    "MOST",
     "READING",
     "Steps",
     "Through",
@@ -52,7 +53,7 @@ __all__ = [
 
 #: Passages after which a path is forgotten, and numbers of all points that they may hold: a reading leads
 #: points through all of them once more. Measured: half and twice of both change no run.
-_MOST, _NUMBERS = 24, 2**22
+MOST, _NUMBERS = 24, 2**22
 #: Parts of nets that are of none of these: what leads points to a reading; and the first of starts' own.
 LED, _START = 30, 31
 READING = 2  # of the key of an age: a reading of a cloud; and of its shadow the next
@@ -133,7 +134,7 @@ def stored_key(key: Any, number: int) -> int:
 
 
 def _most(count: int, dim: int) -> int:
-    return min(_MOST, max(4, _NUMBERS // (count * dim)))
+    return min(MOST, max(4, _NUMBERS // (count * dim)))
 
 
 class Through(NamedTuple):

@@ -20,7 +20,7 @@ from ..core.cloud.pace import FIRST_TRIED, Steps
 from ..core.limits import DIFFERENCE, LITTLE, TINY
 from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
-from ..density.passage import age_of, chosen_steps, moved_points, points_of_sample, stored_key
+from ..density.passage import MOST, age_of, chosen_steps, moved_points, points_of_sample, stored_key
 from ..density.points import Points
 from ..model.discrete import DiscreteModel
 from ..model.domain import Domain
@@ -35,10 +35,7 @@ __all__ = ["Event", "inside", "passed"]
 Event: TypeAlias = Callable[[Floats], ArrayLike]
 
 _POINTS = 2**15  # measured: probabilities of .1 to .8 are within .001 where g is numbers
-_LEGS = 20  # looks between which points keep their order; then they begin anew, as a cloud does after 24
 _MOST_LOOKS = 2**11  # measured: of Brownian motion and booleans .55 is then .005 off, in two seconds
-_GOOD = 2e-3  # what twice as many looks may move a probability by: what points miss, 2^15^-.6 = .002
-_SLOPE = 1.0 / math.sqrt(2.0 * math.pi)  # of a probability, by a shift of standard deviations, at most: φ(0)
 
 
 def inside(event: Event) -> Callable[[Floats], Any]:
@@ -67,12 +64,16 @@ def passed(
         apart.append((many - few) / SHADOW**0.6)
         best = np.mean(found[-2:], axis=0) if bridged else _limit(found)
         late = np.abs(best - before).max()
-        if isinstance(models[0], DiscreteModel) or late < _GOOD or 2 * looks * len(times) > _MOST_LOOKS:
+        if (
+            isinstance(models[0], DiscreteModel)
+            or late < _POINTS**-0.6
+            or 2 * looks * len(times) > _MOST_LOOKS
+        ):
             break
         before, looks = best, 2 * looks
     of_looks = 0.0 if len(found) == 1 else 0.5 * (best - before)
     of_points = np.sqrt(np.mean(np.square(apart), axis=0))
-    error = np.sqrt(of_points**2 + of_looks**2 + (_SLOPE * density.error) ** 2)
+    error = np.sqrt(of_points**2 + of_looks**2 + density.error**2 / (2.0 * math.pi))
     return np.clip(np.maximum.accumulate(best), 0.0, 1.0), error
 
 
@@ -108,7 +109,7 @@ def _absorbed(
             age += 1
             key = stored_key(age, count)
             steps = steps or _steps(points, model, (begin, stop), key)
-            if points.path is None or len(points.path.passages) > _LEGS:
+            if points.path is None or len(points.path.passages) >= MOST // 2:
                 points = points_of_sample(points._replace(path=None), count, key)
             new = moved_points(points, model, begin, stop, steps, count, stored_key(key, 1))
             new, _ = without_runaways(new, domain)

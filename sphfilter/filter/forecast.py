@@ -52,11 +52,11 @@ class Forecast:
     >>> import sphfilter as sf
     >>> model, sensor = sf.LinearSDE([[0.0]], noise=[[1.0]]), sf.GaussianMeasurement([[1.0]], [[0.1]])
     >>> flt = sf.SPHFilter(model, sensor, x0=[0.0], P0=[[1e-6]])
-    >>> ahead = flt.forecast([1.0, 4.0], events={"high": lambda X: X[:, 0] > 2.0})
+    >>> ahead = flt.forecast([1.0, 4.0], quantiles=(0.05, 0.95), events={"high": lambda X: X[:, 0] - 2.0})
     >>> print(ahead.quantiles[:, 0].round(2).tolist())
-    [[-1.64, -0.0, 1.64], [-3.29, -0.0, 3.29]]
-    >>> print(ahead.probability["high"].round(3), ahead.first_passage["high"].round(1))
-    [0.023 0.159] [0.  0.3]
+    [[-1.64, 1.64], [-3.29, 3.29]]
+    >>> print(ahead.probability["high"].round(3), ahead.first_passage["high"].round(2))
+    [0.023 0.159] [0.05 0.32]
     """
 
     t: Floats
@@ -119,11 +119,7 @@ class Forecast:
         states : sequence of str, optional
             Names of those that are drawn, all if not given.
         ax : matplotlib Axes, or an array of these, optional
-            One for each state, and one for the events if there are any; a new figure if not given.
-
-        Returns
-        -------
-        Axes, or an array of these
+            One for each state, and one for the events if there are any; a new figure if not given. Returned.
         """
         return drawing.forecast(self, drawing.chosen(self.states, states), ax)
 

@@ -126,11 +126,7 @@ class FilterResult:
         states : sequence of str, optional
             Names of the n states, "x0", "x1", ... if not given.
         ax : matplotlib Axes, or an array of these, optional
-            One for each state; a new figure if not given.
-
-        Returns
-        -------
-        Axes, or an array of these
+            One for each state; a new figure if not given. Returned.
         """
         n = np.shape(self.x)[-1]
         names = [f"x{a}" for a in range(n)] if states is None else list(states)

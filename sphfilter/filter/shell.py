@@ -168,11 +168,7 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
             Names of the states that are drawn, all if not given: one as a line, two as a map with the
             smallest regions that hold .5, .9 and .99, more as all pairs.
         ax : matplotlib Axes, or an array (k, k) of these, optional
-            A new figure if not given.
-
-        Returns
-        -------
-        Axes, or an array of these
+            A new figure if not given; returned either way.
         """
         names = self.model.states
         return drawing.density(self.density, names, drawing.chosen(names, states), ax)

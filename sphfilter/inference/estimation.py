@@ -117,11 +117,7 @@ class ParameterFit:
         parameters : sequence of str, optional
             Names of those that are drawn, all if not given.
         ax : matplotlib Axes, or an array (k, k) of these, optional
-            A new figure if not given.
-
-        Returns
-        -------
-        Axes, or an array of these
+            A new figure if not given; returned either way.
         """
         return drawing.fit(self, self.names, drawing.chosen(self.names, parameters), ax)
 

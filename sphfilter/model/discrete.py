@@ -55,24 +55,14 @@ class DiscreteModel(Dynamics):
 
     Attributes
     ----------
-    dim, n_noise : int
-        n and m.
-    states : tuple of str
-    parameters, inputs : mapping of str to float, read-only
+    n_noise : int
+        m.
     covariance : ndarray, shape (m, m)
-    domain : Domain
-    period : float
-    linear : bool
-        The step is affine in state and noise with constant coefficients (provably).
-    gaussian_noise : bool
-        The step is affine in the noise (provably).
-    autonomous : bool
-        The step does not depend on time (provably).
+    linear, gaussian_noise, autonomous : bool
+        Provably: the step is affine in state and noise with constant coefficients; it is affine in the noise;
+        it does not depend on time.
 
-    Raises
-    ------
-    ModelError
-        Wrong arity, shapes, NaN, Q not positive semidefinite, or a callable numba cannot compile.
+    Raises `ModelError` for wrong arity, shapes, NaN, Q not semidefinite, or what numba cannot compile.
 
     Examples
     --------
@@ -143,27 +133,10 @@ class DiscreteModel(Dynamics):
     ) -> "DiscreteModel":
         """Build a model from text; derivatives are symbolic.
 
-        Parameters
-        ----------
-        states : sequence of str
-            Names of the n states.
-        transition : sequence of str, length n
-            Each state after a step, of the states, t and, with `noises`, the noise of the step.
-        noise : nested sequence of str or float, shape (n, m), optional
-        covariance : array_like (m, m), optional
-        noises : sequence of str, optional
-            Names of the m noises in `transition`; then no `noise` is given.
-        parameters, inputs, domain, period
-            As for the constructor.
-        tables : mapping of str to Table or to (arguments, values), optional
-            What ``table("name", t)`` calls.
-
-        Raises
-        ------
-        ExpressionError
-            Unknown name or forbidden syntax.
-        ModelError
-            Wrong lengths, or Q not positive semidefinite.
+        Each of n `transition` expressions is a state after a step, of the `states`, t, parameters, inputs
+        and, where `noises` names any, the noise of the step; `noise` is a nested sequence (n, m) of text or
+        numbers, and `tables` are what ``table("name", t)`` calls. The rest is as for the constructor. Raises
+        `ExpressionError` for an unknown name or forbidden syntax, `ModelError` for wrong lengths.
 
         Examples
         --------
@@ -203,14 +176,8 @@ class DiscreteModel(Dynamics):
     ) -> "DiscreteModel":
         """Build x' = F x + B u + b + w, w ~ N(0, Q), from the matrices of a Kalman filter.
 
-        Parameters
-        ----------
-        F, Q : array_like, shape (n, n)
-        B : array_like, shape (n, k), optional
-            What the k inputs u0, u1, ... do, which are held over each interval: ``flt.predict(dt, u=...)``.
-        b : array_like, shape (n,), optional
-        period : float
-            Seconds that a step takes.
+        F and Q are (n, n), b is (n,), and B (n, k) says what the k inputs u0, u1, ... do, which are held over
+        each interval: ``flt.predict(dt, u=...)``.
 
         Examples
         --------
@@ -260,20 +227,7 @@ class DiscreteModel(Dynamics):
     jacobian_batch: BatchFunction = compiled("jacobian", "∂x'/∂(x, w), row-major, (N, n (n + m)).")
 
     def transition(self, X: ArrayLike, t: float, W: ArrayLike | None = None) -> Floats:
-        """Return the states after a step.
-
-        Parameters
-        ----------
-        X : array_like, shape (N, n)
-        t : float
-            Seconds, at which the step begins.
-        W : array_like, shape (N, m), optional
-            Noise of each; none if not given.
-
-        Returns
-        -------
-        ndarray, shape (N, n)
-        """
+        """Return where states X (N, n) are after a step that begins at t, with noise W (N, m) or none, (N, n)."""
         X = validate.state_rows("X", X, self.dim)
         shape = len(X), self.n_noise
         W = np.zeros(shape) if W is None else validate.array("W", W, shape, "a row for each state")
@@ -290,13 +244,7 @@ class DiscreteModel(Dynamics):
         return self.events
 
     def own_steps(self, t0: float, t1: float) -> int:
-        """Return the number of steps from one time to another, seconds.
-
-        Raises
-        ------
-        ModelError
-            It is no whole number.
-        """
+        """Return the number of steps from one time to another, seconds; raises `ModelError` if not whole."""
         steps = (t1 - t0) / self.period
         known = float(np.spacing(max(abs(t0), abs(t1)))) / self.period  # of times, a step's part
         if abs(steps - round(steps)) > ROUNDING + 2.0 * known:
@@ -309,21 +257,7 @@ class DiscreteModel(Dynamics):
     def discretize(self, dt: float) -> tuple[Floats, Floats, Floats]:
         """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly.
 
-        Parameters
-        ----------
-        dt : float
-            Seconds, a whole number of steps.
-
-        Returns
-        -------
-        Phi : ndarray, shape (n, n)
-        offset : ndarray, shape (n,)
-        Qd : ndarray, shape (n, n)
-
-        Raises
-        ------
-        ModelError
-            The model is not known to be linear.
+        Over dt seconds, a whole number of steps; raises `ModelError` where the model is not known to be linear.
         """
         if not self.linear:
             raise ModelError(f"{self!r} is not known to be linear; write it as DiscreteModel.from_matrices")
@@ -338,10 +272,7 @@ class DiscreteModel(Dynamics):
     def drawn(self, x: Floats, t0: float, t1: float, root: Floats, rng: np.random.Generator) -> Floats:
         """Return states x (N, n) of time t0 moved to t1, with noise of their own, whose root L is (m, m).
 
-        Raises
-        ------
-        PropagationError
-            A state left the finite numbers.
+        Raises `PropagationError` for a state that leaves the finite numbers.
         """
         for k in range(self.own_steps(t0, t1)):
             t = t0 + k * self.period

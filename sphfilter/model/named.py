@@ -105,10 +105,7 @@ class Adjustable:
     def with_parameters(self, **changes: float) -> Self:
         """Return the same with other parameter values; nothing is compiled again.
 
-        Raises
-        ------
-        ModelError
-            Unknown name, or a value that is not one finite number.
+        Raises `ModelError` for an unknown name, or a value that is not one finite number.
         """
         return self._with(parameters=changed("parameter", self.parameters, changes, self._called))
 
@@ -120,10 +117,7 @@ class Adjustable:
         u : array_like (m,), number, or mapping of str to float
             Values in the order of `inputs`, or by name; those that a mapping does not name stay.
 
-        Raises
-        ------
-        ModelError
-            Unknown name, another number of values, or one that is not finite.
+        Raises `ModelError` for an unknown name, another number of values, or one that is not finite.
         """
         return self._with(inputs=input_values(self.inputs, u, self._called))
 

@@ -341,13 +341,7 @@ class SDE(Dynamics):
         return self._evaluate(self.divergence_batch, X, t)
 
     def to_linear(self) -> "LinearSDE":
-        """Return the equal `LinearSDE` of a model whose `linear` is True.
-
-        Raises
-        ------
-        ModelError
-            The model is not known to be linear.
-        """
+        """Return the equal `LinearSDE` of a model whose `linear` is True; raises `ModelError` of another."""
         if not self.linear:
             raise ModelError(f"{self!r} is not known to be linear; write it as LinearSDE(A=..., b=...).")
         origin = np.zeros((1, self.dim))
@@ -418,19 +412,7 @@ class LinearSDE(SDE):
         return self
 
     def discretize(self, dt: float) -> tuple[Floats, Floats, Floats]:
-        """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly.
-
-        Parameters
-        ----------
-        dt : float
-            Seconds, >= 0.
-
-        Returns
-        -------
-        Phi : ndarray, shape (n, n)
-        offset : ndarray, shape (n,)
-        Qd : ndarray, shape (n, n)
-        """
+        """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly, dt >= 0 seconds."""
         dt = validate.real("dt", dt)
         if dt < 0:
             raise ModelError(f"dt must not be negative, got {dt!r}.")

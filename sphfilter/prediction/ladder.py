@@ -45,9 +45,6 @@ Found = TypeVar("Found")
 #: Points of a cloud that take as long as a lattice that makes the same error, by states; a lattice of more
 #: states never pays. And points that take as long as one family. (Of `experiments benchmark`.)
 _AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**13}, {5: 2**13, 6: 2**13}
-#: The same of sums over a lattice, in discrete time (measured by tests/filter/discrete_beside.py: of two
-#: states they take as long as 2^13 points, and a thirtieth of the error).
-_AS_SUMS = {1: 0, 2: 2**11}
 LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _WORK = 1000.0  # evaluations of the drift, that a lattice may take for each point of a usual cloud
@@ -252,7 +249,7 @@ def _by_sums(
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         return chapman_kolmogorov.propagate(density, model, t1, nodes)
 
-    by_cloud = needs.cloud(target) <= _AS_SUMS.get(model.dim, MOST_POINTS)
+    by_cloud = needs.cloud(target) <= chapman_kolmogorov.AS_SUMS.get(model.dim, MOST_POINTS)
     if by_cloud or chapman_kolmogorov.why_not(model):
         return _by_cloud(density, model, t1, target, needs)
     try:
