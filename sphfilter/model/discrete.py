@@ -227,7 +227,7 @@ class DiscreteModel(Dynamics):
     jacobian_batch: BatchFunction = compiled("jacobian", "∂x'/∂(x, w), row-major, (N, n (n + m)).")
 
     def transition(self, X: ArrayLike, t: float, W: ArrayLike | None = None) -> Floats:
-        """Return where states X (N, n) are after a step that begins at t, with noise W (N, m) or none, (N, n)."""
+        """Return where states X (N, n) are after a step from time t, with noise W (N, m) or none, (N, n)."""
         X = validate.state_rows("X", X, self.dim)
         shape = len(X), self.n_noise
         W = np.zeros(shape) if W is None else validate.array("W", W, shape, "a row for each state")
@@ -257,7 +257,7 @@ class DiscreteModel(Dynamics):
     def discretize(self, dt: float) -> tuple[Floats, Floats, Floats]:
         """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly.
 
-        Over dt seconds, a whole number of steps; raises `ModelError` where the model is not known to be linear.
+        Over dt seconds, whole steps; raises `ModelError` where the model is not known to be linear.
         """
         if not self.linear:
             raise ModelError(f"{self!r} is not known to be linear; write it as DiscreteModel.from_matrices")
