@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .._types import Floats, OfStates
 from ..config import CloudScheme, FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
-from ..core.family.rules import degrees
+from ..core.family.rules import MOST, degrees
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.limits import EDGE
 from ..core.sph.kernels import Kernel
@@ -134,8 +134,8 @@ def _to_target(
     n = len(_box_of(distribution, box))
     if ladder and not degrees(n):
         raise ModelError(
-            f'n_particles="auto" carries densities of few states, and {n} are too many: leave states out of '
-            f"the model, or give a number of particles, about {enough_particles(n)} for a Gaussian"
+            f'n_particles="auto" carries densities of up to {MOST} states, and {n} are more: leave some out '
+            f"of the model"
         )
     smooth = isinstance(config, FilterConfig) and config.density_error is not None
     if ladder and (start := _as_family(distribution, t, known)):

@@ -192,7 +192,7 @@ SAID = [
     lambda: sf.GaussianMeasurement([[1.0]], [[1.0, 0.2], [0.1, 1.0]]),
     lambda: sf.GaussianMeasurement([[1.0]], [[np.nan]]),
     lambda: sf.SPHFilter(wells(), POSITION, [3.0, 0.0], np.diag([0.2, 0.0])),
-    lambda: laid(sf.Gaussian(np.zeros(8), np.eye(8)), "auto"),
+    lambda: laid(sf.Gaussian(np.zeros(13), np.eye(13)), "auto"),
     lambda: laid(ROUND, 4),
     lambda: sf.SDE(unknown, 1, [[1.0]]),
     lambda: sf.SDE(silent, 1, [[1.0]]),

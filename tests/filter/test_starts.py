@@ -43,8 +43,8 @@ def test_a_lattice_that_loses_variance_says_so_once(caplog):
 
 
 def test_too_many_states_are_refused_with_one_sentence():
-    with pytest.raises(sf.ModelError, match=r'"auto" carries densities of few states, and 8 are too many'):
-        sf.SPHFilter(still(8), None, np.zeros(8), np.eye(8))
+    with pytest.raises(sf.ModelError, match=r'"auto" carries densities of up to 12 states, and 13 are more'):
+        sf.SPHFilter(still(13), None, np.zeros(13), np.eye(13))
 
 
 @pytest.mark.parametrize("n", [5, 6])

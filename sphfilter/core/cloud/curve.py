@@ -21,7 +21,7 @@ _LEAST = float(np.finfo(float).eps)  # distance of points from the ends of the u
 
 def places(n):
     """Places of all cells of n states on the curve, by number; and bits along each state."""
-    bits = _BITS.get(n, 2)
+    bits = _BITS.get(n, 2 if n <= 10 else 1)
     return _table(bits, n), bits
 
 
