@@ -40,12 +40,7 @@ _MOST_LOOKS = 2**11  # measured: of Brownian motion and booleans .55 is then .00
 
 def inside(event: Event) -> Callable[[Floats], Any]:
     """An event as a function of states that returns booleans."""
-
-    def booleans(X: Floats) -> Any:
-        found = np.asarray(event(X))
-        return found if found.dtype == bool else found > 0.0
-
-    return booleans
+    return lambda X: np.asarray(event(X)) > 0
 
 
 def passed(
@@ -63,12 +58,8 @@ def passed(
         found.append(many)
         apart.append((many - few) / SHADOW**0.6)
         best = np.mean(found[-2:], axis=0) if bridged else _limit(found)
-        late = np.abs(best - before).max()
-        if (
-            isinstance(models[0], DiscreteModel)
-            or late < _POINTS**-0.6
-            or 2 * looks * len(times) > _MOST_LOOKS
-        ):
+        enough = np.abs(best - before).max() < _POINTS**-0.6 or 2 * looks * len(times) > _MOST_LOOKS
+        if enough or isinstance(models[0], DiscreteModel):
             break
         before, looks = best, 2 * looks
     of_looks = 0.0 if len(found) == 1 else 0.5 * (best - before)
@@ -144,12 +135,7 @@ def _steps(points: Points, model: Dynamics, span: tuple[float, float], key: int)
 
 
 def _missed(
-    before: Floats,
-    after: Floats,
-    model: Any,
-    span: tuple[float, float],
-    event: Event,
-    domain: Domain | None,
+    before: Floats, after: Floats, model: Any, span: tuple[float, float], event: Event, domain: Any
 ) -> Floats:
     """Probabilities (N,) that points have been in a region between two looks; none, where nothing tells."""
     if isinstance(model, DiscreteModel):
@@ -172,7 +158,7 @@ def _missed(
 def _numbers(event: Event, X: Floats, domain: Domain | None) -> Any:
     """The numbers of an event at states; None of one that is booleans."""
     found = np.asarray(event(X if domain is None else domain.wrap(X)))
-    return None if found.dtype == bool else found.astype(float)
+    return found if found.dtype.kind == "f" else None
 
 
 def _taken_out(

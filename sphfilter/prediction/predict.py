@@ -53,7 +53,7 @@ def predict(
     ----------
     density : ParticleDensity
     model : SDE or DiscreteModel
-        One in discrete time goes over whole steps, as a cloud or in closed form.
+        One in discrete time goes over whole steps.
     dt : float or timedelta, optional
         Interval, seconds, >= 0.
     config : SolverConfig or FilterConfig, optional
