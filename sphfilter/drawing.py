@@ -56,7 +56,7 @@ def density(p: Any, names: Sequence[str], axes: Sequence[int], ax: Any = None) -
     if len(axes) > 6:
         raise ModelError(f"a picture has six states at most, got {len(axes)}; choose some by states=")
     if len(axes) <= 2:
-        ax = ax or _pyplot().subplots(figsize=(5.5, 4.2), layout="constrained")[1]
+        ax = _pyplot().subplots(figsize=(5.5, 4.2), layout="constrained")[1] if ax is None else ax
         _one_or_two(p, names, axes, ax)
         ax.set_title(f"t = {p.t:g}", loc="left", fontsize=9)
         return ax
@@ -201,7 +201,7 @@ def fit(found: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> Any:
         _finish(panel, names[a], names[b])
 
     if len(axes) <= 2:
-        ax = ax or _pyplot().subplots(figsize=(5.5, 4.2), layout="constrained")[1]
+        ax = _pyplot().subplots(figsize=(5.5, 4.2), layout="constrained")[1] if ax is None else ax
         draw(list(axes), ax)
         return ax
     return _pairs(names, axes, ax, draw)

@@ -161,20 +161,9 @@ def put_through(
 ) -> Through:
     """Readings put through a cloud and its shadow of so many points, as far as each of them is usual.
 
-    Parameters
-    ----------
-    state : CloudState
-        As a reading has left it, with errors that are its own.
-    model : SDE or DiscreteModel
-    times : ndarray, shape (K + 1,)
-        Seconds, first that of the cloud.
-    readings : tuple of Reader, ndarray, shape (K, k)
-        A sensor, and what it reads at the other times.
-    least : ndarray of int, shape (K,)
-        Steps of each interval.
-    counts, calm : tuple of int, int
-        As of `Memory`.
-    bounds : Bounds
+    The state is as a reading has left it, with errors that are its own; times (K + 1,), seconds, begin with
+    that of the cloud; readings are of a sensor (K, k) at the other times, least (K,) the steps of each
+    interval, counts and calm as of `Memory`.
     """
     nets = tuple(tuple(net(count, model.dim, part) for part in (LED, 0, 1)) for count in counts)
     leg, changes = NO_LEG, _NO_CHANGES

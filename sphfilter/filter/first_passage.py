@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from .._types import Floats
 from ..core.cloud.control import SHADOW
 from ..core.cloud.pace import FIRST_TRIED, Steps
-from ..core.limits import DIFFERENCE, LITTLE, TINY
+from ..core.limits import LITTLE, TINY
 from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
 from ..density.passage import MOST, age_of, chosen_steps, moved_points, points_of_sample, stored_key
@@ -58,8 +58,8 @@ def passed(
         found.append(many)
         apart.append((many - few) / SHADOW**0.6)
         best = np.mean(found[-2:], axis=0) if bridged else _limit(found)
-        enough = np.abs(best - before).max() < _POINTS**-0.6 or 2 * looks * len(times) > _MOST_LOOKS
-        if enough or isinstance(models[0], DiscreteModel):
+        much = len(found) > 1 and 2 * looks * len(times) > _MOST_LOOKS
+        if much or np.abs(best - before).max() < _POINTS**-0.6 or isinstance(models[0], DiscreteModel):
             break
         before, looks = best, 2 * looks
     of_looks = 0.0 if len(found) == 1 else 0.5 * (best - before)
@@ -144,11 +144,12 @@ def _missed(
     if g[0] is None or g[1] is None:
         return np.zeros(len(after))
     columns = model.noise(before, span[0]) @ noise_root(model.spectral_density)
-    size = np.maximum(np.abs(columns).max(axis=(1, 2)), TINY)
-    step = DIFFERENCE * np.maximum(1.0, np.abs(before).max(axis=1)) / size
-    square = np.zeros(len(before))
+    step, square = (
+        LITTLE * math.sqrt(span[1] - span[0]),
+        np.zeros(len(before)),
+    )  # of the noise
     for k in range(columns.shape[2]):
-        to = step[:, None] * columns[:, :, k]
+        to = step * columns[:, :, k]
         there, back = (_numbers(event, before + sign * to, domain) for sign in (1.0, -1.0))
         square += ((there - back) / (2.0 * step)) ** 2
     way = -2.0 * g[0] * g[1] / np.maximum(square * (span[1] - span[0]), TINY)

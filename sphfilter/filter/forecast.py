@@ -151,7 +151,7 @@ def forecast(
         rows.append((density.mean(), density.cov(), own, met, info.error, info.flagged, density))
     mean, cov, quantile, within, error, flagged, each = zip(*rows, strict=True)
     columns = np.array(within, dtype=float).reshape(len(times), len(known)).T
-    probability = MappingProxyType(dict(zip(known, columns, strict=True)))
+    probability = dict(zip(known, columns, strict=True))
     way = (filt.density, tuple(models)) if isinstance(filt.model, Dynamics) else None
     told = np.array(error, dtype=float), np.array(flagged, dtype=bool), tuple(filt.model.states), each
     moments = np.array(mean), np.array(cov), levels, np.array(quantile)
@@ -160,6 +160,8 @@ def forecast(
 
 def _checked_events(events: Mapping[str, Event] | None, density: ParticleDensity) -> dict[str, Event]:
     """Events by name, each of which says a truth, or a number, of every state."""
+    if not isinstance(events or {}, Mapping):
+        raise ModelError(f"events maps names to regions, got {validate.short(events)}")
     known = dict(events or {})
     X = density.x[:2]
     for name, event in known.items():

@@ -22,6 +22,7 @@ from ..errors import ModelError, PropagationError
 from ..filter.readings import rows_of, sensor_of
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
+from ..info import DOUBTFUL
 from ..lattice.field import extrapolated_mass, nodes
 from ..lattice.level_set import lattice_reach
 from ..model.discrete import DiscreteModel
@@ -293,7 +294,9 @@ def _one_back(
             log_beta = chapman_kolmogorov.integrated_back(model, found, prior)
         else:
             log_beta = carried_back(model, found, prior, t)
-        smoothed, future, _ = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
+        smoothed, future, laid = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
+        if isinstance(model, DiscreteModel) and laid.off.residual > DOUBTFUL:
+            raise PropagationError("the transition jumps, and no lattice holds what later readings say")
         X = nodes(_field(smoothed))
         values = log_beta(X)
         if prior is not priors[0]:

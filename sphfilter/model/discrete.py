@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from .. import validate
 from .._types import BatchFunction, Floats
-from ..core.limits import ROUNDING
+from ..core.limits import LITTLE, SAID
 from ..errors import ModelError, PropagationError
 from . import derived
 from .compile import Maker, StateFunction, compile_rows, compile_with_noise, reads_argument
@@ -156,6 +156,8 @@ class DiscreteModel(Dynamics):
         if noises is None:
             noise, Q = _noise_of(noise, covariance, len(states))
             Q = np.eye(np.shape(noise)[-1]) if Q is None else Q
+        elif isinstance(noises, str | int):
+            raise ModelError(f'noises lists names, such as noises=["w"], got {noises!r}')
         else:
             Q = _own_noise(noise, covariance, len(noises))
         makers, tail, flags = symbolic_step(states, transition, noise, len(Q), noises, words)
@@ -246,11 +248,10 @@ class DiscreteModel(Dynamics):
     def own_steps(self, t0: float, t1: float) -> int:
         """Return the number of steps from one time to another, seconds; raises `ModelError` if not whole."""
         steps = (t1 - t0) / self.period
-        known = float(np.spacing(max(abs(t0), abs(t1)))) / self.period  # of times, a step's part
-        if abs(steps - round(steps)) > ROUNDING + 2.0 * known:
+        if abs(steps - round(steps)) > LITTLE * SAID:  # times of 1e9 s are known to 1e-7, and errors add up
             raise ModelError(
-                f"the model moves in steps of {self.period:g} s, but from t = {t0:g} to {t1:g} there are "
-                f"{steps:.6g} of them: predict over whole steps, or give the model another period="
+                f"the model moves in steps of {self.period:g} s, but from t = {t0:.12g} to {t1:.12g} there "
+                f"are {steps:.6g} of them: predict over whole steps, or give the model another period="
             )
         return round(steps)
 
@@ -289,6 +290,12 @@ class DiscreteModel(Dynamics):
 
 def _noise_of(noise: Any, covariance: ArrayLike | None, n: int) -> tuple[Any, Floats | None]:
     """Noise g as it is given, the identity where only its covariance is; and that covariance, if given."""
+    if noise is not None and not callable(noise):
+        shape, m = np.shape(noise), None if covariance is None else len(np.atleast_2d(covariance))
+        if len(shape) != 2 or shape[0] != n or m not in (None, shape[1]):
+            raise ModelError(
+                f"noise has shape {shape}, but it must be ({n}, {m or 'm'}): a column for each noise"
+            )
     if covariance is None:
         if callable(noise):
             raise ModelError("noise= is a function: give covariance= of shape (m, m) too, it tells m")

@@ -122,8 +122,6 @@ def symbolic_step(
     words.check_used(own)
     if g is not None:  # noises without names, which no text can use
         names = words.with_states([*states, *(f"_noise_{k}" for k in range(m))])
-        if g.shape[1] != m:
-            raise ModelError(f"noise has {g.shape[1]} columns, but covariance is {m} × {m}.")
         step += g * sp.Matrix(names.x[n:])
         own = names
     J = step.jacobian(own.x)

@@ -19,17 +19,18 @@ from ..core._views import as_compiled
 from ..core.cloud.kernels import log_sum
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS
-from ..core.limits import LOG_2_PI, NOTHING, TINY
+from ..core.limits import LOG_2_PI, NOTHING, ROUNDING
 from ..density.nets import net
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice, times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, PredictInfo
 from ..lattice.check import misfit
-from ..lattice.field import nodes
+from ..lattice.field import log_p_at, nodes
 from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
 from ..model.discrete import DiscreteModel
+from ..model.simulate import noise_root
 
 __all__ = ["AS_SUMS", "integrated_back", "propagate", "why_not"]
 
@@ -39,7 +40,10 @@ AS_SUMS = {1: 0, 2: 2**11}
 _MOST = 8_000  # nodes of a sum: times 3,000 states some .05 s, mostly once, from a wide start; usual are 300
 _GRAIN = 1e-4  # of a density, that a sum over nodes may be uneven by
 _SCHEME = LogDensityScheme()
-_TOO_LITTLE = "the noise of a step is too small for a sum over nodes"
+_TOO_LITTLE = (
+    "the noise of a step is too small for a sum over the nodes of a lattice, or its map jumps: points carry "
+    "it, with the default or scheme='cloud'; smoothing goes without these"
+)
 
 
 def why_not(model: DiscreteModel) -> str:
@@ -61,10 +65,11 @@ def propagate(
     Raises `PropagationError` where noise is too small for sums over nodes, or no lattice holds the density.
     """
     steps, moved, asked = model.own_steps(density.t, t1), on_lattice(density, n_particles), 0
+    finer = n_particles > moved.n_particles * 1.5  # a target has asked for more than the density has
     if moved.field is None:
         raise PropagationError("the density has no smooth logarithm")
     for k in range(steps):
-        moved, evaluations = _stepped(moved, model, density.t + k * model.period, n_particles)
+        moved, evaluations = _stepped(moved, model, density.t + k * model.period, n_particles, finer)
         asked += evaluations
     skipped = ("everything but sums: a step is the integral over the last density",)
     info = PredictInfo(
@@ -74,26 +79,31 @@ def propagate(
 
 
 def _stepped(
-    density: ParticleDensity, model: DiscreteModel, t: float, n_particles: int
+    density: ParticleDensity, model: DiscreteModel, t: float, n_particles: int, finer: bool
 ) -> tuple[ParticleDensity, int]:
     """The density after a step, and how often the model was asked at each node."""
-    (J, L), asked = _derivatives(model, density.x, t), 2
-    many = _enough(_waves(J, L, density), density)
+    mean, L, waves = _spread(density, model, t)
+    many, asked = max(_enough(waves, density), n_particles if finer else 0), 1
     if many > density.n_particles:
         known = {"error": density.error, "lost": density.lost}
         density = times_likelihood(density, _even, many, _SCHEME)[0].noted(**known)
-        (J, L), asked = _derivatives(model, density.x, t), 4
-    grain = _grain(_waves(J, L, density), density.mass)
-    mean = model.transition(density.x, t)
+        (mean, L, waves), asked = _spread(density, model, t), 2
+    grain = _grain(waves, density.mass)
+    depth = 0.5 * lattice_reach(_SCHEME, model.dim) ** 2
     log_p = _log_sum(np.log(density.mass), mean, L)
     about = mean + np.einsum("kab,kb->ka", L, net(len(mean), model.dim)), density.mass, log_p, _even
-    laid = posterior(*about, n_particles, 0.5 * lattice_reach(_SCHEME, model.dim) ** 2, None, NO_WALLS)
-    off = misfit(laid, log_p)
-    if max(grain, off.residual) > DOUBTFUL:
+    for times in (1, 3, 9):  # as a `Ladder` goes
+        laid = posterior(*about, times * n_particles, depth, None, NO_WALLS)
+        off = misfit(laid, log_p)
+        if off.residual <= DOUBTFUL:
+            break
+    jump = _of_jumps(density, model, t, mean, laid.cov)
+    if max(grain, off.residual, jump) > DOUBTFUL:
         raise PropagationError(_TOO_LITTLE)
     new = ParticleDensity.on_lattice(laid, density.t, n_particles, residual=off.residual, lost=density.lost)
     left = density.error * _kept(density, new, mean)
-    return new.noted(error=math.hypot(left, off.mean, grain), needs=density.needs), asked
+    asked *= 1 + 2 * model.dim + model.n_noise
+    return new.noted(error=math.hypot(left, off.mean, grain, jump), needs=density.needs), asked
 
 
 def _log_sum(log_w: Floats, mean: Floats, L: Floats) -> OfStates:
@@ -122,13 +132,13 @@ def integrated_back(model: DiscreteModel, found: Field, prior: ParticleDensity) 
     """
     at, t = nodes(found), prior.t
     values = found.log_p + np.linalg.slogdet(found.A)[1] - 0.5 * model.dim * LOG_2_PI
-    apart = np.linalg.solve(_derivatives(model, prior.x, t)[1], found.A)
+    apart = np.linalg.solve(_noisy(model, prior.x, t)[1], found.A)
     if _grain(_exponents(apart), prior.mass) > DOUBTFUL:
         raise PropagationError(_TOO_LITTLE)
 
     def log_expected(X: Floats) -> Floats:
-        L = _derivatives(model, X, t)[1]
-        off = at - model.transition(X, t)[:, None]
+        mean, L = _noisy(model, X, t)
+        off = at - mean[:, None]
         square = (np.linalg.solve(L, off.swapaxes(1, 2)) ** 2).sum(axis=1)
         peak = np.linalg.slogdet(L)[1][:, None]
         return np.asarray(logsumexp(values - 0.5 * square - peak, axis=1))
@@ -136,28 +146,48 @@ def integrated_back(model: DiscreteModel, found: Field, prior: ParticleDensity) 
     return log_expected
 
 
-def _derivatives(model: DiscreteModel, X: Floats, t: float) -> tuple[Floats, Floats]:
-    """F' (M, n, n) at states (M, n), and lower roots L (M, n, n) of the noise there."""
-    J, n = model.jacobian(X, t), model.dim
-    G = J[:, :, n:]
+def _spread(density: ParticleDensity, model: DiscreteModel, t: float) -> tuple[Floats, Floats, Floats]:
+    """Where nodes go, (K, n), lower roots of the noise there, (K, n, n), and the exponents of what is missed.
+
+    How far nodes part is told by secants from border to border of their cells, which see jumps.
+    """
+    field: Any = density.field
+    mean, L = _noisy(model, density.x, t)
+    ends = [[model.transition(density.x + s * a, t) for s in (-0.5, 0.5)] for a in field.A.T]
+    apart = np.stack([high - low for low, high in ends], axis=2)
+    if not (np.isfinite(mean).all() and np.isfinite(apart).all()):
+        raise PropagationError("the transition leads to no finite numbers")
+    return mean, L, _exponents(np.linalg.solve(L, apart))
+
+
+def _of_jumps(density: ParticleDensity, model: DiscreteModel, t: float, mean: Floats, cov: Floats) -> float:
+    """By how much a sum over nodes half a cell beside those of a density finds another mean, in deviations.
+
+    Of what is smooth both are alike; where a map jumps they are half a cell's share of the jump apart.
+    """
+    field: Any = density.field
+    beside = density.x + 0.5 * field.A.sum(axis=1)
+    p = np.exp(log_p_at(field, beside))
+    off = p @ model.transition(beside, t) / p.sum() - density.mass @ mean
+    return float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(cov), off))) / math.sqrt(density.dim)
+
+
+def _noisy(model: DiscreteModel, X: Floats, t: float) -> tuple[Floats, Floats]:
+    """Where states (M, n) go without noise, and lower roots L (M, n, n) of the noise there."""
+    mean, root = model.transition(X, t), noise_root(model.covariance)
+    each = [model.transition(X, t, np.tile(w, (len(X), 1))) - mean for w in root.T]  # affine in the noise
+    G = np.stack(each, axis=2)
     try:
-        L = np.asarray(np.linalg.cholesky(G @ model.covariance @ G.swapaxes(1, 2)), np.float64)
+        return mean, np.asarray(np.linalg.cholesky(G @ G.swapaxes(1, 2)), np.float64)
     except np.linalg.LinAlgError:
         raise PropagationError(_TOO_LITTLE) from None
-    return J[:, :, :n], L
 
 
-def _waves(J: Floats, L: Floats, density: ParticleDensity) -> Floats:
-    """The exponents of each node of a density that lies on a lattice."""
-    field: Any = density.field
-    return _exponents(np.linalg.solve(L, J @ field.A))
-
-
-def _exponents(M: Floats) -> Floats:
+def _exponents(M: Any) -> Floats:
     """The exponents 2 π² |M^-T k|² of spacings M (K, n, n), for whole numbers k next to zero, a row each."""
     whole = np.array([k for k in itertools.product((-1.0, 0.0, 1.0), repeat=M.shape[1]) if any(k)])
     _, width, axes = np.linalg.svd(M)
-    along = (axes @ whole.T) / np.maximum(width, TINY)[..., None]
+    along = (axes @ whole.T) / np.maximum(width, ROUNDING)[..., None]
     return np.asarray(2.0 * np.pi**2 * np.minimum((along**2).sum(axis=1), NOTHING))
 
 
@@ -178,7 +208,8 @@ def _enough(waves: Floats, density: ParticleDensity) -> int:
 
 def _kept(before: ParticleDensity, after: ParticleDensity, moved: Floats) -> float:
     """What of an error of the mean a step leaves, in standard deviations, by regression on where nodes go."""
-    cross = (moved * before.mass[:, None]).T @ (before.x - before.mean())
+    off = moved - before.mass @ moved
+    cross = (off * before.mass[:, None]).T @ (before.x - before.mean())
     roots = np.linalg.cholesky(before.cov()), np.linalg.cholesky(after.cov())
     part = np.linalg.solve(roots[1], np.linalg.solve(roots[0], cross.T).T)
     return float(np.linalg.norm(part)) / math.sqrt(before.dim)

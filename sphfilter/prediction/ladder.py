@@ -177,7 +177,10 @@ def _closed_form(
     """Move a Gaussian by a linear model."""
     mean, cov = moments_on_line(density)
     transition, offset, Q = linear_transition(model, t1 - density.t)
-    moved = gaussian_family(transition @ mean + offset, transition @ cov @ transition.T + Q, 2)
+    try:
+        moved = gaussian_family(transition @ mean + offset, transition @ cov @ transition.T + Q, 2)
+    except np.linalg.LinAlgError:
+        raise PropagationError("the model leaves some state without spread: give it a little noise") from None
     skipped = ("everything: a Gaussian through a linear model",)
     info = PredictInfo(scheme="exact_linear", error=density.error, skipped=skipped)
     return family_density(density, moved, t=float(t1), needs=needs), info

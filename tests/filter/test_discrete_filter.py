@@ -203,6 +203,49 @@ def test_a_bootstrap_filter_scatters_about_the_same_answer():
     assert abs(points.log_evidence - flt.log_evidence) < 0.05 + 4.0 * found.total_evidence_error
 
 
+def test_maps_that_jump_are_right_or_points():
+    for jump in (1.0, 3.0):
+        model = sf.DiscreteModel(lambda x, t, p: (p[0] if x[0] > 0.1 else -p[0],), 1, covariance=[[1.0]],
+                                 parameters={"jump": jump})  # fmt: skip
+        flt = sf.SPHFilter(model, SQUARE, x0=[0.0], P0=[[1.0]], dt=1.0)
+        info, above = flt.predict(), stats.norm.sf(0.1)
+        mean, var = jump * (2.0 * above - 1.0), 1.0 + 4.0 * jump**2 * above * (1.0 - above)
+        assert abs(flt.x[0] - mean) / math.sqrt(var) < max(3.0 * info.error, 0.003)
+        level, z = sf.GaussianMeasurement([[1.0]], [[0.5]]), [[0.1], [3.0]]
+        grid = GridOfSteps(model, lambda z, x: stats.norm.logpdf(z[0], x, 0.5**0.5), (0.0, 1.0), 12.0, z)
+        mean, std = grid.moments(grid.smoothed())
+        found = sf.smooth(sf.SPHFilter(model, level, x0=[0.0], P0=[[1.0]]), [1.0, 2.0], z)
+        assert np.abs((found.x[:, 0] - mean) / std).max() < 0.02
+
+
+def test_units_and_far_origins_change_nothing():
+    found = []
+    for unit, origin in ((1.0, 0.0), (1e-9, 0.0), (1e9, 0.0), (1.0, 1e6)):
+        model = sf.DiscreteModel(
+            lambda x, t, p: (0.5 * (x[0] + p[1]) + 3.0 * p[0] * math.sin((x[0] - p[1]) / p[0]),),
+            1, covariance=[[unit**2]], parameters={"unit": unit, "origin": origin},
+        )  # fmt: skip
+        sensor = sf.GaussianMeasurement([[1.0]], [[0.3 * unit**2]])
+        flt = sf.SPHFilter(model, sensor, x0=[origin + unit], P0=[[unit**2]])
+        times, z = np.arange(1.0, 6.0), origin + unit * np.array([[1.0], [3.0], [2.0], [4.0], [1.0]])
+        flt.run(times, z)
+        found.append(
+            [(flt.x[0] - origin) / unit, flt.P[0, 0] / unit**2, flt.log_evidence + 5 * math.log(unit)]
+        )
+        assert flt.predict(1.0).error < 0.01
+    np.testing.assert_allclose(found, [found[0]] * 4, rtol=2e-3)
+
+
+def test_a_map_without_values_somewhere_is_carried_by_points_or_named():
+    root = sf.DiscreteModel(lambda x: (math.log(x[0] + 3.0),), 1, covariance=[[1.0]])
+    flt = sf.SPHFilter(root, SQUARE, x0=[0.5], P0=[[1.0]], dt=1.0)
+    X = np.random.default_rng(1).normal(0.5, 1.0, 200_000)
+    assert flt.predict().scheme == "cloud" and abs(flt.x[0] - np.log(X[X > -3.0] + 3.0).mean()) < 0.01
+    nowhere = sf.DiscreteModel(lambda x: (math.nan,), 1, covariance=[[1.0]])
+    with pytest.raises(sf.PropagationError, match="its steps lead to no finite numbers"):
+        sf.SPHFilter(nowhere, SQUARE, x0=[0.5], P0=[[1.0]], dt=1.0).predict()
+
+
 def test_stone_soup_takes_it():
     stonesoup = pytest.importorskip("stonesoup")
     assert stonesoup

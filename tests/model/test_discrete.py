@@ -84,7 +84,10 @@ def test_paths_have_the_moments_of_the_model_over_any_number_of_steps():
         (lambda: sf.DiscreteModel(lambda x, w: (x[1],), 1, noises=1), "reads beyond"),
         (lambda: sf.DiscreteModel(lambda x: (x[0],), 1, period=0.0), "period"),
         (lambda: sf.DiscreteModel(lambda x: (x[0],), 1, domain=[("reflecting", 0, 1)]), "periodic axes only"),
-        (lambda: sf.DiscreteModel.from_expressions(["x"], ["x"], [["1", "1"]], [[1.0]]), "2 columns"),
+        (
+            lambda: sf.DiscreteModel.from_expressions(["x"], ["x"], [["1", "1"]], [[1.0]]),
+            r"must be \(1, 1\): a column",
+        ),
         (lambda: sf.DiscreteModel.from_expressions(["x"], ["x", "1"]), "2 expressions for 1 states"),
         (lambda: sf.DiscreteModel.from_expressions(["x"], ["x + w"]), "unknown name 'w'"),
         (lambda: sf.DiscreteModel.from_matrices([[1.0]], [[-1.0]]), "not positive semidefinite"),

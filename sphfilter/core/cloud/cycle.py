@@ -119,33 +119,14 @@ class _Cycled(NamedTuple):
 def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     """Put readings through a cloud that a reading has left, as far as each of them is usual.
 
-    Parameters
-    ----------
-    parts : tuple of int
-        Addresses of `PARTS`.
-    motion : tuple of Leg, int, tuple of ndarray
-        A model; what moves points along its drift where that is stiff; and of a linear one, whose leg is not
-        called, Φ (K, n, n), offset (K, n) and L (K, n, n) over each interval.
-    sensor : tuple of Reader, ndarray, shape (K, k)
-        And what it reads.
-    spans : tuple of ndarray, shapes (K + 1,), (K,)
-        Seconds, first that of the cloud; and the least steps of each interval.
-    standing : Standing
-    nets : tuple of tuple of ndarray
-        Normals of the guide, the begin and the motion, (count, n) each, of the cloud and of its shadow.
-    bounds : Bounds
-    curve : tuple of ndarray, int
-        Its table and bits.
-
-    Returns
-    -------
-    end, done : int
-        How the record ends, and how many readings have been put through.
-    standing, before : tuple
-        The values of a `Standing` after the last of them, and before it.
-    rows : tuple of ndarray
-        Of each reading mean and covariance before it and after it, the log-evidence and its error, the errors
-        of the mean and the variances, and the innovation with its covariance.
+    `parts` are addresses of `PARTS`; `motion` is a model's leg, what moves points along its drift where
+    that is stiff, and of a linear one, whose leg is not called, Φ (K, n, n), offset (K, n) and L (K, n, n)
+    over each interval; `sensor` is a `Reader` and what it reads, (K, k); `spans` are times (K + 1,),
+    seconds, first that of the cloud, and the least steps of each interval; `nets` are normals (count, n) of
+    the guide, the begin and the motion, of the cloud and of its shadow; `curve` is a table and its bits.
+    Returns how the record ends, how many readings are done, the values of a `Standing` after the last of
+    them and before it, and of each reading mean and covariance before and after it, the log-evidence and
+    its error, the errors of the mean and the variances, and the innovation with its covariance.
     """
     (leg, stiff_flow, changes), (reader, Z), (times, least) = motion, sensor, spans
     (K, k), n, count = Z.shape, standing.x.shape[1], nets[0][0].shape[0]

@@ -56,28 +56,12 @@ def begin(x, w, lineage, count, key, net, table, bits):
     Copies of a point part by its Gaussian, whatever the noise of the model. Blocks keep their mean and
     covariance.
 
-    Parameters
-    ----------
-    x, w : ndarray, shapes (N, n), (N,)
-    lineage : ndarray of int, shape (readings, N)
-        Points of a number come from one point of before; without any, each is its own, not yet smoothed.
-    count : int
-        Points afterwards.
-    key : int
-    net : ndarray, shape (count, n)
-        Standard normals.
-    table, bits : ndarray, int
-        Of the curve.
-
-    Returns
-    -------
-    start, y, u : ndarray, shape (count, n)
-        Middles of the Gaussians, points in them, and what moved each: standard normals.
-    w, block : ndarray, shape (count,)
-    middle, lower : ndarray, shapes (blocks, n), (blocks, n, n)
-        Of the blocks: centres, and lower roots of the Gaussians' covariances.
-    older : ndarray of int, shape (readings, count)
-        The lineages of the points.
+    Points x (N, n) of weights w (N,), of whose `lineage` (readings, N) those of a number come from one
+    point of before (without any, each is its own, not yet smoothed), become `count`, by a net (count, n) of
+    standard normals; table and bits are the curve's. Returns start, y, u (count, n): middles of the
+    Gaussians, points in them, and what moved each; w and block (count,); middle (blocks, n) and lower
+    (blocks, n, n): centres, and roots of the Gaussians' covariances; and the lineages of the points, older
+    (readings, count).
     """
     N, n = x.shape
     mean, cov = np.empty(n), np.empty((n, n))
