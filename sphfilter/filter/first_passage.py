@@ -1,9 +1,8 @@
 """First passages: the probability that a state has been in a region by a time.
 
-Points go on their way, and are taken out where they are seen inside. Between two looks at g, which is
-positive inside, noise of variance s² a second takes a point from g₁ < 0 to g₂ < 0 over the border with
-probability exp(-2 g₁ g₂ / (s² h)), whatever the drift (Brownian bridge; exact where g is linear and the noise
-constant): so much of its weight goes, too.
+Points go on, and are taken out where they are seen inside. Between looks at g, positive inside, noise of
+variance s² a second takes one from g₁ < 0 to g₂ < 0 over the border with probability exp(-2 g₁ g₂ / (s² h)),
+whatever the drift (Brownian bridge; exact where g is linear, noise constant): so much of its weight goes.
 """
 
 import math
@@ -71,8 +70,7 @@ def passed(
 def _limit(found: Sequence[Floats]) -> Floats:
     """The limit of numbers at looks that are twice as often each time: by the rate at which they change.
 
-    What booleans miss goes as the root of the time between two looks where noise moves a state over the
-    border, and up to the square where all is smooth: changes fall by √2 to 4.
+    What booleans miss goes as the root of the time between looks, up to its square: changes fall by √2 to 4.
     """
     if len(found) < 3:
         return found[-1]

@@ -294,9 +294,14 @@ def _one_back(
             log_beta = chapman_kolmogorov.integrated_back(model, found, prior)
         else:
             log_beta = carried_back(model, found, prior, t)
-        smoothed, future, laid = times_likelihood(prior, log_beta, before.filt.n_particles, scheme)
-        if isinstance(model, DiscreteModel) and laid.off.residual > DOUBTFUL:
-            raise PropagationError("the transition jumps, and no lattice holds what later readings say")
+        for times in (1, 3, 9) if isinstance(model, DiscreteModel) else (1,):  # as a `Ladder` goes
+            many = times * before.filt.n_particles
+            smoothed, future, laid = times_likelihood(prior, log_beta, many, scheme)
+            if laid.off.residual <= DOUBTFUL:
+                break
+        else:
+            if isinstance(model, DiscreteModel):
+                raise PropagationError("the transition jumps, and no lattice holds what later readings say")
         X = nodes(_field(smoothed))
         values = log_beta(X)
         if prior is not priors[0]:
