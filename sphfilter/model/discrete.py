@@ -24,8 +24,8 @@ __all__ = ["DiscreteModel"]
 class DiscreteModel(Dynamics):
     """A model in discrete time: x' = F(x, t) + g(x, t) w with w ~ N(0, Q), or x' = F(x, w, t).
 
-    A step takes `period` seconds, and each has noise of its own. Predictions go over whole steps, carried as
-    a cloud of points, or in closed form where state and noise are linear.
+    A step takes `period` seconds, each with noise of its own. Predictions go over whole steps: by sums over a
+    lattice in one and two states, as points in more, in closed form where state and noise are linear.
 
     Parameters
     ----------
@@ -111,8 +111,7 @@ class DiscreteModel(Dynamics):
             whole = compile_with_noise(transition, n, len(Q), "transition", values.data, vectorized)
             makers, timed = {"step": lambda fs: whole}, reads_argument(transition, 2)
         names = [f"x{i}" for i in range(n)]
-        flags = {"linear": False, "gaussian_noise": noises is None, "autonomous": not timed}
-        parts = makers, tail, flags
+        parts = makers, tail, {"linear": False, "gaussian_noise": noises is None, "autonomous": not timed}
         self._assemble((DiscreteModel, recipe), names, values, Q, parts, domain, period)
 
     @classmethod
@@ -248,7 +247,8 @@ class DiscreteModel(Dynamics):
     def own_steps(self, t0: float, t1: float) -> int:
         """Return the number of steps from one time to another, seconds; raises `ModelError` if not whole."""
         steps = (t1 - t0) / self.period
-        if abs(steps - round(steps)) > LITTLE * SAID:  # times of 1e9 s are known to 1e-7, and errors add up
+        off = abs(steps - (round(steps) or t1 > t0))  # times of 1e9 s are known to 1e-7, and errors add up
+        if off > LITTLE * SAID:
             raise ModelError(
                 f"the model moves in steps of {self.period:g} s, but from t = {t0:.12g} to {t1:.12g} there "
                 f"are {steps:.6g} of them: predict over whole steps, or give the model another period="

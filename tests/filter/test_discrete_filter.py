@@ -154,6 +154,8 @@ def test_steps_inputs_and_files_are_those_of_any_model(tmp_path):
     np.testing.assert_allclose(flt.P, other.P)
     with pytest.raises(sf.ModelError, match=r"in steps of 0\.5 s, but from t = 1\.5 to 1\.8 there are 0\.6"):
         flt.predict(0.3)
+    with pytest.raises(sf.ModelError, match=r"there are 0\.0002 of them"):
+        flt.predict(1e-4)
     assert flt.t == 1.5
     growth = sf.SPHFilter(GROWTH, SQUARE, x0=[0.1], P0=[[2.0]], window=3)
     growth.predict(1.0)
