@@ -73,7 +73,7 @@ def _on_family(
         return (new, said), added
 
     first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)
-    first = 2 if density.gaussian and asked.linear else first  # Kalman's rule, of any number of states
+    first = first or (2 if density.gaussian and asked.linear else 0)  # Kalman's rule, of however many states
     best = best_family(density, target, needs, first, updated)
     if best is None:
         return None
