@@ -154,7 +154,7 @@ def _load_rest(filt: Any, dt: float) -> None:
         about = {"t": filt.t, "domain": filt.model.domain}
         begins = filt.config if isinstance(scheme, CloudScheme) else config  # points come from a lattice
         few = initialize(Gaussian(filt.x, filt.P), min_nodes(filt.model.dim), begins, **about)
-        moved, _ = predict(few, filt.model, _SHORT * dt, config)
+        moved, _ = predict(few, filt.model, max(_SHORT * dt, getattr(filt.model, "period", 0.0)), config)
         update(moved, *_expected(filt), filt.config)
 
 

@@ -27,10 +27,8 @@ class Forecast:
 
     Attributes
     ----------
-    t : ndarray, shape (K,)
-        Seconds.
-    mean : ndarray, shape (K, n)
-    cov : ndarray, shape (K, n, n)
+    t, mean, cov : ndarray, shapes (K,), (K, n), (K, n, n)
+        Times, seconds, and moments.
     levels : ndarray, shape (q,)
         Probabilities of the quantiles.
     quantiles : ndarray, shape (K, n, q)
@@ -42,7 +40,6 @@ class Forecast:
     flagged : ndarray of bool, shape (K,)
         True where the prediction said that something was unusual.
     states : tuple of str
-        Names of the states.
     densities : tuple of ParticleDensity, length K
         The densities themselves, which answer any other question.
 

@@ -16,6 +16,7 @@ from ..errors import EstimationError, ModelError, SphfilterError, nearest
 from ..filter.readings import rows_of
 from ..filter.results import AnyFilter, FilterResult
 from ..filter.sph_filter import SPHFilter
+from ..model.discrete import DiscreteModel
 from ..model.measurements import Reading
 from ..model.named import InputRecord, each_input
 
@@ -181,6 +182,8 @@ def _shape(filt: SPHFilter, start: Callable[..., SPHFilter], evidence: Evidence)
             if trial.density.family is None:
                 return on_particles
             degree = max(degree, trial.density.family.degree)
+    if isinstance(filt.model, DiscreteModel):
+        return {"config": filt.config}  # in closed form, every step
     scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE)
     return {"config": replace(filt.config, scheme=scheme)}
 

@@ -205,6 +205,21 @@ def test_a_bootstrap_filter_scatters_about_the_same_answer():
     assert abs(points.log_evidence - flt.log_evidence) < 0.05 + 4.0 * found.total_evidence_error
 
 
+def test_time_budgets_smooth_densities_and_comparisons():
+    for options in ({"time_budget": 0.05}, {"density_error": 0.01}):
+        flt = sf.SPHFilter(GROWTH, SQUARE, [0.1], [[2.0]], config=sf.FilterConfig(**options), dt=1.0)
+        assert flt.prepare() > 0.0
+        for z in (4.0, 9.0, 1.0):
+            assert "cloud" not in (flt.predict().scheme, flt.update(z).scheme)
+    models = {f"Q = {q}": sf.DiscreteModel.from_matrices([[0.9]], [[q]]) for q in (0.04, 0.3)}
+    level = sf.GaussianMeasurement([[1.0]], [[0.5]])
+    _, z = sf.simulate(models["Q = 0.04"], level, [0.0], np.arange(0.0, 41.0), rng=2)
+    results = [
+        sf.SPHFilter(m, level, [0.0], [[0.2]]).run(np.arange(1.0, 41.0), z[1:]) for m in models.values()
+    ]
+    assert results[0].log_evidence.sum() > results[1].log_evidence.sum()
+
+
 def test_maps_that_jump_are_right_or_points():
     for jump in (1.0, 3.0):
         model = sf.DiscreteModel(lambda x, t, p: (p[0] if x[0] > 0.1 else -p[0],), 1, covariance=[[1.0]],
