@@ -33,6 +33,10 @@ def chosen(known: Sequence[str], asked: Sequence[str] | str | None) -> list[int]
     return [list(known).index(name) for name in names]
 
 
+def _single() -> Any:
+    return _pyplot().subplots(figsize=(5.5, 4.2), layout="constrained")[1]
+
+
 def _column(ax: Any, count: int) -> tuple[Any, list[Any]]:
     """Axes, one below the other, those given if any: as they are returned, and as a list."""
     if ax is None:
@@ -56,7 +60,7 @@ def density(p: Any, names: Sequence[str], axes: Sequence[int], ax: Any = None) -
     if len(axes) > 6:
         raise ModelError(f"a picture has six states at most, got {len(axes)}; choose some by states=")
     if len(axes) <= 2:
-        ax = _pyplot().subplots(figsize=(5.5, 4.2), layout="constrained")[1] if ax is None else ax
+        ax = _single() if ax is None else ax
         _one_or_two(p, names, axes, ax)
         ax.set_title(f"t = {p.t:g}", loc="left", fontsize=9)
         return ax
@@ -201,7 +205,7 @@ def fit(found: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> Any:
         _finish(panel, names[a], names[b])
 
     if len(axes) <= 2:
-        ax = _pyplot().subplots(figsize=(5.5, 4.2), layout="constrained")[1] if ax is None else ax
+        ax = _single() if ax is None else ax
         draw(list(axes), ax)
         return ax
     return _pairs(names, axes, ax, draw)

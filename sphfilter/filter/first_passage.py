@@ -25,7 +25,7 @@ from ..model.discrete import DiscreteModel
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from ..model.simulate import noise_root
-from ..model.timing import beside
+from ..model.timing import spans
 from ..prediction.cloud import least_steps, without_runaways
 
 __all__ = ["Event", "inside", "passed"]
@@ -50,10 +50,11 @@ def passed(
     Models are those of the intervals that end at the times.
     """
     bridged = _numbers(event, density.x[:1], density.domain) is not None
+    clouds = [_begun(density, count) for count in (_POINTS // SHADOW, _POINTS)]
     found: list[Floats] = []
     apart, before, looks = [], np.full(len(times), np.nan), 1
     while True:
-        few, many = (_absorbed(density, models, times, event, looks, n) for n in (_POINTS // SHADOW, _POINTS))
+        few, many = (_absorbed(density, points, models, times, event, looks) for points in clouds)
         found.append(many)
         apart.append((many - few) / SHADOW**0.6)
         best = np.mean(found[-2:], axis=0) if bridged else _limit(found)
@@ -79,21 +80,25 @@ def _limit(found: Sequence[Floats]) -> Floats:
     return np.asarray(found[-1] + after / (rate - 1.0))
 
 
+def _begun(density: ParticleDensity, count: int) -> Points:
+    """So many points of a density, at the begin of a path."""
+    key = stored_key(age_of(density), count)
+    return points_of_sample(Points(*points_of(density, count, key)), count, key)
+
+
 def _absorbed(
-    density: ParticleDensity, models: Sequence[Dynamics], times: Floats, event: Event, looks: int, count: int
+    density: ParticleDensity, points: Points, models: Sequence[Any], times: Floats, event: Event, looks: int
 ) -> Floats:
-    """Parts (K,) of so many points that have been seen in a region by each time.
+    """Parts (K,) of points of a density that have been seen in a region by each time.
 
     Looks in each interval are so many, or one after every step of a model in discrete time.
     """
-    age, domain, t = age_of(density), density.domain, density.t
-    key = stored_key(age, count)
-    points = points_of_sample(Points(*points_of(density, count, key)), count, key)
+    age, count, domain, t = age_of(density), len(points.w), density.domain, density.t
     points, left, out = *_taken_out(points, inside(event), domain), np.empty(len(times))
     for k, (model, end) in enumerate(zip(models, times.tolist(), strict=True)):
         own = model.own_steps(t, end) if isinstance(model, DiscreteModel) else looks
-        ways = _ways(model, np.linspace(t, end, own + 1))
-        steps = None
+        looked, steps = pairwise(np.linspace(t, end, own + 1).tolist()), None
+        ways = [span for a, b in looked if a < b for span in spans(model.breaks(a, b), a, b)]
         for begin, stop in ways if left > 0.0 else []:
             age += 1
             key = stored_key(age, count)
@@ -107,19 +112,6 @@ def _absorbed(
             points, left = new, left * kept
         t, out[k] = end, 1.0 - left
     return out
-
-
-def _ways(model: Dynamics, at: Floats) -> list[tuple[float, float]]:
-    """Spans between looks, cut where the model jumps."""
-    spans: list[tuple[float, float]] = []
-    for begin, end in pairwise(at.tolist()):
-        first = begin
-        for stop in model.breaks(begin, end) if end > begin else ():
-            before, after = beside(stop, begin, end)
-            spans += [(first, before)] if first < before else []
-            first = after
-        spans += [(first, end)] if first < end else []
-    return spans
 
 
 def _steps(points: Points, model: Dynamics, span: tuple[float, float], key: int) -> Any:

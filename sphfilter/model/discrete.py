@@ -255,6 +255,10 @@ class DiscreteModel(Dynamics):
             )
         return round(steps)
 
+    def starts(self, t0: float, t1: float) -> list[float]:
+        """Return the times, seconds, at which the steps from one time to another begin."""
+        return [t0 + k * self.period for k in range(self.own_steps(t0, t1))]
+
     def discretize(self, dt: float) -> tuple[Floats, Floats, Floats]:
         """Return (Phi, offset, Qd) with X(t+dt) = Phi X(t) + offset + N(0, Qd), exactly.
 
@@ -275,8 +279,7 @@ class DiscreteModel(Dynamics):
 
         Raises `PropagationError` for a state that leaves the finite numbers.
         """
-        for k in range(self.own_steps(t0, t1)):
-            t = t0 + k * self.period
+        for t in self.starts(t0, t1):
             moved = self.transition(x, t, rng.standard_normal((len(x), self.n_noise)) @ root.T)
             lost = np.flatnonzero(~np.isfinite(moved).all(axis=1))
             if lost.size:

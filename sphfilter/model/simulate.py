@@ -23,7 +23,7 @@ from .dynamics import Dynamics
 from .jump_markov import JumpMarkovModel
 from .named import InputRecord, driven, each_driven
 from .sde import SDE
-from .timing import beside
+from .timing import spans
 
 __all__ = [
     "Sampled",
@@ -197,12 +197,9 @@ def advance(
     if isinstance(model, DiscreteModel):
         return model.drawn(x, t0, t1, noise_root(model.covariance), rng)
     assert isinstance(model, SDE)
-    for stop in model.breaks(t0, t1):
-        before, after = beside(stop, t0, t1)
-        if t0 < before:
-            x = _advance(model, x, t0, before, rng, max_step)
-        t0 = after
-    return _advance(model, x, t0, t1, rng, max_step) if t0 < t1 else x
+    for begin, end in spans(model.breaks(t0, t1), t0, t1):
+        x = _advance(model, x, begin, end, rng, max_step)
+    return x
 
 
 def _advance(

@@ -1,13 +1,13 @@
 """Times at which a model jumps by itself."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
 from .._types import Floats
 
-__all__ = ["beside", "roots"]
+__all__ = ["beside", "roots", "spans"]
 
 _SAMPLES = 1024  # at which a condition is looked at for changes of its sign, over any interval
 _BESIDE = 64 * float(np.finfo(float).eps)  # of a time, relative: farther than its rounding in a step
@@ -17,6 +17,15 @@ def beside(t: float, t0: float, t1: float) -> tuple[float, float]:
     """Return times just before and just after t that steps between t0 and t1 do not confuse by rounding."""
     gap = _BESIDE * max(abs(t0), abs(t1))
     return t - gap, t + gap
+
+
+def spans(breaks: Iterable[float], t0: float, t1: float) -> list[tuple[float, float]]:
+    """Return the spans of an interval between the times at which a model jumps, which are left out."""
+    found, begin = [], t0
+    for before, after in (beside(stop, t0, t1) for stop in breaks):
+        found += [(begin, before)] if begin < before else []
+        begin = after
+    return [*found, (begin, t1)] if begin < t1 else found
 
 
 def roots(value: Callable[[float], Floats], t0: float, t1: float, step: float) -> list[float]:

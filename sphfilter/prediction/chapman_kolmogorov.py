@@ -64,16 +64,16 @@ def propagate(
 
     Raises `PropagationError` where noise is too small for sums over nodes, or no lattice holds the density.
     """
-    steps, moved, asked = model.own_steps(density.t, t1), on_lattice(density, n_particles), 0
+    starts, moved, asked = model.starts(density.t, t1), on_lattice(density, n_particles), 0
     finer = n_particles > moved.n_particles * 1.5  # a target has asked for more than the density has
     if moved.field is None:
         raise PropagationError("the density has no smooth logarithm")
-    for k in range(steps):
-        moved, evaluations = _stepped(moved, model, density.t + k * model.period, n_particles, finer)
+    for t in starts:
+        moved, evaluations = _stepped(moved, model, t, n_particles, finer)
         asked += evaluations
     skipped = ("everything but sums: a step is the integral over the last density",)
     info = PredictInfo(
-        n_steps=steps, n_evaluations=asked, error=moved.error, skipped=skipped, scheme="log_density"
+        n_steps=len(starts), n_evaluations=asked, error=moved.error, skipped=skipped, scheme="log_density"
     )
     return moved.noted(t=float(t1)), info
 

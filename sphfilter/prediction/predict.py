@@ -25,7 +25,7 @@ from ..model.discrete import DiscreteModel
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
-from ..model.timing import beside
+from ..model.timing import spans
 from ..validate import count, onwards, real, seconds
 from . import automatic, chapman_kolmogorov, cloud, family, ladder, log_density, paper
 from .again import Ladder, Outcome, or_as_cloud
@@ -125,13 +125,8 @@ def predict(
         return density
 
     known = asked_before()
-    for stop in model.breaks(start, end):
-        before, after = beside(stop, start, end)
-        if density.t < before:
-            density = carried(density, before)
-        density = density.noted(t=after)
-    if density.t < end:
-        density = carried(density, end)
+    for begin, stop in spans(model.breaks(start, end), start, end):
+        density = carried(density if density.t == begin else density.noted(t=begin), stop)
     density = density if density.t == end else density.noted(t=end)
     took = perf_counter() - began
     tell_of(known, took)

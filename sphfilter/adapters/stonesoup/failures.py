@@ -32,10 +32,10 @@ def linearised(density: ParticleDensity, model: Any, dt: float) -> Gaussian:
     filter predicts: dm/dt = f(m), dP/dt = F P + P F' + 2 D(m). Refused if that is infinite, or no Gaussian.
     """
     if isinstance(model, DiscreteModel):
-        m, P, t = density.mean(), density.cov(), density.t
-        for k in range(model.own_steps(t, t + dt)):
-            F, G = np.split(model.jacobian(m, t + k * model.period)[0], [model.dim], axis=1)
-            m = model.transition(m, t + k * model.period)[0]
+        m, P = density.mean(), density.cov()
+        for t in model.starts(density.t, density.t + dt):
+            F, G = np.split(model.jacobian(m, t)[0], [model.dim], axis=1)
+            m = model.transition(m, t)[0]
             P = F @ P @ F.T + G @ model.covariance @ G.T
         return _gaussian(m, P)
     from scipy.integrate import solve_ivp  # on use: import time

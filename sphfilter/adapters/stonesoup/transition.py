@@ -111,8 +111,8 @@ class SDETransitionModel(TransitionModel):
             Phi, offset, _ = sde.discretize(dt)
             return X @ Phi.T + offset
         if isinstance(sde, DiscreteModel):
-            for k in range(sde.own_steps(t, t + dt)):
-                X = sde.transition(X, t + k * sde.period)
+            for start in sde.starts(t, t + dt):
+                X = sde.transition(X, start)
             return X
 
         def rate(s: float, flat: Floats) -> Floats:
