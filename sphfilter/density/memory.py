@@ -19,6 +19,7 @@ __all__ = [
     "max_particles",
     "min_nodes",
     "points_for",
+    "power_of_two",
     "tolerated_excess",
 ]
 

@@ -113,7 +113,6 @@ def carried_with_jumps(
     forward, log_w = way.forward(sources.w), np.full(len(modes.w), -math.inf)
     densities: list[Any] = [None] * len(log_w)
     infos = {}
-    needs = [density.needs for _, _, density in modes.some]
     for j, w in enumerate(forward[-1].tolist()):
         stayed = sources.carried(j) if w > 0.0 else None
         if stayed is None:
@@ -124,8 +123,7 @@ def carried_with_jumps(
         known: dict[str, Any] = {"t": way.span[1], "capacity": about.capacity, "error": error}
         densities[j] = cloud_of(about, state, sums, **known)
         if about.needs is not None:
-            points = max(own.points for own in needs if own is not None)
-            densities[j] = densities[j].noted(needs=about.needs.gone_on()._replace(points=points))
+            densities[j] = densities[j].noted(needs=about.needs.gone_on()._replace(points=count))
         infos[j] = info_of(model.modes[model.names[j]], count, stayed.steps, stayed.lost, error)
     return ModeDensities(log_w, densities, modes.splitting), infos
 

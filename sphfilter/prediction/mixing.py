@@ -29,7 +29,7 @@ from ..density.cloud import points_of
 from ..density.defect import Defect, defect_of
 from ..density.families_posterior import AWAY
 from ..density.family import OF_MISFIT, fitted, moments_apart, node_moments
-from ..density.memory import MOST_POINTS, Memory, min_nodes
+from ..density.memory import MOST_POINTS, Memory, min_nodes, power_of_two
 from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.passage import age_of, stored_key
@@ -137,15 +137,19 @@ def _heavy(parts: list[Part], allowed: float) -> tuple[list[Part], float]:
 
 
 def _needs(parts: Sequence[Part]) -> Memory | None:
-    """The most that any of the parts needs: a sum is no simpler."""
+    """The most that any of the parts needs, for a sum is no simpler; of points, as their shares say.
+
+    What so many of all points are wrong by counts as often in the error of the sum.
+    """
     own = [part.density.needs for part in parts]
+    share = np.exp([part.log_w for part in parts])
     known = [needs for needs in own if needs is not None]
     if len(known) < len(own):
         return None
     return known[0]._replace(
         degree=max(needs.degree for needs in known),
         nodes=max(needs.nodes for needs in known),
-        points=max(needs.points for needs in known),
+        points=int(power_of_two(share @ [needs.points for needs in known])),
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..density.memory import error_budget
+from ..density.memory import error_budget, power_of_two
 from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
@@ -116,11 +116,14 @@ def _points(modes: ModeDensities, model: JumpMarkovModel, config: FilterConfig, 
     """Points of a cloud for each mode, where modes go as clouds; else zero."""
     if isinstance(config.scheme, CloudScheme):
         return config.scheme.n_points
-    needs = [density.needs for _, _, density in modes.some if density.needs is not None]
+    each = [(log_w, density.needs) for _, log_w, density in modes.some]
+    needs = [(math.exp(log_w), own) for log_w, own in each if own is not None]
     if config.scheme != "auto" or n_particles != "auto" or len(needs) < len(modes.some) or not suits(model):
         return 0
-    most = max(needs, key=lambda own: own.points)
-    return 0 if most.smooth and model.dim <= LATTICE else most.cloud(config.target_error)
+    if needs[0][1].smooth and model.dim <= LATTICE:
+        return 0
+    points = sum(w * own.cloud(config.target_error) for w, own in needs)  # as errors add up
+    return int(power_of_two(points))
 
 
 def _in_turn(

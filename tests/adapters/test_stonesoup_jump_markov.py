@@ -53,7 +53,8 @@ def bent():
 
 
 def parts(model, sensor=SENSOR, **options):
-    predictor = JumpMarkovPredictor(model, **options)
+    """Predictor and updater, with the settings of a filter rather than of a tracker."""
+    predictor = JumpMarkovPredictor(model, **{"config": sf.FilterConfig()} | options)
     return predictor, JumpMarkovUpdater(predictor, sensor)
 
 

@@ -12,10 +12,11 @@ from stonesoup.base import Property
 from stonesoup.models.measurement.base import MeasurementModel
 from stonesoup.models.measurement.nonlinear import CartesianToBearingRange
 from stonesoup.types.hypothesis import SingleHypothesis
-from stonesoup.types.state import GaussianState
+from stonesoup.types.state import GaussianState, State
 from stonesoup.types.track import Track
 
 from sphfilter.adapters.stonesoup import EvidenceHypothesiser, SPHPredictor, SPHUpdater
+from sphfilter.adapters.stonesoup.sensors import ModelMeasurement
 
 
 def test_bearing_and_range_of_each_detection_are_their_own():
@@ -105,3 +106,18 @@ def test_association_on_a_circle():
     p /= p.sum() * (angles[1] - angles[0])
     np.testing.assert_allclose(posterior.density.pdf(angles), p, atol=0.01 * p.max())
     assert posterior.density.pdf([[np.pi - 0.01]]) > 0.2  # the seam lies in the middle of it
+
+
+@pytest.mark.parametrize("turned", [0.0, 2.0])
+def test_readings_of_many_states_are_those_of_each(turned):
+    """Also behind the sensor, where bearings jump from π to -π, and of a sensor that is turned."""
+    model = CartesianToBearingRange(
+        2, (0, 1), np.diag([0.01, 0.1]), translation_offset=np.array([[0.3], [0.1]])
+    )
+    model.rotation_offset = np.array([[0.0], [0.0], [turned]])
+    X = np.random.default_rng(1).normal(0.0, 2.0, (200, 2)) - [1.0, 0.0]
+    sensor = ModelMeasurement(model, START)
+    each = [np.ravel(model.function(State(np.c_[x]), noise=False)).astype(float) for x in X]
+    np.testing.assert_allclose(sensor.predict(X), each, atol=1e-12)
+    np.testing.assert_allclose(sensor.predict(X[0]), each[:1], atol=1e-12)
+    assert sensor.angles == (0,)

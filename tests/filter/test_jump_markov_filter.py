@@ -1,6 +1,7 @@
 """The filter of a model that switches: its densities against grids, Bayes factors and filters of one mode."""
 
 import pickle
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -10,7 +11,9 @@ from scipy.linalg import expm
 
 import sphfilter as sf
 from reference_filters.jump_grid import JumpGridFilter, unsplit_jump_filter
+from sphfilter.density.memory import Memory
 from sphfilter.density.modes import ModeDensities
+from sphfilter.prediction.mixing import Part, mixed
 from sphfilter.prediction.switching import predict_modes
 
 SMOOTH = sf.FilterConfig(density_error=0.01)  # as modes are carried
@@ -568,3 +571,16 @@ def test_a_campaign_finds_the_densities_consistent():
     told = sf.report(campaign).filters["jumping"]
     assert min(told.ranks.hpd_p, *told.ranks.pit_p, *told.ranks.state_pit_p) > 0.01, told.ranks
     assert told.verdict.startswith(("consistent", "nothing found against it")), told.verdict
+
+
+def test_a_sum_asks_for_points_as_its_shares_say():
+    """What is next to never so and hard to read, as clutter far out, does not ask for all of its points."""
+    density = sf.initialize(sf.Gaussian([0.0, 0.0], np.eye(2)), "auto")
+    cloud, _ = sf.predict(
+        density, sf.LinearSDE(-np.eye(2), noise=np.eye(2)), 0.5, sf.SolverConfig(scheme="cloud")
+    )
+    usual, hard = (cloud.noted(needs=Memory(points=points)) for points in (1024, 65536))
+    shifted = replace(hard, x=hard.x + 3.0)
+    for share, asked in ((1e-4, 2048), (0.5, 65536)):
+        parts = [Part(np.log1p(-share), usual), Part(np.log(share), shifted)]
+        assert mixed(parts, 0.01, (1e-6, 1e-6)).needs.points == asked

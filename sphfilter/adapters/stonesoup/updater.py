@@ -79,7 +79,7 @@ class DensityUpdater(Updater):
 
     @property
     def _config(self) -> FilterConfig:
-        return checked_filter_config(self._by.config)
+        return self._by._config
 
     def predict_measurement(
         self,
@@ -249,6 +249,10 @@ class SPHUpdater(DensityUpdater):
     @property
     def _by(self) -> "SPHUpdater":
         return self
+
+    @property
+    def _config(self) -> FilterConfig:
+        return checked_filter_config(self.config)
 
     def _started(self, state: State) -> SPHState:
         usual = SPHPredictor.n_particles.default  # type: ignore[attr-defined]  # a Property of Stone Soup
