@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from .._types import Bools, Floats, Ints
 from .pieces import NEAR, Pieces, nodes, root_of
@@ -30,7 +29,7 @@ def merged(pieces: Pieces, most: float) -> tuple[Pieces, float]:
     Pieces, float
         And the change of log p, averaged over the mass.
     """
-    total = logsumexp(pieces.log_w)
+    total = np.logaddexp.reduce(pieces.log_w)
     debt, alive = np.zeros(len(pieces.log_w)), np.ones(len(pieces.log_w), dtype=bool)
     pairs = _pairs(pieces, alive, np.arange(len(debt)))
     joined = _together(pieces, pairs, debt, total)
@@ -77,9 +76,9 @@ def _pairs(pieces: Pieces, alive: Bools, new: Ints) -> Ints:
     places, count = _places(pieces, others), min(_LOOKED_AT, len(others))
     found = cKDTree(places).query(places[np.searchsorted(others, new)], count)[1]
     near = others[found.reshape(len(new), count)]
-    z = np.einsum("kab,klb->kla", back, pieces.mean[near] - pieces.mean[new, None])
+    z = (back[:, None] @ (pieces.mean[near] - pieces.mean[new, None])[..., None])[..., 0]
     away = np.where(near == new[:, None], np.inf, np.sum(z**2, axis=2))
-    wider = np.einsum("kab,klbc->klac", back, pieces.root[near]) - np.eye(z.shape[2])
+    wider = back[:, None] @ pieces.root[near] - np.eye(z.shape[2])
     first = np.argsort(away + np.sum(wider**2, axis=(2, 3)), axis=1, kind="stable")[:, :_NEIGHBOURS]
     taken = np.take_along_axis(away, first, axis=1) < NEAR**2
     pairs = np.column_stack(
@@ -100,7 +99,7 @@ def _places(pieces: Pieces, own: Ints) -> Floats:
 
 def _together(pieces: Pieces, pairs: Ints, debt: Floats, total: float) -> _Joined:
     """Pairs as one Gaussian each, and what that changes."""
-    log_w = logsumexp(pieces.log_w[pairs], axis=1)
+    log_w = np.logaddexp(*pieces.log_w[pairs].T)
     share = np.exp(pieces.log_w[pairs] - log_w[:, None])
     mean = np.einsum("ps,psa->pa", share, pieces.mean[pairs])
     off = pieces.mean[pairs] - mean[:, None]
@@ -108,11 +107,11 @@ def _together(pieces: Pieces, pairs: Ints, debt: Floats, total: float) -> _Joine
     cov = np.einsum("ps,psac,psbc->pab", share, own, own) + np.einsum("ps,psa,psb->pab", share, off, off)
     root = root_of(cov)
     xi, u = nodes(mean.shape[1])
-    X = np.einsum("pab,ib->pia", root, xi)
     back = np.linalg.inv(own)
-    z = np.einsum("psab,pib->psia", back, X) - np.einsum("psab,psb->psa", back, off)[:, :, None]
+    z = xi @ np.swapaxes(back @ root[:, None], -1, -2) - np.swapaxes(back @ off[..., None], -1, -2)
     each = np.log(share) + np.linalg.slogdet(back)[1]
-    two = logsumexp(each[:, :, None] - 0.5 * np.einsum("psia,psia->psi", z, z), axis=1)
+    of_each = each[:, :, None] - 0.5 * np.einsum("psia,psia->psi", z, z)
+    two = np.logaddexp(of_each[:, 0], of_each[:, 1])
     one = -0.5 * np.sum(xi**2, axis=1) - np.linalg.slogdet(root)[1][:, None]
     owed = np.einsum("ps,ps->p", share, debt[pairs]) + np.sqrt((two - one) ** 2 @ u)
     light = np.sqrt(_LIGHT / np.exp(log_w - total))

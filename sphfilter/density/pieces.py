@@ -48,7 +48,7 @@ class Pieces(NamedTuple):
     @property
     def w(self) -> Floats:
         """Shares (K,) of the whole."""
-        w: Floats = np.exp(self.log_w - logsumexp(self.log_w))
+        w: Floats = np.exp(self.log_w - np.logaddexp.reduce(self.log_w))
         return w
 
     @property
@@ -59,7 +59,8 @@ class Pieces(NamedTuple):
     def normalised(self) -> "Pieces":
         """The pieces with shares of sum one, the heaviest first."""
         order = np.argsort(-self.log_w, kind="stable")
-        return Pieces(self.log_w[order] - logsumexp(self.log_w), self.mean[order], self.root[order])
+        log_w = self.log_w[order] - np.logaddexp.reduce(self.log_w)
+        return Pieces(log_w, self.mean[order], self.root[order])
 
     def moments(self) -> tuple[Floats, Floats]:
         """Mean (n,) and covariance (n, n) of the whole."""

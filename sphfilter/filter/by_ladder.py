@@ -98,10 +98,10 @@ def _on_families(
 
 
 def _on_pieces(density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory) -> Posterior:
-    """The posterior of a sum of Gaussians, as one family where that will do."""
+    """The posterior of a sum of Gaussians, as one family where that will do and none is to be added to."""
     new, said = by_pieces(density, asked, target)
     one = as_polynomials(new, first_degree(new.dim, needs), error_budget(new.error, target))
-    new = new if one is None else one
+    new = new if one is None or (needs.smooth and not one.gaussian) else one
     return replace(new, needs=needs), _flagged_if_missed(said | {"error": new.error}, target)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..density.memory import error_budget, power_of_two
+from ..density.memory import Memory, error_budget, power_of_two
 from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
@@ -100,13 +100,16 @@ def predict_modes(
         steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error / finer, n_substeps)
     told, times = _Told(model.names), jump_times(steps, _jumps(model, t1 - t0))
     count = _points(modes, model, config, n_particles) if jumps else 0
-    if count:
+    moved = None
+    if not count:
+        moved = _in_turn(modes, model, t1, config, n_particles, times if jumps else None, apart, told)
+        told = _Told(model.names) if moved is None else told
+    if moved is None:
         way, forced = Way.of(model, (t0, t1), *times), isinstance(config.scheme, CloudScheme)
-        modes, infos = carried_with_jumps(modes, model, way, count, target)
+        moved, infos = carried_with_jumps(modes, model, way, count or _usual_points(modes, target), target)
         for i, info in infos.items():
             told.hear(i, info if forced else as_asked(info))
-    else:
-        modes = _in_turn(modes, model, t1, config, n_particles, times if jumps else None, apart, told)
+    modes = moved
     whole = np.array([ripple.mass for ripple in off])
     modes = modes.split(np.hypot(modes.splitting, whole), off)
     return modes, told.info(modes, steps, float(modes.w @ whole), target)
@@ -116,14 +119,23 @@ def _points(modes: ModeDensities, model: JumpMarkovModel, config: FilterConfig, 
     """Points of a cloud for each mode, where modes go as clouds; else zero."""
     if isinstance(config.scheme, CloudScheme):
         return config.scheme.n_points
-    each = [(log_w, density.needs) for _, log_w, density in modes.some]
-    needs = [(math.exp(log_w), own) for log_w, own in each if own is not None]
-    if config.scheme != "auto" or n_particles != "auto" or len(needs) < len(modes.some) or not suits(model):
+    needs = [density.needs for _, _, density in modes.some if density.needs is not None]
+    if config.scheme != "auto" or n_particles != "auto" or len(needs) < len(modes.some):
         return 0
-    if needs[0][1].smooth and model.dim <= LATTICE:
-        return 0
-    points = sum(w * own.cloud(config.target_error) for w, own in needs)  # as errors add up
-    return int(power_of_two(points))
+    sums = needs[0].smooth and model.dim <= LATTICE
+    as_points = not sums and (suits(model) or _goes_as_points(modes))
+    return _usual_points(modes, config.target_error) if as_points else 0
+
+
+def _usual_points(modes: ModeDensities, target: float) -> int:
+    """Points of a cloud for each mode that a target asks for, by the modes' shares in its error."""
+    needs = [(math.exp(log_w), density.needs or Memory()) for _, log_w, density in modes.some]
+    return int(power_of_two(sum(w * own.cloud(target) for w, own in needs)))
+
+
+def _goes_as_points(modes: ModeDensities) -> bool:
+    """Whether a density goes as points."""
+    return any(density.read_out == "cloud" for _, _, density in modes.some)
 
 
 def _in_turn(
@@ -135,8 +147,11 @@ def _in_turn(
     times: tuple[Floats, Floats] | None,
     apart: float,
     told: "_Told",
-) -> ModeDensities:
-    """The densities of all modes at time t1, which are carried, and mixed at the times of jumps."""
+) -> ModeDensities | None:
+    """The densities of all modes at time t1, which are carried, and mixed at the times of jumps.
+
+    None where a sum would go on as points in more than one state: points take jumps each by itself.
+    """
     t0, target, steps = modes.heaviest.t, config.target_error, 1 if times is None else len(times[0])
     allowed = error_budget(modes.error, target)
     # what steps add to polynomials and pieces is alike, and adds up; of lattices it comes as it may
@@ -146,6 +161,8 @@ def _in_turn(
     for share, part in zip(*times, strict=True) if times else ():
         modes = _carried(modes, model, t0 + share * (t1 - t0), configs, n_particles, told)
         modes = _switched(modes, model, part * (t1 - t0), target, each)
+        if model.dim > 1 and _goes_as_points(modes) and not model.domain.walled.any():
+            return None
     return _carried(modes, model, t1, configs, n_particles, told)
 
 
