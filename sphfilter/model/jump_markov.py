@@ -1,4 +1,4 @@
-"""Models that switch between modes at random: an equation for each, and rates of the jumps between them."""
+"""Models that switch between modes at random: an equation or map for each, and the jumps between them."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -12,7 +12,9 @@ from .. import validate
 from .._types import Floats
 from ..core.limits import ROUNDING
 from ..errors import ModelError
+from .discrete import DiscreteModel
 from .discretization import exponential
+from .dynamics import Dynamics
 from .named import InputValues, input_values
 from .sde import SDE
 
@@ -23,21 +25,27 @@ class JumpMarkovModel:
     """A state whose equation switches at random: in mode i, dX = f_i dt + g_i dW (a jump-Markov model).
 
     The densities of the states, one for each mode, obey ∂p_i/∂t = L_i p_i + Σ_j λ_ji p_j, with the
-    Fokker-Planck operator L_i of mode i and the rate λ_ji of jumps from mode j to i.
+    Fokker-Planck operator L_i of mode i and the rate λ_ji of jumps from mode j to i. Of models in discrete
+    time a step begins with a jump, and goes by the map of the mode that it leads to, as in an interacting
+    multiple model filter.
 
     Parameters
     ----------
-    modes : mapping of str to SDE
-        The equation of each mode, of the same states in the same domain.
-    rates : array_like, shape (M, M)
-        Jumps a second from the mode of a row to that of a column, in the order of `modes`. The diagonal is
-        minus the sum of its row: a mode i lasts 1 / -rates[i][i] seconds on average.
+    modes : mapping of str to SDE, or of str to DiscreteModel
+        The equation of each mode, of the same states in the same domain; or its map, of the same period.
+    rates : array_like, shape (M, M), optional
+        For equations: jumps a second from the mode of a row to that of a column, in the order of `modes`. The
+        diagonal is minus the sum of its row: a mode i lasts 1 / -rates[i][i] seconds on average.
+    transitions : array_like, shape (M, M), optional
+        For maps: probabilities of the mode of a column in a step, after that of a row in the step before.
 
     Attributes
     ----------
-    modes : mapping of str to SDE, read-only
+    modes : mapping of str to SDE or DiscreteModel, read-only
     names : tuple of str, length M
     rates : ndarray, shape (M, M), read-only
+        Of maps, jumps a second on average: `transitions` less one on the diagonal, over the period.
+    transitions : ndarray, shape (M, M), read-only; None for equations
     inputs : mapping of str to float, read-only
         Those of all modes; inputs of one name are one input.
     dim : int
@@ -48,7 +56,7 @@ class JumpMarkovModel:
     ------
     ModelError
         No mode, modes of different states, or that give an input of one name different values; rates that
-        are negative or whose rows do not sum to zero.
+        are negative or whose rows do not sum to zero, probabilities whose rows do not sum to one.
 
     Examples
     --------
@@ -57,18 +65,30 @@ class JumpMarkovModel:
     >>> model = sf.JumpMarkovModel({"straight": turn(0.0), "turning": turn(0.5)}, [[-0.1, 0.1], [0.3, -0.3]])
     >>> print(model.stationary, model.transition(1.0).round(3).tolist())
     [0.75 0.25] [[0.918, 0.082], [0.247, 0.753]]
+    >>> walk = lambda Q: sf.DiscreteModel.from_matrices(F=[[1.0]], Q=[[Q]])
+    >>> modes = {"calm": walk(0.1), "wild": walk(2.0)}
+    >>> steps = sf.JumpMarkovModel(modes, transitions=[[0.9, 0.1], [0.5, 0.5]])
+    >>> print(steps.stationary.round(3), steps.transition(2.0).round(3).tolist())
+    [0.833 0.167] [[0.86, 0.14], [0.7, 0.3]]
     """
 
-    def __init__(self, modes: Mapping[str, SDE], rates: ArrayLike) -> None:
+    def __init__(
+        self,
+        modes: Mapping[str, SDE] | Mapping[str, DiscreteModel],
+        rates: ArrayLike | None = None,
+        *,
+        transitions: ArrayLike | None = None,
+    ) -> None:
         if not isinstance(modes, Mapping) or not modes:
             raise ModelError(f"modes must be a mapping of names to models, got {validate.short(modes)}")
+        kind = DiscreteModel if isinstance(next(iter(modes.values())), DiscreteModel) else SDE
         for name, mode in modes.items():
-            if not isinstance(name, str) or not isinstance(mode, SDE):
+            if not isinstance(name, str) or not isinstance(mode, kind):
                 raise ModelError(
-                    f"modes must be equations (SDE) by their names, got {validate.short(name)}: "
-                    f"{validate.short(mode)}"
+                    f"modes must be equations (SDE) by their names, or all of them DiscreteModel, got "
+                    f"{validate.short(name)}: {validate.short(mode)}"
                 )
-        self.modes: Mapping[str, SDE] = MappingProxyType(dict(modes))
+        self.modes: Mapping[str, Dynamics] = MappingProxyType(dict(modes))
         self.names = tuple(modes)
         first = modes[self.names[0]]
         self.dim, self.domain = first.dim, first.domain
@@ -79,6 +99,12 @@ class JumpMarkovModel:
                     f"modes must be of the same states in the same domain: {self.names[0]!r} has {self.dim} "
                     f"in {self.domain}, {name!r} has {mode.dim} in {mode.domain}"
                 )
+        self.transitions = None
+        if kind is DiscreteModel:
+            self.transitions, self._period = _transitions(rates, transitions, self.modes)
+            rates = (self.transitions - np.eye(len(modes))) / self._period
+        elif rates is None or transitions is not None:
+            raise ModelError("equations switch at rates=, jumps a second; transitions= are of DiscreteModel")
         self.rates = _rates(rates, self.names)
         self.inputs: Mapping[str, float] = MappingProxyType(_inputs(self.modes))
 
@@ -95,22 +121,38 @@ class JumpMarkovModel:
             name: mode.with_inputs({k: v for k, v in values.items() if k in mode.inputs})
             for name, mode in self.modes.items()
         }
-        return JumpMarkovModel(own, self.rates)
+        return _made(own, self.rates, self.transitions)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return JumpMarkovModel, (dict(self.modes), self.rates)
+        return _made, (dict(self.modes), self.rates, self.transitions)
 
     def __repr__(self) -> str:
-        return f"JumpMarkovModel(modes={list(self.names)}, rates={self.rates.tolist()}, states={self.states})"
+        jumps = "rates" if self.transitions is None else "transitions"
+        told = f"{jumps}={getattr(self, jumps).tolist()}"
+        return f"JumpMarkovModel(modes={list(self.names)}, {told}, states={self.states})"
+
+    def starts(self, t0: float, t1: float) -> list[float]:
+        """Return the times, seconds, at which the steps of maps from one time to another begin."""
+        first: Any = self.modes[self.names[0]]
+        return list(first.starts(t0, t1))
 
     def transition(self, dt: float) -> Floats:
         """Probabilities (M, M) of the mode of a column dt seconds after that of a row."""
+        if self.transitions is not None:
+            return np.linalg.matrix_power(self.transitions, len(self.starts(0.0, dt)))
         return _transition(self.rates.tobytes(), len(self.names), float(dt)).copy()
 
     @property
     def stationary(self) -> Floats:
         """Probabilities (M,) of the modes after a long time, from equal ones."""
         return _long_after(self.rates)
+
+
+def _made(modes: Any, rates: Floats, transitions: Floats | None) -> JumpMarkovModel:
+    """A model again."""
+    if transitions is None:
+        return JumpMarkovModel(modes, rates)
+    return JumpMarkovModel(modes, transitions=transitions)
 
 
 @lru_cache(maxsize=256)
@@ -155,7 +197,7 @@ def _balanced(off: Floats) -> Floats:
     return np.asarray(w / w.sum(), dtype=np.float64)
 
 
-def _inputs(modes: Mapping[str, SDE]) -> dict[str, float]:
+def _inputs(modes: Mapping[str, Dynamics]) -> dict[str, float]:
     """Inputs of all modes by name."""
     found: dict[str, float] = {}
     for name, mode in modes.items():
@@ -166,6 +208,30 @@ def _inputs(modes: Mapping[str, SDE]) -> dict[str, float]:
                     f"{value:g} in {name!r}: give it one value in all modes, or two names"
                 )
     return found
+
+
+def _transitions(
+    rates: ArrayLike | None, transitions: ArrayLike | None, modes: Mapping[str, Any]
+) -> tuple[Floats, float]:
+    """Probabilities (M, M) of modes after a step, checked, and the period of their maps, seconds."""
+    M, periods = len(modes), {mode.period for mode in modes.values()}
+    if transitions is None or rates is not None:
+        raise ModelError(
+            "models in discrete time switch at transitions=, probabilities of a step; not at rates"
+        )
+    if len(periods) > 1:
+        raise ModelError(f"modes must step together, and have the periods {sorted(periods)} s")
+    P = validate.array("transitions", transitions, (M, M), f"from each of {M} modes to each")
+    sums = P.sum(axis=1)
+    if P.min() < 0.0 or np.abs(sums - 1.0).max() > 1e-6:
+        i = int(np.argmax(np.maximum(np.abs(sums - 1.0), -P.min(axis=1))))
+        raise ModelError(
+            f"the rows of transitions must be probabilities of sum one, that of {list(modes)[i]!r} is "
+            f"{validate.row(P[i])}"
+        )
+    P = P / sums[:, None]
+    P.flags.writeable = False
+    return P, periods.pop()
 
 
 def _rates(rates: ArrayLike, names: tuple[str, ...]) -> Floats:
@@ -192,7 +258,7 @@ def _rates(rates: ArrayLike, names: tuple[str, ...]) -> Floats:
     return off
 
 
-def _states(modes: Mapping[str, SDE]) -> tuple[str, ...]:
+def _states(modes: Mapping[str, Dynamics]) -> tuple[str, ...]:
     """Names of the states: those that a mode gives them, rather than numbers."""
     given = {
         mode.states: name

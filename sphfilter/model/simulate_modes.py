@@ -109,6 +109,8 @@ def advance_modes(
 ) -> tuple[Floats, Ints]:
     """States (R, n) and modes (R,) after an interval: those that do not jump go together."""
     x, now, (t0, t1) = x.copy(), now.copy(), span
+    if model.transitions is not None:
+        return _stepped(model, x, now, span, rng)
     leaving = -model.rates.diagonal()
     with np.errstate(divide="ignore"):
         waits = rng.standard_exponential(len(x)) / leaving[now]
@@ -127,4 +129,17 @@ def advance_modes(
             to = np.maximum(model.rates[now[r]], 0.0)
             t, now[r] = end, rng.choice(len(to), p=to / to.sum())
             wait = rng.standard_exponential() / leaving[now[r]] if leaving[now[r]] > 0.0 else np.inf
+    return x, now
+
+
+def _stepped(
+    model: JumpMarkovModel, x: Floats, now: Ints, span: tuple[float, float], rng: np.random.Generator
+) -> tuple[Floats, Ints]:
+    """States (R, n) and modes (R,) after steps of maps, each of which begins with a jump."""
+    ends = np.cumsum(np.asarray(model.transitions), axis=1)
+    for begin, end in pairwise([*model.starts(*span), span[1]]):
+        now = np.minimum((rng.random(len(now))[:, None] > ends[now]).sum(axis=1), len(ends) - 1)
+        for k, mode in enumerate(model.modes.values()):
+            own = now == k
+            x[own] = mode.domain.wrap(advance(mode, x[own], begin, end, rng))
     return x, now

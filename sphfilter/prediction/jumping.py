@@ -35,6 +35,7 @@ from .cloud import (
     unrolled_about_mean,
     without_runaways,
 )
+from .splitting_error import jump_times, jumps_of
 
 __all__ = ["UNLIKELY", "Way", "carried_with_jumps", "suits"]
 
@@ -56,9 +57,15 @@ class Way(NamedTuple):
     jumps: tuple[Floats, ...]  # Q matrices (M, M): probabilities of the mode of a column after that of a row
 
     @classmethod
-    def of(cls, model: JumpMarkovModel, span: tuple[float, float], share: Floats, weight: Floats) -> "Way":
-        """With jumps after parts (Q,) of a span, for as long as other parts (Q,) of it."""
+    def of(cls, model: JumpMarkovModel, span: tuple[float, float], steps: int) -> "Way":
+        """With so many steps of the splitting of equations; maps jump where each step begins."""
         t0, dt = span[0], span[1] - span[0]
+        if model.transitions is not None:
+            starts = model.starts(*span)
+            return cls(np.array([t0, *starts, span[1]]), (model.transitions,) * len(starts))
+        if not model.rates.any():
+            return cls(np.array(span), ())
+        share, weight = jump_times(steps, jumps_of(model, dt))
         times = np.array([t0, *(t0 + share * dt), span[1]])
         return cls(times, tuple(model.transition(part * dt) for part in weight.tolist()))
 
@@ -197,6 +204,8 @@ class _Sources:
             )
             square += len(own) / many * self._states[i].inherited ** 2
         for gap, span in enumerate(pairwise(self._way.times.tolist())):
+            if span[0] == span[1]:
+                continue
             for i in np.unique(path[:, gap]).tolist():
                 own = path[:, gap] == i
                 x[own] = self._moved(i, x[own], span, stored_key(key, len(forward[0]) * (gap + 1) + i))
@@ -211,7 +220,8 @@ class _Sources:
             return affine(x, u, block, np.zeros((1, n)), offset, flow, lower)
         whole, stayed = self._way.span[1] - self._way.span[0], self.carried(i)
         assert stayed is not None
-        steps = math.ceil(stayed.steps * (span[1] - span[0]) / whole - 1e-9)
+        part = math.ceil(stayed.steps * (span[1] - span[0]) / whole - 1e-9)
+        steps = model.own_steps(*span) or part
         leg, none = leg_of(model, *span, steps, stayed.state.pace.stiff), np.zeros((N, n))
         given = none, np.zeros((1, n, steps * model.n_noise)), block  # ends are as their noise moves them
         with surfacing():

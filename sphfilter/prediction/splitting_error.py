@@ -2,7 +2,7 @@
 
 import math
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -18,7 +18,12 @@ from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
 
-__all__ = ["jump_times", "splitting_error"]
+__all__ = ["jump_times", "jumps_of", "splitting_error"]
+
+
+def jumps_of(model: JumpMarkovModel, dt: float) -> float:
+    """Jumps that a state takes in dt seconds, of the mode that it leaves the soonest."""
+    return float(-model.rates.min()) * dt
 
 
 def jump_times(steps: int, jumps: float) -> tuple[Floats, Floats]:
@@ -92,10 +97,10 @@ def splitting_error(
     mass.
     """
     leaving = -np.diag(model.rates)
-    share, gauss, simpson = _rules(steps, float(-model.rates.min()) * dt)
+    share, gauss, simpson = _rules(steps, jumps_of(model, dt))
     starts = {j: _narrow(p) for j, _, p in modes.some}
     flows = {
-        (i, j): _Flows.about(model.modes[model.names[i]], mean, modes.heaviest.t, dt * share)
+        (i, j): _Flows.about(cast(SDE, model.modes[model.names[i]]), mean, modes.heaviest.t, dt * share)
         for j, (mean, _) in starts.items()
         for i in range(len(model.names))
         if i == j or model.rates[i, j] > 0.0 or model.rates[j, i] > 0.0

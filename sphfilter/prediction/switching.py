@@ -23,15 +23,15 @@ from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import Code, PredictInfo
+from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel
-from ..model.sde import SDE
 from .again import Outcome, or_as_cloud
 from .jumping import UNLIKELY, Way, carried_with_jumps, suits
 from .ladder import LATTICE, as_asked
 from .mixing_modes import summed
 from .pieces import carried_exactly
 from .predict import predict
-from .splitting_error import jump_times, splitting_error
+from .splitting_error import jumps_of, splitting_error
 
 __all__ = ["MOST_SUBSTEPS", "ModesInfo", "ModesPrediction", "predict_modes"]
 
@@ -50,7 +50,7 @@ class ModesInfo(PredictInfo):
     Attributes
     ----------
     n_substeps : int
-        Steps of the splitting.
+        Steps of the splitting; of maps one, as they need none.
     splitting_error : float
         Estimated part of the probability that this splitting has put at wrong states; in `error`.
     modes : dict of str to PredictInfo
@@ -96,16 +96,16 @@ def predict_modes(
     """
     t0, target, jumps = modes.heaviest.t, config.target_error, model.rates.any()
     steps, off = 1, [no_ripple(model.dim) for _ in model.names]
-    if jumps:
+    if jumps and model.transitions is None:
         steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error / finer, n_substeps)
-    told, times = _Told(model.names), jump_times(steps, _jumps(model, t1 - t0))
+    told, way = _Told(model.names), Way.of(model, (t0, t1), steps)
     count = _points(modes, model, config, n_particles) if jumps else 0
     moved = None
     if not count:
-        moved = _in_turn(modes, model, t1, config, n_particles, times if jumps else None, apart, told)
+        moved = _in_turn(modes, model, way, config, n_particles, apart, told)
         told = _Told(model.names) if moved is None else told
     if moved is None:
-        way, forced = Way.of(model, (t0, t1), *times), isinstance(config.scheme, CloudScheme)
+        forced = isinstance(config.scheme, CloudScheme)
         moved, infos = carried_with_jumps(modes, model, way, count or _usual_points(modes, target), target)
         for i, info in infos.items():
             told.hear(i, info if forced else as_asked(info))
@@ -141,29 +141,28 @@ def _goes_as_points(modes: ModeDensities) -> bool:
 def _in_turn(
     modes: ModeDensities,
     model: JumpMarkovModel,
-    t1: float,
+    way: Way,
     config: FilterConfig,
     n_particles: int | str,
-    times: tuple[Floats, Floats] | None,
     apart: float,
     told: "_Told",
 ) -> ModeDensities | None:
-    """The densities of all modes at time t1, which are carried, and mixed at the times of jumps.
+    """The densities of all modes at the end of a way, which are carried, and mixed at its times of jumps.
 
     None where a sum would go on as points in more than one state: points take jumps each by itself.
     """
-    t0, target, steps = modes.heaviest.t, config.target_error, 1 if times is None else len(times[0])
+    target, steps = config.target_error, max(len(way.jumps), 1)
     allowed = error_budget(modes.error, target)
     # what steps add to polynomials and pieces is alike, and adds up; of lattices it comes as it may
     each = allowed / (steps + 1) / apart, allowed / math.sqrt(steps + 1)
     smaller = [config.target_error / part for part in (steps, math.sqrt(steps), 1.0)]
     configs = dict(zip(_KINDS, (replace(config, target_error=error) for error in smaller), strict=True))
-    for share, part in zip(*times, strict=True) if times else ():
-        modes = _carried(modes, model, t0 + share * (t1 - t0), configs, n_particles, told)
-        modes = _switched(modes, model, part * (t1 - t0), target, each)
+    for t, P in zip(way.times[1:-1].tolist(), way.jumps, strict=True):
+        modes = _carried(modes, model, t, configs, n_particles, told)
+        modes = _switched(modes, P, target, each)
         if model.dim > 1 and _goes_as_points(modes) and not model.domain.walled.any():
             return None
-    return _carried(modes, model, t1, configs, n_particles, told)
+    return _carried(modes, model, way.span[1], configs, n_particles, told)
 
 
 class _Told:
@@ -202,12 +201,10 @@ class _Told:
         )
 
 
-def _switched(
-    modes: ModeDensities, model: JumpMarkovModel, h: float, target: float, allowed: tuple[float, float]
-) -> ModeDensities:
-    """The densities after h seconds in which states jump between modes and do not move."""
+def _switched(modes: ModeDensities, P: Floats, target: float, allowed: tuple[float, float]) -> ModeDensities:
+    """The densities after jumps of probabilities P (M, M) between modes, in which states do not move."""
     with np.errstate(divide="ignore"):
-        log_P = np.log(model.transition(h))
+        log_P = np.log(P)
     rows = [[own] * len(log_P) for own in modes.densities]
     splitting = np.broadcast_to(modes.splitting[:, None], log_P.shape)
     return summed(modes.log_w[:, None] + log_P, rows, splitting, target, allowed)
@@ -226,6 +223,8 @@ def _carried(
     The configurations have the target errors of one step of many, by the kind of the density.
     """
     log_w, densities = modes.log_w.copy(), list(modes.densities)
+    if t == modes.heaviest.t:
+        return modes
     for i, own, density in modes.some:
         sde = model.modes[model.names[i]]
         if sde.linear and sde.domain.unbounded and (density.gaussian or density.pieces is not None):
@@ -234,7 +233,7 @@ def _carried(
             continue
 
         def predicted(
-            config: Any, density: ParticleDensity = density, sde: SDE = sde
+            config: Any, density: ParticleDensity = density, sde: Dynamics = sde
         ) -> Outcome[PredictInfo]:
             options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}
             moved, info = predict(density, sde, config=config, **options)
@@ -269,10 +268,5 @@ def _steps(
         if given is not None or error <= allowed or steps == MOST_SUBSTEPS:
             return steps, off
         more = math.ceil(steps * (error / allowed) ** 0.25)  # errors of Gauss fall faster
-        steps, pieces = min(max(more, steps + 1), 2 * steps), math.ceil(_jumps(model, dt))
+        steps, pieces = min(max(more, steps + 1), 2 * steps), math.ceil(jumps_of(model, dt))
         steps = min(pieces * math.ceil(steps / pieces) if steps > pieces else steps, MOST_SUBSTEPS)
-
-
-def _jumps(model: JumpMarkovModel, dt: float) -> float:
-    """Jumps that a state takes in dt seconds, of the mode that it leaves the soonest."""
-    return float(-model.rates.min()) * dt
