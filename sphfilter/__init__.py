@@ -51,6 +51,7 @@ from .inference.estimation import ParameterFit, fit_parameters, profile_evidence
 from .inference.model_comparison import ModelComparison, compare_models
 from .inference.smoother import SmoothedResult, smooth
 from .info import Code, PredictInfo, ResampleInfo, UpdateInfo
+from .model.correlated import correlated_noise
 from .model.discrete import DiscreteModel
 from .model.domain import Domain
 from .model.jump_markov import JumpMarkovModel
@@ -110,6 +111,7 @@ __all__ = [
     "__version__",
     "compare_models",
     "consistency",
+    "correlated_noise",
     "fit_parameters",
     "health",
     "initialize",

@@ -23,7 +23,7 @@ fields, then its methods and properties. [Recipes by problem](RECIPES.md) have t
 `python tests/package/api_page.py`, in a clone.)
 """
 QUESTIONS = {
-    "Write down a model": "SDE LinearSDE DiscreteModel Domain Table simulate",
+    "Write down a model": "SDE LinearSDE DiscreteModel correlated_noise Domain Table simulate",
     "Say what a sensor reads": "GaussianMeasurement LikelihoodMeasurement Sensors",
     "Filter": "SPHFilter PredictInfo UpdateInfo Code FilterResult Forecast",
     "Ask the density": "ParticleDensity",
