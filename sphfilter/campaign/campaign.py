@@ -151,8 +151,8 @@ def run_campaign(
 
     Notes
     -----
-    A folder knows scenario and filters by their text, functions by their code and what they refer to
-    directly: what deeper functions do may change unnoticed.
+    A folder knows scenario and filters by their text, functions by their code and the values of all that it
+    refers to, however deep; other packages by their versions. `CampaignResult.open` reads one anywhere.
 
     Examples
     --------

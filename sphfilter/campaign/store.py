@@ -23,6 +23,7 @@ import numpy as np
 from .._version import __version__
 from ..errors import CampaignError, ConfigError
 from . import one_run
+from .identity import code_digest, text_of
 
 __all__ = ["case_digest", "claim", "finished", "load", "manifest", "save_result", "versions",
            "write_run"]  # fmt: skip
@@ -34,14 +35,13 @@ _BY_DEFAULT = re.compile(r"\bdefault=\('[^)]*\), ")
 def manifest(scenario: Any, filters: Mapping[str, Any], seed: int, first_case: str) -> dict[str, Any]:
     """Describe a campaign, so that its runs are never mixed with those of another.
 
-    A scenario and a factory are known by their text (``repr``, addresses in memory left out), functions by
-    their code, constants, defaults and what they close over. `first_case` is the digest of run 0, which tells
-    scenarios apart whose text does not.
+    A scenario and a factory are known by their text (``repr``), or by their code and the values of all that
+    it refers to. `first_case` is the digest of run 0, which tells scenarios apart whose text does not.
     """
     return {
         "seed": seed,
-        "scenario": {"name": scenario.name, "text": _text(scenario)},
-        "filters": {name: _text(make) for name, make in filters.items()},
+        "scenario": {"name": scenario.name, "text": text_of(scenario)},
+        "filters": {name: text_of(make) for name, make in filters.items()},
         "versions": versions(),
         "digest of run 0": first_case,
     }
@@ -49,25 +49,11 @@ def manifest(scenario: Any, filters: Mapping[str, Any], seed: int, first_case: s
 
 def versions() -> dict[str, str]:
     """Versions of what results come from, by name; what is not installed is left out."""
-    found = {"sphfilter": __version__, "python": platform.python_version()}
+    found = {"sphfilter": f"{__version__} ({code_digest()})", "python": platform.python_version()}
     for name in ("numpy", "numba", "scipy", "filterpy"):
         with suppress(PackageNotFoundError):
             found[name] = version(name)
     return found
-
-
-def _text(thing: Any) -> str:
-    known = [repr(thing)]
-    if hasattr(thing, "__code__"):
-        cells = [cell.cell_contents for cell in thing.__closure__ or ()]
-        known += [thing.__code__.co_code.hex(), repr(thing.__code__.co_consts), repr(thing.__code__.co_names)]
-        known += [repr(thing.__defaults__), repr(cells)]
-    elif type(thing).__repr__ is object.__repr__:  # type: ignore[comparison-overlap]
-        known.append(repr(sorted(vars(thing).items())) if hasattr(thing, "__dict__") else "")
-    text = re.sub(r" at 0x[0-9a-fA-F]+", "", " ".join(known))
-    return (
-        text if len(known) == 1 else f"{text.split(' ')[0]} {hashlib.sha256(text.encode()).hexdigest()[:16]}"
-    )
 
 
 def case_digest(case: Any) -> str:
