@@ -95,6 +95,18 @@ class CampaignResult:
         store.save_result(self, path)
 
     @classmethod
+    def open(cls, folder: str | PathLike[str]) -> "CampaignResult":
+        """Read what is finished in a folder of `run_campaign`, wherever and by whatever it was filled.
+
+        Raises `ConfigError` where there is no such folder, and `CampaignError` where no run is finished.
+        """
+        told, paths = store.opened(folder)
+        names = list(told["filters"])
+        return _gather(
+            told["scenario"]["name"], told["seed"], lambda k: store.load(paths[k]), len(paths), names
+        )
+
+    @classmethod
     def load(cls, path: str | PathLike[str]) -> "CampaignResult":
         """Read what `save` wrote."""
         values = store.load(path)
@@ -213,6 +225,9 @@ def _in_parallel(
     workers = Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
     try:
         yield from workers(delayed(task)(*row) for row in todo)
+    except KeyboardInterrupt:
+        _end_workers(n_jobs)
+        raise
     except Exception as problem:
         if not isinstance(problem, BrokenExecutor | MemoryError) and type(problem).__name__ != "KilledWorker":
             raise  # the last is dask's word for it
@@ -220,6 +235,15 @@ def _in_parallel(
             "a worker process died, for lack of memory perhaps: try fewer of them (n_jobs). Runs that were "
             "finished are kept if there is a folder, and the same call goes on from them."
         ) from problem
+
+
+def _end_workers(n_jobs: int | None) -> None:
+    """End worker processes of this machine at once: what is left of their queues may wait for ever."""
+    from joblib.externals.loky import get_reusable_executor
+    from joblib.parallel import get_active_backend
+
+    if n_jobs != 1 and type(get_active_backend()[0]).__name__ == "LokyBackend":
+        get_reusable_executor().shutdown(wait=False, kill_workers=True)
 
 
 def draw_case(scenario: Scenario, seed: int, run: int) -> Case:

@@ -25,7 +25,7 @@ from ..errors import CampaignError, ConfigError
 from . import one_run
 from .identity import code_digest, text_of
 
-__all__ = ["case_digest", "claim", "finished", "load", "manifest", "save_result", "versions",
+__all__ = ["case_digest", "claim", "finished", "load", "manifest", "opened", "save_result", "versions",
            "write_run"]  # fmt: skip
 
 _MANIFEST = "manifest.json"
@@ -71,10 +71,7 @@ def claim(folder: str | PathLike[str], wanted: dict[str, Any]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         _replace(path, lambda part: part.write_text(json.dumps(wanted, indent=1)))
         return
-    try:
-        found = json.loads(path.read_text())
-    except ValueError:
-        raise ConfigError(f"{path} cannot be read. Give another folder, or delete it.") from None
+    found = _read(path)
     entries = {key: _sides(key, found.get(key), wanted[key]) for key in wanted}
     other = [key for key, (was, now) in entries.items() if was != now]
     if other:
@@ -90,6 +87,24 @@ def claim(folder: str | PathLike[str], wanted: dict[str, Any]) -> None:
         raise ConfigError(
             f"{folder} holds another campaign: its {difference}. Give another folder, or delete this one."
         )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return dict(json.loads(path.read_text()))
+    except ValueError:
+        raise ConfigError(f"{path} cannot be read. Give another folder, or delete it.") from None
+
+
+def opened(folder: str | PathLike[str]) -> tuple[dict[str, Any], list[Path]]:
+    """The manifest of a folder, and the files of its finished runs, in the order of the runs."""
+    path = Path(folder) / _MANIFEST
+    if not path.exists():
+        raise ConfigError(f"{folder} is no folder of a campaign: it has no {_MANIFEST}")
+    paths = [run for run in sorted(path.parent.glob("run_*.npz")) if _whole(run)]
+    if not paths:
+        raise CampaignError(f"no run of the campaign in {folder} is finished")
+    return _read(path), paths
 
 
 def _sides(key: str, was: Any, now: Any) -> tuple[Any, Any]:
