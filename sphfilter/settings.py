@@ -27,7 +27,10 @@ def settings(cls: type[Made]) -> type[Made]:
     checked: Any = checked_dataclass(frozen=True, kw_only=True, config=strict)(cls)
     plain_init = checked.__init__
 
-    def __init__(self: Any, **values: Any) -> None:
+    def __init__(self: Any, *places: Any, **values: Any) -> None:
+        if places:
+            first = next(field.name for field in fields(checked) if field.name != "name")
+            raise TypeError(f"{cls.__name__} takes its settings by name, such as {cls.__name__}({first}=...)")
         try:
             plain_init(self, **values)
         except ValidationError as problem:

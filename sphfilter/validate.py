@@ -63,9 +63,9 @@ def keywords(
         for name in (name for name in kwargs if name not in known):
             if name in others:
                 raise ModelError(f"{method.__qualname__} takes no {name}=: {others[name]}")
-            near = nearest(name, known)
-            if near:
-                raise TypeError(f"{method.__qualname__} has no argument {name!r}{near}")
+            own = [argument for argument in known if argument != "self"]
+            near = nearest(name, own) or f"; it has {', '.join(own)}"
+            raise TypeError(f"{method.__qualname__} has no argument {name!r}{near}")
         try:
             return method(*args, **kwargs)
         except SystemError as problem:  # what Python makes of a Ctrl-C while compiled code hands out arrays

@@ -37,7 +37,8 @@ def write(path: str | PathLike[str], state: FilterState[Any], filt: Any) -> None
     """Write the `FilterState` of a filter to an npz file, and how the filter was made."""
     given = {name: getattr(state, name) for name in (*_MOMENTS, *_READING, *_NUMBERS)}
     arrays = {name: np.asarray(value) for name, value in given.items() if value is not None}
-    arrays |= {"config": np.array(filt.config.to_toml())}
+    about = {"states": filt.model.states, "inputs": [*filt.model.inputs], "dim_z": filt.dim_z}
+    arrays |= {"config": np.array(filt.config.to_toml()), "about": np.array(json.dumps(about))}
     own = _of_modes if isinstance(state.density, ModeDensities) else _of_particles
     write_arrays(path, arrays | own(state, filt))
 
@@ -47,6 +48,19 @@ def _state_of(arrays: Arrays) -> dict[str, Any]:
     state: dict[str, Any] = {name: read_only(arrays[name]) for name in _MOMENTS}
     state |= {name: arrays.get(name) for name in _READING}
     return state | {name: arrays[name].item() for name in _NUMBERS}
+
+
+def _check(path: str | PathLike[str], arrays: Arrays, model: Any, dim_z: int | None) -> None:
+    """Raise `ModelError` where a file is of another model or sensor than those given, as far as it tells."""
+    about = json.loads(str(arrays.get("about", "{}")))
+    for what, own in (("states", [*model.states]), ("inputs", [*model.inputs])):
+        if about.get(what, own) != own:
+            was, now = (", ".join(names) or "none" for names in (about[what], own))
+            raise ModelError(f"{path} holds a filter of a model with the {what} {was}; that given has {now}")
+    if None not in (about.get("dim_z"), dim_z) and about["dim_z"] != dim_z:
+        raise ModelError(
+            f"{path} holds a filter whose sensor has {about['dim_z']} components; that given has {dim_z}"
+        )
 
 
 def _of_particles(state: FilterState[Any], filt: Any) -> Arrays:
@@ -65,6 +79,7 @@ def restored(path: str | PathLike[str], model: Dynamics, measurement: Sensor | N
     arrays = load_arrays(path)
     if "adapts" not in arrays:
         raise ModelError(f"{path} holds no filter: SPHFilter.save writes such files")
+    _check(path, arrays, model, getattr(measurement, "dim_z", None))
     n_particles, inputs = int(arrays["n_particles"]), json.loads(str(arrays.get("inputs", "{}")))
     if inputs:
         model = model.with_inputs(inputs)
@@ -133,6 +148,7 @@ def restored_modes(path: str | PathLike[str], model: JumpMarkovModel, _measureme
     if "switching" not in arrays:
         raise ModelError(f"{path} holds no filter of modes: JumpMarkovFilter.save writes such files")
     about = json.loads(str(arrays["switching"]))
+    _check(path, arrays, model, None)
     if about["names"] != [*model.names]:
         raise ModelError(f"{path} holds a filter of the modes {about['names']}, not of {[*model.names]}")
     modes = _modes_from(part("modes", arrays))

@@ -18,6 +18,7 @@ from ..errors import ModelError
 from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel
 from ..model.named import InputRecord
+from ..model.sensors import Sensors
 from ..validate import array, choice, column, count, covariance, positive, real, row, seconds
 from .checkpoint import Restored, write
 from .forecast import Event, Forecast, forecast
@@ -126,9 +127,13 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
 
     def _updated(self, z: Reported, measurement: Any, H: Any, R: ArrayLike | None) -> Any:
         """Go on from the state after an update; what `_read` says of it."""
-        if R is not None and measurement is not None:
+        given, sensors = measurement if R is None else R, getattr(self, "measurement", None)
+        if R is not None and isinstance(measurement, str) and isinstance(sensors, Sensors):
+            part: Any = sensors[measurement]
+            given, H = part.changed(R, H), None
+        elif R is not None and measurement is not None:
             raise ModelError("give R= or another sensor, not both")
-        self._state, info = self._read(z, measurement if R is None else R, H)
+        self._state, info = self._read(z, given, H)
         self._did("update", z=z, measurement=measurement, H=H, R=R)
         return info
 

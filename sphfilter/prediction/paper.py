@@ -77,6 +77,7 @@ def propagate(
         mass_discarded=1.0 - share_kept,
         skipped=skip_notes(model, int(progress.bypassed)),
         scheme=scheme.name,
+        error=math.nan,  # nothing estimates it
     )
     return density, info
 

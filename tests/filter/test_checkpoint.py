@@ -82,8 +82,11 @@ def test_files_that_hold_no_filter(tmp_path):
     with pytest.raises(sf.ModelError, match="cannot read"):
         sf.SPHFilter.load(tmp_path / "text.npz", DUFFING, POSITION)
     made().save(path)
-    with pytest.raises(sf.ModelError, match="3 states"):
+    with pytest.raises(sf.ModelError, match="states x, v; that given has x0, x1, x2"):
         sf.SPHFilter.load(path, sf.LinearSDE(A=-np.eye(3), noise=np.eye(3)), None)
+    both = sf.GaussianMeasurement(np.eye(2), np.eye(2))
+    with pytest.raises(sf.ModelError, match="has 1 components; that given has 2"):
+        sf.SPHFilter.load(path, DUFFING, both)
 
 
 def test_a_filter_is_read_without_its_sensor_and_by_subclasses_without_dt(tmp_path):

@@ -79,6 +79,15 @@ def test_a_reading_of_one_sensor_is_that_of_the_sensor_alone():
     assert info.error == own.error
 
 
+def test_a_reading_of_one_sensor_may_have_a_noise_of_its_own():
+    named, given = made(GAUSSIAN), made(GAUSSIAN)
+    for flt in (named, given):
+        flt.predict(0.5)
+    named.update(0.3, "place", R=[[0.5]])
+    given.update(0.3, PLACE.changed([[0.5]]))
+    assert np.array_equal(named.x, given.x) and np.array_equal(named.P, given.P)
+
+
 def test_gaussian_sensors_are_one_matrix():
     as_one = sf.GaussianMeasurement(np.eye(2), np.diag([0.1, 0.2]))
     z = np.array([[0.2, math.nan], [0.1, -0.3], [math.nan, 0.4]])

@@ -74,3 +74,8 @@ def test_settings_from_a_table_name_the_source_and_its_keys():
         "acceptance.z_pi = -1 is not valid" in said and "unknown key schema (did you mean 'scheme'?)" in said
     )
     assert from_table(sf.FilterConfig, {"scheme": "paper"}) == sf.FilterConfig(scheme="paper")
+
+
+def test_settings_have_names():
+    with pytest.raises(TypeError, match=r"by name, such as CloudScheme\(n_points="):
+        sf.CloudScheme(512)
