@@ -1,7 +1,9 @@
 """The README leads to files that are there, and names extras that can be installed."""
 
+import io
 import re
 import tomllib
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -34,6 +36,21 @@ def test_an_index_page_has_no_link_that_leads_nowhere():
         shown = re.sub(change["pattern"], change["replacement"], shown)
     assert shown != README and "`experiments/README.md` in the source" in shown
     assert not re.findall(r"\]\((?!https:)[^)]*\)", shown)
+
+
+def test_what_the_snippets_print_is_what_stands_beside_them():
+    code = "\n".join(re.findall(r"^```py\w*\n(.*?)^```", README, re.MULTILINE | re.DOTALL))
+    told = io.StringIO()
+    with redirect_stdout(told):
+        exec(code.replace("axes = flt.density.plot()", "axes = None"), {})
+    lines = told.getvalue().splitlines()
+    after = re.findall(r"print\(.*  # (.+)$", code, re.MULTILINE)
+    assert len(after) == 2 and lines[-2:] == after
+    assert f"# {lines[-4].strip()}, and at last {lines[-3]}" in code
+
+
+def test_it_is_short():
+    assert len(README.splitlines()) <= 120
 
 
 def test_extras_and_needs_are_those_of_the_project():
