@@ -45,7 +45,7 @@ def main(args):
     written = page.write(out, scenario, numbers, facts, campaign.failures, pictures)
     for name, f in numbers.filters.items():
         console.print(f"[bold]{name_of(name)}[/]: {f.verdict}")
-    tell(console, filter(None, [page.unseen(numbers)]))
+    tell(console, numbers.verdicts[-1:])
     tell_failures(console, campaign.failures[:5])
     console.print(
         f"\nThe report is {written}; {out}/campaign.npz holds every run's histories.", soft_wrap=True

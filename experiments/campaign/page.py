@@ -10,9 +10,8 @@ from markdown_it import MarkdownIt
 from experiments.scene.filters import name_of
 from experiments.show.style import quantity
 from experiments.show.tables import UNKNOWN, counted, markdown, number
-from sphfilter.consistency import nees_bounds
 
-__all__ = ["unseen", "write"]
+__all__ = ["write"]
 
 #: Rows of the tables: heading, field of the report, format, and what it has one of for each.
 _ERRORS = (
@@ -48,8 +47,7 @@ _MEASUREMENTS = (
     ("log-evidence of a run", "log_evidence", "number", ""),
     ("± sampling error of it", "log_evidence_std", "number", ""),
 )
-#: Failures that are told one by one, and runs below which a verdict says how little it means.
-_MOST, _FEW = 20, 50
+_MOST = 20  # failures that are told one by one
 _READING = """\
 **How to read it.** A filter is consistent if the truth lies where its densities say. *NEES* and *NIS* are
 squared errors of the estimate and of the predicted measurement, in units of what the filter believes them
@@ -96,9 +94,9 @@ def _markdown(scenario, numbers, facts, failures, pictures):
         "## Verdicts",
         "",
     ]
+    said = numbers.verdicts[-1]
     lines += [f"- **{name_of(name)}**: {f.verdict}." for name, f in numbers.filters.items()]
-    if few := unseen(numbers):
-        lines += ["", few]
+    lines += ["", f"{said[0].upper()}{said[1:]}."]
     if facts["referee"]:
         lines += ["", _refereed(numbers, facts["referee"])]
     for heading, rows in (("Errors", _ERRORS), ("Truth", _CONSISTENCY), ("Measurements", _MEASUREMENTS)):
@@ -114,18 +112,6 @@ def _markdown(scenario, numbers, facts, failures, pictures):
         lines.append("")
     versions = ", ".join(f"{name} {number}" for name, number in facts["versions"].items())
     return "\n".join([*lines, f"Versions: {versions}.", ""])
-
-
-def unseen(numbers):
-    """What so few runs cannot see, in a sentence; empty for enough of them."""
-    if numbers.n_runs >= _FEW:
-        return ""
-    low, high = nees_bounds(numbers.dim, numbers.n_runs)
-    return (
-        f"{counted(numbers.n_runs, 'run')} see little: an average NEES from {low:.2g} to {high:.2g} passes, "
-        f"where {numbers.dim} is right, so that variances too small by a factor of {high / numbers.dim:.1f} "
-        f"may go unseen at an epoch. Take {_FEW} or more for a verdict."
-    )
 
 
 def _refereed(numbers, referee):

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from html import escape
 from operator import attrgetter
 from typing import Any
 
@@ -12,9 +13,10 @@ from .._types import Bools, Floats
 from ..consistency import p_values
 from ..errors import ModelError, nearest
 from ..filter.results import FilterResult
+from . import tables
 from .campaign import CampaignResult
 from .figures import FilterReport, filter_report
-from .verdict import verdict
+from .verdict import unseen, verdict
 
 __all__ = ["FilterReport", "Report", "report"]
 
@@ -111,16 +113,37 @@ class Report:
         """Return everything as plain dictionaries, lists and numbers, as JSON wants them."""
         return asdict(self, dict_factory=lambda pairs: {k: _plain(v) for k, v in pairs})
 
-    def __str__(self) -> str:
-        rows: list[tuple[str, dict[str, Any]]] = [("", {name: name for name in self.filters}), *self.rows()]
-        width = max(len(label) for label, _ in rows)
+    @property
+    def title(self) -> str:
+        """The scenario, and how much was run."""
         runs = "1 run" if self.n_runs == 1 else f"{self.n_runs} runs"
-        lines = [f"{self.scenario}: {runs} of {self.n_epochs} updates".lstrip(": ")]
-        for label, values in rows:
-            cells = (v if isinstance(v, str) else f"{v:.4g}" for v in values.values())
-            lines.append(f"{label:{width}}" + "".join(f"  {cell:>12}" for cell in cells))
-        lines += [f"{name}: {f.verdict}" for name, f in self.filters.items()]
-        return "\n".join(lines)
+        return f"{self.scenario}: {runs} of {self.n_epochs} updates".lstrip(": ")
+
+    @property
+    def verdicts(self) -> list[str]:
+        """A sentence for each filter, and one about what so many runs may have missed."""
+        return [*(f"{name}: {f.verdict}" for name, f in self.filters.items()), unseen(self.n_runs, self.dim)]
+
+    def to_markdown(self) -> str:
+        """Return title, table and verdicts in Markdown; what no filter tells is left out."""
+        said = "\n".join(f"- {sentence}" for sentence in self.verdicts)
+        return f"## {self.title}\n\n{tables.in_markdown(*self._table)}\n\n{said}\n"
+
+    def to_latex(self) -> str:
+        """Return the table as a LaTeX tabular; it needs the package booktabs."""
+        return tables.in_latex(*self._table)
+
+    def to_html(self) -> str:
+        """Return title, table and verdicts as a part of an HTML page."""
+        said = "".join(f"<li>{escape(sentence)}</li>" for sentence in self.verdicts)
+        return f"<h2>{escape(self.title)}</h2>\n{tables.in_html(*self._table)}\n<ul>{said}</ul>\n"
+
+    @property
+    def _table(self) -> tuple[list[str], list[list[str]]]:
+        return ["", *self.filters], tables.cells_of(self.rows())
+
+    def __str__(self) -> str:
+        return "\n".join([self.title, *tables.in_text(*self._table), *self.verdicts])
 
 
 def _plain(value: Any) -> Any:

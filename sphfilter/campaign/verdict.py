@@ -5,10 +5,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from .._types import Bools, Floats
-from ..consistency import p_values
+from ..consistency import nees_bounds, p_values
 from .figures import FilterReport
 
-__all__ = ["verdict"]
+__all__ = ["unseen", "verdict"]
 
 _LEVEL = 0.01  # probability that right filters are faulted: measured by tests/campaign/test_verdict.py
 #: Epochs outside an interval that holds 95 %, as a fraction, that are many where no referee has a number.
@@ -31,6 +31,16 @@ def verdict(numbers: FilterReport, labels: Sequence[str], referee: FilterReport 
     if _lost_more(numbers, referee):
         faults.append(f"lost the truth in {numbers.n_diverged} of {numbers.n_runs} runs")
     return "; ".join(faults or [_nothing_found(numbers)])
+
+
+def unseen(n_runs: int, dim: int) -> str:
+    """Say what so many runs of a filter of some states may have missed at an epoch."""
+    _, high = nees_bounds(dim, n_runs)
+    runs, factor, bias = f"{n_runs} run{'s' * (n_runs > 1)}", high / dim, 2.0 / n_runs**0.5
+    return (
+        f"what {runs} may have missed: variances too small by a factor of {factor:.2g} at an epoch, and a bias "
+        f"of {bias:.2g} standard deviations, pass half of the time"
+    )
 
 
 def _lost_more(numbers: FilterReport, referee: FilterReport | None) -> bool:

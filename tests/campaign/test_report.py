@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ import pytest
 import sphfilter.consistency as consistency
 from sphfilter.campaign.campaign import CampaignResult, Failure
 from sphfilter.campaign.report import report
+from sphfilter.campaign.verdict import unseen
+from sphfilter.consistency import nees_bounds
 from sphfilter.errors import ModelError
 from sphfilter.filter.results import FilterResult
 
@@ -139,3 +142,27 @@ def test_rows_text_and_json():
     assert any(line.split() == ["RMS", "error", "(state", "1)", "0.25", "0.5"] for line in text)
     again = json.loads(json.dumps(r.as_dict()))
     assert again["filters"]["sph"]["rms_error"] == [0.5, 0.5] and again["dim"] == 2
+
+
+def test_pages_of_other_programs_hold_table_and_verdicts():
+    r = report(campaign(ekf=histories(np.full((2, 5, 2), 0.25)), a_b=histories(np.full((2, 5, 2), 0.5))))
+    page, paper, web = r.to_markdown(), r.to_latex(), r.to_html()
+    assert page.startswith("## scene: 2 runs of 5 updates\n\n|  | ekf | a_b |\n| --- | ---: | ---: |\n")
+    assert "| RMS error (state 1) | 0.25 | 0.5 |" in page and f"- ekf: {r.filters['ekf'].verdict}" in page
+    assert paper.startswith("\\begin{tabular}{lrr}\n\\toprule\n & ekf & a\\_b \\\\\n\\midrule\n")
+    assert "RMS error (state 1) & 0.25 & 0.5 \\\\" in paper and paper.endswith("\\end{tabular}")
+    ElementTree.fromstring(f"<body>{web}</body>")
+    assert "<td>RMS error (state 1)</td><td>0.25</td><td>0.5</td>" in web
+    for text in (str(r), page, paper, web):
+        assert "nan" not in text.lower()
+    assert "referee" not in str(r)  # of which no filter knows a number
+
+
+@pytest.mark.parametrize(("n_runs", "dim"), [(12, 2), (200, 3)])
+def test_what_so_many_runs_may_have_missed_is_said_beside_verdicts(n_runs, dim):
+    said = unseen(n_runs, dim)
+    _, high = nees_bounds(dim, n_runs)
+    rng = np.random.default_rng(1)
+    missed = rng.chisquare(n_runs * dim, 4000) * (high / dim) / n_runs < high
+    assert f"factor of {high / dim:.2g}" in said and 0.3 < missed.mean() < 0.7
+    assert f"bias of {2.0 / np.sqrt(n_runs):.2g}" in said

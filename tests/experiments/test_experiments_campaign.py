@@ -7,11 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.campaign import page
 from experiments.commands import main
 from experiments.scene.scenario import load_scenario
 from experiments.show.plots import consistency_figure
-from sphfilter import consistency
 from sphfilter.campaign.campaign import CampaignResult
 
 SMALL = ["--set", "times.end=6", "--set", "filters.pf.n_particles=200", "--set", "filters.grid.size=48"]
@@ -71,13 +69,6 @@ def test_bad_input_is_answered_in_a_sentence(out, tmp_path, capsys):
     ):
         assert main(["campaign", "duffing", "--filters", "ekf,pf", "--runs", "2", *words]) == 1
         assert sentence in capsys.readouterr().err
-
-
-def test_few_runs_say_how_little_they_see():
-    said = page.unseen(SimpleNamespace(n_runs=12, dim=2))
-    low, high = consistency.nees_bounds(2, 12)
-    assert f"from {low:.2g} to {high:.2g} passes, where 2 is right" in said
-    assert page.unseen(SimpleNamespace(n_runs=200, dim=2)) == ""
 
 
 def test_the_referee_is_dashed_above_those_it_judges():

@@ -194,7 +194,7 @@ def test_a_mistyped_argument_is_named():
 def test_arguments_of_other_filters_are_refused_with_the_ones_to_give(call, sentence):
     with pytest.raises(sf.ModelError, match=sentence):
         call(ours())
-    with pytest.raises(TypeError, match="has no argument .noise.; it has z"):
+    with pytest.raises(TypeError, match=r"has no argument .noise.; it has z"):
         ours().update(Z[1], noise=3.0)
 
 
