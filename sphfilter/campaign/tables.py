@@ -25,14 +25,9 @@ def cells_of(rows: Iterable[tuple[str, Mapping[str, float]]]) -> list[list[str]]
 
 def in_text(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines with columns as wide as their cells."""
-    widths = [max(map(len, column)) for column in zip(heading, *rows, strict=True)]
-    return [
-        (
-            f"{label:{widths[0]}}"
-            + "".join(f"  {cell:>{max(w, 12)}}" for cell, w in zip(cells, widths[1:], strict=True))
-        )
-        for label, *cells in (heading, *rows)
-    ]
+    first, *widths = (max(map(len, column)) for column in zip(heading, *rows, strict=True))
+    wide = "".join(f"  {{:>{max(width, 12)}}}" for width in widths)
+    return [f"{label:{first}}" + wide.format(*cells) for label, *cells in (heading, *rows)]
 
 
 def in_markdown(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

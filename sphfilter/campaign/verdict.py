@@ -38,8 +38,8 @@ def unseen(n_runs: int, dim: int) -> str:
     _, high = nees_bounds(dim, n_runs)
     runs, factor, bias = f"{n_runs} run{'s' * (n_runs > 1)}", high / dim, 2.0 / n_runs**0.5
     return (
-        f"what {runs} may have missed: variances too small by a factor of {factor:.2g} at an epoch, and a bias "
-        f"of {bias:.2g} standard deviations, pass half of the time"
+        f"what {runs} may have missed: variances too small by a factor of {factor:.2g} at an epoch, and a "
+        f"bias of {bias:.2g} standard deviations, pass half of the time"
     )
 
 
