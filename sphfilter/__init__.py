@@ -17,6 +17,7 @@ line, RECIPES.md what to write for a problem, FAILURES.md what failures say, EXT
 
 from . import consistency
 from ._version import __version__
+from .ahead import compile
 from .campaign.campaign import CampaignResult, run_campaign
 from .campaign.one_run import Case
 from .campaign.report import Report, report
@@ -110,6 +111,7 @@ __all__ = [
     "UpdateInfo",
     "__version__",
     "compare_models",
+    "compile",
     "consistency",
     "correlated_noise",
     "fit_parameters",
