@@ -49,6 +49,7 @@ from .filter.sph_filter import SPHFilter
 from .filter.update import update
 from .inference.estimation import ParameterFit, fit_parameters, profile_evidence
 from .inference.model_comparison import ModelComparison, compare_models
+from .inference.posterior import ParameterPosterior
 from .inference.smoother import SmoothedResult, smooth
 from .info import Code, PredictInfo, ResampleInfo, UpdateInfo
 from .model.discrete import DiscreteModel
@@ -93,6 +94,7 @@ __all__ = [
     "ModelError",
     "PaperScheme",
     "ParameterFit",
+    "ParameterPosterior",
     "ParticleDensity",
     "PredictInfo",
     "PropagationError",

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import drawing
-from .._types import Bools, Floats, Readings
-from ..errors import EstimationError, ModelError, nearest
+from .._types import Bools, Floats, Readings, Rows
+from ..errors import EstimationError
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..model.named import InputRecord
-from .evidence import Bound, Builder, Evidence, Progress, checked_guess, error_of_run
+from .evidence import Bound, Builder, Evidence, Progress, check_name, checked_guess, error_of_run
 from .maximum import NEAR, ROUND, climbed, off_bounds, polished, ridge, room, searched
+from .posterior import ParameterPosterior, Prior, posterior_of
 from .quadratic import Quadratic, quadratic, roughness, step_for
 
 __all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
@@ -55,6 +56,12 @@ class ParameterFit:
         The maximum is, by the slopes of the log-evidence, within a quarter of a standard error.
     status : str
         What happened, as a sentence.
+    bounds : mapping of str to (float, float)
+        Lowest and highest value that each parameter might have; infinite where there was no bound.
+    times, measurements, inputs
+        What the fit was made to, as `FilterResult` runs take them.
+    filter : SPHFilter, or what the user's function makes
+        At the start of the measurements, with the estimate and the user's own settings; a new one each time.
 
     Examples
     --------
@@ -82,11 +89,36 @@ class ParameterFit:
     at_bound: tuple[str, ...]
     converged: bool
     status: str
+    bounds: Mapping[str, tuple[float, float]]
+    _evidence: Evidence
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the n parameters, in the order of the covariance."""
         return tuple(self.estimate)
+
+    @property
+    def times(self) -> Floats:
+        """Times of the measurements that were fitted, shape (T,), seconds."""
+        return self._evidence.times
+
+    @property
+    def measurements(self) -> Rows:
+        """Measurements that were fitted, as numbers, length T."""
+        return self._evidence.measurements
+
+    @property
+    def inputs(self) -> InputRecord | None:
+        """Inputs of the model that were given with the measurements, or None."""
+        return self._evidence.inputs
+
+    @property
+    def filter(self) -> Any:
+        """A new filter at the start of the measurements, with the estimate and the user's own settings.
+
+        Where a function makes filters, what it makes of the estimate.
+        """
+        return self._evidence.filter(self.estimate)
 
     @property
     def evidence_error(self) -> float:
@@ -108,6 +140,35 @@ class ParameterFit:
     def bic(self) -> float:
         """Schwarz' criterion: n log(readings) − 2 log-evidence."""
         return len(self.estimate) * float(np.log(self.n_readings)) - 2.0 * self.log_evidence
+
+    def posterior(
+        self, prior: Prior | None = None, *, n_draws: int = 1024, report: Progress | None = None
+    ) -> ParameterPosterior:
+        """Return the probability density of the parameters, a `ParameterPosterior`; skewed, bounded as it is.
+
+        Parameters are drawn about the estimate, always the same ones, and weighted by prior and evidence.
+
+        Parameters
+        ----------
+        prior : mapping of str to distribution, or callable, optional
+            What was known before: objects with ``logpdf``, such as `scipy.stats.norm(1.0, 0.2)`, by name; or
+            a function of a dict of all parameters that returns the log-density, of integral one. Flat within
+            the fit's bounds where nothing is said; within these, too, if a distribution goes beyond.
+        n_draws : int
+            Runs of the filter at most, 64 or more; fewer where 256 effective ones come sooner. Draws beyond
+            bounds are not run.
+        report : callable, optional
+            As of `fit_parameters`.
+
+        Raises
+        ------
+        ModelError
+            A prior of a parameter that the fit has not (the nearest is named), or that has no logpdf.
+        EstimationError
+            No draw has a prior density and an evidence.
+        """
+        evidence = self._evidence.told(report)
+        return posterior_of(evidence, self.estimate, self.covariance, self.bounds, prior, n_draws)
 
     def plot(self, parameters: Sequence[str] | None = None, ax: Any = None) -> Any:
         """Draw the estimates with ellipses of one and two standard errors; needs matplotlib.
@@ -223,7 +284,8 @@ def fit_parameters(
         local = quadratic(inside, centre, value, local.root, h)
         _refuse_flat(local, rough, h, evidence.names_of(free))
         covariance[np.ix_(free, free)] = local.covariance
-    return _told(evidence, theta, value, covariance, rough, free, np.sqrt(2.0 * max(left, 0.0)))
+    off, within = np.sqrt(2.0 * max(left, 0.0)), (low.tolist(), high.tolist())
+    return _told(evidence, theta, value, covariance, rough, free, off, within)
 
 
 def profile_evidence(
@@ -272,8 +334,7 @@ def profile_evidence(
     >>> print((profile - fit.log_evidence).round(2) + 0.0)  # -0.5 were the log-evidence a parabola
     [-0.53  0.   -0.47]
     """
-    if name not in fit.names:
-        raise ModelError(f"the fit has no parameter {name!r}{nearest(name, fit.names)}; it has {fit.names}")
+    check_name("the fit", name, fit.names)
     k, best = fit.names.index(name), np.array(list(fit.estimate.values()))
     evidence = Evidence(filt, times, measurements, fit.names, None, inputs)
     free = np.isfinite(np.diag(fit.covariance))
@@ -311,7 +372,14 @@ def _refuse_flat(local: Quadratic, rough: float, h: float, names: Sequence[str])
 
 
 def _told(
-    evidence: Evidence, theta: Floats, value: float, covariance: Floats, rough: float, free: Bools, off: float
+    evidence: Evidence,
+    theta: Floats,
+    value: float,
+    covariance: Floats,
+    rough: float,
+    free: Bools,
+    off: float,
+    within: tuple[list[float], list[float]],
 ) -> ParameterFit:
     """The result, with a sentence about it; the last slopes say that the maximum is `off` standard errors."""
     held, converged = tuple(evidence.names_of(~free)), off < NEAR
@@ -332,4 +400,6 @@ def _told(
         at_bound=held,
         converged=bool(converged),
         status=said,
+        bounds=MappingProxyType(dict(zip(evidence.names, zip(*within, strict=True), strict=True))),
+        _evidence=evidence.told(None),
     )

@@ -1,7 +1,7 @@
 """Models compared by the evidence of the same measurements."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,8 +135,8 @@ class ModelComparison:
 
 def compare_models(
     candidates: Mapping[str, AnyFilter | ParameterFit],
-    times: ArrayLike,
-    measurements: Readings,
+    times: ArrayLike | None = None,
+    measurements: Readings | None = None,
     inputs: InputRecord | None = None,
 ) -> ModelComparison:
     """Compare models by the evidence of the same measurements.
@@ -145,9 +145,9 @@ def compare_models(
     ----------
     candidates : mapping of str to filter or ParameterFit
         A filter at the start of the measurements, which stays there, is run; a fit has been made to them.
-    times : array_like, shape (T,)
-        Seconds.
-    measurements : sequence of length T
+    times : array_like, shape (T,), optional
+        Seconds. Without times and measurements, those are taken, and the inputs, that the fits were made to.
+    measurements : sequence of length T, optional
         None or NaN where none came.
     inputs : array_like (T, m), or mapping of str to array_like (T,), optional
         As of ``SPHFilter.run``, for candidates whose models have inputs; others have none.
@@ -159,7 +159,7 @@ def compare_models(
     Raises
     ------
     ModelError
-        No candidates, one that is neither, or a fit to other measurements.
+        No candidates, one that is neither, a fit to other measurements, or neither fits nor measurements.
     PropagationError
         A filter cannot go on.
 
@@ -182,6 +182,7 @@ def compare_models(
     candidates = dict(candidates)
     if not candidates:
         raise ModelError("there is no model to compare; give filters or fits by name")
+    times, measurements, inputs = _data(candidates.values(), times, measurements, inputs)
     sensors = [found for one in candidates.values() if (found := getattr(one, "measurement", None))]
     numbers = rows_of(sensors[0] if sensors else None, measurements)
     data = fingerprint(times, numbers, inputs)
@@ -202,6 +203,23 @@ def compare_models(
         data=data,
         evidence_error=np.array(errors),
     )
+
+
+def _data(
+    candidates: Iterable[Any],
+    times: ArrayLike | None,
+    measurements: Readings | None,
+    inputs: InputRecord | None,
+) -> tuple[ArrayLike, Readings, InputRecord | None]:
+    """Times, measurements and inputs: as given, or of the first fit."""
+    if times is not None and measurements is not None:
+        return times, measurements, inputs
+    fits = [one for one in candidates if isinstance(one, ParameterFit)]
+    if times is not None or measurements is not None or not fits:
+        raise ModelError(
+            "filters are compared by times and measurements: give both, or neither and a fit, which has them"
+        )
+    return fits[0].times, fits[0].measurements, fits[0].inputs if inputs is None else inputs
 
 
 def _judged(
