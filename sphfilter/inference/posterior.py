@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, TypeAlias, overload
+from typing import Any, NamedTuple, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,20 +20,20 @@ from ..errors import EstimationError, ModelError
 from ..validate import count, short
 from .evidence import Evidence, check_name
 from .maximum import first_steps
-from .quadratic import Function, scales
+from .quadratic import scales
 
 __all__ = ["ParameterPosterior", "Prior", "posterior_of"]
 
 #: What was known of parameters before: log-densities of single ones by name, or one of them all by name.
-Prior: TypeAlias = Mapping[str, Any] | Callable[[dict[str, float]], float]
-#: Mean (n,) and Cholesky root (n, n) of what is drawn from.
+LogPrior: TypeAlias = Callable[[dict[str, float]], float]
+Prior: TypeAlias = Mapping[str, Any] | LogPrior
+#: Mean (n,) and root (n, n) of what is drawn from.
 Proposal: TypeAlias = tuple[Floats, Floats]
 _TAILS = 5.0  # degrees of freedom of what is drawn from: its variance is 5 / (5 - 2) = 1.7 times the fit's
 _PARTS = 8  # sets of draws, each even by itself: their scatter is known to 1 / √(2 (8 - 1)) = .27 of it
 _ROUNDS = 8  # of draws, after each of which it may be enough: 1 / 8 of them is drawn in vain at most
 _ENOUGH = 256.0  # effective draws: means within 1 / √256 = .06 deviations, were they drawn at random
 _FEW = 30.0  # effective draws that tell no tails: 30 / 20 = 1.5 lie beyond a quantile of .05
-_RIGHT = 0.5  # of the draws that are effective, from which on they came from the right place
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,33 +183,75 @@ def posterior_of(
 ) -> ParameterPosterior:
     """Draw parameters about an estimate with its covariance (n, n), and weight them by their evidence.
 
-    What is drawn from is a Student t, moved and stretched to the weighted moments after rounds of which few
-    draws are effective. Weights are over the mixture of all that was drawn from (J.-M. Cornuet et al.,
-    "Adaptive multiple importance sampling", Scand. J. Stat. 39, 2012).
+    What is drawn from is a Student t in coordinates without bounds, after every round one of the weighted
+    moments so far. Weights are over the mixture of all that was drawn from (J.-M. Cornuet et al., "Adaptive
+    multiple importance sampling", Scand. J. Stat. 39, 2012).
     """
     each = count("n_draws", n_draws, least=_PARTS * _ROUNDS) // (_PARTS * _ROUNDS)
-    log_target, proper = _target(evidence, bounds, prior)
-    best = np.array([*estimate.values()])
-    proposals = [(best, _whole(evidence, best, covariance, bounds))]
-    x, log_p = np.empty((0, len(best))), np.empty(0)
+    log_prior, proper = _checked(prior, bounds)
+    within, best = _Within(*np.array([*bounds.values()]).T), np.array([*estimate.values()])
+    proposals = [within.begun(best, _whole(evidence, best, covariance, within))]
+    y, log_p = np.empty((0, len(best))), np.empty(0)
     for k in range(_ROUNDS):
         new = _drawn(*proposals[k], np.arange(k * each, (k + 1) * each))
-        x, log_p = np.vstack([x, new]), np.append(log_p, [log_target(v) for v in new])
-        w, total = _weighted(x, log_p, proposals)
+        y, log_p = np.vstack([y, new]), np.append(log_p, _log_target(evidence, log_prior, *within.of(new)))
+        w, total = _weighted(y, log_p, proposals)
         effective = 1.0 / max(float(w @ w), TINY)
-        if _ENOUGH <= effective <= len(x):
+        if _ENOUGH <= effective <= len(y):
             break
-        proposals.append(_next(proposals[k], x, w, effective))
+        proposals.append(_next(proposals[k], y, w, effective))
     parts, some = np.tile(np.repeat(np.arange(_PARTS), each), k + 1), w > 0.0
     if not some.any():
         raise EstimationError(
-            f"none of {len(x)} draws about the fit has both a prior density and an evidence; give a prior "
+            f"none of {len(y)} draws about the fit has both a prior density and an evidence; give a prior "
             f"that does not exclude the estimate {dict(estimate)}, or fit within its bounds"
         )
     said = (total, float(_scatter(w, parts))) if proper else (math.nan, math.nan)
-    spread = np.sqrt(np.diag(covariance)).tolist()
-    errors = MappingProxyType(dict(zip(estimate, spread, strict=True)))
-    return ParameterPosterior(tuple(estimate), x[some], w[some], *said, estimate, errors, parts[some])
+    spread = MappingProxyType(dict(zip(estimate, np.sqrt(np.diag(covariance)).tolist(), strict=True)))
+    draws = within.of(y[some])[0]
+    return ParameterPosterior(tuple(estimate), draws, w[some], *said, estimate, spread, parts[some])
+
+
+class _Within(NamedTuple):
+    """Coordinates y without bounds of parameters x that have some: logarithms of distances from these."""
+
+    low: Floats
+    high: Floats
+
+    def begun(self, best: Floats, covariance: Floats) -> Proposal:
+        """An estimate (n,) and its covariance (n, n), in y; a standard error or more away from bounds."""
+        off = np.minimum(np.sqrt(np.diag(covariance)), 0.25 * (self.high - self.low))
+        x = np.clip(best, self.low + off, self.high - off)
+        free = np.isinf(self.low) & np.isinf(self.high)
+        below, above = (np.where(np.isfinite(d), d, 1.0) for d in (x - self.low, self.high - x))
+        slope = np.where(free, 1.0, 1.0 / (x - self.low) + 1.0 / (self.high - x))
+        y = np.where(free, x, np.log(below) - np.log(above))
+        return y, slope[:, None] * np.linalg.cholesky(covariance)
+
+    def of(self, y: Floats) -> tuple[Floats, Floats]:
+        """Parameters (K, n) of coordinates, and logs (K,) of how much volume of theirs is in one of y."""
+        from scipy.special import expit, log_expit  # on use: import time
+
+        x, log_volume = y.copy(), np.zeros(len(y))
+        for k, (low, high) in enumerate(zip(*self, strict=True)):
+            v = y[:, k]
+            if math.isfinite(high - low):
+                x[:, k] = low + (high - low) * expit(v)
+                log_volume += math.log(high - low) + log_expit(v) + log_expit(-v)
+            elif math.isfinite(low):
+                x[:, k], log_volume = low + np.exp(v), log_volume + v
+            elif math.isfinite(high):
+                x[:, k], log_volume = high - np.exp(-v), log_volume - v
+        return x, log_volume
+
+
+def _log_target(evidence: Evidence, log_prior: LogPrior, x: Floats, log_volume: Floats) -> list[float]:
+    """Log of prior times evidence at parameters (K, n), times their volume; no run without a prior."""
+    known = [float(log_prior(evidence.named(one))) for one in x]
+    return [
+        p + v + evidence(one) if p > -np.inf else -np.inf
+        for one, p, v in zip(x, known, log_volume.tolist(), strict=True)
+    ]
 
 
 def _weighted(x: Floats, log_p: Floats, proposals: Sequence[Proposal]) -> tuple[Floats, float]:
@@ -240,19 +283,16 @@ def _log_student(x: Floats, mean: Floats, root: Floats) -> Floats:
     from scipy.special import gammaln  # on use: import time
 
     n, z = len(mean), np.linalg.solve(root, (x - mean).T)
-    scale = 0.5 * n * math.log(_TAILS * math.pi) + float(np.log(np.diag(root)).sum())
+    scale = 0.5 * n * math.log(_TAILS * math.pi) + float(np.linalg.slogdet(root)[1])
     constant = gammaln(0.5 * (_TAILS + n)) - gammaln(0.5 * _TAILS) - scale
     return constant - 0.5 * (_TAILS + n) * np.log1p(np.sum(z**2, axis=0) / _TAILS)
 
 
-def _next(last: Proposal, x: Floats, w: Floats, effective: float) -> Proposal:
-    """What the next round draws from: the same if it was right, else of the weighted moments.
-
-    Of few draws these tell less: as much as there is of one draw comes from the last covariance.
-    """
-    if not w.any() or effective > _RIGHT * len(x):
+def _next(last: Proposal, y: Floats, w: Floats, effective: float) -> Proposal:
+    """What the next round draws from: the weighted moments, and one draw's part of the last."""
+    if not w.any():
         return last
-    mean, cov = moments(x, w)
+    mean, cov = moments(y, w)
     return mean, np.asarray(np.linalg.cholesky(cov + last[1] @ last[1].T / effective), dtype=float)
 
 
@@ -262,26 +302,10 @@ def _scatter(terms: Floats, parts: Ints) -> Floats:
     return math.sqrt(_PARTS) * np.std(sums, axis=0, ddof=1)
 
 
-def _target(
-    evidence: Evidence, bounds: Mapping[str, tuple[float, float]], prior: Prior | None
-) -> tuple[Function, bool]:
-    """Log of prior times evidence, of parameters (n,), and whether the prior's integral is one."""
-    low, high = np.array([*bounds.values()]).T
-    log_prior, proper = (prior, True) if callable(prior) else _of_each(prior, bounds)
-
-    def log_p(theta: Floats) -> float:
-        if np.any((theta < low) | (theta > high)):
-            return -np.inf
-        known = float(log_prior(evidence.named(theta)))
-        return known + evidence(theta) if known > -np.inf else -np.inf
-
-    return log_p, proper
-
-
-def _of_each(
-    prior: Any, bounds: Mapping[str, tuple[float, float]]
-) -> tuple[Callable[[dict[str, float]], float], bool]:
-    """Log-density of independent parameters, flat within bounds where none is given; whether it is proper."""
+def _checked(prior: Any, bounds: Mapping[str, tuple[float, float]]) -> tuple[LogPrior, bool]:
+    """Log-density of parameters by name, flat within bounds where none is given; whether it is proper."""
+    if callable(prior):
+        return prior, True
     if prior is not None and not isinstance(prior, Mapping):
         raise ModelError(
             f"prior maps names to what has a logpdf, or is a function of a dict, got {short(prior)}"
@@ -300,28 +324,19 @@ def _of_each(
     return lambda p: sum(float(one.logpdf(p[name])) for name, one in known.items()) - norm, proper
 
 
-def _whole(
-    evidence: Evidence, best: Floats, covariance: Floats, bounds: Mapping[str, tuple[float, float]]
-) -> Floats:
-    """Cholesky root (n, n) of a fit's covariance; where it has none, as the log-evidence falls."""
-    out = np.where(np.isfinite(covariance), covariance, 0.0)
-    low, high = np.array([*bounds.values()]).T
-    for k, name in enumerate(evidence.names):
-        if np.isnan(covariance[k, k]):
-            out[k, k] = _inwards(evidence, best, k, name, (low[k], high[k])) ** 2
-    return np.asarray(np.linalg.cholesky(out), dtype=float)
+def _whole(evidence: Evidence, best: Floats, covariance: Floats, within: _Within) -> Floats:
+    """A fit's covariance (n, n); of parameters without one as far as the log-evidence falls off a bound."""
+    out, far = np.where(np.isfinite(covariance), covariance, 0.0), within.high - within.low
+    away = np.where(best - within.low <= within.high - best, 1.0, -1.0)
+    for k in np.flatnonzero(np.isnan(np.diag(covariance))):
+        there, only = best[[k]], away * (np.arange(len(best)) == k)
 
+        def mirrored(v: Floats, there: Floats = there, only: Floats = only) -> float:
+            return evidence(best + np.abs(v - there) * only)
 
-def _inwards(evidence: Evidence, best: Floats, k: int, name: str, ends: tuple[float, float]) -> float:
-    """Scale of a parameter over which the log-evidence falls, away from the bound that it is nearer to."""
-    away = 1.0 if best[k] - ends[0] <= ends[1] - best[k] else -1.0
-    only, there, wide = np.arange(len(best)) == k, best[[k]], ends[1] - ends[0]
-
-    def mirrored(v: Floats) -> float:
-        return evidence(best + away * np.abs(v - there) * only)
-
-    first = first_steps(there, there - wide, there + wide)
-    try:
-        return float(scales(mirrored, there, evidence(best), first, there - wide, there + wide, [name])[0])
-    except EstimationError:  # it falls nowhere: the draws will tell
-        return float(first[0])
+        ends = there - far[k], there + far[k]
+        step = first_steps(there, *ends)
+        with suppress(EstimationError):  # it falls nowhere: the draws will tell
+            step = scales(mirrored, there, evidence(best), step, *ends, [evidence.names[int(k)]])
+        out[k, k] = step[0] ** 2
+    return out

@@ -13,17 +13,7 @@ from .._types import Floats
 from ..core.limits import ROUNDS
 from ..errors import EstimationError
 
-__all__ = [
-    "STEPS",
-    "Function",
-    "Quadratic",
-    "quadratic",
-    "roughness",
-    "scales",
-    "slope_step_for",
-    "slopes",
-    "step_for",
-]
+__all__ = ["STEPS", "Quadratic", "quadratic", "roughness", "scales", "slope_step_for", "slopes", "step_for"]
 
 #: Of points (n,).
 Function: TypeAlias = Callable[[Floats], float]
