@@ -192,20 +192,9 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
     def with_parameters(self, parameters: Mapping[str, float] | None = None, /, **more: float) -> Self:
         """Return a new filter of the density now, whose model and sensor have other parameters.
 
-        Its settings are this filter's; it has seen no measurement, and its log-evidence is zero.
-
-        Parameters
-        ----------
-        parameters : mapping of str to float, optional
-            Values by name, such as the `estimate` of a fit. A name that model and sensor both have is one
-            parameter; those that are not named stay.
-        **more : float
-            The same as keywords.
-
-        Raises
-        ------
-        ModelError
-            A name that neither has (the nearest is named), or a value that is not one finite number.
+        Values are keywords, or a mapping such as the `estimate` of a fit; a name that both have is one
+        parameter. Settings are this filter's; the new one has seen no measurement. Raises `ModelError` for a
+        name that neither has (the nearest is named), or a value that is not one finite number.
 
         Examples
         --------
@@ -222,8 +211,8 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
         new = copy(self)
         new.model, new.measurement = (parametrised(own, values) for own in (self.model, self.measurement))
         new._budget = Budget(self.config.time_budget)
-        begun = FilterState.begun(self.density, new.model.inputs, new.measurement, self.n_particles)
-        new._state = begun
+        given = self.density, new.model.inputs, new.measurement, self.n_particles
+        new._state = FilterState.begun(*given)
         new._remember_from_here(self._window)
         return new
 

@@ -6,6 +6,7 @@ and its second derivatives at the maximum are the (observed) information.
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -56,12 +57,8 @@ class ParameterFit:
         The maximum is, by the slopes of the log-evidence, within a quarter of a standard error.
     status : str
         What happened, as a sentence.
-    bounds : mapping of str to (float, float)
-        Lowest and highest value that each parameter might have; infinite where there was no bound.
     times, measurements, inputs
-        What the fit was made to, as `FilterResult` runs take them.
-    filter : SPHFilter, or what the user's function makes
-        At the start of the measurements, with the estimate and the user's own settings; a new one each time.
+        What the fit was made to, for ``fit.filter.run`` and the like.
 
     Examples
     --------
@@ -89,7 +86,9 @@ class ParameterFit:
     at_bound: tuple[str, ...]
     converged: bool
     status: str
-    bounds: Mapping[str, tuple[float, float]]
+    times: Floats
+    measurements: Rows
+    inputs: InputRecord | None
     _evidence: Evidence
 
     @property
@@ -98,27 +97,13 @@ class ParameterFit:
         return tuple(self.estimate)
 
     @property
-    def times(self) -> Floats:
-        """Times of the measurements that were fitted, shape (T,), seconds."""
-        return self._evidence.times
-
-    @property
-    def measurements(self) -> Rows:
-        """Measurements that were fitted, as numbers, length T."""
-        return self._evidence.measurements
-
-    @property
-    def inputs(self) -> InputRecord | None:
-        """Inputs of the model that were given with the measurements, or None."""
-        return self._evidence.inputs
-
-    @property
     def filter(self) -> Any:
         """A new filter at the start of the measurements, with the estimate and the user's own settings.
 
         Where a function makes filters, what it makes of the estimate.
         """
-        return self._evidence.filter(self.estimate)
+        given, own = self._evidence.given, dict(self.estimate)
+        return given.with_parameters(own) if isinstance(given, SPHFilter) else given(own)
 
     @property
     def evidence_error(self) -> float:
@@ -151,24 +136,20 @@ class ParameterFit:
         Parameters
         ----------
         prior : mapping of str to distribution, or callable, optional
-            What was known before: objects with ``logpdf``, such as `scipy.stats.norm(1.0, 0.2)`, by name; or
-            a function of a dict of all parameters that returns the log-density, of integral one. Flat within
-            the fit's bounds where nothing is said; within these, too, if a distribution goes beyond.
+            What was known before: objects with ``logpdf``, such as ``scipy.stats.norm(1.0, 0.2)``, by name,
+            cut at the fit's bounds; or a function of a dict of all parameters that returns the log-density.
+            Flat within the bounds where nothing is said.
         n_draws : int
-            Runs of the filter at most, 64 or more; fewer where 256 effective ones come sooner. Draws beyond
-            bounds are not run.
+            Draws at most, 64 or more; fewer where 256 effective ones come sooner. Each is a run.
         report : callable, optional
             As of `fit_parameters`.
 
-        Raises
-        ------
-        ModelError
-            A prior of a parameter that the fit has not (the nearest is named), or that has no logpdf.
-        EstimationError
-            No draw has a prior density and an evidence.
+        Raises `ModelError` for a prior of a parameter that the fit has not, or without logpdf, and
+        `EstimationError` if no draw has both a prior density and an evidence.
         """
-        evidence = self._evidence.told(report)
-        return posterior_of(evidence, self.estimate, self.covariance, self.bounds, prior, n_draws)
+        evidence = copy(self._evidence)
+        evidence.report, evidence.n_evaluations = report, 0
+        return posterior_of(evidence, self.estimate, self.covariance, prior, n_draws)
 
     def plot(self, parameters: Sequence[str] | None = None, ax: Any = None) -> Any:
         """Draw the estimates with ellipses of one and two standard errors; needs matplotlib.
@@ -270,6 +251,7 @@ def fit_parameters(
     """
     names, theta, low, high = checked_guess(guess, bounds)
     evidence = Evidence(filt, times, measurements, names, report, inputs)
+    evidence.bounds = low, high
     value = evidence.first(theta)
     theta, value = searched(evidence, theta, low, high, max_evaluations)
     theta, value = off_bounds(evidence, theta, value, low, high)
@@ -284,8 +266,7 @@ def fit_parameters(
         local = quadratic(inside, centre, value, local.root, h)
         _refuse_flat(local, rough, h, evidence.names_of(free))
         covariance[np.ix_(free, free)] = local.covariance
-    off, within = np.sqrt(2.0 * max(left, 0.0)), (low.tolist(), high.tolist())
-    return _told(evidence, theta, value, covariance, rough, free, off, within)
+    return _told(evidence, theta, value, covariance, rough, free, np.sqrt(2.0 * max(left, 0.0)))
 
 
 def profile_evidence(
@@ -372,14 +353,7 @@ def _refuse_flat(local: Quadratic, rough: float, h: float, names: Sequence[str])
 
 
 def _told(
-    evidence: Evidence,
-    theta: Floats,
-    value: float,
-    covariance: Floats,
-    rough: float,
-    free: Bools,
-    off: float,
-    within: tuple[list[float], list[float]],
+    evidence: Evidence, theta: Floats, value: float, covariance: Floats, rough: float, free: Bools, off: float
 ) -> ParameterFit:
     """The result, with a sentence about it; the last slopes say that the maximum is `off` standard errors."""
     held, converged = tuple(evidence.names_of(~free)), off < NEAR
@@ -400,6 +374,8 @@ def _told(
         at_bound=held,
         converged=bool(converged),
         status=said,
-        bounds=MappingProxyType(dict(zip(evidence.names, zip(*within, strict=True), strict=True))),
-        _evidence=evidence.told(None),
+        times=evidence.times,
+        measurements=evidence.measurements,
+        inputs=evidence.inputs,
+        _evidence=evidence,
     )

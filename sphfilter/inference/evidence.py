@@ -84,9 +84,9 @@ class Evidence:
                 f"as many measurements as times are needed; got times of shape {np.shape(self.times)} and "
                 f"{len(self.measurements)} measurements"
             )
-        if isinstance(filt, SPHFilter):
-            filt = copy(filt)  # which stays where it is
-        self._given, self.build = filt, _builder(filt, self) if isinstance(filt, SPHFilter) else filt
+        self.given: Any = copy(filt) if isinstance(filt, SPHFilter) else filt  # which stays where it is
+        self.build = _builder(self.given, self) if isinstance(self.given, SPHFilter) else self.given
+        self.bounds = np.full(len(names), -np.inf), np.full(len(names), np.inf)
         self.report, self.n_evaluations = report, 0
         self.n_readings = n_readings(self.measurements)
 
@@ -108,17 +108,6 @@ class Evidence:
         except SphfilterError:
             return -np.inf
         return value if np.isfinite(value) else -np.inf
-
-    def filter(self, parameters: Mapping[str, float]) -> AnyFilter:
-        """The user's own filter at the start, with parameters by name: not the fit's, all of one shape."""
-        given = self._given
-        return given.with_parameters(parameters) if isinstance(given, SPHFilter) else given(dict(parameters))
-
-    def told(self, report: Progress | None) -> "Evidence":
-        """The same function, of runs that are counted anew and told to another."""
-        new = copy(self)
-        new.report, new.n_evaluations = report, 0
-        return new
 
     def result(self, theta: Floats) -> FilterResult:
         """Result that the filter leaves behind."""

@@ -182,7 +182,9 @@ def compare_models(
     candidates = dict(candidates)
     if not candidates:
         raise ModelError("there is no model to compare; give filters or fits by name")
-    times, measurements, inputs = _data(candidates.values(), times, measurements, inputs)
+    if times is None or measurements is None:
+        fit = _first_fit(candidates.values(), times is not None or measurements is not None)
+        times, measurements, inputs = fit.times, fit.measurements, fit.inputs if inputs is None else inputs
     sensors = [found for one in candidates.values() if (found := getattr(one, "measurement", None))]
     numbers = rows_of(sensors[0] if sensors else None, measurements)
     data = fingerprint(times, numbers, inputs)
@@ -205,21 +207,14 @@ def compare_models(
     )
 
 
-def _data(
-    candidates: Iterable[Any],
-    times: ArrayLike | None,
-    measurements: Readings | None,
-    inputs: InputRecord | None,
-) -> tuple[ArrayLike, Readings, InputRecord | None]:
-    """Times, measurements and inputs: as given, or of the first fit."""
-    if times is not None and measurements is not None:
-        return times, measurements, inputs
+def _first_fit(candidates: Iterable[Any], given: bool) -> ParameterFit:
+    """The first fit, whose data all are compared on where none are given."""
     fits = [one for one in candidates if isinstance(one, ParameterFit)]
-    if times is not None or measurements is not None or not fits:
+    if given or not fits:
         raise ModelError(
             "filters are compared by times and measurements: give both, or neither and a fit, which has them"
         )
-    return fits[0].times, fits[0].measurements, fits[0].inputs if inputs is None else inputs
+    return fits[0]
 
 
 def _judged(
