@@ -4,6 +4,7 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
+from scipy import stats
 
 import sphfilter as sf
 from sphfilter.errors import UnresolvedError
