@@ -19,8 +19,7 @@ from ..density.weighted import quantile_of
 from ..errors import EstimationError, ModelError
 from ..validate import count, short
 from .evidence import Evidence, check_name
-from .maximum import first_steps
-from .quadratic import scales
+from .quadratic import first_steps, scales
 
 __all__ = ["ParameterPosterior", "Prior", "posterior_of"]
 
@@ -29,7 +28,7 @@ LogPrior: TypeAlias = Callable[[dict[str, float]], float]
 Prior: TypeAlias = Mapping[str, Any] | LogPrior
 _TAILS = 5.0  # degrees of freedom of what is drawn from: its variance is 5 / (5 - 2) = 1.7 times the fit's
 _PARTS = 8  # sets of draws, each even by itself: their scatter is known to 1 / √(2 (8 - 1)) = .27 of it
-_ROUNDS = 8  # of draws, after each of which it may be enough: 1 / 8 of them is drawn in vain at most
+_ROUNDS = 8  # of draws, after each of which it may be enough: 1 / 8 = .125 of them in vain at most
 _ENOUGH = 256.0  # effective draws; measured: means of one to five parameters within .01 to .04 deviations
 _FEW = 30.0  # effective draws that tell no tails: 30 / 20 = 1.5 lie beyond a quantile of .05
 
