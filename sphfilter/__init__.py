@@ -50,6 +50,7 @@ from .filter.sph_filter import SPHFilter
 from .filter.update import update
 from .inference.estimation import ParameterFit, fit_parameters, profile_evidence
 from .inference.model_comparison import ModelComparison, compare_models
+from .inference.posterior import ParameterPosterior
 from .inference.smoother import SmoothedResult, smooth
 from .info import Code, PredictInfo, ResampleInfo, UpdateInfo
 from .model.correlated import correlated_noise
@@ -95,6 +96,7 @@ __all__ = [
     "ModelError",
     "PaperScheme",
     "ParameterFit",
+    "ParameterPosterior",
     "ParticleDensity",
     "PredictInfo",
     "PropagationError",

@@ -15,7 +15,7 @@ from .model.simulate import simulate
 
 __all__ = ["compile"]
 
-_SCHEMES = "auto", CloudScheme(), LogDensityScheme(), FamilyScheme()
+_SCHEMES: tuple[Any, ...] = "auto", CloudScheme(), LogDensityScheme(), FamilyScheme()
 
 
 def compile() -> float:

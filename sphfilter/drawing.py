@@ -8,7 +8,7 @@ import numpy as np
 from ._types import Floats
 from .errors import ModelError, nearest
 
-__all__ = ["chosen", "density", "fit", "forecast", "result"]
+__all__ = ["chosen", "density", "fit", "forecast", "posterior", "result"]
 
 _COLOUR, _OTHER = "#009E73", "#D55E00"  # Okabe & Ito's, that the colour-blind tell apart
 
@@ -204,8 +204,40 @@ def fit(found: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> Any:
         panel.plot(*middle[own], "+", color="0.2", ms=8)
         _finish(panel, names[a], names[b])
 
-    if len(axes) <= 2:
-        ax = _single() if ax is None else ax
-        draw(list(axes), ax)
-        return ax
-    return _pairs(names, axes, ax, draw)
+    return _one_or_pairs(names, axes, ax, draw)
+
+
+def posterior(found: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> Any:
+    """Draw histograms of weighted draws beside the Gaussians of a fit, and pairs as the draws themselves."""
+    sizes = 30.0 * found.weights / found.weights.max()
+
+    def draw(own: list[int], panel: Any) -> None:
+        a, b = own[0], own[-1]
+        if a != b:
+            panel.scatter(found.draws[:, a], found.draws[:, b], s=sizes, color=_COLOUR, alpha=0.4, lw=0)
+            _finish(panel, names[a], names[b])
+            return
+        low, high = found.quantile(names[a], [2e-3, 1.0 - 2e-3])
+        bins: Any = np.linspace(low, high, 30)
+        panel.hist(found.draws[:, a], bins, weights=found.weights, density=True, color=_COLOUR, alpha=0.4)
+        middle, wide = found.estimate[names[a]], found.standard_error[names[a]]
+        if np.isfinite(wide):
+            x = np.linspace(low, high, 400)
+            y = np.exp(-0.5 * ((x - middle) / wide) ** 2) / (wide * np.sqrt(2.0 * np.pi))
+            panel.plot(x, y, color="0.2", lw=1.0, ls="--", label="Gaussian of the fit")
+            panel.legend(loc="best", frameon=False, fontsize=8)
+        panel.set_yticks([])
+        _finish(panel, names[a], "")
+
+    return _one_or_pairs(names, axes, ax, draw)
+
+
+def _one_or_pairs(
+    names: Sequence[str], axes: Sequence[int], ax: Any, draw: Callable[[list[int], Any], None]
+) -> Any:
+    """One panel of one or two parameters, or all pairs."""
+    if len(axes) > 2:
+        return _pairs(names, axes, ax, draw)
+    ax = _single() if ax is None else ax
+    draw(list(axes), ax)
+    return ax

@@ -139,14 +139,11 @@ def _low_moment(density: "ParticleDensity", powers: Ints, centre: Floats | None)
 def quantile(density: "ParticleDensity", axis: int, probability: ArrayLike) -> Any:
     """Where one state's distribution function reaches `probability` (K,), counted from a domain's low end."""
     checked_axes([axis], density.dim)
-    probability = _checked_part(probability)
     if density.read_out == "points":
         X, w = states(density)
-        order = np.argsort(X[:, axis])
-        y, w = X[order, axis], w[order]
-        F = np.cumsum(w) - 0.5 * w
-    else:
-        y, F = _distribution(density.marginal([axis]))
+        return weighted.quantile_of(X[:, axis], w, probability)
+    probability = weighted.checked_part(probability)
+    y, F = _distribution(density.marginal([axis]))
     found = np.interp(probability, F, y)
     return found if probability.ndim else float(found)
 
@@ -163,7 +160,7 @@ def entropy(density: "ParticleDensity") -> float:
 
 def highest_region(density: "ParticleDensity", probability: float) -> Region:
     """The region of highest density that holds a probability."""
-    share = _checked_part(probability)
+    share = weighted.checked_part(probability)
     X, w = states(density, _FEW_SUBPOINTS)
     p = density.pdf(X)
     order = np.argsort(-p, kind="stable")
@@ -203,13 +200,6 @@ def checked_axes(axes: Sequence[int], dim: int) -> list[int]:
     if not axes or len(set(axes)) < len(axes) or not set(axes) <= set(range(dim)):
         raise ModelError(f"axes must be different numbers from 0 to {dim - 1}, got {axes}")
     return axes
-
-
-def _checked_part(probability: ArrayLike) -> Floats:
-    probability = np.asarray(probability, dtype=float)
-    if not np.all((probability > 0.0) & (probability < 1.0)):
-        raise ModelError(f"probability must lie between 0 and 1, got {probability}")
-    return probability
 
 
 def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:

@@ -1,15 +1,16 @@
 """States and weights that stand for a density, of whatever kind, and where a state lies among them."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._lines import in_a_line
 from .._types import Floats
+from ..errors import ModelError
 
-__all__ = ["WeightedStates", "hpd_rank", "state_rank"]
+__all__ = ["WeightedStates", "checked_part", "hpd_rank", "quantile_of", "state_rank"]
 
 
 class WeightedStates(NamedTuple):
@@ -47,3 +48,20 @@ def hpd_rank(spread: WeightedStates, X: ArrayLike) -> Floats:
     order = np.argsort(-log_p, kind="stable")
     total = np.concatenate([[0.0], np.cumsum(spread.w[order])])
     return np.minimum(total[np.searchsorted(-log_p[order], -spread.logpdf(X))], 1.0)
+
+
+def checked_part(probability: ArrayLike) -> Floats:
+    """Return probabilities as an array, or raise `ModelError` if one does not lie between 0 and 1."""
+    probability = np.asarray(probability, dtype=float)
+    if not np.all((probability > 0.0) & (probability < 1.0)):
+        raise ModelError(f"probability must lie between 0 and 1, got {probability}")
+    return probability
+
+
+def quantile_of(y: Floats, w: Floats, probability: ArrayLike) -> Any:
+    """Value below which numbers y (M,) of weights (M,) lie with a probability; (K,) for such."""
+    probability = checked_part(probability)
+    order = np.argsort(y)
+    F = np.cumsum(w[order]) - 0.5 * w[order]
+    found = np.interp(probability, F, y[order])
+    return found if probability.ndim else float(found)

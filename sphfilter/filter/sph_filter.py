@@ -1,9 +1,10 @@
 """`SPHFilter`: predict and update with state, in the shape filterpy users know."""
 
 import math
+from collections.abc import Mapping
 from copy import copy, deepcopy
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from numpy.typing import ArrayLike
 
@@ -20,7 +21,7 @@ from ..info import NOTHING_CAME, PredictInfo, UpdateInfo
 from ..model.compile import StateFunction
 from ..model.dynamics import Dynamics
 from ..model.measurements import Sensor
-from ..model.named import InputRecord, InputValues, driven
+from ..model.named import InputRecord, InputValues, check_parameters, driven, parametrised
 from ..prediction.again import MOST, Outcome, or_as_cloud, predict_from_finer
 from ..prediction.predict import Prediction, predict
 from ..prediction.to_target import Time
@@ -187,6 +188,33 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
         if "_state" in vars(self):  # else a subclass sets it before it is made
             self._state = self._state.noted(n_particles=value)
             self._adapts = False
+
+    def with_parameters(self, parameters: Mapping[str, float] | None = None, /, **more: float) -> Self:
+        """Return a new filter of the density now, whose model and sensor have other parameters.
+
+        Values are keywords, or a mapping such as the `estimate` of a fit; a name that both have is one
+        parameter. Settings are this filter's; the new one has seen no measurement. Raises `ModelError` for a
+        name that neither has (the nearest is named), or a value that is not one finite number.
+
+        Examples
+        --------
+        >>> import sphfilter as sf
+        >>> model = sf.SDE.from_expressions(["x"], ["-a*x"], [["1"]], parameters={"a": 0.6})
+        >>> flt = sf.SPHFilter(model, sf.GaussianMeasurement([[1.0]], [[0.1]]), x0=[2.0], P0=[[0.1]])
+        >>> other = flt.with_parameters(a=0.0)
+        >>> info = other.predict(1.0)
+        >>> print(other.model.parameters["a"], f"{other.x[0]:.3f}, {flt.x[0]:.3f} at t = {flt.t:g}")
+        0.0 2.000, 2.000 at t = 0
+        """
+        values = {**(parameters or {}), **more}
+        check_parameters(values, self.model, self.measurement)
+        new = copy(self)
+        new.model, new.measurement = (parametrised(own, values) for own in (self.model, self.measurement))
+        new._budget = Budget(self.config.time_budget)
+        given = self.density, new.model.inputs, new.measurement, self.n_particles
+        new._state = FilterState.begun(*given)
+        new._remember_from_here(self._window)
+        return new
 
     @suggest_keyword
     def predict(

@@ -6,6 +6,7 @@ and its second derivatives at the maximum are the (observed) information.
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -14,13 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import drawing
-from .._types import Bools, Floats, Readings
-from ..errors import EstimationError, ModelError, nearest
+from .._types import Bools, Floats, Readings, Rows
+from ..errors import EstimationError
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..model.named import InputRecord
-from .evidence import Bound, Builder, Evidence, Progress, checked_guess, error_of_run
+from .evidence import Bound, Builder, Evidence, Progress, check_name, checked_guess, error_of_run
 from .maximum import NEAR, ROUND, climbed, off_bounds, polished, ridge, room, searched
+from .posterior import ParameterPosterior, Prior, posterior_of
 from .quadratic import Quadratic, quadratic, roughness, step_for
 
 __all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
@@ -55,6 +57,8 @@ class ParameterFit:
         The maximum is, by the slopes of the log-evidence, within a quarter of a standard error.
     status : str
         What happened, as a sentence.
+    times, measurements, inputs
+        What the fit was made to, for ``fit.filter.run`` and the like.
 
     Examples
     --------
@@ -82,11 +86,24 @@ class ParameterFit:
     at_bound: tuple[str, ...]
     converged: bool
     status: str
+    times: Floats
+    measurements: Rows
+    inputs: InputRecord | None
+    _evidence: Evidence
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the n parameters, in the order of the covariance."""
         return tuple(self.estimate)
+
+    @property
+    def filter(self) -> Any:
+        """A new filter at the start of the measurements, with the estimate and the user's own settings.
+
+        Where a function makes filters, what it makes of the estimate.
+        """
+        given, own = self._evidence.given, dict(self.estimate)
+        return given.with_parameters(own) if isinstance(given, SPHFilter) else given(own)
 
     @property
     def evidence_error(self) -> float:
@@ -108,6 +125,31 @@ class ParameterFit:
     def bic(self) -> float:
         """Schwarz' criterion: n log(readings) − 2 log-evidence."""
         return len(self.estimate) * float(np.log(self.n_readings)) - 2.0 * self.log_evidence
+
+    def posterior(
+        self, prior: Prior | None = None, *, n_draws: int = 1024, report: Progress | None = None
+    ) -> ParameterPosterior:
+        """Return the probability density of the parameters, a `ParameterPosterior`; skewed, bounded as it is.
+
+        Parameters are drawn about the estimate, always the same ones, and weighted by prior and evidence.
+
+        Parameters
+        ----------
+        prior : mapping of str to distribution, or callable, optional
+            What was known before: objects with ``logpdf``, such as ``scipy.stats.norm(1.0, 0.2)``, by name,
+            cut at the fit's bounds; or a function of a dict of all parameters that returns the log-density.
+            Flat within the bounds where nothing is said.
+        n_draws : int
+            Draws at most, 64 or more; fewer where 256 effective ones come sooner. Each is a run.
+        report : callable, optional
+            As of `fit_parameters`.
+
+        Raises `ModelError` for a prior of a parameter that the fit has not, or without logpdf, and
+        `EstimationError` if no draw has both a prior density and an evidence.
+        """
+        evidence = copy(self._evidence)
+        evidence.report, evidence.n_evaluations = report, 0
+        return posterior_of(evidence, self.estimate, self.covariance, prior, n_draws)
 
     def plot(self, parameters: Sequence[str] | None = None, ax: Any = None) -> Any:
         """Draw the estimates with ellipses of one and two standard errors; needs matplotlib.
@@ -209,6 +251,7 @@ def fit_parameters(
     """
     names, theta, low, high = checked_guess(guess, bounds)
     evidence = Evidence(filt, times, measurements, names, report, inputs)
+    evidence.bounds = low, high
     value = evidence.first(theta)
     theta, value = searched(evidence, theta, low, high, max_evaluations)
     theta, value = off_bounds(evidence, theta, value, low, high)
@@ -272,8 +315,7 @@ def profile_evidence(
     >>> print((profile - fit.log_evidence).round(2) + 0.0)  # -0.5 were the log-evidence a parabola
     [-0.53  0.   -0.47]
     """
-    if name not in fit.names:
-        raise ModelError(f"the fit has no parameter {name!r}{nearest(name, fit.names)}; it has {fit.names}")
+    check_name("the fit", name, fit.names)
     k, best = fit.names.index(name), np.array(list(fit.estimate.values()))
     evidence = Evidence(filt, times, measurements, fit.names, None, inputs)
     free = np.isfinite(np.diag(fit.covariance))
@@ -332,4 +374,8 @@ def _told(
         at_bound=held,
         converged=bool(converged),
         status=said,
+        times=evidence.times,
+        measurements=evidence.measurements,
+        inputs=evidence.inputs,
+        _evidence=evidence,
     )

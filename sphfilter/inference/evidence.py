@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy, deepcopy
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
@@ -18,9 +19,9 @@ from ..filter.results import AnyFilter, FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..model.discrete import DiscreteModel
 from ..model.measurements import Reading
-from ..model.named import InputRecord, each_input
+from ..model.named import InputRecord, check_parameters, each_input, parametrised
 
-__all__ = ["Evidence", "checked_guess", "error_of_run", "fingerprint", "n_readings"]
+__all__ = ["Evidence", "check_name", "checked_guess", "error_of_run", "fingerprint", "n_readings"]
 
 #: Makes a filter, at the start of the measurements, of parameters by name.
 Builder: TypeAlias = Callable[[dict[str, float]], AnyFilter]
@@ -30,6 +31,13 @@ _PARTICLES = 200  # where one family does not carry the density, and no number o
 _TOLERANCE = 1e-4  # of a family's steps, for slopes of the evidence; measured: half, twice move fits by 4e-5
 #: Called with the number of runs so far, the parameters of the last and its log-evidence.
 Progress: TypeAlias = Callable[[int, dict[str, float], float], object]
+
+
+def check_name(whose: str, name: str, known: Sequence[str]) -> None:
+    """Raise `ModelError` for a parameter that a fit or its posterior has not; the nearest is named."""
+    if name not in known:
+        has = ", ".join(known)
+        raise ModelError(f"{whose} has no parameter {name!r}{nearest(name, known)}; it has {has}")
 
 
 def checked_guess(
@@ -69,14 +77,16 @@ class Evidence:
                 f"parameters of an SPHFilter are fitted, or of what a function makes of them; got "
                 f"{validate.short(filt)}: give a function of them by name that returns a new filter"
             )
-        self.times, self.names, self.inputs = np.asarray(times, dtype=float), names, inputs
-        self.measurements = rows_of(getattr(filt, "measurement", None), measurements)
+        self.times, self.names, self.inputs = np.array(times, dtype=float), names, deepcopy(inputs)
+        self.measurements = deepcopy(rows_of(getattr(filt, "measurement", None), measurements))
         if np.shape(self.times) != (len(self.measurements),):
             raise ModelError(
                 f"as many measurements as times are needed; got times of shape {np.shape(self.times)} and "
                 f"{len(self.measurements)} measurements"
             )
-        self.build = _builder(filt, self) if isinstance(filt, SPHFilter) else filt
+        self.given: Any = copy(filt) if isinstance(filt, SPHFilter) else filt  # which stays where it is
+        self.build = _builder(self.given, self) if isinstance(self.given, SPHFilter) else self.given
+        self.bounds = np.full(len(names), -np.inf), np.full(len(names), np.inf)
         self.report, self.n_evaluations = report, 0
         self.n_readings = n_readings(self.measurements)
 
@@ -142,31 +152,17 @@ def _builder(filt: SPHFilter, evidence: Evidence) -> Builder:
     Steps that chose anew how the density is represented would make the log-evidence jump.
     """
     each_input(filt.model.inputs, evidence.inputs, len(evidence.times))  # wrong ones are refused now
-    owners = {"model": filt.model, "measurement": filt.measurement}
-    known = {name: getattr(owner, "parameters", {}) for name, owner in owners.items()}
-    _check_names(evidence.names, [*known["model"], *known["measurement"]])
+    owners = filt.model, filt.measurement
+    check_parameters(evidence.names, *owners)
     shape: dict[str, Any] = {}
 
     def build(parameters: dict[str, float]) -> SPHFilter:
-        changed: dict[str, Any] = {}
-        for which, owner in owners.items():
-            own = {name: value for name, value in parameters.items() if name in known[which]}
-            changed[which] = owner.with_parameters(**own) if own else owner  # type: ignore[union-attr]
-        start = partial(SPHFilter, **changed, density=filt.density)
+        start = partial(SPHFilter, *(parametrised(own, parameters) for own in owners), density=filt.density)
         if not shape:
             shape.update(_shape(filt, start, evidence))
         return start(**shape)
 
     return build
-
-
-def _check_names(names: Sequence[str], known: Sequence[str]) -> None:
-    for name in names:
-        if name not in known:
-            listed = ", ".join(dict.fromkeys(known)) or "none"
-            raise ModelError(
-                f"model and sensor have no parameter {name!r}{nearest(name, known)}; they have: {listed}"
-            )
 
 
 def _shape(filt: SPHFilter, start: Callable[..., SPHFilter], evidence: Evidence) -> dict[str, Any]:

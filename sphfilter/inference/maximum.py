@@ -5,11 +5,20 @@ import numpy as np
 from .._types import Bools, Floats
 from ..core.limits import ROUNDS, TINY
 from .evidence import Evidence
-from .quadratic import STEPS, Function, Quadratic, quadratic, scales, slope_step_for, slopes
+from .quadratic import (
+    FIRST,
+    STEPS,
+    Function,
+    Quadratic,
+    first_steps,
+    quadratic,
+    scales,
+    slope_step_for,
+    slopes,
+)
 
 __all__ = ["NEAR", "ROUND", "climbed", "off_bounds", "polished", "ridge", "room", "searched"]
 
-_FIRST = 0.1  # of a guess, or of its bounds' width: first step; measured: half 1.2 times the runs, twice .9
 _LOOSE = 0.3  # nats in a simplex that are left to Newton; measured: half 1.0 times the runs, twice 1.2
 _POLISHED = 1e-5  # nats below the top that are enough in the end: √(2e-5) = .0045 standard errors
 _CLOSE = 2e-3  # nats below the top of the quadratic that are enough before slopes are polished: √(4e-3) = .06
@@ -26,7 +35,7 @@ def searched(
     """Simplex search from a guess; returns the best point and its log-evidence."""
     from scipy.optimize import minimize  # on use: import time
 
-    step = _first_steps(theta, low, high)
+    step = first_steps(theta, low, high)
     step = np.where(theta + step > high, -step, step)
     simplex = np.vstack([theta, theta + np.diag(step)])
     options = {"initial_simplex": simplex, "maxfev": max_evaluations, "fatol": _LOOSE, "xatol": np.inf}
@@ -35,18 +44,13 @@ def searched(
     return found.x, -float(found.fun)
 
 
-def _first_steps(theta: Floats, low: Floats, high: Floats) -> Floats:
-    """Steps (n,) to begin with: a part of the parameters, or of the width between their bounds."""
-    return np.minimum(_FIRST * np.where(theta == 0.0, 1.0, np.abs(theta)), 0.5 * (high - low))
-
-
 def off_bounds(
     evidence: Evidence, theta: Floats, value: float, low: Floats, high: Floats
 ) -> tuple[Floats, float]:
     """Take parameters off bounds from which the log-evidence rises."""
     for k in np.flatnonzero((theta <= low) | (theta >= high)):
         inwards = theta.copy()
-        inwards[k] += _FIRST * _first_steps(theta, low, high)[k] * (1.0 if theta[k] <= low[k] else -1.0)
+        inwards[k] += FIRST * first_steps(theta, low, high)[k] * (1.0 if theta[k] <= low[k] else -1.0)
         moved = evidence(inwards)
         if moved > value:
             theta, value = inwards, moved
@@ -63,7 +67,7 @@ def climbed(
     """
     free: Bools = (theta > low) & (theta < high)
     root, local = np.empty(0), None
-    first = _first_steps(theta, low, high)
+    first = first_steps(theta, low, high)
     for _ in range(ROUNDS):
         if not free.any() or evidence.n_evaluations > max_evaluations:
             break

@@ -1,7 +1,7 @@
 """Models compared by the evidence of the same measurements."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,8 +135,8 @@ class ModelComparison:
 
 def compare_models(
     candidates: Mapping[str, AnyFilter | ParameterFit],
-    times: ArrayLike,
-    measurements: Readings,
+    times: ArrayLike | None = None,
+    measurements: Readings | None = None,
     inputs: InputRecord | None = None,
 ) -> ModelComparison:
     """Compare models by the evidence of the same measurements.
@@ -145,9 +145,9 @@ def compare_models(
     ----------
     candidates : mapping of str to filter or ParameterFit
         A filter at the start of the measurements, which stays there, is run; a fit has been made to them.
-    times : array_like, shape (T,)
-        Seconds.
-    measurements : sequence of length T
+    times : array_like, shape (T,), optional
+        Seconds. Without times and measurements, those are taken, and the inputs, that the fits were made to.
+    measurements : sequence of length T, optional
         None or NaN where none came.
     inputs : array_like (T, m), or mapping of str to array_like (T,), optional
         As of ``SPHFilter.run``, for candidates whose models have inputs; others have none.
@@ -159,7 +159,7 @@ def compare_models(
     Raises
     ------
     ModelError
-        No candidates, one that is neither, or a fit to other measurements.
+        No candidates, one that is neither, a fit to other measurements, or neither fits nor measurements.
     PropagationError
         A filter cannot go on.
 
@@ -182,6 +182,9 @@ def compare_models(
     candidates = dict(candidates)
     if not candidates:
         raise ModelError("there is no model to compare; give filters or fits by name")
+    if times is None or measurements is None:
+        fit = _first_fit(candidates.values(), times is not None or measurements is not None)
+        times, measurements, inputs = fit.times, fit.measurements, fit.inputs if inputs is None else inputs
     sensors = [found for one in candidates.values() if (found := getattr(one, "measurement", None))]
     numbers = rows_of(sensors[0] if sensors else None, measurements)
     data = fingerprint(times, numbers, inputs)
@@ -202,6 +205,16 @@ def compare_models(
         data=data,
         evidence_error=np.array(errors),
     )
+
+
+def _first_fit(candidates: Iterable[Any], given: bool) -> ParameterFit:
+    """The first fit, whose data all are compared on where none are given."""
+    fits = [one for one in candidates if isinstance(one, ParameterFit)]
+    if given or not fits:
+        raise ModelError(
+            "filters are compared by times and measurements: give both, or neither and a fit, which has them"
+        )
+    return fits[0]
 
 
 def _judged(

@@ -13,11 +13,23 @@ from .._types import Floats
 from ..core.limits import ROUNDS
 from ..errors import EstimationError
 
-__all__ = ["STEPS", "Quadratic", "quadratic", "roughness", "scales", "slope_step_for", "slopes", "step_for"]
+__all__ = [
+    "FIRST",
+    "STEPS",
+    "Quadratic",
+    "first_steps",
+    "quadratic",
+    "roughness",
+    "scales",
+    "slope_step_for",
+    "slopes",
+    "step_for",
+]
 
 #: Of points (n,).
 Function: TypeAlias = Callable[[Floats], float]
 
+FIRST = 0.1  # of a guess, or of its bounds' width: first step; measured: half 1.2 times the runs, twice .9
 _FALL = 0.1, 2.0  # nats to fall over a scale; measured: half or twice the least .9, 1.0 times the runs
 _APART = 0.01  # standard errors between points that tell roughness; measured: half, twice move fits by 1e-4
 #: Steps of differences, least and most, in standard errors: for roughness h⁴ / (12 √6) of 3e-8 to 8e-3 nats.
@@ -52,6 +64,11 @@ class Quadratic(NamedTuple):
         """Largest eigenvalue of the Hessian and its direction, in the units of the parameters."""
         values, axes = np.linalg.eigh(self.hessian)
         return float(values[-1]), self.root @ axes[:, -1]
+
+
+def first_steps(theta: Floats, low: Floats, high: Floats) -> Floats:
+    """Steps (n,) to begin with: a part of the parameters, or of the width between their bounds."""
+    return np.minimum(FIRST * np.where(theta == 0.0, 1.0, np.abs(theta)), 0.5 * (high - low))
 
 
 def scales(

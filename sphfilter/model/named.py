@@ -11,8 +11,8 @@ from .. import validate
 from ..errors import ModelError, nearest, plain
 from .compile import Data
 
-__all__ = ["Adjustable", "InputRecord", "InputValues", "Inputs", "Values", "changed",
-           "driven", "each_driven", "each_input", "input_values"]  # fmt: skip
+__all__ = ["Adjustable", "InputRecord", "InputValues", "Inputs", "Values", "changed", "check_parameters",
+           "driven", "each_driven", "each_input", "input_values", "parametrised"]  # fmt: skip
 
 #: Names of inputs, or their values where a prediction gives none.
 Inputs: TypeAlias = Sequence[str] | Mapping[str, float]
@@ -92,6 +92,24 @@ def changed(
             listed = ", ".join(known) or "none"
             raise ModelError(f"{whose} has no {kind} {name!r}{nearest(name, known)}; it has: {listed}.")
     return _named(kind, {**known, **own})
+
+
+def check_parameters(names: Iterable[str], *owners: Any) -> None:
+    """Raise `ModelError` for a name that is a parameter of neither model nor sensor: the nearest is named."""
+    known = [*dict.fromkeys(name for owner in owners for name in getattr(owner, "parameters", {}))]
+    for name in names:
+        if name not in known:
+            listed = ", ".join(known) or "none"
+            raise ModelError(
+                f"model and sensor have no parameter {name!r}{nearest(name, known)}; they have: {listed}"
+            )
+
+
+def parametrised(owner: Any, parameters: Mapping[str, float]) -> Any:
+    """A model, sensor or None with those of the parameters that it has."""
+    known = getattr(owner, "parameters", {})
+    own = {name: value for name, value in parameters.items() if name in known}
+    return owner.with_parameters(**own) if own else owner
 
 
 class Adjustable:

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
+from scipy import stats
 
 import sphfilter as sf
 from sphfilter.errors import UnresolvedError
@@ -133,6 +134,10 @@ SAID_OF_FITS = [
     lambda: fitted(lambda a, b: -100 * (a**2 + b**2) if a + b < 0.06 else -np.inf, "a", "b"),
     lambda: fitted(refused, "a"),
     lambda: sf.compare_models({"a": fitted(lambda a: -(a**2), "a")}, [2.0], [[0.0]]),
+    lambda: sf.compare_models({"a": filtering()}),
+    lambda: fitted(lambda ab: -(ab**2), "ab").posterior({"abc": stats.norm()}),
+    lambda: fitted(lambda a: -(a**2), "a").posterior({"a": 1.0}),
+    lambda: fitted(lambda a: -(a**2), "a").posterior(lambda p: -np.inf),
     lambda: sf.smooth(filtering(scheme="cloud"), [1.0], [[0.1]]),
     lambda: sf.smooth(sf.SPHFilter(line("-x", domain=WALLS), HEIGHT, [0.0], [[1.0]]), [1.0], [[0.1]]),
 ]

@@ -30,11 +30,11 @@ QUESTIONS = {
     "Solve without measurements": "Gaussian Uniform initialize propagate Trajectory predict update "
     "resample ResampleInfo health Health",
     "Judge a filter": "run_campaign Case CampaignResult report Report consistency",
-    "Estimate, compare, smooth": "fit_parameters ParameterFit profile_evidence compare_models "
-    "ModelComparison smooth SmoothedResult",
+    "Estimate, compare, smooth": "fit_parameters ParameterFit ParameterPosterior profile_evidence "
+    "compare_models ModelComparison smooth SmoothedResult",
     "Switching modes": "JumpMarkovModel JumpMarkovFilter JumpMarkovResult simulate_modes",
     "Settings": "FilterConfig SolverConfig LogDensityScheme CloudScheme FamilyScheme "
-    "PaperScheme AcceptanceTest __version__",
+    "PaperScheme AcceptanceTest compile __version__",
     "Errors": "SphfilterError ModelError ConfigError ExpressionError PropagationError EstimationError",
 }
 OTHERS = "In Stone Soup: `sphfilter.adapters.stonesoup`"
