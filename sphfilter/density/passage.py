@@ -338,7 +338,7 @@ class Transitions(NamedTuple):
         return cls(model, span, steps, x, *map(np.concatenate, (ends, lowers, rows)))
 
     def moved(self, u: Floats, key: int, number: Ints | None = None) -> Floats:
-        """Ends (M, n), as the model has them, of states of numbers (M,), all if not given, moved by u (M, n)."""
+        """Ends (M, n), as the model has them, of states of numbers (M,) or of all, moved by u (M, n)."""
         number = np.arange(len(self.x)) if number is None else number
         x = np.ascontiguousarray(self.x[number])
         if self.rows is None:

@@ -2,7 +2,7 @@
 
 p(x_k | z_1..T) is the filter's p(x_k | z_1..k) times β_k(x) = p(z_k+1..T | x_k = x). log β is carried back
 from measurement to measurement on lattices that follow the smoothed density, and so is only asked for where
-that is: by itself it need not have an end.
+that is: by itself it need not have an end. In three states and more points stand for lattices.
 """
 
 import copy
@@ -114,7 +114,8 @@ def smooth(
     Parameters
     ----------
     filt : SPHFilter
-        The filter at the start of the measurements; it stays there. Its scheme must be the default.
+        The filter at the start of the measurements; it stays there. Its scheme must be the default or the
+        cloud.
     times : array_like, shape (T,)
         Not decreasing, seconds, none before the filter's own. Times may repeat.
     measurements : sequence of length T
@@ -139,9 +140,13 @@ def smooth(
     Notes
     -----
     A measurement that the filter refused is not used on the way back either. Steps back end at the times at
-    which the model jumps. Nonlinear models, and noise that depends on the state, have been checked, against a
-    grid, in one and two dimensions, linear ones in four: in more than two look at how far the values of
-    `SmoothedResult.log_evidence` are apart.
+    which the model jumps. In one and two states, and where a number of particles is given, log β goes back on
+    lattices. In three and more, and where the filter's scheme is the cloud, it goes back over the filter's
+    clouds, from points each of whose transitions is linearised; then points led by it go forward once more.
+    Their weights are exact but for β itself; intervals of strongly nonlinear models go in parts. No noise is
+    too small, and none has to be on every state. `SmoothedResult.error` tells what is left, by a cloud of an
+    eighth of the points in longer parts; if it is too much, take more: ``scheme=CloudScheme(n_points=...)``.
+    The start is taken as its pdf says: of a filter that carries a cloud already, one of kernels.
 
     Examples
     --------
@@ -232,7 +237,7 @@ def _checked(
     else:
         reason = why_not(model, filt.density, filt.n_particles)
     if not isinstance(scheme, str | LogDensityScheme | CloudScheme):
-        reason = f"the filter's scheme is {scheme.name!r}; leave it to the default"
+        reason = f"the filter's scheme is {scheme.name!r}; leave it to the default or to the cloud"
     if reason:
         raise ModelError(f"smooth needs densities that the log_density scheme carries: {reason}")
     own = [sensor_of(filt.measurement, sensor, None, filt.model) for sensor in sensors]

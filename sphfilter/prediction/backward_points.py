@@ -16,13 +16,17 @@ from ..density.cloud import systematic
 from ..density.passage import Steps, Transitions, along, even, stored_key
 from ..model.dynamics import Dynamics
 
-__all__ = ["Ahead", "Leg", "Said", "parts_of", "start_led"]
+__all__ = ["Ahead", "Leg", "Said", "parts_of", "rooted", "start_led", "steps_of"]
 
 _FAR = 3.0  # standard deviations of a region, by which λ may shift it: none has points much farther out
-#: Root mean square of what linearisation leaves, in standard deviations of the noise, for which an interval is
-#: one leg.
-_BENT = 0.15
+#: What linearisation leaves on average over blocks, in standard deviations of the noise, up to which an interval
+#: is one leg.
+_BENT = 0.05
 _MOST_PARTS = 16
+_LOOKED = 1024  # points by which that is judged, in sixteen blocks
+#: Steps of a part at least. Of what noise adds to a position within a step its velocity does not tell a
+#: quarter, 1/4 N^-2 of N steps' variance.
+_FEWEST_STEPS = 8
 
 
 class Said(NamedTuple):
@@ -68,7 +72,7 @@ class Ahead(NamedTuple):
         return out
 
     def led_on(self, w: Floats, key: int) -> tuple[Floats, Floats]:
-        """Ends (N, n) of points drawn by weights (N,) that have λ in them, and log-weights that take it out."""
+        """Ends (N, n) of points drawn by weights (N,) that have λ in them, and log-weights without it."""
         own = systematic(w[self.order], len(w))
         u, told = _led(self.ends, self.about, own, key)
         return self.moves.moved(u, key, own), -self.values[own] - told
@@ -88,17 +92,22 @@ def parts_of(model: Dynamics, x: Floats, w: Floats, span: tuple[float, float], s
         return 1
     if model.own_steps(*span):
         return model.own_steps(*span)
-    parts, x = 1, np.ascontiguousarray(x[systematic(w, min(len(w), 512))])
+    x = np.ascontiguousarray(x[systematic(w, min(len(w), _LOOKED))])
+    x, parts = x[along(x, np.full(len(x), 1.0 / len(x)))], 1
     while parts < _MOST_PARTS:
         end = span[0] + (span[1] - span[0]) / parts
-        moves = Transitions.of(model, x, (span[0], end), Steps(-(-steps.number // parts), steps.stiff))
-        left = _left(moves, even(len(x), x.shape[1], 0, 0), 0)
-        root = _rooted(_squares(moves.lower))
-        off = np.linalg.solve(root, left[:, :, None])[:, :, 0]
-        if np.sqrt((off**2).mean()) <= _BENT:
+        moves = Transitions.of(model, x, (span[0], end), steps_of(steps, parts))
+        shifted, bent, _ = _put_right(moves, 0)
+        square = (shifted - moves.end) ** 2 + ((bent - moves.lower) ** 2).sum(axis=2)
+        if np.all(square.mean(axis=0) <= _BENT**2 * (moves.lower**2).sum(axis=2).mean(axis=0)):
             break
         parts *= 2
     return parts
+
+
+def steps_of(steps: Steps, parts: int) -> Steps:
+    """Steps of one part of an interval: enough for their noise to move the states every way."""
+    return steps._replace(number=max(-(-steps.number // parts), _FEWEST_STEPS))
 
 
 def _left(moves: Transitions, u: Floats, key: int) -> Floats:
@@ -107,11 +116,11 @@ def _left(moves: Transitions, u: Floats, key: int) -> Floats:
 
 
 def _put_right(moves: Transitions, key: int) -> tuple[Floats, Floats, Ints]:
-    """Ends (N, n) and L (N, n, n) with what linearisation leaves out, on average over blocks; and blocks (N,)."""
+    """Ends (N, n) and L (N, n, n) with what linearisation leaves, on average over blocks; blocks (N,)."""
     end, lower, block = moves.end, moves.lower, blocks_of(len(moves.x))
     if moves.rows is None:
         return end, lower, block
-    u = even(*end.shape, stored_key(key, 0), 0)
+    u = even(len(end), end.shape[1], stored_key(key, 0), 0)
     left = _left(moves, u, stored_key(key, 1))
     bent = _of_blocks(np.einsum("ia,ib->iab", left, u), block)
     return end + _of_blocks(left, block)[block], lower + bent[block], block
@@ -127,11 +136,11 @@ def _looked_at(ends: tuple[Floats, Floats, Ints], later: Said) -> tuple[tuple[Fl
     """Centres and fits of λ where blocks come, first without it and then with it; and log E exp λ (N,)."""
     end, lower, block = ends
     (N, n), noise = end.shape, _of_blocks(_squares(lower), block)
-    centre, cov, own = centres(end), _squares(block_roots(end)) + noise, _rooted(noise)
+    centre, cov, own = centres(end), _squares(block_roots(end)) + noise, rooted(noise)
     fits = np.empty((len(centre), 1 + n + n * n))
-    fitted(later.x, later.w, later.values, centre, _rooted(cov), fits)
+    fitted(later.x, later.w, later.values, centre, rooted(cov), fits)
     centre, cov = _shifted(centre, cov, own, fits)
-    fitted(later.x, later.w, later.values, centre, _rooted(cov), fits)
+    fitted(later.x, later.w, later.values, centre, rooted(cov), fits)
     _bounded(own, fits)
     values = np.empty(N)
     expected(end, lower, block, (centre, fits), values)
@@ -141,7 +150,7 @@ def _looked_at(ends: tuple[Floats, Floats, Ints], later: Said) -> tuple[tuple[Fl
 
 def _shifted(centre: Floats, cov: Floats, own: Floats, fits: Floats) -> tuple[Floats, Floats]:
     """Centres and covariances of regions with λ in them."""
-    n, root = centre.shape[1], _rooted(cov)
+    n, root = centre.shape[1], rooted(cov)
     g, H = _bounded(own, fits)
     w, V = np.linalg.eigh(np.eye(n) - np.swapaxes(root, 1, 2) @ H @ root)
     new = _squares(root @ V / np.sqrt(np.maximum(w, LEAST))[:, None, :])
@@ -151,7 +160,7 @@ def _shifted(centre: Floats, cov: Floats, own: Floats, fits: Floats) -> tuple[Fl
 
 
 def _bounded(own: Floats, fits: Floats) -> tuple[Floats, Floats]:
-    """Gradients (blocks, n) and second derivatives of fits, for which exp λ has a mean over noise of roots."""
+    """Gradients (blocks, n) and second derivatives of fits for which exp λ has a mean over noise."""
     n = own.shape[1]
     g, H = fits[:, 1 : 1 + n], fits[:, 1 + n :].reshape(-1, n, n)
     h, V = np.linalg.eigh(np.swapaxes(own, 1, 2) @ H @ own)
@@ -174,7 +183,7 @@ def _squares(roots: Floats) -> Floats:
     return np.einsum("...ab,...cb->...ac", roots, roots)
 
 
-def _rooted(cov: Floats) -> Floats:
+def rooted(cov: Floats) -> Floats:
     """Lower roots of covariances (..., n, n); a combination of states without spread has next to none."""
     n = cov.shape[-1]
     size = np.maximum(np.einsum("...aa->...a", cov), 1e-12 * np.einsum("...aa->...", cov)[..., None])

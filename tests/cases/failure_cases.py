@@ -133,7 +133,7 @@ SAID_OF_FITS = [
     lambda: fitted(lambda a, b: -100 * (a**2 + b**2) if a + b < 0.06 else -np.inf, "a", "b"),
     lambda: fitted(refused, "a"),
     lambda: sf.compare_models({"a": fitted(lambda a: -(a**2), "a")}, [2.0], [[0.0]]),
-    lambda: sf.smooth(filtering(scheme="cloud"), [1.0], [[0.1]]),
+    lambda: sf.smooth(filtering(scheme="paper"), [1.0], [[0.1]]),
     lambda: sf.smooth(sf.SPHFilter(line("-x", domain=WALLS), HEIGHT, [0.0], [[1.0]]), [1.0], [[0.1]]),
 ]
 

@@ -1,4 +1,4 @@
-"""What is to come, λ(x) = log E[exp λ'(X') | X = x], of points whose X' is Gaussian: λ' quadratic about each block.
+"""What is to come, λ(x) = log E[exp λ'(X') | X = x], where X' is Gaussian and λ' quadratic about each block.
 
 No transition is too narrow for that, and none has to have a density: points lie where λ' is fitted, and the
 mean of its exponential over m + L u, u standard normal, is known.
@@ -10,16 +10,17 @@ import numpy as np
 from numba import prange
 
 from .._jit import jit, parallel_jit
-from ..limits import ROUNDING
 from ..small_matrices import cholesky, invert_lower, whiten
 
 __all__ = ["LEAST", "expected", "fitted", "led"]
 
-#: Points that a fit has at least, effectively, over its coefficients; its region is widened until it has.
+#: Points that a fit has at least, effectively, over its coefficients: residuals of fewer tell nothing.
 _EACH = 3.0
-_WIDER = 1.5  # times the variance, each time
-_MOST = 24  # times; 1.5^24 = 1.7e4
-FREE = 10
+_WIDER, _MOST = 1.5, 24  # times the variance, each time; 1.5^24 = 1.7e4 reaches any cloud's end
+_REACH = 18.0  # of -log of a point's part of the nearest one's, e^-18 = 1.5e-8, beyond which it is rounding
+FREE = 10  # one of so many is drawn without λ, so that no weight is more than ten times too large
+#: Least part of the noise's precision that λ leaves where it curves upwards: what is to come is no more than
+#: 1/√LEAST = 2 times as wide as without it.
 LEAST = 0.25
 
 
@@ -59,7 +60,7 @@ def _fit(x, w, values, centre, root, out):
         width *= _WIDER
     A, y = np.zeros((K, K)), np.zeros(K)
     for i in range(N):
-        if square[i] - nearest < 40.0 * width:
+        if square[i] - nearest < 2.0 * _REACH * width:
             own = w[i] * math.exp(-0.5 * (square[i] - nearest) / width) / total
             _in_units(white, x[i], centre, off)
             _monomials(off, terms)
