@@ -27,7 +27,7 @@ from ..prediction.cloud import as_points, squared_differences
 
 __all__ = ["between", "on_clouds"]
 
-_MOST = 4096  # points at which λ is known. Measured: twice as many change errors of four states by a tenth
+_MOST = 2048  # points at which λ is known
 _LINEAR = 4  # times fewer parts of a shadow's intervals: what parts are off by goes as their length, or less
 
 

@@ -84,7 +84,9 @@ def test_maps_of_three_states_by_their_text():
     """As of matrices: each step of its own is linearised."""
     F, Q = np.array([[0.9, 0.2, 0.0], [0.0, 0.8, 0.1], [0.0, 0.0, 0.7]]), 0.1 * np.eye(3)
     words = [" + ".join(f"{c}*{s}" for c, s in zip(row, "xyv", strict=True)) for row in F]
-    bent = sf.DiscreteModel.from_expressions(list("xyv"), [*words[:2], f"{words[2]} + 0*sin(x)"], Q)
+    bent = sf.DiscreteModel.from_expressions(
+        list("xyv"), [*words[:2], f"{words[2]} + 1e-9*sin(x)"], covariance=Q
+    )
     begin, times = (np.zeros(3), np.eye(3)), np.arange(1.0, 7.0)
     z = simulated(bent, position(3), begin[0], times, 1)
     found = sf.smooth(sf.SPHFilter(bent, position(3), *begin, config=FEW), times, z)
