@@ -93,7 +93,7 @@ def parts_of(model: Dynamics, x: Floats, w: Floats, span: tuple[float, float], s
     if model.own_steps(*span):
         return model.own_steps(*span)
     x = np.ascontiguousarray(x[systematic(w, min(len(w), _LOOKED))])
-    x, parts = x[along(x, np.full(len(x), 1.0 / len(x)))], 1
+    x, parts = x[along(x, np.full(len(x), 1.0 / len(x)))], 2  # of which its shadow takes one
     while parts < _MOST_PARTS:
         end = span[0] + (span[1] - span[0]) / parts
         moves = Transitions.of(model, x, (span[0], end), steps_of(steps, parts))
