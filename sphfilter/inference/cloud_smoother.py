@@ -28,7 +28,6 @@ from ..prediction.cloud import as_points, squared_differences
 __all__ = ["between", "on_clouds"]
 
 _MOST = 2048  # points at which λ is known
-_LINEAR = 4  # times fewer parts of a shadow's intervals: what parts are off by goes as their length, or less
 
 
 class _Smoothed(NamedTuple):
@@ -127,7 +126,7 @@ class _Side(NamedTuple):
         steps = Steps(max(after.n_steps, 1), as_points(after.filt.density, count).pace.stiff)
         parts = parts_of(model, x, w, (t0, t1), steps)
         if self.shadow and not model.own_steps(t0, t1):
-            parts = max(parts // _LINEAR, 1)
+            parts = max(parts // 4, min(parts // 2, 2))  # longer, so that what parts are off by is seen
         densities, end, out = between(filt, t1, parts, u), t1, list[tuple[Any, Points]]()
         for density in densities[::-1]:
             own = model.own_steps(density.t, end)
