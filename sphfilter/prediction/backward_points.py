@@ -20,7 +20,7 @@ __all__ = ["Ahead", "Leg", "Said", "parts_of", "rooted", "start_led", "steps_of"
 
 _FAR = 3.0  # standard deviations of a region, by which λ may shift it: none has points much farther out
 #: What linearisation leaves on average over blocks, in standard deviations of the noise, up to which an
-#: interval is one leg. Measured: at .13, .05 and .02 means of two wells are .027, .014 and less off.
+#: interval is one leg. Measured: at .13 and .05 means of two wells are .027 and .014 off.
 _BENT = 0.05
 _MOST_PARTS = 16
 _LOOKED = 1024  # points by which that is judged, in sixteen blocks
