@@ -49,6 +49,8 @@ def compile() -> float:
     for flt in every:
         flt.run([1.0, 2.0] if flt.model is steps else times, z[1:])
     filters[0].forecast([0.6], events={"over": lambda X: X[:, 0]})
+    for flt in filters[:4]:
+        flt.density.probability(lambda X: X[:, 0] > 0.0), flt.density.mode()
     smooth(SPHFilter(model, sensor, *start), times, z[1:])
     return perf_counter() - began
 

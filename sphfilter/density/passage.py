@@ -35,6 +35,7 @@ __all__ = [
     "READING",
     "Steps",
     "Through",
+    "Transitions",
     "age_of",
     "along",
     "chosen_steps",
@@ -60,6 +61,7 @@ READING = 2  # of the key of an age: a reading of a cloud; and of its shadow the
 #: Least part of a start's spread that is noise. Measured: with a quarter and a half, evaluations of two
 #: scenes are 1 to 1.15 times as many, errors .9 to 1.15 times as large.
 _SPREAD = 1.0 / 3.0
+_AT_ONCE = 2**14  # steps of points linearised at once, whose matrices of four states take 2 MB each
 _NO_ROWS = np.empty((1, 0, 0))
 _NO_CHANGES = np.empty((0, 0, 0)), np.empty((0, 0)), np.empty((0, 0, 0))
 
@@ -309,6 +311,42 @@ def _linearised(leg: Leg, start: Floats) -> tuple[Floats, Floats, Floats, Floats
     with surfacing():
         flow, B = (linearise_map if leg.kind == NORMAL else linearise)(leg, end)
     return end, flow, *lower_and_rows(B)
+
+
+class Transitions(NamedTuple):
+    """A passage linearised about each of N states by itself, end + L u with u standard normal."""
+
+    model: Dynamics
+    span: tuple[float, float]
+    steps: Steps
+    x: Floats  # (N, n), at the begin
+    end: Floats  # (N, n), without noise
+    lower: Floats  # L, (N, n, n)
+    rows: Floats | None  # V, (N, n, d); None: the model is linear
+
+    @classmethod
+    def of(cls, model: Dynamics, x: Floats, span: tuple[float, float], steps: Steps) -> "Transitions":
+        """Linearise about states x (N, n), a few thousand steps of them at once."""
+        if model.linear:
+            Phi, offset, L = change_of(model, span[1] - span[0])
+            lower = np.broadcast_to(L, (len(x), *L.shape)).copy()
+            return cls(model, span, steps, x, np.einsum("ab,ib->ia", Phi, x) + offset, lower, None)
+        leg, many = leg_of(model, *span, *steps), max(_AT_ONCE // steps.number, 1)
+        ends, _, lowers, rows = zip(
+            *[_linearised(leg, x[k : k + many]) for k in range(0, len(x), many)], strict=True
+        )
+        return cls(model, span, steps, x, *map(np.concatenate, (ends, lowers, rows)))
+
+    def moved(self, u: Floats, key: int, number: Ints | None = None) -> Floats:
+        """Ends (M, n), as the model has them, of states of numbers (M,) or of all, moved by u (M, n)."""
+        number = np.arange(len(self.x)) if number is None else number
+        x = np.ascontiguousarray(self.x[number])
+        if self.rows is None:
+            return self.end[number] + np.einsum("iab,ib->ia", self.lower[number], u)
+        leg, block = leg_of(self.model, *self.span, *self.steps), np.arange(len(x))
+        with surfacing():
+            move(leg, x, u, self.rows[number], block, sub_key(key, FIRST), 0, -(-len(x) // LANES))
+        return x
 
 
 def _changed(

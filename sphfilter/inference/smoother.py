@@ -2,10 +2,11 @@
 
 p(x_k | z_1..T) is the filter's p(x_k | z_1..k) times β_k(x) = p(z_k+1..T | x_k = x). log β is carried back
 from measurement to measurement on lattices that follow the smoothed density, and so is only asked for where
-that is: by itself it need not have an end.
+that is: by itself it need not have an end. In three states and more points stand for lattices.
 """
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, cast
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Floats, Readings
-from ..config import LogDensityScheme
+from ..config import CloudScheme, LogDensityScheme
 from ..core.field.field import Field
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice, times_likelihood
@@ -33,12 +34,15 @@ from ..prediction.backward import carried_back, likelihood_field
 from ..prediction.log_density import why_not
 from ..validate import short
 from ..validate import times as checked_times
+from .cloud_smoother import between, on_clouds
 
 __all__ = ["SmoothedResult", "smooth"]
 
 #: Standard deviations that lattices of the smoother reach further than those of the filter: what β is beyond
 #: their edge is a guess, and cannot be put right by the next measurement.
 _FURTHER = 0.8
+_LATTICES = 2  # states, up to which lattices are the default
+_POINTS = 2048  # of a cloud, of which an update leaves twice as many
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,10 @@ class SmoothedResult:
         apart measures the probability that the two passes lose.
     extrapolated : ndarray, shape (T,)
         Probability of each smoothed density outside of all particles of the filter's density, where the
-        smoothed density rests on a guess.
+        smoothed density rests on a guess. NaN on clouds, which have no particles of the filter's in them.
+    error : ndarray, shape (T,)
+        Estimated error of each smoothed mean, in smoothed standard deviations: rms over the states. NaN on
+        lattices.
 
     Examples
     --------
@@ -87,6 +94,7 @@ class SmoothedResult:
     filtered: FilterResult
     log_evidence: Floats
     extrapolated: Floats
+    error: Floats
 
     def __repr__(self) -> str:
         names = ", ".join(f.name for f in fields(self))
@@ -106,7 +114,8 @@ def smooth(
     Parameters
     ----------
     filt : SPHFilter
-        The filter at the start of the measurements; it stays there. Its scheme must be the default.
+        The filter at the start of the measurements; it stays there. Its scheme must be the default or the
+        cloud.
     times : array_like, shape (T,)
         Not decreasing, seconds, none before the filter's own. Times may repeat.
     measurements : sequence of length T
@@ -131,9 +140,13 @@ def smooth(
     Notes
     -----
     A measurement that the filter refused is not used on the way back either. Steps back end at the times at
-    which the model jumps. Nonlinear models, and noise that depends on the state, have been checked, against a
-    grid, in one and two dimensions, linear ones in four: in more than two look at how far the values of
-    `SmoothedResult.log_evidence` are apart.
+    which the model jumps. In one and two states, and where a number of particles is given, log β goes back on
+    lattices. In three and more, and where the filter's scheme is the cloud, it goes back over the filter's
+    clouds, from points each of whose transitions is linearised; then points led by it go forward once more.
+    Their weights are exact but for β itself; intervals of strongly nonlinear models go in parts. No noise is
+    too small, and none has to be on every state. `SmoothedResult.error` tells what is left, by a cloud of an
+    eighth of the points in longer parts; if it is too much, take more: ``scheme=CloudScheme(n_points=...)``.
+    The start is taken as its pdf says: of a filter that carries a cloud already, one of kernels.
 
     Examples
     --------
@@ -149,12 +162,14 @@ def smooth(
     >>> print(f"variance {before:.4f} before later measurements, {after:.4f} after")
     variance 0.0786 before later measurements, 0.0701 after
     """
-    times, filt = checked_times("times", times), _on_lattices(filt)
+    times, start = checked_times("times", times), filt
+    points = isinstance(filt, SPHFilter) and _by_points(filt)
+    filt = _on_clouds(filt) if points else _on_lattices(filt)
     read = _checked(filt, times, measurements, sensors)
-    epochs, filtered = _forward(filt, times, read, each_input(filt.model.inputs, inputs, len(times)))
-    smoothed = _backward(epochs)
+    epochs, filtered = _forward(filt, times, read, each_input(filt.model.inputs, inputs, len(times)), points)
+    smoothed = _on_points(epochs, start) if points else _backward(epochs)
     of = np.repeat(np.arange(len(epochs)), [epoch.rows for epoch in epochs])
-    densities, total, extrapolated = zip(*smoothed, strict=True)
+    densities, total, extrapolated, error = zip(*smoothed, strict=True)
     return SmoothedResult(
         t=times,
         x=np.array([densities[k].mean() for k in of]),
@@ -163,6 +178,7 @@ def smooth(
         filtered=filtered,
         log_evidence=np.array(total)[of],
         extrapolated=np.array(extrapolated)[of],
+        error=np.array(error)[of],
     )
 
 
@@ -174,6 +190,27 @@ def _on_lattices(filt: SPHFilter) -> SPHFilter:
     twin.config = replace(filt.config, scheme=LogDensityScheme())
     twin._state = replace(filt._state, density=on_lattice(filt.density, filt.n_particles))
     return twin
+
+
+def _by_points(filt: SPHFilter) -> bool:
+    """Whether a filter is smoothed on clouds: by its scheme, or where no lattice is asked for nor goes."""
+    scheme, fixed = filt.config.scheme, not (filt.adapts or isinstance(filt.model, DiscreteModel))
+    return isinstance(scheme, CloudScheme) or (scheme == "auto" and filt.model.dim > _LATTICES and not fixed)
+
+
+def _on_clouds(filt: SPHFilter) -> SPHFilter:
+    """A filter that carries clouds; of so many points as it asks for, else of those that λ is fitted at."""
+    twin = copy.copy(filt)
+    if not isinstance(filt.config.scheme, CloudScheme):
+        twin.config = replace(filt.config, scheme=CloudScheme(n_points=_POINTS))
+    return twin
+
+
+def _on_points(epochs: list["_Epoch"], start: SPHFilter) -> list[tuple[ParticleDensity, float, float, float]]:
+    """As `_backward`, on clouds."""
+    scheme: Any = epochs[0].filt.config.scheme
+    smoothed = on_clouds(epochs, start.density, scheme.n_points)
+    return [(density, total, math.nan, error) for density, total, error in smoothed]
 
 
 def _checked(
@@ -193,12 +230,14 @@ def _checked(
     if not filt.model.domain.unbounded:
         raise ModelError("smooth takes no model with a domain: states have to be on the whole line")
     scheme, model = filt.config.scheme, cast(Any, filt.model)
-    if isinstance(model, DiscreteModel):
+    if isinstance(scheme, CloudScheme):
+        reason = ""
+    elif isinstance(model, DiscreteModel):
         reason = chapman_kolmogorov.why_not(model)
     else:
         reason = why_not(model, filt.density, filt.n_particles)
-    if not isinstance(scheme, str | LogDensityScheme):
-        reason = f"the filter's scheme is {scheme.name!r}; leave it to the default"
+    if not isinstance(scheme, str | LogDensityScheme | CloudScheme):
+        reason = f"the filter's scheme is {scheme.name!r}; leave it to the default or to the cloud"
     if reason:
         raise ModelError(f"smooth needs densities that the log_density scheme carries: {reason}")
     own = [sensor_of(filt.measurement, sensor, None, filt.model) for sensor in sensors]
@@ -225,11 +264,12 @@ def _forward(
     times: Floats,
     read: Sequence[tuple[Sensor, ArrayLike | None]],
     inputs: Sequence[Mapping[str, float] | None],
+    begun: bool,
 ) -> tuple[list[_Epoch], FilterResult]:
-    """Run a copy of the filter; its epochs, and their `FilterResult`."""
+    """Run a copy of the filter; its epochs, with its start if that is `begun`, and their `FilterResult`."""
     filt = copy.copy(filt)
     filt.config = replace(filt.config, exact_linear=False)  # its steps are those of the way back
-    epochs: list[_Epoch] = []
+    epochs = [_Epoch(copy.copy(filt), 0, [], 0)] if begun else []
     rows, log_evidence, accepted = [], [], []
     for t, (sensor, z), u in zip(times, read, inputs, strict=True):
         for stop in [*(filt.model.breaks(filt.t, t) if epochs else ()), t]:
@@ -251,7 +291,8 @@ def _forward(
 def _predicted(filt: SPHFilter, t: float, u: Mapping[str, float] | None) -> int:
     """Predict to time t with inputs u; steps that this took."""
     predicted = filt.predict(t=t, u=u)
-    if predicted.n_steps and predicted.scheme != "log_density":
+    carried = isinstance(filt.config.scheme, CloudScheme) or predicted.scheme == "log_density"
+    if predicted.n_steps and not carried:
         raise ModelError(
             f"smooth needs densities that the log_density scheme carries; to t = {t:g} it was "
             f"{predicted.scheme}: {predicted.status}"
@@ -259,13 +300,13 @@ def _predicted(filt: SPHFilter, t: float, u: Mapping[str, float] | None) -> int:
     return predicted.n_steps
 
 
-def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float]]:
-    """Density, log-evidence of all measurements, and extrapolated probability at every epoch."""
+def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float, float]]:
+    """Density, log-evidence of all measurements, extrapolated probability and error at every epoch."""
     last = epochs[-1].filt
     scheme = LogDensityScheme(reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
     laid, *_ = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
     found = likelihood_field(_field(laid), epochs[-1].log_likelihood(nodes(_field(laid))))
-    out = [(last.density, last.log_evidence, 0.0)]
+    out = [(last.density, last.log_evidence, 0.0, math.nan)]
     for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
         try:
             smoothed, found, future = _one_back(before, after, found, scheme)
@@ -275,7 +316,7 @@ def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float]
             ) from problem
         past = before.filt
         guessed = extrapolated_mass(_field(past.density), smoothed.x, smoothed.mass)
-        out.append((smoothed, past.log_evidence + future, guessed))
+        out.append((smoothed, past.log_evidence + future, guessed, math.nan))
     return out[::-1]
 
 
@@ -287,7 +328,7 @@ def _one_back(
     `found` is λ at the later epoch, measurements there included.
     """
     u = after.filt.inputs  # of the prediction between
-    priors = _between(before.filt, after.filt.t, max(after.n_steps, 1), u)
+    priors = between(before.filt, after.filt.t, max(after.n_steps, 1), u)
     model: Any = before.filt.model.with_inputs(u)
     for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
         if isinstance(model, DiscreteModel):
@@ -313,13 +354,3 @@ def _field(density: ParticleDensity) -> Field:
     """The field of a density that the log-density scheme carries: all of them have one."""
     assert density.field is not None
     return density.field
-
-
-def _between(filt: SPHFilter, t: float, n_steps: int, u: Mapping[str, float]) -> list[ParticleDensity]:
-    """The filter's densities at the beginnings of equal steps up to time t."""
-    filt, start = copy.copy(filt), filt.t
-    densities = [filt.density]
-    for k in range(1, n_steps):
-        filt.predict(t=start + k / n_steps * (t - start), u=u)
-        densities.append(filt.density)
-    return densities

@@ -138,7 +138,7 @@ SAID_OF_FITS = [
     lambda: fitted(lambda ab: -(ab**2), "ab").posterior({"abc": stats.norm()}),
     lambda: fitted(lambda a: -(a**2), "a").posterior({"a": 1.0}),
     lambda: fitted(lambda a: -(a**2), "a").posterior(lambda p: -np.inf),
-    lambda: sf.smooth(filtering(scheme="cloud"), [1.0], [[0.1]]),
+    lambda: sf.smooth(filtering(scheme="paper"), [1.0], [[0.1]]),
     lambda: sf.smooth(sf.SPHFilter(line("-x", domain=WALLS), HEIGHT, [0.0], [[1.0]]), [1.0], [[0.1]]),
 ]
 

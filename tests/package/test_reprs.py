@@ -68,5 +68,6 @@ def test_fits_and_smoothed_records_too():
     assert repr(fit).startswith("ParameterFit(a = ") and "\n" not in repr(fit)
     smoothed = sf.smooth(flt, TIMES, Z[:, :1])
     assert str(smoothed) == (
-        "SmoothedResult(12 epochs of 1 states: t, x, P, densities, filtered, log_evidence, extrapolated)"
+        "SmoothedResult(12 epochs of 1 states: t, x, P, densities, filtered, log_evidence, extrapolated, "
+        "error)"
     )

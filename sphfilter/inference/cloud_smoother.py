@@ -1,0 +1,159 @@
+"""Smoothing on points: λ is carried back over the filter's clouds, and points that it leads go forward.
+
+The second way forward is a particle filter of its own, whose weights are exact whatever λ is. Its points lie
+where all measurements find the state: in six states hardly one in a hundred of the filter's does.
+"""
+
+import copy
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._types import Floats
+from ..config import CloudScheme
+from ..core.cloud.control import SHADOW, error_by, least_error
+from ..core.cloud.weights import effective, normalise
+from ..density.as_cloud import cloud_density
+from ..density.cloud import systematic
+from ..density.particle_density import ParticleDensity
+from ..density.passage import Steps, along, stored_key
+from ..density.points import Points, Told, moments
+from ..errors import PropagationError
+from ..filter.sph_filter import SPHFilter
+from ..prediction.backward_points import Ahead, Leg, Said, parts_of, rooted, start_led, steps_of
+from ..prediction.cloud import as_points, squared_differences
+
+__all__ = ["between", "on_clouds"]
+
+_MOST = 2048  # points at which λ is known
+
+
+class _Smoothed(NamedTuple):
+    """Points and weights given all measurements, and the log-evidence of these."""
+
+    points: Points
+    log_evidence: float
+
+
+def on_clouds(
+    epochs: Sequence[Any], start: ParticleDensity, count: int
+) -> list[tuple[ParticleDensity, float, float]]:
+    """Smooth the epochs of a filter that carries clouds, from a start at the time of the first.
+
+    Returns the density of `count` points, the log-evidence of all measurements, nats, and the error of the
+    mean, in standard deviations, of each epoch.
+    """
+    many, few = (side.smoothed(epochs, start, count) for side in (_Side(False), _Side(True)))
+    out, told = [], Told()
+    for epoch, one, other in zip(epochs, many, few, strict=True):
+        sums = [moments(side.points.x, side.points.w) for side in (one, other)]
+        told = told.after(*squared_differences(one.points, other.points, None, sums))
+        error = max(error_by(told.mean), least_error(effective(one.points.w), count))
+        density = cloud_density(epoch.filt.density, *one.points[:2], sums[0], error=error, cloud=None)
+        out.append((density, one.log_evidence, error))
+    return out
+
+
+def between(filt: SPHFilter, t: float, n_steps: int, u: Any) -> list[ParticleDensity]:
+    """The filter's densities at the beginnings of equal steps up to time t, seconds, with inputs u."""
+    filt, start = copy.copy(filt), filt.t
+    densities = [filt.density]
+    for k in range(1, n_steps):
+        filt.predict(t=start + k / n_steps * (t - start), u=u)
+        densities.append(filt.density)
+    return densities
+
+
+class _Side(NamedTuple):
+    """The cloud, or its shadow: an eighth of the points, and fewer parts of each interval."""
+
+    shadow: bool
+
+    def smoothed(self, epochs: Sequence[Any], start: ParticleDensity, count: int) -> list[_Smoothed]:
+        """Points of every epoch, given all measurements."""
+        said, legs = self._back(epochs)
+        count = max(count // SHADOW, 256) if self.shadow else count
+        x, log_w = _started(start, said, count, stored_key(0, self.shadow))
+        log_w += epochs[0].log_likelihood(x)
+        out: list[_Smoothed] = []
+        for epoch, way in zip(epochs[1:], legs, strict=True):
+            for k, leg in enumerate(way):
+                key = stored_key(stored_key(len(out), k), 2 + self.shadow)
+                ahead = Ahead.of(x, _weights(log_w, leg)[0], leg, key)
+                w, log_evidence = _weights(log_w + ahead.said, leg)
+                if k == 0:
+                    out.append(_Smoothed(Points(x, w), log_evidence))
+                x, log_w = ahead.led_on(w, key)
+                log_w += log_evidence - np.log(count)
+            log_w = log_w + epoch.log_likelihood(x)
+        w, log_evidence = _weights(log_w, None)
+        return [*out, _Smoothed(Points(x, w), log_evidence)]
+
+    def _points(self, density: ParticleDensity, count: int) -> Points:
+        """Points of a density, a few thousand of them, evenly along the curve."""
+        state = as_points(density, count)
+        x, w = (state.shadow if self.shadow else state.points)[:2]
+        if len(w) <= _MOST:
+            return Points(x, w)
+        order = along(x, w)
+        return Points(x[order[systematic(w[order], _MOST)]], np.full(_MOST, 1.0 / _MOST))
+
+    def _back(self, epochs: Sequence[Any]) -> tuple[Said, list[list[Leg]]]:
+        """What is said of the first epoch's states, and the legs of every interval."""
+        last: Any = epochs[-1]
+        legs: list[list[Leg]] = []
+        x, w = self._points(last.filt.density, last.filt.config.scheme.n_points)[:2]
+        said = Said(x, w, last.log_likelihood(x))
+        for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
+            way: list[Leg] = []
+            for leg, points in self._over(before.filt, after):
+                way.insert(0, leg(said))
+                ahead = Ahead.of(*points[:2], way[0], stored_key(len(legs), 4 + self.shadow))
+                said = Said(*points[:2], ahead.said)
+            said = said._replace(values=said.values + before.log_likelihood(said.x))
+            legs.insert(0, way)
+        return said, legs
+
+    def _over(self, filt: SPHFilter, after: Any) -> list[tuple[Any, Points]]:
+        """Parts of an interval from the last one back: legs of what is said at their ends; and points."""
+        u, (t0, t1), scheme = after.filt.inputs, (filt.t, after.filt.t), filt.config.scheme
+        assert isinstance(scheme, CloudScheme)
+        model: Any = filt.model.with_inputs(u)
+        count = scheme.n_points
+        x, w = self._points(filt.density, count)[:2]
+        steps = Steps(max(after.n_steps, 1), as_points(after.filt.density, count).pace.stiff)
+        parts = parts_of(model, x, w, (t0, t1), steps)
+        if self.shadow and not model.own_steps(t0, t1):
+            parts = max(parts // 4, min(parts // 2, 2))  # longer, so that what parts are off by is seen
+        densities, end, out = between(filt, t1, parts, u), t1, list[tuple[Any, Points]]()
+        for density in densities[::-1]:
+            own = model.own_steps(density.t, end)
+            each = Steps(own) if own else steps_of(steps, parts)
+            leg = partial(Leg, model, (density.t, end), each)
+            out.append((leg, self._points(density, count)))
+            end = density.t
+        return out
+
+
+def _started(start: ParticleDensity, said: Said, count: int, key: int) -> tuple[Floats, Floats]:
+    """Points (count, n) of a start that are led to what is said, and their log-weights (count,)."""
+    mean, root = start.mean(), rooted(start.cov())
+    u, log_w = start_led(mean, root, count, said, key)
+    x = mean + np.einsum("ab,ib->ia", root, u)
+    if start.family is None or start.family.degree != 2:
+        log_normal = -0.5 * (u**2 + np.log(2.0 * np.pi)).sum(axis=1) - np.log(np.diag(root)).sum()
+        with np.errstate(divide="ignore"):
+            log_w = log_w + np.log(start.pdf(x)) - log_normal
+    return x, log_w - np.log(count)
+
+
+def _weights(log_w: Floats, leg: Leg | None) -> tuple[Floats, float]:
+    """Weights (N,) of sum one, and the logarithm of their sum."""
+    w = np.zeros(len(log_w))
+    total = normalise(np.nan_to_num(log_w, nan=-np.inf), w)
+    if not np.isfinite(total):
+        when = "" if leg is None else f" at t = {leg.span[0]:g}"
+        raise PropagationError(f"no point that goes forward{when} sees the measurements to come; take more")
+    return w, float(total)
