@@ -168,7 +168,7 @@ def test_steps_inputs_and_files_are_those_of_any_model(tmp_path):
         sf.SPHFilter(GROWTH, SQUARE, x0=[0.1], P0=[[2.0]], config=sf.FilterConfig(scheme="family")).predict(
             1.0
         )
-    with pytest.raises(sf.ModelError, match="modes must be equations"):
+    with pytest.raises(sf.ModelError, match="switch at transitions="):
         sf.JumpMarkovModel({"one": GROWTH}, [[0.0]])
 
 
