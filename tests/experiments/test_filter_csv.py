@@ -144,7 +144,7 @@ class TestCommand:
         with pytest.raises(SystemExit):
             main(["filter", "--help"])
         said = capsys.readouterr().out
-        text = said[said.index("  [model]") : said.index("Exit code")]
+        text = said[said.index("  [model]") : said.index("With inputs")]
         table = said[said.index("  t,position") : said.index("my.toml: ")]
         for name, lines in (("my.toml", text), ("my.csv", table)):
             (tmp_path / name).write_text(inspect.cleandoc("\n" + lines), encoding="utf-8")

@@ -1,0 +1,69 @@
+"""The command line of ``sphfilter``."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from .._version import __version__
+from ..errors import SphfilterError
+from . import comparing, doctor, filtering, fitting, forecasting, simulating
+from .progress import told
+
+__all__ = ["main"]
+
+_VERBS = {
+    "filter": (filtering, "estimate the states, line by line of a CSV file"),
+    "fit": (fitting, "find parameters by maximum evidence"),
+    "compare": (comparing, "compare models by the evidence of the same data"),
+    "forecast": (forecasting, "filter, and forecast times to come with quantiles"),
+    "simulate": (simulating, "draw readings of a model, for trying it out"),
+    "doctor": (doctor, "look at the installation: versions, compiled code, a small filter"),
+}
+#: Exit codes of what is refused, as of argparse, and of what Ctrl-C ends, as of shells: 128 + SIGINT's 2.
+_REFUSED, _STOPPED = 2, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command of ``sphfilter`` and return its exit code: 0, 2 if it is refused, 130 after Ctrl-C.
+
+    Examples
+    --------
+    >>> from sphfilter.command.main import main
+    >>> main(["filter", "--model", "none.toml", "--data", "none.csv"])
+    2
+    """
+    args = _parser().parse_args(argv)
+    try:
+        with told() as say:
+            _VERBS[args.command][0].main(args, say)
+    except SphfilterError as problem:
+        return _ended(str(problem), _REFUSED)
+    except KeyboardInterrupt as stop:
+        return _ended(str(stop) or "stopped; nothing was written", _STOPPED)
+    except OSError as problem:
+        return _ended(f"cannot write {problem.filename}: {problem.strerror}", _REFUSED)
+    return 0
+
+
+def _ended(sentence: str, code: int) -> int:
+    print(f"sphfilter: {sentence}", file=sys.stderr)
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    top = argparse.ArgumentParser(
+        prog="sphfilter",
+        description="Bayes filters from files: a model as TOML, measurements as CSV.",
+        epilog="sphfilter filter --help shows both files.",
+    )
+    top.add_argument("--version", action="version", version=__version__)
+    verbs = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, (verb, summary) in _VERBS.items():
+        own = verbs.add_parser(
+            name,
+            help=summary,
+            description=f"{summary[0].upper()}{summary[1:]}.",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        verb.add_arguments(own)
+    return top
