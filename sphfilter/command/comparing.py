@@ -50,8 +50,8 @@ def main(args: Namespace, say: Say) -> None:
     for path, other in zip(args.models, data, strict=True):
         if not _same(data[0], other):
             raise ConfigError(
-                f"{path} takes other columns of {args.data} than {args.models[0]}: evidence compares models of "
-                "the same times, readings and inputs"
+                f"{path} takes other columns of {args.data} than {args.models[0]}: evidence compares models "
+                "of the same times, readings and inputs"
             )
     each = zip(names, files, data, strict=True)
     filters: Any = {name: _Watched(file.filter(own), name, say) for name, file, own in each}

@@ -32,7 +32,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(args: Namespace, say: Say) -> None:
     """Run the command; raises `SphfilterError` if something is wrong."""
-    say("looking at the installation")
     folder = code_folder()
     told = {"sphfilter": __version__, "python": f"{platform.python_version()} on {platform.platform()}"}
     told |= {name: _version(name) for name in (*_NEEDED, *_EXTRAS)}

@@ -48,7 +48,7 @@ def main(args: Namespace, say: Say) -> None:
         ["estimates.csv"],
         {
             "estimates.png": lambda: pictures.estimates(file, data, result),
-            "density.png": lambda: flt.plot(states=flt.model.states[:6]),  # as many as a picture has
+            "density.png": lambda: pictures.density(file, data, flt),
         },
     )
     print("\n".join([*summary(file, data, result, perf_counter() - begin), told]))
@@ -70,9 +70,9 @@ def summary(file: ModelOfFile, data: Measurements, result: FilterResult, seconds
     evidence, error = float(result.log_evidence.sum()), float(result.total_evidence_error)
     lines.append(f"log-evidence {evidence:.3f} ± {error:.1g} nat")
     said = {"rejected": ~result.accepted, "flagged": result.flagged, "outlying": result.outlying}
-    for name, lines_of in said.items():
-        first = f", the first at {data.stamps[int(np.argmax(lines_of))]}" if lines_of.any() else ""
-        lines.append(f"{name}: {int(lines_of.sum())} lines{first}")
+    for name, which in said.items():
+        first = f", the first at {data.stamps[int(np.argmax(which))]}" if which.any() else ""
+        lines.append(f"lines {name}: {int(which.sum())}{first}")
     std = np.sqrt(np.diagonal(result.P, axis1=1, axis2=2))
     lines.append(f"{'state':24}{'last':>14}{'± std':>14}{'lowest':>14}{'highest':>14}")
     for label, x, s in zip(file.labels, result.x.T, std.T, strict=True):

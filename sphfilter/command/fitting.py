@@ -53,7 +53,6 @@ def main(args: Namespace, say: Say) -> None:
     data, folder, best = file.read(args.data), place(args), _Best(say)
     guess = _guess(file, args.parameters.split(","), by_name("--guess", args.guess, number))
     bounds = by_name("--bounds", args.bounds, bound)
-    say("run 1")
     try:
         fit = fit_parameters(
             file.filter(data),

@@ -53,7 +53,7 @@ def _write(path: Path, ahead: Forecast, data: Measurements) -> None:
     names, moments = mean_and_std(ahead.states, ahead.mean, ahead.cov)
     names += [f"{state}_q{level:g}" for state in ahead.states for level in ahead.levels]
     within = ahead.quantiles.reshape(len(ahead.t), -1).tolist()
-    doubts = zip(ahead.error.tolist(), (+ahead.flagged).tolist(), strict=True)
+    doubts = zip(ahead.error.tolist(), ahead.flagged.astype(int).tolist(), strict=True)
     stamps = [data.stamp(t) for t in ahead.t.tolist()]
     rows = ([t, *m, *q, *d] for t, m, q, d in zip(stamps, moments, within, doubts, strict=True))
     write_csv(path, [data.heading, *names, "error", "flagged"], rows)

@@ -35,6 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     try:
         with told() as say:
+            say(f"sphfilter {args.command}")  # reading texts takes a second
             _VERBS[args.command][0].main(args, say)
     except SphfilterError as problem:
         return _ended(str(problem), _REFUSED)

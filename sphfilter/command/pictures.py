@@ -11,8 +11,9 @@ from ..errors import ModelError
 from ..files.csv_data import Measurements
 from ..files.read_model import ModelOfFile
 from ..filter.results import FilterResult
+from ..filter.sph_filter import SPHFilter
 
-__all__ = ["add_readings", "estimates", "listed", "over_time"]
+__all__ = ["density", "estimates", "listed", "over_time"]
 
 
 def listed(folder: Path, written: list[str], pictures: dict[str, Callable[[], Any]]) -> str:
@@ -30,14 +31,23 @@ def listed(folder: Path, written: list[str], pictures: dict[str, Callable[[], An
 
 def estimates(file: ModelOfFile, data: Measurements, result: FilterResult) -> Any:
     """Draw estimates of all states over time, with what the sensor read of them."""
-    ax = over_time(result.plot(states=file.labels), file, data)
-    add_readings(ax, file, data)
+    ax = over_time(result.plot(), file, data)
+    _add_readings(ax, file, data)
+    return ax
+
+
+def density(file: ModelOfFile, data: Measurements, flt: SPHFilter) -> Any:
+    """Draw the density that a filter has after the data, of as many states as a picture has."""
+    ax = drawing.density(flt.density, file.labels, range(min(6, len(file.labels))))
+    np.ravel(ax)[0].set_title(f"{data.heading} {data.stamp(flt.t)}", loc="left", fontsize=9)
     return ax
 
 
 def over_time(ax: Any, file: ModelOfFile, data: Measurements) -> Any:
-    """Axes over time with its name and unit below, or with dates."""
+    """Axes of all states over time, with their names, and below its name and unit, or dates."""
     lowest, unit = np.ravel(ax)[-1], file.settings.data.time_unit
+    for panel, label in zip(np.ravel(ax), file.labels, strict=True):
+        panel.set_ylabel(label)
     lowest.set_xlabel(data.heading if data.dated or not unit else f"{data.heading} ({unit})")
     if data.dated:
         lowest.xaxis.set_major_formatter(lambda t, place: str(data.stamp(t)))
@@ -45,7 +55,7 @@ def over_time(ax: Any, file: ModelOfFile, data: Measurements) -> Any:
     return ax
 
 
-def add_readings(ax: Any, file: ModelOfFile, data: Measurements) -> None:
+def _add_readings(ax: Any, file: ModelOfFile, data: Measurements) -> None:
     """Draw readings of states as dots, where the sensor reads states one by one."""
     observed = file.sensor.directly_observed
     for column, (state, scale) in enumerate(zip(*observed, strict=True) if observed else ()):

@@ -48,7 +48,8 @@ def _times(text: str) -> Floats:
     if len(given) != 3 or not given[2] > 0.0 or not given[1] >= given[0]:
         raise ConfigError(f"--times takes start:end:step, such as 0:30:0.5, not {text!r}")
     start, end, step = given
-    return start + step * np.arange(int((end - start) / step * (1.0 + 1e-12)) + 1)
+    steps = np.arange(int((end - start) / step * (1.0 + 1e-12)) + 1)
+    return np.asarray(start + step * steps, dtype=np.float64)
 
 
 def _columns(file: ModelOfFile) -> list[str]:
