@@ -41,8 +41,8 @@ class _Watched:
         return joined(list(through(*given, self.say, f"{self.name}: ")))
 
 
-def main(args: Namespace, say: Say) -> None:
-    """Run the command."""
+def main(args: Namespace, say: Say) -> str:
+    """Run the command, and return what it found."""
     files = [read_model(path) for path in args.models]
     stems = [path.stem for path in args.models]
     names = stems if len(set(stems)) == len(stems) else [str(path) for path in args.models]
@@ -55,7 +55,7 @@ def main(args: Namespace, say: Say) -> None:
             )
     each = zip(names, files, data, strict=True)
     filters: Any = {name: _Watched(file.filter(own), name, say) for name, file, own in each}
-    print(compare_models(filters, data[0].times, data[0].z, data[0].inputs or None))
+    return str(compare_models(filters, data[0].times, data[0].z, data[0].inputs or None))
 
 
 def _same(one: Measurements, other: Measurements) -> bool:

@@ -30,8 +30,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the options of ``doctor``, which are none."""
 
 
-def main(args: Namespace, say: Say) -> None:
-    """Run the command; raises `SphfilterError` if something is wrong."""
+def main(args: Namespace, say: Say) -> str:
+    """Run the command, and return what it found; raises `SphfilterError` if something is wrong."""
     folder = code_folder()
     told = {"sphfilter": __version__, "python": f"{platform.python_version()} on {platform.platform()}"}
     told |= {name: _version(name) for name in (*_NEEDED, *_EXTRAS)}
@@ -39,12 +39,14 @@ def main(args: Namespace, say: Say) -> None:
     told["compiled code"] = f"in {folder}" + ("" if writable else ", which cannot be written to")
     told["threads"] = f"{numba.config.NUMBA_NUM_THREADS} of numba, {os.cpu_count()} processors"
     told["a filter"], right = _tried(say)
-    for name, text in told.items():
-        print(f"{name:14}{text}")
-    if not writable:
+    lines = "\n".join(f"{name:14}{text}" for name, text in told.items())
+    if writable and right:
+        return lines
+    say("")
+    print(lines)
+    if right:
         raise SphfilterError("compiled code cannot be kept: set NUMBA_CACHE_DIR to a folder that lasts")
-    if not right:
-        raise SphfilterError("the filter that was tried is wrong on this machine")
+    raise SphfilterError("the filter that was tried is wrong on this machine")
 
 
 def _version(name: str) -> str:

@@ -25,8 +25,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.epilog = formats.read_text(encoding="utf-8")
 
 
-def main(args: Namespace, say: Say) -> None:
-    """Run the command; what is finished is written when it stops."""
+def main(args: Namespace, say: Say) -> str:
+    """Run the command, and return what it found; what is finished is written when it stops."""
     file = read_model(args.model)
     data, folder = file.read(args.data), place(args)
     flt, parts, begin = file.filter(data), list[FilterResult](), perf_counter()
@@ -51,7 +51,7 @@ def main(args: Namespace, say: Say) -> None:
             "density.png": lambda: pictures.density(file, data, flt),
         },
     )
-    print("\n".join([*summary(file, data, result, perf_counter() - begin), told]))
+    return "\n".join([*_summary(file, data, result, perf_counter() - begin), told])
 
 
 def _write(folder: Path, file: ModelOfFile, data: Measurements, parts: list[FilterResult]) -> FilterResult:
@@ -61,7 +61,7 @@ def _write(folder: Path, file: ModelOfFile, data: Measurements, parts: list[Filt
     return result
 
 
-def summary(file: ModelOfFile, data: Measurements, result: FilterResult, seconds: float) -> list[str]:
+def _summary(file: ModelOfFile, data: Measurements, result: FilterResult, seconds: float) -> list[str]:
     """Lines of at most eighty columns on a run."""
     missing = int(np.isnan(data.z).sum())
     lines = [f"{file.path.stem}: {len(data.times)} lines, {missing} values missing, in {seconds:.1f} s"]

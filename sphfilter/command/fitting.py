@@ -47,8 +47,8 @@ class _Best:
         self.say(f"run {runs}: log-evidence {log_evidence:.3f} at {shown}")
 
 
-def main(args: Namespace, say: Say) -> None:
-    """Run the command; stopped, it writes the best parameters so far."""
+def main(args: Namespace, say: Say) -> str:
+    """Run the command, and return what it found; stopped, it writes the best parameters so far."""
     file = read_model(args.model)
     data, folder, best = file.read(args.data), place(args), _Best(say)
     guess = _guess(file, args.parameters.split(","), by_name("--guess", args.guess, number))
@@ -72,7 +72,7 @@ def main(args: Namespace, say: Say) -> None:
     _write(folder, args.model, _record(fit))
     free = [name for name in fit.names if name not in fit.at_bound]
     drawn: Any = {"fit.png": lambda: fit.plot(free[:6])} if free else {}  # as many as a picture has
-    print(f"{fit}\n{pictures.listed(folder, ['fit.json', 'fitted.toml'], drawn)}")
+    return f"{fit}\n{pictures.listed(folder, ['fit.json', 'fitted.toml'], drawn)}"
 
 
 def _guess(file: ModelOfFile, names: list[str], given: dict[str, float]) -> dict[str, float]:

@@ -27,8 +27,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--quantiles", default=".05,.5,.95", help="probabilities (default: .05,.5,.95)")
 
 
-def main(args: Namespace, say: Say) -> None:
-    """Run the command; inputs stay as they are in the last line."""
+def main(args: Namespace, say: Say) -> str:
+    """Run the command, and return what it found; inputs stay as they are in the last line."""
     file = read_model(args.model)
     data, folder = file.read(args.data), place(args)
     until, levels = data.number(args.until), numbers("--quantiles", args.quantiles)
@@ -40,12 +40,12 @@ def main(args: Namespace, say: Say) -> None:
     say("forecasting")
     ahead = flt.forecast(np.linspace(data.times[-1], until, args.steps + 1)[1:], levels)
     _write(folder / "forecast.csv", ahead, data)
-    print(f"{args.steps} times from {data.stamp(float(ahead.t[0]))} to {data.stamp(float(ahead.t[-1]))}")
-    print(f"{'state, at the end':24}{'mean':>14}{'± std':>14}")
+    lines = [f"{args.steps} times from {data.stamp(float(ahead.t[0]))} to {data.stamp(float(ahead.t[-1]))}"]
+    lines.append(f"{'state, at the end':24}{'mean':>14}{'± std':>14}")
     for a, label in enumerate(file.labels):
-        print(f"{label[:23]:24}{ahead.mean[-1, a]:14.5g}{np.sqrt(ahead.cov[-1, a, a]):14.3g}")
+        lines.append(f"{label[:23]:24}{ahead.mean[-1, a]:14.5g}{np.sqrt(ahead.cov[-1, a, a]):14.3g}")
     drawn = {"forecast.png": lambda: pictures.over_time(ahead.plot(), file, data)}
-    print(pictures.listed(folder, ["forecast.csv"], drawn))
+    return "\n".join([*lines, pictures.listed(folder, ["forecast.csv"], drawn)])
 
 
 def _write(path: Path, ahead: Forecast, data: Measurements) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from .._version import __version__
 from ..errors import SphfilterError
 from . import comparing, doctor, filtering, fitting, forecasting, simulating
+from .interruption import STOPPED, stoppable
 from .progress import told
 
 __all__ = ["main"]
@@ -19,8 +20,7 @@ _VERBS = {
     "simulate": (simulating, "draw readings of a model, for trying it out"),
     "doctor": (doctor, "look at the installation: versions, compiled code, a small filter"),
 }
-#: Exit codes of what is refused, as of argparse, and of what Ctrl-C ends, as of shells: 128 + SIGINT's 2.
-_REFUSED, _STOPPED = 2, 130
+_REFUSED = 2  # exit code of what is refused, as of argparse = that of shells for wrong words
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -32,17 +32,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     >>> main(["filter", "--model", "none.toml", "--data", "none.csv"])
     2
     """
+    if argv is None:  # a program, which the terminal may stop anywhere
+        return stoppable(lambda: None, lambda: _run(sys.argv[1:]))
+    return _run(argv)
+
+
+def _run(argv: Sequence[str]) -> int:
     args = _parser().parse_args(argv)
     try:
         with told() as say:
             say(f"sphfilter {args.command}")  # reading texts takes a second
-            _VERBS[args.command][0].main(args, say)
+            found = _VERBS[args.command][0].main(args, say)
     except SphfilterError as problem:
         return _ended(str(problem), _REFUSED)
     except KeyboardInterrupt as stop:
-        return _ended(str(stop) or "stopped; nothing was written", _STOPPED)
+        return _ended(str(stop) or "stopped; nothing was written", STOPPED)
     except OSError as problem:
         return _ended(f"cannot write {problem.filename}: {problem.strerror}", _REFUSED)
+    print(found)
     return 0
 
 

@@ -31,8 +31,10 @@ class _Line(logging.Handler):
         self._changes, self._said, self._at = sys.stderr.isatty(), False, 0.0
 
     def say(self, text: str) -> None:
-        """Show a text, unless the last one came just now."""
-        if self._changes and perf_counter() - self._at > _PATIENCE / 5:
+        """Show a text, unless the last one came just now; an empty one takes the line away."""
+        if not text:
+            self.clear()
+        elif self._changes and perf_counter() - self._at > _PATIENCE / 5:
             wide = shutil.get_terminal_size().columns - 1
             print(_CLEAR + text[:wide], end="", file=sys.stderr, flush=True)
             self._at = perf_counter()

@@ -24,8 +24,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, help="CSV file (default: NAME.csv of the model)")
 
 
-def main(args: Namespace, say: Say) -> None:
-    """Run the command; inputs are what the model says."""
+def main(args: Namespace, say: Say) -> str:
+    """Run the command, and return what it found; inputs are what the model says."""
     file, times = read_model(args.model), _times(args.times)
     say(f"simulating {len(times)} times")
     rng = np.random.default_rng(args.seed)
@@ -39,7 +39,7 @@ def main(args: Namespace, say: Say) -> None:
     rows = np.column_stack([times, z[1:], np.tile([*inputs.values()], (len(times), 1))])
     write_csv(out, [time, *_columns(file), *inputs], rows.tolist())
     write_csv(beside, [time, *file.model.states], np.column_stack([times, truth[1:]]).tolist())
-    print(f"{len(times)} lines written to {out}, the truth to {beside}")
+    return f"{len(times)} lines written to {out}, the truth to {beside}"
 
 
 def _times(text: str) -> Floats:
