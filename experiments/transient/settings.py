@@ -137,6 +137,12 @@ class TransientSettings:
     published: tuple[str, ...] = ()
     axes: tuple[int, ...] = ()  # states drawn against each other, two or three
 
+    @model_validator(mode="after")
+    def _in_continuous_time(self):
+        if self.model.transition:
+            raise ValueError("a transient scenario needs a drift: its equation is solved in continuous time")
+        return self
+
 
 def problem_names():
     """Names of the transient scenarios that come with the project."""
