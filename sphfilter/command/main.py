@@ -46,7 +46,7 @@ def _run(argv: Sequence[str]) -> int:
     except SphfilterError as problem:
         return _ended(str(problem), _REFUSED)
     except KeyboardInterrupt as stop:
-        return _ended(str(stop) or "stopped; nothing was written", STOPPED)
+        return _ended(str(stop) or "stopped", STOPPED)
     except OSError as problem:
         return _ended(f"cannot write {problem.filename}: {problem.strerror}", _REFUSED)
     print(found)

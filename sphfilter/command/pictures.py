@@ -39,7 +39,7 @@ def estimates(file: ModelOfFile, data: Measurements, result: FilterResult) -> An
 def density(file: ModelOfFile, data: Measurements, flt: SPHFilter) -> Any:
     """Draw the density that a filter has after the data, of as many states as a picture has."""
     ax = drawing.density(flt.density, file.labels, range(min(6, len(file.labels))))
-    np.ravel(ax)[0].set_title(f"{data.heading} {data.stamp(flt.t)}", loc="left", fontsize=9)
+    np.ravel(ax)[0].set_title(f"{data.heading} = {data.stamp(flt.t)}", loc="left", fontsize=9)
     return ax
 
 

@@ -196,3 +196,8 @@ def test_help_has_the_files(capsys):
     with pytest.raises(SystemExit):
         main(["filter", "--help"])
     assert "[model]" in capsys.readouterr().out
+
+
+def test_a_folder_that_cannot_be_made(files, capsys):
+    assert main(["filter", *files, "--out", "tank.csv/out"]) == 2
+    assert "sphfilter: cannot write tank.csv/out: Not a directory" in capsys.readouterr().err
