@@ -2,8 +2,13 @@
 
 import csv
 import json
+import os
+import signal
+import subprocess
 import sys
+import time
 import tomllib
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -201,3 +206,28 @@ def test_help_has_the_files(capsys):
 def test_a_folder_that_cannot_be_made(files, capsys):
     assert main(["filter", *files, "--out", "tank.csv/out"]) == 2
     assert "sphfilter: cannot write tank.csv/out: Not a directory" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_program_with_a_sentence(files):
+    words = [
+        sys.executable,
+        "-m",
+        "sphfilter",
+        "forecast",
+        *files,
+        "--until",
+        "2024-03-06",
+        "--steps",
+        "200000",
+    ]
+    natural = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # scripts in the background ignore it
+    root = {"PYTHONPATH": str(Path(sf.__file__).parents[1])}
+    with subprocess.Popen(
+        words, stderr=subprocess.PIPE, text=True, preexec_fn=natural, env=os.environ | root
+    ) as program:
+        assert program.stderr.readline() == "sphfilter forecast\n"
+        time.sleep(4.0)
+        program.send_signal(signal.SIGINT)
+        told = program.stderr.read().splitlines()
+    assert program.returncode == 130 and told[-1] == "sphfilter: stopped"
