@@ -1,6 +1,7 @@
 """What `--help` teaches: what to try first, commands by what one wants, the end of the help of each."""
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 __all__ = ["end_of_help", "overview"]
@@ -20,7 +21,14 @@ _WIDE = 80  # columns of a terminal; longer lines have what they do below
 def end_of_help(command):
     """The text that the help of a command ends with: lines to try, and what there is to say besides."""
     path = Path(__file__).parent / "arguments" / f"{command}.txt"
-    return path.read_text(encoding="utf-8") if path.exists() else ""
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    return text + _formats() if command == "filter" else text
+
+
+def _formats():
+    """What the library says of the files that users keep; it is not imported for that."""
+    library = Path(find_spec("sphfilter").origin).parent
+    return (library / "files" / "formats.txt").read_text(encoding="utf-8")
 
 
 def overview(summaries):

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 
 import sphfilter as sf
+from sphfilter.files.write import write_csv
 
 from .arguments.scaling import counts_of
 from .benchmark.watch import resident, watch_peak
-from .show.files import write_csv
 from .show.tables import print_table, table
 from .terminal.running import new_console, status, tell
 from .transient.problem import load_problem

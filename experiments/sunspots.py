@@ -22,8 +22,8 @@ import sphfilter as sf
 from reference_filters.grid import GridFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter.errors import ConfigError
+from sphfilter.files.csv_data import read_measurements
 
-from .own_data.csv_data import read_measurements
 from .own_data.model_file import load_model
 
 __all__ = ["FIRST", "LEVELS", "FoldedMixture", "Score", "fold", "learn", "load", "roots", "score_forecasts",

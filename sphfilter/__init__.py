@@ -9,7 +9,8 @@ lattice      where particles lie
 density      what a filter carries: particles, points, a family or a few, Gaussian pieces; how it is stored
 prediction   how it is carried, a file a scheme; beside it consistency: is a filter as good as it says?
 filter       Bayes' rule and the loop, of one model or of modes
-inference    whole records; beside it campaign, many runs, and adapters, other toolkits
+inference    whole records; beside it campaign, many runs, adapters, other toolkits, and files, of users
+command      the commands of `sphfilter --help`
 
 Beside the rooms: config and settings, info of steps, errors and validate. API.md has every public name in a
 line, RECIPES.md what to write for a problem, FAILURES.md what failures say, EXTENDING.md how to add to it.
@@ -43,6 +44,7 @@ from .errors import (
     PropagationError,
     SphfilterError,
 )
+from .files.read_model import ModelOfFile, read_model
 from .filter.forecast import Forecast
 from .filter.jump_markov_filter import JumpMarkovFilter, JumpMarkovResult
 from .filter.results import FilterResult
@@ -94,6 +96,7 @@ __all__ = [
     "LogDensityScheme",
     "ModelComparison",
     "ModelError",
+    "ModelOfFile",
     "PaperScheme",
     "ParameterFit",
     "ParameterPosterior",
@@ -122,6 +125,7 @@ __all__ = [
     "predict",
     "profile_evidence",
     "propagate",
+    "read_model",
     "report",
     "resample",
     "run_campaign",

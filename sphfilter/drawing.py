@@ -1,6 +1,7 @@
 """Pictures of densities, results, forecasts and fits, one call each; matplotlib is asked for only here."""
 
 from collections.abc import Callable, Sequence
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from ._types import Floats
 from .errors import ModelError, nearest
 
-__all__ = ["chosen", "density", "fit", "forecast", "posterior", "result"]
+__all__ = ["chosen", "density", "fit", "forecast", "posterior", "result", "save"]
 
 _COLOUR, _OTHER = "#009E73", "#D55E00"  # Okabe & Ito's, that the colour-blind tell apart
 
@@ -241,3 +242,10 @@ def _one_or_pairs(
     ax = _single() if ax is None else ax
     draw(list(axes), ax)
     return ax
+
+
+def save(ax: Any, path: str | PathLike[str]) -> None:
+    """Write the figure of Axes, one or an array, to a file, and close it."""
+    figure = np.ravel(np.asarray(ax, dtype=object))[0].figure
+    figure.savefig(path, dpi=130)
+    _pyplot().close(figure)

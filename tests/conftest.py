@@ -20,6 +20,7 @@ _SHORT = {"first_filter"}  # notebooks that run by default: each is a process th
 MARKS = {
     "adapters": ["compiles", "stonesoup"],
     "campaign": ["compiles"],
+    "command": ["compiles"],
     "consistency": ["quick"],
     "core": ["quick"],
     "density": ["compiles"],

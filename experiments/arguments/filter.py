@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from experiments.own_data.model_settings import read_data, read_model
+from experiments.own_data.model_settings import read_model
 from experiments.scene.names import FILTERS, check_filters
 from experiments.terminal.options import names_of
+from sphfilter.files.model_file import read_data
 
 __all__ = ["add_arguments", "check"]
 

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.scene.scenario import Scenario
-from experiments.scene.settings import Count, Positive
 from reference_filters.boxed_grid import BoxedGridFilter, box_of_case
 from sphfilter.campaign.store import case_digest
-from sphfilter.settings import settings
+from sphfilter.settings import Count, Positive, settings
 
 __all__ = ["Boxed", "BoxedFactory", "fits"]
 

@@ -13,12 +13,12 @@ import numba
 from experiments.arguments.benchmark import EXPENSIVE, SCENARIOS
 from experiments.scene.files import changes_of
 from experiments.scene.scenario import load_scenario
-from experiments.show.files import write_json
 from experiments.show.tables import counted, print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.store import versions
 from sphfilter.errors import ConfigError, SphfilterError
+from sphfilter.files.write import write_json
 
 from . import expensive, frontier, overview, plots, tables
 from .campaign import Plan, run_scenario

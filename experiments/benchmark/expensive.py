@@ -7,7 +7,7 @@ one scenario.
 import numpy as np
 
 from experiments.show import tables
-from experiments.show.files import write_csv
+from sphfilter.files.write import write_csv
 
 from .methods import short, size_text
 

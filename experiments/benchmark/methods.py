@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 from experiments.scene.filters import Factory
-from experiments.scene.settings import Grid, MomentFilter, Particle, Sph
+from experiments.scene.settings import Grid, MomentFilter, Particle
 from sphfilter.config import CloudScheme, FamilyScheme, FilterConfig
+from sphfilter.files.model_file import Sph
 
 from . import boxed
 from .families import FAMILIES, check_families

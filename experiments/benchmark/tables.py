@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 
 from experiments.show import tables
-from experiments.show.files import write_csv as write_lines
+from sphfilter.files.write import write_csv as write_lines
 
 from .methods import label, short, size_text
 from .summary import Line, fastest_to_reach, particle_law

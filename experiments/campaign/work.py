@@ -5,9 +5,10 @@ from pathlib import Path
 
 from experiments.scene.filters import factories, name_of
 from experiments.scene.scenario import Scenario
-from experiments.show.files import write_json, write_toml
+from experiments.show.files import write_toml
 from experiments.terminal.running import run_shown, warm_up
 from sphfilter.campaign.store import versions
+from sphfilter.files.write import write_json
 
 __all__ = ["Work", "exit_code", "tell_failures", "work_of"]
 

@@ -14,10 +14,10 @@ from joblib import Parallel, delayed
 import sphfilter as sf
 from experiments.arguments.estimate import guesses
 from experiments.scene.files import changes_of
-from experiments.show.files import write_json
 from experiments.show.tables import print_table, table
 from experiments.terminal.running import new_console, status
 from sphfilter.errors import ConfigError, SphfilterError
+from sphfilter.files.write import write_json
 
 from .plots import draw_profiles
 from .problems import guess_of, problem_of, rival_of

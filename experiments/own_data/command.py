@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from experiments.scene.filters import factories, name_of
-from experiments.show.files import write_csv
 from experiments.show.tables import counted, print_table, table
 from experiments.terminal.running import new_console
 from sphfilter.campaign.one_run import Case, put_through
 from sphfilter.errors import SphfilterError
+from sphfilter.files.model_file import read_data
+from sphfilter.files.write import write_estimates
 
 from .model_file import load_model
-from .model_settings import read_data
 from .plots import draw
 
-__all__ = ["case_of", "main", "write_result"]
+__all__ = ["case_of", "main"]
 
 
 def main(args):
@@ -44,7 +44,7 @@ def main(args):
         raise SphfilterError("no filter came to the end of the data")
     _tell(console, results, seconds)
     for name, result in results.items():
-        write_result(out / f"{name}.csv", result, scenario.settings.model.states, data.time_name)
+        write_estimates(out / f"{name}.csv", result, scenario.settings.model.states, data.time_name)
     draw(out / "estimates.png", scenario, data, results)
     listed = ", ".join(f"{name}.csv" for name in results)
     console.print(
@@ -109,20 +109,3 @@ def _tell(console, results, seconds):
         "better."
     )
     console.print("• The run time includes compiling at a filter's first use.")
-
-
-def write_result(path, result, states, time_name="t"):
-    """Write a line for every time: mean and standard deviation of each state after the update, and more.
-
-    States are names, length n; `time_name` is the heading of the first column.
-    """
-    std = np.sqrt(np.diagonal(result.P, axis1=1, axis2=2))
-    heading = [time_name]
-    for name in states:
-        heading += [name, f"{name}_std"]
-    pairs = np.stack([result.x, std], axis=2).reshape(len(result.t), -1)
-    numbers = np.column_stack([result.t, pairs, result.log_evidence]).tolist()
-    said = "accepted", "error", "flagged", "variance_error", "outlying"
-    doubts = zip(*(getattr(result, name).tolist() for name in said), strict=True)
-    rows = ([*row, *(+d for d in doubt)] for row, doubt in zip(numbers, doubts, strict=True))
-    write_csv(path, [*heading, "log_evidence", *said], rows)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["change", "changes_of", "file_names", "find_file", "parse_change", "read_toml"]
+__all__ = ["change", "changes_of", "file_names", "find_file", "parse_change"]
 
 
 def file_names(folder):
@@ -27,16 +27,6 @@ def find_file(name, folder, kind):
         raise ConfigError(f"the file {name} does not exist (`list` names those of the project)")
     known = file_names(folder)
     raise ConfigError(f"no {kind} {name!r}{nearest(name, known)}; there are {', '.join(known)}")
-
-
-def read_toml(path):
-    """The tree of a TOML file; raises `ConfigError`."""
-    try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as problem:
-        raise ConfigError(f"cannot read {path}: {problem.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
-        raise ConfigError(f"{path} is not valid TOML: {problem}") from None
 
 
 def changes_of(args):

@@ -2,22 +2,10 @@
 
 import numpy as np
 
-from sphfilter.errors import ConfigError, ModelError, nearest
+from sphfilter.errors import ModelError
 from sphfilter.model.symbolic import Vocabulary, symbolic_rows
 
-__all__ = ["check_inputs", "sampled"]
-
-
-def check_inputs(model, sensor, inputs):
-    """Raise `ConfigError` for inputs that the model does not have, of the scenario or of its sensor."""
-    for key, names in (("inputs", inputs), ("the sensor's inputs", sensor.inputs)):
-        for name in names:
-            if name not in model.inputs:
-                known = ", ".join(model.inputs) or "none: give model.inputs"
-                raise ConfigError(
-                    f"{key} names {name!r}, which is no input of the model"
-                    f"{nearest(name, model.inputs)}; there are {known}"
-                )
+__all__ = ["sampled"]
 
 
 def sampled(model, inputs, begins):

@@ -3,11 +3,12 @@
 from pathlib import Path
 
 from sphfilter.errors import ConfigError, nearest
+from sphfilter.files.tables import with_tables
+from sphfilter.files.toml import read_toml
 from sphfilter.settings import from_table
 
-from .files import change, file_names, find_file, read_toml
+from .files import change, file_names, find_file
 from .settings import ScenarioSettings
-from .tables import with_tables
 
 __all__ = ["read_settings", "scenario_names"]
 

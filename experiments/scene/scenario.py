@@ -9,17 +9,28 @@ import numpy as np
 
 import sphfilter as sf
 from sphfilter.campaign.campaign import Case
-from sphfilter.errors import ModelError, SphfilterError
+from sphfilter.errors import SphfilterError
+from sphfilter.files.build import check_inputs, check_start, model_of, sensor_of, tables_of
+from sphfilter.files.text import ModelText, Reads, Sensor, TableText
+from sphfilter.settings import settings
 
 from . import start
-from .inputs import check_inputs, sampled
+from .inputs import sampled
 from .reading import read_settings, scenario_names
-from .settings import ScenarioSettings, Sensor, TableText
+from .settings import ScenarioSettings
 
 __all__ = ["Scenario", "Scene", "check_parts", "load_scenario", "read_settings", "scenario_names"]
 
 #: Times in an interval between measurements at which the truth is drawn.
 _PARTS = 20
+
+
+@settings
+class _Read(Reads):
+    """Sensors alone."""
+
+    sensor: Sensor | None
+    sensors: dict[str, Sensor]
 
 
 class Scene:
@@ -33,7 +44,7 @@ class Scene:
     @property
     def tables(self):
         """What the model's texts call, each a `Table`, by name."""
-        return _tables({name: asdict(table) for name, table in self.settings.model.tables.items()})
+        return tables_of(self.settings.model.tables)
 
     @property
     def labels(self):
@@ -62,8 +73,9 @@ class Scenario(Scene):
     def measurement(self):
         """The `GaussianMeasurement`, or `Sensors` of several."""
         found = self.settings
-        sensors = {None: found.sensor} if found.sensor else found.sensors
-        return _measurement(json.dumps([found.model.states, [(k, asdict(s)) for k, s in sensors.items()]]))
+        sensor = found.sensor and asdict(found.sensor)
+        sensors = [(name, asdict(sensor)) for name, sensor in found.sensors.items()]
+        return _measurement(json.dumps([found.model.states, sensor, sensors]))
 
     @property
     def inputs(self):
@@ -97,18 +109,15 @@ def _text_of(model):
 
 @cache
 def _model(text):
-    """The `SDE` of a `ModelText` as JSON."""
-    values = json.loads(text)
-    values["tables"] = _tables(values["tables"])
-    return sf.SDE.from_expressions(**{k: v for k, v in values.items() if k not in ("labels", "units")})
+    """The model of a `ModelText` as JSON."""
+    return model_of(ModelText(**json.loads(text)))
 
 
 @cache
 def _measurement(text):
-    """The sensor of states and a list of (name, `Sensor`) as JSON; one that has no name is alone."""
-    states, found = json.loads(text)
-    sensors = {name: _sensor(states, Sensor(**values)) for name, values in found}
-    return sensors[None] if None in sensors else sf.Sensors(sensors)
+    """The sensor of states and a `Sensor`, or a list of (name, `Sensor`), as JSON."""
+    states, alone, several = json.loads(text)
+    return sensor_of(states, _Read(sensor=alone, sensors=dict(several)))
 
 
 @cache
@@ -117,20 +126,6 @@ def _inputs(model, text):
     given, begins = json.loads(text)
     given = {k: sf.Table(**v) if isinstance(v, dict) else v for k, v in given.items()}
     return sampled(_model(model), given, np.array(begins))
-
-
-def _sensor(states, sensor):
-    if not sensor.is_text:
-        return sf.GaussianMeasurement(h=sensor.h, noise_cov=sensor.noise_cov, angles=sensor.angles)
-    named = {"parameters": sensor.parameters, "inputs": sensor.inputs}
-    named["tables"] = _tables({name: asdict(table) for name, table in sensor.tables.items()})
-    h = sensor.texts(states)
-    return sf.GaussianMeasurement.from_expressions(states, h, sensor.noise_cov, sensor.angles, **named)
-
-
-def _tables(texts):
-    """Tables by name, of `TableText` settings as dicts."""
-    return {name: sf.Table(**values) for name, values in texts.items()}
 
 
 def load_scenario(name, **changes):
@@ -146,14 +141,8 @@ def check_parts(scenario, source):
     Raises `ExpressionError` or `ModelError`, which start with the `source`, name or file of the scenario.
     """
     try:
-        n, H, begin = scenario.model.dim, scenario.measurement.H, scenario.settings.start
-        if (H is not None and H.shape[1] != n) or len(begin.mean) != n:
-            columns = "expressions" if H is None else f"{H.shape[1]} columns"
-            raise ModelError(
-                f"the model has {n} states, but sensor.h has {columns} "
-                f"and start.mean {len(begin.mean)} values"
-            )
-        sf.Gaussian(begin.mean, begin.cov)  # checks the covariance
+        begin = scenario.settings.start
+        check_start(scenario.model, scenario.measurement, begin.mean, begin.cov)
         inputs = getattr(scenario.settings, "inputs", {})
         check_inputs(scenario.model, scenario.measurement, inputs)
         _ = scenario.inputs if inputs else None  # which may be refused

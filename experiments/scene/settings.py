@@ -1,163 +1,16 @@
 """What a scenario file may say: frozen settings that check themselves; a scenario is data, never code."""
 
-import hashlib
-from dataclasses import fields
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from sphfilter.config import FilterConfig
-from sphfilter.settings import settings
+from sphfilter.files.model_file import Sph
+from sphfilter.files.text import Matrix, ModelText, Reads, Row, Sensor, TableText, told
+from sphfilter.settings import Count, Positive, settings
 
-__all__ = ["Filters", "ModelText", "Published", "Reads", "Runs", "ScenarioSettings", "Sensor", "Start",
-           "TableText", "Times"]  # fmt: skip
-
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=1)]
-Row = tuple[float, ...]
-Matrix = tuple[Row, ...]
-_End = float | Literal["none"]
-#: Names of inputs, or their values where nothing gives others.
-_Inputs = tuple[str, ...] | dict[str, float]
-
-
-def _bounds(axis):
-    """An axis of the state, checked: what may be wrong with it is told at once."""
-    ends = axis[1:] if isinstance(axis, list | tuple) and len(axis) == 3 else [None]
-    if axis == "unbounded" or all(end == "none" or isinstance(end, int | float) for end in ends):
-        return axis
-    raise ValueError(
-        'an axis is "unbounded" or [kind, low, high]: kind "periodic", "bounded" or "reflecting", low and '
-        f'high numbers, or "none" where it has no end; got {axis!r}'
-    )
-
-
-#: An axis of the state.
-_Axis = Annotated[Literal["unbounded"] | tuple[str, _End, _End], BeforeValidator(_bounds)]
-
-
-def _told(thing):
-    """Text of settings that is silent about keys of `LATER` that are empty.
-
-    Folders of campaigns know their scenario by its text, and are older than these keys.
-    """
-    found = {f.name: getattr(thing, f.name) for f in fields(thing)}
-    shown = (f"{name}={value!r}" for name, value in found.items() if value or name not in thing.LATER)
-    return f"{type(thing).__qualname__}({', '.join(shown)})"
-
-
-@settings
-class TableText:
-    """A table that texts call, see `Table`; where a file has the columns, they have been read from it."""
-
-    # length K: rising arguments, and the values there
-    at: Row
-    values: Row
-    kind: Literal["linear", "previous"] = "linear"
-
-    def __repr__(self):
-        digest = hashlib.sha256(repr((self.at, self.values)).encode()).hexdigest()[:16]
-        return f"TableText({len(self.at)} values {digest}, kind={self.kind!r})"
-
-    @model_validator(mode="after")
-    def _rises(self):
-        if not self.at or len(self.at) != len(self.values):
-            raise ValueError(
-                f"a table needs as many values as arguments, and some; at has {len(self.at)} and values "
-                f"{len(self.values)}"
-            )
-        back = np.flatnonzero(np.diff(self.at) <= 0.0)
-        if back.size:
-            first, second = self.at[back[0] : back[0] + 2]
-            raise ValueError(f"the arguments of a table must rise, {first:g} is followed by {second:g}")
-        return self
-
-
-@settings
-class ModelText:
-    """The stochastic differential equation, as text (see `SDE.from_expressions`)."""
-
-    states: tuple[str, ...]  # names used in the expressions; `labels` and `units` are for tables and axes
-    labels: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
-    drift: tuple[str, ...]  # length n
-    noise: tuple[tuple[float | str, ...], ...] | None = None  # shape (n, m)
-    spectral_density: Matrix | None = None  # shape (m, m): Q, dW covariance Q dt: D = g Q gᵀ / 2
-    # shape (n, n): D itself, instead of noise and spectral_density
-    diffusion: tuple[tuple[float | str, ...], ...] | None = None
-    parameters: dict[str, float] = Field(default_factory=dict)
-    # periodic axes and walls, see `Domain`; "none" for an end that is not there
-    domain: tuple[_Axis, ...] | None = None
-    interpretation: Literal["ito", "stratonovich"] = "ito"
-    # names of what is held over each interval, and values where nothing gives others (zero)
-    inputs: _Inputs = ()
-    tables: dict[str, TableText] = Field(default_factory=dict)  # what ``table("name", ...)`` calls
-
-    LATER: ClassVar[tuple[str, ...]] = ("inputs", "tables")
-    __repr__ = _told
-
-    @model_validator(mode="after")
-    def _one_name_a_state(self):
-        for key in ("labels", "units"):
-            if getattr(self, key) and len(getattr(self, key)) != len(self.states):
-                raise ValueError(f"{key} must name each of the {len(self.states)} states")
-        return self
-
-
-@settings
-class Sensor:
-    """z = h(x) + v with v ~ N(0, R)."""
-
-    # shape (k, n), or tuple of str, length k: a matrix H, or expressions of the states, t, parameters, inputs
-    # and tables
-    h: Matrix | tuple[str, ...]
-    noise_cov: tuple[tuple[float | str, ...], ...]  # shape (k, k): R: numbers, or expressions
-    # components of z that are angles in radians (expressions only)
-    angles: tuple[Annotated[int, Field(ge=0)], ...] = ()
-    parameters: dict[str, float] = Field(default_factory=dict)
-    inputs: _Inputs = ()  # inputs of the model that the sensor's texts name too
-    tables: dict[str, TableText] = Field(default_factory=dict)
-
-    LATER: ClassVar[tuple[str, ...]] = ("parameters", "inputs", "tables")
-    __repr__ = _told
-
-    @property
-    def is_text(self):
-        """Whether `h` or `noise_cov` is given as expressions, or they need values by name."""
-        noisy = any(isinstance(entry, str) for row in self.noise_cov for entry in row)
-        return isinstance(self.h[0], str) or noisy or bool(self.parameters or self.inputs or self.tables)
-
-    def texts(self, states):
-        """The expressions of `h`, written for a matrix."""
-        if isinstance(self.h[0], str):
-            return list(self.h)
-        rows = ([f"({c!r})*{name}" for c, name in zip(row, states, strict=False) if c] for row in self.h)
-        return [" + ".join(row) or "0" for row in rows]
-
-    @model_validator(mode="after")
-    def _one_reading(self):
-        if not self.h:
-            raise ValueError("h needs at least one row or expression")
-        return self
-
-
-class Reads:
-    """What files say of sensors: one, in `sensor`, or several by name, in `sensors`."""
-
-    @property
-    def n_readings(self):
-        """Numbers that the sensor gives, or by name those that each of several gives."""
-        if self.sensor is not None:
-            return len(self.sensor.h)
-        return {name: len(sensor.h) for name, sensor in self.sensors.items()}
-
-    @model_validator(mode="after")
-    def _sensor_or_sensors(self):
-        if (self.sensor is None) == (not self.sensors):
-            both = "both are there" if self.sensors else "none is there"
-            raise ValueError(f"give one [sensor], or several as [sensors.NAME]; {both}")
-        return self
+__all__ = ["Filters", "Published", "Runs", "ScenarioSettings", "Start", "Times"]
 
 
 @settings
@@ -222,14 +75,6 @@ class Particle:
     step: Positive | None = 0.1
     order: Literal[2, 4] = 4
     n_threads: Count = 1
-
-
-@settings
-class Sph:
-    """`SPHFilter` with the default scheme: bound of the particles, if any, and configuration."""
-
-    n_particles: Count | Literal["auto"] = "auto"
-    config: FilterConfig = Field(default_factory=FilterConfig)
 
 
 def _published(value):
@@ -310,4 +155,4 @@ class ScenarioSettings(Reads):
     inputs: dict[str, float | str | TableText] = Field(default_factory=dict)
 
     LATER: ClassVar[tuple[str, ...]] = ("sensors", "inputs")
-    __repr__ = _told
+    __repr__ = told

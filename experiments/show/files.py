@@ -1,16 +1,14 @@
-"""Results as files: rows as CSV, records as JSON, settings as TOML; and what they are known by."""
+"""Results as files: rows as CSV, settings as TOML; and what they are known by."""
 
-import csv
 import hashlib
-import json
 import os
 from contextlib import contextmanager
 
-import numpy as np
 import tomli_w
 
-__all__ = ["digest", "digest_of_files", "unfinished", "whole", "write_csv", "write_json", "write_rows",
-           "write_toml"]  # fmt: skip
+from sphfilter.files.write import write_csv
+
+__all__ = ["digest", "digest_of_files", "unfinished", "whole", "write_rows", "write_toml"]
 
 
 def digest(text):
@@ -38,35 +36,14 @@ def whole(path):
     os.replace(part, path)
 
 
-def write_csv(path, heading, rows):
-    """Write a line of names and the rows below it; the folder is made if it is not there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([heading, *rows])
-
-
 def write_rows(path, rows):
     """Write flat dicts as CSV; the columns are those of the first."""
     write_csv(path, list(rows[0]), ([row[name] for name in rows[0]] for row in rows))
 
 
-def write_json(path, record):
-    """Write a record of plain values; numbers that are not finite become null."""
-    text = json.dumps(_without_nan(record), indent=1, allow_nan=False)
-    path.write_text(text, encoding="utf-8")
-
-
 def write_toml(path, settings):
     """Write settings (dicts, lists and values), without those that are None."""
     path.write_text(tomli_w.dumps(_without_none(settings)), encoding="utf-8")
-
-
-def _without_nan(tree):
-    if isinstance(tree, dict):
-        return {k: _without_nan(v) for k, v in tree.items()}
-    if isinstance(tree, list | tuple):
-        return [_without_nan(v) for v in tree]
-    return None if isinstance(tree, float) and not np.isfinite(tree) else tree
 
 
 def _without_none(tree):

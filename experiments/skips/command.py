@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.show.files import write_csv
 from experiments.show.tables import markdown, print_table, table
 from experiments.terminal.running import new_console, status
 from sphfilter import Gaussian, initialize
 from sphfilter.errors import ConfigError
+from sphfilter.files.write import write_csv
 
 from .cases import cases
 

@@ -4,9 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from sphfilter.errors import ConfigError
+from sphfilter.files.toml import read_toml
 from sphfilter.settings import from_table, settings
 
-from ..scene.files import file_names, find_file, read_toml
+from ..scene.files import file_names, find_file
 
 __all__ = ["NAMES", "SwitchingSettings", "read_settings"]
 

@@ -10,12 +10,13 @@ from rich.markup import escape
 
 import sphfilter as sf
 from experiments.scene.files import changes_of
-from experiments.show.files import write_json, write_toml
+from experiments.show.files import write_toml
 from experiments.show.tables import print_table
 from experiments.terminal.progress import bar, resumable
 from experiments.terminal.running import new_console, tell
 from sphfilter.campaign.store import versions
 from sphfilter.errors import SphfilterError
+from sphfilter.files.write import write_json
 
 from . import plots, remeshing
 from .film import Window, animate

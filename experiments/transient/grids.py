@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from experiments.scene.settings import Count, Positive, Row
-from sphfilter.settings import settings
+from sphfilter.files.text import Row
+from sphfilter.settings import Count, Positive, settings
 
 __all__ = ["MOST_NODES", "Lattice", "Probe", "Written"]
 

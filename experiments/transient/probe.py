@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.show.files import write_csv
 from sphfilter.density.storage import write_arrays
+from sphfilter.files.write import write_csv
 
 __all__ = ["Probing", "points_of", "probed", "velocity", "write_particles"]
 

@@ -6,11 +6,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from experiments.scene.files import change, file_names, find_file, read_toml
-from experiments.scene.settings import Count, Matrix, ModelText, Positive, Row
-from experiments.scene.tables import with_tables
+from experiments.scene.files import change, file_names, find_file
 from sphfilter.config import SolverConfig
-from sphfilter.settings import from_table, settings
+from sphfilter.files.tables import with_tables
+from sphfilter.files.text import Matrix, ModelText, Row
+from sphfilter.files.toml import read_toml
+from sphfilter.settings import Count, Positive, from_table, settings
 
 from .grids import Lattice, Probe, Written
 
@@ -135,6 +136,12 @@ class TransientSettings:
     # what the publication says of accuracy and run time, a sentence each; printed beside ours
     published: tuple[str, ...] = ()
     axes: tuple[int, ...] = ()  # states drawn against each other, two or three
+
+    @model_validator(mode="after")
+    def _in_continuous_time(self):
+        if self.model.transition:
+            raise ValueError("a transient scenario needs a drift: its equation is solved in continuous time")
+        return self
 
 
 def problem_names():

@@ -6,8 +6,8 @@ import numpy as np
 from rich.markup import escape
 
 from experiments.show import tables
-from experiments.show.files import write_csv as write_lines
 from experiments.show.tables import number
+from sphfilter.files.write import write_csv as write_lines
 
 __all__ = ["comparison", "moments", "sentences", "steady_table", "table", "write_csv"]
 

@@ -9,11 +9,11 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.own_data import plots
-from experiments.own_data.csv_data import read_measurements
 from experiments.own_data.model_file import load_model
 from experiments.scene.filters import Factory
 from experiments.show.style import plt
 from sphfilter.errors import ConfigError, ModelError, PropagationError, SphfilterError
+from sphfilter.files.csv_data import read_measurements
 
 A, Q, R, M0, P0 = 0.4, 0.5, 0.3, 1.0, 2.0
 MODEL = f"""
@@ -144,7 +144,7 @@ class TestCommand:
         with pytest.raises(SystemExit):
             main(["filter", "--help"])
         said = capsys.readouterr().out
-        text = said[said.index("  [model]") : said.index("Exit code")]
+        text = said[said.index("  [model]") : said.index("With inputs")]
         table = said[said.index("  t,position") : said.index("my.toml: ")]
         for name, lines in (("my.toml", text), ("my.csv", table)):
             (tmp_path / name).write_text(inspect.cleandoc("\n" + lines), encoding="utf-8")

@@ -12,11 +12,11 @@ from experiments.__main__ import main
 from experiments.own_data import plots
 from experiments.own_data.command import case_of
 from experiments.own_data.model_file import load_model
-from experiments.own_data.model_settings import read_data
 from experiments.scene.filters import factories
 from experiments.show.histories import readings
 from experiments.show.style import plt
 from sphfilter.errors import ConfigError, SphfilterError
+from sphfilter.files.model_file import read_data
 
 A, Q = 0.4, 0.5
 MODEL = f"""

@@ -12,11 +12,12 @@ from rich.console import Console
 
 import sphfilter as sf
 from experiments.show.comparison import least_eigenvalue, moment_errors
-from experiments.show.files import whole, write_csv, write_json, write_rows, write_toml
+from experiments.show.files import whole, write_rows, write_toml
 from experiments.show.particles import density_image
 from experiments.show.style import legend_below, panels, plt
 from experiments.show.tables import markdown, number, percent, print_table, table
 from experiments.terminal.progress import Interrupted, bar, resumable
+from sphfilter.files.write import write_csv, write_json
 
 
 def shown(what):

@@ -9,7 +9,6 @@ from scipy.stats import norm
 
 import experiments
 from experiments.own_data.command import case_of
-from experiments.own_data.csv_data import Measurements, read_measurements
 from experiments.own_data.model_file import load_model
 from experiments.scene.filters import factories
 from experiments.sunspots import (
@@ -28,6 +27,7 @@ from reference_filters.kalman import ExtendedKalmanFilter, KalmanFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter import GaussianMeasurement, SPHFilter
 from sphfilter.errors import ConfigError
+from sphfilter.files.csv_data import Measurements, read_measurements
 
 SEEN = GaussianMeasurement(h=[[1.0]], noise_cov=[[0.3]])
 LEVEL = """

@@ -24,6 +24,7 @@ fields, then its methods and properties. [Recipes by problem](RECIPES.md) have t
 """
 QUESTIONS = {
     "Write down a model": "SDE LinearSDE DiscreteModel correlated_noise Domain Table simulate",
+    "Keep it in files": "read_model ModelOfFile",
     "Say what a sensor reads": "GaussianMeasurement LikelihoodMeasurement Sensors",
     "Filter": "SPHFilter PredictInfo UpdateInfo Code FilterResult Forecast",
     "Ask the density": "ParticleDensity",

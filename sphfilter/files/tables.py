@@ -1,10 +1,12 @@
 """Tables that a TOML file keeps in CSV files beside it."""
 
+from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from experiments.own_data.csv_data import read_columns
-from sphfilter.settings import from_table, settings
+from ..settings import from_table, settings
+from .csv_data import read_columns
 
 __all__ = ["with_tables"]
 
@@ -20,7 +22,7 @@ class TableFile:
     kind: Literal["linear", "previous"] = "linear"
 
 
-def with_tables(tree, path):
+def with_tables(tree: dict[str, Any], path: str | PathLike[str]) -> dict[str, Any]:
     """A TOML tree in which the numbers of tables stand in the place of the files that have them.
 
     Files are looked for beside `path`, that of the tree, which is not changed. Raises `ConfigError` for a CSV
@@ -32,29 +34,29 @@ def with_tables(tree, path):
     return tree
 
 
-def _places(tree):
+def _places(tree: dict[str, Any]) -> list[tuple[str, ...]]:
     """Keys under which there are tables by name."""
     sensors = tree.get("sensors")
     names = sensors if isinstance(sensors, dict) else ()
-    places = [("inputs",), ("model", "tables"), ("sensor", "tables")]
+    places: list[tuple[str, ...]] = [("inputs",), ("model", "tables"), ("sensor", "tables")]
     places += [("sensors", name, "tables") for name in names]
     return [place for place in places if isinstance(_at(tree, place), dict)]
 
 
-def _at(tree, keys):
+def _at(tree: Any, keys: Sequence[str]) -> Any:
     for key in keys:
         tree = tree.get(key) if isinstance(tree, dict) else None
     return tree
 
 
-def _replaced(tree, keys, value):
+def _replaced(tree: Any, keys: Sequence[str], value: Any) -> Any:
     """A tree with another value at some keys."""
     if not keys:
         return value
     return tree | {keys[0]: _replaced(tree[keys[0]], keys[1:], value)}
 
 
-def _read(table, path, key):
+def _read(table: Any, path: str | PathLike[str], key: str) -> Any:
     """A table with its numbers; anything else as it is."""
     if not isinstance(table, dict) or not ("file" in table or isinstance(table.get("values"), str)):
         return table

@@ -3,15 +3,25 @@ nothing was, and columns of what was done to the system.
 """
 
 import csv
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import datetime, timedelta
+from os import PathLike
+from typing import TypeAlias
 
 import numpy as np
 
-from sphfilter.errors import ConfigError, nearest
+from .._types import Floats
+from ..errors import ConfigError, nearest
 
 __all__ = ["Measurements", "columns_of", "read_columns", "read_measurements"]
+
+
+_Path: TypeAlias = str | PathLike[str]
+_Line: TypeAlias = tuple[int, list[str]]
+#: Columns of measurements, of several sensors by name.
+_Columns: TypeAlias = Sequence[str] | Mapping[str, Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -21,37 +31,82 @@ class Measurements:
     time_name: str
     names: tuple[str, ...]  # length k
     # shape (T,): Not decreasing. Dates are counted from the first, and `time_name` says so.
-    times: np.ndarray
-    z: np.ndarray  # shape (T, k): NaN where nothing was measured
+    times: Floats
+    z: Floats  # shape (T, k): NaN where nothing was measured
     # shape (T,): values of inputs over the intervals that end at the times
-    inputs: dict[str, np.ndarray] = field(default_factory=dict)
-    dated: bool = False  # whether the times were dates
+    inputs: dict[str, Floats] = field(default_factory=dict)
+    dates: tuple[datetime, ...] = ()  # length T: the times, where they are dates
+    unit: str = ""  # in which dates are counted
+
+    @property
+    def dated(self) -> bool:
+        """Whether the times are dates."""
+        return bool(self.dates)
+
+    @property
+    def heading(self) -> str:
+        """Name of the column of times, as the file has it."""
+        return self.time_name.partition(_COUNTED)[0] if self.dates else self.time_name
+
+    @property
+    def stamps(self) -> list[float] | list[str]:
+        """The times as the file has them: numbers, or dates as ISO writes them, length T."""
+        return [self._iso(date) for date in self.dates] or self.times.tolist()
+
+    def stamp(self, t: float) -> float | str:
+        """Another time as the file would have it."""
+        if not self.dates:
+            return t
+        return self._iso(self.dates[0] + timedelta(seconds=t * _UNITS[self.unit]))
+
+    def number(self, text: str) -> float:
+        """A time given as text: a number, or a date where the file has dates; raises `ConfigError`."""
+        with suppress(ValueError):
+            return float(text)
+        with suppress(ValueError, TypeError, IndexError):
+            return (datetime.fromisoformat(text) - self.dates[0]).total_seconds() / _UNITS[self.unit]
+        raise ConfigError(f"{text!r} is no time as {self.heading!r} has them, such as {self.stamps[-1]}")
+
+    def _iso(self, date: datetime) -> str:
+        """A date as text, without the time of day where all dates of the file are midnights."""
+        days = not any(d.tzinfo or d.hour or d.minute or d.second or d.microsecond for d in self.dates)
+        midnight = date == datetime(date.year, date.month, date.day, tzinfo=date.tzinfo)
+        return (date.date() if days and midnight else date).isoformat()
 
 
 #: What stands in a cell where nothing was measured, in small letters.
 _MISSING = frozenset({"", "n/a", "na", "nan", "null", "none", "-"})
+#: What stands between the name of a column of dates and how they are counted.
+_COUNTED = ", "
 #: Seconds of the units in which dates are counted.
 _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "a": 31557600.0}
 _UNITS |= {"": 1.0, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0, "days": 86400.0, "years": 31557600.0}
 
 
-def columns_of(path):
+def columns_of(path: _Path) -> list[str]:
     """Names of the columns of a CSV file."""
     return _read(path)[0]
 
 
-def read_columns(path, names):
+def read_columns(path: _Path, names: Sequence[str | None]) -> list[Floats]:
     """Read columns of numbers from a CSV file, each shape (K,); None is the first column.
 
     Raises `ConfigError` as `read_measurements` does; of a cell that is empty, too.
     """
     heading, rows = _read(path)
-    names = [heading[0] if name is None else name for name in names]
-    _check_names(path, names, heading)
-    return [_full_column(path, rows, heading.index(name), name, "a table") for name in names]
+    own = [heading[0] if name is None else name for name in names]
+    _check_names(path, own, heading)
+    return [_full_column(path, rows, heading.index(name), name, "a table") for name in own]
 
 
-def read_measurements(path, n_columns, time=None, columns=(), unit="", inputs=None):
+def read_measurements(
+    path: _Path,
+    n_columns: int | Mapping[str, int],
+    time: str | None = None,
+    columns: _Columns = (),
+    unit: str = "",
+    inputs: Mapping[str, str] | None = None,
+) -> Measurements:
     """Read times, measurements and inputs from a CSV file: commas, semicolons or tabs between the cells.
 
     A file of semicolons or tabs may have decimal commas. Without a line of names its columns are called
@@ -69,40 +124,46 @@ def read_measurements(path, n_columns, time=None, columns=(), unit="", inputs=No
     heading, rows = _read(path)
     time, inputs = time or heading[0], inputs or {}
     _check_names(path, [time, *inputs.values()], heading)
-    if isinstance(n_columns, dict):
-        columns = _columns_of_each(path, n_columns, columns, heading)
+    if isinstance(n_columns, Mapping):
+        names = _columns_of_each(path, n_columns, columns, heading)
     else:
-        columns = tuple(columns) or tuple(n for n in heading if n != time and n not in inputs.values())
-    _check_names(path, columns, heading)
-    if not isinstance(n_columns, dict) and len(columns) != n_columns:
+        names = tuple(columns) or tuple(n for n in heading if n != time and n not in inputs.values())
+    _check_names(path, names, heading)
+    if not isinstance(n_columns, Mapping) and len(names) != n_columns:
         raise ConfigError(
-            f"the sensor gives {n_columns} values, but {path} has {len(columns)} columns of measurements "
-            f"({', '.join(columns)}): name those to use in data.columns of the model file"
+            f"the sensor gives {n_columns} values, but {path} has {len(names)} columns of measurements "
+            f"({', '.join(names)}): name those to use in data.columns of the model file"
         )
-    dated = _is_date(next((row[heading.index(time)] for _, row in rows), ""))
-    times = (_dates if dated else _column)(path, rows, heading.index(time), time)
-    if dated:
-        first, times = times[0], _counted(path, times, unit)
-    values = [_column(path, rows, heading.index(name), name) for name in columns]
-    for i, (line, _) in enumerate(rows):
-        if not np.isfinite(times[i]):
-            raise ConfigError(f"{path}, line {line}: there is no time in column {time!r}")
-        if i and times[i] < times[i - 1]:
-            raise ConfigError(
-                f"{path}, line {line}: time {times[i]:g} is before {times[i - 1]:g} of the line above; "
-                f"sort the file by {time!r}"
-            )
-    title = f"{time}, {unit or 's'} from {first.isoformat(' ')}" if dated else time
+    times, dates = _times(path, rows, heading.index(time), time, unit)
+    values = [_column(path, rows, heading.index(name), name) for name in names]
+    title = f"{time}{_COUNTED}{unit or 's'} from {dates[0].isoformat(' ')}" if dates else time
     driving = {
         own: _full_column(
             path, rows, heading.index(name), name, "an input, held over the interval that ends at a line,"
         )
         for own, name in inputs.items()
     }
-    return Measurements(title, columns, times, np.column_stack(values), driving, dated)
+    return Measurements(title, names, times, np.column_stack(values), driving, dates, unit)
 
 
-def _check_names(path, names, heading):
+def _times(
+    path: _Path, rows: list[_Line], index: int, name: str, unit: str
+) -> tuple[Floats, tuple[datetime, ...]]:
+    """The column of times, and its dates, if it has some."""
+    dates = _dates(path, rows, index, name) if _is_date(rows[0][1][index]) else ()
+    times = _counted(path, dates, unit) if dates else _column(path, rows, index, name)
+    for i, (line, _) in enumerate(rows):
+        if not np.isfinite(times[i]):
+            raise ConfigError(f"{path}, line {line}: there is no time in column {name!r}")
+        if i and times[i] < times[i - 1]:
+            raise ConfigError(
+                f"{path}, line {line}: time {times[i]:g} is before {times[i - 1]:g} of the line above; "
+                f"sort the file by {name!r}"
+            )
+    return times, dates
+
+
+def _check_names(path: _Path, names: Iterable[str], heading: Sequence[str]) -> None:
     for name in names:
         if name not in heading:
             raise ConfigError(
@@ -110,15 +171,17 @@ def _check_names(path, names, heading):
             )
 
 
-def _columns_of_each(path, counts, columns, heading):
+def _columns_of_each(
+    path: _Path, counts: Mapping[str, int], columns: _Columns, heading: Sequence[str]
+) -> tuple[str, ...]:
     """Columns of several sensors, in their order: those that are given, else those of their names."""
-    if not isinstance(columns, dict):
+    if not isinstance(columns, Mapping):
         if columns:
             raise ConfigError(
                 f"there are several sensors: give data.columns as a table, {{ {next(iter(counts))} = [...] }}"
             )
         columns = {}
-    found = []
+    found: list[str] = []
     for name, count in counts.items():
         own = columns.get(name) or ((name,) if count == 1 else tuple(f"{name}.{k}" for k in range(count)))
         if len(own) != count:
@@ -134,7 +197,7 @@ def _columns_of_each(path, counts, columns, heading):
     return tuple(found)
 
 
-def _read(path):
+def _read(path: _Path) -> tuple[list[str], list[_Line]]:
     """Heading, and a list of (line number, cells); empty lines are skipped."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
@@ -162,13 +225,13 @@ def _read(path):
     return heading, rows
 
 
-def _with_point(cell):
+def _with_point(cell: str) -> str:
     """A number with a decimal comma as Python writes it; other text as it is."""
     changed = cell.replace(",", ".")
     return changed if cell.count(",") == 1 and _is_value(changed) else cell
 
 
-def _is_value(cell):
+def _is_value(cell: str) -> bool:
     """Is it a number, a date, or the word for none: what is no name of a column?"""
     if cell.lower() in _MISSING or _is_date(cell):
         return True
@@ -178,13 +241,13 @@ def _is_value(cell):
     return False
 
 
-def _is_date(cell):
+def _is_date(cell: str) -> bool:
     with suppress(ValueError):
         return "-" in cell[1:] and bool(datetime.fromisoformat(cell))
     return False
 
 
-def _dates(path, rows, index, name):
+def _dates(path: _Path, rows: list[_Line], index: int, name: str) -> tuple[datetime, ...]:
     found = []
     for line, row in rows:
         try:
@@ -194,10 +257,10 @@ def _dates(path, rows, index, name):
                 f"{path}, line {line}, column {name!r}: {row[index]!r} is no date as in the first line, "
                 "such as 2024-05-01 or 2024-05-01T12:30"
             ) from None
-    return found
+    return tuple(found)
 
 
-def _counted(path, dates, unit):
+def _counted(path: _Path, dates: Sequence[datetime], unit: str) -> Floats:
     """Dates as numbers, from the first one, in a unit."""
     if unit not in _UNITS:
         known = ", ".join(filter(None, _UNITS))
@@ -209,7 +272,7 @@ def _counted(path, dates, unit):
     return np.array([(date - dates[0]).total_seconds() for date in dates]) / _UNITS[unit]
 
 
-def _column(path, rows, index, name):
+def _column(path: _Path, rows: list[_Line], index: int, name: str) -> Floats:
     values = np.full(len(rows), np.nan)
     for i, (line, row) in enumerate(rows):
         if row[index].lower() in _MISSING:
@@ -227,7 +290,7 @@ def _column(path, rows, index, name):
     return values
 
 
-def _full_column(path, rows, index, name, what):
+def _full_column(path: _Path, rows: list[_Line], index: int, name: str, what: str) -> Floats:
     """A column without empty cells; `what` it is, for errors."""
     values = _column(path, rows, index, name)
     for i in np.flatnonzero(np.isnan(values)):
