@@ -18,7 +18,7 @@ from ..filter.sph_filter import SPHFilter
 __all__ = ["Say", "joined", "through", "told"]
 
 Say: TypeAlias = Callable[[str], None]
-#: Seconds between two words: half of the two after which a terminal must have said something.
+#: Seconds between two words: half of the two after which a terminal must have said something, 2 / 2 = 1.
 _PATIENCE = 1.0
 _CLEAR = "\r\033[K"  # to the beginning of the line, which is wiped
 

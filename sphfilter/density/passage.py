@@ -61,7 +61,7 @@ READING = 2  # of the key of an age: a reading of a cloud; and of its shadow the
 #: Least part of a start's spread that is noise. Measured: with a quarter and a half, evaluations of two
 #: scenes are 1 to 1.15 times as many, errors .9 to 1.15 times as large.
 _SPREAD = 1.0 / 3.0
-_AT_ONCE = 2**14  # steps of points linearised at once, whose matrices of four states take 2 MB each
+_AT_ONCE = 2**14  # steps of points linearised at once: matrices of four states take 2^14 · 16 · 8 B = 2 MB
 _NO_ROWS = np.empty((1, 0, 0))
 _NO_CHANGES = np.empty((0, 0, 0)), np.empty((0, 0)), np.empty((0, 0, 0))
 

@@ -31,6 +31,7 @@ from ..model.measurements import Sensor
 from ..model.named import InputRecord, driven, each_input
 from ..prediction import chapman_kolmogorov
 from ..prediction.backward import carried_back, likelihood_field
+from ..prediction.ladder import LATTICE
 from ..prediction.log_density import why_not
 from ..validate import short
 from ..validate import times as checked_times
@@ -41,8 +42,9 @@ __all__ = ["SmoothedResult", "smooth"]
 #: Standard deviations that lattices of the smoother reach further than those of the filter: what β is beyond
 #: their edge is a guess, and cannot be put right by the next measurement.
 _FURTHER = 0.8
-_LATTICES = 2  # states, up to which lattices are the default
-_POINTS = 2048  # of a cloud, of which an update leaves twice as many
+#: Points of a cloud, of which an update leaves twice as many. Measured: a quarter of them leaves means of
+#: linear models in four states .017 off, not .007.
+_POINTS = 2048
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,8 @@ class SmoothedResult:
         smoothed density rests on a guess. NaN on clouds, which have no particles of the filter's in them.
     error : ndarray, shape (T,)
         Estimated error of each smoothed mean, in smoothed standard deviations: rms over the states. NaN on
-        lattices.
+        lattices. Told over made was measured to be from .5 (Van der Pol, a cart of four states) to 2 (linear
+        models, two wells), and 8 for Duffing.
 
     Examples
     --------
@@ -195,7 +198,7 @@ def _on_lattices(filt: SPHFilter) -> SPHFilter:
 def _by_points(filt: SPHFilter) -> bool:
     """Whether a filter is smoothed on clouds: by its scheme, or where no lattice is asked for nor goes."""
     scheme, fixed = filt.config.scheme, not (filt.adapts or isinstance(filt.model, DiscreteModel))
-    return isinstance(scheme, CloudScheme) or (scheme == "auto" and filt.model.dim > _LATTICES and not fixed)
+    return isinstance(scheme, CloudScheme) or (scheme == "auto" and filt.model.dim > LATTICE and not fixed)
 
 
 def _on_clouds(filt: SPHFilter) -> SPHFilter:
