@@ -18,7 +18,7 @@ __all__ = ["LEAST", "expected", "fitted", "led"]
 _EACH = 3.0
 _WIDER, _MOST = 1.5, 24  # times the variance, each time; 1.5^24 = 1.7e4 reaches any cloud's end
 _REACH = 18.0  # of -log of a point's part of the nearest one's, e^-18 = 1.5e-8, beyond which it is rounding
-FREE = 10  # one of so many is drawn without λ: the largest weight is 1 / (1/10) = 10 times what it would be
+FREE = 10  # one of so many is drawn without λ: no weight is more than 1 / (1/10) = 10 times what it would be
 #: Least part of the noise's precision that λ leaves where it curves upwards: what is to come is no more than
 #: 1/√LEAST = 2 times as wide as without it.
 LEAST = 0.25
