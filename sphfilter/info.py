@@ -90,6 +90,8 @@ class _Marked(Noted):
         object.__setattr__(self, "code", Code(self.code))  # files know it as a number
         if math.isnan(self.variance_error):
             object.__setattr__(self, "variance_error", math.sqrt(2.0) * self.error)
+        for name in (name for name in ("error", "variance_error") if math.isnan(getattr(self, name))):
+            object.__setattr__(self, name, math.nan)  # the one that equals itself where infos are compared
 
     def marked(self, code: Code, status: str) -> Self:
         """The info with another status, whose flags come to those it has."""

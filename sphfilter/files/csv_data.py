@@ -80,7 +80,8 @@ _MISSING = frozenset({"", "n/a", "na", "nan", "null", "none", "-"})
 _COUNTED = ", "
 #: Seconds of the units in which dates are counted.
 _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "a": 31557600.0}
-_UNITS |= {"": 1.0, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0, "days": 86400.0, "years": 31557600.0}
+_UNITS |= {"": 1.0, "second": 1.0, "minute": 60.0, "hour": 3600.0, "day": 86400.0, "year": 31557600.0}
+_UNITS |= {f"{word}s": value for word, value in _UNITS.items() if len(word) > 3}
 
 
 def columns_of(path: _Path) -> list[str]:

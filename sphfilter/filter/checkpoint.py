@@ -148,9 +148,9 @@ def restored_modes(path: str | PathLike[str], model: JumpMarkovModel, _measureme
     if "switching" not in arrays:
         raise ModelError(f"{path} holds no filter of modes: JumpMarkovFilter.save writes such files")
     about = json.loads(str(arrays["switching"]))
-    _check(path, arrays, model, None)
     if about["names"] != [*model.names]:
         raise ModelError(f"{path} holds a filter of the modes {about['names']}, not of {[*model.names]}")
+    _check(path, arrays, model, None)
     modes = _modes_from(part("modes", arrays))
     mean, cov = modes.moments
     if len(mean) != model.dim:

@@ -308,6 +308,7 @@ def merging(predictor, updater):
         (lambda: SPHPredictor(linear()), "JumpMarkovPredictor"),
         (lambda: JumpMarkovPredictor(sf.LinearSDE([[0.0]], noise=[[0.2]])), "SPHPredictor takes others"),
         (lambda: JumpMarkovPredictor(linear(), on_failure="gaussian"), "one of 'drop', 'raise'"),
+        (lambda: SPHPredictor(linear().modes["rest"], n_particles="auto"), "takes a bound of the particles"),
         (lambda: JumpMarkovPredictor(linear(), n_particles="many"), "n_particles"),
         (lambda: JumpMarkovPredictor(linear(), mode_probabilities=[0.5, 0.6]), "sum to one"),
         (lambda: JumpMarkovPredictor(linear(), config=sf.FilterConfig(time_budget=1.0)), "time_budget"),

@@ -152,6 +152,15 @@ class SPHPredictor(DensityPredictor):
         default="gaussian", doc='What a prediction that fails becomes: "gaussian", "drop" or "raise".'
     )
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        if self.n_particles == "auto":
+            raise ConfigError(
+                'SPHPredictor takes a bound of the particles, such as n_particles=400, not "auto"; '
+                "JumpMarkovPredictor of a model of one mode chooses by itself"
+            )
+        count("n_particles", self.n_particles)
+
     @transition_model.setter  # type: ignore[no-redef]  # Stone Soup makes a property of it
     def transition_model(self, model: SDETransitionModel | Dynamics | TransitionModel) -> None:
         self._property_transition_model = transition_of(model)
