@@ -154,12 +154,13 @@ class SPHPredictor(DensityPredictor):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        if self.n_particles == "auto":
+        given: Any = self.n_particles
+        if given == "auto":
             raise ConfigError(
                 'SPHPredictor takes a bound of the particles, such as n_particles=400, not "auto"; '
                 "JumpMarkovPredictor of a model of one mode chooses by itself"
             )
-        count("n_particles", self.n_particles)
+        count("n_particles", given)
 
     @transition_model.setter  # type: ignore[no-redef]  # Stone Soup makes a property of it
     def transition_model(self, model: SDETransitionModel | Dynamics | TransitionModel) -> None:
