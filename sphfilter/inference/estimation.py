@@ -20,7 +20,7 @@ from ..errors import EstimationError
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..model.named import InputRecord
-from .evidence import Bound, Builder, Evidence, Progress, check_name, checked_guess, error_of_run
+from .evidence import Bound, Builder, Evidence, Pickled, Progress, check_name, checked_guess, error_of_run
 from .maximum import NEAR, ROUND, climbed, off_bounds, polished, ridge, room, searched
 from .posterior import ParameterPosterior, Prior, posterior_of
 from .quadratic import Quadratic, quadratic, roughness, step_for
@@ -29,7 +29,7 @@ __all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
 
 
 @dataclass(frozen=True)
-class ParameterFit:
+class ParameterFit(Pickled):
     """Parameters of largest evidence, with their standard errors.
 
     Attributes

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy, deepcopy
 from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,7 +22,7 @@ from ..model.discrete import DiscreteModel
 from ..model.measurements import Reading
 from ..model.named import InputRecord, check_parameters, each_input, parametrised
 
-__all__ = ["Evidence", "check_name", "checked_guess", "error_of_run", "fingerprint", "n_readings"]
+__all__ = ["Evidence", "Pickled", "check_name", "checked_guess", "error_of_run", "fingerprint", "n_readings"]
 
 #: Makes a filter, at the start of the measurements, of parameters by name.
 Builder: TypeAlias = Callable[[dict[str, float]], AnyFilter]
@@ -60,6 +61,16 @@ def checked_guess(
     return names, theta, low, high
 
 
+class Pickled:
+    """What holds read-only mappings, which Python does not pickle as they are."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in vars(self).items()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update({k: MappingProxyType(v) if type(v) is dict else v for k, v in state.items()})
+
+
 class Evidence:
     """The log-evidence as a function of parameters (n,): minus infinity where the filter refuses."""
 
@@ -89,6 +100,10 @@ class Evidence:
         self.bounds = np.full(len(names), -np.inf), np.full(len(names), np.inf)
         self.report, self.n_evaluations = report, 0
         self.n_readings = n_readings(self.measurements)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        made = self.given, self.times, self.measurements, self.names, None, self.inputs
+        return Evidence, made, {"bounds": self.bounds, "n_evaluations": self.n_evaluations}
 
     def first(self, theta: Floats) -> float:
         """At the guess, where it has to be finite."""

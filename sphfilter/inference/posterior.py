@@ -18,7 +18,7 @@ from ..density.quasi_random import quasi_random
 from ..density.weighted import quantile_of
 from ..errors import EstimationError, ModelError
 from ..validate import count, short
-from .evidence import Evidence, check_name
+from .evidence import Evidence, Pickled, check_name
 from .quadratic import first_steps, scales
 
 __all__ = ["ParameterPosterior", "Prior", "posterior_of"]
@@ -34,7 +34,7 @@ _FEW = 30.0  # effective draws that tell no tails: 30 / 20 = 1.5 lie beyond a qu
 
 
 @dataclass(frozen=True, eq=False)
-class ParameterPosterior:
+class ParameterPosterior(Pickled):
     """The probability density of fitted parameters, given the measurements, as weighted draws.
 
     Attributes

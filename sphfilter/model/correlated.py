@@ -70,7 +70,7 @@ def correlated_noise(
     rest = R - seen @ S
     scale = np.sqrt(np.diag(R))
     off = Q @ seen.T - S  # beyond rounding where noise without variance is to be correlated
-    if np.linalg.eigvalsh(rest / np.outer(scale, scale)).min() < -ROUNDING or np.abs(off).max() > ROUNDING:
+    if np.linalg.eigvalsh(rest / np.outer(scale, scale)).min() < ROUNDING or np.abs(off).max() > ROUNDING:
         raise ModelError(
             f"noises of covariances Q = {Q.tolist()} and R = {R.tolist()} cannot have a cross covariance of "
             f"{S.tolist()}: a smaller one can"

@@ -1,5 +1,7 @@
 """Filters with other parameters, of fits too, and comparisons on the data that fits have."""
 
+import pickle
+
 import numpy as np
 import pytest
 from oscillators import OSCILLATOR, POSITION, START, TIMES, exact, readings
@@ -86,3 +88,17 @@ def test_inputs_are_kept_with_the_data():
     assert np.array_equal(fit.inputs, before)
     found = sf.compare_models({"fitted": fit, "given": flt})
     assert found.data == known and found.log_evidence.max() == pytest.approx(fit.log_evidence)
+
+
+def test_fits_and_posteriors_go_through_pickle():
+    model = sf.SDE.from_expressions(["x"], ["-a*x"], [["1"]], parameters={"a": 0.6})
+    level, times = sf.GaussianMeasurement([[1.0]], [[0.1]]), 0.4 * np.arange(1, 11)
+    _, z = sf.simulate(model, level, [0.0], np.r_[0.0, times], rng=3)
+    fit = sf.fit_parameters(sf.SPHFilter(model, level, [0.0], [[0.1]]), times, z[1:], guess={"a": 0.5})
+    again = pickle.loads(pickle.dumps(fit))
+    assert dict(again.estimate) == dict(fit.estimate) and again.filter.model.parameters == fit.estimate
+    own, other = (one.posterior(n_draws=64) for one in (fit, again))
+    posterior = pickle.loads(pickle.dumps(own))
+    assert posterior.mean == own.mean and other.mean["a"] == pytest.approx(own.mean["a"])
+    with pytest.raises(TypeError):
+        posterior.estimate["a"] = 1.0
