@@ -27,7 +27,7 @@ from ..prediction.cloud import as_points, squared_differences
 
 __all__ = ["between", "on_clouds"]
 
-_MOST = 2048  # points at which λ is known
+_MOST = 2048  # points at which λ is known; measured: half and twice change nothing of 512 points
 
 
 class _Smoothed(NamedTuple):

@@ -71,8 +71,8 @@ class SmoothedResult:
         smoothed density rests on a guess. NaN on clouds, which have no particles of the filter's in them.
     error : ndarray, shape (T,)
         Estimated error of each smoothed mean, in smoothed standard deviations: rms over the states. NaN on
-        lattices. Told over made was measured to be from .5 (Van der Pol, a cart of four states) to 2 (linear
-        models, two wells), and 8 for Duffing.
+        lattices. Told over made was measured to be from .5 (512 points) over 1 (Van der Pol) to 2.5 (a linear
+        model of four states, two wells).
 
     Examples
     --------

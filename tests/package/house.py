@@ -52,7 +52,7 @@ BOUNDS = {
     "  longer than 40 lines": 16,
     "  with more than 8 arguments": 29,  # two constructors more
     "module-level numbers": 421,  # smoothing on clouds 12, draws of parameters 6, the command 5
-    "  without derivation or measurement": 178,
+    "  without derivation or measurement": 173,
     "places that ask which representation": 103,  # modes that go as points; what a smoother starts from
     "  files with such places": 38,
     "floors of imports": 31,  # the command stands on fits and forecasts
