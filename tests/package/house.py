@@ -47,7 +47,7 @@ BOUNDS = {
     "lines of sphfilter": 41_750,
     "lines of reference_filters": 5_300,
     "lines of experiments": 12_600,
-    "lines of tests": 29_050,  # and 1,300 that hold them to grids, closed forms, filterpy, and a wheel
+    "lines of tests": 29_100,  # and 1,300 that hold them to grids, closed forms, filterpy, and a wheel
     "  median length": 6,
     "  longer than 40 lines": 16,
     "  with more than 8 arguments": 29,  # two constructors more
