@@ -5,6 +5,7 @@ where all measurements find the state: in six states hardly one in a hundred of 
 """
 
 import copy
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -51,6 +52,8 @@ def on_clouds(
         sums = [moments(side.points.x, side.points.w) for side in (one, other)]
         told = told.after(*squared_differences(one.points, other.points, None, sums))
         error = max(error_by(told.mean), least_error(effective(one.points.w), count))
+        # the evidence with λ in it, beside that without: so many nats are about as many standard deviations
+        error = math.hypot(error, one.log_evidence - many[-1].log_evidence)
         density = cloud_density(epoch.filt.density, *one.points[:2], sums[0], error=error, cloud=None)
         out.append((density, one.log_evidence, error))
     return out

@@ -124,7 +124,9 @@ def test_curved_models_as_on_lattices(name):
     config = sf.FilterConfig(scheme=sf.CloudScheme(n_points=2048))
     found = sf.smooth(sf.SPHFilter(model, sensor, x0, P0, config=config), times, z)
     lattice = sf.smooth(sf.SPHFilter(model, sensor, x0, P0, n_particles=300), times, z)
-    assert_close(found, (lattice.x, lattice.P), 0.06, 0.06)
+    made, _ = errors(found, lattice.x, lattice.P)
+    assert np.all(made < 3.0 * found.error)
+    assert np.all(made[found.error < 0.1] < 0.03) and np.any(found.error < 0.1)
 
 
 @pytest.mark.parametrize("count", [512, pytest.param(2048, marks=pytest.mark.slow)])
