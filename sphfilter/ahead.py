@@ -40,8 +40,9 @@ def compile() -> float:
     model = SDE.from_expressions(["x", "y"], *texts)
     steps = DiscreteModel.from_expressions(["x", "y"], ["x + 0.1*y", "y + 0.1*sin(x)"], [["0.1"], ["0.5"]])
     sensor = GaussianMeasurement.from_expressions(["x", "y"], ["x + x**2/9"], [[0.1]])
-    filters = [SPHFilter(model, sensor, *start, config=FilterConfig(scheme=scheme)) for scheme in _SCHEMES]
-    filters += [SPHFilter(steps, sensor, *start), SPHFilter(steps, sensor, *start, config=_clouds())]
+    configs = [FilterConfig(scheme=scheme) for scheme in _SCHEMES]
+    filters = [SPHFilter(model, sensor, *start, config=config) for config in configs]
+    filters += [SPHFilter(steps, sensor, *start, config=config) for config in configs[:2]]
     switching = JumpMarkovModel({"a": model, "b": SDE.from_expressions(["x", "y"], ["y", "-x"], texts[1])},
                                 [[-0.1, 0.1], [0.1, -0.1]])  # fmt: skip
     times, (_, z) = [0.2, 0.4], simulate(model, sensor, start[0], [0.0, 0.2, 0.4], rng=1)
@@ -53,7 +54,3 @@ def compile() -> float:
         flt.density.probability(lambda X: X[:, 0] > 0.0), flt.density.mode()
     smooth(SPHFilter(model, sensor, *start), times, z[1:])
     return perf_counter() - began
-
-
-def _clouds() -> FilterConfig:
-    return FilterConfig(scheme=CloudScheme())

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import reference_filters
 import sphfilter
-from experiments.show.files import digest_of_files, whole
+from experiments.show.files import whole
+from sphfilter.campaign.identity import digest_of_files
 
 __all__ = ["Rows", "code_digest"]
 

@@ -8,17 +8,12 @@ import tomli_w
 
 from sphfilter.files.write import write_csv
 
-__all__ = ["digest", "digest_of_files", "unfinished", "whole", "write_rows", "write_toml"]
+__all__ = ["digest", "unfinished", "whole", "write_rows", "write_toml"]
 
 
 def digest(text):
     """Sixteen digits that a text is known by."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def digest_of_files(files):
-    """Sixteen digits that the contents of files, one after the other, are known by."""
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 def unfinished(out, settings):

@@ -6,6 +6,8 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
+from sphfilter.campaign.tables import in_markdown as markdown
+
 __all__ = ["UNKNOWN", "counted", "markdown", "number", "percent", "print_table", "table"]
 
 UNKNOWN = "–"
@@ -71,9 +73,3 @@ def _part(made, chosen):
     for i, row in enumerate(made.rows):
         part.add_row(*(column[i] for column in cells), style=row.style, end_section=row.end_section)
     return part
-
-
-def markdown(headings, rows, left=1):
-    """Lines of a markdown table, whose columns stand as those of `table`."""
-    rule = ["---" if k < left else "---:" for k in range(len(headings))]
-    return [f"| {' | '.join(row)} |" for row in (headings, rule, *rows)]

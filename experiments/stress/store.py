@@ -9,7 +9,8 @@ import numpy as np
 
 import reference_filters
 import sphfilter
-from experiments.show.files import digest, digest_of_files, whole
+from experiments.show.files import digest, whole
+from sphfilter.campaign.identity import digest_of_files
 
 from .records import Record
 from .referees import Referee

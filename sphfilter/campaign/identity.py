@@ -4,15 +4,15 @@ import hashlib
 import re
 import sys
 import sysconfig
-from collections.abc import Mapping, Set
-from functools import partial
+from collections.abc import Iterable, Mapping, Set
+from functools import cache, partial
 from pathlib import Path
 from types import CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
 
-__all__ = ["code_digest", "text_of"]
+__all__ = ["code_digest", "digest_of_files", "text_of"]
 
 _LIBRARY = Path(__file__).parents[1]
 _OF_OTHERS = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")} | {str(_LIBRARY)})
@@ -25,23 +25,22 @@ def text_of(thing: Any) -> str:
     Modules and code of other packages are known by their names, for their versions are told elsewhere; that
     of a script is the same whatever name it is run by.
     """
-    named = repr(thing)
-    if not isinstance(thing, FunctionType | MethodType | partial) and _tells(type(thing)):
-        return _ADDRESS.sub("", named)
+    tells = type(thing).__repr__ is not object.__repr__  # type: ignore[comparison-overlap]
+    if tells and not isinstance(thing, FunctionType | MethodType | partial):
+        return _ADDRESS.sub("", repr(thing))
     name = getattr(thing, "__qualname__", type(thing).__qualname__)
     return f"{name} {_Known().digest(thing)}"
 
 
+@cache  # what was loaded is what counts, though files may change while a campaign runs
 def code_digest() -> str:
     """A digest of the library's own source."""
-    known = hashlib.sha256()
-    for path in sorted(_LIBRARY.rglob("*.py")):
-        known.update(path.read_bytes())
-    return known.hexdigest()[:8]
+    return digest_of_files(sorted(_LIBRARY.rglob("*.py")))[:8]
 
 
-def _tells(kind: type) -> bool:
-    return kind.__repr__ is not object.__repr__  # type: ignore[comparison-overlap]
+def digest_of_files(files: Iterable[Path]) -> str:
+    """Sixteen digits that the contents of files, one after the other, are known by."""
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 def _foreign(thing: Any) -> bool:

@@ -126,8 +126,8 @@ class Report:
 
     def to_markdown(self) -> str:
         """Return title, table and verdicts in Markdown; what no filter tells is left out."""
-        said = "\n".join(f"- {sentence}" for sentence in self.verdicts)
-        return f"## {self.title}\n\n{tables.in_markdown(*self._table)}\n\n{said}\n"
+        said = (f"- {sentence}" for sentence in self.verdicts)
+        return "\n".join([f"## {self.title}", "", *tables.in_markdown(*self._table), "", *said, ""])
 
     def to_latex(self) -> str:
         """Return the table as a LaTeX tabular; it needs the package booktabs."""

@@ -30,11 +30,11 @@ def in_text(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [f"{label:{first}}" + wide.format(*cells) for label, *cells in (heading, *rows)]
 
 
-def in_markdown(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A pipe table."""
-    said = [[cell.replace("|", "\\|") for cell in row] for row in (heading, *rows)]
-    said.insert(1, ["---", *["---:"] * (len(heading) - 1)])
-    return "\n".join(f"| {' | '.join(row)} |" for row in said)
+def in_markdown(heading: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
+    """Lines of a pipe table, whose first columns stand to the left."""
+    rule = ["---" if k < left else "---:" for k in range(len(heading))]
+    said = ([cell.replace("|", "\\|") for cell in row] for row in (heading, rule, *rows))
+    return [f"| {' | '.join(row)} |" for row in said]
 
 
 def in_latex(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

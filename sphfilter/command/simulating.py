@@ -7,6 +7,7 @@ import numpy as np
 
 from .._types import Floats
 from ..errors import ConfigError
+from ..files.csv_data import usual_columns
 from ..files.read_model import ModelOfFile, read_model
 from ..files.write import write_csv
 from ..model.simulate import simulate
@@ -58,5 +59,4 @@ def _columns(file: ModelOfFile) -> list[str]:
     if isinstance(counts, int):
         return [*given] or (["z"] if counts == 1 else [f"z{k}" for k in range(counts)])
     named = given if isinstance(given, dict) else {}
-    own = {name: [name] if n == 1 else [f"{name}.{k}" for k in range(n)] for name, n in counts.items()}
-    return [column for name in counts for column in named.get(name, own[name])]
+    return [column for name, n in counts.items() for column in named.get(name) or usual_columns(name, n)]

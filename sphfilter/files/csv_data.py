@@ -15,7 +15,7 @@ import numpy as np
 from .._types import Floats
 from ..errors import ConfigError, nearest
 
-__all__ = ["Measurements", "columns_of", "read_columns", "read_measurements"]
+__all__ = ["Measurements", "columns_of", "read_columns", "read_measurements", "usual_columns"]
 
 
 _Path: TypeAlias = str | PathLike[str]
@@ -172,6 +172,11 @@ def _check_names(path: _Path, names: Iterable[str], heading: Sequence[str]) -> N
             )
 
 
+def usual_columns(name: str, count: int) -> tuple[str, ...]:
+    """Columns of a sensor of so many readings, where a model file does not name them."""
+    return (name,) if count == 1 else tuple(f"{name}.{k}" for k in range(count))
+
+
 def _columns_of_each(
     path: _Path, counts: Mapping[str, int], columns: _Columns, heading: Sequence[str]
 ) -> tuple[str, ...]:
@@ -184,7 +189,7 @@ def _columns_of_each(
         columns = {}
     found: list[str] = []
     for name, count in counts.items():
-        own = columns.get(name) or ((name,) if count == 1 else tuple(f"{name}.{k}" for k in range(count)))
+        own = columns.get(name) or usual_columns(name, count)
         if len(own) != count:
             raise ConfigError(
                 f"sensor {name!r} gives {count} values, but data.columns names {', '.join(own)}"

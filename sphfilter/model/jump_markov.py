@@ -101,8 +101,8 @@ class JumpMarkovModel:
                 )
         self.transitions = None
         if kind is DiscreteModel:
-            self.transitions, self._period = _transitions(rates, transitions, self.modes)
-            rates = (self.transitions - np.eye(len(modes))) / self._period
+            self.transitions, period = _transitions(rates, transitions, self.modes)
+            rates = (self.transitions - np.eye(len(modes))) / period
         elif rates is None or transitions is not None:
             raise ModelError("equations switch at rates=, jumps a second; transitions= are of DiscreteModel")
         self.rates = _rates(rates, self.names)

@@ -100,12 +100,9 @@ def predict_modes(
         steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error / finer, n_substeps)
     told, way = _Told(model.names), Way.of(model, (t0, t1), steps)
     count = _points(modes, model, config, n_particles) if jumps else 0
-    moved = None
-    if not count:
-        moved = _in_turn(modes, model, way, config, n_particles, apart, told)
-        told = _Told(model.names) if moved is None else told
+    moved = None if count else _in_turn(modes, model, way, config, n_particles, apart, told)
     if moved is None:
-        forced = isinstance(config.scheme, CloudScheme)
+        told, forced = _Told(model.names), isinstance(config.scheme, CloudScheme)
         moved, infos = carried_with_jumps(modes, model, way, count or _usual_points(modes, target), target)
         for i, info in infos.items():
             told.hear(i, info if forced else as_asked(info))
@@ -222,9 +219,9 @@ def _carried(
 
     The configurations have the target errors of one step of many, by the kind of the density.
     """
-    log_w, densities = modes.log_w.copy(), list(modes.densities)
     if t == modes.heaviest.t:
         return modes
+    log_w, densities = modes.log_w.copy(), list(modes.densities)
     for i, own, density in modes.some:
         sde = model.modes[model.names[i]]
         if sde.linear and sde.domain.unbounded and (density.gaussian or density.pieces is not None):
