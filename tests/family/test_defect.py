@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import sphfilter as sf
 from sphfilter.density.defect import Defect, read_out
@@ -94,6 +95,22 @@ def test_a_polynomial_that_rises_far_out_is_told():
     gaussian = gaussian_family(np.zeros(1), np.eye(1), 3)
     assert read_out(gaussian, Defect.none(gaussian)).error == pytest.approx(1e-5)
     assert read_out(gaussian, Defect.none(gaussian, 0.02)).error == pytest.approx(0.02, rel=0.01)
+
+
+def test_errors_without_a_sign_go_with_the_flow():
+    """Steps of U + h dU led to variances below zero, and `told_at` to the root of one."""
+    F = np.array([[-1.0, 6.0], [-6.0, -8.0]])
+    model = sf.LinearSDE(F, noise=[[0.1], [0.1]])
+    start = sf.initialize(sf.Gaussian(np.zeros(2), np.eye(2)), "auto")
+    along = np.array([[1.0, 0.2]])  # all of the error lies on a line
+    known = Defect(Defect.none(start.family).e, along.T @ along, 0.0)
+    scheme = sf.FamilyScheme(degree=2, tolerance=0.1)
+    moved, _ = sf.predict(
+        start.noted(defect=known), model, 0.4, sf.SolverConfig(scheme=scheme, exact_linear=False)
+    )
+    end = expm(0.4 * F) @ along.T
+    assert np.linalg.eigvalsh(moved.defect.U)[0] > -1e-9
+    np.testing.assert_allclose(moved.defect.U, end @ end.T, atol=1e-3)
 
 
 def test_what_holds_no_density_is_refused():

@@ -20,7 +20,7 @@ from .._jit import MATRIX, VECTOR, jit
 from .basis import BASIS
 from .frame import inverse
 
-__all__ = ["DEFECT", "RATES", "Flow", "Work", "defect_rates", "rates", "work"]
+__all__ = ["DEFECT", "RATES", "Flow", "Work", "defect_rates", "product", "rates", "work"]
 
 
 class Flow(NamedTuple):
@@ -122,12 +122,14 @@ def _of_density(flow, basis, own, c):
 def defect_rates(flow, basis, beyond, own, y, dy, s, ds):
     """Rates ds[0] of the defect s of a family y, which changes by dy, and ds[1] how fast noise forgets it.
 
+    In the place of the covariance ds[1] has the mean gradient G of the drift, and ds[0] nothing.
+
     `own` must be as `rates` has left it.
 
     A defect is in one array: what log p is beyond the family, in the polynomials of `beyond`; a covariance
     (n, n) of errors of the mean without a sign; and the size of what those polynomials do not follow either.
     The first goes as the density does that has both polynomials, the second as the drift bends on average,
-    G U + U G^T, and noise forgets the third. Of polynomials noise forgets more the higher they are.
+    dU = G U + U G^T, and noise forgets the third. Of polynomials noise forgets more the higher they are.
     """
     n, (M, N) = basis.xi.shape[1], beyond.V.shape
     first = n + n * n
@@ -155,20 +157,13 @@ def defect_rates(flow, basis, beyond, own, y, dy, s, ds):
         for j in range(M):
             ds[1, j] += beyond.power[j, a] * noise
     ds[0, last] = math.sqrt(lost) - ds[1, last] * s[last]
-    _sheared(own, A, s[M:last].reshape((n, n)), ds[0, M:last].reshape((n, n)))
+    gradient = product(A, product(own.S, own.inverse)).ravel()
+    for e in range(n * n):
+        ds[1, M + e] = gradient[e]
 
 
 @jit
-def _sheared(own, A, U, dU):
-    """dU = G U + U G^T for the mean gradient G = A S A^-1 of the drift."""
-    half = _product(A, _product(own.S, _product(own.inverse, U)))
-    for a in range(U.shape[0]):
-        for b in range(U.shape[0]):
-            dU[a, b] = half[a, b] + half[b, a]
-
-
-@jit
-def _product(X, Y):
+def product(X, Y):
     """X Y, of square matrices."""
     n = X.shape[0]
     out = np.zeros((n, n))
