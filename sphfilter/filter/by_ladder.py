@@ -15,7 +15,7 @@ from ..density.resample import on_lattice
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, may_be_off
 from ..prediction.family import fits_density
-from ..prediction.ladder import best_family, first_degree, prefers_cloud
+from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
 from .by_cloud import by_cloud
 from .by_families import by_families
 from .by_family import family_update
@@ -42,7 +42,9 @@ def by_ladder(
     needs = (density.needs or Memory())._replace(legs=0)
     walled = density.domain is not None and density.domain.walled.any()
     by_cloud = density.field is None and not walled and prefers_cloud(density.dim, needs, target)
-    if density.read_out == "cloud":
+    exact = asked.linear and (density.gaussian or density.pieces is not None)
+    cheaper = by_cloud and not exact and becomes_cloud(density, needs, target)
+    if density.read_out == "cloud" or cheaper:
         return _on_cloud(density, asked, target, config, needs)
     found = _on_families(density, asked, target, needs) or _on_family(density, asked, target, needs)
     if found is not None and by_cloud and found[1]["error"] > tolerated_excess(density.dim) * target:
@@ -150,7 +152,7 @@ def _with_inherited(new: ParticleDensity, said: dict[str, Any], left: float, of_
 def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
     """Fields of a rung's info, without the news that the target asked for more nodes or points."""
     usual = Code.CLOUD | Code.FINER
-    if said["code"] & ~usual or not said["error"] < DOUBTFUL:
+    if said["code"] & ~usual:
         return said
     if said["error"] <= FLAGGED * target:
         return said | {"status": "ok", "code": Code.OK}

@@ -11,7 +11,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
-from ..core.cloud.control import WRONG
+from ..core.cloud.control import wrong_beside
 from ..core.cloud.cycle import JUDGE, REFUSED, UNUSUAL, Bounds
 from ..density.as_cloud import cloud_of
 from ..density.memory import FLAGGED, MISSED, Memory
@@ -23,7 +23,8 @@ from ..errors import ModelError, PropagationError
 from ..info import DOUBTFUL
 from ..model.measurements import GaussianMeasurement
 from ..model.sde import SDE
-from ..prediction.cloud import carried_cloud, least_steps, shadow_size
+from ..prediction.cloud import as_points, carried_cloud, least_steps, shadow_size
+from ..prediction.ladder import becomes_cloud
 from .by_cloud import cloud_times_likelihood, error_added
 from .read_only import read_only as as_found
 from .reading_at_prior import OUTLYING, ReadingAtPrior, reading_of
@@ -97,11 +98,10 @@ class _Run:
     """A cloud on its way through a record."""
 
     def __init__(self, filt: Any) -> None:
-        density = filt.density
-        self.reached = _Reached(density.cloud, density.needs, [], filt.t)
-        self._sensor, self._model = filt.measurement, filt.model
+        density, needs, model = filt.density, filt.density.needs or Memory(), filt.model
+        self._sensor, self._model = filt.measurement, model
         self._target: Any = target_of(density, filt.config, "auto")
-        model = filt.model
+        self.reached = _Reached(as_points(density, needs.cloud(self._target)), needs, [], filt.t)
         self._steady = model.autonomous or model.linear or not isinstance(model, SDE)
         self._known: Stacked | None = None
         self._raised = False
@@ -175,12 +175,13 @@ class _Run:
         expected, S, _ = reading_of(sensor, span[1], points.x, points.w, moved.moments)
         y, S = sensor.residual(z, expected), S + sensor.noise_cov
         far = stacked.asked[0]._replace(innovation=y, S=S).outlying
-        usual = not far and moved.lost == 0.0 and moved.error < DOUBTFUL
+        flagged = FLAGGED * target
+        usual = not far and moved.lost == 0.0 and moved.error < max(DOUBTFUL, flagged)
         done = cloud_times_likelihood(moved.state, stacked) if usual else None
         if done is None:
             return False
         done = done.inheriting(moved.state, moved.moments)
-        if not done.error <= FLAGGED * target or not done.error < DOUBTFUL or done.doubt > WRONG:
+        if not done.error <= flagged or done.doubt > wrong_beside(flagged):
             return False
         told = done.state.told.decisive(target, model.dim)
         if max(done.error, told) > MISSED * target:
@@ -217,12 +218,20 @@ def _usual(filt: Any) -> bool:
     """Whether a filter is such that steps of its cloud are all there is to do."""
     config, density, sensor = filt.config, filt.density, filt.measurement
     plain = config.scheme == "auto" and config.time_budget is None and not config.acceptance.enabled
-    known = density.cloud is not None and density.needs is not None
+    known = density.needs is not None if density.cloud is not None else _begins(filt)
     own = type(sensor) is GaussianMeasurement and not sensor.inputs and not filt.model.inputs
     if own:
         sensor.check_dim(filt.model.dim)
         own = sensor.H is None or not sensor.angles  # else it sums in an order of its own
     return bool(plain and filt.adapts and known and own and filt.model.domain.unbounded and not filt._steps)
+
+
+def _begins(filt: Any) -> bool:
+    """Whether a filter's density is a Gaussian as given, of which its first prediction makes a cloud."""
+    density, target = filt.density, target_of(filt.density, filt.config, "auto")
+    if not density.gaussian or density.error > 0.0 or filt.model.linear:
+        return False
+    return becomes_cloud(density, density.needs or Memory(), target)
 
 
 def _plain(filt: Any, t: float, times: Floats, readings: Sequence[Any]) -> tuple[Floats, Floats]:

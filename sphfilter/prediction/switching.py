@@ -105,7 +105,7 @@ def predict_modes(
         told, forced = _Told(model.names), isinstance(config.scheme, CloudScheme)
         moved, infos = carried_with_jumps(modes, model, way, count or _usual_points(modes, target), target)
         for i, info in infos.items():
-            told.hear(i, info if forced else as_asked(info))
+            told.hear(i, info if forced else as_asked(info, target))
     modes = moved
     whole = np.array([ripple.mass for ripple in off])
     modes = modes.split(np.hypot(modes.splitting, whole), off)

@@ -14,7 +14,6 @@ from .pace import ORDER as STEPS_ORDER
 __all__ = [
     "MOST_POINTS",
     "SHADOW",
-    "WRONG",
     "apart_by",
     "bias_allowed",
     "both",
@@ -31,6 +30,7 @@ __all__ = [
     "square_of_more",
     "step_after",
     "steps_of_shadow",
+    "wrong_beside",
 ]
 
 SHADOW = 8  # points of a cloud over those of its shadow, which costs an eighth of the time
@@ -51,7 +51,7 @@ _AIMED = 0.5
 #: Points of a cloud, least and most: powers of two, for which nets are evenest. The shadow of the least has
 #: 32, and the error of the most is some _OF_RANDOM / √2^17 = 1.4e-3.
 _FEWEST_POINTS, MOST_POINTS = 32 * SHADOW, 2**17
-WRONG = 0.2  # of a variance, off by which it is said to be, as it may be off by twice what is told
+WRONG = 0.2  # of a variance, off by which it is said to be at usual targets
 _SETTLED = 3  # readings before there are more again; measured: with 2 modes of tests/filter miss .01
 _PATIENCE = 2  # readings that ask for fewer before there are; measured: errors up to 1.7 times with 4
 
@@ -166,6 +166,15 @@ def decisive(mean, variance, target, n):
     random sample, if that is more: a state that no reading sees may be off where the mean is right.
     """
     return max(mean, variance * min(2.0 * target / WRONG, (n + 1.0) ** -0.5))
+
+
+@register_jitable
+def wrong_beside(flagged):
+    """Part of a variance, by which it may be off and nothing is said, beside a mean flagged from an error on.
+
+    A variance may be off by twice what is told of it.
+    """
+    return max(WRONG, 2.0 * flagged)
 
 
 @register_jitable

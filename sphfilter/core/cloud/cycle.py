@@ -15,7 +15,6 @@ from .._jit import MATRIX, VECTOR, jit
 from ..limits import ALIKE
 from ..small_matrices import cholesky, invert_lower, white_square
 from .control import (
-    WRONG,
     apart_by,
     bias_allowed,
     both,
@@ -31,6 +30,7 @@ from .control import (
     square_of_more,
     step_after,
     steps_of_shadow,
+    wrong_beside,
 )
 from .noise import NORMAL, stored
 from .pace import FIRST_TRIED, MOST_LOST, chosen, over
@@ -145,7 +145,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         few = over(own, own.flow, *span, fewer)
         one, two = _both(about, few, s, nets, curve)
         ahead, squares = _told(s, one, two, count)
-        if not (one.usual and two.usual and both(ahead, bias) < bounds.doubtful):
+        if not (one.usual and two.usual and both(ahead, bias) < max(bounds.doubtful, bounds.flagged)):
             end = UNUSUAL
             break
         _keep(one.mean, one.cov, m, P, j)
@@ -283,7 +283,8 @@ def _told(s, one, two, count):
 @jit
 def _unremarkable(error, squares, off, S, bounds):
     """Whether nothing is to be said of a reading of this innovation (k,) and covariance (k, k)."""
-    if not error <= bounds.flagged or not error < bounds.doubtful or 2.0 * error_by(squares[1]) > WRONG:
+    doubt = 2.0 * error_by(squares[1])
+    if not error <= bounds.flagged or doubt > wrong_beside(bounds.flagged):
         return False
     L = np.empty(S.shape)
     return cholesky(S, L) and not white_square(invert_lower(L), off) > bounds.outlying**2
