@@ -218,12 +218,12 @@ def _usual(filt: Any) -> bool:
     """Whether a filter is such that steps of its cloud are all there is to do."""
     config, density, sensor = filt.config, filt.density, filt.measurement
     plain = config.scheme == "auto" and config.time_budget is None and not config.acceptance.enabled
-    known = density.needs is not None if density.cloud is not None else _begins(filt)
     own = type(sensor) is GaussianMeasurement and not sensor.inputs and not filt.model.inputs
     if own:
         sensor.check_dim(filt.model.dim)
         own = sensor.H is None or not sensor.angles  # else it sums in an order of its own
-    return bool(plain and filt.adapts and known and own and filt.model.domain.unbounded and not filt._steps)
+    usual = plain and filt.adapts and own and filt.model.domain.unbounded and not filt._steps
+    return bool(usual and (_begins(filt) if density.cloud is None else density.needs is not None))
 
 
 def _begins(filt: Any) -> bool:
