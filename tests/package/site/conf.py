@@ -13,39 +13,19 @@ nb_execution_mode = "off"  # notebooks keep their outputs, and tests run them
 myst_heading_anchors = 3  # those that GitHub makes of headings
 root_doc = "README"
 include_patterns = ["*.md", "sphfilter/*.md", "experiments/**.md", "notebooks/*.ipynb"]
-CONTENTS = """
-```{toctree}
-:hidden:
-:caption: To use it
-sphfilter/RECIPES
-sphfilter/API
-sphfilter/FAILURES
-sphfilter/EXTENDING
-sphfilter/CLOUD
-```
-```{toctree}
-:hidden:
-:glob:
-:caption: To look at
-notebooks/first_filter
-notebooks/*
-experiments/README
-experiments/**
-```
-```{toctree}
-:hidden:
-:caption: To work on it
-ARCHITECTURE
-CONTRIBUTING
-CHANGELOG
-```
-"""
+CONTENTS = {
+    "To use it": "sphfilter/RECIPES sphfilter/API sphfilter/FAILURES sphfilter/*",
+    "To look at": "notebooks/first_filter notebooks/* experiments/README experiments/**",
+    "To work on it": "ARCHITECTURE CONTRIBUTING CHANGELOG",
+}
 
 
 def add_contents(app, page, source):
     """The README leads to all pages, in the margin of each."""
     if page == root_doc:
-        source[0] += CONTENTS
+        for caption, pages in CONTENTS.items():
+            listed = "\n".join(pages.split())
+            source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n:caption: {caption}\n{listed}\n```\n"
 
 
 def add_index(app, failure):
