@@ -64,9 +64,15 @@ class Case:
     __repr__ = in_a_line
 
     def __init__(
-        self, times: ArrayLike, truth: ArrayLike, z: ArrayLike, x0: ArrayLike, P0: ArrayLike, t0: float = 0.0,
+        self,
+        times: ArrayLike,
+        truth: ArrayLike,
+        z: ArrayLike,
+        x0: ArrayLike,
+        P0: ArrayLike,
+        t0: float = 0.0,
         inputs: ArrayLike | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         arrays = {"times": times, "truth": truth, "z": z, "x0": x0, "P0": P0}
         for name, value in arrays.items():
             object.__setattr__(self, name, np.asarray(value, dtype=float))
