@@ -42,15 +42,14 @@ def by_ladder(
     needs = (density.needs or Memory())._replace(legs=0)
     walled = density.domain is not None and density.domain.walled.any()
     by_cloud = density.field is None and not walled and prefers_cloud(density.dim, needs, target)
-    exact = asked.linear and (density.gaussian or density.pieces is not None)
-    cheaper = by_cloud and not exact and becomes_cloud(density, needs, target)
-    if density.read_out == "cloud" or cheaper:
+    if density.pieces is not None and asked.linear:
+        return _on_pieces(density, asked, target, needs)
+    exact = asked.linear and density.gaussian
+    if density.read_out == "cloud" or (by_cloud and not exact and becomes_cloud(density, needs, target)):
         return _on_cloud(density, asked, target, config, needs)
     found = _on_families(density, asked, target, needs) or _on_family(density, asked, target, needs)
     if found is not None and by_cloud and found[1]["error"] > tolerated_excess(density.dim) * target:
         found = None  # what the reading made of the prior's error, no family tells
-    if density.pieces is not None and asked.linear:
-        found = _on_pieces(density, asked, target, needs)
     if found is not None:
         return found
     if by_cloud:

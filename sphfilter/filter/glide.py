@@ -5,7 +5,7 @@ filter takes that one itself.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -100,8 +100,8 @@ class _Run:
     def __init__(self, filt: Any) -> None:
         density, needs, model = filt.density, filt.density.needs or Memory(), filt.model
         self._sensor, self._model = filt.measurement, model
-        self._target: Any = target_of(density, filt.config, "auto")
-        self.reached = _Reached(as_points(density, needs.cloud(self._target)), needs, [], filt.t)
+        self._target = target = _target_of(filt)
+        self.reached = _Reached(as_points(density, needs.cloud(target)), needs, [], filt.t)
         self._steady = model.autonomous or model.linear or not isinstance(model, SDE)
         self._known: Stacked | None = None
         self._raised = False
@@ -228,10 +228,15 @@ def _usual(filt: Any) -> bool:
 
 def _begins(filt: Any) -> bool:
     """Whether a filter's density is a Gaussian as given, of which its first prediction makes a cloud."""
-    density, target = filt.density, target_of(filt.density, filt.config, "auto")
+    density = filt.density
     if not density.gaussian or density.error > 0.0 or filt.model.linear:
         return False
-    return becomes_cloud(density, density.needs or Memory(), target)
+    return becomes_cloud(density, density.needs or Memory(), _target_of(filt))
+
+
+def _target_of(filt: Any) -> float:
+    """Error that is asked of a filter's means, which adapts to it."""
+    return cast(float, target_of(filt.density, filt.config, "auto"))
 
 
 def _plain(filt: Any, t: float, times: Floats, readings: Sequence[Any]) -> tuple[Floats, Floats]:

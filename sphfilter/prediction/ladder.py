@@ -46,7 +46,7 @@ Found = TypeVar("Found")
 #: states never pays. And points that take as long as one family of up to four states, and of more: with 512
 #: eight scenes take .4 to 1 times what they do with families first. (Of `experiments benchmark`.)
 _AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**13}, (2**10, 2**13)
-_FEW_STATES = 4  # families of more have thousands of nodes
+_FEW_STATES = 4  # families of more ask thousands of nodes (experiments benchmark)
 LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _WORK = 1000.0  # evaluations of the drift, that a lattice may take for each point of a usual cloud
