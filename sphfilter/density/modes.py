@@ -83,6 +83,13 @@ class ModeDensities:
         """Densities of the modes with other errors that come from jumps."""
         return ModeDensities(self.log_w, self.densities, splitting, ripples)
 
+    def cut(self, most: int) -> "ModeDensities":
+        """Densities of the modes that go on as so many points each, where their memory chooses the number."""
+        few = list(self.densities)
+        for i, _, p in self.some:
+            few[i] = p if p.needs is None else p.noted(needs=p.needs.cut(most))
+        return ModeDensities(self.log_w, few, self.splitting, self.ripples)
+
     @property
     def w(self) -> Floats:
         """Probabilities (M,)."""

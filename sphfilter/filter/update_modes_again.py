@@ -1,7 +1,7 @@
 """A prediction of all modes repeated, where a measurement hangs on what its steps or mergers lost."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +24,7 @@ _COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in dou
 #: Times less that an error is to be which a reading brings out. Measured: half and twice change no run.
 _FINEST = 250.0
 _APART = "the prediction before repeated with fewer Gaussians merged, for the reading is far out"
+_LATE = "no time to repeat the prediction before, in more steps of the jumps or with fewer Gaussians merged"
 _MERGED = "mergers of Gaussians leave {:.2g} nat of the log-evidence in doubt"
 #: Standard deviations of a reading from its prediction, beyond which mergers are not checked by their nodes,
 #: which end at √(5 + √10) = 2.86 of one state. Measured: half changes no run, twice an error by 2.2.
@@ -38,10 +39,12 @@ def update_or_predict_modes_again(
     z: ArrayLike | None,
     config: FilterConfig,
     n_particles: int | str,
+    fits: Callable[[], bool] = lambda: True,
 ) -> tuple[ModeDensities, ModeDensities, ModesUpdateInfo]:
     """Update; if the posterior hangs on what the prediction got wrong of the jumps, predict again.
 
-    `prediction` is what led to the prior: None where nothing was predicted, or it cannot be made again.
+    `prediction` is what led to the prior: None where nothing was predicted, or it cannot be made again;
+    fits() says whether there is time for that.
     Returns the prior that was used, the posterior, and what `update_modes` says. Raises `PropagationError` as
     that does, or if a prediction that was made again failed.
     """
@@ -60,6 +63,9 @@ def update_or_predict_modes_again(
     finer = MORE * min(off / target, _FINEST) if more else 1.0
     apart = far or 1.0
     for _ in range(TRIES if far else int(more)):
+        if not fits():
+            told = [(Code.LATE, _LATE)]
+            break
         before = info.log_evidence
         finer, apart = (max(finer, MORE), MORE * apart) if far else (finer, apart)
         prior, _ = predict_modes(

@@ -33,7 +33,7 @@ from .pieces import carried_exactly
 from .predict import predict
 from .splitting_error import jumps_of, splitting_error
 
-__all__ = ["MOST_SUBSTEPS", "ModesInfo", "ModesPrediction", "predict_modes"]
+__all__ = ["MOST_SUBSTEPS", "ModesInfo", "ModesPrediction", "points_of_modes", "predict_modes"]
 
 MOST_SUBSTEPS = 256  # of an interval; measured: half and twice change no run
 #: Of the target, that the splitting of an interval may be off by. Measured: errors are .8 to 1.1 times as
@@ -103,7 +103,7 @@ def predict_modes(
     moved = None if count else _in_turn(modes, model, way, config, n_particles, apart, told)
     if moved is None:
         told, forced = _Told(model.names), isinstance(config.scheme, CloudScheme)
-        moved, infos = carried_with_jumps(modes, model, way, count or _usual_points(modes, target), target)
+        moved, infos = carried_with_jumps(modes, model, way, count or points_of_modes(modes, target), target)
         for i, info in infos.items():
             told.hear(i, info if forced else as_asked(info))
     modes = moved
@@ -121,10 +121,10 @@ def _points(modes: ModeDensities, model: JumpMarkovModel, config: FilterConfig, 
         return 0
     sums = needs[0].smooth and model.dim <= LATTICE
     as_points = not sums and (suits(model) or _goes_as_points(modes))
-    return _usual_points(modes, config.target_error) if as_points else 0
+    return points_of_modes(modes, config.target_error) if as_points else 0
 
 
-def _usual_points(modes: ModeDensities, target: float) -> int:
+def points_of_modes(modes: ModeDensities, target: float) -> int:
     """Points of a cloud for each mode that a target asks for, by the modes' shares in its error."""
     needs = [(math.exp(log_w), density.needs or Memory()) for _, log_w, density in modes.some]
     return int(power_of_two(sum(w * own.cloud(target) for w, own in needs)))
