@@ -3,21 +3,31 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Floats
 from ..config import FilterConfig
-from ..core.step_control import MORE, TRIES
-from ..density.memory import MISSED
+from ..core.step_control import HELPED, MORE, TRIES
+from ..density.memory import MISSED, points_for
 from ..density.modes import ModeDensities
 from ..info import Code, UpdateInfo
 from ..model.measurements import Sensor
-from ..prediction.switching import MOST_SUBSTEPS, ModesPrediction, predict_modes
+from ..prediction.switching import (
+    MOST_SUBSTEPS,
+    ModesPrediction,
+    goes_as_points,
+    points_of_modes,
+    predict_modes,
+)
 from .update_modes import ModesUpdateInfo, update_modes
 
 __all__ = ["update_or_predict_modes_again"]
+
+#: Prior, posterior, and what the update says.
+_Read = tuple[ModeDensities, ModeDensities, ModesUpdateInfo]
 
 _REPEATED = "the prediction before repeated in more steps of the jumps between modes"
 _COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
@@ -52,7 +62,13 @@ def update_or_predict_modes_again(
     modes, info = update_modes(prior, sensors, z, config, n_particles)
     off = float(modes.w @ modes.splitting)
     far = _far(prior, modes.w, [info.modes.get(name) for name in sensors])
-    if modes is prior or prediction is None or (off <= target and not far):
+    if modes is prior or prediction is None:
+        return prior, modes, info
+    if n_particles == "auto" and config.scheme == "auto" and goes_as_points(prior):
+        again = partial(_again, prediction, prior.heaviest.t, sensors, z, config)
+        prior, modes, info = _on_more_points(prediction, (prior, modes, info), again, target, fits)
+        off = float(modes.w @ modes.splitting)
+    if off <= target and not far:
         return prior, modes, info
     t, in_doubt, told = prior.heaviest.t, 0.0, []
     more = off > target and prediction.n_substeps < MOST_SUBSTEPS
@@ -83,6 +99,43 @@ def update_or_predict_modes_again(
     for code, sentence in told:
         info = info.also(code, sentence)
     return prior, modes, replace(info, evidence_error=math.hypot(info.evidence_error, in_doubt))
+
+
+def _again(
+    prediction: ModesPrediction,
+    t: float,
+    sensors: Mapping[str, Sensor],
+    z: ArrayLike | None,
+    config: FilterConfig,
+    points: int,
+) -> _Read:
+    """The prediction and the reading on another number of points in each mode."""
+    prior, _ = predict_modes(prediction.before.cut(points), prediction.model, t, config, "auto")
+    return prior, *update_modes(prior, sensors, z, config, "auto")
+
+
+def _on_more_points(
+    prediction: ModesPrediction,
+    read: _Read,
+    again: Callable[[int], _Read],
+    target: float,
+    fits: Callable[[], bool],
+) -> _Read:
+    """Predict and update again where a reading finds too few points: what was wrong before no points cure."""
+    if not prediction.before.error <= MISSED * target:
+        return read
+    usual = read[1]
+    for _ in range(TRIES):
+        prior, modes, info = read
+        points = points_of_modes(prior, target)
+        more = points_for(points, modes.error, target)
+        if not modes.error > MISSED * target or more <= points or not fits():
+            break
+        other = again(more)
+        if not other[2].error < HELPED * info.error:
+            break
+        read = other[0], other[1].remembering(usual), other[2]
+    return read
 
 
 def _far(prior: ModeDensities, w: Floats, infos: Sequence[UpdateInfo | None]) -> float:
