@@ -334,7 +334,7 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
         number, settings = self._number(state), self._settings(state)
         prior, modes, info = update_or_predict_modes_again(
             *(state.origin, state.density, sensors, numbers, *settings),
-            fits=lambda: self._budget.fits(number),
+            fits=lambda times: self._budget.fits(int(times * number)),
         )
         if state.n_particles and info.error > FLAGGED * self.config.target_error:
             info = info.also(Code.COARSE, target_missed(info.error, self.config.target_error))

@@ -49,12 +49,12 @@ def update_or_predict_modes_again(
     z: ArrayLike | None,
     config: FilterConfig,
     n_particles: int | str,
-    fits: Callable[[], bool] = lambda: True,
+    fits: Callable[[float], bool] = lambda times: True,
 ) -> tuple[ModeDensities, ModeDensities, ModesUpdateInfo]:
     """Update; if the posterior hangs on what the prediction got wrong of the jumps, predict again.
 
     `prediction` is what led to the prior: None where nothing was predicted, or it cannot be made again;
-    fits() says whether there is time for that.
+    fits(times) says whether there is time for that, on so many times the points.
     Returns the prior that was used, the posterior, and what `update_modes` says. Raises `PropagationError` as
     that does, or if a prediction that was made again failed.
     """
@@ -79,7 +79,7 @@ def update_or_predict_modes_again(
     finer = MORE * min(off / target, _FINEST) if more else 1.0
     apart = far or 1.0
     for _ in range(TRIES if far else int(more)):
-        if not fits():
+        if not fits(1.0):
             told = [(Code.LATE, _LATE)]
             break
         before = info.log_evidence
@@ -119,17 +119,15 @@ def _on_more_points(
     read: _Read,
     again: Callable[[int], _Read],
     target: float,
-    fits: Callable[[], bool],
+    fits: Callable[[float], bool],
 ) -> _Read:
     """Predict and update again where a reading finds too few points: what was wrong before no points cure."""
-    if not prediction.before.error <= MISSED * target:
-        return read
-    usual = read[1]
+    usual, least = read[1], MISSED * max(target, prediction.before.error)
     for _ in range(TRIES):
         prior, modes, info = read
         points = points_of_modes(prior, target)
         more = points_for(points, modes.error, target)
-        if not modes.error > MISSED * target or more <= points or not fits():
+        if not modes.error > least or more <= points or not fits(more / points):
             break
         other = again(more)
         if not other[2].error < HELPED * info.error:

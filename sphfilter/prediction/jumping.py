@@ -3,6 +3,9 @@
 The points of a mode after an interval are those that were in it all the way, which one prediction carries,
 and those that came into it. Of these each draws the modes that it was in between the times of jumps, from the
 last to the first, begins at a point of the first, and goes from time to time by the equation of each.
+
+A reading weights all and leads none. Led along their way since the last jump, group by group, equal points
+were off by 1 to 1/2.7 as much in 4 to 7 times the time: for equal time more, also where 4 % carry a reading.
 """
 
 import math
@@ -187,7 +190,7 @@ class _Sources:
             if share < 1.0:
                 came, before = self._came(forward, j, share, k, key)
                 x, w = np.concatenate([points.x, came.x]), [share * points.w, (1.0 - share) * came.w]
-                lineage = _side_by_side(self._numbered(points.older, k, j), _lines_of(came))
+                lineage = _side_by_side(self._numbered(points.older, k, j), came.older)
                 points = unrolled_about_mean(Points(x, np.concatenate(w), lineage=lineage), self._domain)
                 inherited += (1.0 - share) * before**2 if k == 0 else 0.0
             clouds.append(points)
@@ -209,9 +212,10 @@ class _Sources:
             own = np.flatnonzero(path[:, 0] == i)
             points = unrolled_about_mean((self._states[i].points, self._states[i].shadow)[k], self._domain)
             chosen = _evenly(points, len(own), stored_key(key, i))
-            x[own], older = points.x[chosen], self._numbered(_lines_of(points), k, i)[: LINES - 1]
+            x[own], older = points.x[chosen], self._numbered(points.older, k, i)
             lineage = lineage[: len(older)]
-            lineage[:, own] = older[: len(lineage), chosen]
+            if len(lineage):
+                lineage[:, own] = older[: len(lineage), chosen]
             square += len(own) / many * self._states[i].inherited ** 2
         for gap, span in enumerate(pairwise(self._way.times.tolist())):
             if span[0] == span[1]:
@@ -224,14 +228,11 @@ class _Sources:
 
     def _numbered(self, lineage: Ints, k: int, i: int) -> Ints:
         """Lineages of mode i, whose last ancestors have numbers that those of no other mode have."""
-        if not len(lineage):
-            return lineage
-        firsts = [0]
-        for state in self._states.values():
-            lines = _lines_of((state.points, state.shadow)[k])
-            firsts.append(firsts[-1] + (int(lines[0].max()) + 1 if len(lines) else 0))
-        at = list(self._states).index(i) if i in self._states else list(self._states).index(self._heaviest)
-        return np.concatenate([lineage[:1] + firsts[at], lineage[1:]])
+        first, i = 0, i if i in self._states else self._heaviest
+        for mode, state in self._states.items():
+            lines = (state.points, state.shadow)[k].older
+            first += int(lines[0].max()) + 1 if mode < i and len(lines) else 0
+        return np.concatenate([lineage[:1] + first, lineage[1:]])
 
     def _moved(self, i: int, x: Floats, span: tuple[float, float], key: int) -> Floats:
         """Points (K, n) moved by the model of mode i, each along noise of its own."""
@@ -258,11 +259,6 @@ def _evenly(points: Points, count: int, key: int) -> Ints:
     place = (np.arange(count) * GOLDEN + key * 2.0**-63) % 1.0
     at = np.searchsorted(edges / edges[-1], place, side="right")
     return np.asarray(order[np.minimum(at, len(order) - 1)])
-
-
-def _lines_of(points: Points) -> Ints:
-    """Lineages (readings, N) of points, that a reading has left or that nothing has read yet."""
-    return np.empty((0, len(points.w)), np.int64) if points.lineage is None else points.lineage
 
 
 def _side_by_side(one: Ints, other: Ints) -> Ints:
