@@ -21,6 +21,8 @@ __all__ = [
     "points_for",
     "power_of_two",
     "tolerated_excess",
+    "usual_error",
+    "usual_points",
 ]
 
 #: Error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it: what the first readings
@@ -82,6 +84,10 @@ class Memory(NamedTuple):
         """Points that a cloud has for a target error."""
         return self.points or power_of_two((_TYPICAL / target) ** 2)
 
+    def cut(self, most: int) -> "Memory":
+        """Memory whose next cloud has as many points as there is time for, and may have more at once."""
+        return self._replace(points=power_of_two(most // 2 + 1), calm=0)
+
     def told(self, error: float, target: float, count: int) -> "Memory":
         """Memory after `count` points had an error: the next cloud has more at once, fewer after a while.
 
@@ -89,6 +95,16 @@ class Memory(NamedTuple):
         """
         points, calm = next_points(self.cloud(target), points_for(count, error, target), self.calm)
         return self._replace(points=points, calm=calm)
+
+
+def usual_error(count: int) -> float:
+    """Error of the mean that a cloud of so many points usually has, in standard deviations."""
+    return _TYPICAL / math.sqrt(count)
+
+
+def usual_points(error: float) -> int:
+    """Points of a cloud that usually has an error of the mean, in standard deviations."""
+    return int((_TYPICAL / error) ** 2)
 
 
 def tolerated_excess(dim: int) -> float:

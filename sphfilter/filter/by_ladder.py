@@ -24,7 +24,7 @@ from .by_pieces import by_pieces
 from .inherited import left_by_update, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior
 
-__all__ = ["by_ladder"]
+__all__ = ["by_ladder", "target_missed"]
 
 _TRIES, _MOST_NODES = 3, 20_000
 _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
@@ -155,5 +155,9 @@ def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
         return said
     if said["error"] <= FLAGGED * target:
         return said | {"status": "ok", "code": Code.OK}
-    missed = f"the mean is good to {said['error']:.2g} standard deviations, not to the {target:g} asked for"
-    return said | {"status": missed, "code": Code.COARSE}
+    return said | {"status": target_missed(said["error"], target), "code": Code.COARSE}
+
+
+def target_missed(error: float, target: float) -> str:
+    """Sentence for a posterior whose error is more than was asked for."""
+    return f"the mean is good to {error:.2g} standard deviations, not to the {target:g} asked for"
