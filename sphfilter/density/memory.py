@@ -6,16 +6,17 @@ from typing import NamedTuple
 
 from ..config import FilterConfig, LogDensityScheme, SolverConfig
 from ..core.cloud.control import MOST_POINTS, next_points, points_for, power_of_two
+from ..info import DOUBTFUL
 from ..lattice.level_set import fewest_particles
 
 __all__ = [
     "AIMED",
-    "FLAGGED",
     "MISSED",
     "MOST_POINTS",
     "SHARED",
     "Memory",
     "error_budget",
+    "flagged_from",
     "max_particles",
     "min_nodes",
     "points_for",
@@ -37,7 +38,7 @@ MISSED = 1.5  # times the target, from which a reading is tried again: estimates
 #: Times the target, from which an error is flagged: it may be three targets then. Measured on 136 random
 #: models: with 2 .083 of those that are within three are flagged, with 2.5 and 3 .037; of 28 that are not, 9,
 #: 6 and 5.
-FLAGGED = 2.5
+_FLAGGED = 2.5
 _USUAL = 200  # particles of a scheme that estimates no error
 _LONGEST = 4  # doublings of the wait for a family that will not do
 
@@ -105,6 +106,14 @@ def usual_error(count: int) -> float:
 def usual_points(error: float) -> int:
     """Points of a cloud that usually has an error of the mean, in standard deviations."""
     return int((_TYPICAL / error) ** 2)
+
+
+def flagged_from(target: float) -> float:
+    """Error told of a mean, from which it is flagged, in standard deviations.
+
+    Less where a target is loose, and an error of so many targets would be wrong whatever was asked.
+    """
+    return min(_FLAGGED * target, max(DOUBTFUL, MISSED * target))
 
 
 def tolerated_excess(dim: int) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from ..config import CloudScheme, FilterConfig
 from ..density.as_family import as_polynomials
 from ..density.defect import ROUGH
-from ..density.memory import FLAGGED, Memory, error_budget, min_nodes, tolerated_excess
+from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
@@ -153,7 +153,7 @@ def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
     usual = Code.CLOUD | Code.FINER
     if said["code"] & ~usual:
         return said
-    if said["error"] <= FLAGGED * target:
+    if said["error"] <= flagged_from(target):
         return said | {"status": "ok", "code": Code.OK}
     return said | {"status": target_missed(said["error"], target), "code": Code.COARSE}
 

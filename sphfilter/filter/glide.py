@@ -14,7 +14,7 @@ from ..config import CloudScheme
 from ..core.cloud.control import wrong_beside
 from ..core.cloud.cycle import JUDGE, REFUSED, UNUSUAL, Bounds
 from ..density.as_cloud import cloud_of
-from ..density.memory import FLAGGED, MISSED, Memory
+from ..density.memory import MISSED, Memory, flagged_from
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Through, put_through
 from ..density.points import CloudState
@@ -142,7 +142,7 @@ class _Run:
         times, Z = times[: K + 1], Z[:K]
         spans = zip(times[:-1].tolist(), times[1:].tolist(), strict=True)
         least = np.array([least_steps(model, state.points.x, span) for span in spans])
-        bounds = target, MISSED * target, FLAGGED * target, DOUBTFUL, OUTLYING, CloudScheme().max_steps
+        bounds = target, MISSED * target, flagged_from(target), DOUBTFUL, OUTLYING, CloudScheme().max_steps
         reader = self._stacked(Z[0], times[1]).reader
         assert reader is not None
         about = least, (count, shadow_size(count)), needs.calm, Bounds(*bounds)
@@ -175,7 +175,7 @@ class _Run:
         expected, S, _ = reading_of(sensor, span[1], points.x, points.w, moved.moments)
         y, S = sensor.residual(z, expected), S + sensor.noise_cov
         far = stacked.asked[0]._replace(innovation=y, S=S).outlying
-        flagged = FLAGGED * target
+        flagged = flagged_from(target)
         usual = not far and moved.lost == 0.0 and moved.error < max(DOUBTFUL, flagged)
         done = cloud_times_likelihood(moved.state, stacked) if usual else None
         if done is None:

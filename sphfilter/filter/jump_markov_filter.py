@@ -13,7 +13,7 @@ from .._types import Floats, Interval, Readings, Reported
 from ..config import FilterConfig
 from ..consistency.ranks import Ranker
 from ..density.as_cloud import thinned
-from ..density.memory import FLAGGED, Memory, min_nodes, usual_error, usual_points
+from ..density.memory import Memory, flagged_from, min_nodes, usual_error, usual_points
 from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
 from ..density.weighted import WeightedStates
@@ -336,7 +336,7 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
             *(state.origin, state.density, sensors, numbers, *settings),
             fits=lambda times: self._budget.fits(int(times * number)),
         )
-        if state.n_particles and info.error > FLAGGED * self.config.target_error:
+        if state.n_particles and info.error > flagged_from(self.config.target_error):
             info = info.also(Code.COARSE, target_missed(info.error, self.config.target_error))
         what, repeated = "" if info.reason == NOTHING_CAME else "update", prior is not state.density
         info = self._budget.end(what, info, number, repeated)

@@ -306,9 +306,8 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
         own = H is None and (given is None or given is self.measurement)
         origin = Update.after(state.origin, outcome.before, used, values, own)
         state = state.updated(outcome[:3], origin, sensor, numbers)
-        count = min(
-            outcome.before.n_particles, outcome.density.n_particles
-        )  # of a cloud both passes come out
+        # of a cloud both passes come out
+        count = min(outcome.before.n_particles, outcome.density.n_particles)
         return state, self._budget.end(what, outcome.info, count, repeated)
 
     def spread(self) -> WeightedStates:
