@@ -22,8 +22,6 @@ from sphfilter.model.simulate import noise_root
 from ._lane_noise import BITS, NOISES, unit_noise
 from ._weights import LANES
 
-__all__ = ["NEW_STEP", "NEW_TRIAL", "compiled", "fits", "pattern_of"]
-
 _REAL, _CUBE = types.float64, types.float64[:, :, ::1]
 _STEP = (MATRIX, types.uint64[:, ::1], types.float32[:, ::1], _REAL, _CUBE, _REAL, _REAL, VECTOR)
 _TRIAL = (MATRIX, _CUBE, _REAL, _REAL, VECTOR, _CUBE)

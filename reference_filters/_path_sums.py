@@ -11,8 +11,6 @@ from ._paths import Paths
 from ._starts import draw
 from ._store import digest
 
-__all__ = ["PathSums"]
-
 #: States at which model and indicators are probed for the name of a problem.
 _PROBES = 64
 

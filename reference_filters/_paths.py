@@ -17,8 +17,6 @@ from ._lanes import move_lanes
 from ._step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH, SPLIT
 from ._weights import LANES, merged, moments_of
 
-__all__ = ["Moved", "Paths"]
-
 #: States at which the rate of change with time is looked at.
 _LOOKED_AT = 64
 #: Blocks a thread must have before another one is worth its start (about 50 µs).

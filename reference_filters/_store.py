@@ -5,8 +5,6 @@ from hashlib import sha256
 
 import numpy as np
 
-__all__ = ["digest", "save"]
-
 
 def digest(parts):
     """Name of a problem, from bytes and arrays of numbers."""

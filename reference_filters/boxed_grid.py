@@ -21,8 +21,6 @@ from ._characteristics import follow
 from ._spline import spline_symbol, spline_weights
 from .particle import ParticleFilter
 
-__all__ = ["BoxedGridFilter", "box_of_case"]
-
 #: Nodes a spline covers.
 _TAPS = 6
 #: Parts of a step in which characteristics are followed.

@@ -13,16 +13,6 @@ from sphfilter.errors import ModelError
 
 from ._base import ReferenceFilter
 
-__all__ = [
-    "BenesFilter",
-    "DuffingSteadyState",
-    "diffused_gaussian",
-    "drifted_uniform",
-    "linear_moments",
-    "linear_transition",
-    "ornstein_uhlenbeck_moments",
-]
-
 
 def linear_transition(A, b, noise_intensity, dt):
     """Exact transition of dX = (A X + b) dt + dB with E[dB dBᵀ] = S dt: X(dt) ~ N(Phi X(0) + c, Qd).

@@ -13,8 +13,6 @@ from scipy.special import gammaln
 from sphfilter import validate
 from sphfilter.errors import ModelError
 
-__all__ = ["Histogram", "density_histogram", "knuth_bins", "knuth_log_posterior"]
-
 #: Bins an axis that are tried at most, times N^(-1/(n+2)); and how far from the best so far, near a guess.
 _MOST, _WINDOW = 8, 4
 

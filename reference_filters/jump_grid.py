@@ -17,8 +17,6 @@ from ._base import ReferenceFilter, gaussian_start
 from .boxed_grid import BoxedGridFilter, _march, _plan
 from .fine_grid import difference
 
-__all__ = ["JumpGridFilter", "unsplit_jump_filter"]
-
 
 class JumpGridFilter(ReferenceFilter):
     """Split-step grid filter of a JumpMarkovModel, in a fixed box with equal steps.

@@ -9,8 +9,6 @@ from sphfilter.model.simulate import advance
 from ._base import ReferenceFilter, gaussian_start
 from ._weights import condition
 
-__all__ = ["JumpParticleFilter"]
-
 
 class JumpParticleFilter(ReferenceFilter):
     """Sequential importance resampling of states and modes.

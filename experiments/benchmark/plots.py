@@ -10,8 +10,6 @@ from .methods import label
 from .summary import MEASURES, particle_law
 from .told import told_figure
 
-__all__ = ["draw", "draw_expensive", "expensive_figure", "frontier_figure", "style"]
-
 #: Smaller errors are drawn here: the exact filters have some.
 _FLOOR = 1e-5
 _EXPENSIVE_LEVELS = (0.1, 0.03, 0.01)

@@ -8,8 +8,6 @@ import numpy as np
 from .errors import root_mean_square
 from .told import NONE, told_and_left
 
-__all__ = ["MEASURES", "Line", "ReferenceError", "fastest_to_reach", "particle_law", "summarise"]
-
 #: What is measured against the reference, and in what unit.
 MEASURES = {
     "mean": "error of the mean (posterior standard deviations)",

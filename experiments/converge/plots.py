@@ -7,8 +7,6 @@ from experiments.show.style import COLOURS, INK, frame, logarithmic, panels, pla
 from .studies import RULES
 from .tables import groups, orders_of
 
-__all__ = ["draw_filter", "draw_schemes", "draw_steps"]
-
 _SCHEMES = {"auto": COLOURS["sph"], "log_density": COLOURS["sph"], "paper": COLOURS["sph_paper"]}
 _STEPPERS = {"euler": COLOURS["ekf"], "midpoint": COLOURS["pf"], "rk4": COLOURS["sph"]}
 _DRAWN = "mean", "cov", "l2"

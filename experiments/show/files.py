@@ -8,8 +8,6 @@ import tomli_w
 
 from sphfilter.files.write import write_csv
 
-__all__ = ["digest", "unfinished", "whole", "write_rows", "write_toml"]
-
 
 def digest(text):
     """Sixteen digits that a text is known by."""

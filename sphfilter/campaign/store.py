@@ -25,9 +25,6 @@ from ..errors import CampaignError, ConfigError
 from . import one_run
 from .identity import code_digest, text_of
 
-__all__ = ["case_digest", "claim", "finished", "load", "manifest", "opened", "save_result", "versions",
-           "write_run"]  # fmt: skip
-
 _MANIFEST = "manifest.json"
 _BY_DEFAULT = re.compile(r"\bdefault=\('[^)]*\), ")
 

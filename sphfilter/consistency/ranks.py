@@ -19,8 +19,6 @@ from ..model.measurements import NoisySensor, Sensor, has_gaussian_noise
 from ..model.named import driven
 from . import normalised
 
-__all__ = ["Ranker", "gaussian_ranks", "ranked_reading"]
-
 
 class Ranked(Protocol):
     """The part of a filter that a `Ranker` asks."""

@@ -11,8 +11,6 @@ from types import ModuleType
 import numpy as np
 from numba import njit
 
-__all__ = ["FAST"]
-
 _OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "forceinline": True}
 #: Added to a number and taken away again it rounds it; in between, the lowest bits are the whole number's.
 #: From 2^52 on numbers are whole, and half as much more keeps negative ones from falling below it.

@@ -12,11 +12,6 @@ from numba import types
 
 from ._jit import BATCH_FUNCTION, jit, jit_for
 
-__all__ = [
-    "jump", "normals_per_step", "platen_steps", "root_noise", "root_now", "runge_kutta", "scaled_noise",
-    "shifted_path_steps", "steps",
-]  # fmt: skip
-
 _SIGNATURE = types.void(
     types.float64[:, ::1],  # x (N, n), moved in place
     types.float64,  # t0

@@ -5,8 +5,6 @@ import numpy as np
 from ._jit import jit
 from .limits import TINY
 
-__all__ = ["GROW", "HELPED", "MORE", "SHRINK", "TRIES", "next_step"]
-
 #: Part of the step that the error would allow, and times the last one at most: .8 to .9, and 1.5 to 5 in
 #: Hairer, Nørsett & Wanner (1993).
 _SAFETY, GROW = 0.9, 5.0

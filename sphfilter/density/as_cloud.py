@@ -8,8 +8,6 @@ from .particle_density import SUMMED, ParticleDensity
 from .points import CloudState, moments
 from .shapes import Folded
 
-__all__ = ["cloud_density", "cloud_of", "thinned"]
-
 
 def cloud_density(
     density: ParticleDensity,

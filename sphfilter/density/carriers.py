@@ -7,8 +7,6 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.cloud.weights import carriers
 
-__all__ = ["NO_LINES", "Carried"]
-
 NO_LINES = np.empty((0, 0), np.int64)  # of points each its own
 
 

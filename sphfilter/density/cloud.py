@@ -26,17 +26,6 @@ from .shapes import Folded, Kernels, Polynomials
 if TYPE_CHECKING:
     from .particle_density import ParticleDensity
 
-__all__ = [
-    "KERNEL",
-    "Cloud",
-    "drawn",
-    "matched",
-    "moments_of",
-    "points_of",
-    "smoothing_length",
-    "systematic",
-]
-
 KERNEL = "wendland_c2"
 _STATES = 128  # points that stand for a cloud, over those that stand for one kernel of other densities
 _CANDIDATES = 8  # states in cells over points drawn; measured: half, twice change errors by .9, .7 times

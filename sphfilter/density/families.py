@@ -10,18 +10,6 @@ from ..core.family.basis import Basis, basis, bound
 from ..core.family.together import log_sum, nodes_of, settled_round
 from .family import Family, degree_of
 
-__all__ = [
-    "HEAVY",
-    "Families",
-    "QuadratureMoments",
-    "at_nodes",
-    "families_of",
-    "log_total",
-    "looked_at",
-    "particles_of_families",
-    "shares",
-]
-
 #: Share of a family, below which it may be off by more: HEAVY over it. Measured: half, twice change no run.
 HEAVY = 0.1
 

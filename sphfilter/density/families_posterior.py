@@ -15,8 +15,6 @@ from .family import ASTRAY, OF_MISFIT, Family, moments_apart, turned
 from .pieces import Pieces
 from .splitting import NARROWER, NEGLIGIBLE, bent_along, narrower
 
-__all__ = ["AWAY", "FamiliesPosterior", "families_posterior", "split", "strongest_bend"]
-
 _SETTLED, _ROUNDS = 0.1, 8  # of moments in a frame; rounds; measured: half, twice move means by 5e-5 at most
 AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
 

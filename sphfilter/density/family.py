@@ -16,22 +16,6 @@ from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach,
 from .quasi_random import weighted_points
 from .shapes import Polynomials
 
-__all__ = [
-    "ASTRAY",
-    "OF_MISFIT",
-    "Exponential",
-    "Family",
-    "degree_of",
-    "family_on_lattice",
-    "fitted",
-    "gaussian_family",
-    "moments_apart",
-    "node_moments",
-    "node_weights",
-    "particles_of",
-    "turned",
-]
-
 ASTRAY = 0.3  # of the moments in a frame, from which a family does not hold a density
 OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
 _NODES = {1: 200, 2: 1000, 3: 4000}  # of a lattice for questions, and more with more states

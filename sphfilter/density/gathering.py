@@ -8,8 +8,6 @@ from .._types import Bools, Floats
 from .families import Families, log_total
 from .family import OF_MISFIT, Family, fitted, moments_apart, node_moments
 
-__all__ = ["merged_families"]
-
 
 def merged_families(families: Families, most: float, heavy: float) -> tuple[Families, float]:
     """Put one family in the place of all if that is off by at most `most`, else in that of halves of them.

@@ -15,8 +15,6 @@ from ..core.sph import kernels
 from ..core.sph.neighbors import build_index, choose_method
 from ..core.sph.summation import sample_density, sample_density_parallel, sample_gradient
 
-__all__ = ["Mixture", "drawn", "mixture", "raw_moment", "silverman", "standing_for"]
-
 _PARALLEL_FROM = 10_000_000  # distances of points and particles, about a second's work of one thread
 
 

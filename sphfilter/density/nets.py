@@ -7,8 +7,6 @@ import numpy as np
 
 from .._types import Floats
 
-__all__ = ["net"]
-
 _SEED = 20220  # of the one scrambling that all nets have
 
 

@@ -29,8 +29,6 @@ from .points import CloudState
 from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
 from .weighted import WeightedStates
 
-__all__ = ["SUMMED", "ParticleDensity"]
-
 READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "log_density", "cloud", "family", "pieces")
 SUMMED = 1e-14  # from one, of a sum of normalised masses; measured: 3e-16 at most of ten to 10^6
 

@@ -16,18 +16,6 @@ from ..errors import PropagationError
 from .points import moments_of_sum
 from .quasi_random import spread_evenly
 
-__all__ = [
-    "ENTRIES",
-    "NEAR",
-    "GaussianPieces",
-    "Pieces",
-    "light",
-    "nodes",
-    "particles_of_pieces",
-    "pieces_of",
-    "root_of",
-]
-
 ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
 _STATES = 2**15  # that stand for the density: random ones would have its mean within 1 / √_STATES = .006
 NEAR = 2.5  # widths of a piece within which neighbours' middles lie: 2 Φ(-2.5) = .012 of it lies beyond

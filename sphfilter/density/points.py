@@ -12,20 +12,6 @@ from ..core.cloud.weights import weighted_moments
 from ..core.small_matrices import cholesky, invert_lower
 from .carriers import NO_LINES
 
-__all__ = [
-    "CloudState",
-    "Origin",
-    "Pace",
-    "Passage",
-    "Path",
-    "Points",
-    "Prior",
-    "Told",
-    "moments",
-    "moments_of_sum",
-    "whitener",
-]
-
 
 class Passage(NamedTuple):
     """A change of points, linearised in blocks: x_T ≈ end + Φ (x_0 - start) + L u.

@@ -7,8 +7,6 @@ import numpy as np
 from .._types import Floats, Ints, OfStates
 from ..core.cloud.curve import spread
 
-__all__ = ["quasi_random", "spread_evenly", "standard_normal", "weighted_points"]
-
 #: Standard deviations of the Gaussian that points come from, over the density's own. Measured: with 1.0 the
 #: error of lorenz is 1.15 times as large, with 1.3 that of the pendulum 1.5 times.
 _WIDER = 1.15

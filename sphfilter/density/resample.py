@@ -28,16 +28,6 @@ from .memory import min_nodes
 from .particle_density import ParticleDensity
 from .particles import particles_on
 
-__all__ = [
-    "logarithm",
-    "max_particles_of",
-    "on_lattice",
-    "regrid",
-    "resample",
-    "target_of",
-    "times_likelihood",
-]
-
 _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
 

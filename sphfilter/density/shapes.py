@@ -25,8 +25,6 @@ from ..model.domain import Domain
 from . import marginal, mixture
 from .quasi_random import spread_evenly
 
-__all__ = ["LATTICE_SUPPORT", "Folded", "Kernels", "Polynomials", "Shape", "lattice_particles"]
-
 LATTICE_SUPPORT = 1.2  # smoothing length on a lattice, in units of its spacing
 _CELL_POINTS = 2**17  # in all cells, up to 128 in each and at least 16: 8 n bytes each = n MB
 

@@ -9,8 +9,6 @@ from .._types import Floats
 from ..core.limits import TINY
 from .pieces import Pieces
 
-__all__ = ["NARROWER", "NEGLIGIBLE", "bent_along", "narrower"]
-
 #: Width of parts over that of the whole. Measured: with .4 and .75 the error of the vehicle is .14 and 1
 #: times as large.
 NARROWER = 0.55

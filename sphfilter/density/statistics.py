@@ -26,22 +26,6 @@ from .weighted import WeightedStates
 if TYPE_CHECKING:
     from .particle_density import ParticleDensity
 
-__all__ = [
-    "Region",
-    "checked_axes",
-    "entropy",
-    "error_of",
-    "expectation",
-    "highest_region",
-    "hpd_rank",
-    "mode",
-    "moment",
-    "pdf_error",
-    "quantile",
-    "spread",
-    "states",
-]
-
 _SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
 _FEW_SUBPOINTS = 16  # where the density at each is wanted
 _FINE = 16  # points of a distribution function in a smoothing length or a cell

@@ -29,19 +29,6 @@ from .passage import gone_again
 from .pieces import Pieces
 from .points import CloudState, Origin, Pace, Passage, Path, Points, Told, moments
 
-__all__ = [
-    "FORMAT",
-    "density_from",
-    "from_bytes",
-    "load_arrays",
-    "models_of",
-    "part",
-    "stored",
-    "to_bytes",
-    "under",
-    "write_arrays",
-]
-
 #: Arrays by name.
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 FORMAT = 1

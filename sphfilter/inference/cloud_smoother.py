@@ -26,8 +26,6 @@ from ..filter.sph_filter import SPHFilter
 from ..prediction.backward_points import Ahead, Leg, Said, parts_of, rooted, start_led, steps_of
 from ..prediction.cloud import as_points, squared_differences
 
-__all__ = ["between", "on_clouds"]
-
 _MOST = 2048  # points at which λ is known; measured: half and twice change nothing of 512 points
 
 

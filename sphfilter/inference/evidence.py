@@ -22,8 +22,6 @@ from ..model.discrete import DiscreteModel
 from ..model.measurements import Reading
 from ..model.named import InputRecord, check_parameters, each_input, parametrised
 
-__all__ = ["Evidence", "Pickled", "check_name", "checked_guess", "error_of_run", "fingerprint", "n_readings"]
-
 #: Makes a filter, at the start of the measurements, of parameters by name.
 Builder: TypeAlias = Callable[[dict[str, float]], AnyFilter]
 #: Lowest and highest value of a parameter.

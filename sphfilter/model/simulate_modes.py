@@ -13,8 +13,6 @@ from .jump_markov import JumpMarkovModel
 from .named import InputRecord, each_driven
 from .simulate import Sampled, advance, drawn_readings, starting_states
 
-__all__ = ["ModePaths", "advance_modes", "simulate_modes"]
-
 
 class ModePaths(NamedTuple):
     """Paths of a model that switches.

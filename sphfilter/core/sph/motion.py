@@ -10,8 +10,6 @@ from ..limits import TINY
 from .state import INTEGRATORS
 from .summation import DENSITY
 
-__all__ = ["evaluate", "move", "stable_step"]
-
 EULER, MIDPOINT, RK4 = range(len(INTEGRATORS))
 
 density_at = DENSITY.at
