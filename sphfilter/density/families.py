@@ -8,7 +8,8 @@ import numpy as np
 from .._types import Floats
 from ..core.family.basis import Basis, basis, bound
 from ..core.family.together import log_sum, nodes_of, settled_round
-from .family import Family, degree_of
+from .family import Exponential, Family, degree_of
+from .shapes import Moments, Shape
 
 #: Share of a family, below which it may be off by more: HEAVY over it. Measured: half, twice change no run.
 HEAVY = 0.1
@@ -50,6 +51,15 @@ class Families(NamedTuple):
         out = np.empty(len(X))
         log_sum(self.basis.power, *self, np.ascontiguousarray(X), bound(X.shape[1]), out)
         return out
+
+    @property
+    def middles(self) -> Floats:
+        """Where parts of the sum lie, (K, n)."""
+        return self.mu
+
+    def shape(self, x: Floats, mass: Floats, moments: Moments, domain: None) -> Shape:
+        """The shape of a density with nodes x (N, n) and their masses."""
+        return Exponential(self.log_p, x, mass, moments, self.mu)
 
     def normalised(self) -> "Families":
         """The families with shares of sum one, the heaviest first."""

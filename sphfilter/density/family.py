@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._types import Floats, Ints, OfStates
+from .._types import Floats, OfStates
 from ..core.family.basis import Basis, basis, bound, polynomials, size, values_at
 from ..core.family.frame import inverse, moments_of, moved, weigh
 from ..core.limits import LOG_2_PI
 from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach, lay
+from ..model.domain import Domain
 from .quasi_random import weighted_points
-from .shapes import Polynomials
+from .shapes import Folded, Moments, Polynomials, Shape
 
 ASTRAY = 0.3  # of the moments in a frame, from which a family does not hold a density
 OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
@@ -64,6 +65,15 @@ class Family(NamedTuple):
     def astray(self) -> float:
         """How far the moments are from those of the frame at most, as where the polynomial rises far out."""
         return moved(*node_moments(self.basis.xi, self.weighted()[0]))
+
+    @property
+    def middles(self) -> None:
+        """One family has none of its own, other than its mean."""
+
+    def shape(self, x: Floats, mass: Floats, moments: Moments, domain: Domain | None) -> Shape:
+        """The shape of a density with nodes x (N, n) and their masses; in a domain it lies on a lattice."""
+        whole = Exponential(self.log_p, x, mass, moments, None)
+        return whole if domain is None else Folded(whole.laid, domain)
 
     def normalised(self) -> "Family":
         """The family with an integral of one."""
@@ -161,7 +171,7 @@ def particles_of(family: Family) -> dict[str, Any]:
 
 
 def family_on_lattice(
-    log_p: OfStates, moments: Any, n_particles: int, middles: Floats | None = None
+    log_p: OfStates, moments: Any, n_particles: int, middles: Floats | None
 ) -> LatticeDensity:
     """A density of given moments on a lattice of at most so many nodes, from its `middles` (K, n)."""
     mean, cov = moments
@@ -172,16 +182,14 @@ def family_on_lattice(
 
 
 @dataclass(frozen=True, eq=False)
-class Exponential:
+class Exponential(Shape):
     """One exponential family, or a few: density and moments by polynomials, all else on a lattice laid."""
 
     log_p: OfStates
     x: Floats  # (N, n), their nodes
     mass: Floats  # (N,)
-    moments: tuple[Floats, Floats]  # mean (n,) and covariance (n, n)
-    middles: Floats | None = None  # (K, n), of several families
-
-    widening = 0.0
+    moments: Moments
+    middles: Floats | None  # (K, n), of several families
 
     @cached_property
     def laid(self) -> Polynomials:
@@ -191,26 +199,18 @@ class Exponential:
         )
         return Polynomials(laid.field, laid.x, laid.mass, self.moments)
 
-    def pdf(self, X: Floats) -> Floats:
-        """Density, shape (M,)."""
-        return np.exp(self.logpdf(X))
-
     def logpdf(self, X: Floats) -> Floats:
-        """Logarithm of the density, shape (M,)."""
         return self.log_p(X)
 
     def gradient(self, X: Floats) -> Floats:
-        """Gradient of the density, shape (M, n)."""
         frame = np.linalg.cholesky(self.moments[1]).T
         slopes = [(self.logpdf(X + step) - self.logpdf(X - step)) / (2.0 * _STEP) for step in _STEP * frame]
         return np.linalg.solve(frame, slopes).T * self.pdf(X)[:, None]
 
     def mean(self) -> Floats:
-        """Mean, shape (n,)."""
         return self.moments[0].copy()
 
     def cov(self, centre: Floats | None = None) -> Floats:
-        """Covariance, shape (n, n), about the mean."""
         return self.moments[1].copy()
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
@@ -220,16 +220,14 @@ class Exponential:
         return weighted_points(self.logpdf, self.moments, _POINTS, 0)
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
-        """Draw states, shape (size, n)."""
         return self.laid.sample(size, rng)
 
-    def raw_moment(self, powers: Ints, centre: Floats) -> None:
-        """No moment has a closed form."""
+    def drawn(self, count: int, key: int) -> Floats:
+        return self.laid.drawn(count, key)
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: on a lattice of their own."""
         return self.laid.marginal(axes)
 
     def ends(self) -> tuple[Floats, Floats, Floats]:
-        """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
         return self.laid.ends()

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 
 from .._types import Floats, Ints, OfStates
+from ..core.cloud import weights
 from ..core.cloud.curve import spread
 
 #: Standard deviations of the Gaussian that points come from, over the density's own. Measured: with 1.0 the
@@ -47,6 +48,11 @@ def standard_normal(count: int, n: int, key: int, order: Ints | None = None) -> 
 
     normal: Floats = ndtri(quasi_random(count, n, key, order))
     return normal
+
+
+def systematic(mass: Floats, count: int) -> Ints:
+    """Numbers (count,) of points of weights (N,), each as often as its weight says but for rounding."""
+    return weights.systematic(np.array(mass), count, 0.5)  # a copy: compiled code takes what may be written
 
 
 def weighted_points(

@@ -75,22 +75,8 @@ def states(
 
 
 def expectation(density: "ParticleDensity", function: OfStates, smooth: bool = True) -> float:
-    """Expectation of function(X (M, n)) -> (M,).
-
-    Of a cloud that of its kernels, which is smooth, drawn to that of its points as far as the two are further
-    apart than points at random would be: kernels are wider than the tails that they see. (W. James, C. Stein,
-    "Estimation with quadratic loss", 4th Berkeley Symposium, 1961, the positive part.)
-    """
-    X, w = states(density, smooth=smooth)
-    values = function(X)
-    smoothed = float(w @ values)
-    if density.read_out != "cloud":
-        return smoothed
-    at_points = function(density.x.copy())  # which a compiled function may not be given read-only
-    own = float(density.mass @ at_points)
-    scatter = max(density.mass @ (at_points - own) ** 2, w @ (values - smoothed) ** 2)
-    off = scatter * float(density.mass @ density.mass) / max((own - smoothed) ** 2, TINY)
-    return smoothed + max(1.0 - float(off), 0.0) * (own - smoothed)
+    """Expectation of function(X (M, n)) -> (M,)."""
+    return density.form.expected(function, *states(density, smooth=smooth))
 
 
 def moment(density: "ParticleDensity", powers: Sequence[int], centre: Floats | None = None) -> float:

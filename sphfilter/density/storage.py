@@ -32,6 +32,7 @@ from .points import CloudState, Origin, Pace, Passage, Path, Points, Told, momen
 #: Arrays by name.
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 FORMAT = 1
+_FORMULAS: dict[str, Any] = {"family": Family, "pieces": Pieces, "families": Families}
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
 _FIELD = "mu", "A", "node", "kept", "log_p"  # what a field is built from
 
@@ -43,17 +44,14 @@ def stored(density: ParticleDensity) -> Arrays:
         arrays |= {f"field.{name}": getattr(density.field, name) for name in _FIELD}
     if density.moments is not None:
         arrays |= {"moments.mean": density.moments[0], "moments.cov": density.moments[1]}
-    if density.family is not None:
-        arrays |= under("family", density.family._asdict())
+    for name in _FORMULAS:
+        if (own := getattr(density, name)) is not None:
+            arrays |= under(name, own._asdict())
     if density.defect is not None:
         arrays["defect"] = density.defect.packed
-    if density.pieces is not None:
-        arrays |= under("pieces", density.pieces._asdict())
-    if density.families is not None:
-        arrays |= under("families", density.families._asdict())
     if density.cloud is not None:
         arrays = _stored_cloud(density.cloud)
-    special = {*_ARRAYS, "field", "moments", "domain", "family", "defect", "pieces", "families", "cloud"}
+    special = {*_ARRAYS, *_FORMULAS, "field", "moments", "domain", "defect", "cloud"}
     about: dict[str, Any] = {
         f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
     }
@@ -88,14 +86,11 @@ def density_from(arrays: Arrays, models: Sequence[Dynamics] = ()) -> ParticleDen
         arrays = {"field.kept": np.array(len(arrays["field.node"]))} | arrays  # which older files do not have
         mu, A, node, kept, log_p = (np.ascontiguousarray(arrays[f"field.{name}"]) for name in _FIELD)
         about["field"] = build_field(mu, A, node, kept.item(), log_p, stencils(n))
-    if "family.mu" in arrays:
-        about["family"] = Family(**part("family", arrays))
+    for name, kind in _FORMULAS.items():
+        if formula := part(name, arrays):
+            about[name] = kind(**formula)
     if "defect" in arrays:
         about["defect"] = Defect.of(arrays["defect"], about["family"].mu.size)
-    if "pieces.mean" in arrays:
-        about["pieces"] = Pieces(**part("pieces", arrays))
-    if "families.mu" in arrays:
-        about["families"] = Families(**part("families", arrays))
     if "moments.mean" in arrays:
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
     if "cloud.points.x" in arrays:

@@ -17,10 +17,10 @@ from ..config import CloudScheme
 from ..core.cloud.control import SHADOW, error_by, least_error
 from ..core.cloud.weights import effective, normalise
 from ..density.as_cloud import cloud_density
-from ..density.cloud import systematic
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Steps, along, stored_key
 from ..density.points import Points, Told, moments
+from ..density.quasi_random import systematic
 from ..errors import PropagationError
 from ..filter.sph_filter import SPHFilter
 from ..prediction.backward_points import Ahead, Leg, Said, parts_of, rooted, start_led, steps_of

@@ -12,8 +12,8 @@ from .._types import Floats, Ints
 from ..core.cloud.ahead import LEAST, expected, fitted, led
 from ..core.cloud.linearise import block_roots, centres
 from ..core.cloud.way import blocks_of
-from ..density.cloud import systematic
 from ..density.passage import Steps, Transitions, along, even, stored_key
+from ..density.quasi_random import systematic
 from ..model.dynamics import Dynamics
 
 __all__ = ["Ahead", "Leg", "Said", "parts_of", "rooted", "start_led", "steps_of"]
