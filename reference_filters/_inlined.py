@@ -17,7 +17,7 @@ from numba.np.arrayobj import populate_array
 
 from sphfilter.core._addresses import Entry
 from sphfilter.core._jit import MATRIX, VECTOR
-from sphfilter.model.simulate import noise_root
+from sphfilter.model.paths import noise_root
 
 from ._lane_noise import BITS, NOISES, unit_noise
 from ._weights import LANES

@@ -4,7 +4,7 @@ import numpy as np
 
 from sphfilter import validate
 from sphfilter.errors import ModelError
-from sphfilter.model.simulate import advance
+from sphfilter.model.paths import advance
 
 from ._monomials import checked_powers, down_set, moment_name, recentred, sum_monomials
 from ._paths import Paths

@@ -9,7 +9,7 @@ import numpy as np
 from sphfilter.core._addresses import address_of
 from sphfilter.errors import PropagationError
 from sphfilter.model.compile import surfacing
-from sphfilter.model.simulate import noise_root, rate_of_time
+from sphfilter.model.paths import noise_root, rate_of_time
 
 from ._blocks import move_blocks, standard_normals
 from ._inlined import compiled, fits, pattern_of

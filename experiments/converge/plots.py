@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.show.style import COLOURS, INK, frame, logarithmic, panels, plain_numbers, plt, save
+from experiments.show.style import COLOURS, INK, frame, panels, plain_numbers, plt, save
 
 from .studies import RULES
 from .tables import groups, orders_of
@@ -97,7 +97,7 @@ def _legend(ax):
 
 def _finish(ax, truth, measure):
     doubt = np.nan if truth.doubt is None else getattr(truth.doubt, measure)
-    logarithmic(ax)
+    ax.set(xscale="log", yscale="log")
     if np.isfinite(doubt):
         ax.axhline(doubt, color=INK, lw=0.8, ls=":")
     frame(ax, "", "", _LABELS[measure])

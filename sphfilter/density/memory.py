@@ -5,23 +5,8 @@ from functools import cache
 from typing import NamedTuple
 
 from ..config import FilterConfig, LogDensityScheme, SolverConfig
-from ..core.cloud.control import MOST_POINTS, next_points, points_for, power_of_two
+from ..core.cloud.control import next_points, points_for, power_of_two
 from ..lattice.level_set import fewest_particles
-
-__all__ = [
-    "AIMED",
-    "FLAGGED",
-    "MISSED",
-    "MOST_POINTS",
-    "SHARED",
-    "Memory",
-    "error_budget",
-    "max_particles",
-    "min_nodes",
-    "points_for",
-    "power_of_two",
-    "tolerated_excess",
-]
 
 #: Error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it: what the first readings
 #: leave is forgotten slowly. With half of it thirteen scenes took 1.5 times the time for the same error.

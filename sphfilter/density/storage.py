@@ -2,8 +2,11 @@
 
 import io
 import json
+import os
+import pathlib
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from os import PathLike
 from typing import Any, BinaryIO, TypeAlias
@@ -196,6 +199,18 @@ def under(name: str | int, arrays: Arrays) -> Arrays:
 def part(name: str, arrays: Arrays) -> Arrays:
     """The arrays that `under` put below a name."""
     return {key[len(name) + 1 :]: value for key, value in arrays.items() if key.startswith(f"{name}.")}
+
+
+@contextmanager
+def whole(path: pathlib.Path) -> Iterator[BinaryIO]:
+    """Open a binary file to write to, which appears at `path` when all is written, or not at all."""
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        with open(part, "wb") as file:
+            yield file
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def write_arrays(path: str | PathLike[str], arrays: Arrays) -> None:

@@ -15,10 +15,11 @@ import numpy as np
 from .._types import Floats
 from ..config import CloudScheme
 from ..core.cloud.control import SHADOW, error_by, least_error
+from ..core.cloud.pace import Steps
 from ..core.cloud.weights import effective, normalise
 from ..density.as_cloud import cloud_density
 from ..density.particle_density import ParticleDensity
-from ..density.passage import Steps, along, stored_key
+from ..density.passage import along, stored_key
 from ..density.points import Points, Told, moments
 from ..density.quasi_random import systematic
 from ..errors import PropagationError

@@ -11,7 +11,7 @@ from .._types import Floats, Ints, Seed
 from ..errors import ModelError
 from .jump_markov import JumpMarkovModel
 from .named import InputRecord, each_driven
-from .simulate import Sampled, advance, drawn_readings, starting_states
+from .paths import Sampled, advance, drawn_readings, starting_states
 
 
 class ModePaths(NamedTuple):

@@ -30,7 +30,7 @@ from ..lattice.field import log_p_at, nodes
 from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
 from ..model.discrete import DiscreteModel
-from ..model.simulate import noise_root
+from ..model.paths import noise_root
 
 __all__ = ["AS_SUMS", "integrated_back", "propagate", "why_not"]
 
