@@ -92,15 +92,19 @@ class BoxedGridFilter(ReferenceFilter):
         return p / p.sum(), n_steps
 
     def _updated(self, belief, z, measurement):
-        log_likelihood = measurement.log_likelihood(z, self.nodes, self.t)
-        top = log_likelihood.max()
-        if not np.isfinite(top):
-            return belief, {"log_evidence": -np.inf}
-        posterior = belief * np.exp(log_likelihood - top).reshape(belief.shape)
-        mass = posterior.sum()
-        if not mass > 0.0:
-            return belief, {"log_evidence": -np.inf}
-        return posterior / mass, {"log_evidence": float(top + np.log(mass))}
+        return weighed(belief, measurement.log_likelihood(z, self.nodes, self.t))
+
+
+def weighed(belief, log_likelihood):
+    """Belief times likelihood, and the log-evidence; the belief as it is where that is nothing."""
+    top = log_likelihood.max()
+    if not np.isfinite(top):
+        return belief, {"log_evidence": -np.inf}
+    posterior = belief * np.exp(log_likelihood - top).reshape(belief.shape)
+    mass = posterior.sum()
+    if not mass > 0.0:
+        return belief, {"log_evidence": -np.inf}
+    return posterior / mass, {"log_evidence": float(top + np.log(mass))}
 
 
 def box_of_case(model, measurement, case):

@@ -150,8 +150,8 @@ def shifted_path_steps(x, t0, dt, drift, noise, p, L, normals):
 
 
 @jit
-def _move(x, h, k, out):
-    """Fill x + h k."""
+def moved(x, h, k, out):
+    """Fill x + h k, written out: numba compiles an array expression ten times as long."""
     for i in range(x.shape[0]):
         for a in range(x.shape[1]):
             out[i, a] = x[i, a] + h * k[i, a]
@@ -193,7 +193,7 @@ def platen_steps(x, t0, dt, drift, noise, p, L, normals):
                 y[i, a] = x[i, a] + a0[i, a] * dt + w
                 new[i, a] = x[i, a] + 0.5 * dt * a0[i, a] + 0.5 * w
         drift(y, t + dt, p, a1)
-        _move(new, 0.5 * dt, a1, new)
+        moved(new, 0.5 * dt, a1, new)
         for j in range(m):
             for sign in (-1.0, 1.0):
                 for i in range(N):

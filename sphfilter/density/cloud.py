@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from .particle_density import ParticleDensity
 
 KERNEL = "wendland_c2"
-_STATES = 128  # points that stand for a cloud, over those that stand for one kernel of other densities
+#: Points that stand for a cloud, over those that stand for one kernel of other densities, 128 or 16: of 2^14
+#: random ones the mean were known within 1 / √2^14 = .008 standard deviations, of 2^11 within .02.
+_STATES = 128
 
 
 class Cloud(Kernels):

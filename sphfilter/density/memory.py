@@ -11,7 +11,7 @@ from ..lattice.level_set import fewest_particles
 #: Error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it: what the first readings
 #: leave is forgotten slowly. With half of it thirteen scenes took 1.5 times the time for the same error.
 _TYPICAL = 0.6
-#: Power of the predictions since a reading, by which their allowances fall.
+#: Power of the predictions since a reading, by which their allowances fall: sum_k k^-1.5 = 2.6 of the first.
 SHARED = 1.5
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
@@ -21,7 +21,7 @@ MISSED = 1.5  # times the target, from which a reading is tried again: estimates
 #: models: with 2 .083 of those that are within three are flagged, with 2.5 and 3 .037; of 28 that are not, 9,
 #: 6 and 5.
 FLAGGED = 2.5
-_USUAL = 200  # particles of a scheme that estimates no error
+USUAL = 200  # particles where no number is given, and nothing tells an error to choose one by
 _LONGEST = 4  # doublings of the wait for a family that will not do
 
 
@@ -105,4 +105,4 @@ def max_particles(n_particles: int | str, config: SolverConfig | FilterConfig | 
     estimates = scheme == "auto" or isinstance(scheme, LogDensityScheme)
     if isinstance(config, FilterConfig) and config.acceptance.enabled:
         estimates = False
-    return n_particles if n_particles != "auto" or estimates else _USUAL
+    return n_particles if n_particles != "auto" or estimates else USUAL
