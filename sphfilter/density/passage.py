@@ -25,9 +25,8 @@ from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 from ..model.paths import noise_root
 from ..model.sde import SDE
-from .carriers import NO_LINES
-from .nets import net
-from .points import CloudState, Pace, Passage, Path, Points, Told
+from .points import NO_LINES, CloudState, Pace, Passage, Path, Points, Told
+from .quasi_random import net
 
 #: Passages after which a path is forgotten, and numbers of all points that they may hold: a reading leads
 #: points through all of them once more. Measured: half and twice of both change no run.

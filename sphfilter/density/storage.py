@@ -22,7 +22,6 @@ from ..errors import ModelError
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from .as_cloud import cloud_density, cloud_of
-from .carriers import NO_LINES
 from .defect import Defect
 from .families import Families
 from .family import Family
@@ -30,7 +29,7 @@ from .memory import Memory
 from .particle_density import ParticleDensity
 from .passage import gone_again
 from .pieces import Pieces
-from .points import CloudState, Origin, Pace, Passage, Path, Points, Told, moments
+from .points import NO_LINES, CloudState, Origin, Pace, Passage, Path, Points, Told, moments
 
 #: Arrays by name.
 Arrays: TypeAlias = dict[str, NDArray[Any]]

@@ -20,8 +20,8 @@ from ..core.cloud.kernels import log_sum
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS
 from ..core.limits import LOG_2_PI, NOTHING, ROUNDING
-from ..density.nets import net
 from ..density.particle_density import ParticleDensity
+from ..density.quasi_random import net
 from ..density.resample import on_lattice, times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, PredictInfo
