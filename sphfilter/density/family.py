@@ -18,7 +18,9 @@ from .quasi_random import weighted_points
 from .shapes import Folded, Moments, Polynomials, Shape
 
 ASTRAY = 0.3  # of the moments in a frame, from which a family does not hold a density
-OF_MISFIT = 0.5  # part of a polynomial's misfit that errors are estimated by
+#: Part of a polynomial's misfit that errors are estimated by. Measured: with half and twice, a model that
+#: switches takes .8 and 1.2 times the evaluations for 2.4 and .5 times the error, others 1.02 at most.
+OF_MISFIT = 0.5
 _NODES = {1: 200, 2: 1000, 3: 4000}  # of a lattice for questions, and more with more states
 _MOST_NODES = 12_000
 _ON_LATTICE = 2  # states up to which a lattice answers
