@@ -384,7 +384,7 @@ class FilterConfig(_Settings):
         Probability that an update may leave out where it finds some beyond the cut of the posterior, such as
         in a remote mode; more is flagged, `Code.UNRESOLVED`.
     time_budget : float, optional
-        Wall-clock seconds that a predict of `SPHFilter` and the updates after it may take together. With it
+        Wall-clock seconds that a predict of a filter and the updates after it may take together. With it
         results depend on the machine and its load.
 
     Examples

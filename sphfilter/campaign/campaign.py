@@ -51,7 +51,7 @@ class CampaignResult:
         Its ``t`` is (T,), its other arrays have the runs as first axis: (R, T, ...). A run in which the
         filter failed is NaN (and not accepted).
     run_time : dict of str to ndarray, shape (R,)
-        Wall-clock seconds spent in the filter's ``run``; NaN where it failed.
+        Wall-clock seconds spent in the filter's ``run``, less compiling; NaN where it failed.
     failures : list of Failure
     inputs : ndarray, shape (R, T, m), or None
         What the inputs of the model were over the interval that ends at each time, if the cases have any.

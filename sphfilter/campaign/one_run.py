@@ -8,7 +8,6 @@ from copy import deepcopy
 from dataclasses import dataclass, fields
 from multiprocessing import parent_process
 from threading import current_thread, main_thread
-from time import perf_counter
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._lines import in_a_line
 from .._types import Floats
-from ..consistency.ranks import Ranker, gaussian_ranks
+from ..consistency.ranks import Ranker, clock, gaussian_ranks
 from ..errors import ModelError
 from ..filter.results import TRUTHS, AnyFilter, shapes
 
@@ -180,14 +179,13 @@ def _outcome(
         filt = make(case, rng)
         observer = Ranker(case.truth) if ranks and _can_be_observed(filt) else None
         options: dict[str, Any] = {"observer": observer} if observer else {}
-        start = perf_counter()
+        start = clock()
         result = put_through(filt, case, **options)
-        seconds = perf_counter() - start - (observer.seconds if observer else 0.0)
+        seconds = clock() - start - (observer.seconds if observer else 0.0)
         arrays = {name: np.asarray(getattr(result, name), blank[name].dtype) for name in _MOMENTS}
-        wrong = [name for name in _MOMENTS if arrays[name].shape != blank[name].shape]
-        if wrong:
-            shapes = f"{arrays[wrong[0]].shape}, not {blank[wrong[0]].shape}"
-            raise ModelError(f"the filter's result has {wrong[0]} of shape {shapes}")
+        for name in _MOMENTS:
+            if (shape := arrays[name].shape) != blank[name].shape:
+                raise ModelError(f"the filter's result has {name} of shape {shape}, not {blank[name].shape}")
         # what a filter of one's own need not tell
         for name in [name for name in blank if name not in arrays]:
             value = np.asarray(getattr(result, name, blank[name]), blank[name].dtype)

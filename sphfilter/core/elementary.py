@@ -99,7 +99,7 @@ def _tanh(x):
     return near if abs(x) < _NEAR else 1.0 - 2.0 / (_exp(2.0 * x) + 1.0)
 
 
-#: What numpy has, with the functions of this module in their places.
+#: What numpy has, with the functions of this module in their places. numpy 1 keeps `abs` out of its list.
 FAST = ModuleType("numpy_in_lanes")
-FAST.__dict__.update({name: getattr(np, name) for name in np.__all__ if name != "__version__"})
+FAST.__dict__.update({name: getattr(np, name) for name in ("abs", *np.__all__) if name != "__version__"})
 FAST.__dict__.update({"sin": _sin, "cos": _cos, "exp": _exp, "log": _log, "tanh": _tanh})

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from ..config import FilterConfig, LogDensityScheme, SolverConfig
 from ..core.cloud.control import next_points, points_for, power_of_two
+from ..info import DOUBTFUL
 from ..lattice.level_set import fewest_particles
 
 #: Error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it: what the first readings
@@ -20,7 +21,7 @@ MISSED = 1.5  # times the target, from which a reading is tried again: estimates
 #: Times the target, from which an error is flagged: it may be three targets then. Measured on 136 random
 #: models: with 2 .083 of those that are within three are flagged, with 2.5 and 3 .037; of 28 that are not, 9,
 #: 6 and 5.
-FLAGGED = 2.5
+_FLAGGED = 2.5
 USUAL = 200  # particles where no number is given, and nothing tells an error to choose one by
 _LONGEST = 4  # doublings of the wait for a family that will not do
 
@@ -67,6 +68,10 @@ class Memory(NamedTuple):
         """Points that a cloud has for a target error."""
         return self.points or power_of_two((_TYPICAL / target) ** 2)
 
+    def cut(self, most: int) -> "Memory":
+        """Memory whose next cloud has as many points as there is time for, and may have more at once."""
+        return self._replace(points=power_of_two(most // 2 + 1), calm=0)
+
     def told(self, error: float, target: float, count: int) -> "Memory":
         """Memory after `count` points had an error: the next cloud has more at once, fewer after a while.
 
@@ -74,6 +79,24 @@ class Memory(NamedTuple):
         """
         points, calm = next_points(self.cloud(target), points_for(count, error, target), self.calm)
         return self._replace(points=points, calm=calm)
+
+
+def usual_error(count: int) -> float:
+    """Error of the mean that a cloud of so many points usually has, in standard deviations."""
+    return _TYPICAL / math.sqrt(count)
+
+
+def usual_points(error: float) -> int:
+    """Points of a cloud that usually has an error of the mean, in standard deviations."""
+    return int((_TYPICAL / error) ** 2)
+
+
+def flagged_from(target: float) -> float:
+    """Error told of a mean, from which it is flagged, in standard deviations.
+
+    Less where a target is loose, and an error of so many targets would be wrong whatever was asked.
+    """
+    return min(_FLAGGED * target, max(DOUBTFUL, MISSED * target))
 
 
 def tolerated_excess(dim: int) -> float:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -44,6 +44,8 @@ class ModeDensities:
         themselves.
     ripples : sequence of SplittingError, length M, optional
         The part of `splitting` that the last prediction has added.
+    unsure : ndarray, shape (M,), optional
+        Variances of the errors that log_w has of the evidence that points have told; none where sums did.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class ModeDensities:
         densities: Sequence[ParticleDensity | None],
         splitting: Floats | None = None,
         ripples: Sequence[SplittingError] | None = None,
+        unsure: Floats | None = None,
     ) -> None:
         total = logsumexp(log_w)
         if not np.isfinite(total):
@@ -67,7 +70,7 @@ class ModeDensities:
         self.log_w.flags.writeable = False
         self.densities = tuple(densities)
         self.splitting = np.zeros(len(log_w)) if splitting is None else splitting
-        self.ripples = ripples
+        self.ripples, self.unsure = ripples, unsure
 
     @classmethod
     def alike(cls, w: Floats, density: ParticleDensity, summed: bool) -> "ModeDensities":
@@ -79,7 +82,19 @@ class ModeDensities:
 
     def split(self, splitting: Floats, ripples: Sequence[SplittingError]) -> "ModeDensities":
         """Densities of the modes with other errors that come from jumps."""
-        return ModeDensities(self.log_w, self.densities, splitting, ripples)
+        return ModeDensities(self.log_w, self.densities, splitting, ripples, self.unsure)
+
+    def cut(self, most: int) -> "ModeDensities":
+        """Densities of the modes that go on as so many points each, where their memory chooses the number."""
+        return self._with_needs([p and p.needs and p.needs.cut(most) for p in self.densities])
+
+    def remembering(self, other: "ModeDensities") -> "ModeDensities":
+        """Densities of the modes that go on as other ones do."""
+        return self._with_needs([p and p.needs for p in other.densities])
+
+    def _with_needs(self, needs: Sequence[Any]) -> "ModeDensities":
+        own = [p and p.noted(needs=known or p.needs) for p, known in zip(self.densities, needs, strict=True)]
+        return ModeDensities(self.log_w, own, self.splitting, self.ripples, self.unsure)
 
     @property
     def w(self) -> Floats:
@@ -125,8 +140,17 @@ class ModeDensities:
 
     @property
     def error(self) -> float:
-        """Estimated error of the means, in standard deviations: rms over the modes."""
+        """Estimated error of the means, in standard deviations: rms over the modes.
+
+        Of probabilities w_i with errors w_i ε_i the mean over all is off by Σ w_i ε_i (m_i - m).
+        """
         own = [np.exp(log_w) * (p.error**2 + self.splitting[i] ** 2) for i, log_w, p in self.some]
+        if self.unsure is not None:
+            mean, cov = self.moments
+            domain = self.heaviest.domain
+            for i, log_w, p in self.some:
+                off = p.mean() - mean if domain is None else domain.nearest((p.mean() - mean)[None])[0]
+                own.append(np.exp(2.0 * log_w) * self.unsure[i] * np.mean(off**2 / np.diag(cov)))
         return float(np.sqrt(sum(own)))
 
     def logpdf(self, X: Floats) -> Floats:

@@ -64,7 +64,9 @@ class Points(NamedTuple):
     @property
     def older(self) -> Ints:
         """Lineages (readings, N) of a prior's points."""
-        return NO_LINES if self.path is None else self.path.older
+        if self.path is not None:
+            return self.path.older
+        return NO_LINES if self.lineage is None else self.lineage
 
 
 class Told(NamedTuple):

@@ -14,7 +14,7 @@ from ..density.distributions import Gaussian
 from ..density.initialize import initialize
 from ..density.memory import min_nodes
 from ..errors import PropagationError
-from ..info import Code, PredictInfo, UpdateInfo
+from ..info import Code
 from ..model.likelihood import LikelihoodMeasurement
 from ..model.measurements import Sensor, has_gaussian_noise
 from ..model.named import driven
@@ -23,7 +23,7 @@ from .update import update
 
 __all__ = ["Budget", "rehearse"]
 
-Info = TypeVar("Info", PredictInfo, UpdateInfo)
+Info = TypeVar("Info", bound=Any)
 
 #: What time is read from, seconds; `time.process_time` leaves out what other processes take.
 clock = perf_counter
@@ -50,7 +50,8 @@ class Budget:
     def __init__(self, seconds: float | None) -> None:
         self.seconds, self.prepared, self.spent = seconds, seconds is None, 0.0
         self._began, self._most = 0.0, 0
-        self._costs: dict[str, deque[float]] = {}
+        #: Of steps: particles, seconds for each, and whether it ended in time.
+        self._costs: dict[str, deque[tuple[int, float, bool]]] = {}
         self._again = False  # was the last prediction made again on more particles?
         # particles of steps where that happened twice in a row, else zero
         self._too_few: deque[int] = deque(maxlen=_MEMORY)
@@ -77,7 +78,8 @@ class Budget:
         as many, twice as many from the beginning take less time: more than they save if that is rare.
 
         Time is taken to be in proportion to particles. Part of it is the same for any number, so that more
-        of them than were measured cost less than that: steps come near the budget from below.
+        of them than were measured cost less than that: steps come near the budget from below. So that they
+        do, what ended in time with less than half of the particles of others is no longer asked.
         """
         if self.seconds is None:
             return n_particles
@@ -97,8 +99,8 @@ class Budget:
     def end(self, what: str, info: Info, n_particles: int, repeated: bool) -> Info:
         """A call has ended: note what a particle has cost, and say what the step has taken.
 
-        `what` is "predict" or "update", on `n_particles`, those of the density that came out; it is empty
-        where a call had nothing to do, and so no cost. One that made other predictions or updates again
+        `what` is "predict" or "update", on `n_particles`, of those bounded; it is empty where a call had
+        nothing to do, and so no cost. One that made other predictions or updates again
         (`repeated`) says nothing of a particle.
         """
         took = clock() - self._began
@@ -109,7 +111,7 @@ class Budget:
             before, self._again = self._again, repeated or n_particles > self._most
             self._too_few.append(self._most if before and self._again else 0)
         if what and not repeated:
-            self._costs[what].append(took / n_particles)
+            self._costs[what].append((n_particles, took / n_particles, self.spent <= self.seconds))
         elif what and len(self._costs[what]) > 1:
             self._costs[what].popleft()  # time passes: a busy spell of the machine must not last for ever
         return self._timed(info)
@@ -122,7 +124,9 @@ class Budget:
         return info.also(Code.LATE, late)
 
     def _dearest(self, what: str) -> float:
-        return max(self._costs[what], default=math.nan)
+        costs = self._costs[what]
+        most = max((n for n, _, in_time in costs if in_time), default=0)
+        return max((each for n, each, in_time in costs if 2 * n >= most or not in_time), default=math.nan)
 
 
 def rehearse(twin: Any, budget: Budget, dt: float) -> float:
@@ -136,8 +140,7 @@ def rehearse(twin: Any, budget: Budget, dt: float) -> float:
     with suppress(PropagationError):  # the filter itself will tell when it happens there
         for step in range(2 + _REHEARSED):
             twin.predict(dt)
-            sensor, z = _expected(twin)
-            twin.update(z, sensor)
+            twin.update(*_expected(twin, twin._each[0][2]))
             seconds = budget.spent
             budget.keep(0 if step == 0 else _REHEARSED)
     with suppress(PropagationError):
@@ -147,20 +150,22 @@ def rehearse(twin: Any, budget: Budget, dt: float) -> float:
 
 def _load_rest(filt: Any, dt: float) -> None:
     """Compile what a prediction may fall back on, and an update after that."""
-    scheme = load(filt.model, filt.density, filt.config)
-    if scheme is not None:
+    for model, density, own in filt._each:
+        scheme = load(model, density, filt.config)
+        if scheme is None:
+            continue
         config = replace(filt.config, scheme=scheme)
         # as many particles as the filter has would take minutes, and compile nothing more
-        about = {"t": filt.t, "domain": filt.model.domain}
+        about = {"t": filt.t, "domain": model.domain}
         begins = filt.config if isinstance(scheme, CloudScheme) else config  # points come from a lattice
-        few = initialize(Gaussian(filt.x, filt.P), min_nodes(filt.model.dim), begins, **about)
-        moved, _ = predict(few, filt.model, max(_SHORT * dt, getattr(filt.model, "period", 0.0)), config)
-        update(moved, *_expected(filt), filt.config)
+        few = initialize(Gaussian(density.mean(), density.cov()), min_nodes(model.dim), begins, **about)
+        moved, _ = predict(few, model, max(_SHORT * dt, getattr(model, "period", 0.0)), config)
+        z, sensor = _expected(filt, own)
+        update(moved, sensor or driven(own, filt.inputs), z, filt.config)
 
 
-def _expected(filt: Any) -> tuple[Sensor, Any]:
-    """A sensor, and a reading of it that changes little."""
-    sensor = driven(filt.measurement, filt.inputs)
+def _expected(filt: Any, sensor: Any) -> tuple[Any, Sensor | None]:
+    """A reading of a filter's own sensor that changes little, and the sensor if it is another."""
     if has_gaussian_noise(sensor):
-        return sensor, sensor.predict(filt.x, filt.t)[0]
-    return LikelihoodMeasurement(lambda z, X, t: np.zeros(len(X))), 0.0
+        return driven(sensor, filt.inputs).predict(filt.x, filt.t)[0], None
+    return 0.0, LikelihoodMeasurement(lambda z, X, t: np.zeros(len(X)))

@@ -13,7 +13,7 @@ from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
-from ..density.memory import FLAGGED
+from ..density.memory import flagged_from
 from ..density.particle_density import ParticleDensity
 from ..density.passage import READING, moved_points, stored_key
 from ..density.points import CloudState, Points, Told
@@ -44,7 +44,7 @@ def by_cloud(
     new = cloud_of(density, found.state, found.moments, capacity=n_particles, lost=density.lost)
     found = found.inheriting(state, moments_on_line(density))
     error, doubt, code = found.error, found.doubt, Code.CLOUD
-    flagged = FLAGGED * config.target_error
+    flagged = flagged_from(config.target_error)
     new = new.noted(cloud=found.state, error=error, rough=0.0)  # of which `inherited` knows
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
     if doubt > wrong_beside(flagged) and error < max(DOUBTFUL, flagged):  # else said of the mean already

@@ -9,7 +9,7 @@ import numpy as np
 from ..config import CloudScheme, FilterConfig
 from ..density.as_family import as_polynomials
 from ..density.defect import ROUGH
-from ..density.memory import FLAGGED, Memory, error_budget, min_nodes, tolerated_excess
+from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
@@ -24,7 +24,7 @@ from .by_pieces import by_pieces
 from .inherited import left_by_update, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior
 
-__all__ = ["by_ladder"]
+__all__ = ["by_ladder", "target_missed"]
 
 _TRIES, _MOST_NODES = 3, 20_000
 _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
@@ -42,15 +42,14 @@ def by_ladder(
     needs = (density.needs or Memory())._replace(legs=0)
     walled = density.domain is not None and density.domain.walled.any()
     by_cloud = density.field is None and not walled and prefers_cloud(density.dim, needs, target)
-    exact = asked.linear and (density.gaussian or density.pieces is not None)
-    cheaper = by_cloud and not exact and becomes_cloud(density, needs, target)
-    if density.read_out == "cloud" or cheaper:
+    if density.pieces is not None and asked.linear:
+        return _on_pieces(density, asked, target, needs)
+    exact = asked.linear and density.gaussian
+    if density.read_out == "cloud" or (by_cloud and not exact and becomes_cloud(density, needs, target)):
         return _on_cloud(density, asked, target, config, needs)
     found = _on_families(density, asked, target, needs) or _on_family(density, asked, target, needs)
     if found is not None and by_cloud and found[1]["error"] > tolerated_excess(density.dim) * target:
         found = None  # what the reading made of the prior's error, no family tells
-    if density.pieces is not None and asked.linear:
-        found = _on_pieces(density, asked, target, needs)
     if found is not None:
         return found
     if by_cloud:
@@ -154,7 +153,11 @@ def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
     usual = Code.CLOUD | Code.FINER
     if said["code"] & ~usual:
         return said
-    if said["error"] <= FLAGGED * target:
+    if said["error"] <= flagged_from(target):
         return said | {"status": "ok", "code": Code.OK}
-    missed = f"the mean is good to {said['error']:.2g} standard deviations, not to the {target:g} asked for"
-    return said | {"status": missed, "code": Code.COARSE}
+    return said | {"status": target_missed(said["error"], target), "code": Code.COARSE}
+
+
+def target_missed(error: float, target: float) -> str:
+    """Sentence for a posterior whose error is more than was asked for."""
+    return f"the mean is good to {error:.2g} standard deviations, not to the {target:g} asked for"

@@ -5,7 +5,7 @@ filter takes that one itself.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ..config import CloudScheme
 from ..core.cloud.control import wrong_beside
 from ..core.cloud.cycle import JUDGE, REFUSED, UNUSUAL, Bounds
 from ..density.as_cloud import cloud_of
-from ..density.memory import FLAGGED, MISSED, Memory
+from ..density.memory import MISSED, Memory, flagged_from
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Through, put_through
 from ..density.points import CloudState
@@ -100,8 +100,8 @@ class _Run:
     def __init__(self, filt: Any) -> None:
         density, needs, model = filt.density, filt.density.needs or Memory(), filt.model
         self._sensor, self._model = filt.measurement, model
-        self._target: Any = target_of(density, filt.config, "auto")
-        self.reached = _Reached(as_points(density, needs.cloud(self._target)), needs, [], filt.t)
+        self._target = target = _target_of(filt)
+        self.reached = _Reached(as_points(density, needs.cloud(target)), needs, [], filt.t)
         self._steady = model.autonomous or model.linear or not isinstance(model, SDE)
         self._known: Stacked | None = None
         self._raised = False
@@ -142,7 +142,7 @@ class _Run:
         times, Z = times[: K + 1], Z[:K]
         spans = zip(times[:-1].tolist(), times[1:].tolist(), strict=True)
         least = np.array([least_steps(model, state.points.x, span) for span in spans])
-        bounds = target, MISSED * target, FLAGGED * target, DOUBTFUL, OUTLYING, CloudScheme().max_steps
+        bounds = target, MISSED * target, flagged_from(target), DOUBTFUL, OUTLYING, CloudScheme().max_steps
         reader = self._stacked(Z[0], times[1]).reader
         assert reader is not None
         about = least, (count, shadow_size(count)), needs.calm, Bounds(*bounds)
@@ -175,7 +175,7 @@ class _Run:
         expected, S, _ = reading_of(sensor, span[1], points.x, points.w, moved.moments)
         y, S = sensor.residual(z, expected), S + sensor.noise_cov
         far = stacked.asked[0]._replace(innovation=y, S=S).outlying
-        flagged = FLAGGED * target
+        flagged = flagged_from(target)
         usual = not far and moved.lost == 0.0 and moved.error < max(DOUBTFUL, flagged)
         done = cloud_times_likelihood(moved.state, stacked) if usual else None
         if done is None:
@@ -218,20 +218,25 @@ def _usual(filt: Any) -> bool:
     """Whether a filter is such that steps of its cloud are all there is to do."""
     config, density, sensor = filt.config, filt.density, filt.measurement
     plain = config.scheme == "auto" and config.time_budget is None and not config.acceptance.enabled
-    known = density.needs is not None if density.cloud is not None else _begins(filt)
     own = type(sensor) is GaussianMeasurement and not sensor.inputs and not filt.model.inputs
     if own:
         sensor.check_dim(filt.model.dim)
         own = sensor.H is None or not sensor.angles  # else it sums in an order of its own
-    return bool(plain and filt.adapts and known and own and filt.model.domain.unbounded and not filt._steps)
+    usual = plain and filt.adapts and own and filt.model.domain.unbounded and not filt._steps
+    return bool(usual and (_begins(filt) if density.cloud is None else density.needs is not None))
 
 
 def _begins(filt: Any) -> bool:
     """Whether a filter's density is a Gaussian as given, of which its first prediction makes a cloud."""
-    density, target = filt.density, target_of(filt.density, filt.config, "auto")
+    density = filt.density
     if not density.gaussian or density.error > 0.0 or filt.model.linear:
         return False
-    return becomes_cloud(density, density.needs or Memory(), target)
+    return becomes_cloud(density, density.needs or Memory(), _target_of(filt))
+
+
+def _target_of(filt: Any) -> float:
+    """Error that is asked of a filter's means, which adapts to it."""
+    return cast(float, target_of(filt.density, filt.config, "auto"))
 
 
 def _plain(filt: Any, t: float, times: Floats, readings: Sequence[Any]) -> tuple[Floats, Floats]:

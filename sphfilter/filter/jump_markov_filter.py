@@ -1,7 +1,8 @@
 """`JumpMarkovFilter`: a Bayes filter of a model that switches between modes, with a density for each."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -12,11 +13,14 @@ from .._types import Floats, Interval, Readings, Reported
 from ..config import FilterConfig
 from ..consistency.ranks import Ranker
 from ..density.as_cloud import thinned
+from ..density.memory import Memory, flagged_from, min_nodes, usual_error, usual_points
 from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
 from ..density.weighted import WeightedStates
-from ..errors import ConfigError, ModelError
+from ..errors import ModelError
+from ..info import DOUBTFUL, NOTHING_CAME, Code
 from ..model.compile import StateFunction
+from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel
 from ..model.jump_markov import mode_probabilities as checked_probabilities
 from ..model.measurements import Sensor
@@ -24,8 +28,9 @@ from ..model.named import InputRecord, InputValues, driven
 from ..model.sensors import Sensors
 from ..prediction.jumping import suits
 from ..prediction.mixing_modes import whatever_the_mode
-from ..prediction.switching import ModesInfo, ModesPrediction, predict_modes
+from ..prediction.switching import ModesInfo, ModesPrediction, points_of_modes, predict_modes
 from ..validate import onwards, real, seconds, short
+from .by_ladder import target_missed
 from .checkpoint import restored_modes
 from .names import suggest_keyword
 from .readings import checked_sensor, numbers_of, rows_of, sensor_of
@@ -86,7 +91,9 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
     n_particles : int or "auto"
         As of `SPHFilter`, of each mode.
     config : FilterConfig, optional
-        Without `time_budget`.
+        With `time_budget`, a step has as many points as are expected to end in time, 256 in each mode at
+        least, and sums go to the error that so many points would have; where that is more than the target,
+        it is said. See `prepare`.
     dt : float or timedelta, optional
         Makes ``predict()`` advance by dt seconds when called without argument.
     window : int
@@ -113,7 +120,8 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
 
     Notes
     -----
-    A predict or update that raises leaves the filter as it was. The filter draws no random numbers.
+    A predict or update that raises leaves the filter as it was. The filter draws no random numbers: the
+    same input gives the same bits, unless it has a `time_budget`: then its densities hang on the clock.
 
     Examples
     --------
@@ -154,8 +162,6 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
         self.model = model
         self.measurement = measurement
         self.n_particles = self._configure(config, n_particles, dt)
-        if self.config.time_budget is not None:
-            raise ConfigError("JumpMarkovFilter keeps no time_budget; leave it out, or raise target_error")
         density = self._start(x0, P0, t0, self.n_particles)
         w = checked_probabilities(mode_probabilities, model)
         modes = ModeDensities.alike(w, density, summed=not suits(model))
@@ -248,6 +254,7 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
 
         The inputs of the modes' models are u over the interval, in their order or by name.
         """
+        self._budget.begin(step=True)
         if dt is not None and t is not None:
             raise ModelError("predict takes either dt or t=, one of them")
         if t is None:
@@ -258,16 +265,50 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
             (end,) = onwards(np.array([real("t", t)]), self.t).tolist()
         if end < self.t:
             raise ModelError(f"cannot predict back in time: from t = {self.t:g} to {end:g}")
-        state, model = self._state, self.model if u is None else self.model.with_inputs(u)
+        rehearses = self._rehearsed(end - self.t)
+        state, model, what = self._afforded(), self.model if u is None else self.model.with_inputs(u), ""
         if end == self.t:
             info = ModesInfo(error=state.density.error, skipped=("everything: the interval is empty",))
             state = state.noted(inputs=dict(model.inputs))  # that sensors read
         else:
-            modes, info = predict_modes(state.density, model, end, self.config, self.n_particles)
-            origin = ModesPrediction(state.density, info.n_substeps, model)
-            state = state.predicted(modes, origin, model.inputs)
+            what, before, settings = "" if rehearses else "predict", state.density, self._settings(state)
+            modes, info = predict_modes(before, model, end, *settings)
+            state = state.predicted(modes, ModesPrediction(before, info.n_substeps, model), model.inputs)
+        info = self._budget.end(what, info, self._number(state), repeated=False)
         self._predicted(state, {"dt": dt, "t": t}, u)
         return info
+
+    def _number(self, state: FilterState[ModeDensities]) -> int:
+        """Particles of each mode that a step has; of sums, points that would be as good."""
+        if not isinstance(self.n_particles, str):
+            return self._budget.bound(self.n_particles, min_nodes(self.model.dim))
+        return state.n_particles or points_of_modes(state.density, self.config.target_error)
+
+    def _afforded(self) -> FilterState[ModeDensities]:
+        """The state, whose densities go on as no more points than there is time for."""
+        state, target = self._state, self.config.target_error
+        if not isinstance(self.n_particles, str):
+            return state
+        asked = points_of_modes(state.density, target)
+        if state.n_particles:  # the step before had fewer than it asked for
+            asked = max(asked, Memory().cloud(target))
+        most = self._budget.bound(asked, usual_points(DOUBTFUL))
+        if most == asked:
+            return state.noted(n_particles=0)
+        most = 2 ** int(math.log2(most))
+        return state.noted(density=state.density.cut(most), n_particles=most)
+
+    def _settings(self, state: FilterState[ModeDensities]) -> tuple[FilterConfig, int | str]:
+        """Settings of a step and bound of its particles: sums go to an error that their points would have."""
+        if not isinstance(self.n_particles, str):
+            return self.config, self._number(state)
+        target = max(self.config.target_error, usual_error(state.n_particles) if state.n_particles else 0.0)
+        return replace(self.config, target_error=target), "auto"
+
+    @property
+    def _each(self) -> list[tuple[Dynamics, ParticleDensity, Sensor | None]]:
+        names, own = self.model.names, self._sensors or {}
+        return [(self.model.modes[names[i]], p, own.get(names[i])) for i, _, p in self._state.density.some]
 
     @suggest_keyword
     def update(
@@ -289,10 +330,17 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
         state = self._state
         sensors = {name: driven(sensor, state.inputs) for name, sensor in self._asked(given, H).items()}
         numbers = numbers_of(self._of_any_mode(sensors), z)
-        step = update_or_predict_modes_again(
-            state.origin, state.density, sensors, numbers, self.config, self.n_particles
+        self._budget.begin()
+        number, settings = self._number(state), self._settings(state)
+        prior, modes, info = update_or_predict_modes_again(
+            *(state.origin, state.density, sensors, numbers, *settings),
+            fits=lambda times: self._budget.fits(int(times * number)),
         )
-        return state.updated(step, None, sensors[self.mode], numbers), step[-1]
+        if state.n_particles and info.error > flagged_from(self.config.target_error):
+            info = info.also(Code.COARSE, target_missed(info.error, self.config.target_error))
+        what, repeated = "" if info.reason == NOTHING_CAME else "update", prior is not state.density
+        info = self._budget.end(what, info, number, repeated)
+        return state.updated((prior, modes, info), None, sensors[self.mode], numbers), info
 
     def spread(self) -> WeightedStates:
         """The densities of all modes as states and weights, `WeightedStates`; of large clouds, of a part."""

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from os import PathLike
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, Literal, Self, TypeVar
 
@@ -17,9 +18,11 @@ from ..density.particle_density import ParticleDensity
 from ..errors import ModelError
 from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel
+from ..model.measurements import Sensor
 from ..model.named import InputRecord
 from ..model.sensors import Sensors
 from ..validate import array, choice, column, count, covariance, positive, real, row, seconds
+from .budget import Budget, rehearse
 from .checkpoint import Restored, write
 from .forecast import Event, Forecast, forecast
 from .late import StepHistory
@@ -105,6 +108,7 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
     ) -> int | Literal["auto"]:
         """Check and keep the settings that all filters have; the number of particles, as it is checked."""
         self.config = checked_filter_config(config)
+        self._budget = Budget(self.config.time_budget)
         if isinstance(n_particles, str):
             choice("n_particles", n_particles, ["auto"])
         else:
@@ -119,6 +123,43 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
         P0 = covariance("P0", P0, dim=n)
         about: dict[str, Any] = {"t": real("t0", t0), "domain": self.model.domain}
         return initialize(Gaussian(x0, P0), n_particles, self.config, **about)
+
+    def prepare(self, dt: Interval | None = None) -> float:
+        """Compile all that predictions and updates call, before a loop in real time.
+
+        Predictions and updates are rehearsed on a twin: the filter stays where it is. Under a `time_budget`
+        the filter learns from the rehearsal how long its particles take; without a call of `prepare` it
+        rehearses in its first predict.
+
+        Parameters
+        ----------
+        dt : float, optional
+            Interval between measurements, seconds; the filter's own dt if it has one.
+
+        Returns
+        -------
+        float
+            Seconds that a predict and an update take; NaN if they could not be made.
+        """
+        if dt is None and self.dt is None:
+            raise ModelError("prepare needs dt, the interval between measurements, or a filter made with dt=")
+        twin, budget = copy(self), Budget(self.config.time_budget or math.inf)
+        budget.prepared, twin._budget = True, budget
+        taken = rehearse(twin, budget, positive("dt", seconds("dt", self.dt if dt is None else dt)))
+        self._budget.adopt(budget)
+        return taken
+
+    def _rehearsed(self, interval: float) -> bool:
+        """Whether a budget is to be kept by steps that nobody has timed; if so, time some."""
+        rehearses = not self._budget.prepared
+        if rehearses and interval > 0.0:
+            self.prepare(interval)
+        return rehearses
+
+    @property
+    def _each(self) -> list[tuple[Dynamics, ParticleDensity, Sensor | None]]:
+        """Models, their densities and the filter's own sensors of them."""
+        raise NotImplementedError
 
     def _told(self) -> str:
         """How a filter of any kind describes itself."""

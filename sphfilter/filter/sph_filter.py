@@ -1,6 +1,5 @@
 """`SPHFilter`: predict and update with state, in the shape filterpy users know."""
 
-import math
 from collections.abc import Mapping
 from copy import copy, deepcopy
 from functools import partial
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike
 from .._types import Floats, Interval, Readings, Reported
 from ..config import FilterConfig
 from ..consistency.ranks import Ranker
+from ..core.cloud.control import MOST_POINTS
 from ..density.as_cloud import thinned
 from ..density.memory import max_particles, min_nodes
 from ..density.particle_density import ParticleDensity
@@ -25,8 +25,8 @@ from ..model.named import InputRecord, InputValues, check_parameters, driven, pa
 from ..prediction.again import MOST, Outcome, or_as_cloud, predict_from_finer
 from ..prediction.predict import Prediction, predict
 from ..prediction.to_target import Time
-from ..validate import count, positive, real, seconds, short
-from .budget import Budget, rehearse
+from ..validate import count, real, seconds, short
+from .budget import Budget
 from .checkpoint import restored
 from .glide import Glide
 from .names import suggest_keyword
@@ -62,7 +62,7 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
         has 200 particles for "auto".
     config : FilterConfig, optional
         With `time_budget`, n_particles is the most that a step may have: a step has as many particles as are
-        expected to end in time, 60 in two states at least. See `prepare`.
+        expected to end in time, 60 in two states at least, and a cloud 256. See `prepare`.
     density : ParticleDensity, optional
         Initial density instead of x0, P0 and t0.
     dt : float or timedelta, optional
@@ -137,7 +137,6 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
         known = max_particles(self._configure(config, n_particles, dt), self.config)
         self._adapts = isinstance(known, str)
         least = min_nodes(model.dim) if isinstance(known, str) else int(known)
-        self._budget = Budget(self.config.time_budget)
         given = self._given(density, x0, P0)
         start = self._start(x0, P0, t0, known) if given is None else given
         self._state = FilterState.begun(start, model.inputs, self.measurement, least)
@@ -229,18 +228,18 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
         self._budget.begin(step=True)
         by, t, u = interval_of(dt, t, u, self.dt, self.model.inputs)
         model = self.model if u is None else self.model.with_inputs(u)
-        rehearses = not self._budget.prepared
-        if rehearses:
-            interval = seconds("dt", by) if t is None else real("t", t) - self.t
-            if interval > 0.0:
-                self.prepare(interval)
-        state, most = self._state, self._most()
+        rehearses = self._rehearsed(seconds("dt", by) if t is None else real("t", t) - self.t)
+        state, points = self._state, self._most()
+        most = min(points, MOST)
 
         def predicted(density: ParticleDensity, config: Any) -> Outcome[PredictInfo]:
             options: dict[str, Any] = {"t": t, "n_particles": most}
             if self._adapts:
                 options |= {"n_particles": "auto", "time": Time(most, self._budget.fits)}
-            moved, info = predict(density, model, by, config, goes_on=False, **options)
+            begun, needs = density, density.needs
+            if needs is not None and needs.cloud(config.target_error) > points:
+                begun = density.noted(needs=needs.cut(points))
+            moved, info = predict(begun, model, by, config, goes_on=False, **options)
             return Outcome(
                 density, moved, info, max_particles_of(moved) if self._adapts else state.n_particles
             )
@@ -264,32 +263,12 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
 
     def _most(self) -> int:
         """Particles that a call may have."""
-        return self._budget.bound(MOST if self._adapts else self.n_particles, min_nodes(self.model.dim))
+        asked = MOST_POINTS if self._adapts else self.n_particles
+        return self._budget.bound(asked, min_nodes(self.model.dim))
 
-    def prepare(self, dt: Interval | None = None) -> float:
-        """Compile all that predictions and updates call, before a loop in real time.
-
-        Predictions and updates are rehearsed on a twin: the filter stays where it is. Under a `time_budget`
-        the filter learns from the rehearsal how long its particles take; without a call of `prepare` it
-        rehearses in its first predict.
-
-        Parameters
-        ----------
-        dt : float, optional
-            Interval between measurements, seconds; the filter's own dt if it has one.
-
-        Returns
-        -------
-        float
-            Seconds that a predict and an update take; NaN if they could not be made.
-        """
-        if dt is None and self.dt is None:
-            raise ModelError("prepare needs dt, the interval between measurements, or a filter made with dt=")
-        twin, budget = copy(self), Budget(self.config.time_budget or math.inf)
-        budget.prepared, twin._budget = True, budget
-        taken = rehearse(twin, budget, positive("dt", seconds("dt", self.dt if dt is None else dt)))
-        self._budget.adopt(budget)
-        return taken
+    @property
+    def _each(self) -> list[tuple[Dynamics, ParticleDensity, Sensor | None]]:
+        return [(self.model, self.density, self.measurement)]
 
     @suggest_keyword
     def update(
@@ -328,7 +307,9 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
         own = H is None and (given is None or given is self.measurement)
         origin = Update.after(state.origin, outcome.before, used, values, own)
         state = state.updated(outcome[:3], origin, sensor, numbers)
-        return state, self._budget.end(what, outcome.info, outcome.density.n_particles, repeated)
+        # of a cloud both passes come out
+        count = min(outcome.before.n_particles, outcome.density.n_particles)
+        return state, self._budget.end(what, outcome.info, count, repeated)
 
     def spread(self) -> WeightedStates:
         """The density now as states and weights, `WeightedStates`; of a large cloud, of a part of it."""

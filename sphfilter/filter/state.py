@@ -39,7 +39,8 @@ class FilterState(Noted, Generic[Carried]):
     inputs : mapping of str to float
         What the model's inputs were in the last prediction.
     n_particles : int
-        Upper bound of the number of particles; zero of densities of modes, for which the filter has it.
+        Upper bound of the number of particles; of modes, those that time has left for each in the last
+        prediction, zero where it has left all that were asked for.
     """
 
     density: Carried

@@ -57,7 +57,7 @@ def update_modes(
         said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
         return modes, ModesUpdateInfo(n_particles=modes.n_particles, error=modes.error, **said)
     log_w, densities = np.full(len(names), -math.inf), list(modes.densities)
-    splitting = modes.splitting.copy()
+    splitting, unsure = modes.splitting.copy(), modes.unsure
     infos: dict[int, UpdateInfo] = {}
     problem: PropagationError | None = None
     for i, own, density in modes.some:
@@ -71,10 +71,12 @@ def update_modes(
         before = math.sqrt(max(splitting[i] ** 2 - fresh**2, 0.0))
         left = shift_left_by_update(density.cov(), new.cov(), new.gaussian)
         splitting[i] = math.hypot(left * before, brought_out)
+        if unsure is not None:
+            unsure = unsure + infos[i].evidence_error ** 2 * (np.arange(len(names)) == i)
     if problem is not None and not infos:
         raise problem
     log_evidence = float(logsumexp(log_w))
-    posterior = ModeDensities(log_w, densities, np.minimum(splitting, 1.0))
+    posterior = ModeDensities(log_w, densities, np.minimum(splitting, 1.0), None, unsure)
     told = {names[i]: info for i, info in infos.items()}
     flagged = [(names[i], info) for i, info in infos.items() if info.flagged and posterior.w[i] > SAID]
     w = [float(posterior.w[i]) for i in infos]

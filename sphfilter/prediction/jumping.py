@@ -3,9 +3,13 @@
 The points of a mode after an interval are those that were in it all the way, which one prediction carries,
 and those that came into it. Of these each draws the modes that it was in between the times of jumps, from the
 last to the first, begins at a point of the first, and goes from time to time by the equation of each.
+
+A reading weights all and leads none. Led along their way since the last jump, group by group, equal points
+were off by 1 to 1/2.7 as much in 4 to 7 times the time: for equal time more, also where 4 % carry a reading.
 """
 
 import math
+from functools import reduce
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -16,6 +20,7 @@ from ..config import CloudScheme
 from ..core.cloud.control import SHADOW
 from ..core.cloud.move import affine, move
 from ..core.cloud.noise import LANES
+from ..core.cloud.way import LINES
 from ..core.limits import GOLDEN, TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities
@@ -81,6 +86,12 @@ class Way(NamedTuple):
             found.append(np.einsum("i,ij->j", found[-1], P))
         return found
 
+    def unsure(self, modes: ModeDensities) -> Floats:
+        """Variances (M,) of what logarithms of probabilities at the end are off by; jumps even errors out."""
+        came = modes.w[:, None] * reduce(np.matmul, self.jumps, np.eye(len(modes.w)))
+        before = np.zeros(len(came)) if modes.unsure is None else modes.unsure
+        return np.asarray(before @ (came / np.maximum(came.sum(axis=0), TINY)) ** 2)
+
     def staying(self, i: int) -> float:
         """Probability that a state of mode number i does not jump."""
         return math.prod(float(P[i, i]) for P in self.jumps)
@@ -132,7 +143,7 @@ def carried_with_jumps(
         if about.needs is not None:
             densities[j] = densities[j].noted(needs=about.needs.gone_on()._replace(points=count))
         infos[j] = info_of(model.modes[model.names[j]], count, stayed.steps, stayed.lost, error)
-    return ModeDensities(log_w, densities, modes.splitting), infos
+    return ModeDensities(log_w, densities, modes.splitting, unsure=way.unsure(modes)), infos
 
 
 class _Sources:
@@ -179,7 +190,8 @@ class _Sources:
             if share < 1.0:
                 came, before = self._came(forward, j, share, k, key)
                 x, w = np.concatenate([points.x, came.x]), [share * points.w, (1.0 - share) * came.w]
-                points = unrolled_about_mean(Points(x, np.concatenate(w)), self._domain)
+                lineage = _side_by_side(self._numbered(points.older, k, j), came.older)
+                points = unrolled_about_mean(Points(x, np.concatenate(w), lineage=lineage), self._domain)
                 inherited += (1.0 - share) * before**2 if k == 0 else 0.0
             clouds.append(points)
             sums.append(moments(points.x, points.w))
@@ -195,13 +207,15 @@ class _Sources:
         many = math.ceil(many * max(1.0 / SHADOW, 1.0 - share))
         path = self._way.modes_before(forward, j, share + (1.0 - share) * (np.arange(many) + 0.5) / many)
         x, square = np.empty((many, len(self._models[j].states))), 0.0
+        lineage = np.empty((LINES - 1, many), np.int64)
         for i in np.unique(path[:, 0]).tolist():
             own = np.flatnonzero(path[:, 0] == i)
-            x[own] = _evenly(
-                unrolled_about_mean((self._states[i].points, self._states[i].shadow)[k], self._domain),
-                len(own),
-                stored_key(key, i),
-            )
+            points = unrolled_about_mean((self._states[i].points, self._states[i].shadow)[k], self._domain)
+            chosen = _evenly(points, len(own), stored_key(key, i))
+            x[own], older = points.x[chosen], self._numbered(points.older, k, i)
+            lineage = lineage[: len(older)]
+            if len(lineage):
+                lineage[:, own] = older[: len(lineage), chosen]
             square += len(own) / many * self._states[i].inherited ** 2
         for gap, span in enumerate(pairwise(self._way.times.tolist())):
             if span[0] == span[1]:
@@ -209,7 +223,16 @@ class _Sources:
             for i in np.unique(path[:, gap]).tolist():
                 own = path[:, gap] == i
                 x[own] = self._moved(i, x[own], span, stored_key(key, len(forward[0]) * (gap + 1) + i))
-        return without_runaways(Points(x, np.full(many, 1.0 / many)), self._domain)[0], math.sqrt(square)
+        points = Points(x, np.full(many, 1.0 / many), lineage=lineage)
+        return without_runaways(points, self._domain)[0], math.sqrt(square)
+
+    def _numbered(self, lineage: Ints, k: int, i: int) -> Ints:
+        """Lineages of mode i, whose last ancestors have numbers that those of no other mode have."""
+        first, i = 0, i if i in self._states else self._heaviest
+        for mode, state in self._states.items():
+            lines = (state.points, state.shadow)[k].older
+            first += int(lines[0].max()) + 1 if mode < i and len(lines) else 0
+        return np.concatenate([lineage[:1] + first, lineage[1:]])
 
     def _moved(self, i: int, x: Floats, span: tuple[float, float], key: int) -> Floats:
         """Points (K, n) moved by the model of mode i, each along noise of its own."""
@@ -229,10 +252,16 @@ class _Sources:
         return x
 
 
-def _evenly(points: Points, count: int, key: int) -> Floats:
-    """Points (count, n) as often as they weigh; those of any run lie evenly along the curve through all."""
+def _evenly(points: Points, count: int, key: int) -> Ints:
+    """Numbers (count,) of points as often as they weigh; any run lies evenly along the curve through all."""
     order = along(points.x, points.w)
     edges = np.cumsum(points.w[order])
     place = (np.arange(count) * GOLDEN + key * 2.0**-63) % 1.0
     at = np.searchsorted(edges / edges[-1], place, side="right")
-    return np.asarray(points.x[order[np.minimum(at, len(order) - 1)]])
+    return np.asarray(order[np.minimum(at, len(order) - 1)])
+
+
+def _side_by_side(one: Ints, other: Ints) -> Ints:
+    """Lineages of two sets of points, as far back as both are known."""
+    known = min(len(one), len(other))
+    return np.concatenate([one[:known], other[:known]], axis=1)

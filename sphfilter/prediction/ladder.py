@@ -18,7 +18,7 @@ from ..core.family.rules import degrees
 from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
 from ..density.family import gaussian_family
-from ..density.memory import FLAGGED, Memory, error_budget, min_nodes, tolerated_excess
+from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
@@ -44,10 +44,11 @@ __all__ = [
 Found = TypeVar("Found")
 
 #: Points of a cloud that take as long as a lattice that makes the same error, by states; a lattice of more
-#: states never pays. And points that take as long as one family of up to four states, and of more: with 512
-#: eight scenes take .4 to 1 times what they do with families first. (Of `experiments benchmark`.)
-_AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**13}, (2**10, 2**13)
-_FEW_STATES = 4  # families of more have thousands of nodes
+#: states never pays. And points that take as long as one family, by states: fewer take .1 to .9 times as
+#: long as families first; 512 in three and four states too, but sharp readings are then off by twice as
+#: much. (Of `experiments benchmark`.)
+_AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**13}, {1: 2**10, 2: 2**10, 3: 2**9, 4: 2**9}
+_AS_LARGEST = 2**13  # as families of five and six states, of thousands of nodes (experiments benchmark)
 LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 _WORK = 1000.0  # evaluations of the drift, that a lattice may take for each point of a usual cloud
@@ -69,7 +70,7 @@ def prefers_cloud(dim: int, needs: Memory, target: float) -> bool:
 
 def becomes_cloud(density: ParticleDensity, needs: Memory, target: float) -> bool:
     """Whether a cloud costs less than one family, and is all that is asked for."""
-    cheaper = needs.cloud(target) < _AS_FAMILIES[density.dim > _FEW_STATES]
+    cheaper = needs.cloud(target) < _AS_FAMILIES.get(density.dim, _AS_LARGEST)
     return cheaper and not needs.smooth and prefers_cloud(density.dim, needs, target)
 
 
@@ -298,6 +299,6 @@ def _by_lattice(
 def as_asked(info: PredictInfo, target: float) -> PredictInfo:
     """The info of a rung that the target asked for, and not of one that took another's place."""
     usual = Code.CLOUD | Code.FINER
-    if info.code & ~usual or not info.error < max(DOUBTFUL, FLAGGED * target):
+    if info.code & ~usual or not info.error < max(DOUBTFUL, flagged_from(target)):
         return info
     return replace(info, status="ok", code=Code.OK)

@@ -34,7 +34,14 @@ from .pieces import carried_exactly
 from .predict import predict
 from .splitting_error import jumps_of, splitting_error
 
-__all__ = ["MOST_SUBSTEPS", "ModesInfo", "ModesPrediction", "predict_modes"]
+__all__ = [
+    "MOST_SUBSTEPS",
+    "ModesInfo",
+    "ModesPrediction",
+    "goes_as_points",
+    "points_of_modes",
+    "predict_modes",
+]
 
 MOST_SUBSTEPS = 256  # of an interval; measured: half and twice change no run
 #: Of the target, that the splitting of an interval may be off by. Measured: errors are .8 to 1.1 times as
@@ -104,7 +111,7 @@ def predict_modes(
     moved = None if count else _in_turn(modes, model, way, config, n_particles, apart, told)
     if moved is None:
         told, forced = _Told(model.names), isinstance(config.scheme, CloudScheme)
-        moved, infos = carried_with_jumps(modes, model, way, count or _usual_points(modes, target), target)
+        moved, infos = carried_with_jumps(modes, model, way, count or points_of_modes(modes, target), target)
         for i, info in infos.items():
             told.hear(i, info if forced else as_asked(info, target))
     modes = moved
@@ -121,17 +128,17 @@ def _points(modes: ModeDensities, model: JumpMarkovModel, config: FilterConfig, 
     if config.scheme != "auto" or n_particles != "auto" or len(needs) < len(modes.some):
         return 0
     sums = needs[0].smooth and model.dim <= LATTICE
-    as_points = not sums and (suits(model) or _goes_as_points(modes))
-    return _usual_points(modes, config.target_error) if as_points else 0
+    as_points = not sums and (suits(model) or goes_as_points(modes))
+    return points_of_modes(modes, config.target_error) if as_points else 0
 
 
-def _usual_points(modes: ModeDensities, target: float) -> int:
+def points_of_modes(modes: ModeDensities, target: float) -> int:
     """Points of a cloud for each mode that a target asks for, by the modes' shares in its error."""
     needs = [(math.exp(log_w), density.needs or Memory()) for _, log_w, density in modes.some]
     return int(power_of_two(sum(w * own.cloud(target) for w, own in needs)))
 
 
-def _goes_as_points(modes: ModeDensities) -> bool:
+def goes_as_points(modes: ModeDensities) -> bool:
     """Whether a density goes as points."""
     return any(density.read_out == "cloud" for _, _, density in modes.some)
 
@@ -158,7 +165,7 @@ def _in_turn(
     for t, P in zip(way.times[1:-1].tolist(), way.jumps, strict=True):
         modes = _carried(modes, model, t, configs, n_particles, told)
         modes = _switched(modes, P, target, each)
-        if model.dim > 1 and _goes_as_points(modes) and not model.domain.walled.any():
+        if model.dim > 1 and goes_as_points(modes) and not model.domain.walled.any():
             return None
     return _carried(modes, model, way.span[1], configs, n_particles, told)
 

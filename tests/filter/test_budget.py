@@ -10,7 +10,7 @@ from numba.core.dispatcher import Dispatcher
 
 import sphfilter as sf
 from sphfilter.filter import budget as budget_room
-from sphfilter.filter import sph_filter, update_again
+from sphfilter.filter import jump_markov_filter, sph_filter, update_again
 from sphfilter.filter.budget import Budget
 from sphfilter.model import symbolic
 from sphfilter.prediction import automatic, ladder, predict
@@ -35,13 +35,16 @@ class Clock:
         tried = self._taking(automatic.propagate, PREDICT, self.predicted)
         monkeypatch.setattr(ladder, "automatic", SimpleNamespace(propagate=tried))
         monkeypatch.setattr(update_again, "update", self._taking(sf.update, UPDATE, []))
+        for name, cost in (("predict_modes", PREDICT), ("update_or_predict_modes_again", UPDATE)):
+            verb = getattr(jump_markov_filter, name)
+            monkeypatch.setattr(jump_markov_filter, name, self._taking(verb, cost, []))
 
     def _taking(self, verb, cost, numbers):
         def timed(*args, **options):
-            density, info = verb(*args, **options)
+            *before, density, info = verb(*args, **options)
             self.now += self.slower * cost * density.n_particles
             numbers.append(density.n_particles)
-            return density, info
+            return *before, density, info
 
         return timed
 
@@ -135,12 +138,12 @@ def test_finer_predictions_need_time(clock):
 
 
 def test_the_target_error_waits_for_time(clock):
-    late = made(BUDGET, n_particles="auto", target_error=1e-4)
+    late = made(BUDGET, n_particles="auto", target_error=1e-4, density_error=0.01)  # on lattices
     late.prepare(2.0)
     told = steps(late, 3)
     assert any("no time for it" in note for predicted, _ in told for note in predicted.skipped)
     assert max(predicted.seconds + updated.seconds for predicted, updated in told) <= BUDGET
-    ample = made(10.0, n_particles="auto", target_error=1e-4)
+    ample = made(10.0, n_particles="auto", target_error=1e-4, density_error=0.01)
     steps(ample, 3)
     assert ample.n_particles > 3 * late.n_particles
 
@@ -212,8 +215,8 @@ def test_a_busy_spell_is_forgotten():
     """Steps that only repeat tell no cost; the memory of a busy machine ends all the same."""
     budget, info = Budget(1.0), sf.PredictInfo()
     for took in (50e-3, 1e-3, 1e-3):
-        budget._costs["predict"].append(took)
-    budget._costs["update"].append(0.0)
+        budget._costs["predict"].append((100, took, True))
+    budget._costs["update"].append((100, 0.0, True))
     assert budget.bound(10_000, 1) == 20
     for _ in range(5):
         budget.begin(step=True)
@@ -243,3 +246,78 @@ def test_a_fallback_is_compiled_on_few_particles(monkeypatch):
     flt = sf.SPHFilter(model, None, [0.0, 0.0], np.eye(2), config=sf.FilterConfig(time_budget=0.05))
     flt.prepare(0.5)
     assert asked and max(asked) < 200
+
+
+SPRING = sf.SDE.from_expressions(*TEXT[:1], ["v", "-0.4*v - 2*sin(x)"], *TEXT[2:])
+SWITCHING = sf.JumpMarkovModel({"wells": DUFFING, "spring": SPRING}, [[-0.1, 0.1], [0.2, -0.2]])
+
+
+def switching(budget, target=0.01, model=SWITCHING):
+    config = sf.FilterConfig(time_budget=budget, target_error=target)
+    return sf.JumpMarkovFilter(model, POSITION, [3.0, 0.0], np.diag([0.2, 1.0]), config=config)
+
+
+def test_modes_have_as_many_points_as_fit(clock):
+    """Points of both modes, and of both passes of a reading, cost the same here."""
+    plain, ample, flt = switching(None), switching(1e3), switching(0.06)
+    flt.prepare(2.0)
+    usual, same, told = (steps(each, 6) for each in (plain, ample, flt))
+    assert ample.x.tobytes() == plain.x.tobytes() and ample.log_evidence == plain.log_evidence
+    assert all(u.status == v.status for (_, u), (_, v) in zip(usual[1:], same[1:], strict=True))
+    assert max(predicted.seconds + updated.seconds for predicted, updated in told) <= 0.06
+    few, many = (np.array([updated.n_particles for _, updated in each]) for each in (told, usual))
+    assert np.all(few < many / 3) and np.all(few > 1000)
+    for (_, updated), (_, better) in zip(told, usual, strict=True):
+        assert updated.error > better.error
+        assert (sf.Code.COARSE in updated.code) == (updated.error > 0.025)  # from 2.5 targets on
+    assert sum(sf.Code.COARSE in updated.code for _, updated in told) > 0
+
+
+def test_modes_under_a_budget_that_nothing_keeps_are_late_on_the_fewest_points(clock):
+    told = steps(switching(1e-5), 5)
+    assert all(sf.Code.LATE in updated.code for _, updated in told)
+    assert (
+        max(density.n_particles for _, density in told[1:]) <= 2 * 2 * 256
+    )  # modes, and who stayed and came
+
+
+def test_sums_of_modes_go_to_an_error_that_there_is_time_for(monkeypatch):
+    linear = [sf.LinearSDE([[0.0, 1.0], [0.0, 0.0]], [0.0, a], noise=[[0.0], [1.0]]) for a in (0.0, 3.0)]
+    model = sf.JumpMarkovModel({"rest": linear[0], "pushed": linear[1]}, [[-0.5, 0.5], [0.5, -0.5]])
+    Clock(monkeypatch)
+    plain, flt = switching(None, model=model), switching(1e-3, model=model)
+    usual, told = steps(plain, 6), steps(flt, 6)
+    for (predicted, updated), (finer, better) in zip(told[1:], usual[1:], strict=True):
+        assert predicted.n_substeps < finer.n_substeps and updated.error > better.error
+    assert np.abs(flt.x - plain.x).max() < 3.0 * told[-1][1].error * np.sqrt(plain.P.diagonal().max())
+
+
+def test_a_reading_far_out_is_predicted_again_where_there_is_time(clock):
+    model, sharp = drifts(), sf.GaussianMeasurement([[1.0]], [[4e-4]])
+    for budget, sentence in ((1e3, "repeated"), (None, "repeated"), (1e-5, "no time to repeat")):
+        config = sf.FilterConfig(time_budget=budget)
+        start = {"mode_probabilities": {"rest": 1.0}, "config": config}
+        flt = sf.JumpMarkovFilter(model, sharp, [0.0], [[0.01]], **start)
+        flt.predict(1.0)
+        assert sentence in flt.update([0.7]).status
+
+
+def drifts():
+    modes = {name: sf.LinearSDE([[0.0]], [v], noise=[[0.2]]) for name, v in (("rest", 0.0), ("moving", 1.0))}
+    return sf.JumpMarkovModel(modes, [[-0.01, 0.01], [0.01, -0.01]])
+
+
+def test_a_cloud_has_as_many_points_as_fit(clock):
+    """Without n_particles; three states, at a target that asks for tens of thousands."""
+    flow = sf.SDE.from_expressions(
+        ["x", "y", "z"], ["10*(y - x)", "x*(28 - z) - y", "x*y - 8/3*z"], np.eye(3).astype(str).tolist()
+    )
+    sensor = sf.GaussianMeasurement(np.eye(3)[:1], [[1.0]])
+    numbers = {}
+    for budget in (None, 0.05):
+        config = sf.FilterConfig(time_budget=budget, target_error=0.003)
+        flt = sf.SPHFilter(flow, sensor, [-6.0, -9.0, 20.0], np.eye(3), config=config)
+        told = [(flt.predict(0.3), flt.update(z)) for z in ([-7.0], [-5.0], [-8.0], [-9.0])]
+        numbers[budget] = [predicted.seconds + updated.seconds for predicted, updated in told[1:]], flt
+    took, flt = numbers[0.05]
+    assert max(took) <= 0.05 and 256 <= flt.density.n_particles < numbers[None][1].density.n_particles / 4

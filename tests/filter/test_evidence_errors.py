@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import norm
 
 import sphfilter as sf
+from sphfilter.density.memory import Memory
 
 COV = np.array([[1.0, 0.3], [0.3, 0.5]])
 
@@ -34,7 +35,7 @@ def test_a_prior_that_is_off_along_each_axis(z):
 def test_a_family_tells_what_its_nodes_miss_of_the_integral(b, z):
     """A likelihood with an edge, exp(-|z - x| / b) / 2 b: two halves of Gaussians."""
     sensor = sf.LikelihoodMeasurement(lambda z, X, t: -np.abs(z[0] - X[:, 0]) / b - np.log(2.0 * b), 1)
-    start = sf.initialize(sf.Gaussian([0.0], [[1.0]]), "auto")
+    start = sf.initialize(sf.Gaussian([0.0], [[1.0]]), "auto").noted(needs=Memory(smooth=True))
     _, info = sf.update(start, sensor, [z], sf.FilterConfig(target_error=0.1))
     halves = [0.5 / b**2 + side * z / b + norm.logcdf(-side * z - 1.0 / b) for side in (-1.0, 1.0)]
     off = abs(info.log_evidence - np.logaddexp(*halves) + np.log(2.0 * b))

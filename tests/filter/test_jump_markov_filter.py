@@ -539,7 +539,6 @@ def test_parameters_are_fitted_by_a_function_that_makes_filters():
         ({"mode_probabilities": [0.5, 0.6]}, "sum to one"),
         ({"mode_probabilities": [1.5, -0.5]}, "not be negative"),
         ({"mode_probabilities": {"resting": 1.0}}, "did you mean 'rest'"),
-        ({"config": sf.FilterConfig(time_budget=1.0)}, "time_budget"),
         ({"n_particles": "many"}, "n_particles"),
     ],
 )

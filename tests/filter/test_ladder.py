@@ -68,7 +68,7 @@ def test_the_error_left_is_the_one_asked_for_and_cheaper_rungs_are_taken_where_i
     ("scene", "target", "end", "rung"),
     [
         ("van_der_pol", 0.003, 3, "lattice"),
-        ("cart", 0.03, 3, "family"),
+        ("cart", 0.02, 3, "family"),
         ("van_der_pol", 0.01, 6, "cloud"),
         ("three_oscillators", 0.1, 3, "cloud"),
     ],
@@ -177,7 +177,7 @@ def test_a_target_that_is_missed_is_said():
     assert scenario.model.dim == 3
 
 
-@pytest.mark.parametrize("target", [0.03, 0.01])
+@pytest.mark.parametrize("target", [0.02, 0.01])
 def test_a_tail_that_a_family_got_wrong_and_a_reading_asks_for_is_predicted_again(target):
     scenario, start = load_scenario("duffing"), load_scenario("duffing").settings.start
     fine = {"n_particles": 1500, "config": sf.FilterConfig(scheme="log_density")}

@@ -43,11 +43,12 @@ _WRITTEN |= ast.Tuple | ast.List | ast.Set | ast.Dict
 BOUNDS = {
     # 650 came from experiments (models and data from files); the command 600, posteriors of parameters and
     # filters of fits 450, smoothing on clouds 610, modes of maps and correlated noise 220, identity,
-    # interrupts and pages of campaigns 280, compiling ahead 60, less what they replaced
-    "lines of sphfilter": 41_200,
+    # interrupts and pages of campaigns 280, compiling ahead 60, time budgets of modes and clouds 110, what
+    # clouds of modes tell and ask for 115, less what they replaced
+    "lines of sphfilter": 41_400,
     "lines of reference_filters": 5_050,
     "lines of experiments": 12_300,
-    "lines of tests": 29_000,  # and 1,300 that hold them to grids, closed forms, filterpy, and a wheel
+    "lines of tests": 29_220,  # and 1,420 that hold them to grids, closed forms, filterpy, and a wheel
     "  median length": 6,
     "  longer than 40 lines": 16,
     "  with more than 8 arguments": 29,  # two constructors more

@@ -1,4 +1,4 @@
-"""The code on the page on models, kernels and schemes works as it stands there."""
+"""The code on the page on models, sensors, kernels and schemes works as it stands there."""
 
 import importlib.util
 import re
@@ -32,6 +32,17 @@ def test_the_model_runs(tmp_path):
     result = flt.run(case.times[:3], case.z[:3])
     error = (result.x - case.truth[:3]) / np.sqrt(np.diagonal(result.P, axis1=1, axis2=2))
     assert np.abs(error).max() < 4.0
+
+
+def test_the_sensor_gives_prior_times_likelihood():
+    exec(block("python", "import numpy"), made := {})
+    sensor = made["Distance"](np.array([2.0, 0.0]), 0.3)
+    prior = sf.Gaussian([0.0, 0.0], np.diag([1.0, 0.5]))
+    posterior, _ = sf.update(sf.initialize(prior, n_particles="auto"), sensor, [1.2])
+    X = np.stack(np.meshgrid(*2 * [np.linspace(-6, 6, 601)]), -1).reshape(-1, 2)
+    p = np.exp(-(X[:, 0] ** 2) / 2 - X[:, 1] ** 2 + sensor.log_likelihood([1.2], X))
+    np.testing.assert_allclose(posterior.mean(), p @ X / p.sum(), atol=0.02)
+    assert sensor.sample(X[:3], rng=1).shape == (3, 1)
 
 
 def test_the_kernel_and_its_slope_fit():
