@@ -5,8 +5,6 @@ from contextlib import contextmanager
 
 from .terminal.interruption import stoppable
 
-__all__ = ["main"]
-
 
 def main(argv=None):
     """Run a command and return its exit code; see `commands.main`."""

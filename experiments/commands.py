@@ -12,8 +12,6 @@ from tempfile import NamedTemporaryFile
 
 from . import guide
 
-__all__ = ["COMMANDS", "load", "main", "module", "parser"]
-
 #: Modules with a one-line docstring and ``main(args)``, which returns an exit code or None. They are imported
 #: when the command line has been checked: what is wrong with it is answered at once. That is up to the module
 #: of the command's name in `arguments`, which has ``add_arguments(add)`` and, where something may be wrong,

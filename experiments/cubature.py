@@ -9,8 +9,6 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
-__all__ = ["solved"]
-
 _EXACT = 1e-13  # largest error of a scaled moment
 _PROMISING = 1e-6  # of least squares, for Newton's steps to go on from
 

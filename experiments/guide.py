@@ -4,8 +4,6 @@ import re
 from importlib.util import find_spec
 from pathlib import Path
 
-__all__ = ["end_of_help", "overview"]
-
 _RUN = "python -m experiments"
 #: Headings, and the commands below each.
 _GROUPS = {

@@ -6,8 +6,6 @@ from rich.table import Table
 from .scene.scenario import read_settings, scenario_names
 from .transient.settings import problem_names, read_problem
 
-__all__ = ["main"]
-
 
 def main(args):
     """Print name and description of every scenario."""

@@ -19,8 +19,6 @@ from .scene.scenario import load_scenario
 from .show.tables import number, print_table, table
 from .terminal.running import new_console, status, tell
 
-__all__ = ["main"]
-
 _CLOCKS = {"wall": time.perf_counter, "processor": time.process_time}
 _MOST = 20_000  # particles
 _HEADINGS = (

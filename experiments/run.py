@@ -16,8 +16,6 @@ from .show.files import unfinished
 from .show.tables import print_table
 from .terminal.running import new_console, status, tell
 
-__all__ = ["main"]
-
 
 def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter failed in every run, else 0."""

@@ -16,8 +16,6 @@ from .show.tables import print_table, table
 from .terminal.running import new_console, status, tell
 from .transient.problem import load_problem
 
-__all__ = ["main"]
-
 
 @dataclass(frozen=True)
 class Cell:

@@ -26,9 +26,6 @@ from sphfilter.files.csv_data import read_measurements
 
 from .own_data.model_file import load_model
 
-__all__ = ["FIRST", "LEVELS", "FoldedMixture", "Score", "fold", "learn", "load", "roots", "score_forecasts",
-           "score_history", "split"]  # fmt: skip
-
 _DATA = Path(__file__).parent / "data"
 #: The first year that is forecast; the model is fitted to the years before.
 FIRST = 1949

@@ -15,8 +15,6 @@ from sphfilter.filter.results import run_filter
 from sphfilter.info import PredictInfo, UpdateInfo
 from sphfilter.model.named import driven
 
-__all__ = ["ReferenceFilter", "gaussian_start"]
-
 
 class ReferenceFilter(ABC):
     """Base of the reference filters.

@@ -18,8 +18,6 @@ from sphfilter.core.sde_steps import jump, platen_steps, root_now, runge_kutta, 
 from ._normals import LANES, fill_normals, seed_lanes
 from ._step_length import MOST_STEPS, SHIFTED_PATH, SPLIT, step_length
 
-__all__ = ["fill_rows", "move_blocks", "split_steps", "standard_normals"]
-
 #: Steps between two looks at the step length.
 _STEPS_PER_LOOK = 4
 #: Moves within a look, over standard deviation and mean move, from which steps were too long; how much

@@ -9,8 +9,6 @@ from sphfilter.core._addresses import ADDRESS, address_of, function_at
 from sphfilter.core._jit import jit_for
 from sphfilter.model.compile import surfacing
 
-__all__ = ["follow"]
-
 #: States moved together; their stages fit the first-level cache.
 _BLOCK = 256
 

@@ -22,8 +22,6 @@ import numpy as np
 from sphfilter.core._jit import jit
 from sphfilter.core.monomials import up_to
 
-__all__ = ["CumulantRates", "central_recursion"]
-
 
 class CumulantRates:
     """Right-hand side for the cumulants of order 1 to Q.

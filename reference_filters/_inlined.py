@@ -17,12 +17,10 @@ from numba.np.arrayobj import populate_array
 
 from sphfilter.core._addresses import Entry
 from sphfilter.core._jit import MATRIX, VECTOR
-from sphfilter.model.simulate import noise_root
+from sphfilter.model.paths import noise_root
 
 from ._lane_noise import BITS, NOISES, unit_noise
 from ._weights import LANES
-
-__all__ = ["NEW_STEP", "NEW_TRIAL", "compiled", "fits", "pattern_of"]
 
 _REAL, _CUBE = types.float64, types.float64[:, :, ::1]
 _STEP = (MATRIX, types.uint64[:, ::1], types.float32[:, ::1], _REAL, _CUBE, _REAL, _REAL, VECTOR)

@@ -13,8 +13,6 @@ from numba import njit
 
 from sphfilter.core._jit import jit
 
-__all__ = ["BITS", "NOISES", "fill_noise", "unit_noise"]
-
 #: Bits of a word that one noise takes: a number below 2¹⁸, and three signs. Three noises share a word, whose
 #: lowest bit is weak and not used.
 BITS, NOISES = 21, 3

@@ -20,8 +20,6 @@ from ._lane_noise import fill_noise
 from ._step_length import MOST_STEPS, better_length
 from ._weights import ANY_ORDER, LANES, block_moments
 
-__all__ = ["move_lanes"]
-
 #: Steps between two looks at the step length.
 _STEPS_PER_LOOK = 8
 #: Moves within a look, over standard deviation and mean move, from which steps were too long; how much

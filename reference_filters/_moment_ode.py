@@ -18,8 +18,6 @@ from sphfilter.core.dormand_prince import E as _E
 from sphfilter.errors import PropagationError
 from sphfilter.model.compile import surfacing
 
-__all__ = ["LINEARISED", "SIGMA_POINTS", "propagate_moments"]
-
 LINEARISED, SIGMA_POINTS = 0, 1
 _DONE, _TOO_MANY, _BLOWN_UP = 0, 1, 2
 _MAX_STEPS = 100_000

@@ -8,8 +8,6 @@ import numpy as np
 from sphfilter.core._jit import jit
 from sphfilter.errors import ModelError
 
-__all__ = ["checked_powers", "down_set", "moment_name", "recentred", "sum_monomials"]
-
 #: States taken at a time: as many as keep all monomials of a block near the processor.
 _BLOCK = 64
 

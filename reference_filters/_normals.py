@@ -9,8 +9,6 @@ import numpy as np
 
 from sphfilter.core._jit import jit
 
-__all__ = ["LANES", "fill_normals", "seed_lanes"]
-
 #: Normals come in rows of at most this many; state, words and row fit the first-level cache.
 LANES = 256
 

@@ -4,14 +4,12 @@ import numpy as np
 
 from sphfilter import validate
 from sphfilter.errors import ModelError
-from sphfilter.model.simulate import advance
+from sphfilter.model.paths import advance
 
 from ._monomials import checked_powers, down_set, moment_name, recentred, sum_monomials
 from ._paths import Paths
 from ._starts import draw
 from ._store import digest
-
-__all__ = ["PathSums"]
 
 #: States at which model and indicators are probed for the name of a problem.
 _PROBES = 64

@@ -9,15 +9,13 @@ import numpy as np
 from sphfilter.core._addresses import address_of
 from sphfilter.errors import PropagationError
 from sphfilter.model.compile import surfacing
-from sphfilter.model.simulate import noise_root, rate_of_time
+from sphfilter.model.paths import noise_root, rate_of_time
 
 from ._blocks import move_blocks, standard_normals
 from ._inlined import compiled, fits, pattern_of
 from ._lanes import move_lanes
 from ._step_length import BIAS_PER_ERROR, PLATEN, SHIFTED_PATH, SPLIT
 from ._weights import LANES, merged, moments_of
-
-__all__ = ["Moved", "Paths"]
 
 #: States at which the rate of change with time is looked at.
 _LOOKED_AT = 64

@@ -10,8 +10,6 @@ from sphfilter.errors import ModelError
 from sphfilter.model.compile import compile_source
 from sphfilter.model.sde import SDE
 
-__all__ = ["Polynomials", "polynomials_of"]
-
 _TEXT = (
     "moment equations need a drift and a noise that are polynomials of the states, in text "
     "(SDE.from_expressions), or a linear model"

@@ -4,8 +4,6 @@ import numpy as np
 
 from sphfilter.core._jit import jit
 
-__all__ = ["evaluate_spline", "spline_symbol", "spline_weights"]
-
 
 def spline_symbol(k):
     """Fourier symbol of the quintic B-spline sampled at the nodes (66, 26, 1 over 120), k in radians a node.

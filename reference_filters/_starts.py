@@ -6,8 +6,6 @@ from sphfilter import validate
 from sphfilter.density.distributions import Gaussian, Uniform
 from sphfilter.errors import ModelError
 
-__all__ = ["draw"]
-
 #: Rounds in which states beyond a wall are drawn again.
 _ROUNDS = 1000
 

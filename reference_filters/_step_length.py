@@ -11,8 +11,6 @@ from numba import njit
 from sphfilter.core._jit import jit
 from sphfilter.core.sde_steps import root_noise, root_now, scaled_noise
 
-__all__ = ["BIAS_PER_ERROR", "MOST_STEPS", "PLATEN", "SHIFTED_PATH", "SPLIT", "better_length", "step_length"]
-
 SPLIT, SHIFTED_PATH, PLATEN = 0, 1, 2
 #: Bias that the covariance of an interval gets for a rough error of one in its steps, by scheme: about the
 #: largest of six scenarios with two to four states (the smallest is a tenth of it).

@@ -1,11 +1,10 @@
 """Files that keep finished parts of long runs, named by what was computed."""
 
-import os
 from hashlib import sha256
 
 import numpy as np
 
-__all__ = ["digest", "save"]
+from sphfilter.density.storage import whole
 
 
 def digest(parts):
@@ -21,7 +20,5 @@ def save(path, **arrays):
     if path is None:
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    with open(part, "wb") as file:
+    with whole(path) as file:
         np.savez(file, **arrays)
-    os.replace(part, path)

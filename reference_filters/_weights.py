@@ -5,9 +5,6 @@ from numba import njit
 
 from sphfilter.core._jit import jit
 
-__all__ = ["ANY_ORDER", "LANES", "all_moments", "ancestors", "block_moments", "condition",
-           "linear_log_likelihood", "merged", "moments_of"]  # fmt: skip
-
 #: States of a block.
 LANES = 256
 #: Sums may be taken in any order, as vector instructions want it.

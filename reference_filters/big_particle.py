@@ -17,8 +17,6 @@ from sphfilter.campaign.one_run import put_through
 from ._store import digest, save
 from .particle import ParticleFilter
 
-__all__ = ["Reference", "converged"]
-
 #: To be raised when a change of the filter changes what it would find.
 _VERSION = 1
 #: States at which model and sensor are probed for the name of the cache, and their spread around the start.

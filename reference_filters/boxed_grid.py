@@ -21,8 +21,6 @@ from ._characteristics import follow
 from ._spline import spline_symbol, spline_weights
 from .particle import ParticleFilter
 
-__all__ = ["BoxedGridFilter", "box_of_case"]
-
 #: Nodes a spline covers.
 _TAPS = 6
 #: Parts of a step in which characteristics are followed.
@@ -94,43 +92,36 @@ class BoxedGridFilter(ReferenceFilter):
         return p / p.sum(), n_steps
 
     def _updated(self, belief, z, measurement):
-        log_likelihood = measurement.log_likelihood(z, self.nodes, self.t)
-        top = log_likelihood.max()
-        if not np.isfinite(top):
-            return belief, {"log_evidence": -np.inf}
-        posterior = belief * np.exp(log_likelihood - top).reshape(belief.shape)
-        mass = posterior.sum()
-        if not mass > 0.0:
-            return belief, {"log_evidence": -np.inf}
-        return posterior / mass, {"log_evidence": float(top + np.log(mass))}
+        return weighed(belief, measurement.log_likelihood(z, self.nodes, self.t))
 
 
-def box_of_case(model, measurement, case, n_particles=2000, n_parts=10, margin=0.15, rng=0):
-    """Box that holds all particles of a particle filter on the measurements of a case, and between them.
+def weighed(belief, log_likelihood):
+    """Belief times likelihood, and the log-evidence; the belief as it is where that is nothing."""
+    top = log_likelihood.max()
+    if not np.isfinite(top):
+        return belief, {"log_evidence": -np.inf}
+    posterior = belief * np.exp(log_likelihood - top).reshape(belief.shape)
+    mass = posterior.sum()
+    if not mass > 0.0:
+        return belief, {"log_evidence": -np.inf}
+    return posterior / mass, {"log_evidence": float(top + np.log(mass))}
 
-    What a hand would choose, with hindsight.
 
-    Parameters
-    ----------
-    case : object with times, z, x0, P0, t0
-    n_parts : int
-        Times an interval that are looked at.
-    margin : float
-        Widening to either side, in widths.
+def box_of_case(model, measurement, case):
+    """Box (n, 2) that holds all particles of a particle filter on the measurements of a case, and between.
 
-    Returns
-    -------
-    ndarray, shape (n, 2)
+    What a hand would choose, with hindsight: looked at ten times an interval, and widened by .15 of its
+    widths to either side. The case has times, z, x0, P0, t0.
     """
-    filt = ParticleFilter(model, measurement, case.x0, case.P0, case.t0, n_particles=n_particles, rng=rng)
+    filt = ParticleFilter(model, measurement, case.x0, case.P0, case.t0, n_particles=2000, rng=0)
     low, high = filt.particles.min(axis=0), filt.particles.max(axis=0)
     for t1, z in zip(case.times, case.z, strict=True):
-        for t in np.linspace(filt.t, t1, n_parts + 1)[1:]:
+        for t in np.linspace(filt.t, t1, 11)[1:]:
             filt.predict(t=t)
             low = np.minimum(low, filt.particles.min(axis=0))
             high = np.maximum(high, filt.particles.max(axis=0))
         filt.update(z)
-    return np.stack([low - margin * (high - low), high + margin * (high - low)], axis=1)
+    return np.stack([low - 0.15 * (high - low), high + 0.15 * (high - low)], axis=1)
 
 
 @dataclass(frozen=True)

@@ -6,22 +6,11 @@ import numpy as np
 from scipy.integrate import quad
 from scipy.linalg import expm
 from scipy.special import erf, expit, logsumexp
-from scipy.stats import multivariate_normal
 
 from sphfilter.density.weighted import WeightedStates
 from sphfilter.errors import ModelError
 
 from ._base import ReferenceFilter
-
-__all__ = [
-    "BenesFilter",
-    "DuffingSteadyState",
-    "diffused_gaussian",
-    "drifted_uniform",
-    "linear_moments",
-    "linear_transition",
-    "ornstein_uhlenbeck_moments",
-]
 
 
 def linear_transition(A, b, noise_intensity, dt):
@@ -67,17 +56,6 @@ def linear_moments(A, b, noise_intensity, mean, cov, t):
     """Mean (n,) and covariance (n, n) after `t` seconds of the linear equation of `linear_transition`."""
     Phi, c, Qd = linear_transition(A, b, noise_intensity, t)
     return Phi @ np.asarray(mean, dtype=float) + c, Phi @ np.asarray(cov, dtype=float) @ Phi.T + Qd
-
-
-def ornstein_uhlenbeck_moments(theta, q, mean, var, t):
-    """Mean and variance after `t` of dX = -theta X dt + dW, E[dW²] = q dt (scalars, theta not zero)."""
-    decay = np.exp(-theta * t)
-    return decay * mean, decay**2 * var - q * np.expm1(-2 * theta * t) / (2 * theta)
-
-
-def diffused_gaussian(X, mean, cov, D, t):
-    """Density at X (N, n) of N(mean, cov) after `t` seconds of pure diffusion ∂p/∂t = ∇·(D ∇p)."""
-    return multivariate_normal(mean, np.asarray(cov) + 2 * t * np.asarray(D)).pdf(X)
 
 
 def drifted_uniform(x, t, drift=1.0, D=0.125, half_width=0.5):

@@ -19,8 +19,6 @@ from ._cumulant_rates import CumulantRates, central_recursion
 from ._monomials import recentred
 from ._polynomial import polynomials_of
 
-__all__ = ["CumulantReference", "cumulant_moments"]
-
 #: Most steps between two times, and least step in units of the time.
 _MAX_STEPS, _LEAST = 20_000, 1e-12
 

@@ -5,8 +5,6 @@ import math
 import numpy as np
 from scipy import stats
 
-__all__ = ["BootstrapFilter", "GridOfSteps"]
-
 
 class GridOfSteps:
     """Chapman and Kolmogorov's equation of one state with additive noise on a fine grid, forward and back.

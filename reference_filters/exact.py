@@ -8,8 +8,6 @@ from sphfilter.model.sde import LinearSDE
 from ._base import ReferenceFilter
 from .kalman import KalmanFilter
 
-__all__ = ["BenesFromGaussian", "ForcedFilter"]
-
 #: Nodes of a start, and the standard deviations that they reach: outliers push its posterior far out.
 _NODES, _REACH = 40_001, 80.0
 

@@ -6,8 +6,6 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
-__all__ = ["difference", "fine_grid_filter"]
-
 _ORDER = 10
 
 

@@ -10,8 +10,6 @@ from scipy.special import factorial2
 from sphfilter import validate
 from sphfilter.errors import ModelError
 
-__all__ = ["GibbsSteadyState"]
-
 #: Nodes along a position axis: the trapezoidal rule converges faster than any power, on a ring as where the
 #: density has died away at both ends.
 _NODES = {1: 2049, 2: 769, 3: 129}

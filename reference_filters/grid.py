@@ -18,9 +18,6 @@ from ._base import ReferenceFilter, gaussian_start
 from ._characteristics import follow
 from .grid_density import FLOOR, Box, GridDensity, fitted_box
 
-__all__ = ["GridFilter"]
-
-
 #: Points in a cell that stand for it.
 _CELL_POINTS = 16
 

@@ -10,8 +10,6 @@ from sphfilter import validate
 
 from ._spline import evaluate_spline, spline_symbol
 
-__all__ = ["Box", "GridDensity", "fitted_box"]
-
 #: Relative density below which a node counts as empty.
 FLOOR = 1e-11
 #: Half-width of a Gaussian at that floor, in standard deviations.

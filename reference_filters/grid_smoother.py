@@ -17,8 +17,6 @@ from ._characteristics import follow
 from .grid import GridFilter
 from .grid_density import Box, GridDensity
 
-__all__ = ["SmoothedGrid", "smooth_on_grid"]
-
 _ORDER = 5  # of the splines
 _POINTS = 9  # Gauss-Hermite points of one noise
 

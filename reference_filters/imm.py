@@ -12,8 +12,6 @@ from filterpy.kalman import IMMEstimator
 from ._base import ReferenceFilter, gaussian_start
 from .kalman import ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
 
-__all__ = ["ImmFilter"]
-
 _KINDS = {"kalman": KalmanFilter, "ekf": ExtendedKalmanFilter, "ukf": UnscentedKalmanFilter}
 
 

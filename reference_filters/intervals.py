@@ -11,8 +11,6 @@ from scipy.stats import t as student
 from sphfilter import validate
 from sphfilter.errors import ModelError
 
-__all__ = ["interval_factor", "mean_interval", "pivot", "standard_error"]
-
 
 def interval_factor(n_groups, level=0.95):
     """Half width of the interval in standard deviations of a group, Q(½ + level/2) / √G: 000 (142).

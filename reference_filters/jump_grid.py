@@ -14,10 +14,8 @@ from sphfilter import validate
 from sphfilter.errors import ModelError
 
 from ._base import ReferenceFilter, gaussian_start
-from .boxed_grid import BoxedGridFilter, _march, _plan
+from .boxed_grid import BoxedGridFilter, _march, _plan, weighed
 from .fine_grid import difference
-
-__all__ = ["JumpGridFilter", "unsplit_jump_filter"]
 
 
 class JumpGridFilter(ReferenceFilter):
@@ -76,13 +74,8 @@ class JumpGridFilter(ReferenceFilter):
         several = (
             measurement if isinstance(measurement, dict) else dict.fromkeys(self.model.names, measurement)
         )
-        log_l = np.array([several[name].log_likelihood(z, self.nodes, self.t) for name in self.model.names])
-        top = log_l.max()
-        posterior = belief * np.exp(log_l - top).reshape(belief.shape)
-        mass = posterior.sum()
-        if not mass > 0.0:
-            return belief, {"log_evidence": -np.inf}
-        return posterior / mass, {"log_evidence": float(top + np.log(mass))}
+        each = [several[name].log_likelihood(z, self.nodes, self.t) for name in self.model.names]
+        return weighed(belief, np.array(each))
 
 
 def unsplit_jump_filter(model, measurement, x0, P0, times, readings, *, mode_probabilities=None,

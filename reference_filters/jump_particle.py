@@ -4,12 +4,10 @@ import numpy as np
 
 from sphfilter import validate
 from sphfilter.core.cloud.weights import weighted_moments
-from sphfilter.model.simulate import advance
+from sphfilter.model.paths import advance
 
 from ._base import ReferenceFilter, gaussian_start
 from ._weights import condition
-
-__all__ = ["JumpParticleFilter"]
 
 
 class JumpParticleFilter(ReferenceFilter):

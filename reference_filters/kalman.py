@@ -18,8 +18,6 @@ from sphfilter.model.measurements import has_gaussian_noise, is_gaussian
 from ._base import ReferenceFilter, gaussian_start
 from ._moment_ode import LINEARISED, SIGMA_POINTS, propagate_moments
 
-__all__ = ["ExtendedKalmanFilter", "KalmanFilter", "UnscentedKalmanFilter"]
-
 
 class _GaussianFilter(ReferenceFilter):
     """A filter whose belief is a mean and a covariance."""

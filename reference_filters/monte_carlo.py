@@ -16,8 +16,6 @@ from ._path_sums import PathSums
 from ._store import save
 from .intervals import mean_interval, pivot, standard_error
 
-__all__ = ["MonteCarloReference", "simulate_statistics"]
-
 #: To be raised when a change of the program changes what it would find.
 _VERSION = 1
 #: Most paths of a chunk.

@@ -16,8 +16,6 @@ from ._base import ReferenceFilter, gaussian_start
 from ._paths import Paths
 from ._weights import ancestors, linear_log_likelihood, moments_of
 
-__all__ = ["ParticleFilter"]
-
 #: Default of the bias of an interval over 1/√N, the least sampling error of moments.
 _BIAS = 0.4
 

@@ -4,8 +4,6 @@ import numpy as np
 
 from .kalman import KalmanFilter
 
-__all__ = ["smooth_linear"]
-
 
 def smooth_linear(model, measurement, start, times, measurements, sensors=None):
     """Smooth with the Kalman filter's results.

@@ -8,8 +8,6 @@ from experiments.scene.reading import read_settings
 from experiments.terminal.options import add_changes, counted, names_of
 from sphfilter.errors import ConfigError
 
-__all__ = ["EXPENSIVE", "SCENARIOS", "add_arguments", "check"]
-
 #: Those of the publication and the closed forms, then harder ones, then those never used in development, of
 #: lattices first, and in the last row of the ladder either.
 SCENARIOS = (

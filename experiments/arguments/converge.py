@@ -8,8 +8,6 @@ from experiments.terminal.options import add_changes, names_of, numbers
 from experiments.transient.settings import problem_names, read_problem
 from sphfilter.errors import ConfigError
 
-__all__ = ["FILTER", "add_arguments", "check", "counts_of", "sizes_of", "study_of"]
-
 FILTER = "a filter scenario"
 _DEFAULTS = {"filter": "sph", "runs": 3, "seed": 0, "limit": 300.0}
 #: Options that each study takes besides NAME, --out and --set; the others are refused.

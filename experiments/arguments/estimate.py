@@ -7,8 +7,6 @@ from experiments.scene.reading import read_settings
 from experiments.terminal.options import add_changes, counted, names_of
 from sphfilter.errors import ConfigError
 
-__all__ = ["MEASURED", "SENSOR", "add_arguments", "check", "guesses"]
-
 #: Name under which the variance of a sensor's noise is fitted, where it is one number on the diagonal.
 SENSOR = "R"
 #: Name that is no scenario: the measured numbers.

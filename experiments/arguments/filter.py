@@ -7,8 +7,6 @@ from experiments.scene.names import FILTERS, check_filters
 from experiments.terminal.options import names_of
 from sphfilter.files.model_file import read_data
 
-__all__ = ["add_arguments", "check"]
-
 
 def add_arguments(add):
     """Add the options of `filter`."""

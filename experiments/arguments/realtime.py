@@ -5,8 +5,6 @@ from pathlib import Path
 from experiments.scene.reading import read_settings
 from experiments.terminal.options import counted, names_of, numbers
 
-__all__ = ["add_arguments", "budgets_of", "check"]
-
 _SCENARIOS = ["van_der_pol", "duffing", "cart", "lorenz"]
 _BUDGETS = "5,10,20,50"
 

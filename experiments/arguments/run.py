@@ -2,8 +2,6 @@
 
 from experiments.terminal.options import add_run, check_run
 
-__all__ = ["add_arguments", "check"]
-
 check = check_run
 
 

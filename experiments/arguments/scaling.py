@@ -6,8 +6,6 @@ from experiments.terminal.options import counted, names_of, numbers
 from experiments.transient.settings import read_problem
 from sphfilter.errors import ConfigError
 
-__all__ = ["add_arguments", "check", "counts_of"]
-
 SCHEMES = ("log_density", "paper")
 _COUNTS = "500,1000,2000,5000,10000,20000"
 

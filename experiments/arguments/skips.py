@@ -4,8 +4,6 @@ from pathlib import Path
 
 from sphfilter.errors import ConfigError
 
-__all__ = ["add_arguments", "check"]
-
 
 def add_arguments(add):
     """Add the options of `skips`."""

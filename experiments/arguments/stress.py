@@ -6,8 +6,6 @@ from pathlib import Path
 from experiments.terminal.options import counted, names_of
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["AUTO", "FILTERS", "add_arguments", "check"]
-
 #: What begins the names of filters that choose their particles by their error, .01 or .03; and all on trial.
 AUTO = "auto"
 FILTERS = ("default", "paper", "pf1e3", "pf1e4", AUTO, f"{AUTO}.03")

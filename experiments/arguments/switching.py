@@ -3,8 +3,6 @@
 from experiments.switching.settings import NAMES, read_settings
 from experiments.terminal.options import counted
 
-__all__ = ["add_arguments", "check"]
-
 
 def add_arguments(add):
     """Add the options of `switching`."""

@@ -8,8 +8,6 @@ from experiments.terminal.options import add_changes
 from experiments.transient.settings import read_problem
 from sphfilter.errors import ConfigError
 
-__all__ = ["add_arguments", "check"]
-
 
 def add_arguments(add):
     """Add the options of `transient`."""

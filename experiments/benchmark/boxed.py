@@ -9,8 +9,6 @@ from reference_filters.boxed_grid import BoxedGridFilter, box_of_case
 from sphfilter.campaign.store import case_digest
 from sphfilter.settings import Count, Positive, settings
 
-__all__ = ["Boxed", "BoxedFactory", "fits"]
-
 #: Boxes by case, made once: they are set-up, which does not count.
 _BOXES = {}
 

@@ -15,8 +15,6 @@ from .measure import measure, warm_up
 from .store import Rows, code_digest
 from .summary import ReferenceError, summarise
 
-__all__ = ["Outcome", "Plan", "run_scenario"]
-
 
 @dataclass(frozen=True)
 class Plan:

@@ -27,8 +27,6 @@ from .methods import default_families, methods
 from .reference import Effort
 from .store import code_digest
 
-__all__ = ["main"]
-
 _QUICK = Effort(error=1e-2, first=0, last=1, n_paths=20_000, n_runs=4)
 _FULL = Effort(error=2e-5, first=2, last=5, n_runs=50)
 

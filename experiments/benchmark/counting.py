@@ -10,8 +10,6 @@ from sphfilter.campaign.one_run import put_through
 
 from .watch import Watched
 
-__all__ = ["OtherModel", "drift_evaluations"]
-
 #: Particle filters do the same work in every step of every particle: so many are counted, and scaled.
 _COUNTED = 1000
 

@@ -11,8 +11,6 @@ from reference_filters.closed_forms import BenesFilter
 from reference_filters.grid_density import Box, GridDensity
 from reference_filters.particle import ParticleFilter
 
-__all__ = ["Cloud", "hellinger", "normal", "snapshot"]
-
 
 @dataclass(frozen=True)
 class Cloud:

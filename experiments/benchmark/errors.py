@@ -7,8 +7,6 @@ import numpy as np
 from experiments.show.comparison import Distance, moment_errors, rms
 from sphfilter import consistency
 
-__all__ = ["Errors", "errors", "left_by_epoch", "root_mean_square", "truth_errors"]
-
 
 @dataclass(frozen=True)
 class Errors(Distance):

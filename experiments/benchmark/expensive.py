@@ -11,8 +11,6 @@ from sphfilter.files.write import write_csv
 
 from .methods import short, size_text
 
-__all__ = ["BASE", "COSTS", "fastest", "seconds_at", "table", "write"]
-
 #: The scenario whose rows are used; seconds an evaluation; errors of the mean that are asked for.
 BASE = "van_der_pol"
 COSTS = (1e-6, 1e-5, 1e-4, 1e-3)

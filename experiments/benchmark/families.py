@@ -2,8 +2,6 @@
 
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["FAMILIES", "check_families"]
-
 #: What the names stand for, short and in words. Any scheme of the SPH filter can be forced with sph:SCHEME.
 FAMILIES = {
     "sph": ("SPH", "SPH filter, default"),

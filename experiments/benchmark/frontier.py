@@ -8,8 +8,6 @@ from experiments.show import tables
 
 from .methods import short
 
-__all__ = ["markdown", "seconds_for"]
-
 _OURS = ("sph:", "auto")
 _ERRORS = (0.1, 0.03, 0.01, 0.003, 0.001)
 

@@ -13,8 +13,6 @@ from .densities import hellinger
 from .errors import errors, left_by_epoch, root_mean_square, truth_errors
 from .watch import TooSlow, Watched, resident, watch_peak
 
-__all__ = ["measure", "warm_up"]
-
 #: Timed runs of a case: as many as fit into so many seconds, within bounds.
 _REPEATS, _SECONDS = 5, 1.0
 

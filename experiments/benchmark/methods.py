@@ -10,8 +10,6 @@ from sphfilter.files.model_file import Sph
 from . import boxed
 from .families import FAMILIES, check_families
 
-__all__ = ["Method", "default_families", "label", "methods", "short", "size_text"]
-
 #: Particles by number of states (three stands for all above two), quick or not.
 _SPH = {1: (25, 50, 100, 200), 2: (100, 200, 400, 800, 1600), 3: (200, 500, 1000, 2000, 4000)}
 #: Of n_particles="auto": one over the target error.

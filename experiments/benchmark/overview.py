@@ -9,8 +9,6 @@ from experiments.show import tables
 from .methods import size_text
 from .told import ratios
 
-__all__ = ["markdown", "seconds_at"]
-
 _RIVAL, _OWN = "pf4", "auto"
 _TOLD_AT = 100  # one over the target error for which told is held against left
 

@@ -3,14 +3,12 @@
 import numpy as np
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
-from experiments.show.style import COLOURS, frame, grid, legend_below, logarithmic, panels, save
+from experiments.show.style import COLOURS, frame, grid, legend_below, panels, save
 
 from .expensive import COSTS, fastest
 from .methods import label
 from .summary import MEASURES, particle_law
 from .told import told_figure
-
-__all__ = ["draw", "draw_expensive", "expensive_figure", "frontier_figure", "style"]
 
 #: Smaller errors are drawn here: the exact filters have some.
 _FLOOR = 1e-5
@@ -102,7 +100,7 @@ def _panel(ax, outcome, measure):
             _sizes(ax, points, error, colour)
     _law(ax, lines, measure)
     _unreliable(ax, outcome, measure)
-    logarithmic(ax)
+    ax.set(xscale="log", yscale="log")
     here = [e for s in _series(lines) for e in _errors(_points(lines, s, measure), measure)]
     ax.set_xlim(0.5 * min(here), 2.0 * max(here))
     for axis in (ax.xaxis, ax.yaxis):

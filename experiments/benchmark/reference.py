@@ -22,8 +22,6 @@ from sphfilter.filter.results import FilterResult
 from .errors import errors, root_mean_square
 from .watch import Watched
 
-__all__ = ["Effort", "Reference", "epochs_of_densities", "find"]
-
 #: Nodes an axis, and error allowed a step, of the grid; each refinement divides the error by about five.
 _LADDER = ((48, 3e-3), (72, 1e-3), (96, 1e-3), (144, 3e-4), (216, 1e-4), (324, 3e-5))
 

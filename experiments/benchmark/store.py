@@ -9,8 +9,6 @@ import sphfilter
 from experiments.show.files import whole
 from sphfilter.campaign.identity import digest_of_files
 
-__all__ = ["Rows", "code_digest"]
-
 
 @cache
 def code_digest():

@@ -8,8 +8,6 @@ import numpy as np
 from .errors import root_mean_square
 from .told import NONE, told_and_left
 
-__all__ = ["MEASURES", "Line", "ReferenceError", "fastest_to_reach", "particle_law", "summarise"]
-
 #: What is measured against the reference, and in what unit.
 MEASURES = {
     "mean": "error of the mean (posterior standard deviations)",
@@ -145,7 +143,7 @@ def particle_law(lines, measure="mean"):
     return float(np.nanmin(costs)) if len(costs) and np.isfinite(costs).any() else np.nan
 
 
-def fastest_to_reach(lines, error, measure="mean"):
-    """The fastest of the lines whose error is at most `error`, or None."""
-    reached = [i for i in lines if not i.failed and getattr(i, measure) <= error]
+def fastest_to_reach(lines, error):
+    """The fastest of the lines whose mean error is at most `error`, or None."""
+    reached = [i for i in lines if not i.failed and i.mean <= error]
     return min(reached, key=lambda i: i.seconds, default=None)

@@ -11,8 +11,6 @@ from .methods import label, short, size_text
 from .summary import Line, fastest_to_reach, particle_law
 from .told import ratios, sentence
 
-__all__ = ["LEVELS", "markdown", "rows", "sentences", "table", "write_csv"]
-
 #: Errors of the mean at which run times are compared.
 LEVELS = (0.1, 0.03, 0.01, 0.003, 0.001)
 

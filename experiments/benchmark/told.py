@@ -6,8 +6,6 @@ from experiments.show.style import COLOURS, INK, grid, legend_below, panels
 
 from .methods import size_text
 
-__all__ = ["NONE", "ratios", "sentence", "told_and_left", "told_figure"]
-
 #: Of a filter that tells nothing.
 NONE = np.empty((0, 2))
 _SHARES = (0.1, 0.5, 0.9)

@@ -9,8 +9,6 @@ from sphfilter.filter.results import run_filter
 
 from .densities import snapshot
 
-__all__ = ["TooSlow", "Watched", "resident", "watch_peak"]
-
 
 class TooSlow(SphfilterError):
     """A run passed its limit of time."""

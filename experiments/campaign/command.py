@@ -18,8 +18,6 @@ from sphfilter.errors import ConfigError
 from . import page, plots
 from .work import exit_code, tell_failures, work_of
 
-__all__ = ["main"]
-
 
 def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter failed in every run, else 0."""

@@ -11,8 +11,6 @@ from experiments.scene.filters import name_of
 from experiments.show.style import quantity
 from experiments.show.tables import UNKNOWN, counted, markdown, number
 
-__all__ = ["write"]
-
 #: Rows of the tables: heading, field of the report, format, and what it has one of for each.
 _ERRORS = (
     ("RMS error, {}", "rms_error", "number", "state"),

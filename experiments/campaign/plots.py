@@ -7,8 +7,6 @@ from experiments.show.plots import consistency_figure
 from experiments.show.style import COLOURS, filter_heading, grid, panels, plain_numbers, plt, save
 from sphfilter import consistency
 
-__all__ = ["draw"]
-
 _BINS = 10
 
 

@@ -10,8 +10,6 @@ from experiments.terminal.running import run_shown, warm_up
 from sphfilter.campaign.store import versions
 from sphfilter.files.write import write_json
 
-__all__ = ["Work", "exit_code", "tell_failures", "work_of"]
-
 
 @dataclass(frozen=True)
 class Work:

@@ -13,8 +13,6 @@ from sphfilter.errors import SphfilterError
 
 from .errors import Errors, errors_of
 
-__all__ = ["SCHEME", "UNKNOWN", "Cell", "Setting", "cut", "row_of"]
-
 SCHEME = "solver.config.scheme"
 UNKNOWN = Errors(*4 * (np.nan,))
 

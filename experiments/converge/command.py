@@ -9,8 +9,6 @@ from experiments.terminal.running import new_console
 
 from . import filters, nodes, sensors, transient
 
-__all__ = ["main"]
-
 
 def main(args):
     """Run the command; prints to standard output."""

@@ -6,8 +6,6 @@ import numpy as np
 
 from experiments.show.comparison import moment_errors
 
-__all__ = ["MEASURES", "Errors", "Truth", "errors_of", "moments_of"]
-
 
 @dataclass(frozen=True)
 class Errors:

@@ -18,8 +18,6 @@ from sphfilter.errors import ConfigError
 from .plots import draw_filter
 from .tables import end, fitted_order
 
-__all__ = ["convergence", "orders", "study"]
-
 MEASURES = ("mean", "cov", "evidence")
 
 

@@ -20,8 +20,6 @@ from sphfilter.errors import ConfigError, SphfilterError
 
 from .transient import progress
 
-__all__ = ["Problem", "Row", "measured", "scenes", "study"]
-
 #: Errors of the mean, in standard deviations, below which nothing is asked for, by the number of states.
 _FLOORS = {1: 1e-5, 2: 1e-4}
 _LIMIT = 1.5  # times that an error may grow from a count to the next

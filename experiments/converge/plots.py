@@ -2,12 +2,10 @@
 
 import numpy as np
 
-from experiments.show.style import COLOURS, INK, frame, logarithmic, panels, plain_numbers, plt, save
+from experiments.show.style import COLOURS, INK, frame, panels, plain_numbers, plt, save
 
 from .studies import RULES
 from .tables import groups, orders_of
-
-__all__ = ["draw_filter", "draw_schemes", "draw_steps"]
 
 _SCHEMES = {"auto": COLOURS["sph"], "log_density": COLOURS["sph"], "paper": COLOURS["sph_paper"]}
 _STEPPERS = {"euler": COLOURS["ekf"], "midpoint": COLOURS["pf"], "rk4": COLOURS["sph"]}
@@ -99,7 +97,7 @@ def _legend(ax):
 
 def _finish(ax, truth, measure):
     doubt = np.nan if truth.doubt is None else getattr(truth.doubt, measure)
-    logarithmic(ax)
+    ax.set(xscale="log", yscale="log")
     if np.isfinite(doubt):
         ax.axhline(doubt, color=INK, lw=0.8, ls=":")
     frame(ax, "", "", _LABELS[measure])

@@ -13,8 +13,6 @@ from sphfilter.errors import ConfigError, nearest
 
 from .nodes import Problem
 
-__all__ = ["DRIFTS", "SENSORS", "Q", "Sensor", "problems"]
-
 Q, _START, _N_READINGS = 0.6, (0.3, 1.5), 8
 #: Text of a drift, and what it computes.
 DRIFTS = {"-0.2*x": lambda x: -0.2 * x, "x - x**3": lambda x: x - x**3}

@@ -10,8 +10,6 @@ from sphfilter.errors import ConfigError
 from .cells import SCHEME, UNKNOWN
 from .errors import errors_of
 
-__all__ = ["INTEGRATORS", "RULES", "by_scheme", "by_step", "default_steps", "scheme_change", "variants"]
-
 #: Of the published scheme; textbooks give them the orders 1, 2 and 4.
 INTEGRATORS = "euler", "midpoint", "rk4"
 #: Sizes of a time step by what they are, for people, and as settings of the published scheme.

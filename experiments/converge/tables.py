@@ -12,8 +12,6 @@ from experiments.terminal.running import tell
 from .errors import MEASURES
 from .studies import RULES
 
-__all__ = ["Order", "end", "fitted_order", "groups", "orders_of", "scheme_table", "step_table"]
-
 _ROUNDING = 1e-12  # errors of which nothing can be said
 
 

@@ -16,8 +16,6 @@ from .errors import MEASURES
 from .studies import INTEGRATORS, by_scheme, by_step, default_steps, scheme_change, variants
 from .truth import truth_of
 
-__all__ = ["progress", "scheme_keys", "setting_of", "study_schemes", "study_steps", "told_truth"]
-
 _END = 6.0  # seconds: errors of a density come from its first oscillations
 _N_PARTICLES = 400
 _SCHEMES = "log_density", "paper"

@@ -10,8 +10,6 @@ from sphfilter.errors import ConfigError
 
 from .errors import Truth, errors_of
 
-__all__ = ["quadrature", "truth_of"]
-
 _NODES = 121  # an axis of a quadrature, in one and two dimensions
 _REACH = 6.5  # standard deviations it spans
 _DRAWS = 2**13  # quasi-random nodes beyond two dimensions

@@ -22,8 +22,6 @@ from sphfilter.files.write import write_json
 from .plots import draw_profiles
 from .problems import guess_of, problem_of, rival_of
 
-__all__ = ["main"]
-
 #: Where profiles are computed, in standard errors from the estimate.
 _FINE, _COARSE = (-2.5, -1.5, -0.75, 0.75, 1.5, 2.5), (-2.0, -1.0, 1.0, 2.0)
 _FEW = 3  # parameters, up to which profiles are fine

@@ -5,8 +5,6 @@ from scipy.interpolate import PchipInterpolator
 
 from experiments.show.style import COLOURS, frame, legend_below, panels, save
 
-__all__ = ["draw_profiles"]
-
 _OURS = COLOURS["sph"]
 
 

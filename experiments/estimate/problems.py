@@ -12,8 +12,6 @@ from experiments.sunspots import fold, load, split
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["Build", "Problem", "guess_of", "problem_of", "rival_of"]
-
 #: Parameters that are fitted unless others are asked for, where not all can be: a common factor of others.
 _DUFFING = ("xi", "gamma", "epsilon")
 _FITTED = {"duffing": _DUFFING, "duffing_square": _DUFFING, "sunspots": ("w", "mu", "b", "g", SENSOR)}

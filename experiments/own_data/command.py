@@ -19,8 +19,6 @@ from sphfilter.files.write import write_estimates
 from .model_file import load_model
 from .plots import draw
 
-__all__ = ["case_of", "main"]
-
 
 def main(args):
     """Run the command; prints to standard output. Returns 1 if a filter did not come to the end, else 0."""

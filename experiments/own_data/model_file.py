@@ -6,8 +6,6 @@ from experiments.scene.scenario import Scenario, check_parts
 
 from .model_settings import read_model
 
-__all__ = ["load_model"]
-
 
 def load_model(path):
     """Read a model file and check that its parts fit each other.

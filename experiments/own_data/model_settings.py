@@ -6,8 +6,6 @@ from experiments.scene.settings import Filters
 from sphfilter.files import model_file
 from sphfilter.settings import settings
 
-__all__ = ["ModelFile", "read_model"]
-
 
 @settings
 class ModelFile(model_file.ModelFile):

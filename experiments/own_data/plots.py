@@ -5,8 +5,6 @@ import numpy as np
 from experiments.show.histories import readings
 from experiments.show.style import COLOURS, filter_heading, grid, panels, quantity, save
 
-__all__ = ["draw"]
-
 
 def draw(path, scenario, data, results):
     """Draw a row for each filter and a column for each state: mean, ±2σ, and what the sensor read of it.

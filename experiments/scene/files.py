@@ -5,8 +5,6 @@ from pathlib import Path
 
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["change", "changes_of", "file_names", "find_file", "parse_change"]
-
 
 def file_names(folder):
     """Names of the TOML files in a folder."""

@@ -5,8 +5,6 @@ import numpy as np
 from sphfilter.errors import ModelError
 from sphfilter.model.symbolic import Vocabulary, symbolic_rows
 
-__all__ = ["sampled"]
-
 
 def sampled(model, inputs, begins):
     """What the model's m inputs are over T intervals that begin at some seconds (T,), shape (T, m).

@@ -2,8 +2,6 @@
 
 from sphfilter.errors import ConfigError, nearest
 
-__all__ = ["FILTERS", "check_filters", "name_of"]
-
 #: What the names stand for.
 FILTERS = {
     "kf": "Kalman filter (exact for linear models)",

@@ -10,8 +10,6 @@ from sphfilter.settings import from_table
 from .files import change, file_names, find_file
 from .settings import ScenarioSettings
 
-__all__ = ["read_settings", "scenario_names"]
-
 _FOLDER = Path(__file__).parents[1] / "scenarios"
 
 

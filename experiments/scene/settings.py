@@ -10,8 +10,6 @@ from sphfilter.files.model_file import Sph
 from sphfilter.files.text import Matrix, ModelText, Reads, Row, Sensor, TableText, told
 from sphfilter.settings import Count, Positive, settings
 
-__all__ = ["Filters", "Published", "Runs", "ScenarioSettings", "Start", "Times"]
-
 
 @settings
 class Times:

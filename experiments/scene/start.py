@@ -10,8 +10,6 @@ from sphfilter.consistency import nees
 from sphfilter.errors import ConfigError
 from sphfilter.model.simulate import simulate
 
-__all__ = ["acceleration_rms", "benes", "gaussian", "two_point", "two_point_estimate"]
-
 #: Part of the true initial errors that the accepted ellipsoid holds, if the start is consistent (002 6.6).
 _ACCEPTED = 0.999
 _MAX_REDRAWS = 1000

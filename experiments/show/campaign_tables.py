@@ -8,8 +8,6 @@ from ..scene.filters import FILTERS, name_of
 from .style import quantity
 from .tables import counted, number, percent, table
 
-__all__ = ["distance_table", "result_table", "sentences"]
-
 #: Rows of 002 Tables 7, 9 and 11: heading, field of the report, field of the publication.
 _PER_STATE = (
     ("Max peak error, {}", "max_peak_error", "max_peak"),

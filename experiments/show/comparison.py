@@ -6,8 +6,6 @@ import numpy as np
 
 from sphfilter import consistency
 
-__all__ = ["Distance", "distance", "distances", "least_eigenvalue", "moment_errors", "reference_name", "rms"]
-
 
 @dataclass(frozen=True)
 class Distance:

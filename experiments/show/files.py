@@ -1,14 +1,12 @@
 """Results as files: rows as CSV, settings as TOML; and what they are known by."""
 
 import hashlib
-import os
 from contextlib import contextmanager
 
 import tomli_w
 
+from sphfilter.density import storage
 from sphfilter.files.write import write_csv
-
-__all__ = ["digest", "unfinished", "whole", "write_rows", "write_toml"]
 
 
 def digest(text):
@@ -23,12 +21,10 @@ def unfinished(out, settings):
 
 @contextmanager
 def whole(path):
-    """Open a binary file to write to, which appears at `path` when all is written; folders are made."""
+    """Open a file as `storage.whole` does; folders are made."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    with open(part, "wb") as file:
+    with storage.whole(path) as file:
         yield file
-    os.replace(part, path)
 
 
 def write_rows(path, rows):

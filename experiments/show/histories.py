@@ -13,8 +13,6 @@ from sphfilter.campaign.one_run import put_through
 from ..scene.filters import name_of
 from .style import COLOURS, filter_heading, grid, legend_below, panels, quantity
 
-__all__ = ["example_runs", "history_figure", "losses", "readings"]
-
 #: Room around the truth, in its spans, and how far a filter that lost it is followed.
 _ROOM, _FAR = 0.4, 4.0
 

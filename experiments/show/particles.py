@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["density_image", "mass_bar", "mass_field"]
-
 #: Decades told apart by colour; lighter particles have the colour of the lightest.
 _DECADES = 6
 _PIXELS = 150  # of an image, along an axis

@@ -11,8 +11,6 @@ from .histories import example_runs, history_figure
 from .style import COLOURS, grid, legend_below, panels, plain_numbers, save
 from .tables import counted
 
-__all__ = ["consistency_figure", "draw"]
-
 _REFEREES = ("kf", "grid", "benes")
 
 

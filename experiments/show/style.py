@@ -9,8 +9,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ..scene.filters import name_of
 
-__all__ = ["ACCENT", "COLOURS", "INK", "filter_heading", "frame", "grid", "legend_below", "logarithmic",
-           "panels", "plain_numbers", "plt", "quantity", "save"]  # fmt: skip
+__all__ = ["ACCENT", "COLOURS", "INK", "filter_heading", "frame", "grid", "legend_below", "panels",
+           "plain_numbers", "plt", "quantity", "save"]  # fmt: skip
 
 #: One colour a filter in every picture (Okabe & Ito: distinct for the colour-blind too).
 COLOURS = {
@@ -70,13 +70,6 @@ def filter_heading(ax, name, more=""):
     """The name of a filter in its colour, above its panels."""
     look = {"color": COLOURS[name], "fontweight": "bold", "fontsize": 10}
     ax.set_title(name_of(name) + more, loc="left", **look)
-
-
-def logarithmic(ax, plain=""):
-    """Both axes logarithmic; those named in `plain`, "x" or "xy", with plain numbers."""
-    ax.set(xscale="log", yscale="log")
-    for axis in plain:
-        plain_numbers({"x": ax.xaxis, "y": ax.yaxis}[axis])
 
 
 def plain_numbers(axis):

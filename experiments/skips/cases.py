@@ -9,8 +9,6 @@ import numpy as np
 
 import sphfilter as sf
 
-__all__ = ["Case", "cases"]
-
 _HARDLY = 1e-12  # intensity of a noise that counts and does nothing
 _CONSTANT = "constant D asked for once"
 

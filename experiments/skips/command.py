@@ -16,8 +16,6 @@ from sphfilter.files.write import write_csv
 
 from .cases import cases
 
-__all__ = ["Measured", "lattice_against_box", "main", "measured"]
-
 _HEADS = ("shortcut", "scene", "with (ms)", "without (ms)", "ratio", "difference (std)")
 _TITLES = {
     "skips": "processor time with each shortcut and without, and how far the results differ",

@@ -11,8 +11,6 @@ from .referees import LIMITS
 from .runs import judged, walk
 from .tables import failures, row_of, sections, sentences, write
 
-__all__ = ["main"]
-
 
 def main(args):
     """Run the command: print and write the tables, draw the grid, tell epoch by epoch what was named."""

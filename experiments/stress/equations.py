@@ -8,8 +8,6 @@ import numpy as np
 
 import sphfilter as sf
 
-__all__ = ["Equation", "in_words", "replaced", "weighted"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Equation:

@@ -12,8 +12,6 @@ from sphfilter.errors import ConfigError, nearest
 from . import hard_families as make
 from .hard_systems import OSCILLATORS, START, position
 
-__all__ = ["HardCase", "chosen", "hard_cases"]
-
 
 def _each(family, unit, maker, systems, levels, quick):
     """Rows of a family whose maker is told which system to take, maker(system, rng, level)."""

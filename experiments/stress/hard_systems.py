@@ -8,9 +8,6 @@ from .equations import Equation
 from .problem import Problem
 from .sensors import GaussianReader
 
-__all__ = ["LINE", "OSCILLATORS", "START", "chain", "drawn", "equation", "line", "linear", "oscillator",
-           "position", "square", "usual"]  # fmt: skip
-
 #: Force on the velocity of an oscillator, and the spectral density of its noise.
 OSCILLATORS = {
     "linear": ("-x0 - 0.4*x1", 0.8),

@@ -6,8 +6,6 @@ from matplotlib.patches import FancyBboxPatch, Patch
 
 from experiments.show.style import plt, save
 
-__all__ = ["draw"]
-
 #: Distinct for the colour-blind too, and what is wrong without a word darkest: face and ink of each verdict.
 _COLOURS = {
     "right": ("#8ecfb4", "#0b3d2e"),

@@ -11,8 +11,6 @@ import time
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
 
-__all__ = ["Lost", "run_tasks"]
-
 #: Seconds a process may take to start and import.
 _START = 300.0
 

@@ -9,8 +9,6 @@ import numpy as np
 from .equations import Equation
 from .sensors import GaussianReader, LikelihoodReader
 
-__all__ = ["Problem"]
-
 #: Times of readings that are told one by one.
 _LISTED = 20
 

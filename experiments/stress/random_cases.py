@@ -13,8 +13,6 @@ from .random_models import random_equation
 from .random_sensors import random_reader
 from .sensors import GaussianReader
 
-__all__ = ["RandomCase"]
-
 #: Particles a filter may have, by the number of states: a few values about the default of 200.
 _PARTICLES = {1: (100, 200), 2: (200, 400), 3: (200, 400, 800), 4: (200, 400, 800)}
 #: Simulated states beyond which a problem is drawn again, and paths that tell how large readings are.

@@ -4,8 +4,6 @@ import numpy as np
 
 from .equations import Equation, weighted
 
-__all__ = ["random_equation"]
-
 
 def random_equation(rng, n, horizon, interval):
     """Draw a model of n states; its drift in words, and the `Equation`.

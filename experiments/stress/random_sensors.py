@@ -4,8 +4,6 @@ import numpy as np
 
 from .sensors import GaussianReader, LikelihoodReader
 
-__all__ = ["KINDS", "random_reader"]
-
 
 def random_reader(rng, paths):
     """Draw a sensor of one of the fourteen `KINDS`.

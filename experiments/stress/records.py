@@ -13,8 +13,6 @@ from experiments.show.comparison import least_eigenvalue
 from reference_filters.particle import ParticleFilter
 from sphfilter.errors import SphfilterError
 
-__all__ = ["ERROR_FLAG", "FILTERS", "Record", "default_filter", "follow", "record_of"]
-
 #: An estimated error of the mean, in posterior standard deviations, that is a flag.
 ERROR_FLAG = 0.2
 #: Eigenvalue of a covariance scaled to a unit diagonal, and distance of all mass from one, that rounding may

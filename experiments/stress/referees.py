@@ -17,8 +17,6 @@ from sphfilter.errors import SphfilterError
 
 from .records import follow
 
-__all__ = ["LIMITS", "SIZES", "Referee", "errors_of", "referee"]
-
 #: Errors that are wrong: of the mean in posterior standard deviations, of a variance relative to itself, of
 #: the log-evidence of the record in nats. And the share of them that a reference's own error may have.
 LIMITS = {"mean": 0.2, "variance": 0.2, "evidence": 0.3}

@@ -5,8 +5,6 @@ from zlib import crc32
 
 import numpy as np
 
-__all__ = ["RELATIONS", "chosen_relations", "in_other_coordinates", "related"]
-
 
 def _eight(problem, rng):
     """One prediction, or eight one after the other."""

@@ -15,8 +15,6 @@ from .relations import chosen_relations, related
 from .store import REFERENCE, load, save
 from .verdicts import judge
 
-__all__ = ["judged", "problem_of", "walk"]
-
 #: Seconds a reference may take, and seconds that compiling may take on an empty cache.
 _REFERENCE_LIMIT, _COMPILE_LIMIT = 240.0, 1800.0
 #: Between the name of a filter and the number of a relation, in the name of a part of a case.

@@ -11,8 +11,6 @@ import sphfilter as sf
 
 from .equations import in_words, replaced
 
-__all__ = ["LIKELIHOODS", "GaussianReader", "LikelihoodReader"]
-
 #: Standard deviation of the errors that one reading in ten has, of the robust likelihood.
 _WIDE, _WIDE_SHARE = 10.0, 0.1
 

@@ -15,8 +15,6 @@ from sphfilter.campaign.identity import digest_of_files
 from .records import Record
 from .referees import Referee
 
-__all__ = ["REFERENCE", "load", "save"]
-
 #: The part of a case that no filter on trial has a hand in.
 REFERENCE = "reference"
 _PROBLEMS = ("problem", "equations", "sensors", "records", "hard_systems", "hard_families", "hard_cases",

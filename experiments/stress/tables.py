@@ -12,8 +12,6 @@ from sphfilter.campaign.store import versions
 from .referees import LIMITS
 from .verdicts import RELATED, VERDICTS
 
-__all__ = ["failures", "row_of", "sections", "sentences", "write"]
-
 #: Verdicts that are listed one by one, and filters whose first two of these are printed.
 _LISTED = "wrong, silent", "crash", "refused", "wrong, flagged", "no answer"
 _OWN = "default", "auto"

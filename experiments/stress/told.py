@@ -10,8 +10,6 @@ from experiments.show.tables import number
 
 from .referees import LIMITS
 
-__all__ = ["HEADINGS", "KINDS", "Told", "draw", "lines", "told_of"]
-
 HEADINGS = "error of", "held by", "states", "errors", "median", "10 %", "90 %", "below a third", "above three"
 #: Of what errors are: of the mean, the variance and the evidence of every reading, and that of the record.
 KINDS = (*LIMITS, "record's evidence")

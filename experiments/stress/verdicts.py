@@ -9,8 +9,6 @@ from sphfilter.consistency import nees
 from .referees import LIMITS, Referee, errors_of
 from .relations import RELATIONS
 
-__all__ = ["RELATED", "VERDICTS", "Verdict", "judge", "relation"]
-
 #: Verdicts, and what each means.
 VERDICTS = {
     "right": "every epoch within the limits of its reference, and no flag",

@@ -22,8 +22,6 @@ from sphfilter.campaign.report import report
 
 from . import plots, tables
 
-__all__ = ["Cell", "main"]
-
 #: What is tried unless told otherwise; intervals as factors of the scenario's own.
 _INTERVAL_FACTORS, _Q, _R = (0.5, 1.0, 1.5, 2.0), (0.5, 1.0, 2.0), (1.0,)
 

@@ -6,8 +6,6 @@ from matplotlib.colors import LogNorm, Normalize
 from experiments.scene.filters import name_of
 from experiments.show.style import panels, save
 
-__all__ = ["draw"]
-
 _AXES = {"interval": "interval between updates (s)", "q": "factor on Q", "r": "factor on R"}
 
 

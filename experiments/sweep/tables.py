@@ -6,8 +6,6 @@ from experiments.scene.filters import name_of
 from experiments.show import tables
 from experiments.show.files import write_rows
 
-__all__ = ["rows_of", "sentences", "table", "write"]
-
 #: Filter whose error the others' are compared with, and part of the runs that is much to lose.
 _REFERENCE, _MUCH = "pf", 0.1
 

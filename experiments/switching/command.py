@@ -13,8 +13,6 @@ from ..terminal.running import new_console, status
 from .scene import SwitchingScene
 from .settings import read_settings
 
-__all__ = ["Held", "main"]
-
 _HEADINGS = ("filter", "modes: rms", "worst", "mean: rms", "right mode", "a step")
 _OFF = "off the referee: probabilities of modes, and the mean in standard deviations"
 

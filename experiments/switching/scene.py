@@ -8,8 +8,6 @@ import sphfilter as sf
 from reference_filters.jump_grid import JumpGridFilter
 from reference_filters.jump_particle import JumpParticleFilter
 
-__all__ = ["SwitchingScene"]
-
 
 class SwitchingScene:
     """A model that switches, a sensor, times and a start, of `SwitchingSettings`."""

@@ -9,8 +9,6 @@ from sphfilter.settings import from_table, settings
 
 from ..scene.files import file_names, find_file
 
-__all__ = ["NAMES", "SwitchingSettings", "read_settings"]
-
 _FOLDER = Path(__file__).parents[1] / "scenarios" / "switching"
 NAMES = tuple(file_names(_FOLDER))
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from sphfilter.campaign.one_run import put_through
 
-__all__ = ["compiled_beside", "take_one"]
-
 
 class _Starter(logging.Handler):
     """Starts a second process as soon as the library says that it compiles: nothing is on disk then."""

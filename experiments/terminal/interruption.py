@@ -6,8 +6,6 @@ That takes seconds to import, in which Ctrl-C is to be answered already.
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 
-__all__ = ["stoppable"]
-
 _SPEC = spec_from_file_location(
     f"{__name__}.of_library", Path(find_spec("sphfilter").origin).parent / "command" / "interruption.py"
 )

@@ -9,8 +9,6 @@ from ..scene.files import changes_of
 from ..scene.names import FILTERS, check_filters
 from ..scene.reading import read_settings
 
-__all__ = ["add_changes", "add_run", "adder", "check_run", "counted", "names_of", "numbers", "positive"]
-
 _CHANGE = (
     "change a key of the scenario, e.g. times.interval=3, the scheme of the SPH filter, e.g. "
     "scheme=cloud, or a key of the published one, e.g. scheme.kernel=gaussian; may be repeated"

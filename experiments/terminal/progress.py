@@ -11,8 +11,6 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-__all__ = ["Interrupted", "bar", "resumable"]
-
 
 class Interrupted(KeyboardInterrupt):
     """The user stopped long work; the message says how to go on."""

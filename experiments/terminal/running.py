@@ -15,8 +15,6 @@ from ..scene.filters import name_of
 from .beside import compiled_beside, take_one
 from .progress import Interrupted, bar
 
-__all__ = ["duration", "new_console", "run_shown", "status", "tell", "warm_up"]
-
 _LAID = 2  # states of models whose densities come to lie on lattices as a rule
 
 

@@ -9,8 +9,6 @@ from sphfilter.config import LogDensityScheme
 from sphfilter.errors import ConfigError, SphfilterError
 from sphfilter.model.expressions import Names
 
-__all__ = ["check", "named"]
-
 
 @contextmanager
 def named(key, *parts):

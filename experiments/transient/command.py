@@ -28,8 +28,6 @@ from .solution import folder_of, solve, warm_up
 from .tables import sentences, steady_table, table, write_csv
 from .views import probe_picture
 
-__all__ = ["main"]
-
 
 def main(args):
     """Run the command; prints to standard output."""

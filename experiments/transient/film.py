@@ -9,8 +9,6 @@ from sphfilter.errors import ConfigError
 
 from .views import Views
 
-__all__ = ["Window", "animate"]
-
 _DPI = 90
 _FPS = 10.0  # without a probe that says
 #: Window systems, in the order in which they are tried.

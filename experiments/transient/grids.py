@@ -8,8 +8,6 @@ from pydantic import Field, model_validator
 from sphfilter.files.text import Row
 from sphfilter.settings import Count, Positive, settings
 
-__all__ = ["MOST_NODES", "Lattice", "Probe", "Written"]
-
 MOST_NODES = 1_000_000  # of a probing grid
 
 

@@ -5,8 +5,6 @@ import numpy as np
 from experiments.show.particles import mass_bar, mass_field
 from experiments.show.style import ACCENT, INK, frame, legend_below, panels, plt, quantity, save
 
-__all__ = ["axes_of", "cloud", "draw", "drawn_of", "ends"]
-
 _MOST_DRAWN, _MOST_MARKED = 6, 30
 _FAINTEST = 1e-7  # probability that is shown
 _OURS, _THEIRS = ACCENT["sph"], INK

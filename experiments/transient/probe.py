@@ -7,8 +7,6 @@ import numpy as np
 from sphfilter.density.storage import write_arrays
 from sphfilter.files.write import write_csv
 
-__all__ = ["Probing", "points_of", "probed", "velocity", "write_particles"]
-
 _FAINT = 1e-12  # density, over the highest, below which a velocity is but noise
 
 

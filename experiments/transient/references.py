@@ -10,8 +10,6 @@ from reference_filters.closed_forms import drifted_uniform, linear_moments
 from reference_filters.grid import GridFilter
 from reference_filters.monte_carlo import simulate_statistics
 
-__all__ = ["ReferenceValues", "drifted", "gaussians", "grid_densities", "reference_of"]
-
 #: Points of a quadrature over a Gaussian, and its standard deviations.
 _NODES, _FAR = 200_001, 12.0
 #: Folder of the paths that are kept from run to run.

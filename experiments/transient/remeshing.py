@@ -15,8 +15,6 @@ from sphfilter.errors import ConfigError
 
 from .tables import comparison, moments
 
-__all__ = ["Rule", "draw", "rules_of", "table"]
-
 _KEY = "solver.config.remesh"
 
 

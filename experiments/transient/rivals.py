@@ -7,8 +7,6 @@ import numpy as np
 
 from reference_filters.cumulant import cumulant_moments
 
-__all__ = ["Rival", "rivals_of"]
-
 
 @dataclass(frozen=True)
 class Rival:

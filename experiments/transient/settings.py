@@ -15,9 +15,6 @@ from sphfilter.settings import Count, Positive, from_table, settings
 
 from .grids import Lattice, Probe, Written
 
-__all__ = ["Begin", "Output", "Reference", "Solver", "Statistics", "Steady", "TransientSettings",
-           "problem_names", "read_problem"]  # fmt: skip
-
 _FOLDER = Path(__file__).parents[1] / "scenarios" / "transient"
 
 

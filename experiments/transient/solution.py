@@ -10,8 +10,6 @@ import sphfilter as sf
 from experiments.show.files import unfinished
 from sphfilter.density.storage import load_arrays, write_arrays
 
-__all__ = ["Solution", "folder_of", "solve", "warm_up"]
-
 
 @dataclass(frozen=True)
 class Solution:

@@ -9,8 +9,6 @@ from experiments.show import tables
 from experiments.show.tables import number
 from sphfilter.files.write import write_csv as write_lines
 
-__all__ = ["comparison", "moments", "sentences", "steady_table", "table", "write_csv"]
-
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e-?\d+)?(?![\w])")
 _FAINT = 1e-7  # probability below which none is compared
 _MOST_ROWS, _MOST_STATES = 12, 6  # times and states in a printed table; files have all

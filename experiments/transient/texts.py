@@ -9,8 +9,6 @@ import numpy as np
 from sphfilter.errors import ExpressionError, ModelError
 from sphfilter.model.symbolic import Vocabulary, symbolic_rows
 
-__all__ = ["Pdf", "condition", "expression", "reads_time"]
-
 _CANDIDATES = 4096  # drawn at a time
 _ROUNDS = 10_000
 

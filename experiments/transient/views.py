@@ -8,8 +8,6 @@ from experiments.show.style import ACCENT, frame, panels, quantity, save
 from .plots import axes_of, cloud, ends
 from .probe import points_of, probed
 
-__all__ = ["Views", "probe_picture"]
-
 _DEPTH = 14.0  # nats of a log-density that are shown
 _ARROWS = 15  # along an axis
 _FAINT = 0.01  # of the longest, which has no arrow

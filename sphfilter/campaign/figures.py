@@ -13,8 +13,6 @@ from .._types import Bools, Floats, Ints
 from ..consistency import p_values
 from ..filter.results import FilterResult
 
-__all__ = ["FilterReport", "Innovations", "Ranks", "filter_report"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Innovations:

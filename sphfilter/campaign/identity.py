@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["code_digest", "digest_of_files", "text_of"]
-
 _LIBRARY = Path(__file__).parents[1]
 _OF_OTHERS = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")} | {str(_LIBRARY)})
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")

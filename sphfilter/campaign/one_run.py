@@ -19,8 +19,6 @@ from ..consistency.ranks import Ranker, clock, gaussian_ranks
 from ..errors import ModelError
 from ..filter.results import TRUTHS, AnyFilter, shapes
 
-__all__ = ["Case", "Factory", "Scenario", "arrays_of", "draw", "put_through", "run"]
-
 #: What every filter has to tell.
 _MOMENTS = "x_prior", "P_prior", "x", "P", "log_evidence", "accepted"
 

@@ -6,27 +6,24 @@ half-written.
 
 import hashlib
 import json
-import os
 import platform
 import re
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from .._version import __version__
+from ..density.storage import whole
 from ..errors import CampaignError, ConfigError
 from . import one_run
 from .identity import code_digest, text_of
-
-__all__ = ["case_digest", "claim", "finished", "load", "manifest", "opened", "save_result", "versions",
-           "write_run"]  # fmt: skip
 
 _MANIFEST = "manifest.json"
 _BY_DEFAULT = re.compile(r"\bdefault=\('[^)]*\), ")
@@ -69,7 +66,8 @@ def claim(folder: str | PathLike[str], wanted: dict[str, Any]) -> None:
     path = Path(folder) / _MANIFEST
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        _replace(path, lambda part: part.write_text(json.dumps(wanted, indent=1)))
+        with _whole(path) as file:
+            file.write(json.dumps(wanted, indent=1).encode())
         return
     found = _read(path)
     entries = {key: _sides(key, found.get(key), wanted[key]) for key in wanted}
@@ -101,7 +99,7 @@ def opened(folder: str | PathLike[str]) -> tuple[dict[str, Any], list[Path]]:
     path = Path(folder) / _MANIFEST
     if not path.exists():
         raise ConfigError(f"{folder} is no folder of a campaign: it has no {_MANIFEST}")
-    paths = [run for run in sorted(path.parent.glob("run_*.npz")) if _whole(run)]
+    paths = [run for run in sorted(path.parent.glob("run_*.npz")) if _readable(run)]
     if not paths:
         raise CampaignError(f"no run of the campaign in {folder} is finished")
     return _read(path), paths
@@ -145,10 +143,10 @@ def _path(folder: str | PathLike[str], r: int) -> Path:
 
 def finished(folder: str | PathLike[str], n_runs: int) -> dict[int, Path]:
     """Return the files of the runs below `n_runs` that are done, by run."""
-    return {r: _path(folder, r) for r in range(n_runs) if _whole(_path(folder, r))}
+    return {r: _path(folder, r) for r in range(n_runs) if _readable(_path(folder, r))}
 
 
-def _whole(path: Path) -> bool:
+def _readable(path: Path) -> bool:
     """Whether a run's file can be read: one that a full disk or a power cut spoilt is made again."""
     return path.exists() and zipfile.is_zipfile(path)
 
@@ -184,13 +182,9 @@ def _save(path: Path, values: dict[str, Any], plain: Sequence[str]) -> None:
 
     tree = number({key: value for key, value in values.items() if key not in plain})
     index = json.dumps({"tree": tree, "plain": {key: values[key] for key in plain}})
-
-    def write(part: Path) -> None:
-        with open(part, "wb") as file:
-            named: dict[str, Any] = {f"a{i}": a for i, a in enumerate(arrays)}
-            np.savez_compressed(file, index=index, **named)
-
-    _replace(path, write)
+    named: dict[str, Any] = {f"a{i}": a for i, a in enumerate(arrays)}
+    with _whole(path) as file:
+        np.savez_compressed(file, index=index, **named)
 
 
 def load(path: str | PathLike[str]) -> dict[str, Any]:
@@ -204,14 +198,13 @@ def load(path: str | PathLike[str]) -> dict[str, Any]:
         return value(index["tree"]) | index["plain"]
 
 
-def _replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a file beside `path`, then put it in place in one move."""
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+@contextmanager
+def _whole(path: Path) -> Iterator[BinaryIO]:
+    """Open a file as `whole` does; raises `CampaignError`."""
     try:
-        write(part)
-        os.replace(part, path)
+        with whole(path) as file:
+            yield file
     except OSError as problem:
-        part.unlink(missing_ok=True)
         raise CampaignError(
             f"{path} could not be written ({problem}); what was finished before is kept"
         ) from problem

@@ -4,8 +4,6 @@ import html
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["cells_of", "in_html", "in_latex", "in_markdown", "in_text"]
-
 _LATEX = {c: f"\\{c}" for c in "&%$#_{}"} | {
     "~": r"\textasciitilde{}",
     "^": r"\^{}",

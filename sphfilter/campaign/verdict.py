@@ -8,8 +8,6 @@ from .._types import Bools, Floats
 from ..consistency import nees_bounds, p_values
 from .figures import FilterReport
 
-__all__ = ["unseen", "verdict"]
-
 _LEVEL = 0.01  # probability that right filters are faulted: measured by tests/campaign/test_verdict.py
 #: Epochs outside an interval that holds 95 %, as a fraction, that are many where no referee has a number.
 _MANY = 0.2

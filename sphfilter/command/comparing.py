@@ -15,8 +15,6 @@ from ..filter.sph_filter import SPHFilter
 from ..inference.model_comparison import compare_models
 from .progress import Say, joined, through
 
-__all__ = ["add_arguments", "main"]
-
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the options of ``compare``."""

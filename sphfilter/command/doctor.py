@@ -17,8 +17,6 @@ from ..model.measurements import GaussianMeasurement
 from ..model.sde import SDE
 from .progress import Say
 
-__all__ = ["add_arguments", "main"]
-
 _NEEDED = ("numpy", "numba", "scipy", "sympy", "pydantic", "joblib", "tomli-w")
 _EXTRAS = ("matplotlib", "stonesoup", "dask")
 #: Mean of the filter that is tried, measured by grids of 512 and 1024 nodes (`reference_filters.grid`), which

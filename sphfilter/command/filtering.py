@@ -15,8 +15,6 @@ from . import pictures
 from .options import add_files, place
 from .progress import Say, joined, through
 
-__all__ = ["add_arguments", "main"]
-
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the options of ``filter``."""

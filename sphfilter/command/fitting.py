@@ -18,8 +18,6 @@ from . import pictures
 from .options import add_files, bound, by_name, number, place
 from .progress import Say
 
-__all__ = ["add_arguments", "main"]
-
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the options of ``fit``."""

@@ -14,8 +14,6 @@ from . import pictures
 from .options import add_files, numbers, place
 from .progress import Say, through
 
-__all__ = ["add_arguments", "main"]
-
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the options of ``forecast``."""

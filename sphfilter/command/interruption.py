@@ -13,8 +13,6 @@ from collections.abc import Callable
 from types import FrameType
 from typing import NoReturn
 
-__all__ = ["STOPPED", "stoppable"]
-
 #: Exit code of a program that Ctrl-C ended: 128 and the number of the signal, SIGINT = 2.
 STOPPED = 130
 #: Seconds after which an interruption comes again: one that could not be raised, and one that was, should

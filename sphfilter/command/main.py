@@ -10,8 +10,6 @@ from . import comparing, doctor, filtering, fitting, forecasting, simulating
 from .interruption import STOPPED, stoppable
 from .progress import told
 
-__all__ = ["main"]
-
 _VERBS = {
     "filter": (filtering, "estimate the states, line by line of a CSV file"),
     "fit": (fitting, "find parameters by maximum evidence"),

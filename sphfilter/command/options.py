@@ -7,8 +7,6 @@ from typing import Any, TypeVar
 
 from ..errors import ConfigError
 
-__all__ = ["add_files", "bound", "by_name", "number", "numbers", "place"]
-
 Value = TypeVar("Value")
 
 

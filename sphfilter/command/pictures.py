@@ -13,8 +13,6 @@ from ..files.read_model import ModelOfFile
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 
-__all__ = ["density", "estimates", "listed", "over_time"]
-
 
 def listed(folder: Path, written: list[str], pictures: dict[str, Callable[[], Any]]) -> str:
     """Draw pictures by name, and say what is in the folder; or why there is no picture."""

@@ -15,8 +15,6 @@ from .._types import Floats
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 
-__all__ = ["Say", "joined", "through", "told"]
-
 Say: TypeAlias = Callable[[str], None]
 #: Seconds between two words: half of the two after which a terminal must have said something, 2 / 2 = 1.
 _PATIENCE = 1.0

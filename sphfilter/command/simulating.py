@@ -14,8 +14,6 @@ from ..model.simulate import simulate
 from .options import numbers
 from .progress import Say
 
-__all__ = ["add_arguments", "main"]
-
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the options of ``simulate``."""

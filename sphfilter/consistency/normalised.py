@@ -15,9 +15,6 @@ from scipy.special import gammaincinv, ndtri
 from .._types import Bools, Floats, Ints
 from ..errors import ModelError
 
-__all__ = ["distance", "diverged", "fraction_inside", "lagged_products", "nees", "nees_bounds", "nis",
-           "nmee", "nmee_bounds", "run_average", "whiteness"]  # fmt: skip
-
 
 def distance(x: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Floats:
     """Mahalanobis distance: how many standard deviations x lies from the mean of N(mean, cov).

@@ -10,17 +10,6 @@ from scipy.special import bdtrc, chdtrc, stdtr
 from .._types import Bools, Floats
 from ..errors import ModelError
 
-__all__ = [
-    "FEWEST_RUNS",
-    "histogram",
-    "holm",
-    "more_exits",
-    "more_lost",
-    "same_mean",
-    "uniform_epochs",
-    "uniform_runs",
-]
-
 #: Runs from which on the deviation between them is known within a quarter: 1 / √(2 (R - 1)) = .24 of it.
 FEWEST_RUNS = 10
 

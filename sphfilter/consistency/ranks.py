@@ -20,8 +20,6 @@ from ..model.measurements import NoisySensor, Sensor, has_gaussian_noise
 from ..model.named import driven
 from . import normalised
 
-__all__ = ["Ranker", "clock", "gaussian_ranks", "ranked_reading"]
-
 _COMPILED = event.TimingListener()
 event.register("numba:compile", _COMPILED)
 

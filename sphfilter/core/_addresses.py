@@ -20,8 +20,6 @@ from numba.extending import intrinsic
 
 from ._jit import BATCH, BATCH_FUNCTION
 
-__all__ = ["ADDRESS", "NOWHERE_AT", "Entry", "address_of", "addresses", "function_at"]
-
 #: Type of what `address_of` returns.
 ADDRESS = types.uint64
 #: Stands for a function that is not called.

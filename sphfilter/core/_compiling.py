@@ -14,8 +14,6 @@ from time import monotonic
 from numba import config, njit
 from numba.core import event
 
-__all__ = ["PATIENCE", "code_folder", "find_folder", "listen"]
-
 _LOGGER = logging.getLogger("sphfilter")
 PATIENCE = 1.0  # seconds that pass without a word: longer ones break a train of thought (Nielsen 1993, ch. 5)
 _COMPILING = (

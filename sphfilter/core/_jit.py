@@ -15,9 +15,6 @@ from numba import get_num_threads, njit, types
 
 from ._compiling import find_folder, listen
 
-__all__ = ["BATCH", "BATCH_FUNCTION", "MATRIX", "VECTOR", "fingerprint", "jit", "jit_for", "parallel_jit",
-           "start_threads"]  # fmt: skip
-
 find_folder()
 listen()
 

@@ -10,8 +10,6 @@ from typing import get_type_hints
 import numpy as np
 from numba import from_dtype
 
-__all__ = ["packed", "type_of"]
-
 
 @cache
 def _dtype(kind):

@@ -7,8 +7,6 @@ from numba.np.arrayobj import populate_array
 
 from ._jit import MATRIX, VECTOR
 
-__all__ = ["as_compiled", "flat", "rows_at"]
-
 
 def as_compiled(x):
     """An array as functions are compiled for, dense and not read-only: a copy where it is not such.

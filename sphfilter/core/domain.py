@@ -13,23 +13,6 @@ from numba import types
 
 from ._jit import MATRIX, VECTOR, jit
 
-__all__ = [
-    "DOMAIN",
-    "KINDS",
-    "VIEW",
-    "Domain",
-    "View",
-    "bounce",
-    "go_round",
-    "half_period",
-    "left_at",
-    "refresh",
-    "unseen",
-    "velocities",
-    "view_of",
-    "with_images",
-]
-
 KINDS = ("unbounded", "periodic", "bounded", "reflecting")
 UNBOUNDED, PERIODIC, BOUNDED, REFLECTING = range(4)
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["A", "C", "E"]
-
 # Nodes, C = A 1; stage weights; fifth-order weights less fourth-order ones.
 C = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
 A = np.array(  # C = A 1

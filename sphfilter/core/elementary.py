@@ -11,8 +11,6 @@ from types import ModuleType
 import numpy as np
 from numba import njit
 
-__all__ = ["FAST"]
-
 _OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "forceinline": True}
 #: Added to a number and taken away again it rounds it; in between, the lowest bits are the whole number's.
 #: From 2^52 on numbers are whole, and half as much more keeps negative ones from falling below it.
@@ -22,7 +20,8 @@ _PER_QUARTER, _PER_OCTAVE = 2.0 / math.pi, 1.0 / math.log(2.0)
 _QUARTER = 1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21
 _OCTAVE = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 = their sum
 _LEAST, _MOST = -708.0, 709.0  # exp(-708) and exp(709) are the last whole ones that are normal numbers
-_NORMAL, _SCALE, _SCALED = 2.0**-1022, 2.0**54, 54  # smaller numbers have no bits of an exponent
+#: The least number whose exponent has bits, and what lifts any less above it: of 2^-1074, the least, 2^-1020.
+_NORMAL, _SCALE, _SCALED = 2.0**-1022, 2.0**54, 54
 _ROOT_HALF = int(np.float64(math.sqrt(0.5)).view(np.int64))  # mantissas are between √½ and √2
 _NEAR = 0.25  # to zero, where 1 - 2 / (exp(2 x) + 1) cancels; the fraction is right to 2e-16 up to a half
 

@@ -8,8 +8,6 @@ from numba import types
 from ._addresses import ADDRESS
 from ._jit import MATRIX, VECTOR
 
-__all__ = ["EQUATIONS", "Equations"]
-
 
 class Equations(NamedTuple):
     """dx = f(x, t) dt + g dW with diffusion matrix D = g Q g^T / 2, as far as D is constant.

@@ -2,8 +2,6 @@
 
 from ._jit import jit
 
-__all__ = ["linear", "previous", "slope"]
-
 
 @jit
 def linear(p, start, count, x):

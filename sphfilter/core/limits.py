@@ -4,11 +4,6 @@ import math
 
 import numpy as np
 
-__all__ = [
-    "ALIKE", "DIFFERENCE", "EDGE", "GOLDEN", "LARGEST_EXPONENT", "LITTLE", "LOG_2_PI", "LOOK", "NOTHING",
-    "ROUNDING", "ROUNDS", "SAID", "TINY",
-]  # fmt: skip
-
 _EPS = float(np.finfo(float).eps)
 TINY = 1e-300  # keeps what divides off zero: 1e-300 > 2^-1022, the least number of full precision
 ROUNDING = math.sqrt(_EPS)  # part of a number, below which a difference like it is rounding: half its digits

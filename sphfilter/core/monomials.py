@@ -2,8 +2,6 @@
 
 from itertools import product
 
-__all__ = ["up_to"]
-
 
 def up_to(order, dim):
     """All powers of `dim` variables of total order 0 to `order`, lowest order first, as tuples."""

@@ -12,11 +12,6 @@ from numba import types
 
 from ._jit import BATCH_FUNCTION, jit, jit_for
 
-__all__ = [
-    "jump", "normals_per_step", "platen_steps", "root_noise", "root_now", "runge_kutta", "scaled_noise",
-    "shifted_path_steps", "steps",
-]  # fmt: skip
-
 _SIGNATURE = types.void(
     types.float64[:, ::1],  # x (N, n), moved in place
     types.float64,  # t0
@@ -155,8 +150,8 @@ def shifted_path_steps(x, t0, dt, drift, noise, p, L, normals):
 
 
 @jit
-def _move(x, h, k, out):
-    """Fill x + h k."""
+def moved(x, h, k, out):
+    """Fill x + h k, written out: numba compiles an array expression ten times as long."""
     for i in range(x.shape[0]):
         for a in range(x.shape[1]):
             out[i, a] = x[i, a] + h * k[i, a]
@@ -198,7 +193,7 @@ def platen_steps(x, t0, dt, drift, noise, p, L, normals):
                 y[i, a] = x[i, a] + a0[i, a] * dt + w
                 new[i, a] = x[i, a] + 0.5 * dt * a0[i, a] + 0.5 * w
         drift(y, t + dt, p, a1)
-        _move(new, 0.5 * dt, a1, new)
+        moved(new, 0.5 * dt, a1, new)
         for j in range(m):
             for sign in (-1.0, 1.0):
                 for i in range(N):

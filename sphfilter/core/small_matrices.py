@@ -6,17 +6,6 @@ import numpy as np
 
 from ._jit import jit
 
-__all__ = [
-    "cholesky",
-    "eigen",
-    "extremes",
-    "invert_lower",
-    "moments",
-    "times_lower",
-    "white_square",
-    "whiten",
-]
-
 
 @jit
 def moments(x, m, mean, cov, total=1.0):

@@ -5,10 +5,8 @@ import numpy as np
 from ._jit import jit
 from .limits import TINY
 
-__all__ = ["GROW", "HELPED", "MORE", "SHRINK", "TRIES", "next_step"]
-
-#: Part of the step that the error would allow, and times the last one at most: .8 to .9, and 1.5 to 5 in
-#: Hairer, Nørsett & Wanner (1993).
+#: Part of the step that the error would allow, and times the last one at most: h min(5, .9 over^(-1/order)),
+#: as (4.13) of chapter II of Hairer, Nørsett & Wanner (1993), who take .8 to .9, and 1.5 to 5.
 _SAFETY, GROW = 0.9, 5.0
 SHRINK = 1.0 / GROW  # a step that is refused shrinks by no more than the next may grow: SHRINK = .2
 MORE = 4.0  # times the points or nodes of one try, that the next one may have: what tells it may be chance

@@ -3,12 +3,9 @@
 from typing import Any
 
 from .._types import Floats
-from .cloud import KERNEL, Cloud, smoothing_length
+from .cloud import KERNEL, smoothing_length
 from .particle_density import SUMMED, ParticleDensity
 from .points import CloudState, moments
-from .shapes import Folded
-
-__all__ = ["cloud_density", "cloud_of", "thinned"]
 
 
 def cloud_density(
@@ -32,9 +29,7 @@ def cloud_density(
     h = smoothing_length(mass, summed[1])
     parts: dict[str, Any] = {"x": x.view(), "mass": mass, "h": h, "kernel": KERNEL, "read_out": "cloud"}
     new = ParticleDensity.of_new(**parts, **about)
-    shape: Any = new.form.shape if isinstance(new.form, Folded) else new.form
-    assert isinstance(shape, Cloud)
-    vars(shape)["summed"] = summed  # else it would be summed again
+    vars(new.form.bare)["summed"] = summed  # of a `Cloud`: else it would be summed again
     return new
 
 

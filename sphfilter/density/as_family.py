@@ -22,16 +22,6 @@ from .particle_density import ParticleDensity
 from .pieces import Pieces, particles_of_pieces
 from .resample import logarithm
 
-__all__ = [
-    "as_polynomials",
-    "defect_in",
-    "families_density",
-    "family_density",
-    "family_of",
-    "moments_on_line",
-    "pieces_density",
-]
-
 
 def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     """The family of a density, and its misfit: the rms of log p less its polynomial.

@@ -13,21 +13,6 @@ from ..errors import PropagationError
 from .family import Family, moments_apart, node_moments, turned
 from .points import whitener
 
-__all__ = [
-    "OF_SHIFT",
-    "OF_UNSIGNED",
-    "ROUGH",
-    "Defect",
-    "Moments",
-    "Told",
-    "after_reading",
-    "defect_of",
-    "read_out",
-    "read_out_after",
-    "steepness",
-    "told_at",
-]
-
 #: Mean (n,) and covariance (n, n) of prior and posterior.
 Moments = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 

@@ -10,8 +10,6 @@ from .._types import Floats, OfStates
 from ..errors import ModelError
 from ..validate import array, covariance
 
-__all__ = ["Gaussian", "Uniform", "checked_box", "gaussian_log_pdf"]
-
 
 @dataclass(frozen=True)
 class Gaussian:

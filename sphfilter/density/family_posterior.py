@@ -10,8 +10,6 @@ from ..core.limits import TINY
 from ..errors import PropagationError
 from .family import ASTRAY, Family, moments_apart, node_moments, node_weights, turned
 
-__all__ = ["FamilyPosterior", "family_posterior"]
-
 _SETTLED, _ROUNDS = 1e-3, 8  # of the moments in the frame; rounds
 _LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
 

@@ -11,8 +11,6 @@ from ..core.sph.neighbors import build_index, choose_method, neighbor_lists
 from ..errors import ModelError
 from .particle_density import ParticleDensity
 
-__all__ = ["Health", "health"]
-
 #: Nats. A cloud in order has .002 to .05 however sheared (two to four states, 300 to 1300 particles), one
 #: that has mixed .2 to 1; at .1 neighbours contradict each other by a tenth of the density.
 _MIXED = 0.1

@@ -12,8 +12,6 @@ from ..core.limits import EDGE
 from ..core.sph.kernels import Kernel
 from .whitening import framed, least_change
 
-__all__ = ["LocalKernels", "local_kernels"]
-
 #: Groups of points that have a kernel each; with twice as many, 10,000 points are a tenth better.
 _KERNELS = 1024
 #: Width of what looks about, over N^(-1/(n + 8)), as `python tests/density/kernel_widths.py` measures it.

@@ -17,8 +17,6 @@ from ..lattice.flood import flood
 from ..lattice.level_set import LatticeDensity, lay
 from ..lattice.walls import near_walls, node_weights
 
-__all__ = ["around", "marginal_on_lattice"]
-
 _FURTHER = 11.0  # nats below a lattice's cut to which tails are summed: exp(-11) = 2e-5 of the density there
 _RINGS = 2  # of cells beyond its nodes that a density has in planes through it
 _FINE_UP_TO = 2  # other axes, along which the sum takes two terms a cell, and one along more

@@ -12,8 +12,6 @@ from ..core.monomials import up_to
 from .family import Family, gaussian_family
 from .points import moments
 
-__all__ = ["max_entropy"]
-
 _FOUND = 1e-9
 _LONGEST = 2.0  # change of log p in a round, rms over the density
 

@@ -5,31 +5,14 @@ from functools import cache
 from typing import NamedTuple
 
 from ..config import FilterConfig, LogDensityScheme, SolverConfig
-from ..core.cloud.control import MOST_POINTS, next_points, points_for, power_of_two
+from ..core.cloud.control import next_points, points_for, power_of_two
 from ..info import DOUBTFUL
 from ..lattice.level_set import fewest_particles
-
-__all__ = [
-    "AIMED",
-    "MISSED",
-    "MOST_POINTS",
-    "SHARED",
-    "Memory",
-    "error_budget",
-    "flagged_from",
-    "max_particles",
-    "min_nodes",
-    "points_for",
-    "power_of_two",
-    "tolerated_excess",
-    "usual_error",
-    "usual_points",
-]
 
 #: Error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it: what the first readings
 #: leave is forgotten slowly. With half of it thirteen scenes took 1.5 times the time for the same error.
 _TYPICAL = 0.6
-#: Power of the predictions since a reading, by which their allowances fall.
+#: Power of the predictions since a reading, by which their allowances fall: sum_k k^-1.5 = 2.6 of the first.
 SHARED = 1.5
 #: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
 #: little of them; half of it is not tried again.
@@ -39,7 +22,7 @@ MISSED = 1.5  # times the target, from which a reading is tried again: estimates
 #: models: with 2 .083 of those that are within three are flagged, with 2.5 and 3 .037; of 28 that are not, 9,
 #: 6 and 5.
 _FLAGGED = 2.5
-_USUAL = 200  # particles of a scheme that estimates no error
+USUAL = 200  # particles where no number is given, and nothing tells an error to choose one by
 _LONGEST = 4  # doublings of the wait for a family that will not do
 
 
@@ -145,4 +128,4 @@ def max_particles(n_particles: int | str, config: SolverConfig | FilterConfig | 
     estimates = scheme == "auto" or isinstance(scheme, LogDensityScheme)
     if isinstance(config, FilterConfig) and config.acceptance.enabled:
         estimates = False
-    return n_particles if n_particles != "auto" or estimates else _USUAL
+    return n_particles if n_particles != "auto" or estimates else USUAL

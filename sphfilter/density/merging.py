@@ -7,8 +7,6 @@ import numpy as np
 from .._types import Bools, Floats, Ints
 from .pieces import NEAR, Pieces, nodes, root_of
 
-__all__ = ["OF_CHANGE", "merged"]
-
 #: Part of the change of log p by mergers, that is an error of the mean. Measured: with half and twice errors
 #: are .9 to 1.1 times as large.
 OF_CHANGE = 0.2

@@ -12,8 +12,6 @@ from ..errors import PropagationError
 from .particle_density import ParticleDensity
 from .weighted import WeightedStates
 
-__all__ = ["ModeDensities", "SplittingError", "no_ripple"]
-
 
 class SplittingError(NamedTuple):
     """Where a density is wrong: states X (M, n), and probabilities (M,) that are too many or few there."""

@@ -21,15 +21,13 @@ from . import statistics
 from .cloud import Cloud
 from .defect import Defect
 from .families import Families
-from .family import Exponential, Family
+from .family import Family
 from .marginal import around
 from .memory import Memory
-from .pieces import GaussianPieces, Pieces
+from .pieces import Pieces
 from .points import CloudState
 from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
 from .weighted import WeightedStates
-
-__all__ = ["SUMMED", "ParticleDensity"]
 
 READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "log_density", "cloud", "family", "pieces")
 SUMMED = 1e-14  # from one, of a sum of normalised masses; measured: 3e-16 at most of ten to 10^6
@@ -248,18 +246,10 @@ class ParticleDensity(Noted):
     def _shape(self, kind: ReadOut) -> Shape:
         """The shape that is read as `kind`."""
         shape: Kernels | Polynomials
-        if kind == "pieces" and self.pieces is not None:
-            return GaussianPieces(self.pieces)
-        if kind == "pieces" and self.families is not None:
-            assert self.moments is not None
-            return Exponential(self.families.log_p, self.x, self.mass, self.moments, self.families.mu)
-        if kind == "family" and self.family is not None:
-            assert self.moments is not None
-            whole = Exponential(self.family.log_p, self.x, self.mass, self.moments)
-            if self.domain is None:
-                return whole
-            shape = whole.laid
-        elif kind == "log_density" and self.field is not None:
+        formula: Any = {"family": self.family, "pieces": self.pieces or self.families}.get(kind)
+        if formula is not None:
+            return formula.shape(self.x, self.mass, self.moments, self.domain)
+        if kind == "log_density" and self.field is not None:
             shape = Polynomials(self.field, self.x, self.mass, self.moments)
         else:
             kind = "points" if kind in ("log_density", "family", "pieces") else kind
@@ -451,3 +441,8 @@ class ParticleDensity(Noted):
     def _between(self, kind: ReadOut | None) -> "ParticleDensity":
         """The density as it is read between its points."""
         return self._read("mixture" if kind is None and self.read_out == "points" else kind)
+
+
+def formula_of(density: ParticleDensity) -> Family | Pieces | Families | None:
+    """What says log p of a density everywhere, a family or a sum; None where nodes, points or kernels do."""
+    return density.family or density.pieces or density.families

@@ -9,8 +9,6 @@ from ..config import PaperScheme
 from ..lattice.regular import Lattice, collocation_masses, fit_support
 from .particle_density import ParticleDensity
 
-__all__ = ["particles_on", "particles_with"]
-
 
 def particles_on(
     lattice: Lattice,

@@ -23,34 +23,10 @@ from ..model.compile import surfacing
 from ..model.discrete import DiscreteModel
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
+from ..model.paths import noise_root
 from ..model.sde import SDE
-from ..model.simulate import noise_root
-from .carriers import NO_LINES
-from .nets import net
-from .points import CloudState, Pace, Passage, Path, Points, Told
-
-__all__ = [
-    "LED",
-    "MOST",
-    "READING",
-    "Steps",
-    "Through",
-    "Transitions",
-    "age_of",
-    "along",
-    "chosen_steps",
-    "even",
-    "gone",
-    "gone_again",
-    "moved_points",
-    "normals",
-    "points_of_gaussian",
-    "points_of_sample",
-    "put_through",
-    "relinearised",
-    "stored_key",
-    "sub_key",
-]
+from .points import NO_LINES, CloudState, Pace, Passage, Path, Points, Told
+from .quasi_random import net
 
 #: Passages after which a path is forgotten, and numbers of all points that they may hold: a reading leads
 #: points through all of them once more. Measured: half and twice of both change no run.

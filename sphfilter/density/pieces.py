@@ -14,19 +14,8 @@ from ..core.family.rules import rule as family_rule
 from ..core.limits import LOG_2_PI
 from ..errors import PropagationError
 from .points import moments_of_sum
-from .quasi_random import spread_evenly
-
-__all__ = [
-    "ENTRIES",
-    "NEAR",
-    "GaussianPieces",
-    "Pieces",
-    "light",
-    "nodes",
-    "particles_of_pieces",
-    "pieces_of",
-    "root_of",
-]
+from .quasi_random import quasi_random, spread_evenly, systematic
+from .shapes import Shape
 
 ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
 _STATES = 2**15  # that stand for the density: random ones would have its mean within 1 / √_STATES = .006
@@ -55,6 +44,15 @@ class Pieces(NamedTuple):
     def cov(self) -> Floats:
         """Covariances (K, n, n)."""
         return np.einsum("kac,kbc->kab", self.root, self.root)
+
+    @property
+    def middles(self) -> Floats:
+        """Where parts of the sum lie, (K, n)."""
+        return self.mean
+
+    def shape(self, *_: Any) -> Shape:
+        """The shape of a density of these pieces."""
+        return GaussianPieces(self)
 
     def normalised(self) -> "Pieces":
         """The pieces with shares of sum one, the heaviest first."""
@@ -152,23 +150,15 @@ def particles_of_pieces(pieces: Pieces) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class GaussianPieces:
+class GaussianPieces(Shape):
     """A sum of Gaussians: all questions in closed form, or by states spread evenly in each."""
 
     pieces: Pieces
 
-    widening = 0.0
-
-    def pdf(self, X: Floats) -> Floats:
-        """Density, shape (M,)."""
-        return np.exp(self.logpdf(X))
-
     def logpdf(self, X: Floats) -> Floats:
-        """Logarithm of the density, shape (M,)."""
         return self.pieces.log_p(X)
 
     def gradient(self, X: Floats) -> Floats:
-        """Gradient of the density, shape (M, n)."""
         p = np.exp(self.pieces.log_each(X))
         pull = np.linalg.solve(self.pieces.cov, (self.pieces.mean - X[:, None])[..., None])[..., 0]
         return np.einsum("mk,mka->ma", p, pull)
@@ -178,11 +168,9 @@ class GaussianPieces:
         return self.pieces.moments()
 
     def mean(self) -> Floats:
-        """Mean, shape (n,)."""
         return self._moments[0].copy()
 
     def cov(self, centre: Floats | None = None) -> Floats:
-        """Covariance, shape (n, n), about the mean if no centre (n,) is given."""
         off = np.zeros(len(self._moments[0])) if centre is None else self._moments[0] - centre
         return self._moments[1] + np.outer(off, off)
 
@@ -200,12 +188,11 @@ class GaussianPieces:
         return self.pieces.mean[own] + np.einsum("mab,mb->ma", self.pieces.root[own], z)
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
-        """Draw states, shape (size, n)."""
         own = rng.choice(len(self.pieces.w), size=size, p=self.pieces.w)
         return self.at(own, rng.random((size, self.pieces.mean.shape[1])))
 
-    def raw_moment(self, powers: Ints, centre: Floats) -> None:
-        """Moments are sums over states."""
+    def drawn(self, count: int, key: int) -> Floats:
+        return self.at(systematic(self.pieces.w, count), quasi_random(count, self.pieces.mean.shape[1], key))
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: the same pieces there."""
@@ -214,7 +201,6 @@ class GaussianPieces:
         return particles_of_pieces(own)
 
     def ends(self) -> tuple[Floats, Floats, Floats]:
-        """Lower and upper ends of a density of one state, and how wide its parts are; arrays."""
         mean, width = self.pieces.mean[:, 0], np.abs(self.pieces.root[:, 0, 0])
         return mean - 9.0 * width, mean + 9.0 * width, width
 

@@ -8,23 +8,10 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.cloud.control import decisive, error_by, expected_square, smoothed, square_of_more
 from ..core.cloud.steps import Leg
-from ..core.cloud.weights import weighted_moments
+from ..core.cloud.weights import carriers, weighted_moments
 from ..core.small_matrices import cholesky, invert_lower
-from .carriers import NO_LINES
 
-__all__ = [
-    "CloudState",
-    "Origin",
-    "Pace",
-    "Passage",
-    "Path",
-    "Points",
-    "Prior",
-    "Told",
-    "moments",
-    "moments_of_sum",
-    "whitener",
-]
+NO_LINES = np.empty((0, 0), np.int64)  # of points each its own
 
 
 class Passage(NamedTuple):
@@ -145,6 +132,27 @@ class CloudState(NamedTuple):
     inherited: float = 0.0  # error of the mean before it became points, as far as readings have left it
     age: int = 0  # predictions since the start: its random numbers hang on it, and on no clock
     origin: Origin | None = None  # as long as lineages go back to it
+
+
+class Carried(NamedTuple):
+    """States x (N, n), weights w (N,) of sum one, the evidence, and how many independent points they are."""
+
+    x: Floats
+    w: Floats
+    lineage: Ints  # (readings, N): ancestors among the prior's points, and those of readings before
+    log_evidence: float
+    mean: Floats  # (n,)
+    cov: Floats  # (n, n)
+    effective: float  # for means
+    lineages: float  # for the evidence
+
+    @classmethod
+    def of(cls, x: Floats, log_w: Floats, ancestor: Ints, older: Ints = NO_LINES) -> "Carried":
+        """States with log-weights (N,) whose sum is the evidence, and each one's ancestor (N,) in the prior.
+
+        The prior's points may have lineages (readings, M).
+        """
+        return cls(*carriers(x, log_w, ancestor, older))
 
 
 def moments_of_sum(w: Floats, means: Any, covs: Any) -> tuple[Floats, Floats]:

@@ -25,18 +25,8 @@ from ..validate import count
 from .distributions import gaussian_log_pdf
 from .family import family_on_lattice
 from .memory import min_nodes
-from .particle_density import ParticleDensity
+from .particle_density import ParticleDensity, formula_of
 from .particles import particles_on
-
-__all__ = [
-    "logarithm",
-    "max_particles_of",
-    "on_lattice",
-    "regrid",
-    "resample",
-    "target_of",
-    "times_likelihood",
-]
 
 _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
@@ -79,9 +69,8 @@ def logarithm(density: ParticleDensity) -> OfStates:
     """Return log p as a function of states (M, n), defined far outside of the particles too."""
     if density.field is not None:
         return partial(field.log_p_at, density.field)
-    whole = density.family or density.pieces or density.families
-    if whole is not None:
-        return whole.log_p
+    if (formula := formula_of(density)) is not None:
+        return formula.log_p
     factor = np.linalg.cholesky(density.cov("points"))
     # A mixture of kernels ends somewhere: a faint Gaussian of the same moments goes on.
     faint = gaussian_log_pdf(density.mean(), factor @ factor.T)
@@ -163,11 +152,10 @@ def target_of(
 
 def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
     """A density that is one family, or pieces, on a lattice; another as it is."""
-    whole = density.family or density.pieces or density.families
-    if whole is None:
+    formula = formula_of(density)
+    if formula is None:
         return density
-    middles = density.pieces.mean if density.pieces else density.families.mu if density.families else None
-    laid = family_on_lattice(whole.log_p, density.moments, n_particles, middles)
+    laid = family_on_lattice(formula.log_p, density.moments, n_particles, formula.middles)
     about = density.t, density.capacity, density.gaussian, density.domain
     error, lost, rough = density.error, density.lost, density.rough
     return ParticleDensity.on_lattice(laid, *about, error=error, lost=lost, rough=rough)

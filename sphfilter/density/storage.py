@@ -2,8 +2,11 @@
 
 import io
 import json
+import os
+import pathlib
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from os import PathLike
 from typing import Any, BinaryIO, TypeAlias
@@ -19,7 +22,6 @@ from ..errors import ModelError
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from .as_cloud import cloud_density, cloud_of
-from .carriers import NO_LINES
 from .defect import Defect
 from .families import Families
 from .family import Family
@@ -27,24 +29,12 @@ from .memory import Memory
 from .particle_density import ParticleDensity
 from .passage import gone_again
 from .pieces import Pieces
-from .points import CloudState, Origin, Pace, Passage, Path, Points, Told, moments
-
-__all__ = [
-    "FORMAT",
-    "density_from",
-    "from_bytes",
-    "load_arrays",
-    "models_of",
-    "part",
-    "stored",
-    "to_bytes",
-    "under",
-    "write_arrays",
-]
+from .points import NO_LINES, CloudState, Origin, Pace, Passage, Path, Points, Told, moments
 
 #: Arrays by name.
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 FORMAT = 1
+_FORMULAS: dict[str, Any] = {"family": Family, "pieces": Pieces, "families": Families}
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
 _FIELD = "mu", "A", "node", "kept", "log_p"  # what a field is built from
 
@@ -56,17 +46,14 @@ def stored(density: ParticleDensity) -> Arrays:
         arrays |= {f"field.{name}": getattr(density.field, name) for name in _FIELD}
     if density.moments is not None:
         arrays |= {"moments.mean": density.moments[0], "moments.cov": density.moments[1]}
-    if density.family is not None:
-        arrays |= under("family", density.family._asdict())
+    for name in _FORMULAS:
+        if (own := getattr(density, name)) is not None:
+            arrays |= under(name, own._asdict())
     if density.defect is not None:
         arrays["defect"] = density.defect.packed
-    if density.pieces is not None:
-        arrays |= under("pieces", density.pieces._asdict())
-    if density.families is not None:
-        arrays |= under("families", density.families._asdict())
     if density.cloud is not None:
         arrays = _stored_cloud(density.cloud)
-    special = {*_ARRAYS, "field", "moments", "domain", "family", "defect", "pieces", "families", "cloud"}
+    special = {*_ARRAYS, *_FORMULAS, "field", "moments", "domain", "defect", "cloud"}
     about: dict[str, Any] = {
         f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
     }
@@ -101,14 +88,11 @@ def density_from(arrays: Arrays, models: Sequence[Dynamics] = ()) -> ParticleDen
         arrays = {"field.kept": np.array(len(arrays["field.node"]))} | arrays  # which older files do not have
         mu, A, node, kept, log_p = (np.ascontiguousarray(arrays[f"field.{name}"]) for name in _FIELD)
         about["field"] = build_field(mu, A, node, kept.item(), log_p, stencils(n))
-    if "family.mu" in arrays:
-        about["family"] = Family(**part("family", arrays))
+    for name, kind in _FORMULAS.items():
+        if formula := part(name, arrays):
+            about[name] = kind(**formula)
     if "defect" in arrays:
         about["defect"] = Defect.of(arrays["defect"], about["family"].mu.size)
-    if "pieces.mean" in arrays:
-        about["pieces"] = Pieces(**part("pieces", arrays))
-    if "families.mu" in arrays:
-        about["families"] = Families(**part("families", arrays))
     if "moments.mean" in arrays:
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
     if "cloud.points.x" in arrays:
@@ -214,6 +198,18 @@ def under(name: str | int, arrays: Arrays) -> Arrays:
 def part(name: str, arrays: Arrays) -> Arrays:
     """The arrays that `under` put below a name."""
     return {key[len(name) + 1 :]: value for key, value in arrays.items() if key.startswith(f"{name}.")}
+
+
+@contextmanager
+def whole(path: pathlib.Path) -> Iterator[BinaryIO]:
+    """Open a binary file to write to, which appears at `path` when all is written, or not at all."""
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        with open(part, "wb") as file:
+            yield file
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def write_arrays(path: str | PathLike[str], arrays: Arrays) -> None:

@@ -10,8 +10,6 @@ from .._lines import in_a_line
 from .._types import Floats
 from ..errors import ModelError
 
-__all__ = ["WeightedStates", "checked_part", "hpd_rank", "quantile_of", "state_rank"]
-
 
 class WeightedStates(NamedTuple):
     """States X (M, n) with weights w (M,) that sum to one; None for a cloud of samples, which has no density.

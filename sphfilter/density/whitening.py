@@ -8,8 +8,6 @@ from .._types import Floats
 from ..core.limits import TINY
 from ..core.monomials import up_to
 
-__all__ = ["framed", "least_change"]
-
 _POINTS_A_TERM = 2  # of the polynomial of slopes
 _TRUSTED = 2.0, 3.0  # standard deviations from the mean to which it is, and from which it no longer is
 _CLIP = 5.0  # standard deviations, beyond which polynomials keep the values that they have there

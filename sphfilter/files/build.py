@@ -13,8 +13,6 @@ from ..model.sensors import Sensors
 from ..model.tables import Table
 from .text import ModelText, Reads, Sensor, TableText
 
-__all__ = ["AnySensor", "check_inputs", "check_start", "model_of", "sensor_of", "tables_of"]
-
 AnySensor: TypeAlias = GaussianMeasurement | Sensors
 #: What only one of the two kinds of models is made of.
 _RATES = ("drift", "spectral_density", "diffusion", "interpretation")

@@ -15,9 +15,6 @@ import numpy as np
 from .._types import Floats
 from ..errors import ConfigError, nearest
 
-__all__ = ["Measurements", "columns_of", "read_columns", "read_measurements", "usual_columns"]
-
-
 _Path: TypeAlias = str | PathLike[str]
 _Line: TypeAlias = tuple[int, list[str]]
 #: Columns of measurements, of several sensors by name.

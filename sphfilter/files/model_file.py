@@ -14,8 +14,6 @@ from .tables import with_tables
 from .text import Matrix, ModelText, Reads, Row, Sensor
 from .toml import read_toml
 
-__all__ = ["Belief", "Columns", "Filters", "ModelFile", "Sph", "read_data", "read_settings"]
-
 #: Keys of [filters] by which the experiments set other filters than this one.
 _OTHERS = frozenset({"default", "kf", "ekf", "ukf", "pf", "sph_paper", "grid"})
 

@@ -16,8 +16,6 @@ from .build import AnySensor, check_inputs, check_start, model_of, sensor_of
 from .csv_data import Measurements
 from .model_file import ModelFile, read_data, read_settings
 
-__all__ = ["ModelOfFile", "read_model"]
-
 
 @dataclass(frozen=True, repr=False)
 class ModelOfFile:

@@ -8,8 +8,6 @@ from typing import Any, Literal
 from ..settings import from_table, settings
 from .csv_data import read_columns
 
-__all__ = ["with_tables"]
-
 
 @settings
 class TableFile:

@@ -10,8 +10,6 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ..settings import settings
 
-__all__ = ["Matrix", "ModelText", "Reads", "Row", "Sensor", "TableText", "told"]
-
 Row: TypeAlias = tuple[float, ...]
 Matrix: TypeAlias = tuple[Row, ...]
 _Texts: TypeAlias = tuple[tuple[float | str, ...], ...]

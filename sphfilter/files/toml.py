@@ -7,8 +7,6 @@ from typing import Any
 
 from ..errors import ConfigError
 
-__all__ = ["read_toml"]
-
 
 def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
     """Read the tree of a TOML file; raises `ConfigError`."""

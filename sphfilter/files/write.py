@@ -10,8 +10,6 @@ import numpy as np
 
 from ..filter.results import FilterResult
 
-__all__ = ["mean_and_std", "write_csv", "write_estimates", "write_json"]
-
 
 def write_csv(path: Path, heading: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
     """Write a line of names and the rows below it; the folder is made if it is not there."""

@@ -19,10 +19,9 @@ from ..core.cloud.reading import WIDER
 from ..core.cloud.way import blocks_of
 from ..core.cloud.weights import effective, normalise
 from ..core.limits import TINY
-from ..density.carriers import Carried
-from ..density.nets import net
 from ..density.passage import LED, along, gone, normals, relinearised, stored_key, sub_key
-from ..density.points import Passage, Points
+from ..density.points import Carried, Passage, Points
+from ..density.quasi_random import net
 from .stacked import Stacked, seen
 
 __all__ = ["bridged"]

@@ -13,11 +13,11 @@ from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
-from ..density.cloud import systematic
 from ..density.memory import flagged_from
 from ..density.particle_density import ParticleDensity
 from ..density.passage import READING, moved_points, stored_key
 from ..density.points import CloudState, Points, Told
+from ..density.quasi_random import systematic
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code
 from ..prediction.cloud import as_points, shadow_size, squared_differences

@@ -5,9 +5,8 @@ from typing import Any
 
 from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, families_density, moments_on_line
-from ..density.families import HEAVY
+from ..density.families import HEAVY, merged_families
 from ..density.families_posterior import AWAY, families_posterior
-from ..density.gathering import merged_families
 from ..density.particle_density import ParticleDensity
 from .by_family import errors_beyond_nodes
 from .inherited import left_by_update

@@ -24,7 +24,7 @@ from ..density.points import Points
 from ..model.discrete import DiscreteModel
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
-from ..model.simulate import noise_root
+from ..model.paths import noise_root
 from ..model.timing import spans
 from ..prediction.cloud import least_steps, without_runaways
 

@@ -15,10 +15,9 @@ from ..core.cloud.reading import GUIDE, OWN, PARTS, WIDER, Part, weigh
 from ..core.cloud.steps import NO_LEG
 from ..core.cloud.weights import effective, prior_times
 from ..core.limits import ALIKE
-from ..density.carriers import Carried
-from ..density.nets import net
 from ..density.passage import LED, gone, normals, sub_key
-from ..density.points import Points, Prior
+from ..density.points import Carried, Points, Prior
+from ..density.quasi_random import net
 from ..model.compile import surfacing
 from .bridged import bridged
 from .pilot import piloted

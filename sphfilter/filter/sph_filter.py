@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike
 from .._types import Floats, Interval, Readings, Reported
 from ..config import FilterConfig
 from ..consistency.ranks import Ranker
+from ..core.cloud.control import MOST_POINTS
 from ..density.as_cloud import thinned
-from ..density.memory import MOST_POINTS, max_particles, min_nodes
+from ..density.memory import max_particles, min_nodes
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of
 from ..density.weighted import WeightedStates

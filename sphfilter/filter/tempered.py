@@ -16,9 +16,8 @@ from ..core.cloud.given import move_along, noise_of, renew, uniforms
 from ..core.cloud.move import affine
 from ..core.cloud.weights import effective, normalise, systematic
 from ..core.limits import LOOK, TINY
-from ..density.carriers import Carried
 from ..density.passage import normals, sub_key
-from ..density.points import Passage, Points
+from ..density.points import Carried, Passage, Points
 from ..model.compile import surfacing
 
 __all__ = ["tempered"]

@@ -10,10 +10,11 @@ from typing import Any, Literal, NamedTuple
 from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
+from ..core.cloud.control import points_for
 from ..core.limits import EDGE, SAID
 from ..core.step_control import HELPED, TRIES
 from ..density.cloud import moments_of
-from ..density.memory import MISSED, points_for
+from ..density.memory import MISSED
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of, target_of
 from ..errors import PropagationError

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike
 
 from .._types import Floats
 from ..config import FilterConfig
+from ..core.cloud.control import points_for
 from ..core.step_control import HELPED, MORE, TRIES
-from ..density.memory import MISSED, points_for
+from ..density.memory import MISSED
 from ..density.modes import ModeDensities
 from ..info import Code, UpdateInfo
 from ..model.measurements import Sensor

@@ -15,18 +15,17 @@ import numpy as np
 from .._types import Floats
 from ..config import CloudScheme
 from ..core.cloud.control import SHADOW, error_by, least_error
+from ..core.cloud.pace import Steps
 from ..core.cloud.weights import effective, normalise
 from ..density.as_cloud import cloud_density
-from ..density.cloud import systematic
 from ..density.particle_density import ParticleDensity
-from ..density.passage import Steps, along, stored_key
+from ..density.passage import along, stored_key
 from ..density.points import Points, Told, moments
+from ..density.quasi_random import systematic
 from ..errors import PropagationError
 from ..filter.sph_filter import SPHFilter
 from ..prediction.backward_points import Ahead, Leg, Said, parts_of, rooted, start_led, steps_of
 from ..prediction.cloud import as_points, squared_differences
-
-__all__ = ["between", "on_clouds"]
 
 _MOST = 2048  # points at which λ is known; measured: half and twice change nothing of 512 points
 

@@ -25,8 +25,6 @@ from .maximum import NEAR, ROUND, climbed, off_bounds, polished, ridge, room, se
 from .posterior import ParameterPosterior, Prior, posterior_of
 from .quadratic import Quadratic, quadratic, roughness, step_for
 
-__all__ = ["ParameterFit", "fit_parameters", "profile_evidence"]
-
 
 @dataclass(frozen=True)
 class ParameterFit(Pickled):

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from .. import validate
 from .._types import Bools, Floats, Readings, Rows
 from ..config import FamilyScheme
+from ..density.memory import USUAL
 from ..errors import EstimationError, ModelError, SphfilterError, nearest
 from ..filter.readings import rows_of
 from ..filter.results import AnyFilter, FilterResult
@@ -22,13 +23,10 @@ from ..model.discrete import DiscreteModel
 from ..model.measurements import Reading
 from ..model.named import InputRecord, check_parameters, each_input, parametrised
 
-__all__ = ["Evidence", "Pickled", "check_name", "checked_guess", "error_of_run", "fingerprint", "n_readings"]
-
 #: Makes a filter, at the start of the measurements, of parameters by name.
 Builder: TypeAlias = Callable[[dict[str, float]], AnyFilter]
 #: Lowest and highest value of a parameter.
 Bound: TypeAlias = tuple[float | None, float | None]
-_PARTICLES = 200  # where one family does not carry the density, and no number of them is given
 _TOLERANCE = 1e-4  # of a family's steps, for slopes of the evidence; measured: half, twice move fits by 4e-5
 #: Called with the number of runs so far, the parameters of the last and its log-evidence.
 Progress: TypeAlias = Callable[[int, dict[str, float], float], object]
@@ -184,7 +182,7 @@ def _shape(filt: SPHFilter, start: Callable[..., SPHFilter], evidence: Evidence)
     """How a filter carries its density: as it does; if a target error chooses, one family if that does."""
     if not filt.adapts:
         return {"n_particles": filt.n_particles, "config": filt.config}
-    on_particles = {"n_particles": _PARTICLES, "config": filt.config}
+    on_particles = {"n_particles": USUAL, "config": filt.config}
     trial, degree = start(config=filt.config), 0
     driving = each_input(filt.model.inputs, evidence.inputs, len(evidence.times))
     for t, z, u in zip(evidence.times, evidence.measurements, driving, strict=True):

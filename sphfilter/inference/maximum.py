@@ -17,8 +17,6 @@ from .quadratic import (
     slopes,
 )
 
-__all__ = ["NEAR", "ROUND", "climbed", "off_bounds", "polished", "ridge", "room", "searched"]
-
 _LOOSE = 0.3  # nats in a simplex that are left to Newton; measured: half 1.0 times the runs, twice 1.2
 _POLISHED = 1e-5  # nats below the top that are enough in the end: √(2e-5) = .0045 standard errors
 _CLOSE = 2e-3  # nats below the top of the quadratic that are enough before slopes are polished: √(4e-3) = .06

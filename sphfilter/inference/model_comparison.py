@@ -18,8 +18,6 @@ from ..validate import short
 from .estimation import ParameterFit
 from .evidence import error_of_run, fingerprint, n_readings
 
-__all__ = ["ModelComparison", "compare_models"]
-
 #: Kass and Raftery (1995), J. Am. Stat. Assoc. 90, section 3.2: twice the log of a Bayes factor, up to which
 #: the evidence against a model is called so.
 _WORDS = (2.0, "not worth more than a bare mention"), (6.0, "positive"), (10.0, "strong")

@@ -21,8 +21,6 @@ from ..validate import count, short
 from .evidence import Evidence, Pickled, check_name
 from .quadratic import first_steps, scales
 
-__all__ = ["ParameterPosterior", "Prior", "posterior_of"]
-
 #: Log-density of all parameters by name; or distributions of single ones.
 LogPrior: TypeAlias = Callable[[dict[str, float]], float]
 Prior: TypeAlias = Mapping[str, Any] | LogPrior

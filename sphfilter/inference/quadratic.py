@@ -13,19 +13,6 @@ from .._types import Floats
 from ..core.limits import ROUNDS
 from ..errors import EstimationError
 
-__all__ = [
-    "FIRST",
-    "STEPS",
-    "Quadratic",
-    "first_steps",
-    "quadratic",
-    "roughness",
-    "scales",
-    "slope_step_for",
-    "slopes",
-    "step_for",
-]
-
 #: Of points (n,).
 Function: TypeAlias = Callable[[Floats], float]
 

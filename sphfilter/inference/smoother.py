@@ -37,8 +37,6 @@ from ..validate import short
 from ..validate import times as checked_times
 from .cloud_smoother import between, on_clouds
 
-__all__ = ["SmoothedResult", "smooth"]
-
 #: Standard deviations that lattices of the smoother reach further than those of the filter: what β is beyond
 #: their edge is a guess, and cannot be put right by the next measurement.
 _FURTHER = 0.8

@@ -15,8 +15,6 @@ from ..errors import PropagationError
 from ..model.domain import Domain
 from .regular import MOST_NODES, Lattice, heaviest
 
-__all__ = ["NO_OVERLAP", "Candidate", "Product", "Sought", "best_candidate"]
-
 _ZOOM_ENDS = 0.8  # part of its extent that the posterior fills along every axis when zooming in has ended
 NO_OVERLAP = (
     "prior times likelihood is zero wherever the prior has particles: the measurement lies outside them; "

@@ -10,8 +10,6 @@ from ..core.field.stencils import stencils
 from ..core.field.walls import NO_WALLS, Walls
 from .walls import moved_in
 
-__all__ = ["extrapolated_mass", "gradient", "inside_lattice", "log_p_at", "nodes"]
-
 
 def log_p_at(field: Field, X: ArrayLike) -> Floats:
     """log p of a field at the states X (M, n)."""

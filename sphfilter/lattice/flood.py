@@ -8,8 +8,6 @@ import numpy as np
 from .._types import Floats, Ints, OfStates
 from ..core.field import cells
 
-__all__ = ["Flooded", "flood"]
-
 
 class Flooded(NamedTuple):
     """Cells that have been asked, in a box around them."""

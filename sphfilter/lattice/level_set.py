@@ -23,15 +23,6 @@ from ..errors import PropagationError
 from .flood import flood
 from .walls import near_walls
 
-__all__ = [
-    "LatticeDensity",
-    "enough_particles",
-    "fewest_particles",
-    "gaussian_volume",
-    "lattice_reach",
-    "lay",
-]
-
 _SMALL_BOX = 4  # cells of each particle, asked at once; measured: half takes 1.01 times the evaluations
 #: Spacing, in standard deviations, of a lattice whose sums have the variance of a Gaussian within 1.5 %: by
 #: Poisson's formula they lack 2 k² exp(-k²/2) of it, k = 2 pi / spacing.

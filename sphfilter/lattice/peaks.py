@@ -7,8 +7,6 @@ import numpy as np
 from .._types import Bools, Floats, OfStates
 from ..core.limits import EDGE, LOG_2_PI, NOTHING, ROUNDS
 
-__all__ = ["Peak", "along_axes", "peaks"]
-
 _ON_LINES = 2048  # states asked along lines in all; measured: half and twice change no run
 _MOST = 100  # peaks
 _SCALES = 2.0 ** np.arange(3, -31, -1.0)  # steps of a climb: 8 to 2^-30 = 1e-9 standard deviations

@@ -12,8 +12,6 @@ from ..core.limits import ALIKE, ROUNDS, TINY
 from ..errors import ModelError, PropagationError
 from .level_set import LatticeDensity, gaussian_volume, lay
 
-__all__ = ["posterior", "within_pieces"]
-
 _STEP = 0.02  # of slopes, in standard deviations; measured: half and twice move means by .0007 at most
 #: Largest over least variance that is whitened enough. Measured by tests/recorded_runs.py: half and twice
 #: change no run, but without it one of modes ends on another lattice, whose covariance is 1.8 % apart.

@@ -16,17 +16,6 @@ from ..errors import ModelError
 from ..model.domain import Domain
 from ..validate import row
 
-__all__ = [
-    "MOST_NODES",
-    "GaussianPlacement",
-    "Lattice",
-    "SupportFit",
-    "collocation_masses",
-    "fit_support",
-    "heaviest",
-    "place_gaussian",
-]
-
 MOST_NODES = 2e6  # of one lattice: ten arrays of 8 bytes each = 160 MB
 
 

@@ -19,8 +19,6 @@ from .peaks import Peak, along_axes, peaks
 from .posterior import within_pieces
 from .walls import between, inside
 
-__all__ = ["TOLERATED", "Resolved", "Search", "resolved"]
-
 TOLERATED = 0.05  # residual of a lattice that is not laid again; measured: half takes up to 1.6 times as long
 _HIGHER = 1.0  # nats above polynomials that overlook something; measured: half, twice move means by .003
 _TIMES = (1, 3, 9)  # particles of the first try; measured: with (1, 2) means are off by up to .27

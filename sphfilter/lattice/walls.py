@@ -6,8 +6,6 @@ from .._types import Bools, Floats, OfStates
 from ..core.field.cells import LOWEST
 from ..core.field.walls import Walls, parts_inside
 
-__all__ = ["between", "continued", "inside", "moved_in", "near_walls", "node_weights"]
-
 #: Values at a wall and one, two and three times the depth before it, to that beyond: of cubics
 #: f(-1) - 4 f(0) + 6 f(1) - 4 f(2) + f(3) = 0.
 _CUBIC = np.array([4.0, -6.0, 4.0, -1.0])

@@ -7,8 +7,6 @@ from time import perf_counter
 
 from ..core._compiling import PATIENCE
 
-__all__ = ["asked_before", "noted", "tell_of"]
-
 _LOGGER = logging.getLogger("sphfilter")
 _MUCH = 0.5  # share of one function, from which it costs more than all the rest: _MUCH = 1 - _MUCH
 _SAYS = (

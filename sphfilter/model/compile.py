@@ -24,10 +24,6 @@ from ..core._jit import BATCH
 from ..errors import ModelError
 from .asking import noted
 
-__all__ = ["NO_DATA", "Data", "Maker", "StateFunction", "arguments_of", "batch", "batch_source",
-           "compile_rows", "compile_source", "compile_with_noise", "probe", "probe_states", "reads_argument",
-           "shared", "surfacing"]  # fmt: skip
-
 #: A user's function of (x), (x, t), (x, t, p) or (x, t, p, u): of one state in numba's types, or of rows of
 #: states.
 StateFunction: TypeAlias = Callable[..., Any]

@@ -12,8 +12,6 @@ from ..errors import ModelError
 from .discrete import DiscreteModel
 from .measurements import GaussianMeasurement
 
-__all__ = ["correlated_noise"]
-
 
 def correlated_noise(
     model: DiscreteModel, sensor: GaussianMeasurement, cross: ArrayLike

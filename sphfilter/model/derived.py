@@ -16,12 +16,6 @@ from ..core._jit import MATRIX, VECTOR, jit
 from ..core.limits import DIFFERENCE
 from .compile import batch
 
-__all__ = [
-    "constant_diffusion", "constant_noise", "diffusion_from_noise", "jacobian_from", "linear_divergence",
-    "linear_drift", "linear_jacobian", "noise_columns", "noise_from_diffusion", "noisy_map",
-    "row_divergence_from", "scales", "stratonovich_drift", "trace_from", "zeros",
-]  # fmt: skip
-
 
 @register_jitable
 def scales(D: Floats) -> Floats:

@@ -18,8 +18,6 @@ from .named import Inputs, Values
 from .noise import Noise, noise_parts, reads_time
 from .tables import Tables, tables_of
 
-__all__ = ["DiscreteModel"]
-
 
 class DiscreteModel(Dynamics):
     """A model in discrete time: x' = F(x, t) + g(x, t) w with w ~ N(0, Q), or x' = F(x, w, t).

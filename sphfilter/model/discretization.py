@@ -13,8 +13,6 @@ from ..errors import PropagationError
 if TYPE_CHECKING:
     from .dynamics import Dynamics
 
-__all__ = ["exponential", "linear_transition", "transition"]
-
 _TERMS = 15  # of a Taylor series of a matrix of norm 1/2: 2⁻¹⁵ / 15! = 2e-17
 
 

@@ -14,8 +14,6 @@ from ..core.domain import KINDS
 from ..core.field.walls import NO_WALLS, Walls
 from ..errors import ModelError
 
-__all__ = ["Axis", "Domain", "DomainLike"]
-
 #: None without bounds, else (kind, low, high); an end that is not there is None.
 Axis: TypeAlias = Sequence[str | float | None] | None
 

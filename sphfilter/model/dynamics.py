@@ -13,8 +13,6 @@ from .compile import Data, Maker, surfacing
 from .domain import Domain, DomainLike
 from .named import Adjustable, Values
 
-__all__ = ["Dynamics", "Functions", "compiled"]
-
 
 def compiled(name: str, what: str) -> Any:
     """A property: a compiled function of a model, made when it is first asked for."""

@@ -19,8 +19,6 @@ from ..errors import ExpressionError, nearest, plain
 from .symbols import FUNCTIONS, And, Ge, Gt, Linear, Not, Or, Previous, Where
 from .tables import Table
 
-__all__ = ["Names", "parse"]
-
 #: Limits against texts that are small to write and endless to work out; a sum of sines of 799 terms was
 #: measured to be compiled within 2 s.
 MAX_NODES = 1_000

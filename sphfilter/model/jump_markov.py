@@ -18,8 +18,6 @@ from .dynamics import Dynamics
 from .named import InputValues, input_values
 from .sde import SDE
 
-__all__ = ["JumpMarkovModel", "mode_probabilities"]
-
 
 class JumpMarkovModel:
     """A state whose equation switches at random: in mode i, dX = f_i dt + g_i dW (a jump-Markov model).

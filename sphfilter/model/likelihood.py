@@ -12,8 +12,6 @@ from .._types import Bools, Floats, Seed
 from ..errors import ModelError
 from .measurements import Reading
 
-__all__ = ["LikelihoodMeasurement"]
-
 #: loglik(z, X, t) → (N,), and sample(X, t, rng) → (N, k).
 LogLikelihood: TypeAlias = Callable[[Floats, Floats, float], ArrayLike]
 Sampler: TypeAlias = Callable[[Floats, float, np.random.Generator], ArrayLike]

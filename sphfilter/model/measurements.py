@@ -17,9 +17,6 @@ from .compile import StateFunction, compile_rows, probe, surfacing
 from .named import Adjustable, Inputs, Values
 from .tables import Tables, tables_of
 
-__all__ = ["GaussianMeasurement", "GaussianSensor", "NoisySensor", "Reading", "Sensor", "block",
-           "direct_states", "has_gaussian_noise", "has_own_likelihood", "is_gaussian", "wrapped"]  # fmt: skip
-
 _DIFFERENT = (
     "The sensor's h is of {} states, but the state has {}: h has a column, or a name, for each state."
 )

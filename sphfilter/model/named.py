@@ -11,9 +11,6 @@ from .. import validate
 from ..errors import ModelError, nearest, plain
 from .compile import Data
 
-__all__ = ["Adjustable", "InputRecord", "InputValues", "Inputs", "Values", "changed", "check_parameters",
-           "driven", "each_driven", "each_input", "input_values", "parametrised"]  # fmt: skip
-
 #: Names of inputs, or their values where a prediction gives none.
 Inputs: TypeAlias = Sequence[str] | Mapping[str, float]
 #: Values of inputs, in their order or by name.

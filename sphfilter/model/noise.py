@@ -21,8 +21,6 @@ from .compile import (
     shared,
 )
 
-__all__ = ["Noise", "constant_root", "noise_parts", "reads_time", "structure"]
-
 Noise: TypeAlias = ArrayLike | StateFunction
 #: Makers of g, D and ∇·D, then Q, the constants that end p, and the flags of the noise.
 NoiseParts: TypeAlias = tuple[dict[str, Maker], Floats, Floats, dict[str, Any]]

@@ -22,8 +22,6 @@ from .noise import Noise, constant_root, noise_parts, reads_time
 from .tables import Tables, tables_of
 from .timing import roots
 
-__all__ = ["SDE", "LinearSDE"]
-
 Interpretation: TypeAlias = Literal["ito", "stratonovich"]
 _PART_OF_PERIOD = 1.0 / 8.0  # of a sine, that a step may take: one of order 4 misses (2π/8)⁵ / 5! = 2.5e-3
 #: Rows of expressions or numbers.

@@ -14,8 +14,6 @@ from ..errors import ModelError, nearest
 from .measurements import Reading, direct_states, has_gaussian_noise, is_gaussian, wrapped
 from .named import Adjustable
 
-__all__ = ["Sensors"]
-
 
 class Sensors(Adjustable, Mapping[str, Any]):
     """Several sensors of one system as one sensor, whose reading is theirs one after the other.

@@ -11,9 +11,7 @@ from .._types import Floats, Ints, Seed
 from ..errors import ModelError
 from .jump_markov import JumpMarkovModel
 from .named import InputRecord, each_driven
-from .simulate import Sampled, advance, drawn_readings, starting_states
-
-__all__ = ["ModePaths", "advance_modes", "simulate_modes"]
+from .paths import Sampled, advance, drawn_readings, starting_states
 
 
 class ModePaths(NamedTuple):

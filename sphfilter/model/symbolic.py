@@ -23,8 +23,6 @@ from .noise import constant_root
 from .symbols import Abs, Ge, Gt, Linear, Max, Min, Previous, Sign, source
 from .tables import Table
 
-__all__ = ["Vocabulary", "symbolic_model", "symbolic_rows", "symbolic_step"]
-
 #: Derivatives of a short text can be long; beyond this many operations compiling would take minutes.
 MAX_OPERATIONS = 20_000
 

@@ -11,8 +11,6 @@ from typing import Any
 
 import sympy as sp
 
-__all__ = ["FUNCTIONS", "And", "Ge", "Gt", "Linear", "Not", "Or", "Previous", "Where", "source"]
-
 
 class _Function(sp.Function):
     # never folded by sympy: constants are folded before a tree is built

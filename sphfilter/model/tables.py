@@ -14,8 +14,6 @@ from .. import validate
 from .._types import Floats
 from ..errors import ModelError, nearest
 
-__all__ = ["Table", "Tables", "tables_of"]
-
 Kind: TypeAlias = Literal["linear", "previous"]
 
 

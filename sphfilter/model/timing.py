@@ -7,8 +7,6 @@ import numpy as np
 
 from .._types import Floats
 
-__all__ = ["beside", "roots", "spans"]
-
 _SAMPLES = 1024  # at which a condition is looked at for changes of its sign, over any interval
 _BESIDE = 64 * float(np.finfo(float).eps)  # of a time, relative: farther than its rounding in a step
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from ..config import CloudScheme, LogDensityScheme, PaperScheme
 from ..core.limits import SAID
-from ..density.cloud import KERNEL, matched, systematic
+from ..density.cloud import KERNEL, matched
 from ..density.particle_density import ParticleDensity
+from ..density.quasi_random import systematic
 from ..density.resample import times_likelihood
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code, PredictInfo

@@ -11,9 +11,10 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.cloud.ahead import LEAST, expected, fitted, led
 from ..core.cloud.linearise import block_roots, centres
+from ..core.cloud.pace import Steps
 from ..core.cloud.way import blocks_of
-from ..density.cloud import systematic
-from ..density.passage import Steps, Transitions, along, even, stored_key
+from ..density.passage import Transitions, along, even, stored_key
+from ..density.quasi_random import systematic
 from ..model.dynamics import Dynamics
 
 __all__ = ["Ahead", "Leg", "Said", "parts_of", "rooted", "start_led", "steps_of"]

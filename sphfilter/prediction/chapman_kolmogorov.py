@@ -20,8 +20,8 @@ from ..core.cloud.kernels import log_sum
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS
 from ..core.limits import LOG_2_PI, NOTHING, ROUNDING
-from ..density.nets import net
 from ..density.particle_density import ParticleDensity
+from ..density.quasi_random import net
 from ..density.resample import on_lattice, times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, PredictInfo
@@ -30,7 +30,7 @@ from ..lattice.field import log_p_at, nodes
 from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
 from ..model.discrete import DiscreteModel
-from ..model.simulate import noise_root
+from ..model.paths import noise_root
 
 __all__ = ["AS_SUMS", "integrated_back", "propagate", "why_not"]
 

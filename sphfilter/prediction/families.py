@@ -11,10 +11,9 @@ from ..core.family.march import STATUS, Control, march
 from ..core.family.rules import degrees
 from ..core.limits import LITTLE
 from ..density.as_family import families_density
-from ..density.families import HEAVY, Families, families_of
+from ..density.families import HEAVY, Families, families_of, merged_families
 from ..density.families_posterior import AWAY, split, strongest_bend
 from ..density.family import ASTRAY, OF_MISFIT, Family, gaussian_family
-from ..density.gathering import merged_families
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
 from ..info import PredictInfo

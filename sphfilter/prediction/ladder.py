@@ -13,11 +13,12 @@ from typing import TypeVar
 import numpy as np
 
 from ..config import CloudScheme, FamilyScheme
+from ..core.cloud.control import MOST_POINTS
 from ..core.family.rules import degrees
 from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
 from ..density.family import gaussian_family
-from ..density.memory import MOST_POINTS, Memory, error_budget, flagged_from, min_nodes, tolerated_excess
+from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from .._types import Floats, OfStates
+from ..core.cloud.control import MOST_POINTS, power_of_two
 from ..core.family.rules import degrees
 from ..core.field.walls import NO_WALLS
 from ..core.limits import LITTLE
@@ -29,7 +30,7 @@ from ..density.cloud import points_of
 from ..density.defect import Defect, defect_of
 from ..density.families_posterior import AWAY
 from ..density.family import OF_MISFIT, fitted, moments_apart, node_moments
-from ..density.memory import MOST_POINTS, Memory, min_nodes, power_of_two
+from ..density.memory import Memory, min_nodes
 from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.passage import age_of, stored_key

@@ -10,10 +10,10 @@ from .._types import Floats
 from ..core.limits import LOOK, ROUNDS
 from ..density.as_family import moments_on_line
 from ..density.modes import ModeDensities, SplittingError, no_ripple
-from ..density.nets import net
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import ENTRIES, NEAR, Pieces, root_of
 from ..density.points import moments_of_sum
+from ..density.quasi_random import net
 from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE

@@ -18,7 +18,8 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..density.memory import Memory, error_budget, power_of_two
+from ..core.cloud.control import power_of_two
+from ..density.memory import Memory, error_budget
 from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError

@@ -22,7 +22,7 @@ from stonesoup.types.track import Track
 from stonesoup.updater.kalman import KalmanUpdater
 
 from sphfilter.adapters.stonesoup import EvidenceHypothesiser, SPHPredictor, SPHUpdater
-from sphfilter.model.simulate import advance
+from sphfilter.model.paths import advance
 
 
 @pytest.fixture(scope="module")

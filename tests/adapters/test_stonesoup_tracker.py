@@ -26,7 +26,7 @@ from stonesoup.types.track import Track
 from stonesoup.updater.particle import ParticleUpdater
 
 from sphfilter.adapters.stonesoup import EvidenceHypothesiser, SDETransitionModel, SPHPredictor, SPHUpdater
-from sphfilter.model.simulate import advance
+from sphfilter.model.paths import advance
 
 PROB_DETECT = 0.9
 

@@ -6,10 +6,10 @@ from scipy.stats import norm
 
 import sphfilter as sf
 from sphfilter.core.cloud.guide import look_ahead
+from sphfilter.core.cloud.pace import Steps
 from sphfilter.core.cloud.weights import carriers
-from sphfilter.density.carriers import NO_LINES, Carried
-from sphfilter.density.passage import Steps, moved_points, points_of_gaussian
-from sphfilter.density.points import moments
+from sphfilter.density.passage import moved_points, points_of_gaussian
+from sphfilter.density.points import NO_LINES, Carried, moments
 from sphfilter.filter.guided import weighed
 from sphfilter.filter.reading_at_prior import ReadingAtPrior
 from sphfilter.filter.stacked import Stacked

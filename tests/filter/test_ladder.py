@@ -7,7 +7,8 @@ from scipy import stats
 import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
-from sphfilter.density.memory import MOST_POINTS, Memory, error_budget
+from sphfilter.core.cloud.control import MOST_POINTS
+from sphfilter.density.memory import Memory, error_budget
 from sphfilter.density.storage import from_bytes, to_bytes
 from sphfilter.prediction.predict import Prediction
 

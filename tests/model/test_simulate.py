@@ -11,8 +11,9 @@ from sphfilter.core.sde_steps import normals_per_step, steps
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.model.likelihood import LikelihoodMeasurement
 from sphfilter.model.measurements import GaussianMeasurement
+from sphfilter.model.paths import advance
 from sphfilter.model.sde import SDE, LinearSDE
-from sphfilter.model.simulate import advance, simulate
+from sphfilter.model.simulate import simulate
 
 POSITION = GaussianMeasurement([[1.0, 0.0]], [[0.2]])
 

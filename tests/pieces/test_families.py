@@ -7,10 +7,9 @@ from scipy.special import logsumexp
 
 import sphfilter as sf
 from sphfilter.density.as_family import families_density, family_density
-from sphfilter.density.families import Families, families_of
+from sphfilter.density.families import Families, families_of, merged_families
 from sphfilter.density.families_posterior import families_posterior, split
 from sphfilter.density.family import gaussian_family
-from sphfilter.density.gathering import merged_families
 from sphfilter.density.storage import from_bytes, to_bytes
 from sphfilter.prediction.families import carried_families
 

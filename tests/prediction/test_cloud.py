@@ -7,7 +7,8 @@ from scipy import integrate, stats
 import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
-from sphfilter.density.passage import Steps, chosen_steps, moved_points, points_of_gaussian
+from sphfilter.core.cloud.pace import Steps
+from sphfilter.density.passage import chosen_steps, moved_points, points_of_gaussian
 from sphfilter.density.points import Points, moments
 from sphfilter.density.storage import from_bytes, to_bytes
 

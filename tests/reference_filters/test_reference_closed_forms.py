@@ -7,10 +7,8 @@ from scipy.integrate import quad, solve_ivp
 from reference_filters.closed_forms import (
     BenesFilter,
     DuffingSteadyState,
-    diffused_gaussian,
     drifted_uniform,
     linear_moments,
-    ornstein_uhlenbeck_moments,
 )
 from sphfilter.errors import ModelError
 from sphfilter.model.measurements import GaussianMeasurement
@@ -47,30 +45,10 @@ def test_a_critically_damped_oscillator_comes_to_rest(t):
     np.testing.assert_allclose(cov, expected, atol=1e-12)
 
 
-def test_ornstein_uhlenbeck_is_the_scalar_linear_case():
-    m, P = linear_moments([[-0.8]], None, [[0.5]], [1.3], [[0.2]], 0.9)
-    mean, var = ornstein_uhlenbeck_moments(0.8, 0.5, 1.3, 0.2, 0.9)
-    np.testing.assert_allclose((mean, var), (m[0], P[0, 0]), rtol=1e-12)
-
-
 def test_drifted_uniform_keeps_its_mass_and_moves():
     moment = [quad(lambda x, k=k: x**k * drifted_uniform(x, 0.5), -6, 8)[0] for k in range(3)]
     np.testing.assert_allclose(moment[:2], [1.0, 0.5], rtol=1e-9)
     assert moment[2] - 0.25 == pytest.approx(1 / 12 + 2 * 0.125 * 0.5, rel=1e-8)
-
-
-def test_diffused_gaussian_satisfies_the_heat_equation():
-    mean, cov = np.array([0.2, -0.1]), np.array([[0.5, 0.1], [0.1, 0.4]])
-    D = np.array([[0.3, 0.05], [0.05, 0.2]])
-    x, e = np.array([0.6, 0.3]), 1e-3
-
-    def p(dx, dt):
-        return diffused_gaussian(x + dx, mean, cov, D, 0.7 + dt)
-
-    steps = np.eye(2) * e
-    hessian = np.array([[sum(i * j * p(i * a + j * b, 0) for i in (1, -1) for j in (1, -1)) for a in steps]
-                        for b in steps]) / (4 * e**2)  # fmt: skip
-    assert np.sum(D * hessian) == pytest.approx((p(0, e) - p(0, -e)) / (2 * e), rel=1e-4)
 
 
 @pytest.mark.parametrize(

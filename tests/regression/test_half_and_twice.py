@@ -6,7 +6,7 @@ import pytest
 
 @pytest.mark.slow
 def test_steps_of_simulated_paths_change_their_moments_by_chance():
-    only, where = "simulate: noise 0.7", "model.simulate._COURANT_ADDITIVE"
+    only, where = "simulate: noise 0.7", "model.paths._COURANT_ADDITIVE"
     before, same, longer = (
         half_and_twice.asked(only, *setting)[only] for setting in ((), (where, "0.05"), (where, "0.2"))
     )

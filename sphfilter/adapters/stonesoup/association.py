@@ -23,9 +23,6 @@ from ...model.measurements import Sensor
 from ...prediction.again import Ladder, Outcome
 from .states import DensityState
 
-__all__ = ["Association", "Part", "alone", "check_sharpness", "evidence_of_points", "one_prediction",
-           "predicted_apart", "probability_of", "resolved"]  # fmt: skip
-
 _LADDER = Ladder(times=(1, 3, 9), deeper=0.7, most=math.inf)  # for products of density and likelihood
 #: Standard deviations that a mean may be off, and part of the mass, and is not tried again: a filter's aim.
 _RESOLVED = FilterConfig.target_error

@@ -14,8 +14,6 @@ from ...info import Code
 from ...model.discrete import DiscreteModel
 from ...model.measurements import Sensor, is_gaussian
 
-__all__ = ["ON_FAILURE", "OnFailure", "linearised", "merged", "multiplied", "said"]
-
 OnFailure: TypeAlias = Literal["gaussian", "drop", "raise"]
 ON_FAILURE = "gaussian", "drop", "raise"
 #: Of moments, relative: 1e-4 = 1e-6 / .01 of the error that a filter aims at; linearising adds far more.

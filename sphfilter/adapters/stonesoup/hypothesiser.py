@@ -20,8 +20,6 @@ from ...validate import positive, real
 from .predictor import DensityPredictor
 from .updater import DensityUpdater
 
-__all__ = ["EvidenceHypothesiser"]
-
 
 class EvidenceHypothesiser(Hypothesiser):
     """A hypothesiser by the evidence of detections, the integral of predicted density times likelihood.

@@ -36,8 +36,6 @@ from .starts import current, retimed, started
 from .states import DensityState, JumpMarkovState, SPHState, Step, origin_of
 from .transition import SDETransitionModel, switching, transition_of
 
-__all__ = ["DensityPredictor", "JumpMarkovPredictor", "SPHPredictor"]
-
 
 class DensityPredictor(Predictor):
     """A predictor of states known by densities: one, or one for every mode of a model that switches.

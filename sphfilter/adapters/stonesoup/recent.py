@@ -4,8 +4,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any
 
-__all__ = ["Recent"]
-
 
 class Recent(OrderedDict[Hashable, Any]):
     """The last `size` results by their keys, which are values, never objects that can change.

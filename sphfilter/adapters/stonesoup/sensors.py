@@ -19,8 +19,6 @@ from ...model.measurements import GaussianMeasurement, GaussianSensor, Sensor, w
 from ...validate import covariance, short
 from .states import DensityState
 
-__all__ = ["ModelMeasurement", "predicted", "reading_of", "sensor_for", "typed"]
-
 #: Radians beyond pi / 2, where elevations fold, and beyond pi, where bearings turn: a type that keeps both
 #: but for whole turns is an angle of the whole circle.
 _PROBED = 0.6 * np.pi, 1.3 * np.pi

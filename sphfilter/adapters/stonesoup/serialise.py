@@ -25,8 +25,6 @@ from ...model.measurements import GaussianMeasurement
 from ...model.sde import SDE, LinearSDE
 from ...model.tables import Table
 
-__all__ = ["extend"]
-
 _OURS = "sphfilter.adapters.stonesoup."
 _CODE = (
     "{} is a Python function, which YAML cannot hold: write the model as text (from_expressions), or keep it "

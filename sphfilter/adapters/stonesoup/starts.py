@@ -17,8 +17,6 @@ from ...model.domain import Domain
 from ...validate import covariance
 from .states import DensityState, SPHState
 
-__all__ = ["current", "retimed", "started"]
-
 
 def current(state: State | StateMutableSequence) -> State:
     """The last state of a track, or the state itself."""

@@ -22,9 +22,6 @@ from ...prediction.mixing_modes import whatever_the_mode
 from ...prediction.switching import ModesInfo
 from ...validate import count, generator, short
 
-__all__ = ["DensityState", "JumpMarkovState", "JumpMarkovStatePrediction", "JumpMarkovStateUpdate",
-           "SPHState", "SPHStatePrediction", "SPHStateUpdate", "Step", "origin_of"]  # fmt: skip
-
 
 class DensityState(Type):
     """A state known by densities, which its kind says.

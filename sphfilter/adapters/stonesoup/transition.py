@@ -21,11 +21,9 @@ from ...model.discrete import DiscreteModel
 from ...model.discretization import exponential
 from ...model.dynamics import Dynamics
 from ...model.jump_markov import JumpMarkovModel
+from ...model.paths import advance
 from ...model.sde import LinearSDE
-from ...model.simulate import advance
 from ...validate import generator, short
-
-__all__ = ["SDETransitionModel", "linear_sde", "switching", "transition_of"]
 
 _SAME = 1e-8  # error of a transition: Stone Soup's integrals, by scipy's `quad`, have sqrt(eps) = 1.5e-8
 _FLOW_TOLERANCE = _SAME / 100  # = 1e-10, of an integrator, whose errors add up over its steps

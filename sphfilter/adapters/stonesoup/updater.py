@@ -55,8 +55,6 @@ from .sensors import predicted, reading_of, sensor_for, typed
 from .starts import current, started
 from .states import DensityState, JumpMarkovState, SPHState, Step, origin_of
 
-__all__ = ["DensityUpdater", "JumpMarkovUpdater", "SPHUpdater"]
-
 
 class DensityUpdater(Updater):
     """An updater whose detections bring their sensor along, or take its own.

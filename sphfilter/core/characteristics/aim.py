@@ -18,8 +18,6 @@ from ..limits import EDGE
 from ..small_matrices import cholesky, invert_lower
 from .noise_paths import NOISE, along_at, displace, pushes, unblurred
 
-__all__ = ["AIM", "AIMED", "Aim", "aimed", "centred", "leg_ends", "response", "rooted"]
-
 
 class Aim(NamedTuple):
     """Noise of a path back given where it starts: exact for Gaussian densities, linear paths."""

@@ -6,8 +6,6 @@ from .._jit import jit
 from ..step_control import MORE, next_step
 from .control import SQUARES, STEP_ERRORS
 
-__all__ = ["ORDER", "for_lattice", "for_step", "nodes_for"]
-
 _OVERDRAWN = 0.3  # of an even share, that is left to the rest of an interval at least
 ORDER = 5.0  # of a lattice's residual in its spacing: polynomials of degree 4 leave h^5
 

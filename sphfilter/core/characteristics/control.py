@@ -4,38 +4,6 @@ from typing import NamedTuple
 
 from numba import typeof, types
 
-__all__ = [
-    "CONTROL",
-    "COUNTERS",
-    "COUNTS",
-    "EVALUATIONS",
-    "FLOOR",
-    "LATTICE_STEP",
-    "LONGEST",
-    "LOST",
-    "LOST_MASS",
-    "NET_MASS",
-    "NODES",
-    "NOT_FINITE",
-    "OK",
-    "OUTGROWN",
-    "PATH_STEP",
-    "PAUSED",
-    "REJECTED",
-    "RELAID",
-    "RESIDUAL",
-    "SQUARES",
-    "STALLED",
-    "STATE",
-    "STATE_SIZE",
-    "STATUS",
-    "STEPS",
-    "STEP_ERRORS",
-    "TOO_FEW",
-    "VOLUME",
-    "Control",
-]
-
 STATUS = ("ok", "not finite", "paused", "stalled", "too few nodes", "outgrown", "lost")
 OK, NOT_FINITE, PAUSED, STALLED, TOO_FEW, OUTGROWN, LOST = range(7)
 COUNTERS = ("steps", "rejected", "evaluations", "relaid")

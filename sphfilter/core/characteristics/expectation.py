@@ -20,11 +20,6 @@ from .aim import AIM, Aim, centred, leg_ends, response, rooted
 from .noise_paths import NOISE, PATHS, Noise, Paths, Pull, along_at, blurring, displace, pushes, unblurred
 from .reflection import reflected
 
-__all__ = [
-    "BACK", "BACK_IN_BLOCKS", "EXPECTED", "REFLECTED", "STEP", "Step", "back", "back_in_blocks",
-    "back_in_halves", "expected",
-]  # fmt: skip
-
 _SURE = 1.0  # nats below the last level kept, from which one path will do: exp(-1) = .37 of what is cut off
 _ROWS = 2048  # paths that go at once: 8 bytes each = 16 KB a column, half of a first-level cache
 _BLOCK = _ROWS // 8  # states that one thread takes at a time: 2,000 nodes = 8 blocks

@@ -27,8 +27,6 @@ from ..small_matrices import invert_lower
 from .control import CONTROL, COUNTS, EVALUATIONS, NODES, OK, OUTGROWN, RELAID, STATE, TOO_FEW, VOLUME
 from .expectation import BACK, STEP
 
-__all__ = ["LAY", "Lattice", "flooded", "lattice_after"]
-
 _TRIES = 6
 _MANY = 4  # states, of which nodes beside a lattice are most: one path has to do for them
 _FILL = 0.85  # nodes aimed at, over those allowed

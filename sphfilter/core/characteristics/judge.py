@@ -16,8 +16,6 @@ from ..field.walls import fold, is_inside
 from ..limits import GOLDEN, NOTHING
 from .expectation import BACK, STEP, back_in_halves
 
-__all__ = ["BETWEEN", "JUDGE", "between", "judged", "mean_ratio", "witnesses"]
-
 _WITNESSES = 12  # of as many drawn at random a mean would be known to 1 / √12 = .29 of their deviation
 
 

@@ -51,8 +51,6 @@ from .judge import BETWEEN, JUDGE
 from .step_choice import CHOOSE
 from .step_limits import noise_limit
 
-__all__ = ["Entries", "march", "needed", "wrong"]
-
 _MOST = 1e-2  # residual that steps go by where the lattice's own is larger
 _UNDOUBTED = 5.0  # times what may be lost, where no error is seen
 _UNSEEN = 0.1  # variance of a step's noise, in units of the lattice, below which shorter steps gain nothing

@@ -16,24 +16,6 @@ from .._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit
 from ..field.walls import NOWHERE
 from ..small_matrices import eigen
 
-__all__ = [
-    "ALONG",
-    "NOISE",
-    "PATHS",
-    "Noise",
-    "Paths",
-    "Pull",
-    "along",
-    "along_at",
-    "averaged",
-    "blurring",
-    "displace",
-    "freeze",
-    "noise_factor_at",
-    "pushes",
-    "unblurred",
-]
-
 #: A twist c u (1 - 2 u), the opposite in the second half: its mean square 2 c² ∫₀^½ u² (1 - 2 u)² du = c²/120
 #: is what a bridge has, 1/6, less what bends have, 36/12 ∫ u² (1 - u)² du = 1/10.
 _TWIST = math.sqrt(8.0)

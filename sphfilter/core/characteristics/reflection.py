@@ -20,8 +20,6 @@ from ..field.field import evaluate, gradient
 from ..field.walls import fold, is_inside
 from ..limits import NOTHING
 
-__all__ = ["reflected"]
-
 _LEAST = 1e-2  # of p before the wall, that is left beyond it
 _TURNED = 0.5  # nats at most, by what happens along a wall
 

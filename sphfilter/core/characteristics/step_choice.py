@@ -28,8 +28,6 @@ from .control import (
 from .noise_paths import NOISE, along_at, freeze, noise_factor_at, pushes, unblurred
 from .step_limits import blur_share, driven_error, noise_limit, path_error, predicted
 
-__all__ = ["CHOOSE", "Choice", "chosen"]
-
 _MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice: of errors 16⁻⁴ = 1.5e-5 is left
 
 

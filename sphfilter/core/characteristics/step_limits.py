@@ -9,8 +9,6 @@ from ..field.walls import fold
 from ..small_matrices import moments, whiten
 from .noise_paths import along_at, averaged, displace, pushes, unblurred
 
-__all__ = ["blur_share", "driven_error", "noise_limit", "path_error", "predicted"]
-
 
 @jit
 def noise_limit(G, L):

@@ -6,29 +6,6 @@ import numpy as np
 
 from .._jit import jit
 
-__all__ = [
-    "LOWEST",
-    "MARGIN",
-    "MOST_CELLS",
-    "UNKNOWN",
-    "box_of",
-    "cells_in",
-    "filled",
-    "frontier",
-    "furthest",
-    "grown",
-    "inside",
-    "joined",
-    "marked",
-    "opened",
-    "seeded",
-    "seeds_in_box",
-    "states_of",
-    "strides_of",
-    "unravel",
-    "widen",
-]
-
 UNKNOWN = -math.inf  # of a cell whose value has not been asked for; an impossible state is merely very low
 LOWEST = -1e300  # sums of 1e8 such numbers are numbers still, 1e308 < 2^1024
 MARGIN = 3  # cells around the seeds in the first box: as far as neighbourhoods reach, stencils(1).widest = 3

@@ -16,8 +16,6 @@ from .._jit import jit
 from ..limits import TINY
 from .cells import LOWEST, strides_of
 
-__all__ = ["FIELD", "Field", "evaluate", "gradient", "slopes"]
-
 _RIM = 4.5  # squared distance: the rim lies at sqrt 2 from a complete node, half a cell inside of this
 _LANES = 16  # states at a time: 70 monomials of four states, 16 * 70 * 8 bytes = 9 KB, beside the polynomials
 _BEYOND = 1.0 / math.sqrt(TINY)  # lattice cells: states out there are none, with squares of 1 / TINY = 1e300

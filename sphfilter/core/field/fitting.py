@@ -21,8 +21,6 @@ from .field import Field
 from .stencils import STENCILS
 from .trend import recentred, trend, value_at
 
-__all__ = ["BUILD", "build_field"]
-
 _NEARLY = 0.2  # relative distance of second derivatives from a Gaussian's that is taken for noise of the fit
 
 

@@ -9,8 +9,6 @@ from ..small_matrices import moments
 from .cells import UNKNOWN, joined, marked, opened, states_of
 from .walls import is_inside, part_inside, share
 
-__all__ = ["MOST_ASKED", "relaid"]
-
 MOST_ASKED = 12  # cells asked for, over the number of particles wanted
 
 

@@ -8,8 +8,6 @@ from .._jit import jit
 from ..limits import ALIKE, TINY
 from ..small_matrices import cholesky, eigen, invert_lower
 
-__all__ = ["local_shape"]
-
 
 @jit
 def nodes_of(field):

@@ -10,8 +10,6 @@ from numba import typeof
 
 from ..monomials import up_to
 
-__all__ = ["STENCILS", "Stencils", "stencils"]
-
 _TREND = {3: 4, 4: 4}  # degree of the polynomial through all nodes by dimension, 3 beyond
 _WEIGHT_DECAY = 4.0  # weights exp(-4 r^2 / r_max^2) of the least-squares fit
 

@@ -8,8 +8,6 @@ from .._jit import jit
 from ..small_matrices import extremes
 from .cells import filled
 
-__all__ = ["recentred", "trend", "value_at"]
-
 _NODES_A_TERM = 2.5  # nodes there must be for each term
 
 

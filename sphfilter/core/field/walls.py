@@ -10,18 +10,6 @@ import numpy as np
 
 from .._jit import jit
 
-__all__ = [
-    "NOWHERE",
-    "NO_WALLS",
-    "Walls",
-    "beyond",
-    "fold",
-    "is_inside",
-    "part_inside",
-    "parts_inside",
-    "share",
-]
-
 #: Low and high ends (n,) of the axes; empty where none ends.
 Walls: TypeAlias = tuple[np.ndarray, np.ndarray]
 NOWHERE = np.empty(0)

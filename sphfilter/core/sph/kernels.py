@@ -13,8 +13,6 @@ import numpy as np
 
 from .._jit import jit
 
-__all__ = ["KINDS", "RADIUS", "Kernel", "kernel_variance", "normalisation", "shape", "slope"]
-
 #: Kernel names; the position of a name is its integer code in compiled functions.
 KINDS = ("gaussian", "lucy", "cubic", "wendland_c2", "wendland_c4")
 GAUSSIAN, LUCY, CUBIC, WENDLAND_C2, WENDLAND_C4 = range(5)

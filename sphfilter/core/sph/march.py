@@ -20,8 +20,6 @@ from .smoothing import UPDATE
 from .state import Near, room_for
 from .summation import DENSITY
 
-__all__ = ["STATUS", "march", "parts"]
-
 STATUS = ("ok", "not finite", "paused", "stalled", "left", "unsettled")
 OK, NOT_FINITE, PAUSED, STALLED, LEFT, UNSETTLED = range(6)
 

@@ -7,10 +7,9 @@ import numpy as np
 from .._addresses import function_at
 from .._jit import jit
 from ..limits import TINY
+from ..sde_steps import moved
 from .state import INTEGRATORS
 from .summation import DENSITY
-
-__all__ = ["evaluate", "move", "stable_step"]
 
 EULER, MIDPOINT, RK4 = range(len(INTEGRATORS))
 
@@ -93,14 +92,6 @@ def stable_step(cloud, v, near, work, options):
 
 
 @jit
-def _displace(x, x0, dt, v):
-    """x = x0 + dt v, written out: numba compiles an array expression ten times as long."""
-    for i in range(x.shape[0]):
-        for d in range(x.shape[1]):
-            x[i, d] = x0[i, d] + dt * v[i, d]
-
-
-@jit
 def move(density, equations, t, dt, cloud, near, work, options):
     """One Euler, midpoint or RK4 step from time t over dt seconds.
 
@@ -123,18 +114,18 @@ def move(density, equations, t, dt, cloud, near, work, options):
     """
     x, v = cloud.x, work.v
     if options.integrator == EULER:
-        _displace(x, x, dt, v)
+        moved(x, dt, v, x)
         return 0
     x0, k = x.copy(), np.empty_like(x)
     n_stages = 1 if options.integrator == MIDPOINT else 3
     total = v.copy()
     for stage in range(n_stages):
         ahead = dt if stage == 2 else 0.5 * dt
-        _displace(x, x0, ahead, v if stage == 0 else k)
+        moved(x0, ahead, v if stage == 0 else k, x)
         evaluate(density, equations, t + ahead, cloud, near, work, options, k)
-        _displace(total, total, 1.0 if stage == 2 else 2.0, k)
+        moved(total, 1.0 if stage == 2 else 2.0, k, total)
     if options.integrator == MIDPOINT:
-        _displace(x, x0, dt, k)
+        moved(x0, dt, k, x)
     else:
-        _displace(x, x0, dt / 6.0, total)
+        moved(x0, dt / 6.0, total, x)
     return n_stages

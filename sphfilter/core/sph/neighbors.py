@@ -14,8 +14,6 @@ import numpy as np
 from .._jit import jit
 from ..limits import TINY
 
-__all__ = ["METHODS", "Index", "build_index", "choose_method", "neighbor_lists", "query"]
-
 METHODS = ("brute", "cells", "tree")
 BRUTE, CELLS, TREE = range(3)
 _LEAF = 16  # particles in a leaf of the k-d tree

@@ -12,8 +12,6 @@ from .kernels import RADIUS
 from .neighbors import build_index, neighbor_lists
 from .state import CLOUD, OPTIONS, WORK, Near
 
-__all__ = ["SEARCH", "outgrown", "search", "search_is_due"]
-
 
 @jit
 def search(cloud, domain, work, options):

@@ -13,8 +13,6 @@ from .kernels import RADIUS
 from .state import CLOUD, NEAR, OPTIONS, WORK
 from .summation import DENSITY, own_density
 
-__all__ = ["SMOOTHING", "UPDATE", "update_smoothing"]
-
 SMOOTHING = ("fixed", "proportional", "fixed_point", "newton")
 FIXED, PROPORTIONAL, FIXED_POINT, NEWTON = range(4)
 

@@ -10,9 +10,6 @@ from .._records import type_of
 from ..domain import VIEW, View
 from .kernels import RADIUS
 
-__all__ = ["CLOUD", "INTEGRATORS", "NEAR", "OPTIONS", "WORK", "Cloud", "Near", "Options", "Progress", "Work",
-           "room_for"]  # fmt: skip
-
 INTEGRATORS = ("euler", "midpoint", "rk4")
 
 

@@ -17,18 +17,6 @@ from .kernels import GAUSSIAN, RADIUS, shape, slope
 from .neighbors import query
 from .state import CLOUD, NEAR, OPTIONS, WORK
 
-__all__ = [
-    "DENSITY",
-    "density_and_gradient",
-    "density_and_gradient_parallel",
-    "deposit",
-    "own_density",
-    "sample_density",
-    "sample_density_parallel",
-    "sample_gradient",
-    "update_density",
-]
-
 
 def _density_and_gradient(x, m, h, lists, kernel, rho, grad, r):
     """Summation density 002 (19) and gradient (20) with the averaged kernel (15).
