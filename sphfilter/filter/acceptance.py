@@ -8,8 +8,6 @@ from .._types import Floats, Ints
 from ..config import AcceptanceTest
 from ..density.particle_density import ParticleDensity
 
-__all__ = ["Acceptance", "test_measurement"]
-
 
 class Acceptance(NamedTuple):
     accepted: bool

@@ -24,8 +24,6 @@ from ..density.points import Carried, Passage, Points
 from ..density.quasi_random import net
 from .stacked import Stacked, seen
 
-__all__ = ["bridged"]
-
 #: Points for each of the prior: the first guide chooses few of these, and what remains of the way parts them.
 #: Measured: with half, with itself and with twice errors of peaks of sin 4 x + y² are .008, .007, .003.
 _MORE = 4

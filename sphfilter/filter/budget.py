@@ -21,8 +21,6 @@ from ..model.named import driven
 from ..prediction.predict import load, predict
 from .update import update
 
-__all__ = ["Budget", "rehearse"]
-
 Info = TypeVar("Info", bound=Any)
 
 #: What time is read from, seconds; `time.process_time` leaves out what other processes take.

@@ -26,8 +26,6 @@ from .inherited import inherited
 from .reading_at_prior import ReadingAtPrior
 from .stacked import Stacked
 
-__all__ = ["CloudReading", "by_cloud", "cloud_times_likelihood", "error_added"]
-
 
 def by_cloud(
     density: ParticleDensity, asked: ReadingAtPrior, n_particles: int, config: FilterConfig, why: str = ""

@@ -12,8 +12,6 @@ from .by_family import errors_beyond_nodes
 from .inherited import left_by_update
 from .reading_at_prior import ReadingAtPrior, info_fields
 
-__all__ = ["by_families"]
-
 
 def by_families(
     density: ParticleDensity, asked: ReadingAtPrior, degree: int, allowed: float

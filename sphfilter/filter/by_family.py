@@ -20,8 +20,6 @@ from ..model.measurements import block, is_gaussian
 from .inherited import evidence_error_by, evidence_error_of, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior, info_fields
 
-__all__ = ["by_family", "errors_beyond_nodes", "family_update"]
-
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
 _ELSEWHERE = 4  # of the key of an age: these points

@@ -24,8 +24,6 @@ from .by_pieces import by_pieces
 from .inherited import left_by_update, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior
 
-__all__ = ["by_ladder", "target_missed"]
-
 _TRIES, _MOST_NODES = 3, 20_000
 _ORDER = 1.5  # the error of a lattice falls about as N^-1.5
 

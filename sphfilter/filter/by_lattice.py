@@ -21,8 +21,6 @@ from .by_cloud import by_cloud
 from .inherited import evidence_error_of, of_shape, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior
 
-__all__ = ["by_lattice"]
-
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
 _TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
 

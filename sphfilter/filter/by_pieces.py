@@ -16,8 +16,6 @@ from ..model.measurements import block, is_gaussian
 from .inherited import left_by_update
 from .reading_at_prior import ReadingAtPrior, info_fields
 
-__all__ = ["by_pieces"]
-
 _LIGHT = 1e-5  # what the lightest, dropped, carry together; measured: half, twice move means by 7e-4 at most
 
 

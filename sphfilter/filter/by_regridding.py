@@ -12,8 +12,6 @@ from ..model.measurements import Reading, is_gaussian
 from .acceptance import Acceptance, test_measurement
 from .reading_at_prior import ReadingAtPrior
 
-__all__ = ["by_regridding"]
-
 
 def by_regridding(
     density: ParticleDensity, asked: ReadingAtPrior, n_particles: int, config: FilterConfig

@@ -21,8 +21,6 @@ from .readings import parted
 from .state import FilterState
 from .update_again import Update
 
-__all__ = ["Restored", "restored", "restored_modes", "write"]
-
 #: Arguments that make a filter of a model and its measurement, attributes that it is given then, and what is
 #: to be replaced in its state.
 Restored = tuple[dict[str, Any], dict[str, Any], dict[str, Any]]

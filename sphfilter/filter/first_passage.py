@@ -28,8 +28,6 @@ from ..model.paths import noise_root
 from ..model.timing import spans
 from ..prediction.cloud import least_steps, without_runaways
 
-__all__ = ["Event", "inside", "passed"]
-
 #: A region of states X (M, n): booleans (M,), or numbers that are positive inside.
 Event: TypeAlias = Callable[[Floats], ArrayLike]
 

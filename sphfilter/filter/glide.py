@@ -31,8 +31,6 @@ from .reading_at_prior import OUTLYING, ReadingAtPrior, reading_of
 from .stacked import Stacked
 from .state import FilterState
 
-__all__ = ["Glide"]
-
 _LONGEST = 8  # readings at most that a filter takes itself, before the next are tried
 _AHEAD = 64  # readings that are looked at
 #: Points of all readings of one call of compiled code, which nothing interrupts: some tenth of a second.

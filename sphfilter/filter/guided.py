@@ -24,8 +24,6 @@ from .pilot import piloted
 from .stacked import Stacked, seen
 from .tempered import tempered
 
-__all__ = ["Weighed", "weighed"]
-
 #: What points lose of their carriers along the way piece by piece; the part of points below which tempering,
 #: at twenty times the cost, is tried.
 _LOST, _FEWER = 2.0, 1.0 / 16.0

@@ -12,16 +12,6 @@ from ..density.defect import OF_UNSIGNED, ROUGH, Moments, Told, read_out, read_o
 from ..density.particle_density import ParticleDensity
 from ..density.points import CloudState, Origin, Points, whitener
 
-__all__ = [
-    "Inherited",
-    "evidence_error_by",
-    "evidence_error_of",
-    "inherited",
-    "left_by_update",
-    "of_shape",
-    "shift_left_by_update",
-]
-
 _LEFT = 0.25  # least part of an error² left; measured: half: no change, twice: .95, 1.06 times the work
 
 

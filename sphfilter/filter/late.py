@@ -15,8 +15,6 @@ from ..info import UpdateInfo
 from ..model.measurements import Sensor
 from ..validate import count, onwards, real
 
-__all__ = ["Step", "StepHistory"]
-
 
 @dataclass(frozen=True)
 class Step:

@@ -7,9 +7,6 @@ from .. import validate
 from ..errors import MissingNameError, ModelError
 from ..validate import Given, Returned
 
-__all__ = ["check_assigned", "check_read", "suggest_keyword"]
-
-
 _IN_MODEL = (
     "dynamics belong to the model: SDE, LinearSDE(A), in discrete time DiscreteModel.from_matrices(F, Q)"
 )

@@ -13,8 +13,6 @@ from ..core.limits import ALIKE
 from ..density.points import Points, moments
 from .stacked import Stacked
 
-__all__ = ["piloted"]
-
 _NARROWEST = 1e-12  # part of a prior's variance that rounding leaves
 
 

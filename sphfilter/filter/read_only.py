@@ -7,8 +7,6 @@ import numpy as np
 from .._types import Floats
 from ..errors import ModelError
 
-__all__ = ["read_only"]
-
 _READ = "what a density filter has found is read-only; make a new filter with x0 and P0"
 
 

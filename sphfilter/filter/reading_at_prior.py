@@ -17,14 +17,6 @@ from ..model.measurements import GaussianSensor, Reading, Sensor, block, is_gaus
 from ..validate import state_rows
 from .solutions import solutions
 
-__all__ = [
-    "OUTLYING",
-    "ReadingAtPrior",
-    "info_fields",
-    "predicted_reading",
-    "reading_of",
-]
-
 OUTLYING = 5.0  # standard deviations from its prediction: 2 Φ(-5) = 6e-7 of numbers read lie so far out
 
 

@@ -16,8 +16,6 @@ from ..model.named import InputValues
 from ..model.sensors import Sensors
 from ..validate import short
 
-__all__ = ["checked_sensor", "interval_of", "numbers_of", "parted", "rows_of", "sensor_of"]
-
 
 def sensor_of(
     own: Any,

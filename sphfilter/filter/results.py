@@ -19,8 +19,6 @@ from ..validate import array, onwards
 from .reading_at_prior import OUTLYING
 from .readings import rows_of
 
-__all__ = ["TRUTHS", "AnyFilter", "FilterResult", "run_filter", "shapes"]
-
 #: What a run keeps only if it was told a truth.
 RANKS = "pit", "state_pit", "hpd_rank"
 #: What is true or false of an epoch.

@@ -29,8 +29,6 @@ from .late import StepHistory
 from .names import check_assigned, check_read
 from .state import Carried, FilterState
 
-__all__ = ["RANKED", "DensityFilter"]
-
 RANKED = 2**14  # points of a cloud that a truth is ranked among: ranks are off by 1 / (2 √RANKED) = .004
 
 #: What a filter's densities obey, and the sensors that it is made with.

@@ -6,8 +6,6 @@ from .._types import Floats
 from ..core.limits import TINY
 from ..model.measurements import GaussianSensor, block
 
-__all__ = ["solutions"]
-
 _SHARP = 5.0  # standard deviations of noise between nodes' readings ... (measured: half changes no run)
 _BENT = 1.0  # ... and that some are bent by in a cell (measured: half changes no run, twice errors by .8)
 _ITERATIONS = 8  # measured: half and twice change errors of four sharp readings by .6 to 1.4 times

@@ -36,8 +36,6 @@ from .shell import RANKED, DensityFilter
 from .state import FilterState
 from .update_again import Update, prediction_of, update_or_predict_again
 
-__all__ = ["SPHFilter"]
-
 
 class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
     """A Bayes filter that carries the probability density on SPH particles (002).

@@ -17,8 +17,6 @@ from ..model.measurements import block as block_of
 from ..model.measurements import has_gaussian_noise, has_own_likelihood, is_gaussian
 from ..model.sensors import Sensors
 
-__all__ = ["Seen", "Stacked", "seen"]
-
 _NOTHING, _NO_MATRIX = np.empty(0), np.empty((0, 0))
 
 

@@ -15,8 +15,6 @@ from ..model.measurements import Sensor, has_gaussian_noise
 from ..validate import unmasked
 from .read_only import read_only
 
-__all__ = ["Carried", "FilterState", "said_of_reading"]
-
 #: What a filter carries: a density, or one for each mode.
 Carried = TypeVar("Carried", ParticleDensity, ModeDensities)
 

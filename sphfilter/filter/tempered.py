@@ -20,8 +20,6 @@ from ..density.passage import normals, sub_key
 from ..density.points import Carried, Passage, Points
 from ..model.compile import surfacing
 
-__all__ = ["tempered"]
-
 #: Passes of N points in all, twenty times both of the guided ones; of these, such that draw from the prior,
 #: as long as they have fewer independent points than are enough: a draw adds points, a move parts copies.
 _PASSES, _DRAWS = 40, 28

@@ -18,8 +18,6 @@ from .by_lattice import by_lattice
 from .by_regridding import by_regridding
 from .reading_at_prior import ReadingAtPrior
 
-__all__ = ["update"]
-
 
 def update(
     density: ParticleDensity,

@@ -28,8 +28,6 @@ from .by_cloud import error_added
 from .stacked import Stacked
 from .update import update
 
-__all__ = ["Update", "prediction_of", "update_or_predict_again"]
-
 _LADDER = Ladder(deeper=0.7)
 
 #: Prior, posterior, and what the update says.

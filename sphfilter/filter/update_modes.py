@@ -22,8 +22,6 @@ from ..model.measurements import Sensor
 from .inherited import shift_left_by_update
 from .update import update
 
-__all__ = ["ModesUpdateInfo", "update_modes"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ModesUpdateInfo(UpdateInfo):

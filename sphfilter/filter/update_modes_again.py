@@ -25,8 +25,6 @@ from ..prediction.switching import (
 )
 from .update_modes import ModesUpdateInfo, update_modes
 
-__all__ = ["update_or_predict_modes_again"]
-
 #: Prior, posterior, and what the update says.
 _Read = tuple[ModeDensities, ModeDensities, ModesUpdateInfo]
 

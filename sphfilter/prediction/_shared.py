@@ -11,8 +11,6 @@ from ..core.equations import Equations
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 
-__all__ = ["blow_up", "carried_off", "equations_of", "skip_notes"]
-
 
 def equations_of(model: SDE) -> Equations:
     """A model as the compiled marches take it; it must outlive their use."""

@@ -11,8 +11,6 @@ from ..info import Code, PredictInfo, UpdateInfo
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 
-__all__ = ["FINEST", "MOST", "MOST_WORK", "Ladder", "Outcome", "Rung", "or_as_cloud", "predict_from_finer"]
-
 Info = TypeVar("Info", PredictInfo, UpdateInfo)
 Found = TypeVar("Found")
 

@@ -21,8 +21,6 @@ from . import cloud, log_density, paper
 from ._shared import carried_off
 from .again import Ladder
 
-__all__ = ["MOST_FINER", "SUMMED", "propagate"]
-
 #: Particles on which a prediction is made again where the lattice loses probability. Measured: half and twice
 #: change no run.
 MOST_FINER = 30_000

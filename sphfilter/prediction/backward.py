@@ -27,8 +27,6 @@ from ..model.sde import SDE
 from ..model.timing import beside
 from .log_density import noise_between, paths
 
-__all__ = ["carried_back", "likelihood_field"]
-
 _FLAT = -1e-9  # largest second derivative of what goes on beyond a lattice, in its units
 _TOLERANCE = 1e-5  # of the paths' ends, in standard deviations of the density
 _MOST_PARTS = 64  # Runge-Kutta steps of a path: of errors 64⁻⁴ = 6e-8 is left

@@ -17,8 +17,6 @@ from ..density.passage import Transitions, along, even, stored_key
 from ..density.quasi_random import systematic
 from ..model.dynamics import Dynamics
 
-__all__ = ["Ahead", "Leg", "Said", "parts_of", "rooted", "start_led", "steps_of"]
-
 #: Standard deviations of a region, by which λ may shift it: none has points much farther out. Measured: half
 #: and twice leave .9 to 1.06 of the errors of means.
 _FAR = 3.0

@@ -32,8 +32,6 @@ from ..lattice.posterior import posterior
 from ..model.discrete import DiscreteModel
 from ..model.paths import noise_root
 
-__all__ = ["AS_SUMS", "integrated_back", "propagate", "why_not"]
-
 #: Points up to which a cloud is taken, by states; of three K nodes at K others are more work. Measured by
 #: tests/filter/discrete_beside.py: of two sums take as long as 2^13 points, for a thirtieth of the error.
 AS_SUMS = {1: 0, 2: 2**11}

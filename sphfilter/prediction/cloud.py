@@ -33,19 +33,6 @@ from ..model.sde import SDE
 from ._shared import blow_up, carried_off, skip_notes
 from .time_slices import slices_at
 
-__all__ = [
-    "Carried",
-    "as_points",
-    "carried_cloud",
-    "info_of",
-    "least_steps",
-    "propagate",
-    "shadow_size",
-    "squared_differences",
-    "unrolled_about_mean",
-    "without_runaways",
-]
-
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
 
 

@@ -12,8 +12,6 @@ from ..lattice.level_set import lattice_reach, lay
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 
-__all__ = ["propagate_exactly"]
-
 _GAUSSIAN = 1e-2  # largest distance of log p from a quadratic: exp(.01) = 1.01, the density within 1 %
 
 

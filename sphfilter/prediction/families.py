@@ -21,8 +21,6 @@ from ..model.compile import surfacing
 from ..model.sde import SDE
 from .family import OF_RESIDUAL, flow_of, longest_step
 
-__all__ = ["LEVELS", "bent", "carried_families"]
-
 _HIGHEST = 5  # degree of parts: higher ones stall more often than they follow better
 LEVELS = 2  # of splits
 _STEPS = 100  # of one family

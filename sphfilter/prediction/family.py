@@ -24,18 +24,6 @@ from ..model.sde import SDE
 from ._shared import blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
-__all__ = [
-    "HIGHEST",
-    "OF_RESIDUAL",
-    "carried_family",
-    "degree_of",
-    "fits_density",
-    "flow_of",
-    "longest_step",
-    "propagate",
-    "why_not",
-]
-
 HIGHEST = 6  # degree that is taken unless another is asked for
 OF_RESIDUAL = 0.3  # part of what the polynomials cannot follow, that errors are estimated by
 _LOST = 1.0  # standard deviations that the mean may be off by

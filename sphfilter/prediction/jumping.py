@@ -42,8 +42,6 @@ from .cloud import (
 )
 from .splitting_error import jump_times, jumps_of
 
-__all__ = ["UNLIKELY", "Way", "carried_with_jumps", "suits"]
-
 UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
 _KEY = 40  # of the key of an age: the jumps of a cloud, and of its shadow the next
 

@@ -31,16 +31,6 @@ from . import automatic, chapman_kolmogorov, cloud, families, family, pieces
 from .again import MOST_WORK
 from .to_target import Time, carried_to_target
 
-__all__ = [
-    "LATTICE",
-    "as_asked",
-    "becomes_cloud",
-    "best_family",
-    "first_degree",
-    "prefers_cloud",
-    "propagate",
-]
-
 Found = TypeVar("Found")
 
 #: Points of a cloud that take as long as a lattice that makes the same error, by states; a lattice of more

@@ -58,8 +58,6 @@ from ._shared import blow_up, skip_notes
 from .again import FINEST, MOST
 from .time_slices import drift_slices, noise_samples
 
-__all__ = ["load", "noise_between", "paths", "propagate", "why_not"]
-
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
 _PART = 0.6  # of a density's error, that is its mean's; measured: half, twice take 1.02, 1.41 times the work
 #: Of what lattices get wrong in the middles of their cells, by the number of states: there it is most, and

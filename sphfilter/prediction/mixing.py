@@ -46,8 +46,6 @@ from . import family
 from .again import MOST
 from .ladder import first_degree, prefers_cloud
 
-__all__ = ["Part", "mixed"]
-
 _CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: as much as makes all of it
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more

@@ -14,8 +14,6 @@ from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
 from .mixing import Part, mixed
 
-__all__ = ["mixture", "summed", "whatever_the_mode"]
-
 
 def summed(
     log_w: Floats,

@@ -24,8 +24,6 @@ from ..model.domain import Domain
 from ..model.sde import SDE
 from ._shared import blow_up, equations_of, skip_notes
 
-__all__ = ["propagate"]
-
 #: Particles from which kernel sums are spread over threads; by their number alone, so that the thread
 #: count never changes a bit of the result.
 PARALLEL_FROM = 2000

@@ -12,8 +12,6 @@ from ..info import PredictInfo
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 
-__all__ = ["carried_exactly", "carried_pieces"]
-
 
 def carried_pieces(
     density: ParticleDensity, model: Dynamics, t1: float, allowed: float

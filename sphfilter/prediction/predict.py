@@ -32,8 +32,6 @@ from .again import Ladder, Outcome, or_as_cloud
 from .exact import propagate_exactly
 from .to_target import ALWAYS, Time, carried_to_target
 
-__all__ = ["Prediction", "load", "predict"]
-
 
 def predict(
     density: ParticleDensity,

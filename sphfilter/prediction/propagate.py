@@ -23,8 +23,6 @@ from .again import Outcome, or_as_cloud, predict_from_finer
 from .predict import Prediction, predict
 from .remesh import Remeshing
 
-__all__ = ["Trajectory", "propagate"]
-
 
 @dataclass(frozen=True)
 class Trajectory:

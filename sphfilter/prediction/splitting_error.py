@@ -18,8 +18,6 @@ from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
 
-__all__ = ["jump_times", "jumps_of", "splitting_error"]
-
 
 def jumps_of(model: JumpMarkovModel, dt: float) -> float:
     """Jumps that a state takes in dt seconds, of the mode that it leaves the soonest."""

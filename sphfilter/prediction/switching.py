@@ -34,15 +34,6 @@ from .pieces import carried_exactly
 from .predict import predict
 from .splitting_error import jumps_of, splitting_error
 
-__all__ = [
-    "MOST_SUBSTEPS",
-    "ModesInfo",
-    "ModesPrediction",
-    "goes_as_points",
-    "points_of_modes",
-    "predict_modes",
-]
-
 MOST_SUBSTEPS = 256  # of an interval; measured: half and twice change no run
 #: Of the target, that the splitting of an interval may be off by. Measured: errors are .8 to 1.1 times as
 #: large with half, 1 to 2.1 times with twice, for .9 and .7 times the work.

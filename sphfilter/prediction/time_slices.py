@@ -11,8 +11,6 @@ from ..model.compile import surfacing
 from ..model.derived import scales
 from ..model.sde import SDE
 
-__all__ = ["drift_slices", "noise_samples", "slices_at"]
-
 #: Five of clouds, then odd ones without common factors, so that oscillations hide from none.
 _SLICES = (1, 2, 3, 5, 9, 17, 37, 79, 167, 347, 709)
 _FINE = _SLICES[-2]  # a pulse of a hundredth of the interval has 347 / 100 = 3.5 of its times

@@ -12,8 +12,6 @@ from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
 from .again import MOST
 
-__all__ = ["ALWAYS", "Time", "carried_to_target"]
-
 
 def _always(n_particles: int) -> bool:
     return True

@@ -49,6 +49,21 @@ def test_a_gaussian_through_a_linear_model_is_kalmans():
         assert not predicted.flagged and not updated.flagged
 
 
+@pytest.mark.parametrize(
+    ("scene", "target", "options", "rung"),
+    [
+        ("duffing", 0.1, {}, "cloud"),  # which costs less than a family, and is all that is asked for
+        ("pendulum", 0.01, {}, "family"),
+        ("duffing", 0.1, {"density_error": 0.05}, "family"),
+        ("falling_body", 0.03, {}, "cloud"),
+        ("cart", 0.1, {}, "family"),
+    ],
+)
+def test_where_little_is_asked_a_gaussian_becomes_points(scene, target, options, rung):
+    case, flt = made(scene, target, config=sf.FilterConfig(target_error=target, **options))
+    assert flt.predict(t=case.times[0]).rung == rung
+
+
 def test_the_error_left_is_the_one_asked_for_and_cheaper_rungs_are_taken_where_it_allows():
     case, fine = made("van_der_pol", 0.01, n_particles=800, config=sf.FilterConfig(scheme="log_density"))
     _, x, P = followed(fine, case, 12)

@@ -12,8 +12,6 @@ from numba import prange
 from .._jit import jit, parallel_jit
 from ..small_matrices import cholesky, invert_lower, whiten
 
-__all__ = ["LEAST", "expected", "fitted", "led"]
-
 #: Points that a fit has at least, effectively, over its coefficients: residuals of fewer tell nothing.
 _EACH = 3.0  # measured: half and twice leave 1.04 and 1.3 times the errors of Van der Pol's means
 _WIDER, _MOST = 1.5, 24  # times the variance, each time; 1.5^24 = 1.7e4 reaches any cloud's end

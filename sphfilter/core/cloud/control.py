@@ -11,28 +11,6 @@ from ..limits import LOOK
 from ..step_control import MORE
 from .pace import ORDER as STEPS_ORDER
 
-__all__ = [
-    "MOST_POINTS",
-    "SHADOW",
-    "apart_by",
-    "bias_allowed",
-    "both",
-    "decisive",
-    "error_by",
-    "errors_told",
-    "evidence_error",
-    "expected_square",
-    "least_error",
-    "next_points",
-    "points_for",
-    "power_of_two",
-    "smoothed",
-    "square_of_more",
-    "step_after",
-    "steps_of_shadow",
-    "wrong_beside",
-]
-
 SHADOW = 8  # points of a cloud over those of its shadow, which costs an eighth of the time
 _ORDER = 0.6  # of errors in the number of points: measured as .45 to .82, .61 on average (CLOUD.md)
 _NEW = 0.4  # weight of the last squared difference; measured: half, twice change evaluations by .09 at most

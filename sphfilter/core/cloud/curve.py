@@ -10,8 +10,6 @@ from ..limits import TINY
 from ..small_matrices import cholesky, invert_lower
 from .weights import weighted_moments
 
-__all__ = ["along_curve", "fill_places", "ordered", "places", "spread"]
-
 #: Bits of a cell's number along each state: places of 4 bytes in tables of at most 2^20 = 4 MB.
 _BITS = {1: 12, 2: 8, 3: 6, 4: 4, 5: 4, 6: 3}
 #: Standard deviations to either side that cells tell apart: 2 (1 - Φ(2.5)) = 1.2 % lie in the outermost ones.

@@ -39,17 +39,6 @@ from .steps import CUBE, LEG
 from .way import begin, carry, carry_linear
 from .weights import AWAY, any_beyond, carriers, compared, effective, near_others, weighted_moments
 
-__all__ = [
-    "FEW",
-    "JUDGE",
-    "PARTS",
-    "REFUSED",
-    "UNUSUAL",
-    "Bounds",
-    "Standing",
-    "put_through",
-]
-
 #: Part of points below which carriers are few: the way piece by piece, at six times the cost, divides errors
 #: by five.
 FEW = 0.25

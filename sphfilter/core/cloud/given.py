@@ -6,8 +6,6 @@ from .._jit import jit
 from .move import chunk_room, move_chunk
 from .noise import LANES, fill_noise, uniform
 
-__all__ = ["move_along", "noise_of", "renew", "uniforms"]
-
 
 @jit
 def uniforms(key, count):

@@ -16,19 +16,6 @@ from .linearise import end_of_block
 from .noise import even_normals, uniform
 from .weights import summed, systematic
 
-__all__ = [
-    "NEAR",
-    "along_rows",
-    "joined",
-    "linear_reading",
-    "log_normals",
-    "look_ahead",
-    "over_both",
-    "spread",
-    "without_noise",
-    "wrapped",
-]
-
 #: Neighbours to either side, that tell what the flow is without noise.
 NEAR = 2
 

@@ -7,8 +7,6 @@ import numpy as np
 from .._jit import jit
 from ..limits import NOTHING
 
-__all__ = ["log_sum", "log_sum_gradient", "seen"]
-
 
 @jit
 def seen(w, x, h, shift, cov, number):

@@ -16,20 +16,6 @@ from ..limits import LOOK, ROUNDING
 from .noise import OF_STATE
 from .steps import CUBE, LEG, flow, new_room, scaled, times_root
 
-__all__ = [
-    "LINEARISE",
-    "backwards",
-    "block_roots",
-    "block_size",
-    "centres",
-    "end_of_block",
-    "linearise",
-    "linearise_at",
-    "lower_and_rows",
-    "shrunk",
-    "widths",
-]
-
 _TERMS = 4  # of an exponential at half a norm, (1/2)⁴ / 4! = 2.6e-3 of what only guides is left out
 
 

@@ -12,8 +12,6 @@ from .._jit import MATRIX, VECTOR, jit
 from .linearise import backwards
 from .steps import CUBE, LEG
 
-__all__ = ["LINEARISE_MAP", "MAPPED", "linearise_map"]
-
 
 @jit
 def mapped(leg, x, Z, odd, room):

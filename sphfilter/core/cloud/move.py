@@ -10,8 +10,6 @@ from .linearise import end_of_block
 from .noise import LANES, fill_noise
 from .steps import CUBE, LEG, new_room, walk
 
-__all__ = ["MOVE", "affine", "chunk_room", "move", "move_at", "move_chunk"]
-
 
 @jit
 def steer(V, block, u, W, along):

@@ -6,18 +6,6 @@ import numpy as np
 
 from .._jit import jit
 
-__all__ = [
-    "ADDITIVE",
-    "LANES",
-    "NORMAL",
-    "OF_STATE",
-    "even_normals",
-    "fill_noise",
-    "mixed",
-    "stored",
-    "uniform",
-]
-
 #: Points that are moved together: of four states, 8 numbers each in a step, they fill the first-level cache,
 #: 128 * 4 * 8 * 8 bytes = 32 KB.
 LANES = 128

@@ -14,8 +14,6 @@ from .steps import Leg, new_room, walk
 from .way import PILOT
 from .weights import AWAY, finite_rows, systematic
 
-__all__ = ["FIRST_TRIED", "MOST_LOST", "ORDER", "Steps", "chosen", "moved_twice", "over", "parted"]
-
 #: Groups of the points that tell the bias of steps; where what they show may be chance, more are asked, up to
 #: N / 8 (as many as a shadow has), as long as that costs less than the steps that chance would ask for.
 _GROUPS, _LOOKED = 4, 8

@@ -30,8 +30,6 @@ from .noise import LANES, even_normals, mixed, stored
 from .way import AGAIN
 from .weights import effective, finite_rows, normalise, prior_times, weighted_moments
 
-__all__ = ["GUIDE", "OWN", "PARTS", "READER", "WIDER", "Part", "Reader", "foreseen", "weigh"]
-
 #: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good.
 WIDER = 1.5
 #: Variance of a point's own rest about the mean of its neighbours', over that of one: OWN = 1 + 1 / (2 NEAR).

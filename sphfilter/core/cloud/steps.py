@@ -20,22 +20,6 @@ from ..limits import TINY
 from ..step_control import next_step
 from .noise import ADDITIVE, LANES, uniform
 
-__all__ = [
-    "BESIDE",
-    "BETWEEN",
-    "CUBE",
-    "FLOW",
-    "LEG",
-    "NO_LEG",
-    "STIFF_FLOW",
-    "Leg",
-    "flow",
-    "new_room",
-    "scaled",
-    "times_root",
-    "walk",
-]
-
 
 class Leg(NamedTuple):
     """A model over an interval, as compiled code takes it.

@@ -17,19 +17,6 @@ from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
 from .weights import effective, for_moments, of_points, weighted_moments
 
-__all__ = [
-    "AGAIN",
-    "FIRST",
-    "KERNEL",
-    "LINES",
-    "PILOT",
-    "begin",
-    "blocks_of",
-    "carry",
-    "carry_linear",
-    "everywhere",
-]
-
 # what numbers of a key are for
 _CUT, FIRST, AGAIN, PILOT, KERNEL = range(5)
 #: Effective part of points, below which they are drawn anew.

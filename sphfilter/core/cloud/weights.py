@@ -12,26 +12,6 @@ from ..limits import LITTLE, LOOK, ROUNDING
 from ..small_matrices import cholesky, invert_lower, white_square, whiten
 from .noise import LANES
 
-__all__ = [
-    "AWAY",
-    "any_beyond",
-    "carriers",
-    "compared",
-    "effective",
-    "extent",
-    "finite_rows",
-    "floored",
-    "for_moments",
-    "near_others",
-    "normalise",
-    "of_points",
-    "prior_times",
-    "summed",
-    "systematic",
-    "weighted_moments",
-]
-
-
 #: Numbers from one row of a chunk's points to the next: 8 * 8 bytes = 1 line off what would share its place.
 _ROW = LANES + 8
 AWAY = 1.0 / ROUNDING  # extents, from which a point has run away: AWAY² = 1 / eps leaves others no digit

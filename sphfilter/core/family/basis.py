@@ -11,19 +11,6 @@ from .._jit import MATRIX, VECTOR, jit
 from ..monomials import up_to
 from .rules import rule
 
-__all__ = [
-    "BASIS",
-    "Basis",
-    "averages",
-    "basis",
-    "beyond",
-    "bound",
-    "fit",
-    "polynomials",
-    "size",
-    "values_at",
-]
-
 #: Points at a time: tables of seven powers of four states, 7 * 4 * 64 * 8 bytes = 14 KB.
 _AT_ONCE = 64
 _BEYOND = 1.6  # standard deviations beyond √n: P(χ_n > √n + 1.6) = .009 to .012 of a Gaussian lies there

@@ -9,8 +9,6 @@ from ..limits import LOG_2_PI
 from ..small_matrices import eigen
 from .basis import values_at
 
-__all__ = ["FAR", "inverse", "moments_of", "moved", "refitted", "reframed", "root_between", "weigh"]
-
 #: Of moments in a frame: so far it follows a density at once, and from there on it knows nothing of it.
 FAR = 3.0
 

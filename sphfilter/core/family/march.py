@@ -12,8 +12,6 @@ from ..step_control import GROW, SHRINK, next_step
 from .frame import FAR, inverse, moments_of, moved, refitted, reframed, root_between, weigh
 from .rates import DEFECT, RATES, product, work
 
-__all__ = ["STATUS", "Control", "Report", "march"]
-
 OK, STALLED, TOO_MANY, NOT_FINITE, ASTRAY = range(5)
 #: What a code says.
 STATUS = "ok", "stalled", "too many steps", "not finite", "astray"

@@ -20,8 +20,6 @@ from .._jit import MATRIX, VECTOR, jit
 from .basis import BASIS
 from .frame import inverse
 
-__all__ = ["DEFECT", "RATES", "Flow", "Work", "defect_rates", "product", "rates", "work"]
-
 
 class Flow(NamedTuple):
     """A model as families are carried by it: addresses of batch functions, and what needs no asking."""

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["MOST", "degrees", "rule"]
-
 #: Gauss-Hermite points of one state, over the degree: fewer do not see what a polynomial misses. Cubics rise
 #: on one side, and see little else at points further out.
 _MORE, _MORE_OF_CUBICS = 9, 2

@@ -10,8 +10,6 @@ from ..step_control import GROW, SHRINK
 from .basis import values_at
 from .frame import FAR, inverse, moments_of, moved, root_between, weigh
 
-__all__ = ["log_sum", "nodes_of", "own_logs", "settled_round"]
-
 
 @jit
 def nodes_of(xi, mu, A, x):
