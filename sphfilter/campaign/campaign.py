@@ -6,8 +6,9 @@ interruption change nothing in the runs and filters that stay.
 """
 
 import numbers
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -198,14 +199,15 @@ def run_campaign(
         finished = store.finished(folder, n_runs)
     todo = [(r, scenario, filters, seeds[r], ranks) for r in range(n_runs) if r not in finished]
     coming = _in_parallel(one_run.run, todo, n_jobs, progress, n_runs)
-    for done, (r, record) in enumerate(coming, len(finished) + 1):
-        first_case = _same_times(scenario.name, record, first_case, r)
-        if folder is None:
-            records[r] = record
-        else:  # here and not where it was run, which may be another machine
-            finished[r] = store.write_run(folder, r, record)
-        if progress is not None:
-            progress(done, n_runs)
+    with closing(coming):  # at once, whatever is raised here: workers must not wait for a reader
+        for done, (r, record) in enumerate(coming, len(finished) + 1):
+            first_case = _same_times(scenario.name, record, first_case, r)
+            if folder is None:
+                records[r] = record
+            else:  # here and not where it was run, which may be another machine
+                finished[r] = store.write_run(folder, r, record)
+            if progress is not None:
+                progress(done, n_runs)
     read = records.pop if folder is None else lambda r: store.load(finished[r])
     return _gather(scenario.name, int(seed), read, n_runs, list(filters))
 
@@ -216,7 +218,7 @@ def _in_parallel(
     n_jobs: int | None,
     progress: Callable[[int, int], object] | None,
     n_runs: int,
-) -> Iterator[Any]:
+) -> Generator[Any, None, None]:
     """Yield the results of `task` over the rows of `todo` as they come."""
     from joblib import Parallel, delayed  # on use: import time
 
@@ -225,7 +227,7 @@ def _in_parallel(
     workers = Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
     try:
         yield from workers(delayed(task)(*row) for row in todo)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, GeneratorExit):  # here, or where the results go
         _end_workers(n_jobs)
         raise
     except Exception as problem:
