@@ -66,7 +66,7 @@ class Memory(NamedTuple):
 
     def cloud(self, target: float) -> int:
         """Points that a cloud has for a target error."""
-        return self.points or power_of_two((_TYPICAL / target) ** 2)
+        return self.points or power_of_two(usual_points(target))
 
     def cut(self, most: int) -> "Memory":
         """Memory whose next cloud has as many points as there is time for, and may have more at once."""
@@ -86,9 +86,9 @@ def usual_error(count: int) -> float:
     return _TYPICAL / math.sqrt(count)
 
 
-def usual_points(error: float) -> int:
+def usual_points(error: float) -> float:
     """Points of a cloud that usually has an error of the mean, in standard deviations."""
-    return int((_TYPICAL / error) ** 2)
+    return (_TYPICAL / error) ** 2
 
 
 def flagged_from(target: float) -> float:
@@ -97,6 +97,11 @@ def flagged_from(target: float) -> float:
     Less where a target is loose, and an error of so many targets would be wrong whatever was asked.
     """
     return min(_FLAGGED * target, max(DOUBTFUL, MISSED * target))
+
+
+def doubtful_from(target: float) -> float:
+    """Error told of a mean, from which a step is nothing usual, in standard deviations."""
+    return max(DOUBTFUL, flagged_from(target))
 
 
 def tolerated_excess(dim: int) -> float:

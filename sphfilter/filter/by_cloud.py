@@ -13,13 +13,13 @@ from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
-from ..density.memory import flagged_from
+from ..density.memory import doubtful_from, flagged_from
 from ..density.particle_density import ParticleDensity
 from ..density.passage import READING, moved_points, stored_key
 from ..density.points import CloudState, Points, Told
 from ..density.quasi_random import systematic
 from ..errors import PropagationError
-from ..info import DOUBTFUL, Code
+from ..info import Code
 from ..prediction.cloud import as_points, shadow_size, squared_differences
 from .guided import weighed
 from .inherited import inherited
@@ -42,10 +42,10 @@ def by_cloud(
     new = cloud_of(density, found.state, found.moments, capacity=n_particles, lost=density.lost)
     found = found.inheriting(state, moments_on_line(density))
     error, doubt, code = found.error, found.doubt, Code.CLOUD
-    flagged = flagged_from(config.target_error)
     new = new.noted(cloud=found.state, error=error, rough=0.0)  # of which `inherited` knows
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
-    if doubt > wrong_beside(flagged) and error < max(DOUBTFUL, flagged):  # else said of the mean already
+    target = config.target_error
+    if doubt > wrong_beside(flagged_from(target)) and error < doubtful_from(target):  # else said of the mean
         status, code = f"{status}, but the variance may be off by {doubt:.0%}", code | Code.UNRESOLVED
     return new, {
         "accepted": True,

@@ -14,7 +14,7 @@ from ..config import CloudScheme
 from ..core.cloud.control import wrong_beside
 from ..core.cloud.cycle import JUDGE, REFUSED, UNUSUAL, Bounds
 from ..density.as_cloud import cloud_of
-from ..density.memory import MISSED, Memory, flagged_from
+from ..density.memory import MISSED, Memory, doubtful_from, flagged_from
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Through, put_through
 from ..density.points import CloudState
@@ -174,7 +174,7 @@ class _Run:
         y, S = sensor.residual(z, expected), S + sensor.noise_cov
         far = stacked.asked[0]._replace(innovation=y, S=S).outlying
         flagged = flagged_from(target)
-        usual = not far and moved.lost == 0.0 and moved.error < max(DOUBTFUL, flagged)
+        usual = not far and moved.lost == 0.0 and moved.error < doubtful_from(target)
         done = cloud_times_likelihood(moved.state, stacked) if usual else None
         if done is None:
             return False
@@ -229,7 +229,7 @@ def _begins(filt: Any) -> bool:
     density = filt.density
     if not density.gaussian or density.error > 0.0 or filt.model.linear:
         return False
-    return becomes_cloud(density, density.needs or Memory(), _target_of(filt))
+    return becomes_cloud(density.dim, density.needs or Memory(), _target_of(filt))
 
 
 def _target_of(filt: Any) -> float:

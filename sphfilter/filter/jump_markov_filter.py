@@ -292,7 +292,7 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
         asked = points_of_modes(state.density, target)
         if state.n_particles:  # the step before had fewer than it asked for
             asked = max(asked, Memory().cloud(target))
-        most = self._budget.bound(asked, usual_points(DOUBTFUL))
+        most = self._budget.bound(asked, int(usual_points(DOUBTFUL)))
         if most == asked:
             return state.noted(n_particles=0)
         most = 2 ** int(math.log2(most))

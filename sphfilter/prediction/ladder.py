@@ -18,11 +18,11 @@ from ..core.family.rules import degrees
 from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
 from ..density.family import gaussian_family
-from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
+from ..density.memory import Memory, doubtful_from, error_budget, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
-from ..info import DOUBTFUL, Code, PredictInfo
+from ..info import Code, PredictInfo
 from ..model.discrete import DiscreteModel
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
@@ -36,7 +36,7 @@ Found = TypeVar("Found")
 #: Points of a cloud that take as long as a lattice that makes the same error, by states; a lattice of more
 #: states never pays. And points that take as long as one family, by states: fewer take .1 to .9 times as
 #: long as families first. In four states 256 take .6 to 1.1 times as long, and are off by two to eight times
-#: as much: families first. (Of `experiments benchmark`.)
+#: as much: families first. No lattice is cheaper than so few points. (Of `experiments benchmark`.)
 _AS_LATTICES, _AS_FAMILIES = {1: 2**11, 2: 2**13}, {1: 2**10, 2: 2**10, 3: 2**10, 4: 0}
 _AS_LARGEST = 2**13  # as families of five and six states, of thousands of nodes (experiments benchmark)
 LATTICE = 2  # states up to which families are not carried in parts
@@ -58,10 +58,9 @@ def prefers_cloud(dim: int, needs: Memory, target: float) -> bool:
     return dim > LATTICE if needs.smooth else needs.cloud(target) <= _AS_LATTICES.get(dim, MOST_POINTS)
 
 
-def becomes_cloud(density: ParticleDensity, needs: Memory, target: float) -> bool:
+def becomes_cloud(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud costs less than one family, and is all that is asked for."""
-    cheaper = needs.cloud(target) < _AS_FAMILIES.get(density.dim, _AS_LARGEST)
-    return cheaper and not needs.smooth and prefers_cloud(density.dim, needs, target)
+    return not needs.smooth and needs.cloud(target) < _AS_FAMILIES.get(dim, _AS_LARGEST)
 
 
 def _in_parts(density: ParticleDensity) -> bool:
@@ -148,7 +147,7 @@ def propagate(
         return _by_sums(density, model, t1, target, needs, time)
     assert isinstance(model, SDE)
     by_cloud = not model.domain.walled.any() and prefers_cloud(density.dim, needs, target)
-    if by_cloud and becomes_cloud(density, needs, target):
+    if by_cloud and becomes_cloud(density.dim, needs, target):
         return _by_cloud(density, model, t1, target, needs)
     if density.families is not None:
         found = _by_families(density, model, t1, target, needs, families.LEVELS)
@@ -289,6 +288,6 @@ def _by_lattice(
 def as_asked(info: PredictInfo, target: float) -> PredictInfo:
     """The info of a rung that the target asked for, and not of one that took another's place."""
     usual = Code.CLOUD | Code.FINER
-    if info.code & ~usual or not info.error < max(DOUBTFUL, flagged_from(target)):
+    if info.code & ~usual or not info.error < doubtful_from(target):
         return info
     return replace(info, status="ok", code=Code.OK)
